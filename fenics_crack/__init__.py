@@ -1,0 +1,40 @@
+"""Periodic vibration of structures with a crack that opens and closes.
+
+Start with ``demos/paper_plate.py``; the equations and conventions are in ``docs/theory.md``.
+"""
+
+from fenics_crack.contact import SmoothedPenalty, UnilateralPenalty, contact_law
+from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.finite_elements import build_structure, find_crack_length
+from fenics_crack.harmonic_balance import solve_harmonic_balance, solve_linear
+from fenics_crack.integration import (
+    TimeHistory,
+    integrate_central_difference,
+    stable_steps_per_period,
+)
+from fenics_crack.modes import Modes, solve_modes
+from fenics_crack.scene import Scene
+from fenics_crack.solution import PeriodicSolution
+from fenics_crack.structure import ModalDamping, Structure
+
+__all__ = [
+    "ConvergenceError",
+    "InputError",
+    "ModalDamping",
+    "Modes",
+    "PeriodicSolution",
+    "Scene",
+    "SmoothedPenalty",
+    "Structure",
+    "TimeHistory",
+    "UnilateralPenalty",
+    "build_structure",
+    "contact_law",
+    "find_crack_length",
+    "integrate_central_difference",
+    "solve_harmonic_balance",
+    "solve_linear",
+    "solve_modes",
+    "stable_steps_per_period",
+]
+__version__ = "0.1.0"

@@ -1,0 +1,130 @@
+"""Everything that differs between the versions of DOLFINx and gmsh in use.
+
+DOLFINx 0.5 and gmsh 4.8 are Debian 12's, 0.9 and 4.13 Debian 13's; DOLFINx 0.10 is provided for.
+
+No other module looks at a version.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import basix
+import dolfinx
+import dolfinx.fem.petsc
+import dolfinx.geometry
+import dolfinx.io
+import dolfinx.plot
+import gmsh
+import numpy as np
+import ufl
+from mpi4py import MPI
+from petsc4py import PETSc
+
+__all__ = [
+    "assembled_matrix",
+    "assembled_vector",
+    "basis_at",
+    "function_space",
+    "geometry_dofmap",
+    "gmsh_is_running",
+    "model_to_mesh",
+    "vtk_cells",
+]
+
+_JIT = {"timeout": 300}  # [s] while another process compiles the same form
+
+
+def gmsh_is_running() -> bool:
+    """Whether somebody else has initialised gmsh; gmsh 4.8 cannot tell, so there nobody has."""
+    return bool(getattr(gmsh, "isInitialized", lambda: False)())
+
+
+def model_to_mesh(model: Any, comm: MPI.Comm) -> tuple[Any, Any, Any]:
+    """Distribute the gmsh model of rank 0 as a plane mesh: (mesh, cell tags, facet tags)."""
+    try:
+        from dolfinx.io import gmshio
+    except ImportError:  # 0.10
+        from dolfinx.io import gmsh as gmshio
+    found = gmshio.model_to_mesh(model, comm, 0, gdim=2)
+    if isinstance(found, tuple) and len(found) == 3:
+        return found
+    return found.mesh, found.cell_tags, found.facet_tags
+
+
+def function_space(mesh: Any, order: int) -> Any:
+    """Continuous piecewise polynomials of the given order with two components."""
+    if hasattr(dolfinx.fem, "functionspace"):
+        element = ("Lagrange", order, (mesh.geometry.dim,))
+        return dolfinx.fem.functionspace(mesh, element, jit_options=_JIT)
+    element = ufl.VectorElement("Lagrange", mesh.ufl_cell(), order)
+    return dolfinx.fem.FunctionSpace(mesh, element, jit_params=_JIT)
+
+
+def _compiled(form: ufl.Form) -> Any:
+    options = "jit_options" if hasattr(dolfinx.fem, "functionspace") else "jit_params"
+    return dolfinx.fem.form(form, **{options: _JIT})
+
+
+def assembled_matrix(form: ufl.Form) -> Any:
+    """Assemble a bilinear form without boundary conditions into a PETSc matrix (collective)."""
+    matrix = dolfinx.fem.petsc.assemble_matrix(_compiled(form))
+    matrix.assemble()
+    return matrix
+
+
+def assembled_vector(form: ufl.Form) -> np.ndarray:
+    """Assemble a linear form; return the entries of the dofs that this rank owns (collective)."""
+    vector = dolfinx.fem.petsc.assemble_vector(_compiled(form))
+    vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
+    owned = vector.array_r.copy()
+    vector.destroy()
+    return owned
+
+
+def basis_at(space: Any, order: int, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes of the cell of this rank that holds a point, and their basis functions' values there.
+
+    Both are empty where no cell of this rank holds the point.
+    """
+    mesh = space.mesh
+    where = np.append(point, 0.0).astype(float)
+    dimension = mesh.topology.dim
+    if hasattr(dolfinx.geometry, "bb_tree"):
+        tree = dolfinx.geometry.bb_tree(mesh, dimension, padding=1e-10)
+        near = dolfinx.geometry.compute_collisions_points(tree, where)
+        hits = dolfinx.geometry.compute_colliding_cells(mesh, near, where).array
+    else:
+        tree = dolfinx.geometry.BoundingBoxTree(mesh, dimension, padding=1e-10)
+        near = dolfinx.geometry.compute_collisions(tree, where)
+        hits = np.asarray(dolfinx.geometry.compute_colliding_cells(mesh, near, where))
+    hits = hits[hits < mesh.topology.index_map(dimension).size_local]
+    if not len(hits):
+        return np.zeros(0, dtype=np.int32), np.zeros(0)
+    cell = int(hits[0])
+    corners = mesh.geometry.x[geometry_dofmap(mesh)[cell], :2]
+    reference = mesh.geometry.cmap.pull_back(where[None, :2], corners)
+    element = basix.create_element(
+        basix.ElementFamily.P,
+        getattr(basix.CellType, mesh.topology.cell_type.name),
+        order,
+        basix.LagrangeVariant.gll_warped,
+    )
+    values = element.tabulate(0, reference)[0, 0].ravel()
+    return np.asarray(space.dofmap.cell_dofs(cell)), values
+
+
+def geometry_dofmap(mesh: Any) -> np.ndarray:
+    """Geometry nodes of each local cell: (n_cells, n_nodes)."""
+    dofmap = mesh.geometry.dofmap
+    if isinstance(dofmap, np.ndarray):
+        return dofmap
+    return dofmap.array.reshape(dofmap.num_nodes, -1)
+
+
+def vtk_cells(space: Any) -> tuple[np.ndarray, int]:
+    """Nodes of each owned cell in VTK's order, (n_cells, n_nodes), local indices; and the VTK type."""
+    make = getattr(dolfinx.plot, "vtk_mesh", None) or dolfinx.plot.create_vtk_mesh
+    cells, kinds, _ = make(space)
+    nodes = int(cells[0]) if len(cells) else 1
+    return cells.reshape(-1, nodes + 1)[:, 1:], int(kinds[0]) if len(kinds) else 0

@@ -1,0 +1,86 @@
+"""Direct solution of sparse linear systems: MUMPS through PETSc, on arrays of locally owned rows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from petsc4py import PETSc
+
+__all__ = ["Factor"]
+
+
+class Factor:
+    """Factorisation of a real square PETSc matrix.
+
+    Parameters
+    ----------
+    matrix : PETSc.Mat
+        (n, n), assembled.
+    symmetric : bool
+        Factor as L D L^T, which halves the work and counts the negative eigenvalues.
+
+    Notes
+    -----
+    Use as a context manager, or call :meth:`destroy`: the factors of a parallel matrix are freed by all
+    ranks together. PETSc options with the prefix ``crack_factor_`` reach the solver.
+    """
+
+    def __init__(self, matrix: Any, *, symmetric: bool) -> None:
+        self._matrix = matrix
+        matrix.setOption(PETSc.Mat.Option.SYMMETRIC, symmetric)
+        self._pc = PETSc.PC().create(matrix.comm)
+        self._pc.setOptionsPrefix("crack_factor_")
+        self._pc.setOperators(matrix)
+        self._pc.setType("cholesky" if symmetric else "lu")
+        self._pc.setFactorSolverType("mumps")
+        self._pc.setFactorSetUpSolverType()
+        self._factor = self._pc.getFactorMatrix()
+        self._factor.setMumpsIcntl(24, 1)  # detect null pivots
+        self._pc.setFromOptions()
+        self._pc.setUp()
+
+    @property
+    def null_pivots(self) -> int:
+        """Number of pivots that vanished: the dimension of the null space that was met."""
+        return int(self._factor.getMumpsInfog(28))
+
+    @property
+    def negative_pivots(self) -> int:
+        """Number of negative eigenvalues of a symmetric matrix (Sylvester's law of inertia)."""
+        return int(self._factor.getMumpsInfog(12))
+
+    def solve(self, rhs: np.ndarray) -> np.ndarray:
+        """Solve for real right-hand sides (m, n_local), one a row (collective)."""
+        rows = np.atleast_2d(rhs)
+        count, local = rows.shape
+        total = self._matrix.size[0]
+        sizes = ((local, total), (PETSc.DECIDE, count))
+        columns = np.asfortranarray(rows.T, dtype=float)
+        if count == 1:
+            right, solution = self._matrix.createVecs()
+            right.array_w[:] = rows[0]
+            self._pc.apply(right, solution)
+            found = solution.array_r.copy()[None]
+        else:
+            right = PETSc.Mat().createDense(sizes, array=columns, comm=self._matrix.comm)
+            solution = PETSc.Mat().createDense(sizes, comm=self._matrix.comm)
+            solution.setUp()
+            for matrix in (right, solution):
+                matrix.assemble()
+            self._factor.matSolve(right, solution)
+            found = solution.getDenseArray().T.copy()
+        right.destroy()
+        solution.destroy()
+        return found.reshape(np.shape(rhs))
+
+    def destroy(self) -> None:
+        """Free the factors (collective)."""
+        self._factor.destroy()
+        self._pc.destroy()
+
+    def __enter__(self) -> Factor:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.destroy()

@@ -1,0 +1,382 @@
+"""Direct integration in time by central differences: the yardstick of the harmonic balance.
+
+    M u'' + C u' + K u + B lambda(g) = f(t)
+
+The paper's scheme, with the contact force that its printed form leaves out,
+
+    (2 M + dt C) u_{n+1} = 2 dt^2 (f - K u - B lambda)_n + 4 M u_n - 2 M u_{n-1} + dt C u_{n-1},
+
+marched in increments d_n = u_n - u_{n-1} with r = f - K u - B lambda:
+
+    (2 M + dt C) d_{n+1} = 2 dt^2 r_n + (2 M - dt C) d_n.
+
+Modal damping C = M Phi diag(c) Phi^T M is inverted exactly: with s = dt c / (2 + dt c),
+
+    d_{n+1} = d_n + dt^2 M^-1 r_n - Phi s (dt^2 Phi^T r_n + 2 q_n),     q_n = Phi^T M d_n,
+
+where q is carried along, so that one step costs a product with K, a solution with M and two products
+with Phi. The scheme is second order and stable for dt <= 2 / omega_max, omega_max the largest natural
+frequency with every pair closed.
+"""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from petsc4py import PETSc
+from tqdm import tqdm
+
+from fenics_crack.contact import ContactLaw
+from fenics_crack.errors import InputError
+from fenics_crack.fourier import evaluate
+from fenics_crack.modes import damped_modes, largest_frequency
+from fenics_crack.solution import PeriodicSolution
+from fenics_crack.structure import Structure
+
+__all__ = ["TimeHistory", "integrate_central_difference", "stable_steps_per_period"]
+
+MEMORY_LIMIT = 2**31
+"""Bytes of history on one rank beyond which recording is refused."""
+
+
+@dataclass(frozen=True)
+class TimeHistory:
+    """Motion found by direct integration, the last periods of it.
+
+    Attributes
+    ----------
+    time : (n,) [s]
+        Equally spaced; the load's phase is omega * time.
+    gap : (n, n_pairs) [m]
+        Closing of the pairs.
+    settled : float
+        Relative change of the gaps (without pairs: of the load's displacement) over the last period;
+        a small number says that the motion repeats with the load.
+    periods : int
+        Load periods integrated.
+    seconds : float
+        Wall-clock time of the marching [s].
+    """
+
+    time: np.ndarray
+    gap: np.ndarray
+    settled: float
+    periods: int
+    seconds: float
+    structure: Structure
+    recorded: np.ndarray
+    """(n, n_recorded) [m], the dofs of :attr:`recorded_dofs` that this rank owns."""
+    recorded_dofs: np.ndarray
+
+    def displacement(self, dofs: Sequence[int]) -> np.ndarray:
+        """Displacement of recorded dofs: (n, len(dofs)) [m] (collective).
+
+        Raises
+        ------
+        InputError
+            A dof was not recorded.
+        """
+        wanted = np.atleast_1d(np.asarray(dofs, dtype=int))
+        place = {int(dof): column for column, dof in enumerate(self.recorded_dofs)}
+        found = np.zeros((len(self.time), len(wanted)))
+        known = np.zeros(len(wanted))
+        for column, dof in enumerate(wanted):
+            if int(dof) in place:
+                found[:, column] = self.recorded[:, place[int(dof)]]
+                known[column] = 1.0
+        known = self.structure.sum_over_ranks(known)
+        if not np.all(known):
+            raise InputError("dofs", [int(d) for d in wanted[known == 0.0]], "among those recorded")
+        return self.structure.sum_over_ranks(found)
+
+
+def stable_steps_per_period(
+    structure: Structure, omega: float, contact: ContactLaw, *, mass: str = "consistent"
+) -> int:
+    """Smallest number of steps per load period at which central differences are stable (collective).
+
+    dt <= 2 / omega_max with every pair closed.
+    """
+    marched = _with_mass(structure, mass)
+    highest = largest_frequency(marched.tied(contact.stiffness))
+    return int(np.floor(np.pi * highest * (1.0 + 1e-6) / omega)) + 1
+
+
+def integrate_central_difference(
+    structure: Structure,
+    omega: float,
+    contact: ContactLaw,
+    *,
+    periods: int,
+    steps_per_period: int,
+    initial: PeriodicSolution | tuple[np.ndarray, np.ndarray] | None = None,
+    mass: str = "consistent",
+    settle: float = 0.0,
+    record_periods: int | None = None,
+    dofs: Sequence[int] | None = None,
+    progress: bool = False,
+) -> TimeHistory:
+    """March the equation of motion under the structure's load (collective).
+
+    Parameters
+    ----------
+    structure : Structure
+        What vibrates.
+    omega : float
+        Angular frequency of the load [rad/s].
+    contact : ContactLaw
+        Law of all pairs.
+    periods : int
+        Load periods to march.
+    steps_per_period : int
+        Steps in one load period; at least :func:`stable_steps_per_period`.
+    initial : PeriodicSolution, (displacement, velocity) or None
+        State at time 0: a solution's, two arrays (n_local,) [m], [m/s], or rest.
+    mass : "consistent" or "lumped"
+        M itself, or the diagonal matrix of its row sums.
+    settle : float
+        Stop early when the relative change over a period is below this.
+    record_periods : int, optional
+        Keep only the last so many periods; default: all.
+    dofs : sequence of int, optional
+        Record only these displacements; default: all.
+    progress : bool
+        Show a progress bar.
+
+    Raises
+    ------
+    InputError
+        An argument cannot be used, the step is beyond the stable one, or the history would not fit in
+        memory.
+
+    Notes
+    -----
+    A motion that does not settle is a result, not an error: look at ``settled``.
+
+    Source: the paper, section 2, with the contact force added.
+    """
+    for key, value in (("periods", periods), ("steps_per_period", steps_per_period)):
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+            raise InputError(key, value, "a whole number >= 1")
+    if not (np.isfinite(omega) and omega > 0.0):
+        raise InputError("omega", omega, "a finite number > 0")
+    least = stable_steps_per_period(structure, omega, contact, mass=mass)
+    if steps_per_period < least:
+        raise InputError(
+            "steps_per_period", steps_per_period, f">= {least}, the stable limit of the scheme"
+        )
+    kept = periods if record_periods is None else min(record_periods, periods)
+    marched = _with_mass(structure, mass)
+    scheme = _CentralDifferences(marched, omega, contact, steps_per_period)
+    displacement, velocity = _initial_state(structure, initial)
+    recorded_dofs = _recorded_dofs(structure, dofs)
+    slots = kept * steps_per_period
+    if 8 * slots * (len(recorded_dofs) + structure.n_pairs) > MEMORY_LIMIT:
+        raise InputError(
+            "record_periods",
+            record_periods,
+            f"fewer, or fewer dofs: {slots} instants of {len(recorded_dofs)} dofs do not fit in "
+            f"{MEMORY_LIMIT // 2**30} GiB",
+        )
+    recorded = np.empty((slots, len(recorded_dofs)))
+    gaps = np.empty((slots, structure.n_pairs))
+    signal = np.empty((2, steps_per_period, max(structure.n_pairs, 1)))
+    columns = recorded_dofs - structure.first_dof
+
+    scheme.start(displacement, velocity)
+    settled, done = np.inf, 0
+    started = clock.perf_counter()
+    hidden = not progress or structure.comm.rank != 0
+    for period in tqdm(range(periods), "central differences", unit="period", disable=hidden):
+        now, last = signal[period % 2], signal[(period + 1) % 2]
+        first_slot = (period % kept) * steps_per_period
+        for step in range(steps_per_period):
+            scheme.advance(step)
+            gaps[first_slot + step] = scheme.gap
+            recorded[first_slot + step] = scheme.displacement[columns]
+            now[step] = scheme.signal
+        done = period + 1
+        if period > 0:
+            size = np.linalg.norm(now)
+            settled = float(np.linalg.norm(now - last) / size) if size > 0.0 else 0.0
+        if not np.all(np.isfinite(now)):
+            settled = np.inf
+            break
+        if settled < settle:
+            break
+    seconds = clock.perf_counter() - started
+
+    count = min(done, kept) * steps_per_period
+    newest = (done % kept) * steps_per_period if done > kept else 0
+    steps = np.arange(done * steps_per_period - count, done * steps_per_period)
+    scheme.free()
+    return TimeHistory(
+        time=steps * (2.0 * np.pi / omega / steps_per_period),
+        gap=np.roll(gaps[:count], -newest, axis=0),
+        settled=settled,
+        periods=done,
+        seconds=seconds,
+        structure=structure,
+        recorded=np.roll(recorded[:count], -newest, axis=0),
+        recorded_dofs=recorded_dofs,
+    )
+
+
+class _CentralDifferences:
+    """State and one step of the scheme; everything that does not change is prepared once."""
+
+    def __init__(
+        self, structure: Structure, omega: float, contact: ContactLaw, steps_per_period: int
+    ) -> None:
+        self.structure, self.contact = structure, contact
+        self.step_size = dt = 2.0 * np.pi / omega / steps_per_period
+        local = np.zeros(structure.n_local)
+        self.displacement, self.increment = local.copy(), local.copy()
+        self.rhs, self.solved = local.copy(), local.copy()
+        comm, size = structure.comm, (structure.n_local, structure.n_dofs)
+        self._u, self._r, self._a, self._d = (
+            PETSc.Vec().createWithArray(array, size, comm=comm)
+            for array in (self.displacement, self.rhs, self.solved, self.increment)
+        )
+        # Only few rows of B and of the load are not zero.
+        self._gap_rows = np.flatnonzero(np.diff(structure.gap.indptr))
+        self._gap_block = structure.gap[self._gap_rows].toarray()
+        self._load_rows = np.flatnonzero(np.any(structure.force, axis=0))
+        self._load_direction = structure.force[:, self._load_rows].sum(axis=0)
+        phase = 2.0 * np.pi * np.arange(steps_per_period) / steps_per_period
+        waves = np.column_stack([np.ones_like(phase), np.cos(phase), np.sin(phase)])
+        self._load = waves @ structure.force[:, self._load_rows]
+
+        self._modes = damped_modes(structure)
+        self._mixed = None
+        matrix = structure.mass
+        if self._modes is not None:
+            growth = dt * self._modes.rate
+            self._share = growth / (2.0 + growth)
+        elif structure.damping is not None:
+            matrix = structure.mass.copy()
+            matrix.axpy(0.5 * dt, structure.damping, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+            self._mixed = structure.mass.copy()
+            self._mixed.axpy(
+                -0.5 * dt, structure.damping, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
+            )
+        self._inverse = _inverse(matrix, symmetric=self._mixed is None)
+
+    def start(self, displacement: np.ndarray, velocity: np.ndarray) -> None:
+        """Set the state at time 0; the step before follows from u_{-1} = u - dt v + dt^2 a / 2."""
+        dt = self.step_size
+        self.displacement[:] = displacement
+        self._measure()
+        self._unbalance(0)
+        modes, structure = self._modes, self.structure
+        mass_solve = self._inverse if self._mixed is None else _inverse(structure.mass, symmetric=True)
+        if self._mixed is not None:  # a = M^-1 (r - C v)
+            self._d.array_w[:] = velocity
+            structure.damping.mult(self._d, self._a)
+            self.rhs -= self.solved
+        mass_solve.apply(self._r, self._a)
+        acceleration = self.solved.copy()
+        self.increment[:] = velocity
+        if modes is not None:
+            modal = structure.sum_over_ranks(velocity @ modes.mass_shapes)
+            acceleration -= modes.shapes @ (modes.rate * modal)
+        self.increment[:] = dt * velocity - 0.5 * dt**2 * acceleration
+        if modes is not None:
+            self._modal = structure.sum_over_ranks(self.increment @ modes.mass_shapes)
+
+    def advance(self, step: int) -> None:
+        """Record the gap at the current instant and march to the next; ``step`` counts in the period."""
+        dt2 = self.step_size**2
+        self._measure()
+        self._unbalance(step)
+        if self._modes is not None:
+            shapes = self._modes.shapes
+            pushed = dt2 * self.structure.sum_over_ranks(self.rhs @ shapes)
+            lost = self._share * (pushed + 2.0 * self._modal)
+            self._modal += pushed - lost
+            self._inverse.apply(self._r, self._a)
+            self.increment += dt2 * self.solved
+            self.increment -= shapes @ lost
+        elif self._mixed is not None:
+            self._mixed.mult(self._d, self._a)
+            self.rhs *= dt2
+            self.rhs += self.solved
+            self._inverse.apply(self._r, self._d)
+        else:
+            self._inverse.apply(self._r, self._a)
+            self.increment += dt2 * self.solved
+        self.displacement += self.increment
+
+    def _measure(self) -> None:
+        """Gap at the current displacement, and the signal by which settling is judged."""
+        closing = self.displacement[self._gap_rows] @ self._gap_block
+        self.gap = self.structure.sum_over_ranks(closing) - self.structure.clearance
+        self.signal: Any = self.gap
+        if not self.structure.n_pairs:
+            work = self.displacement[self._load_rows] @ self._load_direction
+            self.signal = self.structure.sum_over_ranks(np.array([work]))
+
+    def _unbalance(self, step: int) -> None:
+        """r = f - K u - B lambda."""
+        self.structure.stiffness.mult(self._u, self._r)
+        np.negative(self.rhs, out=self.rhs)
+        self.rhs[self._load_rows] += self._load[step]
+        self.rhs[self._gap_rows] -= self._gap_block @ self.contact.force(self.gap)
+
+    def free(self) -> None:
+        """Free PETSc's objects (collective)."""
+        for item in (self._u, self._r, self._a, self._d, self._inverse):
+            item.destroy()
+
+
+def _inverse(matrix: Any, *, symmetric: bool) -> Any:
+    """Factorisation with little overhead a solution: PETSc's own on one rank, MUMPS on several."""
+    solver = PETSc.PC().create(matrix.comm)
+    solver.setOperators(matrix)
+    solver.setType("cholesky" if symmetric else "lu")
+    if matrix.comm.size > 1:
+        solver.setFactorSolverType("mumps")
+    solver.setUp()
+    return solver
+
+
+def _with_mass(structure: Structure, mass: str) -> Structure:
+    if mass not in ("consistent", "lumped"):
+        raise InputError("mass", mass, "'consistent' or 'lumped'")
+    return structure if mass == "consistent" else structure.lumped()
+
+
+def _initial_state(
+    structure: Structure, initial: PeriodicSolution | tuple[np.ndarray, np.ndarray] | None
+) -> tuple[np.ndarray, np.ndarray]:
+    if initial is None:
+        return np.zeros(structure.n_local), np.zeros(structure.n_local)
+    if isinstance(initial, PeriodicSolution):
+        coefficients, omega = initial.displacement_coefficients, initial.base_omega
+        rate = np.zeros_like(coefficients)
+        order = omega * np.arange(1, initial.harmonics + 1)[:, None]
+        rate[1::2], rate[2::2] = order * coefficients[2::2], -order * coefficients[1::2]
+        zero = np.zeros(1)
+        return evaluate(coefficients, omega, zero)[0], evaluate(rate, omega, zero)[0]
+    state = tuple(np.asarray(part, dtype=float) for part in initial)
+    if len(state) != 2 or any(part.shape != (structure.n_local,) for part in state):
+        raise InputError(
+            "initial",
+            [part.shape for part in state],
+            f"displacement and velocity of shape ({structure.n_local},)",
+        )
+    return state
+
+
+def _recorded_dofs(structure: Structure, dofs: Sequence[int] | None) -> np.ndarray:
+    first, last = structure.first_dof, structure.first_dof + structure.n_local
+    if dofs is None:
+        return np.arange(first, last)
+    wanted = np.atleast_1d(np.asarray(dofs, dtype=int))
+    if wanted.size and (wanted.min() < 0 or wanted.max() >= structure.n_dofs):
+        raise InputError("dofs", list(wanted), f"between 0 and {structure.n_dofs - 1}")
+    return wanted[(wanted >= first) & (wanted < last)]

@@ -1,0 +1,90 @@
+"""A periodic solution: Fourier coefficients, and what can be asked of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fenics_crack.contact import ContactLaw
+from fenics_crack.fourier import evaluate
+from fenics_crack.structure import Structure
+
+__all__ = ["PeriodicSolution"]
+
+
+@dataclass(frozen=True)
+class PeriodicSolution:
+    """Steady vibration u(t) = a0 + sum_k a_k cos(k w t) + b_k sin(k w t), w = omega / subharmonic.
+
+    Attributes
+    ----------
+    structure : Structure
+        What vibrates.
+    omega : float
+        Angular frequency of the load [rad/s].
+    contact : ContactLaw or None
+        Law between the lips; None for the linear solution with lips that pass through each other.
+    displacement_coefficients : (2H+1, n_local) [m]
+        Rows a0, a1, b1, ..., aH, bH; the columns of the dofs that this rank owns.
+    gap_coefficients : (2H+1, n_pairs) [m]
+        Closing of the pairs, g = B^T u - g0, in the same order, on every rank.
+    subharmonic : int
+        The response has this many times the load's period; rows count multiples of omega/subharmonic.
+    converged : bool
+        Whether the residual met the tolerance.
+    status : str
+        What was tried and how it ended, for people.
+    iterations : int
+        Newton iterations, all attempts together.
+    residual : float
+        Norm of the algebraic residual A^-1 R(u) relative to that of the displacement's coefficients.
+    """
+
+    structure: Structure
+    omega: float
+    contact: ContactLaw | None
+    displacement_coefficients: np.ndarray
+    gap_coefficients: np.ndarray
+    subharmonic: int = 1
+    converged: bool = True
+    status: str = "linear"
+    iterations: int = 0
+    residual: float = 0.0
+
+    @property
+    def harmonics(self) -> int:
+        """H, the highest harmonic kept."""
+        return (len(self.gap_coefficients) - 1) // 2
+
+    @property
+    def base_omega(self) -> float:
+        """Angular frequency of the response [rad/s]."""
+        return self.omega / self.subharmonic
+
+    @property
+    def period(self) -> float:
+        """Period of the response [s]."""
+        return float(2.0 * np.pi / self.base_omega)
+
+    def gap(self, time: np.ndarray) -> np.ndarray:
+        """Closing of the pairs at times [s]: (len(time), n_pairs) [m]; negative: open."""
+        return evaluate(self.gap_coefficients, self.base_omega, time)
+
+    def contact_force(self, time: np.ndarray) -> np.ndarray:
+        """Contact force lambda(g(t)) at times [s]: (len(time), n_pairs) [N]."""
+        gap = self.gap(time)
+        return np.zeros_like(gap) if self.contact is None else self.contact.force(gap)
+
+    def displacement(self, time: np.ndarray, dofs: Sequence[int]) -> np.ndarray:
+        """Displacement of dofs at times [s]: (len(time), len(dofs)) [m] (collective)."""
+        return evaluate(self.coefficients_at(dofs), self.base_omega, time)
+
+    def coefficients_at(self, dofs: Sequence[int]) -> np.ndarray:
+        """Coefficients of the displacement of dofs: (2H+1, len(dofs)) [m] (collective)."""
+        return self.structure.values_at(self.displacement_coefficients, dofs)
+
+    def displacement_field(self, time: np.ndarray) -> np.ndarray:
+        """Displacement of the dofs that this rank owns at times [s]: (len(time), n_local) [m]."""
+        return evaluate(self.displacement_coefficients, self.base_omega, time)

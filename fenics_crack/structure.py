@@ -1,0 +1,464 @@
+"""The structure: mass, stiffness, damping, load, and the gaps between the lips of the crack.
+
+    M u'' + C u' + K u + B lambda(g) = f(t),     g = B^T u - g0
+
+``g > 0`` is penetration, ``g < 0`` an open crack. Column j of B is +1 on the normal displacement of the
+lower lip's node and -1 on the upper lip's. Matrices are PETSc's and distributed by rows; every array that
+stands for a displacement holds the rows that this rank owns ("n_local"), which on one rank are all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.io
+import scipy.sparse as sparse
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from fenics_crack.errors import InputError
+from fenics_crack.factor import Factor
+from fenics_crack.parallel import gather_rows, raise_together
+
+__all__ = ["ModalDamping", "Nodes", "Structure"]
+
+SYMMETRY_TOLERANCE = 1e-10
+
+
+@dataclass(frozen=True)
+class ModalDamping:
+    """Damping C = M Phi diag(2 xi_j omega_j) Phi^T M over mass-normalised modes; never formed.
+
+    Attributes
+    ----------
+    ratio : float or sequence of float
+        xi_j of critical damping: one for all, or one per mode.
+    modes : int or None
+        The lowest so many modes; None: all.
+    """
+
+    ratio: float | Sequence[float]
+    modes: int | None = None
+
+    def __post_init__(self) -> None:
+        ratio = np.asarray(self.ratio, dtype=float)
+        if ratio.ndim > 1 or not np.all(np.isfinite(ratio)) or np.any(ratio < 0.0):
+            raise InputError("damping ratio", self.ratio, "finite and >= 0, one or one per mode")
+        if self.modes is not None and self.modes < 1:
+            raise InputError("damping modes", self.modes, "None (all) or a whole number >= 1")
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Where the dofs of a meshed structure are: the nodes that this rank owns.
+
+    Attributes
+    ----------
+    points : (m, 2) [m]
+        Positions.
+    dofs : (m, 2) int
+        Number of the x and the y displacement in the structure; -1 where it is clamped.
+    cells : (n_cells, k) int
+        This rank's cells in VTK's node order; nodes are numbered through all ranks.
+    vtk_type : int
+        VTK's number for the kind of cells.
+    """
+
+    points: np.ndarray
+    dofs: np.ndarray
+    cells: np.ndarray
+    vtk_type: int
+
+
+class Structure:
+    """A linear structure with contact pairs.
+
+    Made by :func:`fenics_crack.build_structure` from a scene or by :meth:`from_matrices`.
+
+    Attributes
+    ----------
+    comm : MPI.Comm
+        The ranks that share the structure.
+    mass, stiffness : PETSc.Mat
+        (n, n), symmetric; [kg], [N/m].
+    gap : scipy.sparse.csr_matrix
+        B, the rows owned by this rank: (n_local, n_pairs).
+    force : (3, n_local) [N]
+        Mean, cosine and sine part of the load on the first harmonic.
+    clearance : (n_pairs,) [m]
+        g0 of every pair; positive: a gap to close first, negative: preload.
+    damping : ModalDamping, PETSc.Mat or None
+        Modal damping, a damping matrix C [N s/m], or none.
+    nodes : Nodes or None
+        Positions of the dofs where there is a mesh.
+    pair_points : (n_pairs, 2) [m] or None
+        Positions of the contact pairs where there is a mesh.
+    """
+
+    def __init__(
+        self,
+        mass: Any,
+        stiffness: Any,
+        gap: sparse.spmatrix,
+        *,
+        force: np.ndarray,
+        clearance: np.ndarray,
+        damping: ModalDamping | Any | None = None,
+        nodes: Nodes | None = None,
+        pair_points: np.ndarray | None = None,
+    ) -> None:
+        self.comm: MPI.Comm = mass.comm.tompi4py()
+        self.mass = mass
+        self.stiffness = stiffness
+        self.gap = sparse.csr_matrix(gap)
+        self.force = force
+        self.clearance = clearance
+        self.damping = damping
+        self.nodes = nodes
+        self.pair_points = pair_points
+
+    @property
+    def n_dofs(self) -> int:
+        """Number of degrees of freedom, clamped ones left out."""
+        return int(self.mass.size[0])
+
+    @property
+    def n_local(self) -> int:
+        """Number of degrees of freedom that this rank owns."""
+        return int(self.mass.local_size[0])
+
+    @property
+    def first_dof(self) -> int:
+        """Number of the first degree of freedom that this rank owns."""
+        return int(self.mass.owner_range[0])
+
+    @property
+    def n_pairs(self) -> int:
+        """Number of contact pairs."""
+        return int(self.gap.shape[1])
+
+    # --- displacement and gap ------------------------------------------------------------------------
+
+    def closing(self, displacement: np.ndarray) -> np.ndarray:
+        """B^T u of displacements (m, n_local): (m, n_pairs) on every rank (collective)."""
+        return self.sum_over_ranks((self.gap.T @ displacement.T).T)
+
+    def spread(self, pair_force: np.ndarray) -> np.ndarray:
+        """B lambda of forces on the pairs (m, n_pairs): (m, n_local)."""
+        return (self.gap @ pair_force.T).T
+
+    def sum_over_ranks(self, values: np.ndarray) -> np.ndarray:
+        """Add up the arrays of all ranks (collective); the same array on one rank."""
+        if self.comm.size == 1:
+            return values
+        values = np.ascontiguousarray(values)
+        total = np.empty_like(values)
+        self.comm.Allreduce(values, total)
+        return total
+
+    def values_at(self, displacement: np.ndarray, dofs: Sequence[int]) -> np.ndarray:
+        """Pick dofs from displacements (m, n_local): (m, len(dofs)) on every rank (collective).
+
+        Raises
+        ------
+        InputError
+            A dof is not between 0 and n_dofs - 1.
+        """
+        wanted = np.atleast_1d(np.asarray(dofs, dtype=int))
+        if wanted.size and (wanted.min() < 0 or wanted.max() >= self.n_dofs):
+            raise InputError("dofs", list(wanted), f"between 0 and {self.n_dofs - 1}")
+        mine = (wanted >= self.first_dof) & (wanted < self.first_dof + self.n_local)
+        picked = np.zeros((len(displacement), len(wanted)), dtype=displacement.dtype)
+        picked[:, mine] = displacement[:, wanted[mine] - self.first_dof]
+        return self.sum_over_ranks(picked)
+
+    def find_dof(self, point: Sequence[float], component: int | str) -> int:
+        """Return the dof of a displacement component at the node at a point (collective).
+
+        Parameters
+        ----------
+        point : (2,) [m]
+            Position of the node; up to 1e-6 of the structure's size may be missing.
+        component : 0, 1, "x" or "y"
+            Direction.
+
+        Raises
+        ------
+        InputError
+            There is no node there, or two (on the lips), or the dof is clamped, or the structure was
+            made from matrices and knows no positions.
+        """
+        names: dict[int | str, int] = {0: 0, 1: 1, "x": 0, "y": 1}
+        if component not in names:
+            raise InputError("component", component, "0, 1, 'x' or 'y'")
+        if self.nodes is None:
+            raise InputError("point", point, "given only for a structure made from a mesh")
+        target = np.asarray(point, dtype=float)
+        if target.shape != (2,) or not np.all(np.isfinite(target)):
+            raise InputError("point", point, "[x, y], two finite numbers")
+        points = gather_rows(self.comm, self.nodes.points)
+        distance = np.linalg.norm(points - target, axis=1)
+        found = np.flatnonzero(distance <= 1e-6 * np.ptp(points, axis=0).max())
+        if len(found) != 1:
+            nearest = points[np.argmin(distance)]
+            raise InputError(
+                "point",
+                tuple(target),
+                f"at a node that exists once ({len(found)} found there; the nearest node is at "
+                f"({nearest[0]:g}, {nearest[1]:g}))",
+            )
+        dof = int(gather_rows(self.comm, self.nodes.dofs)[found[0], names[component]])
+        if dof < 0:
+            raise InputError("point", tuple(target), f"free in component {component!r}, not clamped")
+        return dof
+
+    # --- related structures --------------------------------------------------------------------------
+
+    def lumped(self) -> Structure:
+        """Return this structure with the diagonal mass of the row sums of M.
+
+        Modal damping then follows the modes with that mass.
+
+        Raises
+        ------
+        InputError
+            A row sum is not positive, as for six-node triangles.
+        """
+        ones, sums = self.mass.createVecs()
+        ones.set(1.0)
+        self.mass.mult(ones, sums)
+        smallest = sums.min()[1]
+        if smallest <= 0.0:
+            raise InputError(
+                "mass", f"row sum {smallest:.3g}", "lumped only where every row sum is positive"
+            )
+        return self._changed(mass=_distributed(_diagonal_rows(sums), self.comm))
+
+    def tied(self, stiffness: float | np.ndarray) -> Structure:
+        """Return this structure with every pair tied by a spring that both pulls and pushes.
+
+        Its stiffness is K + B diag(k) B^T, its pairs are gone; modal damping follows the tied modes.
+
+        Parameters
+        ----------
+        stiffness : float or (n_pairs,) [N/m]
+            k.
+        """
+        whole = sparse.vstack(self.comm.allgather(self.gap), format="csr")
+        springs = _distributed(self.gap @ _diagonal(stiffness, self.n_pairs) @ whole.T, self.comm)
+        matrix = self.stiffness.copy()
+        matrix.axpy(1.0, springs, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+        springs.destroy()
+        return self._changed(
+            stiffness=matrix,
+            gap=sparse.csr_matrix((self.n_local, 0)),
+            clearance=np.zeros(0),
+            pair_points=np.zeros((0, 2)),
+        )
+
+    def damped(self, damping: ModalDamping | None) -> Structure:
+        """Return this structure with another modal damping, or none."""
+        return self._changed(damping=damping)
+
+    def _changed(self, **changes: Any) -> Structure:
+        parts = {
+            name: getattr(self, name)
+            for name in (
+                "mass", "stiffness", "gap", "force", "clearance", "damping", "nodes", "pair_points"
+            )
+        }
+        return Structure(**(parts | changes))
+
+    @classmethod
+    def from_matrices(
+        cls,
+        mass: Any,
+        stiffness: Any,
+        gap: Any,
+        *,
+        force_sin: Any = None,
+        force_cos: Any = None,
+        force_mean: Any = None,
+        clearance: Any = 0.0,
+        damping: Any = None,
+        comm: MPI.Comm = MPI.COMM_SELF,
+    ) -> Structure:
+        """Make a structure from its matrices.
+
+        Parameters
+        ----------
+        mass, stiffness : (n, n)
+            NumPy, SciPy sparse, PETSc, or the path of a Matrix Market file; symmetric, the mass positive
+            definite; [kg], [N/m].
+        gap : (n, n_pairs) or (n,)
+            B: the closing of the pairs is g = B^T u - clearance; None: no pairs.
+        force_sin, force_cos, force_mean : (n,) [N] or None
+            Load on the first harmonic, and its mean.
+        clearance : float or (n_pairs,) [m]
+            Initial gap g0; negative for preload.
+        damping : ModalDamping, (n, n) matrix or None
+            Modal damping, or C [N s/m] in any of the forms above.
+        comm : MPI.Comm
+            Ranks over which to spread matrices that are given whole on every rank; PETSc matrices keep
+            their own.
+
+        Raises
+        ------
+        InputError
+            A shape does not fit, an entry is not finite, mass or stiffness is not symmetric, or the mass
+            is not positive definite.
+        """
+        mass = _petsc_matrix("mass", mass, comm)
+        comm = mass.comm.tompi4py()
+        n, n_local = mass.size[0], mass.local_size[0]
+        first = mass.owner_range[0]
+        stiffness = _petsc_matrix("stiffness", stiffness, comm, n)
+        if damping is not None and not isinstance(damping, ModalDamping):
+            damping = _petsc_matrix("damping", damping, comm, n)
+        for name, matrix in (("mass", mass), ("stiffness", stiffness)):
+            _check_symmetric(name, matrix)
+        _check_positive_definite("mass", mass)
+
+        gap = sparse.csr_matrix((n, 0)) if gap is None else _whole_rows("gap", gap, n)
+        parts = []
+        for name, part in (("mean", force_mean), ("cos", force_cos), ("sin", force_sin)):
+            whole = np.zeros(n) if part is None else _whole_rows(f"force_{name}", part, n)
+            whole = whole.toarray().ravel() if sparse.issparse(whole) else whole
+            if whole.shape != (n,):
+                raise InputError(f"force_{name}", whole.shape, f"of shape ({n},)")
+            parts.append(whole[first : first + n_local])
+        pairs = gap.shape[1]
+        try:
+            clearance = np.broadcast_to(np.asarray(clearance, dtype=float), (pairs,)).copy()
+        except (ValueError, TypeError):
+            raise InputError("clearance", clearance, f"one number or {pairs}") from None
+        if not np.all(np.isfinite(clearance)):
+            raise InputError("clearance", clearance, "finite")
+        return cls(
+            mass,
+            stiffness,
+            gap[first : first + n_local],
+            force=np.array(parts),
+            clearance=clearance,
+            damping=damping,
+        )
+
+
+# --- matrices from elsewhere -------------------------------------------------------------------------
+
+
+def _distributed(rows: Any, comm: MPI.Comm) -> Any:
+    """Square PETSc matrix whose rows on this rank are given: (n_local, n)."""
+    rows = sparse.csr_matrix(rows)
+    local, total = rows.shape
+    sizes = ((local, total), (local, total))
+    matrix = PETSc.Mat().createAIJ(sizes, csr=(rows.indptr, rows.indices, rows.data), comm=comm)
+    matrix.assemble()
+    return matrix
+
+
+def _diagonal(value: float | np.ndarray, size: int) -> sparse.dia_matrix:
+    return sparse.diags(np.broadcast_to(np.asarray(value, dtype=float), (size,)))
+
+
+def _diagonal_rows(vector: Any) -> sparse.csr_matrix:
+    """The rows of a distributed diagonal matrix that this rank owns."""
+    first, last = vector.owner_range
+    local = np.arange(last - first)
+    return sparse.csr_matrix(
+        (vector.array_r.copy(), (local, first + local)), shape=(last - first, vector.size)
+    )
+
+
+def _petsc_matrix(name: str, given: Any, comm: MPI.Comm, n: int | None = None) -> Any:
+    """Make a square PETSc matrix of what was given; check shape and entries."""
+    if isinstance(given, PETSc.Mat):
+        matrix, shape = given, tuple(given.size)
+    else:
+        whole = sparse.csr_matrix(_read_matrix(name, given))
+        shape = whole.shape
+    if len(shape) != 2 or shape[0] != shape[1] or shape[0] == 0 or (n is not None and shape[0] != n):
+        raise InputError(name, shape, "of shape (n, n)" if n is None else f"of shape ({n}, {n})")
+    if not isinstance(given, PETSc.Mat):
+        _check_finite(name, whole.data)
+        size = shape[0]
+        start, stop = (size * comm.rank) // comm.size, (size * (comm.rank + 1)) // comm.size
+        matrix = _distributed(whole[start:stop], comm)
+    return matrix
+
+
+def _read_matrix(name: str, given: Any) -> Any:
+    """Read a Matrix Market file, or pass on what is a matrix already."""
+    if isinstance(given, str | Path):
+        try:
+            given = scipy.io.mmread(str(given))
+        except (OSError, ValueError) as error:
+            raise InputError(name, str(given), f"a Matrix Market file ({error})") from None
+    if sparse.issparse(given):
+        if np.iscomplexobj(given):
+            raise InputError(name, given.dtype, "real")
+        return given.astype(float)
+    try:
+        array = np.asarray(given)
+        if np.iscomplexobj(array):
+            raise InputError(name, array.dtype, "real")
+        array = array.astype(float)
+    except (ValueError, TypeError):
+        raise InputError(name, type(given).__name__, "a real matrix") from None
+    if array.ndim > 2:
+        raise InputError(name, array.shape, "a matrix, two-dimensional")
+    return array
+
+
+def _whole_rows(name: str, given: Any, n: int) -> Any:
+    """A vector or a matrix with n rows: a 1-d array for forces, a CSR matrix for the gap."""
+    if isinstance(given, PETSc.Vec):
+        given = gather_rows(given.comm.tompi4py(), given.array_r)
+    elif isinstance(given, PETSc.Mat):
+        first, last = given.owner_range
+        local = given.getValues(range(first, last), range(given.size[1]))
+        given = gather_rows(given.comm.tompi4py(), np.atleast_2d(local))
+    matrix = _read_matrix(name, given)
+    if matrix.ndim == 0 or matrix.shape[0] != n:
+        raise InputError(name, matrix.shape, f"with {n} rows")
+    if name == "gap":
+        matrix = sparse.csr_matrix(matrix.reshape(n, -1))
+        _check_finite(name, matrix.data)
+    else:
+        dense = matrix.toarray() if sparse.issparse(matrix) else matrix
+        matrix = dense.ravel() if dense.size == n else dense
+        _check_finite(name, matrix)
+    return matrix
+
+
+def _check_finite(name: str, values: np.ndarray) -> None:
+    if not np.all(np.isfinite(values)):
+        bad = values[~np.isfinite(values)]
+        raise InputError(name, float(bad.ravel()[0]), "finite in every entry")
+
+
+def _check_symmetric(name: str, matrix: Any) -> None:
+    size = matrix.norm(PETSc.NormType.INFINITY)
+    raise_together(
+        matrix.comm.tompi4py(),
+        None if np.isfinite(size) else InputError(name, size, "finite in every entry"),
+    )
+    difference = matrix.transpose(PETSc.Mat())
+    difference.axpy(-1.0, matrix, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    asymmetry = difference.norm(PETSc.NormType.INFINITY)
+    difference.destroy()
+    if asymmetry > SYMMETRY_TOLERANCE * size:
+        raise InputError(name, f"asymmetric by {asymmetry / size:.1e}", "symmetric")
+
+
+def _check_positive_definite(name: str, matrix: Any) -> None:
+    with Factor(matrix, symmetric=True) as factor:
+        negative, null = factor.negative_pivots, factor.null_pivots
+    if negative or null:
+        raise InputError(
+            name, f"{negative} negative and {null} zero eigenvalues", "positive definite"
+        )
