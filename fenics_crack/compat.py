@@ -123,7 +123,7 @@ def geometry_dofmap(mesh: Any) -> np.ndarray:
 
 
 def vtk_cells(space: Any) -> tuple[np.ndarray, int]:
-    """Nodes of each owned cell in VTK's order, (n_cells, n_nodes), local indices; and the VTK type."""
+    """Local nodes of each owned cell in VTK's order, (n_cells, n_nodes), and VTK's cell type."""
     make = getattr(dolfinx.plot, "vtk_mesh", None) or dolfinx.plot.create_vtk_mesh
     cells, kinds, _ = make(space)
     nodes = int(cells[0]) if len(cells) else 1

@@ -1,8 +1,8 @@
 """Contact laws: force on a pair of lip nodes from its closing g (g > 0: penetration).
 
-A law is a function of the gap alone, pair by pair; the force enters the equation of motion on the left,
-M u'' + C u' + K u + B lambda(g) = f, so lambda >= 0 pushes the lips apart. To add a law, write a class
-with the three members of :class:`ContactLaw`.
+A law is a function of the gap alone, pair by pair; the force enters the equation of motion on the
+left, M u'' + C u' + K u + B lambda(g) = f, so lambda >= 0 pushes the lips apart. To add a law,
+write a class with the three members of :class:`ContactLaw`.
 """
 
 from __future__ import annotations
@@ -76,9 +76,9 @@ class UnilateralPenalty:
 class SmoothedPenalty:
     """Smoothed penalty: lambda = k g (1/2 + arctan(s g) / pi) (paper, eq. 12, sign corrected).
 
-    It tends to the penalty law as s grows, but not faster than 1/s: an open crack keeps feeling a pull of
-    k / (pi s), and at the same distance into contact k / (pi s) is missing. Choose s so that this is small
-    against the contact force.
+    It tends to the penalty law as s grows, but not faster than 1/s: an open crack keeps feeling a
+    pull of k / (pi s), and at the same distance into contact k / (pi s) is missing. Choose s so
+    that this is small against the contact force.
 
     Attributes
     ----------

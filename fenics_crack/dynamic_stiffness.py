@@ -5,8 +5,8 @@ D = K - omega^2 M, serves: with mass-normalised modes phi_j of natural frequency
 
     Z^-1 = D^-1 + Phi diag(1/(d_j + 2 i xi_j omega_j omega) - 1/d_j) Phi^T,   d_j = omega_j^2 - omega^2,
 
-exactly. Close to a natural frequency the two terms with d_j cancel and D is all but singular. There the
-mode is deflated: the bordered matrix
+exactly. Close to a natural frequency the two terms with d_j cancel and D is all but singular.
+There the mode is deflated: the bordered matrix
 
     [ D           M phi_j ]
     [ phi_j^T M   0       ]
@@ -14,7 +14,8 @@ mode is deflated: the bordered matrix
 is regular, inverts D on the M-orthogonal complement of phi_j, and the mode itself contributes
 phi_j phi_j^T / (d_j + 2 i xi_j omega_j omega) with nothing cancelled.
 
-With a given damping matrix the real form of twice the size, [[D, omega C], [-omega C, D]], is factored.
+With a given damping matrix the real form of twice the size, [[D, omega C], [-omega C, D]], is
+factored.
 """
 
 from __future__ import annotations
@@ -54,8 +55,8 @@ class DynamicStiffness:
 
     Notes
     -----
-    Free with :meth:`destroy` or use as a context manager (collective). The factorisation is made when
-    it is first needed.
+    Free with :meth:`destroy` or use as a context manager (collective). The factorisation is made
+    when it is first needed.
     """
 
     def __init__(self, structure: Structure, omega: float) -> None:
@@ -67,7 +68,9 @@ class DynamicStiffness:
         self._matrix = structure.stiffness
         if omega > 0.0:
             self._matrix = structure.stiffness.copy()
-            self._matrix.axpy(-(omega**2), structure.mass, PETSc.Mat.Structure.UNKNOWN_NONZERO_PATTERN)
+            self._matrix.axpy(
+                -(omega**2), structure.mass, PETSc.Mat.Structure.UNKNOWN_NONZERO_PATTERN
+            )
         self._full_damping = (
             structure.damping
             if omega > 0.0 and self._modes is None and structure.damping is not None
@@ -83,7 +86,7 @@ class DynamicStiffness:
         self._factor: Factor | None = None
         self._work = self._matrix.createVecs()
 
-    # --- application ---------------------------------------------------------------------------------
+    # --- application ------------------------------------------------------------------------------
 
     def apply(self, amplitude: np.ndarray) -> np.ndarray:
         """Return Z u for amplitudes (m, n_local) (collective)."""
@@ -109,7 +112,7 @@ class DynamicStiffness:
                 result[:] = target.array_r
         return product
 
-    # --- inversion -----------------------------------------------------------------------------------
+    # --- inversion --------------------------------------------------------------------------------
 
     def solve(self, force: np.ndarray) -> np.ndarray:
         """Return Z^-1 f for forces (m, n_local) (collective)."""
@@ -163,7 +166,7 @@ class DynamicStiffness:
             factor.destroy()
             cause = "it can move as a rigid body" if self.omega == 0.0 else "an undamped resonance"
             raise ConvergenceError(
-                f"dynamic stiffness at {self.omega:g} rad/s: the structure is singular there ({cause})"
+                f"dynamic stiffness at {self.omega:g} rad/s: the structure is singular ({cause})"
             )
         return factor
 

@@ -1,4 +1,4 @@
-"""Direct solution of sparse linear systems: MUMPS through PETSc, on arrays of locally owned rows."""
+"""Direct solution of sparse linear systems: MUMPS through PETSc, on arrays of local rows."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class Factor:
 
     Notes
     -----
-    Use as a context manager, or call :meth:`destroy`: the factors of a parallel matrix are freed by all
-    ranks together. PETSc options with the prefix ``crack_factor_`` reach the solver.
+    Use as a context manager, or call :meth:`destroy`: the factors of a parallel matrix are freed
+    by all ranks together. PETSc options with the prefix ``crack_factor_`` reach the solver.
     """
 
     def __init__(self, matrix: Any, *, symmetric: bool) -> None:

@@ -78,8 +78,8 @@ def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
 def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     """Find the crack length [m] at which the first natural frequency is ``crack.first_omega``.
 
-    The frequency of the open crack falls with its length; Brent's method over re-meshed plates, to 1e-5
-    of the width.
+    The frequency of the open crack falls with its length; Brent's method over re-meshed plates, to
+    1e-5 of the width.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     return float(length)
 
 
-# --- numbering ---------------------------------------------------------------------------------------
+# --- numbering ------------------------------------------------------------------------------------
 
 
 class _Dofs:
@@ -161,7 +161,7 @@ def nodes_on(plate: PlateMesh, space: Any, group: str) -> np.ndarray:
     return np.sort(dolfinx.fem.locate_dofs_topological(space, dimension, facets))
 
 
-# --- matrices and load -------------------------------------------------------------------------------
+# --- matrices and load ----------------------------------------------------------------------------
 
 
 def _assemble(scene: Scene, space: Any) -> tuple[Any, Any]:
@@ -221,7 +221,7 @@ def _load(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> np.ndarray
     return force
 
 
-# --- the crack ---------------------------------------------------------------------------------------
+# --- the crack ------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -233,10 +233,10 @@ class _Lips:
 
 
 def _pair_lips(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> _Lips:
-    """Pair the nodes of the lips' groups that lie in the same place; sort from the mouth to the tip.
+    """Pair the nodes of the lips' groups that lie in the same place, from the mouth to the tip.
 
-    The normal at a node is the lower lip's outward normal, averaged with the node's basis function over
-    the lip: the load vector of a unit pressure points along it.
+    The normal at a node is the lower lip's outward normal, averaged with the node's basis function
+    over the lip: the load vector of a unit pressure points along it.
     """
     if not plate.cracked:
         return _Lips(sparse.csr_matrix((len(dofs.free), 0)), np.zeros((0, 2)))
@@ -254,9 +254,7 @@ def _pair_lips(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> _Lips
         sides.append(
             gather_rows(
                 comm,
-                np.column_stack(
-                    [local + dofs.first_node, coordinates[local], pressure[local]]
-                ),
+                np.column_stack([local + dofs.first_node, coordinates[local], pressure[local]]),
             )
         )
     lower, upper = sides

@@ -51,9 +51,9 @@ def resized(coefficients: np.ndarray, harmonics: int) -> np.ndarray:
 class SampledContact:
     """Contact force balanced in frequency from equally spaced samples of the gap (eqs 7 and 14).
 
-    The trapezoidal rule on N instants; by the fast Fourier transform, for all pairs at once. The tangent
-    of one pair is a Toeplitz plus a Hankel matrix in the harmonics of d lambda / d g: with c_m and s_m
-    the means of the tangent times cos(m w t) and sin(m w t),
+    The trapezoidal rule on N instants; by the fast Fourier transform, for all pairs at once. The
+    tangent of one pair is a Toeplitz plus a Hankel matrix in the harmonics of d lambda / d g: with
+    c_m and s_m the means of the tangent times cos(m w t) and sin(m w t),
 
         d a0_i / d ...:  row 0:      c_0,              c_j,               s_j
                          row a_i:    2 c_i,   c_{i-j} + c_{i+j},   s_{i+j} - s_{i-j}

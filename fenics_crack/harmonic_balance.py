@@ -4,19 +4,21 @@ The Fourier coefficients u of the displacement, (2H+1, n) in the paper's order, 
 
     R(u) = A u + B b(B^T u - g0) - c = 0,
 
-A block diagonal in the harmonics (Z_k of :mod:`dynamic_stiffness`), b the coefficients of the contact
-force, c those of the load. Newton's method (eqs 13 to 15, the update with its minus sign) by PETSc SNES,
-on the system multiplied by A^-1,
+A block diagonal in the harmonics (Z_k of :mod:`dynamic_stiffness`), b the coefficients of the
+contact force, c those of the load. Newton's method (eqs 13 to 15, the update with its minus sign)
+by PETSc SNES, on the system multiplied by A^-1,
 
     F(u) = A^-1 R(u) = u - u_lin + A^-1 B b = 0,     u_lin = A^-1 c,
 
-whose Newton steps are the same and whose residual is a displacement: no rounding error of the elastic
-forces, huge beside the load near a resonance, hides it. The Jacobian I + A^-1 B T B^T, T = db/dg coupling
-all harmonics of one pair (eq. 14), is never formed: with R = B^T A^-1 B, the compliance that the pairs see,
+whose Newton steps are the same and whose residual is a displacement: no rounding error of the
+elastic forces, huge beside the load near a resonance, hides it. The Jacobian I + A^-1 B T B^T,
+T = db/dg coupling all harmonics of one pair (eq. 14), is never formed: with the compliance that
+the pairs see, R = B^T A^-1 B,
 
     (I + A^-1 B T B^T)^-1 r = r - A^-1 B (I + T R)^-1 T B^T r,
 
-one small dense system of (2H+1) n_pairs unknowns and one solution with the factors of each harmonic.
+one small dense system of (2H+1) n_pairs unknowns and one solution with the factors of each
+harmonic.
 
 The residual is piecewise linear where contact is, and full Newton steps can cycle: then the contact
 stiffness is raised from where the problem is all but linear, each solution predicting the next.
@@ -94,7 +96,8 @@ def solve_harmonic_balance(
     harmonics : int
         H.
     samples : int, optional
-        Instants per period at which contact is evaluated; default: 1024, or 32 H where that is more.
+        Instants per period at which contact is evaluated; default: 1024, or 32 H where that is
+        more.
     initial : PeriodicSolution, optional
         Where Newton starts; default: the linear solution.
     subharmonic : int
@@ -102,7 +105,7 @@ def solve_harmonic_balance(
     tolerance : float
         Norm of the correction A^-1 R(u) relative to that of u.
     throw : bool
-        Raise if nothing converged, instead of returning the last iterate with ``converged = False``.
+        Raise if nothing converged; else return the last iterate, ``converged`` being False.
 
     Raises
     ------
@@ -206,7 +209,7 @@ class HarmonicBalanceSystem:
         """(2H+1, n_local)."""
         return 2 * self.harmonics + 1, self.structure.n_local
 
-    # --- residual ------------------------------------------------------------------------------------
+    # --- residual ---------------------------------------------------------------------------------
 
     def apply_blocks(self, amplitude: np.ndarray) -> np.ndarray:
         """A u."""
@@ -247,7 +250,7 @@ class HarmonicBalanceSystem:
         """Euclidean norm over all ranks (collective)."""
         return float(np.sqrt(self.structure.sum_over_ranks(np.sum(values**2, keepdims=True)).sum()))
 
-    # --- Jacobian ------------------------------------------------------------------------------------
+    # --- Jacobian ---------------------------------------------------------------------------------
 
     def linearise(self, amplitude: np.ndarray) -> None:
         """Evaluate the tangent T of the contact force at an amplitude (eq. 14)."""
@@ -282,12 +285,13 @@ class HarmonicBalanceSystem:
         product = np.empty((rows, pairs, rows, pairs))
         product[:, :, 0] = tangent[:, 0, :, None] * real[0]
         cosine, sine = tangent[:, 1::2, :, None], tangent[:, 2::2, :, None]
-        # A force a - i b on harmonic k moves the gap by R_k (a - i b): [[Re R, Im R], [-Im R, Re R]].
+        # A force a - i b on harmonic k moves the gap by R_k (a - i b):
+        # [[Re R, Im R], [-Im R, Re R]] on (a, b).
         product[:, :, 1::2] = (cosine * real[1:] - sine * imaginary[1:]).swapaxes(1, 2)
         product[:, :, 2::2] = (cosine * imaginary[1:] + sine * real[1:]).swapaxes(1, 2)
         return np.eye(rows * pairs) + product.reshape(rows * pairs, rows * pairs)
 
-    # --- resources -----------------------------------------------------------------------------------
+    # --- resources --------------------------------------------------------------------------------
 
     def destroy(self) -> None:
         """Free the factors (collective)."""
@@ -301,7 +305,7 @@ class HarmonicBalanceSystem:
         self.destroy()
 
 
-# --- Newton ------------------------------------------------------------------------------------------
+# --- Newton ---------------------------------------------------------------------------------------
 
 
 class _Newton:
@@ -440,7 +444,9 @@ class _Search:
                 self.system.contact = law.scaled(float(np.exp(level)))
                 guess = amplitude
                 if before is not None and done is not None:
-                    guess = amplitude + (level - done) / (done - before[0]) * (amplitude - before[1])
+                    guess = amplitude + (level - done) / (done - before[0]) * (
+                        amplitude - before[1]
+                    )
                 found, success, count = newton.solve(guess, 12)
                 self.iterations += count
                 solves += 1
@@ -465,7 +471,7 @@ class _Search:
         return amplitude
 
 
-# --- input -------------------------------------------------------------------------------------------
+# --- input ----------------------------------------------------------------------------------------
 
 
 def _load_coefficients(structure: Structure, harmonics: int, subharmonic: int) -> np.ndarray:

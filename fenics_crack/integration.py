@@ -14,9 +14,9 @@ Modal damping C = M Phi diag(c) Phi^T M is inverted exactly: with s = dt c / (2 
 
     d_{n+1} = d_n + dt^2 M^-1 r_n - Phi s (dt^2 Phi^T r_n + 2 q_n),     q_n = Phi^T M d_n,
 
-where q is carried along, so that one step costs a product with K, a solution with M and two products
-with Phi. The scheme is second order and stable for dt <= 2 / omega_max, omega_max the largest natural
-frequency with every pair closed.
+where q is carried along, so that one step costs a product with K, a solution with M and two
+products with Phi. The scheme is second order and stable for dt <= 2 / omega_max, omega_max the
+largest natural frequency with every pair closed.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ class TimeHistory:
     gap : (n, n_pairs) [m]
         Closing of the pairs.
     settled : float
-        Relative change of the gaps (without pairs: of the load's displacement) over the last period;
-        a small number says that the motion repeats with the load.
+        Relative change of the gaps (without pairs: of the load's displacement) over the last
+        period; a small number says that the motion repeats with the load.
     periods : int
         Load periods integrated.
     seconds : float
@@ -97,7 +97,7 @@ class TimeHistory:
 def stable_steps_per_period(
     structure: Structure, omega: float, contact: ContactLaw, *, mass: str = "consistent"
 ) -> int:
-    """Smallest number of steps per load period at which central differences are stable (collective).
+    """Smallest number of steps per load period that is stable (collective).
 
     dt <= 2 / omega_max with every pair closed.
     """
@@ -150,8 +150,8 @@ def integrate_central_difference(
     Raises
     ------
     InputError
-        An argument cannot be used, the step is beyond the stable one, or the history would not fit in
-        memory.
+        An argument cannot be used, the step is beyond the stable one, or the history would not fit
+        in memory.
 
     Notes
     -----
@@ -273,7 +273,9 @@ class _CentralDifferences:
         self._measure()
         self._unbalance(0)
         modes, structure = self._modes, self.structure
-        mass_solve = self._inverse if self._mixed is None else _inverse(structure.mass, symmetric=True)
+        mass_solve = (
+            self._inverse if self._mixed is None else _inverse(structure.mass, symmetric=True)
+        )
         if self._mixed is not None:  # a = M^-1 (r - C v)
             self._d.array_w[:] = velocity
             structure.damping.mult(self._d, self._a)
@@ -289,7 +291,7 @@ class _CentralDifferences:
             self._modal = structure.sum_over_ranks(self.increment @ modes.mass_shapes)
 
     def advance(self, step: int) -> None:
-        """Record the gap at the current instant and march to the next; ``step`` counts in the period."""
+        """Measure the gap at this instant, ``step`` of the period, and march to the next."""
         dt2 = self.step_size**2
         self._measure()
         self._unbalance(step)

@@ -1,7 +1,7 @@
 """Meshes of cracked plates, made or read by gmsh and distributed by DOLFINx.
 
-The crack is a slit: its two lips are different curves in the same place that share only the tip, so that
-every node on a lip but the tip exists twice. The plate is cut into four blocks at the tip,
+The crack is a slit: its two lips are different curves in the same place that share only the tip,
+so that every node on a lip but the tip exists twice. The plate is cut into four blocks at the tip,
 
     mouth side  +-----------+---------------+
                 |           |               |      upper blocks
@@ -11,8 +11,8 @@ every node on a lip but the tip exists twice. The plate is cut into four blocks 
                 +-----------+---------------+
                     clamped (y = 0)
 
-which gives the lips identical nodes, lets quadrilaterals be graded towards the tip block by block and
-makes the uniform grid of the paper a special case. gmsh runs on rank 0 only.
+which gives the lips identical nodes, lets quadrilaterals be graded towards the tip block by block
+and makes the uniform grid of the paper a special case. gmsh runs on rank 0 only.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ class PlateMesh:
     facet_tags : dolfinx.mesh.MeshTags
         Tags of the facets in the groups below.
     groups : dict of str to int
-        Facet tag of ``clamp``, ``lower_lip`` and ``upper_lip``; the lips only where there is a crack.
+        Facet tag of ``clamp``, ``lower_lip`` and ``upper_lip``; the lips only where there is a
+        crack.
     load_point : tuple of float or None
         Position of the physical point ``load`` [m].
     """
@@ -115,7 +116,7 @@ def _model(scene: Scene) -> tuple[dict[str, int], tuple[float, float] | None]:
     return _named_groups(str(scene.mesh.file))
 
 
-# --- the plate ---------------------------------------------------------------------------------------
+# --- the plate ------------------------------------------------------------------------------------
 
 
 def _draw(scene: Scene) -> None:
@@ -240,7 +241,7 @@ def _curve(start: int, end: int, elements: int, progression: float) -> int:
     return curve
 
 
-# --- a mesh file -------------------------------------------------------------------------------------
+# --- a mesh file ----------------------------------------------------------------------------------
 
 
 def _read(path: Path) -> None:

@@ -2,8 +2,8 @@
 
     K phi_j = omega_j^2 M phi_j,     phi_i^T M phi_j = delta_ij
 
-Shift-and-invert with a factorisation by MUMPS; the shift lies slightly below zero, so that rigid-body
-modes are found too.
+Shift-and-invert with a factorisation by MUMPS; the shift lies slightly below zero, so that
+rigid-body modes are found too.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ class Modes:
     omega : (count,) [rad/s]
         Natural angular frequencies, ascending.
     shapes : (n_local, count) [kg^-1/2]
-        Mass-normalised; the largest component is positive (of several as large, the first by position).
+        Mass-normalised; the largest component is positive (of several as large, the first by
+        position).
     """
 
     omega: np.ndarray
@@ -145,8 +146,8 @@ def _mass_normalised(structure: Structure, shapes: np.ndarray) -> np.ndarray:
 def _signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
     """Sign that makes the largest component positive; ties go to the first by position, then dof.
 
-    A symmetric structure has equally large components; which of them rounding makes the largest must
-    not decide, nor may the numbering, which depends on the number of ranks.
+    A symmetric structure has equally large components; which of them rounding makes the largest
+    must not decide, nor may the numbering, which depends on the number of ranks.
     """
     first = structure.first_dof
     keys = np.zeros((structure.n_local, 3))
@@ -206,7 +207,9 @@ def damped_modes(structure: Structure) -> DampedModes | None:
             raise InputError("damping modes", count, f"at most n_dofs = {structure.n_dofs}")
         ratio = np.asarray(damping.ratio, dtype=float)
         if ratio.ndim == 1 and len(ratio) != count:
-            raise InputError("damping ratio", f"{len(ratio)} ratios", f"one or {count}, one per mode")
+            raise InputError(
+                "damping ratio", f"{len(ratio)} ratios", f"one or {count}, one per mode"
+            )
         modes = solve_modes(structure, count)
         rate = 2.0 * ratio * modes.omega
         _CACHE[structure] = DampedModes(

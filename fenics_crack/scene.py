@@ -1,8 +1,8 @@
 """The scene: everything that defines a computation, validated, frozen, in SI units.
 
-A scene is a TOML file (see ``demos/paper_plate.toml``) or a tree of the dataclasses below. Every key
-states here, once, what it may hold; a value outside of that raises :class:`InputError` with the key, the
-value and what is allowed, before anything is computed.
+A scene is a TOML file (see ``demos/paper_plate.toml``) or a tree of the dataclasses below. Every
+key states here, once, what it may hold; a value outside of that raises :class:`InputError` with
+the key, the value and what is allowed, before anything is computed.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ __all__ = [
 Vector = tuple[float, float]
 
 
-# --- what a key may hold -----------------------------------------------------------------------------
+# --- what a key may hold --------------------------------------------------------------------------
 
 
 def _real(value: object) -> float:
@@ -134,12 +134,12 @@ class _Table:
         return cls(**values)
 
 
-# --- the tables --------------------------------------------------------------------------------------
+# --- the tables -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Geometry(_Table):
-    """Rectangle [0, width] x [0, height], clamped along y = 0; only the thickness for a mesh file."""
+    """Rectangle [0, width] x [0, height], clamped along y = 0; a mesh file has its own shape."""
 
     thickness: float = _positive()
     """[m]"""
@@ -160,7 +160,7 @@ class Crack(_Table):
     length: float | None = _positive(None)
     """[m]; or let ``first_omega`` determine it."""
     first_omega: float | None = _positive(None)
-    """First natural frequency of the plate with the open crack [rad/s]; the length is found from it."""
+    """First natural frequency with the open crack [rad/s], from which to find the length."""
     clearance: float = _key(_real, "a finite number", default=0.0)
     """g0 >= 0: opening that must close before the lips touch; < 0: preload [m]."""
 
@@ -262,10 +262,11 @@ class Mesh(_Table):
     """How the plate is meshed.
 
     ``layout = "grid"``: columns x rows equal quadrilaterals (or twice as many triangles); the crack
-    must run along grid lines. ``"graded"``: element size ``size`` away from the crack, ``lip_elements``
-    along each lip, the one at the tip ``grading`` times shorter than the one at the mouth. ``"file"``:
-    any gmsh mesh of a plane region whose physical groups are named ``clamp``, ``lower_lip``,
-    ``upper_lip`` (curves), ``load`` (a point) and, for the region itself, anything.
+    must run along grid lines. ``"graded"``: element size ``size`` away from the crack,
+    ``lip_elements`` along each lip, the one at the tip ``grading`` times shorter than the one at
+    the mouth. ``"file"``: any gmsh mesh of a plane region whose physical groups are named
+    ``clamp``, ``lower_lip``, ``upper_lip`` (curves), ``load`` (a point) and, for the region
+    itself, anything.
     """
 
     layout: str = _choice("grid", "graded", "file")
@@ -282,7 +283,11 @@ class Mesh(_Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        needed = {"grid": ("columns", "rows"), "graded": ("size", "lip_elements"), "file": ("file",)}
+        needed = {
+            "grid": ("columns", "rows"),
+            "graded": ("size", "lip_elements"),
+            "file": ("file",),
+        }
         for layout, keys in needed.items():
             for key in keys:
                 given = getattr(self, key) is not None
@@ -329,7 +334,8 @@ class Scene:
         excitation._require(excitation.point is not None, "point", "given: [x, y] on the plate")
         assert excitation.point is not None
         on_plate = (
-            0.0 <= excitation.point[0] <= geometry.width and 0.0 <= excitation.point[1] <= geometry.height
+            0.0 <= excitation.point[0] <= geometry.width
+            and 0.0 <= excitation.point[1] <= geometry.height
         )
         excitation._require(
             on_plate, "point", f"on the plate: [0..{geometry.width:g}, 0..{geometry.height:g}]"
@@ -390,7 +396,7 @@ class Scene:
 
     @classmethod
     def from_mapping(cls, tables: Mapping[str, object], folder: Path = Path()) -> Scene:
-        """Make a scene from nested mappings; a relative ``mesh.file`` is looked up in ``folder``."""
+        """Make a scene from nested mappings; a relative ``mesh.file`` is one of ``folder``."""
         for name, value in tables.items():
             if name not in _TABLES:
                 raise InputError(name, value, f"left out; known tables: {', '.join(_TABLES)}")

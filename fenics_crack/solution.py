@@ -31,7 +31,8 @@ class PeriodicSolution:
     gap_coefficients : (2H+1, n_pairs) [m]
         Closing of the pairs, g = B^T u - g0, in the same order, on every rank.
     subharmonic : int
-        The response has this many times the load's period; rows count multiples of omega/subharmonic.
+        The response has this many times the load's period; rows count multiples of
+        omega/subharmonic.
     converged : bool
         Whether the residual met the tolerance.
     status : str
@@ -39,7 +40,8 @@ class PeriodicSolution:
     iterations : int
         Newton iterations, all attempts together.
     residual : float
-        Norm of the algebraic residual A^-1 R(u) relative to that of the displacement's coefficients.
+        Norm of the algebraic residual A^-1 R(u) relative to that of the displacement's
+        coefficients.
     """
 
     structure: Structure

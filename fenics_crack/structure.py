@@ -2,9 +2,10 @@
 
     M u'' + C u' + K u + B lambda(g) = f(t),     g = B^T u - g0
 
-``g > 0`` is penetration, ``g < 0`` an open crack. Column j of B is +1 on the normal displacement of the
-lower lip's node and -1 on the upper lip's. Matrices are PETSc's and distributed by rows; every array that
-stands for a displacement holds the rows that this rank owns ("n_local"), which on one rank are all.
+``g > 0`` is penetration, ``g < 0`` an open crack. Column j of B is +1 on the normal displacement
+of the lower lip's node and -1 on the upper lip's. Matrices are PETSc's and distributed by rows;
+every array that stands for a displacement holds the rows that this rank owns ("n_local"), which on
+one rank are all.
 """
 
 from __future__ import annotations
@@ -141,7 +142,7 @@ class Structure:
         """Number of contact pairs."""
         return int(self.gap.shape[1])
 
-    # --- displacement and gap ------------------------------------------------------------------------
+    # --- displacement and gap ---------------------------------------------------------------------
 
     def closing(self, displacement: np.ndarray) -> np.ndarray:
         """B^T u of displacements (m, n_local): (m, n_pairs) on every rank (collective)."""
@@ -189,8 +190,8 @@ class Structure:
         Raises
         ------
         InputError
-            There is no node there, or two (on the lips), or the dof is clamped, or the structure was
-            made from matrices and knows no positions.
+            There is no node there, or two (on the lips), or the dof is clamped, or the structure
+            was made from matrices and knows no positions.
         """
         names: dict[int | str, int] = {0: 0, 1: 1, "x": 0, "y": 1}
         if component not in names:
@@ -213,10 +214,12 @@ class Structure:
             )
         dof = int(gather_rows(self.comm, self.nodes.dofs)[found[0], names[component]])
         if dof < 0:
-            raise InputError("point", tuple(target), f"free in component {component!r}, not clamped")
+            raise InputError(
+                "point", tuple(target), f"free in component {component!r}, not clamped"
+            )
         return dof
 
-    # --- related structures --------------------------------------------------------------------------
+    # --- related structures -----------------------------------------------------------------------
 
     def lumped(self) -> Structure:
         """Return this structure with the diagonal mass of the row sums of M.
@@ -241,7 +244,8 @@ class Structure:
     def tied(self, stiffness: float | np.ndarray) -> Structure:
         """Return this structure with every pair tied by a spring that both pulls and pushes.
 
-        Its stiffness is K + B diag(k) B^T, its pairs are gone; modal damping follows the tied modes.
+        Its stiffness is K + B diag(k) B^T, its pairs are gone; modal damping follows the tied
+        modes.
 
         Parameters
         ----------
@@ -268,7 +272,14 @@ class Structure:
         parts = {
             name: getattr(self, name)
             for name in (
-                "mass", "stiffness", "gap", "force", "clearance", "damping", "nodes", "pair_points"
+                "mass",
+                "stiffness",
+                "gap",
+                "force",
+                "clearance",
+                "damping",
+                "nodes",
+                "pair_points",
             )
         }
         return Structure(**(parts | changes))
@@ -292,8 +303,8 @@ class Structure:
         Parameters
         ----------
         mass, stiffness : (n, n)
-            NumPy, SciPy sparse, PETSc, or the path of a Matrix Market file; symmetric, the mass positive
-            definite; [kg], [N/m].
+            NumPy, SciPy sparse, PETSc, or the path of a Matrix Market file; symmetric, the mass
+            positive definite; [kg], [N/m].
         gap : (n, n_pairs) or (n,)
             B: the closing of the pairs is g = B^T u - clearance; None: no pairs.
         force_sin, force_cos, force_mean : (n,) [N] or None
@@ -303,14 +314,14 @@ class Structure:
         damping : ModalDamping, (n, n) matrix or None
             Modal damping, or C [N s/m] in any of the forms above.
         comm : MPI.Comm
-            Ranks over which to spread matrices that are given whole on every rank; PETSc matrices keep
-            their own.
+            Ranks over which to spread matrices that are given whole on every rank; PETSc matrices
+            keep their own.
 
         Raises
         ------
         InputError
-            A shape does not fit, an entry is not finite, mass or stiffness is not symmetric, or the mass
-            is not positive definite.
+            A shape does not fit, an entry is not finite, mass or stiffness is not symmetric, or
+            the mass is not positive definite.
         """
         mass = _petsc_matrix("mass", mass, comm)
         comm = mass.comm.tompi4py()
@@ -348,7 +359,7 @@ class Structure:
         )
 
 
-# --- matrices from elsewhere -------------------------------------------------------------------------
+# --- matrices from elsewhere ----------------------------------------------------------------------
 
 
 def _distributed(rows: Any, comm: MPI.Comm) -> Any:
@@ -381,7 +392,12 @@ def _petsc_matrix(name: str, given: Any, comm: MPI.Comm, n: int | None = None) -
     else:
         whole = sparse.csr_matrix(_read_matrix(name, given))
         shape = whole.shape
-    if len(shape) != 2 or shape[0] != shape[1] or shape[0] == 0 or (n is not None and shape[0] != n):
+    if (
+        len(shape) != 2
+        or shape[0] != shape[1]
+        or shape[0] == 0
+        or (n is not None and shape[0] != n)
+    ):
         raise InputError(name, shape, "of shape (n, n)" if n is None else f"of shape ({n}, {n})")
     if not isinstance(given, PETSc.Mat):
         _check_finite(name, whole.data)
