@@ -201,6 +201,7 @@ def _load(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> np.ndarray
             "excitation.point", None, "given, or a physical point 'load' in the mesh file"
         )
     nodes, values = compat.basis_at(space, scene.mesh.order, np.array(point))
+    values = np.where(np.abs(values) < 1e-12, 0.0, values)  # rounding
     hits = dofs.comm.allgather(len(nodes) > 0)
     if not any(hits):
         raise InputError("excitation.point", tuple(point), "on the mesh")
@@ -259,17 +260,13 @@ def _pair_lips(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> _Lips
         )
     lower, upper = sides
     shared = np.intersect1d(lower[:, 0], upper[:, 0])
+    tip = lower[np.isin(lower[:, 0], shared), 1:3]
     lower, upper = (side[~np.isin(side[:, 0], shared)] for side in (lower, upper))
-    tolerance = 1e-6 * max(np.ptp(lower[:, 1:3], axis=0).max(initial=0.0), 1e-300)
-    if len(shared):
-        tip = np.concatenate(sides)[np.isin(np.concatenate(sides)[:, 0], shared)][0, 1:3]
-        tolerance = max(
-            tolerance, 1e-6 * np.linalg.norm(lower[:, 1:3] - tip, axis=1).max(initial=0.0)
-        )
-    matched = len(lower) == len(upper) and len(lower) > 0
+    matched = len(lower) == len(upper) > 0
     if matched:
+        size = np.ptp(np.concatenate([lower[:, 1:3], tip]), axis=0).max()
         distance, partner = cKDTree(upper[:, 1:3]).query(lower[:, 1:3])
-        matched = distance.max() <= tolerance and len(set(partner)) == len(partner)
+        matched = distance.max() <= 1e-6 * size and len(set(partner)) == len(partner)
     if not matched:
         raise InputError(
             "lips",
@@ -277,7 +274,7 @@ def _pair_lips(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> _Lips
             "meshed identically, so that the nodes of the two lips pair one to one",
         )
     upper = upper[partner]
-    order = _from_mouth(lower[:, 1:3], tip if len(shared) else None)
+    order = _from_mouth(lower[:, 1:3], tip[0] if len(tip) else None)
     if scene.contact is not None and scene.contact.pairs == "mouth":
         order = order[:1]
     lower, upper = lower[order], upper[order]

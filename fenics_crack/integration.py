@@ -15,8 +15,14 @@ Modal damping C = M Phi diag(c) Phi^T M is inverted exactly: with s = dt c / (2 
     d_{n+1} = d_n + dt^2 M^-1 r_n - Phi s (dt^2 Phi^T r_n + 2 q_n),     q_n = Phi^T M d_n,
 
 where q is carried along, so that one step costs a product with K, a solution with M and two
-products with Phi. The scheme is second order and stable for dt <= 2 / omega_max, omega_max the
-largest natural frequency with every pair closed.
+products with Phi. The scheme is second order. Steps beyond dt = 2 / omega_max, omega_max the largest
+natural frequency with every pair closed, are unstable and refused. Below that the scheme conserves
+energy as long as no pair changes its state; a contact that lasts from step a to step b creates
+
+    1/2 k (g_b |g_{b+1}| - g_a |g_{a-1}|),
+
+of either sign, which close to the limit can outgrow the damping. So the energy that contact creates
+is booked, reported, and an error where it outweighs what the load has put in.
 """
 
 from __future__ import annotations
@@ -31,7 +37,7 @@ from petsc4py import PETSc
 from tqdm import tqdm
 
 from fenics_crack.contact import ContactLaw
-from fenics_crack.errors import InputError
+from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.fourier import evaluate
 from fenics_crack.modes import damped_modes, largest_frequency
 from fenics_crack.solution import PeriodicSolution
@@ -56,21 +62,35 @@ class TimeHistory:
     settled : float
         Relative change of the gaps (without pairs: of the load's displacement) over the last
         period; a small number says that the motion repeats with the load.
+    created_energy : float
+        Net energy created by contact that opens and closes between steps, relative to the energy
+        put in by the load and the initial state; it vanishes with the step like dt^2.
     periods : int
         Load periods integrated.
     seconds : float
         Wall-clock time of the marching [s].
+    steps_per_period : int
+        Instants in one load period.
     """
 
     time: np.ndarray
     gap: np.ndarray
     settled: float
+    created_energy: float
     periods: int
     seconds: float
+    steps_per_period: int
     structure: Structure
     recorded: np.ndarray
     """(n, n_recorded) [m], the dofs of :attr:`recorded_dofs` that this rank owns."""
     recorded_dofs: np.ndarray
+
+    def by_period(self, values: np.ndarray) -> np.ndarray:
+        """Fold a record (n, ...) at the load's period: (periods kept, steps_per_period, ...).
+
+        The mean over the first axis is the phase-averaged wave, the standard deviation its spread.
+        """
+        return values.reshape(-1, self.steps_per_period, *values.shape[1:])
 
     def displacement(self, dofs: Sequence[int]) -> np.ndarray:
         """Displacement of recorded dofs: (n, len(dofs)) [m] (collective).
@@ -152,6 +172,9 @@ def integrate_central_difference(
     InputError
         An argument cannot be used, the step is beyond the stable one, or the history would not fit
         in memory.
+    ConvergenceError
+        The motion grows without bound, or contact creates more energy than the load puts in: the
+        steps are too long.
 
     Notes
     -----
@@ -184,28 +207,30 @@ def integrate_central_difference(
         )
     recorded = np.empty((slots, len(recorded_dofs)))
     gaps = np.empty((slots, structure.n_pairs))
-    signal = np.empty((2, steps_per_period, max(structure.n_pairs, 1)))
+    gap_now = np.empty((steps_per_period, structure.n_pairs))
+    load_now = np.empty((steps_per_period, len(scheme.load_rows)))
     columns = recorded_dofs - structure.first_dof
 
     scheme.start(displacement, velocity)
-    settled, done = np.inf, 0
+    book = _EnergyBook(scheme, displacement, velocity)
+    settled, done, before = np.inf, 0, None
     started = clock.perf_counter()
     hidden = not progress or structure.comm.rank != 0
     for period in tqdm(range(periods), "central differences", unit="period", disable=hidden):
-        now, last = signal[period % 2], signal[(period + 1) % 2]
-        first_slot = (period % kept) * steps_per_period
+        slot = (period % kept) * steps_per_period
         for step in range(steps_per_period):
             scheme.advance(step)
-            gaps[first_slot + step] = scheme.gap
-            recorded[first_slot + step] = scheme.displacement[columns]
-            now[step] = scheme.signal
+            gap_now[step] = scheme.gap
+            load_now[step] = scheme.before[scheme.load_rows]
+            recorded[slot + step] = scheme.before[columns]
+        gaps[slot : slot + steps_per_period] = gap_now
         done = period + 1
-        if period > 0:
+        book.close_period(gap_now, load_now)
+        now = gap_now if structure.n_pairs else _whole(structure, load_now)
+        if before is not None:
             size = np.linalg.norm(now)
-            settled = float(np.linalg.norm(now - last) / size) if size > 0.0 else 0.0
-        if not np.all(np.isfinite(now)):
-            settled = np.inf
-            break
+            settled = float(np.linalg.norm(now - before) / size) if size > 0.0 else 0.0
+        before = now.copy()
         if settled < settle:
             break
     seconds = clock.perf_counter() - started
@@ -218,8 +243,10 @@ def integrate_central_difference(
         time=steps * (2.0 * np.pi / omega / steps_per_period),
         gap=np.roll(gaps[:count], -newest, axis=0),
         settled=settled,
+        created_energy=book.created_share,
         periods=done,
         seconds=seconds,
+        steps_per_period=steps_per_period,
         structure=structure,
         recorded=np.roll(recorded[:count], -newest, axis=0),
         recorded_dofs=recorded_dofs,
@@ -236,6 +263,8 @@ class _CentralDifferences:
         self.step_size = dt = 2.0 * np.pi / omega / steps_per_period
         local = np.zeros(structure.n_local)
         self.displacement, self.increment = local.copy(), local.copy()
+        self.before = local.copy()
+        """Displacement at the instant that :meth:`advance` has measured."""
         self.rhs, self.solved = local.copy(), local.copy()
         comm, size = structure.comm, (structure.n_local, structure.n_dofs)
         self._u, self._r, self._a, self._d = (
@@ -245,11 +274,10 @@ class _CentralDifferences:
         # Only few rows of B and of the load are not zero.
         self._gap_rows = np.flatnonzero(np.diff(structure.gap.indptr))
         self._gap_block = structure.gap[self._gap_rows].toarray()
-        self._load_rows = np.flatnonzero(np.any(structure.force, axis=0))
-        self._load_direction = structure.force[:, self._load_rows].sum(axis=0)
+        self.load_rows = np.flatnonzero(np.any(structure.force, axis=0))
         phase = 2.0 * np.pi * np.arange(steps_per_period) / steps_per_period
         waves = np.column_stack([np.ones_like(phase), np.cos(phase), np.sin(phase)])
-        self._load = waves @ structure.force[:, self._load_rows]
+        self.load = waves @ structure.force[:, self.load_rows]
 
         self._modes = damped_modes(structure)
         self._mixed = None
@@ -311,28 +339,75 @@ class _CentralDifferences:
         else:
             self._inverse.apply(self._r, self._a)
             self.increment += dt2 * self.solved
+        self.before[:] = self.displacement
         self.displacement += self.increment
 
     def _measure(self) -> None:
-        """Gap at the current displacement, and the signal by which settling is judged."""
+        """Gap at the current displacement."""
         closing = self.displacement[self._gap_rows] @ self._gap_block
         self.gap = self.structure.sum_over_ranks(closing) - self.structure.clearance
-        self.signal: Any = self.gap
-        if not self.structure.n_pairs:
-            work = self.displacement[self._load_rows] @ self._load_direction
-            self.signal = self.structure.sum_over_ranks(np.array([work]))
 
     def _unbalance(self, step: int) -> None:
         """r = f - K u - B lambda."""
         self.structure.stiffness.mult(self._u, self._r)
         np.negative(self.rhs, out=self.rhs)
-        self.rhs[self._load_rows] += self._load[step]
+        self.rhs[self.load_rows] += self.load[step]
         self.rhs[self._gap_rows] -= self._gap_block @ self.contact.force(self.gap)
 
     def free(self) -> None:
         """Free PETSc's objects (collective)."""
         for item in (self._u, self._r, self._a, self._d, self._inverse):
             item.destroy()
+
+
+class _EnergyBook:
+    """Energy put in by the load, and created by contact, period by period.
+
+    Work over a step is force times half the displacement from the step before to the step after,
+    for which the scheme balances kinetic and elastic energy exactly.
+    """
+
+    def __init__(
+        self, scheme: _CentralDifferences, displacement: np.ndarray, velocity: np.ndarray
+    ) -> None:
+        self._scheme = scheme
+        structure = scheme.structure
+        self._put_in = 0.0
+        for matrix, motion in ((structure.stiffness, displacement), (structure.mass, velocity)):
+            source, target = matrix.createVecs()
+            source.array_w[:] = motion
+            matrix.mult(source, target)
+            self._put_in += 0.5 * source.dot(target)
+        self._created = 0.0
+        self._gap_tail: np.ndarray | None = None
+        self._load_tail: np.ndarray | None = None
+
+    def close_period(self, gap: np.ndarray, load_motion: np.ndarray) -> None:
+        """Book a period from its gaps (N, n_pairs) and the motion of the loaded dofs (N, ...)."""
+        scheme = self._scheme
+        loads = scheme.load
+        if self._gap_tail is not None and self._load_tail is not None:
+            gap = np.vstack([self._gap_tail, gap])
+            load_motion = np.vstack([self._load_tail, load_motion])
+            loads = np.vstack([scheme.load[-2:], scheme.load])
+        force = scheme.contact.force(gap)
+        potential = 0.25 * (gap * force).sum(axis=1)
+        stored = potential[-1] + potential[-2] - potential[0] - potential[1]
+        self._created += stored - 0.5 * float(np.sum(force[1:-1] * (gap[2:] - gap[:-2])))
+        work = 0.5 * (loads[1:-1] * (load_motion[2:] - load_motion[:-2])).sum(axis=1)
+        total = scheme.structure.sum_over_ranks(np.array([work.sum()]))
+        self._put_in += abs(float(total[0]))
+        self._gap_tail, self._load_tail = gap[-2:].copy(), load_motion[-2:].copy()
+        if not np.isfinite(self._created) or self._created > 2.0 * self._put_in > 0.0:
+            raise ConvergenceError(
+                "central differences: the steps are too long for this contact, which creates "
+                f"{self.created_share:.3g} times the energy put in; take more steps per period"
+            )
+
+    @property
+    def created_share(self) -> float:
+        """Energy created by contact relative to the energy put in."""
+        return self._created / self._put_in if self._put_in > 0.0 else 0.0
 
 
 def _inverse(matrix: Any, *, symmetric: bool) -> Any:
@@ -344,6 +419,11 @@ def _inverse(matrix: Any, *, symmetric: bool) -> Any:
         solver.setFactorSolverType("mumps")
     solver.setUp()
     return solver
+
+
+def _whole(structure: Structure, columns: np.ndarray) -> np.ndarray:
+    """Columns of all ranks side by side (collective)."""
+    return np.concatenate(structure.comm.allgather(columns), axis=1)
 
 
 def _with_mass(structure: Structure, mass: str) -> Structure:

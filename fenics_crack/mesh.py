@@ -252,7 +252,7 @@ def _read(path: Path) -> None:
         gmsh.merge(str(path))
     except Exception as error:  # gmsh raises nothing more specific
         raise InputError("mesh.file", str(path), f"readable by gmsh ({error})") from None
-    if np.ptp(gmsh.model.mesh.getNodes()[1].reshape(-1, 3)[:, 2], initial=0.0) > 0.0:
+    if len(set(gmsh.model.mesh.getNodes()[1][2::3])) > 1:
         raise InputError("mesh.file", str(path), "a plane mesh, z the same at every node")
     kinds = set()
     for _, group in gmsh.model.getPhysicalGroups(2):

@@ -54,7 +54,7 @@ def solve_modes(structure: Structure, count: int) -> Modes:
     Raises
     ------
     InputError
-        count is not between 1 and n_dofs.
+        count is not between 1 and n_dofs, or the stiffness has a negative eigenvalue.
     ConvergenceError
         SLEPc found fewer modes than asked for.
     """
@@ -67,8 +67,9 @@ def solve_modes(structure: Structure, count: int) -> Modes:
     # A few more Krylov vectors than SLEPc's default keep large counts in one sweep.
     solver.setDimensions(count, min(structure.n_dofs, max(2 * count, count + 15)))
     solver.setTolerances(1e-12, 500)
-    shift = -1e-10 * _rayleigh_scale(structure)
-    solver.setTarget(shift)
+    solver.setPurify(False)  # only a singular mass would need it; it costs orthogonality
+    scale = _rayleigh_scale(structure)
+    solver.setTarget(-1e-6 * scale)
     solver.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
     transform = solver.getST()
     transform.setType(SLEPc.ST.Type.SINVERT)
@@ -89,6 +90,9 @@ def solve_modes(structure: Structure, count: int) -> Modes:
         shapes[:, index] = vector.array_r
     solver.destroy()
     order = np.argsort(squares)
+    lowest = squares[order[0]]
+    if lowest < -1e-8 * scale:
+        raise InputError("stiffness", f"{lowest:.3g} = omega^2 of a mode", "positive semidefinite")
     omega = np.sqrt(np.maximum(squares[order], 0.0))
     shapes = _mass_normalised(structure, shapes[:, order])
     return Modes(omega, shapes * _signs(structure, shapes))

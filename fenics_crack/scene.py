@@ -44,6 +44,8 @@ def _real(value: object) -> float:
 def _integer(value: object) -> int:
     if isinstance(value, bool) or not isinstance(value, int):
         raise TypeError
+    if abs(value) >= 2**31:  # gmsh and PETSc count with 32 bits
+        raise OverflowError
     return value
 
 
@@ -102,7 +104,7 @@ class _Table:
             name, allowed = self._name(item.name), item.metadata["allowed"]
             try:
                 converted = item.metadata["convert"](value)
-            except TypeError:
+            except (TypeError, OverflowError):
                 raise InputError(name, value, allowed) from None
             if not item.metadata["accepts"](converted):
                 raise InputError(name, value, allowed)

@@ -46,10 +46,11 @@ class ModalDamping:
     modes: int | None = None
 
     def __post_init__(self) -> None:
-        ratio = np.asarray(self.ratio, dtype=float)
-        if ratio.ndim > 1 or not np.all(np.isfinite(ratio)) or np.any(ratio < 0.0):
+        ratio = _numbers(self.ratio)
+        if ratio.ndim > 1 or not ratio.size or not np.all(np.isfinite(ratio)) or ratio.min() < 0.0:
             raise InputError("damping ratio", self.ratio, "finite and >= 0, one or one per mode")
-        if self.modes is not None and self.modes < 1:
+        whole = isinstance(self.modes, int) and not isinstance(self.modes, bool)
+        if self.modes is not None and not (whole and self.modes >= 1):
             raise InputError("damping modes", self.modes, "None (all) or a whole number >= 1")
 
 
@@ -169,9 +170,10 @@ class Structure:
         InputError
             A dof is not between 0 and n_dofs - 1.
         """
-        wanted = np.atleast_1d(np.asarray(dofs, dtype=int))
-        if wanted.size and (wanted.min() < 0 or wanted.max() >= self.n_dofs):
-            raise InputError("dofs", list(wanted), f"between 0 and {self.n_dofs - 1}")
+        wanted = np.atleast_1d(_numbers(dofs)).ravel()
+        if not np.all((wanted >= 0) & (wanted < self.n_dofs) & (wanted == np.round(wanted))):
+            raise InputError("dofs", dofs, f"whole numbers between 0 and {self.n_dofs - 1}")
+        wanted = wanted.astype(int)
         mine = (wanted >= self.first_dof) & (wanted < self.first_dof + self.n_local)
         picked = np.zeros((len(displacement), len(wanted)), dtype=displacement.dtype)
         picked[:, mine] = displacement[:, wanted[mine] - self.first_dof]
@@ -194,11 +196,11 @@ class Structure:
             was made from matrices and knows no positions.
         """
         names: dict[int | str, int] = {0: 0, 1: 1, "x": 0, "y": 1}
-        if component not in names:
+        if component not in list(names):
             raise InputError("component", component, "0, 1, 'x' or 'y'")
         if self.nodes is None:
             raise InputError("point", point, "given only for a structure made from a mesh")
-        target = np.asarray(point, dtype=float)
+        target = _numbers(point)
         if target.shape != (2,) or not np.all(np.isfinite(target)):
             raise InputError("point", point, "[x, y], two finite numbers")
         points = gather_rows(self.comm, self.nodes.points)
@@ -235,7 +237,7 @@ class Structure:
         ones.set(1.0)
         self.mass.mult(ones, sums)
         smallest = sums.min()[1]
-        if smallest <= 0.0:
+        if smallest <= 1e-10 * sums.max()[1]:  # zero but for rounding at a triangle's corners
             raise InputError(
                 "mass", f"row sum {smallest:.3g}", "lumped only where every row sum is positive"
             )
@@ -253,7 +255,8 @@ class Structure:
             k.
         """
         whole = sparse.vstack(self.comm.allgather(self.gap), format="csr")
-        springs = _distributed(self.gap @ _diagonal(stiffness, self.n_pairs) @ whole.T, self.comm)
+        diagonal = sparse.diags(_per_pair("stiffness", stiffness, self.n_pairs))
+        springs = _distributed(self.gap @ diagonal @ whole.T, self.comm)
         matrix = self.stiffness.copy()
         matrix.axpy(1.0, springs, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
         springs.destroy()
@@ -342,19 +345,12 @@ class Structure:
             if whole.shape != (n,):
                 raise InputError(f"force_{name}", whole.shape, f"of shape ({n},)")
             parts.append(whole[first : first + n_local])
-        pairs = gap.shape[1]
-        try:
-            clearance = np.broadcast_to(np.asarray(clearance, dtype=float), (pairs,)).copy()
-        except (ValueError, TypeError):
-            raise InputError("clearance", clearance, f"one number or {pairs}") from None
-        if not np.all(np.isfinite(clearance)):
-            raise InputError("clearance", clearance, "finite")
         return cls(
             mass,
             stiffness,
             gap[first : first + n_local],
             force=np.array(parts),
-            clearance=clearance,
+            clearance=_per_pair("clearance", clearance, gap.shape[1]),
             damping=damping,
         )
 
@@ -372,8 +368,20 @@ def _distributed(rows: Any, comm: MPI.Comm) -> Any:
     return matrix
 
 
-def _diagonal(value: float | np.ndarray, size: int) -> sparse.dia_matrix:
-    return sparse.diags(np.broadcast_to(np.asarray(value, dtype=float), (size,)))
+def _numbers(given: Any) -> np.ndarray:
+    """What was given as an array of floats; nan if it is something else."""
+    try:
+        return np.asarray(np.nan if np.iscomplexobj(given) else given, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        return np.asarray(np.nan)
+
+
+def _per_pair(name: str, given: Any, pairs: int) -> np.ndarray:
+    """One finite number for each pair, of one for all or of as many: (pairs,)."""
+    numbers = _numbers(given)
+    if numbers.shape not in ((), (pairs,)) or not np.all(np.isfinite(numbers)):
+        raise InputError(name, given, f"one finite number, or {pairs}")
+    return np.broadcast_to(numbers, (pairs,)).copy()
 
 
 def _diagonal_rows(vector: Any) -> sparse.csr_matrix:
@@ -388,7 +396,7 @@ def _diagonal_rows(vector: Any) -> sparse.csr_matrix:
 def _petsc_matrix(name: str, given: Any, comm: MPI.Comm, n: int | None = None) -> Any:
     """Make a square PETSc matrix of what was given; check shape and entries."""
     if isinstance(given, PETSc.Mat):
-        matrix, shape = given, tuple(given.size)
+        shape = tuple(given.size)
     else:
         whole = sparse.csr_matrix(_read_matrix(name, given))
         shape = whole.shape
@@ -399,7 +407,12 @@ def _petsc_matrix(name: str, given: Any, comm: MPI.Comm, n: int | None = None) -
         or (n is not None and shape[0] != n)
     ):
         raise InputError(name, shape, "of shape (n, n)" if n is None else f"of shape ({n}, {n})")
-    if not isinstance(given, PETSc.Mat):
+    if isinstance(given, PETSc.Mat):
+        matrix = given.convert("aij", PETSc.Mat())
+        finite = np.all(np.isfinite(matrix.getValuesCSR()[2]))
+        error = None if finite else InputError(name, "nan or inf", "finite in every entry")
+        raise_together(given.comm.tompi4py(), error)
+    else:
         _check_finite(name, whole.data)
         size = shape[0]
         start, stop = (size * comm.rank) // comm.size, (size * (comm.rank + 1)) // comm.size
@@ -472,6 +485,9 @@ def _check_symmetric(name: str, matrix: Any) -> None:
 
 
 def _check_positive_definite(name: str, matrix: Any) -> None:
+    smallest = matrix.getDiagonal().min()[1]
+    if smallest <= 0.0:  # MUMPS finds no null pivot in a matrix without entries
+        raise InputError(name, f"{smallest:.3g} on the diagonal", "positive definite")
     with Factor(matrix, symmetric=True) as factor:
         negative, null = factor.negative_pivots, factor.null_pivots
     if negative or null:

@@ -1,0 +1,227 @@
+"""Pictures: waves, responses, laws and contact maps (matplotlib), mode shapes (pyvista)."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyvista
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from fenics_crack.contact import ContactLaw
+from fenics_crack.errors import InputError
+from fenics_crack.modes import Modes
+from fenics_crack.output import NodalMesh, make_folder
+from fenics_crack.parallel import on_root
+from fenics_crack.solution import PeriodicSolution
+from fenics_crack.structure import Structure
+
+__all__ = [
+    "COLOURS",
+    "Wave",
+    "draw_contact_map",
+    "draw_laws",
+    "draw_modes",
+    "draw_response",
+    "draw_waves",
+]
+
+COLOURS = {
+    "blue": "#0072B2",
+    "orange": "#D55E00",
+    "green": "#009E73",
+    "pink": "#CC79A7",
+    "grey": "#5C5C5C",
+}
+"""Okabe and Ito's palette, told apart by colour-blind readers."""
+
+
+@dataclass(frozen=True)
+class Wave:
+    """One curve: values [m] over time [s], and for averaged waves their spread.
+
+    Attributes
+    ----------
+    label, colour, style : str
+        Legend, name in :data:`COLOURS`, matplotlib's line style.
+    time, values : (n,)
+        [s], [m].
+    spread : (n,) [m] or None
+        Half-width of the band drawn around the curve.
+    """
+
+    label: str
+    time: np.ndarray
+    values: np.ndarray
+    colour: str = "blue"
+    style: str = "-"
+    spread: np.ndarray | None = None
+
+
+def draw_waves(
+    path: str | Path,
+    waves: Sequence[Wave],
+    *,
+    title: str,
+    quantity: str,
+    period: float | None = None,
+    zero: str | None = None,
+) -> None:
+    """Draw displacements over time.
+
+    Parameters
+    ----------
+    path : str or Path
+        The picture file.
+    waves : sequence of Wave
+        The curves.
+    title, quantity : str
+        Heading, and the name of the vertical axis without its unit.
+    period : float, optional
+        Show time in periods of this length [s]; default: in seconds.
+    zero : str, optional
+        Name a line at zero, for example "lips touch".
+    """
+    figure, axes = _figure()
+    largest = max(float(np.abs(wave.values).max()) for wave in waves)
+    exponent = 3 * int(np.floor(np.log10(largest) / 3.0)) if largest > 0.0 else 0
+    unit = {-3: "mm", -6: "µm", -9: "nm", -12: "pm"}.get(exponent, f"10^{exponent} m")
+    scale = 10.0 ** (-exponent)
+    for wave in waves:
+        time = wave.time / period if period else wave.time
+        colour = COLOURS[wave.colour]
+        axes.plot(time, scale * wave.values, wave.style, color=colour, label=wave.label, lw=1.6)
+        if wave.spread is not None:
+            low, high = wave.values - wave.spread, wave.values + wave.spread
+            axes.fill_between(time, scale * low, scale * high, color=colour, alpha=0.2, lw=0)
+    if zero is not None:
+        axes.axhline(0.0, color=COLOURS["grey"], lw=0.8)
+        axes.annotate(
+            zero, (0.01, 0.0), (0, 3), xycoords=("axes fraction", "data"),
+            textcoords="offset points", color=COLOURS["grey"], fontsize=8,
+        )  # fmt: skip
+    axes.set_xlabel("time / load period" if period else "time [s]")
+    axes.set_ylabel(f"{quantity} [{unit}]")
+    _finish(figure, axes, title, path)
+
+
+def draw_laws(path: str | Path, laws: Mapping[str, ContactLaw], closing: np.ndarray) -> None:
+    """Draw contact forces [N] over the closing of a pair [m], one curve a law."""
+    figure, axes = _figure()
+    styles = zip(laws.items(), COLOURS.values(), ("-", "--", ":", "-.", "-"), strict=False)
+    for (label, law), colour, style in styles:
+        force = law.force(closing[:, None])[:, 0]
+        axes.plot(1e6 * closing, 1e-3 * force, style, color=colour, label=label, lw=1.8)
+    axes.set_xlabel("closing g [µm]  (g > 0: penetration)")
+    axes.set_ylabel("contact force [kN]")
+    _finish(figure, axes, "Contact laws", path)
+
+
+def draw_contact_map(path: str | Path, solution: PeriodicSolution, *, instants: int = 400) -> None:
+    """Draw where along the crack and when in the period the lips touch, and how hard.
+
+    Raises
+    ------
+    InputError
+        The structure has no positions of its pairs, or fewer than two pairs.
+    """
+    points = solution.structure.pair_points
+    if points is None or len(points) < 2:
+        raise InputError(
+            "pairs", None if points is None else len(points), "two or more, with a mesh"
+        )
+    time = np.linspace(0.0, solution.period, instants + 1)
+    force = solution.contact_force(time)
+    depth = 1e3 * np.linalg.norm(points - points[0], axis=1)
+    figure, axes = _figure()
+    shown = np.ma.masked_less_equal(force.T, 0.0)
+    axes.set_facecolor("#e8e8e8")
+    image = axes.pcolormesh(time / solution.period, depth, shown, cmap="viridis", shading="nearest")
+    figure.colorbar(image, ax=axes, label="contact force of a pair [N]")
+    axes.set_xlabel("time / load period")
+    axes.set_ylabel("distance from the crack's mouth [mm]")
+    axes.set_title("Where and when the crack is closed (grey: open)")
+    make_folder(path)
+    figure.savefig(str(path))
+
+
+def draw_response(
+    path: str | Path,
+    omega: np.ndarray,
+    curves: Mapping[str, np.ndarray],
+    *,
+    title: str,
+    quantity: str,
+) -> None:
+    """Draw amplitudes [m] over the load's frequency [rad/s], logarithmically; gaps where nan."""
+    figure, axes = _figure()
+    for (label, values), colour, style in zip(
+        curves.items(), COLOURS.values(), (".-", "--", ":", "-."), strict=False
+    ):
+        axes.semilogy(omega, 1e6 * values, style, color=colour, label=label, lw=1.4, ms=4)
+    axes.set_xlabel("load frequency [rad/s]")
+    axes.set_ylabel(f"{quantity} [µm]")
+    _finish(figure, axes, title, path)
+
+
+def draw_modes(
+    structure: Structure, modes: Modes, path: str | Path, *, columns: int = 3, rows: int = 2
+) -> None:
+    """Draw the first mode shapes with pyvista, off screen (collective)."""
+    mesh = NodalMesh(structure)
+    shapes = mesh.field(modes.shapes.T[: columns * rows])
+
+    def draw() -> None:
+        if not os.environ.get("DISPLAY"):  # spares VTK the search for a screen, and its warning
+            os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
+        plotter = pyvista.Plotter(off_screen=True, shape=(rows, columns), window_size=(1200, 840))
+        outline = mesh.grid(np.zeros_like(mesh.points)).extract_surface(algorithm=None)
+        for number, shape in enumerate(shapes):
+            plotter.subplot(number // columns, number % columns)
+            amplitude = np.linalg.norm(shape, axis=1)
+            grid = mesh.grid(0.12 * mesh.size / amplitude.max() * shape)
+            grid["amplitude"] = amplitude / amplitude.max()
+            plotter.add_mesh(
+                grid, scalars="amplitude", cmap="viridis", show_edges=True,
+                edge_color="#777777", show_scalar_bar=False,
+            )  # fmt: skip
+            plotter.add_mesh(
+                outline.extract_feature_edges(
+                    boundary_edges=True,
+                    non_manifold_edges=False,
+                    feature_edges=False,
+                    manifold_edges=False,
+                ),
+                color="black",
+                line_width=1,
+            )
+            plotter.add_text(
+                f"mode {number + 1}: {modes.omega[number]:.1f} rad/s", font_size=11, color="black"
+            )
+            plotter.view_xy()
+            plotter.camera.zoom(1.1)
+        plotter.background_color = "white"
+        make_folder(path)
+        plotter.screenshot(str(path))
+        plotter.close()
+
+    on_root(structure.comm, draw)
+
+
+def _figure() -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(7.0, 4.2), dpi=150, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.add_subplot()
+
+
+def _finish(figure: Figure, axes: Axes, title: str, path: str | Path) -> None:
+    axes.set_title(title)
+    axes.grid(alpha=0.3)
+    axes.legend(loc="best", fontsize=8, framealpha=0.9)
+    make_folder(path)
+    figure.savefig(str(path))
