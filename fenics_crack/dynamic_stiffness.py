@@ -26,13 +26,13 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenics_crack.errors import ConvergenceError, InputError
-from fenics_crack.factor import Factor
+from fenics_crack.factor import Factor, weighted_sum
 from fenics_crack.modes import damped_modes
 from fenics_crack.structure import Structure
 
 __all__ = ["DynamicStiffness"]
 
-DEFLATION_BAND = 1e-3
+DEFLATION_BAND = 1e-2
 """A mode is deflated where |1 - (omega/omega_j)^2| is below this."""
 
 
@@ -67,15 +67,8 @@ class DynamicStiffness:
         self._modes = damped_modes(structure) if omega > 0.0 else None
         self._matrix = structure.stiffness
         if omega > 0.0:
-            self._matrix = structure.stiffness.copy()
-            self._matrix.axpy(
-                -(omega**2), structure.mass, PETSc.Mat.Structure.UNKNOWN_NONZERO_PATTERN
-            )
-        self._full_damping = (
-            structure.damping
-            if omega > 0.0 and self._modes is None and structure.damping is not None
-            else None
-        )
+            self._matrix = weighted_sum(structure.stiffness, -(omega**2), structure.mass)
+        self._full_damping: Any = structure.damping_matrix if omega > 0.0 else None
         self._near = np.zeros(0, dtype=int)
         if self._modes is not None:
             offset = 1.0 - (omega / np.maximum(self._modes.omega, 1e-300)) ** 2

@@ -7,7 +7,16 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
-__all__ = ["Factor"]
+__all__ = ["Factor", "weighted_sum"]
+
+
+def weighted_sum(first: Any, weight: float, second: Any) -> Any:
+    """Return the matrix first + weight * second, whatever their patterns (collective)."""
+    total = first.copy()
+    total.axpy(weight, second, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    clean = total.copy()  # PETSc's own LU misreads the rows of a pattern that axpy has changed
+    total.destroy()
+    return clean
 
 
 class Factor:

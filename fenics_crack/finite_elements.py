@@ -24,7 +24,7 @@ from fenics_crack import compat
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.mesh import PlateMesh, build_mesh
 from fenics_crack.modes import solve_modes
-from fenics_crack.parallel import gather_rows, raise_together
+from fenics_crack.parallel import gather_rows
 from fenics_crack.scene import Scene
 from fenics_crack.structure import ModalDamping, Nodes, Structure
 

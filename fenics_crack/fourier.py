@@ -1,6 +1,6 @@
 """Fourier coefficients in the paper's order, and contact balanced between time and frequency.
 
-    x(t) = a0 + sum_{k=1}^{H} a_k cos(k w t) + b_k sin(k w t),     rows a0, a1, b1, ..., aH, bH  (eq. 9)
+    x(t) = a0 + sum_{k=1}^{H} a_k cos(k w t) + b_k sin(k w t),   rows a0, a1, b1, ..., aH, bH (eq. 9)
 
 The complex form of the k-th harmonic is X_k = a_k - i b_k, so that x = Re sum_k X_k exp(i k w t).
 """
@@ -40,11 +40,9 @@ def evaluate(coefficients: np.ndarray, omega: float, time: np.ndarray) -> np.nda
 
 def resized(coefficients: np.ndarray, harmonics: int) -> np.ndarray:
     """Coefficients cut off or padded with zeros to a number of harmonics."""
-    rows = 2 * harmonics + 1
-    padded = np.zeros((rows, *coefficients.shape[1:]))
+    padded = np.zeros((2 * harmonics + 1, *coefficients.shape[1:]))
+    rows = min(len(padded), len(coefficients))
     padded[:rows] = coefficients[:rows]
-    if len(coefficients) < rows:
-        padded[: len(coefficients)] = coefficients
     return padded
 
 

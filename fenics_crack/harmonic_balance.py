@@ -80,7 +80,7 @@ def solve_harmonic_balance(
     samples: int | None = None,
     initial: PeriodicSolution | None = None,
     subharmonic: int = 1,
-    tolerance: float = 1e-10,
+    residual_tolerance: float = 1e-10,
     throw: bool = True,
 ) -> PeriodicSolution:
     """Steady periodic vibration with contact between the lips (collective).
@@ -96,13 +96,13 @@ def solve_harmonic_balance(
     harmonics : int
         H.
     samples : int, optional
-        Instants per period at which contact is evaluated; default: 1024, or 32 H where that is
-        more.
+        Instants per period of the response at which contact is evaluated; default: 1024 for each
+        of the load's, or 32 H where that is more.
     initial : PeriodicSolution, optional
         Where Newton starts; default: the linear solution.
     subharmonic : int
         m: look for a response of m times the load's period.
-    tolerance : float
+    residual_tolerance : float
         Norm of the correction A^-1 R(u) relative to that of u.
     throw : bool
         Raise if nothing converged; else return the last iterate, ``converged`` being False.
@@ -124,10 +124,10 @@ def solve_harmonic_balance(
     _check_count("subharmonic", subharmonic, 1)
     _check_count("harmonics", harmonics, subharmonic)
     if samples is None:
-        samples = max(1024, 2 ** int(np.ceil(np.log2(32 * harmonics))))
+        samples = max(1024 * subharmonic, 2 ** int(np.ceil(np.log2(32 * harmonics))))
     _check_count("samples", samples, 4 * harmonics + 1)
-    if not (np.isfinite(tolerance) and tolerance > 0.0):
-        raise InputError("tolerance", tolerance, "a finite number > 0")
+    if not (np.isfinite(residual_tolerance) and residual_tolerance > 0.0):
+        raise InputError("residual_tolerance", residual_tolerance, "a finite number > 0")
     _check_contact(structure, contact)
     with HarmonicBalanceSystem(
         structure, omega, contact, harmonics, samples, subharmonic=subharmonic
@@ -136,10 +136,10 @@ def solve_harmonic_balance(
         if initial is not None:
             _check_initial(structure, initial, subharmonic)
             start = resized(initial.displacement_coefficients, harmonics)
-        search = _Search(system, tolerance)
+        search = _Search(system, residual_tolerance)
         amplitude = search.run(start)
         residual = system.relative_residual(amplitude)
-    converged = search.converged and residual <= tolerance
+    converged = search.converged and residual <= residual_tolerance
     if throw and not converged:
         raise ConvergenceError(
             f"harmonic balance at {omega:g} rad/s, H = {harmonics}: {search.status}; "
@@ -328,7 +328,7 @@ class _Newton:
         self.snes.setFunction(self._residual, self.target)
         self.snes.setJacobian(self._jacobian, matrix)
         # Full steps: the kinks of the merit function make line searches stall (docs/theory.md).
-        with _default_options({"snes_linesearch_type": "basic"}):
+        with _DefaultOptions({"snes_linesearch_type": "basic"}):
             self.snes.setFromOptions()
         self.snes.setConvergenceTest(self._converged)
         solver = self.snes.getKSP()
@@ -379,7 +379,7 @@ class _Newton:
             item.destroy()
 
 
-class _default_options:  # noqa: N801 - reads as a verb
+class _DefaultOptions:
     """PETSc options that hold inside the block unless the user has set them."""
 
     def __init__(self, values: dict[str, str]) -> None:

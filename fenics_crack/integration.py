@@ -15,9 +15,9 @@ Modal damping C = M Phi diag(c) Phi^T M is inverted exactly: with s = dt c / (2 
     d_{n+1} = d_n + dt^2 M^-1 r_n - Phi s (dt^2 Phi^T r_n + 2 q_n),     q_n = Phi^T M d_n,
 
 where q is carried along, so that one step costs a product with K, a solution with M and two
-products with Phi. The scheme is second order. Steps beyond dt = 2 / omega_max, omega_max the largest
-natural frequency with every pair closed, are unstable and refused. Below that the scheme conserves
-energy as long as no pair changes its state; a contact that lasts from step a to step b creates
+products with Phi. The scheme is second order. Steps beyond dt = 2 / omega_max, omega_max the
+largest natural frequency with every pair closed, are unstable and refused. Below that the scheme
+conserves energy as long as no pair changes its state; a contact from step a to step b creates
 
     1/2 k (g_b |g_{b+1}| - g_a |g_{a-1}|),
 
@@ -38,6 +38,7 @@ from tqdm import tqdm
 
 from fenics_crack.contact import ContactLaw
 from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.factor import weighted_sum
 from fenics_crack.fourier import evaluate
 from fenics_crack.modes import damped_modes, largest_frequency
 from fenics_crack.solution import PeriodicSolution
@@ -280,18 +281,15 @@ class _CentralDifferences:
         self.load = waves @ structure.force[:, self.load_rows]
 
         self._modes = damped_modes(structure)
-        self._mixed = None
+        self._damping = structure.damping_matrix
+        self._mixed: Any = None
         matrix = structure.mass
         if self._modes is not None:
             growth = dt * self._modes.rate
             self._share = growth / (2.0 + growth)
-        elif structure.damping is not None:
-            matrix = structure.mass.copy()
-            matrix.axpy(0.5 * dt, structure.damping, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-            self._mixed = structure.mass.copy()
-            self._mixed.axpy(
-                -0.5 * dt, structure.damping, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN
-            )
+        elif self._damping is not None:
+            matrix = weighted_sum(structure.mass, 0.5 * dt, self._damping)
+            self._mixed = weighted_sum(structure.mass, -0.5 * dt, self._damping)
         self._inverse = _inverse(matrix, symmetric=self._mixed is None)
 
     def start(self, displacement: np.ndarray, velocity: np.ndarray) -> None:
@@ -306,7 +304,7 @@ class _CentralDifferences:
         )
         if self._mixed is not None:  # a = M^-1 (r - C v)
             self._d.array_w[:] = velocity
-            structure.damping.mult(self._d, self._a)
+            self._damping.mult(self._d, self._a)
             self.rhs -= self.solved
         mass_solve.apply(self._r, self._a)
         acceleration = self.solved.copy()

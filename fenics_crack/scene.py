@@ -12,6 +12,7 @@ import math
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, field, fields
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
@@ -36,17 +37,18 @@ Vector = tuple[float, float]
 
 
 def _real(value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
         raise TypeError
     return float(value)
 
 
 def _integer(value: object) -> int:
-    if isinstance(value, bool) or not isinstance(value, int):
+    if isinstance(value, bool) or not isinstance(value, Integral):
         raise TypeError
-    if abs(value) >= 2**31:  # gmsh and PETSc count with 32 bits
+    number = int(value)
+    if abs(number) >= 2**31:  # gmsh and PETSc count with 32 bits
         raise OverflowError
-    return value
+    return number
 
 
 def _text(value: object) -> str:

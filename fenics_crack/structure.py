@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenics_crack.errors import InputError
-from fenics_crack.factor import Factor
+from fenics_crack.factor import Factor, weighted_sum
 from fenics_crack.parallel import gather_rows, raise_together
 
 __all__ = ["ModalDamping", "Nodes", "Structure"]
@@ -49,7 +50,7 @@ class ModalDamping:
         ratio = _numbers(self.ratio)
         if ratio.ndim > 1 or not ratio.size or not np.all(np.isfinite(ratio)) or ratio.min() < 0.0:
             raise InputError("damping ratio", self.ratio, "finite and >= 0, one or one per mode")
-        whole = isinstance(self.modes, int) and not isinstance(self.modes, bool)
+        whole = isinstance(self.modes, Integral) and not isinstance(self.modes, bool)
         if self.modes is not None and not (whole and self.modes >= 1):
             raise InputError("damping modes", self.modes, "None (all) or a whole number >= 1")
 
@@ -142,6 +143,11 @@ class Structure:
     def n_pairs(self) -> int:
         """Number of contact pairs."""
         return int(self.gap.shape[1])
+
+    @property
+    def damping_matrix(self) -> Any:
+        """C where damping is a matrix, else None."""
+        return None if isinstance(self.damping, ModalDamping) else self.damping
 
     # --- displacement and gap ---------------------------------------------------------------------
 
@@ -257,8 +263,7 @@ class Structure:
         whole = sparse.vstack(self.comm.allgather(self.gap), format="csr")
         diagonal = sparse.diags(_per_pair("stiffness", stiffness, self.n_pairs))
         springs = _distributed(self.gap @ diagonal @ whole.T, self.comm)
-        matrix = self.stiffness.copy()
-        matrix.axpy(1.0, springs, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+        matrix = weighted_sum(self.stiffness, 1.0, springs)
         springs.destroy()
         return self._changed(
             stiffness=matrix,

@@ -1,0 +1,93 @@
+"""The demos run, and reproduce the numbers that are known."""
+
+import csv
+import json
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+DEMOS = Path(__file__).parents[1] / "demos"
+
+
+def load(name: str) -> ModuleType:
+    """Import a demo by its name."""
+    import importlib.util
+
+    spec = importlib.util.spec_from_file_location(name, DEMOS / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.slow
+def test_paper_plate(tmp_path: Path) -> None:
+    """The main job on fewer periods: frequencies, both cases, every figure and file."""
+    summary = load("paper_plate").main(tmp_path, periods=120)
+    assert summary == json.loads((tmp_path / "summary.json").read_text())
+    frequencies = summary["natural_frequencies_rad_per_s"]
+    assert frequencies["open"][0] == pytest.approx(2302.9, abs=0.5)
+    assert frequencies["tied"][0] == pytest.approx(3324.7, abs=0.5)
+    assert frequencies["tied"][0] < frequencies["uncracked"][0]
+
+    agreeing = summary["agreeing"]
+    assert agreeing["direct_integration"]["settled"]
+    assert agreeing["difference_of_methods"] < 0.01
+    balance = agreeing["harmonic_balance"]
+    assert balance["gap_harmonic_1_m"] == pytest.approx(7.4182e-7, rel=1e-3)
+    assert balance["largest_opening_m"] == pytest.approx(1.4520e-6, rel=2e-3)
+    paper = summary["paper"]
+    assert not paper["direct_integration"]["settled"]
+    assert paper["direct_integration"]["energy_created_by_contact"] < 0.1
+    assert paper["harmonic_balance"]["relative_residual"] < 1e-10
+
+    figures = ["fig2_direct_integration", "fig3_linear", "fig5_nonlinear_gap"]
+    figures += ["fig6_nonlinear_corner", "fig7_comparison_gap", "fig8_comparison_corner"]
+    for case in ("paper", "agreeing"):
+        for figure in figures:
+            assert (tmp_path / case / f"{figure}.png").stat().st_size > 10_000
+        assert len(list((tmp_path / case / "breathing_crack").glob("*.vtu"))) == 60
+        assert (tmp_path / case / "breathing_crack.pvd").exists()
+    for name in ("fig4_contact_laws.png", "modes.png", "modes.vtu"):
+        assert (tmp_path / name).exists()
+
+
+@pytest.mark.slow
+def test_breathing_plate(tmp_path: Path) -> None:
+    """The fine mesh: about 4000 dofs, 18 pairs, a crack of about 0.0431 m, under 1 GB."""
+    summary = load("breathing_plate").main(tmp_path)
+    assert 3500 < summary["n_dofs"] < 4500
+    assert summary["n_pairs"] == 18
+    assert summary["crack_length_m"] == pytest.approx(0.0431, rel=0.02)
+    assert summary["natural_frequencies_rad_per_s"][0] == pytest.approx(2300.0, abs=0.1)
+    assert summary["relative_residual"] < 1e-10
+    assert 0.0 < summary["largest_penetration_m"] < 0.1 * summary["largest_opening_m"]
+    for name in ("gap.png", "contact_map.png", "modes.png", "modes.vtu", "breathing_crack.pvd"):
+        assert (tmp_path / name).exists()
+
+
+@pytest.mark.mpi
+@pytest.mark.slow
+def test_sweep_over_two_ranks(mpirun, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    """Ranks share the frequencies; the table is whole, sorted, and right at 2000 rad/s."""
+    program = f"""
+import sys
+sys.path.insert(0, {str(DEMOS)!r})
+from pathlib import Path
+import numpy as np
+import sweep
+sweep.main(Path({str(tmp_path)!r}), np.arange(1800.0, 2201.0, 100.0))
+"""
+    mpirun(program, 2)
+    with open(tmp_path / "table.csv", newline="") as file:
+        table = list(csv.DictReader(file))
+    assert [float(row["omega_rad_per_s"]) for row in table] == [1800, 1900, 2000, 2100, 2200]
+    assert all(row["converged"] == "True" for row in table)
+    assert float(table[2]["opening_m"]) == pytest.approx(1.4347e-6, rel=1e-3)  # VERIFICATION I
+    assert (tmp_path / "response.png").exists()
+    amplitudes = np.array([float(row["corner_m"]) for row in table])
+    assert np.all(np.diff(amplitudes) > 0.0)  # towards the resonance

@@ -1,0 +1,402 @@
+"""Harmonic balance of the full block system."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+import fenics_crack as fc
+from fenics_crack.harmonic_balance import HarmonicBalanceSystem, gap_coefficients
+
+DEMOS = Path(__file__).parents[1] / "demos"
+
+
+def oscillator(damping: float = 0.1, force: float = 1.0, clearance: float = 0.0) -> fc.Structure:
+    """x'' + c x' + x (+ contact beyond the clearance) = f cos(W t)."""
+    one = np.ones((1, 1))
+    return fc.Structure.from_matrices(
+        one, one, one, force_cos=[force], damping=damping * one, clearance=clearance
+    )
+
+
+def chain(n: int = 6, pairs: int = 2, seed: int = 3) -> fc.Structure:
+    """A random chain of masses with modal damping, a mean load, both phases, and clearances."""
+    rng = np.random.default_rng(seed)
+    mass = np.diag(rng.uniform(1.0, 2.0, n))
+    springs = rng.uniform(1.0, 3.0, n + 1)
+    stiffness = np.diag(springs[:-1] + springs[1:])
+    stiffness -= np.diag(springs[1:-1], 1) + np.diag(springs[1:-1], -1)
+    gap = np.zeros((n, pairs))
+    for pair in range(pairs):
+        gap[2 * pair + 1, pair], gap[2 * pair, pair] = 1.0, -1.0
+    return fc.Structure.from_matrices(
+        mass,
+        stiffness,
+        gap,
+        force_sin=rng.normal(size=n),
+        force_cos=rng.normal(size=n),
+        force_mean=0.1 * rng.normal(size=n),
+        clearance=rng.uniform(-0.1, 0.1, pairs),
+        damping=fc.ModalDamping(rng.uniform(0.02, 0.05, n)),
+    )
+
+
+def dense(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """M, C and K of a small structure as dense arrays; C from all modes by its definition."""
+    mass, stiffness = (matrix[:, :] for matrix in (structure.mass, structure.stiffness))
+    squares, shapes = scipy.linalg.eigh(stiffness, mass)
+    assert isinstance(structure.damping, fc.ModalDamping)
+    rates = 2.0 * np.asarray(structure.damping.ratio) * np.sqrt(squares)
+    damping = mass @ shapes @ np.diag(np.broadcast_to(rates, squares.shape)) @ shapes.T @ mass
+    return mass, damping, stiffness
+
+
+def test_verification_a_bilinear_oscillator() -> None:
+    """VERIFICATION A at W = 1: event-driven reference values, H = 20, to 1e-4."""
+    solution = fc.solve_harmonic_balance(oscillator(), 1.0, fc.UnilateralPenalty(1.0), harmonics=20)
+    rows = solution.gap_coefficients[:, 0]
+    amplitude = np.hypot(rows[1::2], rows[2::2])
+    assert rows[0] == pytest.approx(-0.564083304, rel=1e-4)
+    assert amplitude[0] == pytest.approx(2.55314357, rel=1e-4)
+    assert amplitude[1] == pytest.approx(0.19177737, rel=1e-4)
+    assert amplitude[2] == pytest.approx(0.02283921, rel=1e-4)
+    wave = solution.gap(np.linspace(0.0, solution.period, 20001))
+    assert wave.max() == pytest.approx(2.19791942, rel=1e-4)
+    assert wave.min() == pytest.approx(-2.94941155, rel=1e-4)
+
+
+def test_harmonics_of_a_kink_fall_like_the_fourth_power() -> None:
+    """VERIFICATION A: |X_k| k^4 reaches 1.63 to 1.69 in every octave of k = 8 to 128.
+
+    The two kinks of a period interfere, so that single harmonics lie below that envelope.
+    """
+    solution = fc.solve_harmonic_balance(
+        oscillator(), 1.0, fc.UnilateralPenalty(1.0), harmonics=130, samples=32768
+    )
+    rows = solution.gap_coefficients[:, 0]
+    order = np.arange(1, 131)
+    scaled = np.hypot(rows[1::2], rows[2::2]) * order**4
+    peaks = [scaled[(order >= k) & (order < 2 * k)].max() for k in (8, 16, 32, 64)]
+    assert 1.63 < min(peaks) and max(peaks) < 1.69
+
+
+def test_truncation_error_falls_at_the_published_rate() -> None:
+    """VERIFICATION A: L2 errors 3.1e-4, 3.7e-5, 4.0e-6 at H = 5, 10, 20; order about -3.2."""
+    t = np.linspace(0.0, 2.0 * np.pi, 4001)
+    law = fc.UnilateralPenalty(1.0)
+    waves = {
+        h: fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=h, samples=8192).gap(t)
+        for h in (5, 10, 20, 160)
+    }
+    size = np.linalg.norm(waves[160])
+    errors = [np.linalg.norm(waves[h] - waves[160]) / size for h in (5, 10, 20)]
+    assert np.allclose(errors, [3.1e-4, 3.7e-5, 4.0e-6], rtol=0.1)
+    slope = np.polyfit(np.log([5, 10, 20]), np.log(errors), 1)[0]
+    assert -3.6 < slope < -2.8
+
+
+def test_response_scales_with_the_load() -> None:
+    """Without clearance the penalty law is homogeneous: L times the load, L times the response."""
+    law = fc.UnilateralPenalty(1.0)
+    one = fc.solve_harmonic_balance(oscillator(), 0.8, law, harmonics=7)
+    many = fc.solve_harmonic_balance(oscillator(force=1e4), 0.8, law, harmonics=7)
+    assert np.allclose(many.gap_coefficients, 1e4 * one.gap_coefficients, rtol=1e-8)
+
+
+def test_paper_plate_soft_contact(paper_scene: fc.Scene) -> None:
+    """VERIFICATION I: event-driven modal integration; H = 5 to 40 and the loaded corner."""
+    plate = fc.build_structure(paper_scene.replace({"damping.ratio": 0.01}))
+    corner = plate.find_dof((0.1, 0.1), "x")
+    law = fc.UnilateralPenalty(1e9)
+    openings = {}
+    for harmonics in (5, 10, 20, 40):
+        solution = fc.solve_harmonic_balance(plate, 2000.0, law, harmonics=harmonics)
+        t = np.linspace(0.0, solution.period, 4001)
+        openings[harmonics] = -solution.gap(t).min()
+        if harmonics == 20:
+            rows = solution.gap_coefficients[:, 0]
+            assert rows[0] == pytest.approx(-4.317675e-7, rel=1e-3)
+            assert np.hypot(rows[1], rows[2]) == pytest.approx(7.418206e-7, rel=1e-3)
+            assert np.hypot(rows[3], rows[4]) == pytest.approx(2.357526e-7, rel=2e-3)
+            assert openings[20] == pytest.approx(1.451955e-6, rel=2e-3)
+            motion = solution.coefficients_at([corner])[:, 0]
+            assert motion[0] == pytest.approx(1.860995e-7, rel=1e-3)
+            assert np.hypot(motion[1], motion[2]) == pytest.approx(1.145796e-6, rel=1e-3)
+            assert np.hypot(motion[3], motion[4]) == pytest.approx(1.775296e-7, rel=1e-3)
+            wave = solution.displacement(t, [corner])[:, 0]
+            assert wave.min() == pytest.approx(-1.152750e-6, rel=2e-3)
+            assert wave.max() == pytest.approx(1.156557e-6, rel=1e-3)
+    published = {5: 1.3898e-6, 10: 1.4347e-6, 20: 1.4515e-6, 40: 1.4519e-6}
+    for harmonics, opening in published.items():
+        assert openings[harmonics] == pytest.approx(opening, rel=1e-3)
+
+
+def test_linear_solution_is_the_complex_frequency_response(paper_structure: fc.Structure) -> None:
+    """Z^-1 f by dense complex arithmetic, to 1e-10; also for a random chain with a mean load."""
+    for structure, omega in ((paper_structure, 2000.0), (chain(), 1.1)):
+        mass, damping, stiffness = dense(structure)
+        impedance = stiffness - omega**2 * mass + 1j * omega * damping
+        mean, cosine, sine = structure.force
+        response = np.linalg.solve(impedance, cosine - 1j * sine)
+        found = fc.solve_linear(structure, omega, harmonics=3).displacement_coefficients
+        expected = np.zeros_like(found)
+        expected[0] = np.linalg.solve(stiffness, mean)
+        expected[1], expected[2] = response.real, -response.imag
+        assert np.linalg.norm(found - expected) < 1e-10 * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [fc.UnilateralPenalty(np.array([5.0, 8.0])), fc.SmoothedPenalty(5.0, 20.0)],
+    ids=["penalty", "smoothed"],
+)
+def test_jacobian_against_finite_differences(
+    law: fc.UnilateralPenalty | fc.SmoothedPenalty,
+) -> None:
+    """Both laws, all couplings, to 1e-6; and the inverse inverts."""
+    structure = chain()
+    rng = np.random.default_rng(5)
+    with HarmonicBalanceSystem(structure, 0.9, law, 4, 128) as system:
+        amplitude = rng.normal(size=system.shape)
+        system.linearise(amplitude)
+        for _ in range(4):
+            direction = rng.normal(size=system.shape)
+            step = 1e-6
+            slope = (
+                system.correction(amplitude + step * direction)
+                - system.correction(amplitude - step * direction)
+            ) / (2.0 * step)
+            product = system.apply_jacobian(direction)
+            assert np.linalg.norm(slope - product) < 1e-6 * np.linalg.norm(product)
+            assert np.linalg.norm(product - direction) > 0.1 * np.linalg.norm(direction)
+            assert np.allclose(system.solve_jacobian(product), direction, atol=1e-10)
+
+
+def test_correction_is_the_residual_of_the_paper_divided_by_a() -> None:
+    """A F(u) = R(u) = A u + b - c (eq. 13) with R formed by dense arithmetic and samples."""
+    structure, law, omega, harmonics, samples = chain(), fc.UnilateralPenalty(5.0), 0.9, 3, 64
+    mass, damping, stiffness = dense(structure)
+    amplitude = np.random.default_rng(7).normal(size=(2 * harmonics + 1, 6))
+    residual = np.zeros_like(amplitude)
+    residual[0] = stiffness @ amplitude[0] - structure.force[0]
+    for k in range(1, harmonics + 1):
+        a, b = amplitude[2 * k - 1], amplitude[2 * k]
+        block, coupling = stiffness - (k * omega) ** 2 * mass, k * omega * damping
+        residual[2 * k - 1] = block @ a + coupling @ b
+        residual[2 * k] = -coupling @ a + block @ b
+    residual[1:3] -= structure.force[1:]
+    phase = 2.0 * np.pi * np.arange(samples) / samples
+    basis = np.ones((samples, 2 * harmonics + 1))
+    for k in range(1, harmonics + 1):
+        basis[:, 2 * k - 1], basis[:, 2 * k] = np.cos(k * phase), np.sin(k * phase)
+    gap_matrix = structure.gap.toarray()
+    gap = basis @ amplitude @ gap_matrix - structure.clearance
+    force = law.force(gap) @ gap_matrix.T
+    weights = np.full(2 * harmonics + 1, 2.0 / samples)
+    weights[0] = 1.0 / samples
+    residual += weights[:, None] * (basis.T @ force)
+    with HarmonicBalanceSystem(structure, omega, law, harmonics, samples) as system:
+        assert np.allclose(system.residual(amplitude), residual, atol=1e-10)
+        assert np.allclose(system.apply_blocks(system.correction(amplitude)), residual, atol=1e-9)
+
+
+@pytest.mark.parametrize("omega", [0.3, 0.55, 0.9, 1.3, 1.8])
+def test_solution_satisfies_the_equation_of_motion_in_the_mean(omega: float) -> None:
+    """The projected residual of M u'' + C u' + K u + B lambda - f vanishes by fine quadrature."""
+    structure, law, harmonics = chain(), fc.UnilateralPenalty(4.0), 9
+    solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=harmonics, samples=4096)
+    assert solution.converged and solution.residual < 1e-10
+    mass, damping, stiffness = dense(structure)
+    count = 65536
+    t = np.arange(count) * solution.period / count
+    u = solution.displacement(t, range(6))
+    spectrum = np.fft.fft(u, axis=0)
+    rate = 2j * np.pi * np.fft.fftfreq(count, solution.period / count)[:, None]
+    velocity = np.fft.ifft(rate * spectrum, axis=0).real
+    acceleration = np.fft.ifft(rate**2 * spectrum, axis=0).real
+    load = structure.force[0] + np.outer(np.cos(omega * t), structure.force[1])
+    load += np.outer(np.sin(omega * t), structure.force[2])
+    contact = solution.contact_force(t) @ structure.gap.toarray().T
+    unbalance = acceleration @ mass + velocity @ damping.T + u @ stiffness + contact - load
+    projected = np.fft.fft(unbalance, axis=0)[: harmonics + 1] / count
+    assert np.abs(projected).max() < 1e-5 * np.abs(load).max()
+
+
+def test_clearance_and_preload() -> None:
+    """An unreachable stop leaves the linear solution; preload that never opens stiffens it."""
+    law = fc.UnilateralPenalty(2.0)
+    far = oscillator(clearance=100.0)
+    solution = fc.solve_harmonic_balance(far, 0.5, law)
+    linear = fc.solve_linear(far, 0.5)
+    difference = solution.displacement_coefficients - linear.displacement_coefficients
+    assert np.abs(difference).max() < 1e-12
+    closed = fc.solve_harmonic_balance(oscillator(clearance=-100.0), 0.5, law)
+    # x + 2 (x + 100) + x'' + 0.1 x' = cos(t/2): mean -200/3, stiffness 3
+    response = 1.0 / (3.0 - 0.25 + 0.05j)
+    expected = [-200.0 / 3.0, response.real, -response.imag]
+    assert np.allclose(closed.displacement_coefficients[:3, 0], expected, rtol=1e-10)
+    assert not np.any(np.abs(closed.displacement_coefficients[3:]) > 1e-9)
+
+
+@pytest.mark.slow
+def test_cold_start_on_soft_contact_of_all_pairs() -> None:
+    """breathing_plate, 18 pairs, k = 1e7 to 1e9, from the linear solution."""
+    scene = fc.Scene.load(DEMOS / "breathing_plate.toml")
+    plate = fc.build_structure(scene)
+    assert plate.n_pairs == 18
+    assert 3500 < plate.n_dofs < 4500
+    assert fc.solve_modes(plate, 1).omega[0] == pytest.approx(2300.0, abs=0.1)
+    for stiffness in (1e7, 1e8, 1e9):
+        solution = fc.solve_harmonic_balance(plate, 2000.0, fc.UnilateralPenalty(stiffness))
+        assert solution.converged and solution.residual < 1e-10
+        assert solution.gap(np.linspace(0.0, solution.period, 200)).max() > 0.0
+
+
+@pytest.mark.parametrize("stiffness", [1e9, 1e10, 1e11])
+@pytest.mark.parametrize("ratio", [0.001, 0.01])
+def test_cold_start_on_the_paper_plate(
+    paper_scene: fc.Scene, stiffness: float, ratio: float
+) -> None:
+    """H = 5, both laws, the paper's stiffness among others, from the linear solution."""
+    plate = fc.build_structure(paper_scene.replace({"damping.ratio": ratio}))
+    hard = fc.solve_harmonic_balance(plate, 2000.0, fc.UnilateralPenalty(stiffness))
+    smooth = fc.solve_harmonic_balance(plate, 2000.0, fc.SmoothedPenalty(stiffness, 1e11))
+    assert hard.residual < 1e-10 and smooth.residual < 1e-10
+    t = np.linspace(0.0, hard.period, 400)
+    penetration = hard.gap(t).max()
+    assert 0.0 < penetration
+    assert hard.contact_force(t).max() == pytest.approx(stiffness * penetration)
+    assert np.all(hard.contact_force(t) >= 0.0)
+
+
+def test_continues_from_a_given_solution() -> None:
+    """From the converged solution itself there is nothing to do; harmonics may differ."""
+    law = fc.UnilateralPenalty(1.0)
+    first = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=6)
+    again = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=6, initial=first)
+    assert again.iterations == 0
+    finer = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=9, initial=first)
+    assert finer.harmonics == 9 and finer.iterations <= first.iterations
+
+
+def test_subharmonic_base_holds_the_periodic_solution() -> None:
+    """With subharmonic = 2 the load is on harmonic 2; the period-1 orbit is still a solution."""
+    law = fc.UnilateralPenalty(1.0)
+    once = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=6)
+    twice = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=12, subharmonic=2)
+    assert twice.period == pytest.approx(2.0 * once.period)
+    t = np.linspace(0.0, 2.0 * once.period, 101)
+    assert np.allclose(twice.gap(t), once.gap(t), atol=1e-8)
+
+
+def test_failure_is_an_error_with_its_history() -> None:
+    """A tolerance below rounding cannot be met: an error, or a solution marked as not converged."""
+    law = fc.UnilateralPenalty(1.0)
+    with pytest.raises(fc.ConvergenceError, match="full Newton steps: failed") as caught:
+        fc.solve_harmonic_balance(oscillator(), 0.7, law, residual_tolerance=1e-25)
+    assert len(caught.value.history) > 3
+    solution = fc.solve_harmonic_balance(
+        oscillator(), 0.7, law, residual_tolerance=1e-25, throw=False
+    )
+    assert not solution.converged
+    assert "failed" in solution.status
+
+
+@pytest.mark.parametrize(
+    ("key", "arguments"),
+    [
+        ("omega", {"omega": 0.0}),
+        ("omega", {"omega": -1.0}),
+        ("omega", {"omega": float("nan")}),
+        ("omega", {"omega": "fast"}),
+        ("harmonics", {"harmonics": 0}),
+        ("harmonics", {"harmonics": 2.5}),
+        ("harmonics", {"harmonics": 2, "subharmonic": 3}),
+        ("subharmonic", {"subharmonic": 0}),
+        ("samples", {"samples": 20}),
+        ("residual_tolerance", {"residual_tolerance": 0.0}),
+        ("contact stiffness", {"contact": fc.UnilateralPenalty(np.ones(2))}),
+    ],
+)
+def test_bad_arguments_are_named(key: str, arguments: dict[str, object]) -> None:
+    """One error with key, value and what is allowed."""
+    given: dict[str, object] = {"omega": 1.0, "contact": fc.UnilateralPenalty(1.0)} | arguments
+    with pytest.raises(fc.InputError, match=f"^{key} = ") as caught:
+        fc.solve_harmonic_balance(oscillator(), given.pop("omega"), given.pop("contact"), **given)  # type: ignore[arg-type]
+    assert caught.value.key == key
+
+
+def test_initial_of_another_structure_is_refused() -> None:
+    """The number of dofs must fit, and the subharmonic."""
+    law = fc.UnilateralPenalty(1.0)
+    other = fc.solve_linear(chain(), 1.0)
+    with pytest.raises(fc.InputError, match="initial"):
+        fc.solve_harmonic_balance(oscillator(), 1.0, law, initial=other)
+    same = fc.solve_linear(oscillator(), 1.0)
+    with pytest.raises(fc.InputError, match="initial"):
+        fc.solve_harmonic_balance(oscillator(), 1.0, law, initial=same, subharmonic=2)
+
+
+PARALLEL = """
+import json
+from mpi4py import MPI
+import fenics_crack as fc
+
+scene = fc.Scene.load("DEMOS/paper_plate.toml").replace(
+    {"mesh.columns": 8, "mesh.rows": 8, "damping.ratio": 0.01, "damping.modes": 20}
+)
+plate = fc.build_structure(scene)
+corner = plate.find_dof((0.1, 0.1), "x")
+found = {}
+for name, law in (("penalty", fc.UnilateralPenalty(1e9)), ("smooth", fc.SmoothedPenalty(1e9, 1e9))):
+    solution = fc.solve_harmonic_balance(plate, 2000.0, law, harmonics=7)
+    found[name] = [
+        solution.gap_coefficients.tolist(), solution.coefficients_at([corner]).tolist(),
+        solution.iterations,
+    ]
+if MPI.COMM_WORLD.rank == 0:
+    print("RESULT", json.dumps(found))
+"""
+
+
+@pytest.mark.mpi
+def test_same_solution_on_one_and_two_ranks(mpirun) -> None:  # type: ignore[no-untyped-def]
+    """The mesh is shared by the ranks; gaps and displacements agree to 1e-8."""
+    results = []
+    for ranks in (1, 2):
+        output = mpirun(PARALLEL.replace("DEMOS", str(DEMOS)), ranks)
+        line = next(line for line in output.splitlines() if line.startswith("RESULT"))
+        results.append(json.loads(line.removeprefix("RESULT")))
+    for name in ("penalty", "smooth"):
+        for serial, parallel in zip(results[0][name][:2], results[1][name][:2], strict=True):
+            serial, parallel = np.array(serial), np.array(parallel)
+            assert np.linalg.norm(serial - parallel) < 1e-8 * np.linalg.norm(serial)
+        assert np.shape(results[0][name][0]) == (15, 4)
+
+
+def test_petsc_options_reach_snes(mpirun) -> None:  # type: ignore[no-untyped-def]
+    """-crack_hb_snes_monitor prints SNES's residuals; -crack_hb_snes_max_it is SNES's own."""
+    script = """
+import sys, petsc4py
+petsc4py.init(["x", "-crack_hb_snes_monitor", "-crack_hb_ksp_type", "gmres"])
+import numpy as np
+import fenics_crack as fc
+one = np.ones((1, 1))
+structure = fc.Structure.from_matrices(one, one, one, force_cos=[1.0], damping=0.1 * one)
+solution = fc.solve_harmonic_balance(structure, 1.0, fc.UnilateralPenalty(1.0))
+print("iterations", solution.iterations)
+"""
+    output = mpirun(script, 1)
+    assert "SNES Function norm" in output
+    assert "iterations 4" in output
+
+
+def test_gap_is_measured_from_the_clearance() -> None:
+    """g = B^T u - g0: the clearance stands in the mean alone."""
+    structure = chain()
+    amplitude = np.random.default_rng(2).normal(size=(5, 6))
+    expected = amplitude @ structure.gap.toarray()
+    expected[0] -= structure.clearance
+    assert np.allclose(gap_coefficients(structure, amplitude), expected)

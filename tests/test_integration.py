@@ -1,0 +1,286 @@
+"""Central differences."""
+
+import numpy as np
+import pytest
+
+import fenics_crack as fc
+from fenics_crack.modes import largest_frequency
+
+LAW = fc.UnilateralPenalty(1e9)
+
+
+@pytest.fixture(scope="module")
+def soft_plate(paper_scene: fc.Scene) -> fc.Structure:
+    """The paper's plate with 1 % damping, which settles on k = 1e9."""
+    return fc.build_structure(paper_scene.replace({"damping.ratio": 0.01}))
+
+
+def release(steps: int) -> fc.TimeHistory:
+    """VERIFICATION G: mass 100, stiffness 1e4, moving into a stop of 1e6 at speed 1."""
+    mass = np.array([[100.0]])
+    structure = fc.Structure.from_matrices(mass, 100.0 * mass, np.ones(1))
+    return fc.integrate_central_difference(
+        structure,
+        2.0 * np.pi / 0.04,
+        fc.UnilateralPenalty(1e6),
+        periods=1,
+        steps_per_period=steps,
+        initial=(np.zeros(1), np.ones(1)),
+    )
+
+
+def test_verification_g_contact_release() -> None:
+    """Contact time, peak force and impulse against the closed form, to 1e-3."""
+    history = release(8000)
+    force = 1e6 * np.maximum(history.gap[:, 0], 0.0)
+    step = history.time[1] - history.time[0]
+    frequency = np.sqrt(1.01e6 / 100.0)
+    assert np.count_nonzero(force) * step == pytest.approx(np.pi / frequency, rel=1e-3)
+    assert np.pi / frequency == pytest.approx(0.0312600, rel=1e-6)
+    assert force.max() == pytest.approx(9950.372, rel=1e-3)
+    assert force.sum() * step == pytest.approx(198.0198, rel=1e-3)
+
+
+def test_second_order_on_a_smooth_motion(paper_structure: fc.Structure) -> None:
+    """A linear motion with modal damping against the frequency response: slope 2."""
+    law = fc.UnilateralPenalty(1e-3)  # as good as no contact
+    orbit = fc.solve_linear(paper_structure, 2000.0)
+    dof = paper_structure.find_dof((0.1, 0.1), "x")
+    counts, errors = (320, 640, 1280), []
+    for steps in counts:
+        history = fc.integrate_central_difference(
+            paper_structure, 2000.0, law, periods=2, steps_per_period=steps, initial=orbit
+        )
+        exact = orbit.displacement(history.time, [dof])
+        difference = history.displacement([dof]) - exact
+        errors.append(np.linalg.norm(difference) / np.linalg.norm(exact))
+    slope = np.polyfit(np.log(counts), np.log(errors), 1)[0]
+    assert slope == pytest.approx(-2.0, abs=0.15)
+    assert errors[-1] < 1e-4
+
+
+@pytest.mark.parametrize("damping", ["none", "modal", "few modes", "matrix"])
+def test_damping_forms_against_matrix_exponential(damping: str) -> None:
+    """Free vibration of a small system, every way of damping, against SciPy's expm."""
+    from scipy.linalg import expm
+
+    rng = np.random.default_rng(4)
+    n = 5
+    mass = np.diag(rng.uniform(1.0, 2.0, n))
+    root = rng.normal(size=(n, n))
+    stiffness = root @ root.T + n * np.eye(n)
+    structure = fc.Structure.from_matrices(mass, stiffness, np.zeros((n, 1)))
+    modes = fc.solve_modes(structure, n)
+    kept = {"none": 0, "modal": n, "few modes": 2, "matrix": 0}[damping]
+    rates = 0.1 * modes.omega
+    rates[kept:] = 0.0
+    full = mass @ modes.shapes @ np.diag(rates) @ modes.shapes.T @ mass
+    given = fc.ModalDamping(0.05, kept) if kept else None
+    if damping == "matrix":
+        full = 0.3 * mass + 0.02 * stiffness
+        given = full
+    structure = fc.Structure.from_matrices(mass, stiffness, np.zeros((n, 1)), damping=given)
+    start = rng.normal(size=(2, n))
+    period, steps = 5.0, 4000
+    history = fc.integrate_central_difference(
+        structure,
+        2.0 * np.pi / period,
+        fc.UnilateralPenalty(1.0),
+        periods=1,
+        steps_per_period=steps,
+        initial=(start[0], start[1]),
+    )
+    inverse = np.linalg.inv(mass)
+    flow = np.block([[np.zeros((n, n)), np.eye(n)], [-inverse @ stiffness, -inverse @ full]])
+    last = steps - 1
+    exact = (expm(flow * history.time[last]) @ start.ravel())[:n]
+    found = history.displacement(range(n))[last]
+    assert np.linalg.norm(found - exact) < 1e-4 * np.linalg.norm(start[0])
+
+
+def test_settles_on_the_harmonic_balance(soft_plate: fc.Structure) -> None:
+    """k = 1e9, xi = 0.01: from rest to the orbit of VERIFICATION I; both methods agree to 1 %."""
+    corner = soft_plate.find_dof((0.1, 0.1), "x")
+    history = fc.integrate_central_difference(
+        soft_plate,
+        2000.0,
+        LAW,
+        periods=200,
+        steps_per_period=1024,
+        settle=1e-6,
+        record_periods=1,
+        dofs=[corner],
+    )
+    assert history.settled < 1e-6 and history.periods < 200
+    assert abs(history.created_energy) < 1e-3
+    solution = fc.solve_harmonic_balance(soft_plate, 2000.0, LAW, harmonics=20)
+    gap = solution.gap(history.time)
+    assert np.linalg.norm(history.gap - gap) < 0.01 * np.linalg.norm(gap)
+    spectrum = np.fft.rfft(history.gap[:, 0]) / len(history.gap)
+    assert 2.0 * abs(spectrum[1]) == pytest.approx(7.418206e-7, rel=1e-3)
+    assert spectrum[0].real == pytest.approx(-4.317675e-7, rel=1e-3)
+    assert -history.gap.min() == pytest.approx(1.451955e-6, rel=2e-3)
+    motion = history.displacement([corner])
+    assert motion.max() == pytest.approx(1.156557e-6, rel=1e-3)
+
+
+def test_paper_data_does_not_settle(paper_structure: fc.Structure) -> None:
+    """k = 1e11, xi = 0.001: started on the orbit of the harmonic balance, the motion leaves it."""
+    law = fc.UnilateralPenalty(1e11)
+    orbit = fc.solve_harmonic_balance(paper_structure, 2000.0, law, harmonics=20)
+    history = fc.integrate_central_difference(
+        paper_structure,
+        2000.0,
+        law,
+        periods=60,
+        steps_per_period=2304,
+        initial=orbit,
+        settle=1e-6,
+        dofs=[],
+    )
+    assert history.periods == 60
+    assert history.settled > 0.01
+    folded = history.by_period(history.gap[:, 0])
+    assert folded.shape == (60, 2304)
+    drift = np.linalg.norm(folded - orbit.gap(history.time[:2304])[:, 0], axis=1)
+    assert drift[-1] > 3.0 * drift[0]
+    opening = -folded.min(axis=1)
+    assert 0.5e-6 < opening.min() and opening.max() < 5e-6  # bounded all the same
+
+
+def test_step_beyond_the_stable_one_is_refused(soft_plate: fc.Structure) -> None:
+    """dt <= 2 / omega_max with the pairs closed; the error names the least number of steps."""
+    highest = largest_frequency(soft_plate.tied(1e9))
+    least = fc.stable_steps_per_period(soft_plate, 2000.0, LAW)
+    assert (2.0 * np.pi / 2000.0) / least < 2.0 / highest < (2.0 * np.pi / 2000.0) / (least - 1)
+    modes = fc.solve_modes(soft_plate.tied(1e9), soft_plate.n_dofs)
+    assert highest == pytest.approx(modes.omega[-1], rel=1e-6)
+    with pytest.raises(fc.InputError, match=f"steps_per_period.*>= {least}"):
+        fc.integrate_central_difference(
+            soft_plate, 2000.0, LAW, periods=1, steps_per_period=least - 1
+        )
+
+
+def test_stable_limit_is_sharp_without_contact_events() -> None:
+    """A tied pair just inside the limit stays bounded; the bound of the step is not slack."""
+    structure = fc.Structure.from_matrices(
+        np.eye(1), np.eye(1), np.ones(1), clearance=-1e3, force_sin=np.ones(1)
+    )
+    law = fc.UnilateralPenalty(99.0)  # always closed: frequency 10
+    least = fc.stable_steps_per_period(structure, 1.0, law)
+    assert least == 32  # 10 pi = 31.4
+    rest = -990.0  # x + 99 (x + 1000) = 0
+    history = fc.integrate_central_difference(
+        structure,
+        1.0,
+        law,
+        periods=50,
+        steps_per_period=least,
+        initial=(np.full(1, rest + 1.0), np.zeros(1)),
+    )
+    assert np.abs(history.displacement([0]) - rest).max() < 2.0
+
+
+def test_contact_that_creates_energy_is_an_error(paper_structure: fc.Structure) -> None:
+    """Close to the stable limit stiff contact feeds the motion: an error, not a wave of 1e107 m."""
+    law = fc.UnilateralPenalty(1e11)
+    least = fc.stable_steps_per_period(paper_structure, 2000.0, law)
+    with pytest.raises(fc.ConvergenceError, match="times the energy put in"):
+        fc.integrate_central_difference(
+            paper_structure, 2000.0, law, periods=400, steps_per_period=least + 40, dofs=[]
+        )
+
+
+def test_created_energy_vanishes_with_the_step() -> None:
+    """A bounce conserves energy: what contact creates is what the motion gains."""
+    created = []
+    for steps in (400, 1600, 6400):
+        history = release(steps)
+        created.append(abs(history.created_energy))
+        speed = np.diff(history.displacement([0])[:, 0])[-1] / (history.time[1])
+        position = history.displacement([0])[-1, 0]
+        energy = 0.5 * 100.0 * speed**2 + 0.5 * 1e4 * position**2
+        assert energy / 50.0 - 1.0 == pytest.approx(history.created_energy, abs=30.0 / steps)
+    assert created[-1] < 1e-4
+    assert created[0] < 0.05
+
+
+def test_lumped_mass(soft_plate: fc.Structure) -> None:
+    """The lumped plate is the central-difference solution of its own structure, which is close."""
+    lumped = soft_plate.lumped()
+    by_name = fc.integrate_central_difference(
+        soft_plate, 2000.0, LAW, periods=3, steps_per_period=512, mass="lumped"
+    )
+    by_hand = fc.integrate_central_difference(lumped, 2000.0, LAW, periods=3, steps_per_period=512)
+    assert np.array_equal(by_name.gap, by_hand.gap)
+    assert fc.solve_modes(lumped, 1).omega[0] < fc.solve_modes(soft_plate, 1).omega[0]
+
+
+def test_recording(soft_plate: fc.Structure) -> None:
+    """Keeping the last periods and some dofs gives the same numbers as keeping everything."""
+    everything = fc.integrate_central_difference(
+        soft_plate, 2000.0, LAW, periods=5, steps_per_period=256
+    )
+    some = fc.integrate_central_difference(
+        soft_plate, 2000.0, LAW, periods=5, steps_per_period=256, record_periods=2, dofs=[3, 40]
+    )
+    assert len(everything.time) == 5 * 256 and len(some.time) == 2 * 256
+    assert np.allclose(some.time, everything.time[-512:])
+    assert np.array_equal(some.gap, everything.gap[-512:])
+    assert np.array_equal(some.displacement([40, 3]), everything.displacement([40, 3])[-512:])
+    assert np.allclose(np.diff(everything.time), everything.time[1])
+    gap = everything.displacement(range(50)) @ soft_plate.gap.toarray()
+    assert np.allclose(gap, everything.gap, atol=1e-20)
+    with pytest.raises(fc.InputError, match="dofs"):
+        some.displacement([5])
+
+
+@pytest.mark.parametrize(
+    ("key", "arguments"),
+    [
+        ("periods", {"periods": 0}),
+        ("steps_per_period", {"steps_per_period": 1.5}),
+        ("omega", {"omega": -3.0}),
+        ("mass", {"mass": "diagonal"}),
+        ("initial", {"initial": (np.zeros(3), np.zeros(3))}),
+        ("dofs", {"dofs": [1000]}),
+        ("record_periods", {"periods": 10**7}),
+    ],
+)
+def test_bad_arguments_are_named(
+    soft_plate: fc.Structure, key: str, arguments: dict[str, object]
+) -> None:
+    """One error that names the key."""
+    given: dict[str, object] = {"omega": 2000.0, "periods": 1, "steps_per_period": 512} | arguments
+    with pytest.raises(fc.InputError) as caught:
+        fc.integrate_central_difference(soft_plate, given.pop("omega"), LAW, **given)  # type: ignore[arg-type]
+    assert caught.value.key == key
+
+
+PARALLEL = """
+import sys
+import numpy as np
+from mpi4py import MPI
+import fenics_crack as fc
+
+scene = fc.Scene.load("DEMOS/paper_plate.toml").replace({"damping.ratio": 0.01})
+plate = fc.build_structure(scene)
+corner = plate.find_dof((0.1, 0.1), "x")
+history = fc.integrate_central_difference(
+    plate, 2000.0, fc.UnilateralPenalty(1e9), periods=4, steps_per_period=300, dofs=[corner]
+)
+whole = history.displacement([corner])
+if MPI.COMM_WORLD.rank == 0:
+    np.save("FOLDER/ranks%d.npy" % MPI.COMM_WORLD.size, np.hstack([history.gap, whole]))
+"""
+
+
+@pytest.mark.mpi
+def test_same_motion_on_one_and_two_ranks(mpirun, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    """A mesh shared by two ranks marches as on one."""
+    from test_harmonic_balance import DEMOS
+
+    for ranks in (1, 2):
+        mpirun(PARALLEL.replace("DEMOS", str(DEMOS)).replace("FOLDER", str(tmp_path)), ranks)
+    one, two = (np.load(tmp_path / f"ranks{ranks}.npy") for ranks in (1, 2))
+    assert np.linalg.norm(one - two) < 1e-8 * np.linalg.norm(one)

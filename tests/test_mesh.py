@@ -1,0 +1,532 @@
+"""Meshes: the plate's area, the pairs of lip nodes, the point load, and mesh files."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import dolfinx
+import gmsh
+import numpy as np
+import pytest
+import ufl
+from mpi4py import MPI
+
+from fenics_crack import InputError, Scene, Structure, build_structure
+from fenics_crack.mesh import build_mesh, write_msh
+from fenics_crack.parallel import gather_rows
+
+WIDTH, HEIGHT = 0.3, 0.2
+KINDS = [
+    (layout, cells, order)
+    for layout in ("grid", "graded")
+    for cells in ("triangle", "quadrilateral")
+    for order in (1, 2)
+]
+
+
+def plate(
+    layout: str,
+    cells: str,
+    order: int,
+    edge: str = "left",
+    length: float = 0.4,
+    height: float = 0.5,
+) -> Scene:
+    """A plate with a crack whose length and height are given as parts of the plate's."""
+    sizes = {
+        "grid": {"columns": 20, "rows": 4},
+        "graded": {"size": 0.06, "lip_elements": 5, "grading": 3.0},
+    }
+    return Scene.from_mapping(
+        {
+            "geometry": {"width": WIDTH, "height": HEIGHT, "thickness": 0.01},
+            "crack": {"edge": edge, "height": height * HEIGHT, "length": length * WIDTH},
+            "material": {"young": 2e9, "poisson": 0.3, "density": 7800.0},
+            "damping": {"ratio": 0.001},
+            "excitation": {"omega": 1.0, "point": [WIDTH, HEIGHT], "force_sin": [1.0, 0.0]},
+            "contact": {"stiffness": 1e9},
+            "mesh": {"layout": layout, "cells": cells, "order": order} | sizes[layout],
+        }
+    )
+
+
+def file_plate(path: Path, **changes: Any) -> Scene:
+    """A plate whose mesh is read from a file, with some keys changed."""
+    scene = Scene.from_mapping(
+        {
+            "geometry": {"thickness": 0.01},
+            "crack": {},
+            "material": {"young": 2e9, "poisson": 0.3, "density": 7800.0},
+            "damping": {"ratio": 0.001},
+            "excitation": {"omega": 1.0, "force_sin": [3.0, 4.0]},
+            "contact": {"stiffness": 1e9},
+            "mesh": {"layout": "file", "file": str(path)},
+        }
+    )
+    return scene.replace(changes)
+
+
+def area(scene: Scene) -> float:
+    """Area of the scene's mesh, integrated by DOLFINx."""
+    mesh = build_mesh(scene, MPI.COMM_SELF).mesh
+    one = dolfinx.fem.Constant(mesh, 1.0)
+    return float(dolfinx.fem.assemble_scalar(dolfinx.fem.form(one * ufl.dx)))
+
+
+def serial(scene: Scene) -> Structure:
+    """The scene's structure on one rank."""
+    return build_structure(scene, MPI.COMM_SELF)
+
+
+def field(structure: Structure, values: np.ndarray) -> np.ndarray:
+    """Displacement (1, n_local) that takes the values (n_nodes, 2) at this rank's nodes."""
+    assert structure.nodes is not None
+    free = structure.nodes.dofs >= 0
+    displacement = np.zeros((1, structure.n_local))
+    displacement[0, structure.nodes.dofs[free] - structure.first_dof] = values[free]
+    return displacement
+
+
+def pair_nodes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lower node, upper node and normal of every pair, found in B: its entries are n and -n.
+
+    The lower node is the one with positive entries along y.
+    """
+    assert structure.nodes is not None
+    gap = structure.gap.toarray()
+    padded = np.concatenate([gap, np.zeros((1, gap.shape[1]))])  # clamped dofs are number -1
+    nodal = padded[structure.nodes.dofs]  # (n_nodes, 2, n_pairs)
+    lower, upper, normals = [], [], []
+    for pair in range(structure.n_pairs):
+        touched = np.flatnonzero(np.any(nodal[:, :, pair] != 0.0, axis=1))
+        assert len(touched) == 2
+        first, second = sorted(touched, key=lambda node: -nodal[node, 1, pair])
+        np.testing.assert_allclose(nodal[first, :, pair], -nodal[second, :, pair], rtol=1e-14)
+        lower.append(first)
+        upper.append(second)
+        normals.append(nodal[first, :, pair])
+    return np.array(lower), np.array(upper), np.array(normals)
+
+
+def nodes_of_side(structure: Structure, origin: Any, direction: Any) -> np.ndarray:
+    """Whether each of this rank's nodes belongs to a cell on one side of a line (collective).
+
+    The cell's centre lies from a point of the line in the direction given.
+    """
+    assert structure.nodes is not None
+    points = gather_rows(structure.comm, structure.nodes.points)
+    cells = gather_rows(structure.comm, structure.nodes.cells)
+    kept = cells[(points[cells].mean(axis=1) - origin) @ direction > 0.0]
+    n_nodes = len(structure.nodes.points)
+    first = structure.comm.exscan(n_nodes) or 0
+    return np.isin(np.arange(first, first + n_nodes), kept)
+
+
+# --- plates made by the package -------------------------------------------------------------------
+@pytest.mark.parametrize("edge", ["left", "right"])
+@pytest.mark.parametrize(("layout", "cells", "order"), KINDS)
+def test_lips_pair_one_to_one(layout: str, cells: str, order: int, edge: str) -> None:
+    """Pairs are coincident nodes of the two lips, from the mouth to the tip, without the tip."""
+    for length, height in ((0.05, 0.5), (0.4, 0.25), (0.5, 0.75), (0.95, 0.5)):
+        scene = plate(layout, cells, order, edge, length, height)
+        structure = serial(scene)
+        elements = round(20 * length) if layout == "grid" else 5
+        assert structure.n_pairs == elements * order
+        assert structure.nodes is not None and structure.pair_points is not None
+
+        lower, upper, normals = pair_nodes(structure)
+        assert not set(lower) & set(upper)
+        np.testing.assert_array_equal(normals[:, 0].round(12), 0.0)
+        np.testing.assert_allclose(normals[:, 1], 1.0, rtol=1e-12)
+        for side in (lower, upper):
+            np.testing.assert_allclose(
+                structure.nodes.points[side], structure.pair_points, atol=1e-12
+            )
+        below = nodes_of_side(structure, (0.0, height * HEIGHT), (0.0, -1.0))
+        above = nodes_of_side(structure, (0.0, height * HEIGHT), (0.0, 1.0))
+        assert np.all(below[lower] & ~above[lower])
+        assert np.all(above[upper] & ~below[upper])
+
+        np.testing.assert_allclose(structure.pair_points[:, 1], height * HEIGHT, rtol=1e-12)
+        from_mouth = structure.pair_points[:, 0]
+        if edge == "right":
+            from_mouth = WIDTH - from_mouth
+        assert abs(from_mouth[0]) < 1e-12
+        assert np.all(np.diff(from_mouth) > 0.0)
+        assert from_mouth[-1] < length * WIDTH * (1.0 - 1e-3)
+
+
+@pytest.mark.parametrize("edge", ["left", "right"])
+@pytest.mark.parametrize("cells", ["triangle", "quadrilateral"])
+@pytest.mark.parametrize("layout", ["grid", "graded"])
+def test_area_is_that_of_the_plate(layout: str, cells: str, edge: str) -> None:
+    """The slit takes nothing away, and no cell overlaps another: the area is width x height."""
+    for length in (0.05, 0.4, 0.95):
+        for height in (0.25, 0.5, 0.75):
+            found = area(plate(layout, cells, 1, edge, length, height))
+            np.testing.assert_allclose(found, WIDTH * HEIGHT, rtol=1e-12)
+
+
+@pytest.mark.parametrize("cells", ["triangle", "quadrilateral"])
+@pytest.mark.parametrize("length", [0.01, 0.03, 0.2, 0.77, 0.95])
+@pytest.mark.parametrize("height", [0.03, 0.5, 0.97])
+def test_graded_meshes_of_any_crack(cells: str, length: float, height: float) -> None:
+    """Cracks of 1 % to 95 % of the width, close to either end too, are meshed without overlap."""
+    scene = plate("graded", cells, 1, "left", length, height)
+    np.testing.assert_allclose(area(scene), WIDTH * HEIGHT, rtol=1e-12)
+    assert serial(scene).n_pairs == 5
+
+
+def test_grading_shortens_the_elements_at_the_tip() -> None:
+    """The lip's element at the tip is `grading` times shorter than the one at the mouth."""
+    structure = serial(plate("graded", "quadrilateral", 1))
+    assert structure.pair_points is not None
+    ends = np.append(structure.pair_points[:, 0], 0.4 * WIDTH)
+    lengths = np.diff(ends)
+    np.testing.assert_allclose(lengths[0] / lengths[-1], 3.0, rtol=1e-6)
+
+
+def test_one_pair_at_the_mouth() -> None:
+    """pairs = 'mouth' keeps the pair farthest from the tip alone."""
+    for edge, mouth in (("left", 0.0), ("right", WIDTH)):
+        scene = plate("graded", "quadrilateral", 2, edge).replace({"contact.pairs": "mouth"})
+        structure = serial(scene)
+        assert structure.n_pairs == 1
+        np.testing.assert_allclose(structure.pair_points, [[mouth, HEIGHT / 2]], atol=1e-12)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("cells", ["triangle", "quadrilateral"])
+def test_uncracked_plate(cells: str, order: int) -> None:
+    """Without the crack the same grid has no pairs and no duplicated dofs."""
+    scene = plate("grid", cells, order)
+    cracked = serial(scene)
+    whole = serial(scene.replace({"crack": None, "contact": None}))
+    nodes = (20 * order + 1) * (4 * order)  # all rows but the clamped one
+    assert whole.n_pairs == 0
+    assert whole.n_dofs == 2 * nodes
+    assert cracked.n_dofs == whole.n_dofs + 2 * cracked.n_pairs
+    np.testing.assert_allclose(area(scene.replace({"crack": None})), WIDTH * HEIGHT, rtol=1e-12)
+
+
+def test_paper_plate(paper_structure: Structure) -> None:
+    """The paper's plate has 50 free dofs and one pair, at the mouth of the crack."""
+    assert (paper_structure.n_dofs, paper_structure.n_pairs) == (50, 1)
+    np.testing.assert_allclose(paper_structure.pair_points, [[0.0, 0.05]], atol=1e-12)
+
+
+@pytest.mark.parametrize(("layout", "cells", "order"), KINDS)
+def test_sign_of_the_closing(layout: str, cells: str, order: int) -> None:
+    """A translation closes nothing; lifting the part above the crack by 1 opens every pair by 1."""
+    scene = plate(layout, cells, order)
+    structure = serial(scene)
+    assert structure.nodes is not None
+    everywhere = np.ones((len(structure.nodes.points), 1))
+    for direction in ([1.0, 0.0], [0.0, 1.0], [2.0, -3.0]):
+        shift = field(structure, everywhere * direction)
+        np.testing.assert_allclose(structure.closing(shift), 0.0, atol=1e-13)
+    lifted = np.zeros((len(everywhere), 2))
+    lifted[nodes_of_side(structure, (0.0, HEIGHT / 2), (0.0, 1.0)), 1] = 1.0
+    np.testing.assert_allclose(structure.closing(field(structure, lifted)), -1.0, rtol=1e-12)
+
+
+def test_written_mesh_gives_the_same_structure(tmp_path: Path) -> None:
+    """A plate written by write_msh and read back has the same stiffness, pairs and load."""
+    scene = plate("graded", "quadrilateral", 1)
+    path = tmp_path / "plate.msh"
+    write_msh(scene, path)
+    first = serial(scene)
+    second = serial(file_plate(path, **{"excitation.force_sin": [1.0, 0.0]}))
+    np.testing.assert_allclose(second.pair_points, first.pair_points, atol=1e-12)
+    assert first.stiffness.norm() == pytest.approx(second.stiffness.norm(), rel=1e-12)
+    assert first.mass.norm() == pytest.approx(second.mass.norm(), rel=1e-12)
+    np.testing.assert_allclose(second.force.sum(axis=1), first.force.sum(axis=1), atol=1e-12)
+
+
+# --- point load -----------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    "point",
+    [(0.17, 0.133), (0.225, 0.15), (0.2, 0.15), (0.3, 0.171), (0.3, 0.2), (0.0, 0.2), (0.11, 0.1)],
+)
+@pytest.mark.parametrize(("layout", "cells", "order"), KINDS)
+def test_point_load_does_its_work(
+    layout: str, cells: str, order: int, point: tuple[float, float]
+) -> None:
+    """Inside an element, on an edge or at a node: f . u = F . u(point) for linear u, and sum F."""
+    parts = {"force_mean": (1.0, -2.0), "force_cos": (0.5, 0.0), "force_sin": (100.0, 7.0)}
+    scene = plate(layout, cells, order).replace(
+        {"excitation.point": point} | {f"excitation.{name}": part for name, part in parts.items()}
+    )
+    structure = serial(scene)
+    assert structure.nodes is not None
+    rng = np.random.default_rng(3)
+    for gradient in (np.zeros((2, 2)), rng.standard_normal((2, 2))):
+        offset = rng.standard_normal(2)
+        linear = field(structure, offset + structure.nodes.points @ gradient.T)
+        work = structure.force @ linear[0]
+        expected = np.array(list(parts.values())) @ (offset + gradient @ point)
+        np.testing.assert_allclose(work, expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_clamped_load_is_refused(order: int) -> None:
+    """A force on the clamped edge, on a node or between two, does nothing: refused."""
+    for x in (0.0, 0.15, 0.1234):
+        scene = plate("grid", "quadrilateral", order).replace({"excitation.point": (x, 0.0)})
+        with pytest.raises(InputError, match="free to move") as caught:
+            serial(scene)
+        assert caught.value.key == "excitation.point"
+
+
+# --- mesh files -----------------------------------------------------------------------------------
+MOUTH, TIP = np.array([0.0, 0.4]), np.array([0.8, 0.7])
+
+
+@pytest.fixture
+def msh(tmp_path: Path) -> Callable[..., Path]:
+    """Write a 2 x 1 plate with an inclined crack from (0, 0.4) to (0.8, 0.7) by gmsh."""
+
+    def write(
+        *,
+        names: tuple[str, ...] = ("clamp", "lower_lip", "upper_lip", "load"),
+        lip_elements: tuple[int, int] = (4, 4),
+        quadrilaterals: tuple[bool, bool] = (False, False),
+        progression: float = 1.0,
+        one_curve: bool = False,
+        raised: float = 0.0,
+        groups: bool = True,
+    ) -> Path:
+        path = tmp_path / "inclined.msh"
+        gmsh.initialize(readConfigFiles=False)
+        try:
+            gmsh.option.setNumber("General.Terminal", 0)
+            geo = gmsh.model.geo
+            point = {
+                name: geo.addPoint(x, y, z, 0.2)
+                for name, (x, y, z) in {
+                    "sw": (0, 0, 0), "se": (2, 0, 0), "e": (2, 0.5, 0), "ne": (2, 1, raised),
+                    "nw": (0, 1, raised), "tip": (*TIP, 0), "low": (*MOUTH, 0), "up": (*MOUTH, 0),
+                }.items()
+            }  # fmt: skip
+            ring = ["sw", "se", "e", "tip", "low"], ["e", "ne", "nw", "up", "tip"]
+            line: dict[tuple[str, str], int] = {}
+            surfaces = []
+            for corners in ring:
+                loop = []
+                for ends in zip(corners, corners[1:] + corners[:1], strict=True):
+                    if ends[::-1] in line:
+                        loop.append(-line[ends[::-1]])
+                    else:
+                        line[ends] = geo.addLine(*(point[end] for end in ends))
+                        loop.append(line[ends])
+                surfaces.append(geo.addPlaneSurface([geo.addCurveLoop(loop)]))
+            lips = line["tip", "low"], line["up", "tip"]
+            for lip, elements in zip(lips, lip_elements, strict=True):
+                grading = progression if lip == lips[0] else 1.0
+                geo.mesh.setTransfiniteCurve(lip, elements + 1, "Progression", grading)
+            for surface, recombine in zip(surfaces, quadrilaterals, strict=True):
+                if recombine:
+                    geo.mesh.setRecombine(2, surface)
+            geo.synchronize()
+            named = {
+                "clamp": (1, line["sw", "se"]), "lower_lip": (1, lips[0]),
+                "upper_lip": (1, lips[0 if one_curve else 1]), "load": (0, point["ne"]),
+            }  # fmt: skip
+            if groups:
+                gmsh.model.setPhysicalName(2, gmsh.model.addPhysicalGroup(2, surfaces), "any")
+                for name in names:
+                    dimension, tag = named[name]
+                    group = gmsh.model.addPhysicalGroup(dimension, [tag])
+                    gmsh.model.setPhysicalName(dimension, group, name)
+            gmsh.model.mesh.generate(2)
+            gmsh.write(str(path))
+        finally:
+            gmsh.finalize()
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("recombined", [False, True])
+def test_inclined_crack_from_a_file(msh: Callable[..., Path], recombined: bool, order: int) -> None:
+    """Normals stand on the crack and point from the lower to the upper lip, pairs follow it."""
+    path = msh(quadrilaterals=(recombined, recombined))
+    scene = file_plate(path, **{"mesh.order": order, "crack.clearance": 1e-6})
+    np.testing.assert_allclose(area(scene), 2.0, rtol=1e-12)
+    structure = serial(scene)
+    assert structure.nodes is not None and structure.pair_points is not None
+    assert structure.n_pairs == 4 * order
+    np.testing.assert_array_equal(structure.clearance, np.full(4 * order, 1e-6))
+    lower, upper, normals = pair_nodes(structure)
+    along = (TIP - MOUTH) / np.linalg.norm(TIP - MOUTH)
+    np.testing.assert_allclose(normals, np.tile([-along[1], along[0]], (4 * order, 1)), atol=1e-9)
+    parts = np.arange(4 * order)[:, None] / (4 * order)
+    expected = MOUTH + parts * (TIP - MOUTH)
+    for points in (
+        structure.pair_points, structure.nodes.points[lower], structure.nodes.points[upper]
+    ):  # fmt: skip
+        np.testing.assert_allclose(points, expected, atol=1e-9)
+    above = nodes_of_side(structure, MOUTH, (-along[1], along[0]))
+    assert np.all(above[upper])
+    assert not np.any(above[lower])
+
+
+def test_load_point_of_the_file(msh: Callable[..., Path]) -> None:
+    """The physical point `load` carries the force; excitation.point overrules it."""
+    path = msh()
+    structure = serial(file_plate(path))
+    for component, value in ((0, 3.0), (1, 4.0)):
+        dof = structure.find_dof((2.0, 1.0), component)
+        assert structure.force[2, dof] == pytest.approx(value, rel=1e-9)
+    moved = serial(file_plate(path, **{"excitation.point": (2.0, 0.5)}))
+    assert moved.force[2, moved.find_dof((2.0, 0.5), 0)] == pytest.approx(3.0, rel=1e-9)
+
+
+def test_file_without_lips_is_an_uncracked_plate(msh: Callable[..., Path]) -> None:
+    """A mesh without lips has no pairs."""
+    assert serial(file_plate(msh(names=("clamp", "load")))).n_pairs == 0
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        ({"names": ("lower_lip", "upper_lip", "load")}, "clamp"),
+        ({"names": ("clamp", "lower_lip", "load")}, "upper_lip"),
+        ({"names": ("clamp", "upper_lip", "load")}, "lower_lip"),
+        ({"quadrilaterals": (True, False)}, "one kind of cells"),
+        ({"raised": 0.1}, "plane"),
+        ({"groups": False}, "physical surfaces"),
+    ],
+    ids=str,
+)
+def test_bad_mesh_file(msh: Callable[..., Path], how: dict[str, Any], words: str) -> None:
+    """A mesh file that lacks a group or is no plane mesh of one kind of cells is refused."""
+    with pytest.raises(InputError, match=words) as caught:
+        build_mesh(file_plate(msh(**how)), MPI.COMM_SELF)
+    assert caught.value.key == "mesh.file"
+    assert "inclined.msh" in str(caught.value)
+
+
+def test_lips_with_different_nodes(msh: Callable[..., Path]) -> None:
+    """Lips that are not meshed alike are refused, whether their numbers of nodes differ or not."""
+    with pytest.raises(InputError, match="lips = '4 lower and 5 upper nodes'"):
+        serial(file_plate(msh(lip_elements=(4, 5))))
+    with pytest.raises(InputError, match="lips = '4 lower and 4 upper nodes'"):
+        serial(file_plate(msh(progression=1.3)))
+
+
+def test_lips_on_one_curve(msh: Callable[..., Path]) -> None:
+    """Two lips that are the same curve are no slit: refused."""
+    with pytest.raises(InputError, match="lips"):
+        serial(file_plate(msh(one_curve=True)))
+
+
+@pytest.mark.parametrize("content", [None, "", "nonsense\n", "$MeshFormat\n4.1 0 8\n"])
+def test_unreadable_mesh_file(content: str | None, tmp_path: Path) -> None:
+    """A mesh file that is missing, empty, cut off or none at all is refused."""
+    path = tmp_path / "broken.msh"
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(InputError, match=r"broken\.msh") as caught:
+        build_mesh(file_plate(path), MPI.COMM_SELF)
+    assert caught.value.key == "mesh.file"
+
+
+def test_three_dimensional_mesh_file(tmp_path: Path) -> None:
+    """A mesh of a box is refused."""
+    path = tmp_path / "box.msh"
+    gmsh.initialize(readConfigFiles=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.model.occ.addBox(0, 0, 0, 1, 1, 1)
+        gmsh.model.occ.synchronize()
+        gmsh.model.addPhysicalGroup(3, [1], 1)
+        gmsh.model.mesh.generate(3)
+        gmsh.write(str(path))
+    finally:
+        gmsh.finalize()
+    with pytest.raises(InputError, match="plane") as caught:
+        build_mesh(file_plate(path), MPI.COMM_SELF)
+    assert caught.value.key == "mesh.file"
+
+
+def test_load_off_the_mesh_of_a_file(msh: Callable[..., Path]) -> None:
+    """A load beside the mesh is refused, and so is none at all."""
+    path = msh(names=("clamp", "lower_lip", "upper_lip"))
+    with pytest.raises(InputError, match="on the mesh") as caught:
+        serial(file_plate(path, **{"excitation.point": (2.1, 0.5)}))
+    assert caught.value.key == "excitation.point"
+    with pytest.raises(InputError, match="load") as caught:
+        serial(file_plate(path))
+    assert caught.value.key == "excitation.point"
+
+
+def test_the_package_is_usable_after_a_bad_file(tmp_path: Path) -> None:
+    """An error while reading leaves gmsh ready for the next mesh."""
+    with pytest.raises(InputError):
+        build_mesh(file_plate(tmp_path / "missing.msh"), MPI.COMM_SELF)
+    assert area(plate("grid", "triangle", 1)) == pytest.approx(WIDTH * HEIGHT)
+
+
+# --- several ranks --------------------------------------------------------------------------------
+def summary(mapping: dict[str, Any], comm: MPI.Comm) -> dict[str, Any]:
+    """What must not depend on the number of ranks (collective)."""
+    structure = build_structure(Scene.from_mapping(mapping), comm)
+    assert structure.nodes is not None and structure.pair_points is not None
+    linear = structure.nodes.points @ np.array([[0.3, 1.7], [-0.4, 0.9]]) + [0.1, 0.2]
+    linear[nodes_of_side(structure, (0.0, HEIGHT / 2), (0.0, 1.0))] *= 1.5
+    moved = field(structure, linear)
+    nodes = gather_rows(comm, structure.nodes.points)
+    return {
+        "dofs": structure.n_dofs,
+        "pairs": structure.n_pairs,
+        "nodes": nodes[np.lexsort(nodes.round(9).T)].tolist(),
+        "points": structure.pair_points.tolist(),
+        "closing": structure.closing(moved).tolist(),
+        "load": comm.allreduce(structure.force.sum(axis=1)).tolist(),
+        "work": comm.allreduce(structure.force @ moved[0]).tolist(),
+        "stiffness": structure.stiffness.norm(),
+        "mass": structure.mass.norm(),
+    }
+
+
+@pytest.mark.mpi
+def test_two_ranks_build_the_same_structure(mpirun: Callable[..., str]) -> None:
+    """Dofs, nodes, pairs, closings, load and matrices are the serial ones on two ranks."""
+    scenes = [
+        dataclasses.asdict(plate(*kind).replace({"excitation.point": (0.17, 0.133)}))
+        for kind in (("grid", "quadrilateral", 1), ("graded", "triangle", 2))
+    ]
+    output = mpirun(
+        "import json\n"
+        "from mpi4py import MPI\n"
+        "from test_mesh import summary\n"
+        f"found = [summary(scene, MPI.COMM_WORLD) for scene in {scenes!r}]\n"
+        "if MPI.COMM_WORLD.rank == 0:\n"
+        "    print(json.dumps(found))\n"
+    )
+    for scene, parallel in zip(scenes, json.loads(output.splitlines()[-1]), strict=True):
+        alone = summary(scene, MPI.COMM_SELF)
+        assert parallel.keys() == alone.keys()
+        for name, value in alone.items():
+            np.testing.assert_allclose(parallel[name], value, rtol=1e-10, atol=1e-12, err_msg=name)
+
+
+@pytest.mark.mpi
+def test_errors_reach_every_rank(mpirun: Callable[..., str], tmp_path: Path) -> None:
+    """A mesh file that only rank 0 reads is refused on every rank; nobody waits for ever."""
+    scene = dataclasses.asdict(file_plate(tmp_path / "missing.msh"))
+    output = mpirun(
+        "from fenics_crack import InputError, Scene, build_structure\n"
+        "try:\n"
+        f"    build_structure(Scene.from_mapping({scene!r}))\n"
+        "except InputError as error:\n"
+        "    print(f'refused {error.key}\\n', end='', flush=True)\n",
+        timeout=60.0,
+    )
+    assert output.count("refused mesh.file") == 2

@@ -1,0 +1,435 @@
+"""Structures from matrices, look-ups, and the structures related to one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.io
+import scipy.sparse as sparse
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from fenics_crack import InputError, ModalDamping, Scene, Structure, build_structure
+
+N, PAIRS = 5, 2
+
+
+def good() -> dict[str, Any]:
+    """Arguments of from_matrices as NumPy arrays: a random structure of 5 dofs and 2 pairs."""
+    rng = np.random.default_rng(1)
+    root_m, root_k, damping = rng.standard_normal((3, N, N))
+    return {
+        "mass": root_m @ root_m.T + np.eye(N),
+        "stiffness": root_k @ root_k.T + np.eye(N),
+        "gap": rng.standard_normal((N, PAIRS)),
+        "force_sin": rng.standard_normal(N),
+        "force_cos": rng.standard_normal(N),
+        "force_mean": rng.standard_normal(N),
+        "clearance": np.array([1e-3, -2e-3]),
+        "damping": damping,
+    }
+
+
+def petsc(array: np.ndarray, kind: str = "aij") -> PETSc.Mat:
+    """A sequential PETSc matrix."""
+    dense = PETSc.Mat().createDense(array.shape, comm=PETSc.COMM_SELF)
+    dense.setUp()
+    for index, value in np.ndenumerate(array):
+        dense[index] = value
+    dense.assemble()
+    return dense if kind == "dense" else dense.convert(kind, PETSc.Mat())
+
+
+def dense(matrix: PETSc.Mat) -> np.ndarray:
+    """A sequential PETSc matrix as an array."""
+    return np.array(matrix[:, :])
+
+
+# --- from_matrices --------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    "convert",
+    [
+        np.array,
+        np.ndarray.tolist,
+        np.asfortranarray,
+        sparse.csr_matrix,
+        sparse.coo_matrix,
+        sparse.csc_matrix,
+        petsc,
+        lambda array: petsc(array, "dense"),
+        lambda array: petsc(array, "baij") if array.shape == (N, N) else petsc(array),
+        "file",
+    ],
+    ids=["numpy", "list", "fortran", "csr", "coo", "csc", "aij", "dense", "baij", "file"],
+)
+def test_every_form_of_the_matrices_gives_the_same(convert: Any, tmp_path: Path) -> None:
+    """NumPy, lists, SciPy, PETSc and Matrix Market files give the same structure."""
+    arguments = good()
+    expected = {name: np.copy(value) for name, value in arguments.items()}
+    for name in ("mass", "stiffness", "gap", "damping"):
+        if convert == "file":
+            path = tmp_path / f"{name}.mtx"
+            scipy.io.mmwrite(str(path), sparse.coo_matrix(arguments[name]))
+            arguments[name] = path
+        else:
+            arguments[name] = convert(arguments[name])
+    structure = Structure.from_matrices(**arguments)
+    assert (structure.n_dofs, structure.n_pairs, structure.n_local) == (N, PAIRS, N)
+    for name in ("mass", "stiffness", "damping"):
+        found = dense(getattr(structure, name))
+        np.testing.assert_allclose(found, expected[name], rtol=1e-15)
+    np.testing.assert_allclose(structure.gap.toarray(), expected["gap"], rtol=1e-15)
+    np.testing.assert_array_equal(
+        structure.force, [expected["force_mean"], expected["force_cos"], expected["force_sin"]]
+    )
+    np.testing.assert_array_equal(structure.clearance, expected["clearance"])
+    displacement = np.random.default_rng(2).standard_normal((3, N))
+    np.testing.assert_allclose(
+        structure.closing(displacement), displacement @ expected["gap"], rtol=1e-13, atol=1e-14
+    )
+    forces = displacement[:, :PAIRS]
+    np.testing.assert_allclose(
+        structure.spread(forces), forces @ expected["gap"].T, rtol=1e-13, atol=1e-14
+    )
+
+
+def test_forces_of_every_form_are_the_same(tmp_path: Path) -> None:
+    """A force may be a vector, a column, sparse, PETSc's or a file."""
+    arguments = good()
+    force = arguments["force_sin"]
+    vector = PETSc.Vec().createWithArray(force.copy(), comm=PETSc.COMM_SELF)
+    path = tmp_path / "force.mtx"
+    scipy.io.mmwrite(str(path), force[:, None])
+    for form in (list(force), force[:, None], sparse.csr_matrix(force[:, None]), vector, path):
+        structure = Structure.from_matrices(**(arguments | {"force_sin": form}))
+        np.testing.assert_array_equal(structure.force[2], force)
+
+
+def test_defaults() -> None:
+    """Without the optional arguments there is no load, no clearance and no damping."""
+    arguments = good()
+    matrices = {name: arguments[name] for name in ("mass", "stiffness", "gap")}
+    structure = Structure.from_matrices(**matrices)
+    np.testing.assert_array_equal(structure.force, np.zeros((3, N)))
+    np.testing.assert_array_equal(structure.clearance, np.zeros(PAIRS))
+    assert structure.damping is None
+    assert Structure.from_matrices(**(matrices | {"gap": None})).n_pairs == 0
+    one = Structure.from_matrices(**(matrices | {"gap": arguments["gap"][:, 0]}))
+    np.testing.assert_array_equal(one.gap.toarray(), arguments["gap"][:, :1])
+
+
+def test_given_matrices_are_left_alone() -> None:
+    """A PETSc matrix that was given neither changes nor changes the structure afterwards."""
+    arguments = good()
+    mine = petsc(arguments["mass"])
+    structure = Structure.from_matrices(**(arguments | {"mass": mine}))
+    mine.scale(2.0)
+    np.testing.assert_allclose(dense(structure.mass), arguments["mass"], rtol=1e-15)
+
+
+def with_entry(name: str, value: float) -> np.ndarray:
+    """The good argument with its first entry replaced, and its symmetry kept."""
+    array = np.copy(good()[name])
+    array.flat[0] = value
+    return array
+
+
+SQUARE = np.ones((N + 1, N + 1)) + np.eye(N + 1)
+SKEW = np.triu(np.ones((N, N)), 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("mass", np.ones((N, N + 1))),
+        ("mass", petsc(np.ones((N, N + 1)))),
+        ("mass", np.zeros((0, 0))),
+        ("mass", []),
+        ("mass", np.ones((2, 2, 2))),
+        ("mass", None),
+        ("mass", {}),
+        ("mass", "missing.mtx"),
+        ("mass", [[1.0, 2.0], [3.0]]),
+        ("mass", good()["mass"] + SKEW),
+        ("mass", sparse.csr_matrix(good()["mass"] + SKEW)),
+        ("mass", petsc(good()["mass"] + SKEW)),
+        ("mass", np.diag([1.0, 1.0, -1.0, 1.0, 1.0])),
+        ("mass", np.diag([1.0, 1.0, 0.0, 1.0, 1.0])),
+        ("mass", np.ones((N, N))),
+        ("mass", np.zeros((N, N))),
+        ("mass", sparse.csr_matrix((N, N))),
+        ("mass", with_entry("mass", np.nan)),
+        ("mass", with_entry("mass", np.inf)),
+        ("mass", petsc(with_entry("mass", np.nan))),
+        ("mass", good()["mass"] + 0j),
+        ("mass", sparse.csr_matrix(good()["mass"] + 0j)),
+        ("stiffness", SQUARE),
+        ("stiffness", petsc(SQUARE)),
+        ("stiffness", np.ones(N)),
+        ("stiffness", good()["stiffness"] + SKEW),
+        ("stiffness", with_entry("stiffness", -np.inf)),
+        ("stiffness", petsc(with_entry("stiffness", np.nan))),
+        ("stiffness", good()["stiffness"] * 1j),
+        ("gap", np.ones((N + 1, PAIRS))),
+        ("gap", np.ones((PAIRS, N))),
+        ("gap", np.ones((N, PAIRS, 1))),
+        ("gap", 1.0),
+        ("gap", with_entry("gap", np.nan)),
+        ("gap", sparse.csr_matrix(with_entry("gap", np.nan))),
+        ("gap", ["a"] * N),
+        ("gap", good()["gap"] * 1j),
+        ("force_sin", np.ones(N + 1)),
+        ("force_sin", np.ones((N, 2))),
+        ("force_sin", 1.0),
+        ("force_sin", with_entry("force_sin", np.nan)),
+        ("force_cos", np.ones(N - 1)),
+        ("force_cos", 1j * np.ones(N)),
+        ("force_mean", np.ones((1, N))),
+        ("force_mean", with_entry("force_mean", np.inf)),
+        ("clearance", np.zeros(PAIRS + 1)),
+        ("clearance", np.zeros((PAIRS, 1))),
+        ("clearance", np.nan),
+        ("clearance", [0.0, np.inf]),
+        ("clearance", None),
+        ("clearance", "wide"),
+        ("clearance", 1j),
+        ("clearance", np.array([1j, 0.0])),
+        ("damping", 0.01),
+        ("damping", SQUARE),
+        ("damping", with_entry("damping", np.nan)),
+        ("damping", petsc(with_entry("damping", np.inf))),
+        ("damping", good()["damping"] * 1j),
+        ("damping", "little"),
+    ],
+)
+def test_wrong_argument_is_named(name: str, value: Any) -> None:
+    """One wrong argument of from_matrices gives one InputError with that argument's name."""
+    with pytest.raises(InputError) as caught:
+        Structure.from_matrices(**(good() | {name: value}))
+    assert caught.value.key == name
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "",
+        "nonsense\n",
+        "%%MatrixMarket matrix coordinate real general\n2 2 1\n",
+        "%%MatrixMarket matrix coordinate real general\n5 5 1\n1 9 1.0\n",
+        "%%MatrixMarket matrix coordinate complex general\n1 1 1\n1 1 1.0 1.0\n",
+        "%%MatrixMarket matrix array real general\n1 1\nx\n",
+    ],
+)
+def test_bad_matrix_market_file(content: str, tmp_path: Path) -> None:
+    """A Matrix Market file that is cut off, broken or complex is refused."""
+    path = tmp_path / "mass.mtx"
+    path.write_text(content)
+    with pytest.raises(InputError) as caught:
+        Structure.from_matrices(**(good() | {"mass": path}))
+    assert caught.value.key == "mass"
+
+
+@pytest.mark.parametrize(
+    ("key", "arguments"),
+    [
+        ("damping ratio", (-0.1,)),
+        ("damping ratio", (np.nan,)),
+        ("damping ratio", (np.inf,)),
+        ("damping ratio", ([0.1, -0.1],)),
+        ("damping ratio", ([[0.1]],)),
+        ("damping ratio", ([],)),
+        ("damping ratio", ("much",)),
+        ("damping ratio", (None,)),
+        ("damping ratio", ([[0.1], [0.1, 0.2]],)),
+        ("damping modes", (0.1, 0)),
+        ("damping modes", (0.1, -1)),
+        ("damping modes", (0.1, 2.5)),
+        ("damping modes", (0.1, True)),
+        ("damping modes", (0.1, "all")),
+    ],
+)
+def test_wrong_modal_damping(key: str, arguments: tuple[Any, ...]) -> None:
+    """Ratios must be finite and not negative, the number of modes a whole number from 1 on."""
+    with pytest.raises(InputError) as caught:
+        ModalDamping(*arguments)
+    assert caught.value.key == key
+
+
+ANY_ARRAY = arrays(
+    st.sampled_from([float, int, complex, object]),
+    array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=4),
+    elements=st.sampled_from([0, 1, -1, 2, 3]),
+)
+ANY_MATRIX = (
+    ANY_ARRAY
+    | arrays(float, st.sampled_from([(3, 3), (3, 1), (3, 2), (3,)]), elements=st.floats())
+    | st.sampled_from([np.eye(3), 2 * np.eye(3) + 1, sparse.eye(3), np.ones(3)])
+    | st.none()
+    | st.floats()
+    | st.text(max_size=3)
+)
+
+
+@settings(max_examples=400)
+@given(st.dictionaries(st.sampled_from(sorted(good())), ANY_MATRIX, min_size=1, max_size=3))
+def test_any_matrices_give_a_structure_or_an_input_error(changes: dict[str, Any]) -> None:
+    """Whatever is given for some of the arguments, the only exception is InputError."""
+    arguments: dict[str, Any] = dict.fromkeys(("mass", "stiffness", "damping"), np.eye(3))
+    arguments |= {"gap": np.ones((3, 2)), "clearance": 0.0} | changes
+    try:
+        with np.errstate(all="ignore"):
+            structure = Structure.from_matrices(**arguments)
+    except InputError as error:
+        assert error.key in arguments
+    else:
+        n = structure.n_dofs
+        assert structure.force.shape == (3, n)
+        assert structure.gap.shape == (n, structure.n_pairs)
+        assert structure.clearance.shape == (structure.n_pairs,)
+        assert np.linalg.eigvalsh(dense(structure.mass)).min() > 0.0
+
+
+# --- displacements --------------------------------------------------------------------------------
+def test_find_dof(paper_structure: Structure) -> None:
+    """The dof of a node moves that node: its unit displacement shows at its place alone."""
+    nodes = paper_structure.nodes
+    assert nodes is not None
+    for point in ((0.1, 0.1), (0.05, 0.05), (0.0, 0.0625)):
+        place = np.flatnonzero(np.linalg.norm(nodes.points - point, axis=1) < 1e-9)
+        found = [paper_structure.find_dof(point, component) for component in (0, 1, "x", "y")]
+        assert found == [*nodes.dofs[place[0]], *nodes.dofs[place[0]]]
+    np.testing.assert_array_equal(
+        np.flatnonzero(paper_structure.force[2]), [paper_structure.find_dof((0.1, 0.1), "x")]
+    )
+
+
+@pytest.mark.parametrize(
+    ("key", "point", "component", "words"),
+    [
+        ("point", (0.03, 0.05), 0, "0 found"),
+        ("point", (0.0, 0.05), 1, "2 found"),
+        ("point", (0.05, 0.0), 0, "clamped"),
+        ("point", (0.1, 0.1, 0.0), 0, "two finite numbers"),
+        ("point", (np.nan, 0.1), 0, "two finite numbers"),
+        ("point", "corner", 0, "two finite numbers"),
+        ("point", None, 0, "two finite numbers"),
+        ("component", (0.1, 0.1), 2, "'x' or 'y'"),
+        ("component", (0.1, 0.1), "z", "'x' or 'y'"),
+        ("component", (0.1, 0.1), [0], "'x' or 'y'"),
+        ("component", (0.1, 0.1), None, "'x' or 'y'"),
+    ],
+)
+def test_find_dof_refuses(
+    paper_structure: Structure, key: str, point: Any, component: Any, words: str
+) -> None:
+    """No node, two nodes, a clamped one, or something that is no point or no component."""
+    with pytest.raises(InputError, match=words) as caught:
+        paper_structure.find_dof(point, component)
+    assert caught.value.key == key
+
+
+def test_find_dof_needs_a_mesh() -> None:
+    """A structure made from matrices knows no positions."""
+    with pytest.raises(InputError, match="mesh") as caught:
+        Structure.from_matrices(**good()).find_dof((0.0, 0.0), 0)
+    assert caught.value.key == "point"
+
+
+def test_values_at() -> None:
+    """Values are picked in the order asked for, repeated where asked for twice."""
+    structure = Structure.from_matrices(**good())
+    displacement = np.arange(2.0 * N).reshape(2, N)
+    np.testing.assert_array_equal(
+        structure.values_at(displacement, [3, 0, 3]), [[3, 0, 3], [8, 5, 8]]
+    )
+    assert structure.values_at(displacement, []).shape == (2, 0)
+    assert structure.values_at(1j * displacement, [1])[1, 0] == 6j
+
+
+@pytest.mark.parametrize("dofs", [[N], [-1], [0, 99], [0.5], [np.nan], "x", None])
+def test_values_at_refuses(dofs: Any) -> None:
+    """A dof that does not exist is refused, negative ones too."""
+    structure = Structure.from_matrices(**good())
+    with pytest.raises(InputError) as caught:
+        structure.values_at(np.zeros((1, N)), dofs)
+    assert caught.value.key == "dofs"
+
+
+# --- related structures ---------------------------------------------------------------------------
+@pytest.mark.parametrize("stiffness", [7.0, np.array([7.0, 3.0]), 0.0])
+def test_tied(stiffness: Any) -> None:
+    """Tying adds B diag(k) B^T to the stiffness and takes the pairs away; the rest stays."""
+    arguments = good()
+    structure = Structure.from_matrices(**arguments)
+    tied = structure.tied(stiffness)
+    gap = arguments["gap"]
+    springs = gap @ np.diag(np.broadcast_to(stiffness, PAIRS)) @ gap.T
+    np.testing.assert_allclose(
+        dense(tied.stiffness), arguments["stiffness"] + springs, rtol=1e-13, atol=1e-13
+    )
+    np.testing.assert_array_equal(dense(tied.mass), arguments["mass"])
+    np.testing.assert_array_equal(dense(structure.stiffness), arguments["stiffness"])
+    assert (tied.n_pairs, structure.n_pairs) == (0, PAIRS)
+    np.testing.assert_array_equal(tied.force, structure.force)
+
+
+def test_tied_plate(paper_structure: Structure) -> None:
+    """The same on a sparse structure, where the springs add entries to the pattern."""
+    gap = paper_structure.gap.toarray()
+    expected = dense(paper_structure.stiffness) + 1e11 * gap @ gap.T
+    found = dense(paper_structure.tied(1e11).stiffness)
+    np.testing.assert_allclose(found, expected, rtol=1e-13, atol=1e-13 * expected.max())
+
+
+@pytest.mark.parametrize("stiffness", [np.nan, [1.0, 2.0, 3.0], "hard", np.inf])
+def test_tied_refuses(stiffness: Any) -> None:
+    """The stiffness is one finite number, or one for each pair."""
+    with pytest.raises(InputError) as caught:
+        Structure.from_matrices(**good()).tied(stiffness)
+    assert caught.value.key == "stiffness"
+
+
+def test_damped() -> None:
+    """`damped` exchanges the damping and nothing else."""
+    structure = Structure.from_matrices(**good())
+    damping = ModalDamping(0.01)
+    other = structure.damped(damping)
+    assert other.damping is damping
+    assert other.mass is structure.mass and other.stiffness is structure.stiffness
+    assert structure.damped(None).damping is None
+
+
+@pytest.mark.parametrize("cells", ["triangle", "quadrilateral"])
+def test_lumped(paper_scene: Scene, cells: str) -> None:
+    """The lumped mass is diagonal, with the row sums of M; of linear and bilinear cells."""
+    structure = build_structure(paper_scene.replace({"mesh.cells": cells}), MPI.COMM_SELF)
+    lumped = structure.lumped()
+    np.testing.assert_allclose(
+        dense(lumped.mass), np.diag(dense(structure.mass).sum(axis=1)), rtol=1e-13
+    )
+    assert lumped.stiffness is structure.stiffness
+    assert lumped.n_pairs == structure.n_pairs
+
+
+def test_lumped_mass_of_nine_node_quadrilaterals(paper_scene: Scene) -> None:
+    """Row sums of biquadratic cells are positive (Simpson's rule): they can be lumped."""
+    structure = build_structure(paper_scene.replace({"mesh.order": 2}), MPI.COMM_SELF)
+    sums = dense(structure.lumped().mass).diagonal()
+    np.testing.assert_allclose(sums, dense(structure.mass).sum(axis=1), rtol=1e-12)
+    assert sums.min() > 0.0
+
+
+@pytest.mark.parametrize(("columns", "rows"), [(2, 8), (4, 4), (6, 2)])
+def test_lumped_refuses_six_node_triangles(paper_scene: Scene, columns: int, rows: int) -> None:
+    """The corners of quadratic triangles have no mass in the row sums: refused."""
+    changes = {"mesh.cells": "triangle", "mesh.order": 2, "mesh.columns": columns}
+    structure = build_structure(paper_scene.replace(changes | {"mesh.rows": rows}), MPI.COMM_SELF)
+    with pytest.raises(InputError, match="row sum") as caught:
+        structure.lumped()
+    assert caught.value.key == "mass"
