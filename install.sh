@@ -43,12 +43,13 @@ esac
 
 # gcc and python3-dev: DOLFINx compiles every form when it first meets it.
 # openmpi-bin: mpirun.
+# libopenblas0-pthread: dense algebra, several times faster than Debian's reference BLAS.
 # libegl1 and libgl1-mesa-dri: pyvista's VTK, which brings no OpenGL of its own, draws through
 # them into memory where there is no screen.
 packages='
     python3-dolfinx python3-petsc4py python3-slepc4py python3-mpi4py
     gmsh python3-gmsh
-    python3-scipy python3-matplotlib python3-tqdm python3-venv
+    python3-scipy python3-matplotlib python3-tqdm python3-venv libopenblas0-pthread
     gcc python3-dev
     openmpi-bin
     libegl1 libgl1-mesa-dri

@@ -12,6 +12,7 @@ import json
 import resource
 import sys
 import time
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +59,7 @@ def main(output: Path = Path("output/breathing_plate")) -> dict[str, Any]:
         "crack_length_m": length,
         "natural_frequencies_rad_per_s": [round(float(value), 3) for value in modes.omega],
         "status": solution.status,
-        "relative_residual": solution.residual,
+        "errors": asdict(solution.report),
         "seconds": seconds,
         "largest_opening_m": float(-gap.min()),
         "largest_penetration_m": float(gap.max()),

@@ -18,6 +18,7 @@ import json
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +49,7 @@ def main(output: Path = Path("output/paper_plate"), *, periods: int = 500) -> di
         "paper": vibration(
             plate,
             uncracked,
-            scene.contact.stiffness,
+            scene.contact.stiffness or 0.0,
             scene.harmonic_balance.harmonics,
             output / "paper",
             periods,
@@ -153,7 +154,7 @@ def vibration(
         "harmonics": harmonics,
         "harmonic_balance": {
             "status": balanced.status,
-            "relative_residual": balanced.residual,
+            "errors": asdict(balanced.report),
             "seconds": balance_time,
             "gap_mean_m": float(gap[0]),
             "gap_harmonic_1_m": float(np.hypot(gap[1], gap[2])),

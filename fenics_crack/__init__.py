@@ -3,7 +3,13 @@
 Start with ``demos/paper_plate.py``; the equations and conventions are in ``docs/theory.md``.
 """
 
-from fenics_crack.contact import SmoothedPenalty, UnilateralPenalty, contact_law
+from fenics_crack.contact import (
+    SmoothedPenalty,
+    UnilateralConstraint,
+    UnilateralPenalty,
+    contact_law,
+)
+from fenics_crack.error_report import ErrorReport
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.finite_elements import build_structure, find_crack_length
 from fenics_crack.harmonic_balance import solve_harmonic_balance, solve_linear
@@ -13,25 +19,30 @@ from fenics_crack.integration import (
     stable_steps_per_period,
 )
 from fenics_crack.modes import Modes, solve_modes
+from fenics_crack.reduction import ReducedStructure, reduce_structure
 from fenics_crack.scene import Scene
 from fenics_crack.solution import PeriodicSolution
 from fenics_crack.structure import ModalDamping, Structure
 
 __all__ = [
     "ConvergenceError",
+    "ErrorReport",
     "InputError",
     "ModalDamping",
     "Modes",
     "PeriodicSolution",
+    "ReducedStructure",
     "Scene",
     "SmoothedPenalty",
     "Structure",
     "TimeHistory",
+    "UnilateralConstraint",
     "UnilateralPenalty",
     "build_structure",
     "contact_law",
     "find_crack_length",
     "integrate_central_difference",
+    "reduce_structure",
     "solve_harmonic_balance",
     "solve_linear",
     "solve_modes",

@@ -14,8 +14,15 @@ import numpy as np
 
 from fenics_crack import scene as tables
 from fenics_crack.errors import InputError
+from fenics_crack.structure import Structure
 
-__all__ = ["ContactLaw", "SmoothedPenalty", "UnilateralPenalty", "contact_law"]
+__all__ = [
+    "ContactLaw",
+    "SmoothedPenalty",
+    "UnilateralConstraint",
+    "UnilateralPenalty",
+    "contact_law",
+]
 
 Law = TypeVar("Law", bound="ContactLaw")
 
@@ -114,12 +121,57 @@ class SmoothedPenalty:
         return replace(self, stiffness=factor * self.stiffness)
 
 
-def contact_law(contact: tables.Contact) -> UnilateralPenalty | SmoothedPenalty:
-    """The law that a scene's contact table describes."""
+@dataclass(frozen=True)
+class UnilateralConstraint:
+    """No penetration at all: g <= 0, lambda >= 0, lambda g = 0 (Signorini).
+
+    The limit of the penalty law for k to infinity, balanced in frequency: with the truncated waves
+    of gap and force, lambda = eps max(0, g + lambda / eps). Not a law that gives the force from
+    the gap.
+
+    Attributes
+    ----------
+    weight : float or None [N/m]
+        eps > 0; the truncated solution depends on it a little, and less the more harmonics there
+        are. None: the inverse of the static compliance that the pairs see.
+    """
+
+    weight: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.weight is not None:
+            _check_positive("contact weight", self.weight)
+
+
+def contact_law(
+    contact: tables.Contact, structure: Structure | None = None
+) -> UnilateralPenalty | SmoothedPenalty | UnilateralConstraint:
+    """The law that a scene's contact table describes.
+
+    A stiffness per area [N/m^3] becomes that of each pair [N/m] by the structure's ``pair_areas``,
+    so that refining the mesh does not change the physics.
+
+    Raises
+    ------
+    InputError
+        There is a stiffness per area, and no structure with areas.
+    """
+    if contact.law == "constraint":
+        return UnilateralConstraint()
+    stiffness: float | np.ndarray | None = contact.stiffness
+    if contact.stiffness_per_area is not None:
+        if structure is None or structure.pair_areas is None:
+            raise InputError(
+                "contact.stiffness_per_area",
+                contact.stiffness_per_area,
+                "used with a structure made from a mesh",
+            )
+        stiffness = contact.stiffness_per_area * structure.pair_areas
+    assert stiffness is not None
     if contact.law == "smoothed":
         assert contact.sharpness is not None
-        return SmoothedPenalty(contact.stiffness, contact.sharpness)
-    return UnilateralPenalty(contact.stiffness)
+        return SmoothedPenalty(stiffness, contact.sharpness)
+    return UnilateralPenalty(stiffness)
 
 
 def _check_positive(key: str, value: object) -> None:

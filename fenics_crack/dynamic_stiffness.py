@@ -3,10 +3,10 @@
 With modal damping C is dense and never formed. One real symmetric sparse factorisation, of
 D = K - omega^2 M, serves: with mass-normalised modes phi_j of natural frequency omega_j,
 
-    Z^-1 = D^-1 + Phi diag(1/(d_j + 2 i xi_j omega_j omega) - 1/d_j) Phi^T,   d_j = omega_j^2 - omega^2,
+    Z^-1 = D^-1 + Phi diag(1/(d_j + 2 i xi_j omega_j omega) - 1/d_j) Phi^T
 
-exactly. Close to a natural frequency the two terms with d_j cancel and D is all but singular.
-There the mode is deflated: the bordered matrix
+exactly, with d_j = omega_j^2 - omega^2. Close to a natural frequency the two terms with d_j cancel
+and D is all but singular. There the mode is deflated: the bordered matrix
 
     [ D           M phi_j ]
     [ phi_j^T M   0       ]
@@ -71,8 +71,8 @@ class DynamicStiffness:
         self._full_damping: Any = structure.damping_matrix if omega > 0.0 else None
         self._near = np.zeros(0, dtype=int)
         if self._modes is not None:
-            offset = 1.0 - (omega / np.maximum(self._modes.omega, 1e-300)) ** 2
-            self._near = np.flatnonzero(np.abs(offset) < DEFLATION_BAND)
+            squares = self._modes.omega**2
+            self._near = np.flatnonzero(np.abs(squares - omega**2) < DEFLATION_BAND * squares)
             undamped = self._near[self._modes.rate[self._near] == 0.0]
             if np.any(self._modes.omega[undamped] == omega):
                 raise InputError("omega", omega, "away from the frequency of an undamped mode")

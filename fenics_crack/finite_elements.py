@@ -69,6 +69,7 @@ def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
         damping=damping,
         nodes=dofs.nodes(),
         pair_points=lips.points,
+        pair_areas=lips.areas,
     )
     mass.destroy()
     stiffness.destroy()
@@ -231,6 +232,8 @@ class _Lips:
     """(n_local, n_pairs)"""
     points: np.ndarray
     """(n_pairs, 2) [m]"""
+    areas: np.ndarray
+    """(n_pairs,) [m^2]: thickness times the integral of the node's basis function over the lip"""
 
 
 def _pair_lips(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> _Lips:
@@ -240,7 +243,7 @@ def _pair_lips(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> _Lips
     over the lip: the load vector of a unit pressure points along it.
     """
     if not plate.cracked:
-        return _Lips(sparse.csr_matrix((len(dofs.free), 0)), np.zeros((0, 2)))
+        return _Lips(sparse.csr_matrix((len(dofs.free), 0)), np.zeros((0, 2)), np.zeros(0))
     comm = dofs.comm
     normal = ufl.FacetNormal(plate.mesh)
     lip = ufl.ds(domain=plate.mesh, subdomain_data=plate.facet_tags)(plate.groups["lower_lip"])
@@ -278,7 +281,8 @@ def _pair_lips(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> _Lips
     if scene.contact is not None and scene.contact.pairs == "mouth":
         order = order[:1]
     lower, upper = lower[order], upper[order]
-    normals = lower[:, 3:5] / np.linalg.norm(lower[:, 3:5], axis=1)[:, None]
+    lengths = np.linalg.norm(lower[:, 3:5], axis=1)
+    normals = lower[:, 3:5] / lengths[:, None]
 
     n_pairs = len(lower)
     gap = sparse.lil_matrix((2 * dofs.n_nodes, n_pairs))
@@ -287,7 +291,8 @@ def _pair_lips(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> _Lips
         mine = np.flatnonzero((node >= 0) & (node < dofs.n_nodes))
         for component in (0, 1):
             gap[2 * node[mine] + component, mine] = sign * normals[mine, component]
-    return _Lips(sparse.csr_matrix(gap)[dofs.free], lower[:, 1:3])
+    areas = scene.geometry.thickness * lengths
+    return _Lips(sparse.csr_matrix(gap)[dofs.free], lower[:, 1:3], areas)
 
 
 def _from_mouth(points: np.ndarray, tip: np.ndarray | None) -> np.ndarray:

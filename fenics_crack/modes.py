@@ -158,17 +158,22 @@ def _rayleigh_scale(structure: Structure) -> float:
     return smallest if smallest > 0.0 else 1.0
 
 
-def mass_times(structure: Structure, shapes: np.ndarray) -> np.ndarray:
-    """M X for the columns of X (n_local, m)."""
-    source, target = structure.mass.createVecs()
-    product = np.empty_like(shapes)
-    for column in range(shapes.shape[1]):
-        source.array_w[:] = shapes[:, column]
-        structure.mass.mult(source, target)
+def times(matrix: Any, columns: np.ndarray) -> np.ndarray:
+    """A X for a PETSc matrix and the columns of X (n_local, m) (collective)."""
+    source, target = matrix.createVecs()
+    product = np.empty_like(columns)
+    for column in range(columns.shape[1]):
+        source.array_w[:] = columns[:, column]
+        matrix.mult(source, target)
         product[:, column] = target.array_r
     source.destroy()
     target.destroy()
     return product
+
+
+def mass_times(structure: Structure, shapes: np.ndarray) -> np.ndarray:
+    """M X for the columns of X (n_local, m) (collective)."""
+    return times(structure.mass, shapes)
 
 
 def _mass_normalised(structure: Structure, shapes: np.ndarray) -> np.ndarray:
@@ -185,7 +190,7 @@ def _signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
     """
     first = structure.first_dof
     keys = np.zeros((structure.n_local, 3))
-    if structure.nodes is None:
+    if structure.nodes is None or structure.whole is not structure:
         keys[:, 0] = np.arange(first, first + structure.n_local)
     else:
         nodes, components = np.nonzero(structure.nodes.dofs >= 0)

@@ -34,8 +34,9 @@ class NodalMesh:
     def __init__(self, structure: Structure) -> None:
         if structure.nodes is None:
             raise InputError("structure", "made from matrices", "made from a mesh, to be drawn")
-        nodes, comm = structure.nodes, structure.comm
-        self.structure = structure
+        whole = structure.whole
+        nodes, comm = structure.nodes, whole.comm
+        self.structure = whole
         self.points = gather_rows(comm, nodes.points)
         self.size = float(np.ptp(self.points, axis=0).max())
         self._dofs = gather_rows(comm, nodes.dofs)
@@ -107,7 +108,7 @@ def write_period(
     Point fields: ``displacement`` [m], true to scale; ``contact state``: 1 on a closed pair of lip
     nodes, 0 on an open one, -1 away from the lips; ``contact force`` [N] on each node of a pair.
     """
-    structure = solution.structure
+    structure = solution.structure.whole
     mesh = NodalMesh(structure)
     time = np.arange(frames) * solution.period / frames
     displacement = mesh.field(solution.displacement_field(time))

@@ -11,7 +11,7 @@ import dataclasses
 import math
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, Field, dataclass, field, fields
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
@@ -99,7 +99,7 @@ class _Table:
     """A table of the scene: checks each of its keys when it is made."""
 
     def __post_init__(self) -> None:
-        for item in fields(self):  # type: ignore[arg-type]
+        for item in self._fields().values():
             value = getattr(self, item.name)
             if value is None and item.default is None:
                 continue
@@ -111,6 +111,11 @@ class _Table:
             if not item.metadata["accepts"](converted):
                 raise InputError(name, value, allowed)
             object.__setattr__(self, item.name, converted)
+
+    @classmethod
+    def _fields(cls) -> dict[str, Field[Any]]:
+        """The keys of the table."""
+        return {item.name: item for item in fields(cls)}  # type: ignore[arg-type]
 
     @classmethod
     def _name(cls, key: str) -> str:
@@ -126,7 +131,7 @@ class _Table:
     def from_mapping(cls, values: object) -> Any:
         """Make the table from the mapping read in a file."""
         table = cls._name("").rstrip(".")
-        known = {item.name: item for item in fields(cls)}  # type: ignore[arg-type]
+        known = cls._fields()
         if not isinstance(values, Mapping):
             raise InputError(table, values, f"a table with the keys {', '.join(known)}")
         for key, value in values.items():
@@ -227,9 +232,11 @@ class Excitation(_Table):
 class Contact(_Table):
     """Contact between the lips, pair by pair of nodes."""
 
-    stiffness: float = _positive()
-    """Penalty stiffness k of one pair [N/m]."""
-    law: str = _choice("penalty", "smoothed", default="penalty")
+    stiffness: float | None = _positive(None)
+    """Penalty stiffness k of one pair [N/m]; or give it per area."""
+    stiffness_per_area: float | None = _positive(None)
+    """Penalty stiffness per area of the lip [N/m^3]: independent of the mesh."""
+    law: str = _choice("penalty", "smoothed", "constraint", default="penalty")
     sharpness: float | None = _positive(None)
     """s of the smoothed law [1/m]."""
     pairs: str = _choice("all", "mouth", default="all")
@@ -237,10 +244,19 @@ class Contact(_Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.law == "constraint":
+            for key in ("stiffness", "stiffness_per_area"):
+                self._require(getattr(self, key) is None, key, "left out with law = 'constraint'")
+        else:
+            self._require(
+                (self.stiffness is None) != (self.stiffness_per_area is None),
+                "stiffness",
+                f"given, or contact.stiffness_per_area, with law = {self.law!r}",
+            )
         if self.law == "smoothed":
             self._require(self.sharpness is not None, "sharpness", "given with law = 'smoothed'")
         else:
-            self._require(self.sharpness is None, "sharpness", "left out with law = 'penalty'")
+            self._require(self.sharpness is None, "sharpness", f"left out with law = {self.law!r}")
 
 
 @dataclass(frozen=True)
@@ -439,7 +455,7 @@ class Scene:
         changes: dict[str, dict[str, object]] = {}
         for name, value in values.items():
             table, _, key = name.partition(".")
-            known = [item.name for item in fields(_TABLES[table])] if table in _TABLES else []
+            known = _TABLES[table]._fields() if table in _TABLES else {}
             if not key and value is None and table in _OPTIONAL:
                 tables[table] = None
             elif key not in known or tables[table] is None:

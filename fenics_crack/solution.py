@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fenics_crack.contact import ContactLaw
+from fenics_crack.contact import ContactLaw, UnilateralConstraint
+from fenics_crack.error_report import ErrorReport
 from fenics_crack.fourier import evaluate
 from fenics_crack.structure import Structure
 
@@ -24,12 +25,14 @@ class PeriodicSolution:
         What vibrates.
     omega : float
         Angular frequency of the load [rad/s].
-    contact : ContactLaw or None
+    contact : ContactLaw, UnilateralConstraint or None
         Law between the lips; None for the linear solution with lips that pass through each other.
     displacement_coefficients : (2H+1, n_local) [m]
         Rows a0, a1, b1, ..., aH, bH; the columns of the dofs that this rank owns.
     gap_coefficients : (2H+1, n_pairs) [m]
         Closing of the pairs, g = B^T u - g0, in the same order, on every rank.
+    force_coefficients : (2H+1, n_pairs) [N]
+        Contact force, likewise.
     subharmonic : int
         The response has this many times the load's period; rows count multiples of
         omega/subharmonic.
@@ -39,21 +42,21 @@ class PeriodicSolution:
         What was tried and how it ended, for people.
     iterations : int
         Newton iterations, all attempts together.
-    residual : float
-        Norm of the algebraic residual A^-1 R(u) relative to that of the displacement's
-        coefficients.
+    report : ErrorReport
+        Estimated errors, relative to the gap's amplitude.
     """
 
     structure: Structure
     omega: float
-    contact: ContactLaw | None
+    contact: ContactLaw | UnilateralConstraint | None
     displacement_coefficients: np.ndarray
     gap_coefficients: np.ndarray
+    force_coefficients: np.ndarray
     subharmonic: int = 1
     converged: bool = True
     status: str = "linear"
     iterations: int = 0
-    residual: float = 0.0
+    report: ErrorReport = ErrorReport(0.0, 0.0, 0.0, 0.0, 0.0)
 
     @property
     def harmonics(self) -> int:
@@ -75,9 +78,18 @@ class PeriodicSolution:
         return evaluate(self.gap_coefficients, self.base_omega, time)
 
     def contact_force(self, time: np.ndarray) -> np.ndarray:
-        """Contact force lambda(g(t)) at times [s]: (len(time), n_pairs) [N]."""
+        """Contact force lambda(g(t)) at times [s]: (len(time), n_pairs) [N].
+
+        Without a law that gives it from the gap: eps max(0, g + lambda / eps) of the waves.
+        """
         gap = self.gap(time)
-        return np.zeros_like(gap) if self.contact is None else self.contact.force(gap)
+        if self.contact is None:
+            return np.zeros_like(gap)
+        if isinstance(self.contact, UnilateralConstraint):
+            force = evaluate(self.force_coefficients, self.base_omega, time)
+            assert self.contact.weight is not None
+            return np.maximum(0.0, self.contact.weight * gap + force)
+        return self.contact.force(gap)
 
     def displacement(self, time: np.ndarray, dofs: Sequence[int]) -> np.ndarray:
         """Displacement of dofs at times [s]: (len(time), len(dofs)) [m] (collective)."""
@@ -88,5 +100,6 @@ class PeriodicSolution:
         return self.structure.values_at(self.displacement_coefficients, dofs)
 
     def displacement_field(self, time: np.ndarray) -> np.ndarray:
-        """Displacement of the dofs that this rank owns at times [s]: (len(time), n_local) [m]."""
-        return evaluate(self.displacement_coefficients, self.base_omega, time)
+        """Displacement of the whole structure's dofs on this rank: (len(time), n_local) [m]."""
+        rows = self.structure.expand(self.displacement_coefficients)
+        return evaluate(rows, self.base_omega, time)

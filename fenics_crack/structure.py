@@ -100,6 +100,8 @@ class Structure:
         Positions of the dofs where there is a mesh.
     pair_points : (n_pairs, 2) [m] or None
         Positions of the contact pairs where there is a mesh.
+    pair_areas : (n_pairs,) [m^2] or None
+        Area of the lip that belongs to each pair, where there is a mesh.
     """
 
     def __init__(
@@ -113,6 +115,7 @@ class Structure:
         damping: ModalDamping | Any | None = None,
         nodes: Nodes | None = None,
         pair_points: np.ndarray | None = None,
+        pair_areas: np.ndarray | None = None,
     ) -> None:
         self.comm: MPI.Comm = mass.comm.tompi4py()
         self.mass = mass
@@ -123,6 +126,7 @@ class Structure:
         self.damping = damping
         self.nodes = nodes
         self.pair_points = pair_points
+        self.pair_areas = pair_areas
 
     @property
     def n_dofs(self) -> int:
@@ -148,6 +152,15 @@ class Structure:
     def damping_matrix(self) -> Any:
         """C where damping is a matrix, else None."""
         return None if isinstance(self.damping, ModalDamping) else self.damping
+
+    @property
+    def whole(self) -> Structure:
+        """The structure whose dofs and nodes this one speaks of: itself, unless it is reduced."""
+        return self
+
+    def expand(self, displacement: np.ndarray) -> np.ndarray:
+        """Displacements (m, n_local) as those of the whole structure."""
+        return displacement
 
     # --- displacement and gap ---------------------------------------------------------------------
 
@@ -270,6 +283,7 @@ class Structure:
             gap=sparse.csr_matrix((self.n_local, 0)),
             clearance=np.zeros(0),
             pair_points=np.zeros((0, 2)),
+            pair_areas=np.zeros(0),
         )
 
     def damped(self, damping: ModalDamping | None) -> Structure:
@@ -288,6 +302,7 @@ class Structure:
                 "damping",
                 "nodes",
                 "pair_points",
+                "pair_areas",
             )
         }
         return Structure(**(parts | changes))
@@ -346,7 +361,6 @@ class Structure:
         parts = []
         for name, part in (("mean", force_mean), ("cos", force_cos), ("sin", force_sin)):
             whole = np.zeros(n) if part is None else _whole_rows(f"force_{name}", part, n)
-            whole = whole.toarray().ravel() if sparse.issparse(whole) else whole
             if whole.shape != (n,):
                 raise InputError(f"force_{name}", whole.shape, f"of shape ({n},)")
             parts.append(whole[first : first + n_local])

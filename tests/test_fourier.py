@@ -5,7 +5,8 @@ import pytest
 from scipy.integrate import quad
 
 from fenics_crack.contact import SmoothedPenalty, UnilateralPenalty
-from fenics_crack.fourier import SampledContact, evaluate, from_complex, resized, to_complex
+from fenics_crack.contact_integrals import SampledIntegrals
+from fenics_crack.fourier import evaluate, from_complex, resized, to_complex
 
 HARMONICS = 6
 PAIRS = 3
@@ -28,7 +29,7 @@ def test_complex_form_is_inverse_and_evaluates(coefficients: np.ndarray) -> None
 
 def test_sampling_and_balancing_are_inverse(coefficients: np.ndarray) -> None:
     """Samples are values at i T / N, and a band-limited wave comes back exactly."""
-    contact = SampledContact(HARMONICS, 32)
+    contact = SampledIntegrals(UnilateralPenalty(1.0), HARMONICS, 32)
     values = contact.sample(coefficients)
     time = np.arange(32) * 2.0 * np.pi / 32
     assert np.allclose(values, evaluate(coefficients, 1.0, time), atol=1e-13)
@@ -60,8 +61,7 @@ def test_balance_converges_to_the_integrals_of_the_paper(coefficients: np.ndarra
     errors = []
     counts = np.array([64, 128, 256, 512, 1024, 2048])
     for count in counts:
-        contact = SampledContact(HARMONICS, int(count))
-        found = contact.balance(law.force(contact.sample(coefficients)))
+        found = SampledIntegrals(law, HARMONICS, int(count)).force(coefficients)
         errors.append(np.linalg.norm(found[:3, 0] - exact))
     slope = np.polyfit(np.log(counts), np.log(errors), 1)[0]
     assert errors[-1] < 1e-5
@@ -73,12 +73,11 @@ def test_tangent_is_the_derivative_of_the_balance(
     coefficients: np.ndarray, law: UnilateralPenalty | SmoothedPenalty
 ) -> None:
     """Central finite differences; all couplings of the harmonics of a pair, none between pairs."""
-    contact = SampledContact(HARMONICS, 64)
+    contact = SampledIntegrals(law, HARMONICS, 64)
 
-    def balance(values: np.ndarray) -> np.ndarray:
-        return contact.balance(law.force(contact.sample(values)))
-
-    tangent = contact.tangent(law.tangent(contact.sample(coefficients)))
+    balance = contact.force
+    force, tangent = contact.linearise(coefficients)
+    assert np.array_equal(force, balance(coefficients))
     step = 1e-6
     for column in range(2 * HARMONICS + 1):
         for pair in range(PAIRS):

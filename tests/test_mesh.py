@@ -517,6 +517,30 @@ def test_two_ranks_build_the_same_structure(mpirun: Callable[..., str]) -> None:
             np.testing.assert_allclose(parallel[name], value, rtol=1e-10, atol=1e-12, err_msg=name)
 
 
+def totals(mapping: dict[str, Any], points: list[Any], comm: MPI.Comm) -> list[Any]:
+    """Sum of the load's nodal forces for a load at each of the points (collective)."""
+    scene = Scene.from_mapping(mapping)
+    structures = (build_structure(scene.replace({"excitation.point": p}), comm) for p in points)
+    return [comm.allreduce(structure.force[2].sum()) for structure in structures]
+
+
+@pytest.mark.mpi
+def test_load_between_two_ranks(mpirun: Callable[..., str]) -> None:
+    """A load on the border of two ranks' cells, wherever that runs, is applied once."""
+    mapping = dataclasses.asdict(plate("grid", "quadrilateral", 1))
+    points = [(i * WIDTH / 20, 0.75 * HEIGHT) for i in range(21)]
+    points += [(0.5 * WIDTH, j * HEIGHT / 4) for j in range(1, 5)]
+    output = mpirun(
+        "from mpi4py import MPI\n"
+        "from test_mesh import totals\n"
+        f"found = totals({mapping!r}, {points!r}, MPI.COMM_WORLD)\n"
+        "if MPI.COMM_WORLD.rank == 0:\n"
+        "    print(*found)\n"
+    )
+    found = [float(total) for total in output.splitlines()[-1].split()]
+    np.testing.assert_allclose(found, np.ones(len(points)), rtol=1e-9)
+
+
 @pytest.mark.mpi
 def test_errors_reach_every_rank(mpirun: Callable[..., str], tmp_path: Path) -> None:
     """A mesh file that only rank 0 reads is refused on every rank; nobody waits for ever."""

@@ -124,6 +124,18 @@ def test_one_dof() -> None:
     np.testing.assert_allclose(modes.shapes, [[2.0**-0.5]], rtol=1e-14)
 
 
+@pytest.mark.parametrize("n", [9, 10, 23])
+def test_signs(n: int) -> None:
+    """A chain between walls, sin(j pi i / (n+1)): the first of its largest parts is positive."""
+    stiffness = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    modes = solve_modes(Structure.from_matrices(np.eye(n), stiffness, None), n)
+    places = np.arange(1, n + 1)
+    exact = np.sin(np.outer(places, places) * np.pi / (n + 1))
+    large = np.abs(exact) > (1.0 - 1e-9) * np.abs(exact).max(axis=0)
+    exact *= np.sign(exact[large.argmax(axis=0), range(n)])
+    np.testing.assert_allclose(modes.shapes, exact / np.linalg.norm(exact, axis=0), atol=1e-10)
+
+
 def test_largest_frequency() -> None:
     """The largest frequency is LAPACK's, and with four times the mass half of it."""
     mass, stiffness = random_matrices(30)

@@ -1,0 +1,267 @@
+"""Dynamic compliance: all that contact pairs see of a structure.
+
+A force lambda_k exp(i k w t) on the pairs moves their gaps by -R_k lambda_k, and the load alone
+opens them by the linear gap,
+
+    R_k = B^T Z_k^-1 B,        g_lin = B^T Z^-1 f - g0,        Z_k = K - (k w)^2 M + i k w C,
+
+so that the gap's harmonics solve g + R lambda(g) = g_lin exactly, whatever lies behind R. Small
+structures, reduced ones among them, answer in closed form from all of their modes; large ones by
+one sparse factorisation for each harmonic. Both give the displacement anywhere once lambda is
+known.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import scipy.linalg
+
+from fenics_crack.dynamic_stiffness import DynamicStiffness
+from fenics_crack.errors import ConvergenceError
+from fenics_crack.fourier import from_complex, resized, to_complex
+from fenics_crack.modes import damped_modes, solve_modes
+from fenics_crack.structure import Structure
+
+__all__ = [
+    "Compliance",
+    "FactoredCompliance",
+    "ModalCompliance",
+    "WidenedCompliance",
+    "dynamic_compliance",
+    "load_coefficients",
+]
+
+SMALL = 600
+"""Structures with at most so many dofs are taken apart into all of their modes."""
+
+
+class Compliance(Protocol):
+    """Compliance of a structure at the multiples 0 to H of a base frequency.
+
+    Attributes
+    ----------
+    matrices : (H+1, n_pairs, n_pairs) complex [m/N]
+        R_k, symmetric.
+    linear_gap : (2H+1, n_pairs) [m]
+        Gap without contact, less the clearance.
+    """
+
+    matrices: np.ndarray
+    linear_gap: np.ndarray
+
+    def beyond(self, highest: int) -> np.ndarray:
+        """R_k for k = H+1 to a higher harmonic, to the accuracy of an error estimate."""
+
+    def displacement(self, force: np.ndarray) -> np.ndarray:
+        """u = A^-1 (c - B lambda) of contact forces (2H+1, n_pairs): (2H+1, n_local)."""
+
+    def destroy(self) -> None:
+        """Free what is held (collective)."""
+
+
+def dynamic_compliance(
+    structure: Structure, base_omega: float, harmonics: int, subharmonic: int = 1
+) -> Compliance:
+    """Compliance at the multiples of ``base_omega`` (collective).
+
+    The load sits on harmonic ``subharmonic``.
+
+    Raises
+    ------
+    ConvergenceError
+        The structure has no damping and is met in resonance, or is loose.
+    """
+    load = load_coefficients(structure, harmonics, subharmonic)
+    if structure.comm.size == 1 and structure.n_dofs <= SMALL:
+        return ModalCompliance(structure, base_omega, load)
+    return FactoredCompliance(structure, base_omega, load)
+
+
+def load_coefficients(structure: Structure, harmonics: int, subharmonic: int) -> np.ndarray:
+    """c: coefficients of the load, (2H+1, n_local) [N]."""
+    load = np.zeros((2 * harmonics + 1, structure.n_local))
+    load[0] = structure.force[0]
+    load[2 * subharmonic - 1 : 2 * subharmonic + 1] = structure.force[1:]
+    return load
+
+
+class ModalCompliance:
+    """Closed form from all modes of a small structure, exact with any damping.
+
+    With modal coordinates q, u = Phi q, the impedance is omega_j^2 - w^2 + i w c_j, or with damping
+    that couples modes a full matrix of the same size.
+    """
+
+    def __init__(self, structure: Structure, base_omega: float, load: np.ndarray) -> None:
+        self._structure = structure
+        self._base = base_omega
+        self._modes = _all_modes(structure)
+        self._load = load
+        harmonics = len(load) // 2
+        self._receptance = self._modes.receptance(base_omega * np.arange(harmonics + 1))
+        self.matrices = self._seen_by_pairs(self._receptance)
+        # Only the mean and one harmonic are loaded.
+        self._modal_load = to_complex(load @ self._modes.shapes)
+        free = _respond(self._receptance, self._modal_load)
+        self.linear_gap = from_complex(free @ self._modes.pairs)
+        self.linear_gap[0] -= structure.clearance
+
+    def beyond(self, highest: int) -> np.ndarray:
+        """R_k for k = H+1 to ``highest``."""
+        order = np.arange(len(self.matrices), highest + 1)
+        return self._seen_by_pairs(self._modes.receptance(self._base * order))
+
+    def displacement(self, force: np.ndarray) -> np.ndarray:
+        """u = A^-1 (c - B lambda)."""
+        drive = self._modal_load - to_complex(force) @ self._modes.pairs.T
+        return from_complex(_respond(self._receptance, drive) @ self._modes.shapes.T)
+
+    def destroy(self) -> None:
+        """Nothing is held."""
+
+    def _seen_by_pairs(self, receptance: np.ndarray) -> np.ndarray:
+        pairs = self._modes.pairs
+        if receptance.ndim == 2:
+            return np.matmul(pairs.T * receptance[:, None, :], pairs)
+        return pairs.T @ receptance @ pairs
+
+
+class _AllModes:
+    """All modes of a small structure, its pairs and its damping in modal coordinates."""
+
+    def __init__(self, structure: Structure) -> None:
+        known = damped_modes(structure)
+        if known is not None and len(known.omega) == structure.n_dofs:
+            self.squares, self.shapes = known.omega**2, known.shapes
+            self.damping: np.ndarray = known.rate
+        else:
+            mass, stiffness = (
+                matrix.getValues(range(structure.n_dofs), range(structure.n_dofs))
+                for matrix in (structure.mass, structure.stiffness)
+            )
+            self.squares, self.shapes = scipy.linalg.eigh(stiffness, mass)
+            if structure.damping_matrix is not None:
+                everywhere = range(structure.n_dofs)
+                matrix = structure.damping_matrix.getValues(everywhere, everywhere)
+                coupled = self.shapes.T @ matrix @ self.shapes
+            elif known is not None:  # of the lowest modes alone
+                projected = self.shapes.T @ known.mass_shapes
+                coupled = (projected * known.rate) @ projected.T
+            else:
+                coupled = np.zeros((structure.n_dofs, structure.n_dofs))
+            rate = np.diag(coupled).copy()
+            coupling = np.abs(coupled - np.diag(rate)).max()
+            self.damping = rate if coupling <= 1e-14 * np.abs(rate).max() else coupled
+        self.pairs = (structure.gap.T @ self.shapes).T
+        """(n_modes, n_pairs)"""
+
+    def receptance(self, omega: np.ndarray) -> np.ndarray:
+        """Inverse impedance at frequencies (m,): (m, n_modes), or with coupling (m, n, n)."""
+        stiffness = self.squares - omega[:, None] ** 2
+        if self.damping.ndim == 1:
+            impedance = stiffness + 1j * omega[:, None] * self.damping
+            smallest = np.abs(impedance) / (np.abs(self.squares) + omega[:, None] ** 2)
+            if np.any(smallest < 1e-15):
+                at = omega[np.nonzero(smallest < 1e-15)[0][0]]
+                cause = "it can move as a rigid body" if at == 0.0 else "an undamped resonance"
+                raise ConvergenceError(
+                    f"dynamic compliance at {at:g} rad/s: the structure is singular ({cause})"
+                )
+            return 1.0 / impedance
+        coupled = 1j * omega[:, None, None] * self.damping
+        diagonal = np.arange(len(self.squares))
+        coupled[:, diagonal, diagonal] += stiffness
+        return np.linalg.inv(coupled)
+
+
+_ALL_MODES: WeakKeyDictionary[Structure, _AllModes] = WeakKeyDictionary()
+
+
+def _all_modes(structure: Structure) -> _AllModes:
+    if structure not in _ALL_MODES:
+        _ALL_MODES[structure] = _AllModes(structure)
+    return _ALL_MODES[structure]
+
+
+def _respond(receptance: np.ndarray, drive: np.ndarray) -> np.ndarray:
+    """Modal response to modal forces, both (H+1, n_modes)."""
+    if receptance.ndim == 2:
+        return receptance * drive
+    return np.matmul(receptance, drive[:, :, None])[:, :, 0]
+
+
+class FactoredCompliance:
+    """Exact, from one sparse factorisation for each harmonic; the factors are kept.
+
+    Attributes
+    ----------
+    structure : Structure
+        Whose compliance it is.
+    load : (2H+1, n_local) [N]
+        c, coefficients of the load.
+    """
+
+    def __init__(self, structure: Structure, base_omega: float, load: np.ndarray) -> None:
+        self.structure = structure
+        self.load = load
+        self._base = base_omega
+        self._blocks = [
+            DynamicStiffness(structure, k * base_omega) for k in range(len(load) // 2 + 1)
+        ]
+        self.matrices = np.array([block.compliance() for block in self._blocks], dtype=complex)
+        self.linear_gap = structure.closing(self.solve_blocks(load))
+        self.linear_gap[0] -= structure.clearance
+
+    def beyond(self, highest: int) -> np.ndarray:
+        """R_k for k = H+1 to ``highest``: modes known, and what they leave of the static R_0."""
+        omega, rate, pairs = _known_modes(self.structure)
+        static = self.matrices[0].real - (pairs.T / omega**2) @ pairs
+        frequency = self._base * np.arange(len(self.matrices), highest + 1)[:, None]
+        receptance = 1.0 / (omega**2 - frequency**2 + 1j * frequency * rate)
+        return static + np.matmul(pairs.T * receptance[:, None, :], pairs)
+
+    def displacement(self, force: np.ndarray) -> np.ndarray:
+        """u = A^-1 (c - B lambda)."""
+        return self.solve_blocks(self.load - self.structure.spread(force))
+
+    def solve_blocks(self, force: np.ndarray) -> np.ndarray:
+        """A^-1 f of coefficients (2H+1, n_local)."""
+        rows = [
+            block.solve(row.real[None] if k == 0 else row[None])[0]
+            for k, (block, row) in enumerate(zip(self._blocks, to_complex(force), strict=True))
+        ]
+        return from_complex(np.array(rows, dtype=complex))
+
+    def apply_blocks(self, displacement: np.ndarray) -> np.ndarray:
+        """A u of coefficients (2H+1, n_local)."""
+        harmonics = to_complex(displacement)
+        rows = [b.apply(row[None])[0] for b, row in zip(self._blocks, harmonics, strict=True)]
+        return from_complex(np.array(rows))
+
+    def destroy(self) -> None:
+        """Free the factors (collective)."""
+        for block in self._blocks:
+            block.destroy()
+
+
+class WidenedCompliance:
+    """A compliance with more harmonics, the new ones to the accuracy of an error estimate."""
+
+    def __init__(self, compliance: Compliance, harmonics: int) -> None:
+        self.matrices = np.concatenate([compliance.matrices, compliance.beyond(harmonics)])
+        self.linear_gap = resized(compliance.linear_gap, harmonics)
+        self.beyond = compliance.beyond
+        self.displacement = compliance.displacement
+        self.destroy = compliance.destroy
+
+
+def _known_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """omega, damping rate and B^T phi of the damped modes, or of the 20 lowest."""
+    known = damped_modes(structure)
+    if known is not None:
+        return known.omega, known.rate, structure.closing(known.shapes.T)
+    modes = solve_modes(structure, min(20, structure.n_dofs))
+    return modes.omega, np.zeros_like(modes.omega), structure.closing(modes.shapes.T)

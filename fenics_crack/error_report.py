@@ -1,0 +1,183 @@
+"""The error made in getting a solution, estimated from the solution itself.
+
+What an approximation leaves out acts on the gaps through the linearised equation. With the Jacobian
+J of F(g) = g + R b(g) - g_lin at the solution, compliance R, and a disturbance d of b,
+
+    delta g = -J^-1 R d.
+
+- truncation: the first Newton step of the equations with four times the harmonics;
+- sampling: d is the difference between the contact integrals used and finer or exact ones;
+- reduction: R lacks delta R, known from a larger basis: R d becomes delta R b - delta g_lin.
+
+All are root mean squares over the period and the pairs, relative to that of B^T u.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse.linalg
+
+from fenics_crack.compliance import dynamic_compliance
+from fenics_crack.condensed import CondensedSystem, ConstraintSystem, respond
+from fenics_crack.contact import UnilateralPenalty
+from fenics_crack.contact_integrals import ContactIntegrals, ExactIntegrals, SampledIntegrals
+from fenics_crack.fourier import resized
+from fenics_crack.reduction import ReducedStructure
+from fenics_crack.structure import Structure
+
+__all__ = ["ErrorReport", "estimate_errors", "mean_square"]
+
+
+@dataclass(frozen=True)
+class ErrorReport:
+    """Estimated errors of the gap, relative to the root mean square of B^T u.
+
+    Attributes
+    ----------
+    residual : float
+        Of the algebraic system, and of B^T u - g0 - g after expansion to the structure; the larger.
+    truncation : float
+        Harmonics above H left out.
+    sampling : float
+        Contact integrals by samples; 0 for exact ones.
+    reduction : float
+        Modes left out of a reduced structure; 0 for a whole one.
+    penetration : float
+        Penetration that the contact law lets happen; not an error of the solution of that law.
+    """
+
+    residual: float
+    truncation: float
+    sampling: float
+    reduction: float
+    penetration: float
+
+    @property
+    def total(self) -> float:
+        """Sum of the errors made in solving the law given (without the penetration)."""
+        return self.residual + self.truncation + self.sampling + self.reduction
+
+
+def estimate_errors(
+    system: CondensedSystem | ConstraintSystem,
+    unknown: np.ndarray,
+    structure: Structure,
+    displacement: np.ndarray,
+    base_omega: float,
+    subharmonic: int,
+) -> ErrorReport:
+    """Estimate the errors of a solution (collective).
+
+    Parameters
+    ----------
+    system : CondensedSystem or ConstraintSystem
+        The equations.
+    unknown : (2H+1, n_pairs)
+        Their solution.
+    structure : Structure
+        Whose gaps they are.
+    displacement : (2H+1, n_local) [m]
+        The solution expanded to the structure.
+    base_omega, subharmonic : float, int
+        Frequency of the response [rad/s], and the harmonic on which the load sits.
+    """
+    gap, force = system.gap_and_force(unknown)
+    system.linearise(unknown)
+    closing = gap.copy()
+    closing[0] += structure.clearance
+    size = np.sqrt(mean_square(closing))
+
+    def relative(change: np.ndarray) -> float:
+        return float(np.sqrt(mean_square(change)) / size) if size > 0.0 else 0.0
+
+    algebraic = relative(system.residual(unknown))
+    expanded = relative(structure.closing(displacement) - closing)
+    return ErrorReport(
+        residual=max(algebraic, expanded),
+        truncation=relative(_beyond_truncation(system, unknown)),
+        sampling=relative(system.gap_change(_missed_by_samples(system.integrals, gap))),
+        reduction=relative(_lost_in_reduction(system, structure, force, base_omega, subharmonic)),
+        penetration=relative(_penetration(gap)),
+    )
+
+
+def _beyond_truncation(
+    system: CondensedSystem | ConstraintSystem, unknown: np.ndarray
+) -> np.ndarray:
+    """One Newton step in the equations with four times the harmonics: (2K+1, n_pairs).
+
+    The step is found iteratively, preconditioned by the Jacobian up to H.
+    """
+    kept = system.integrals.harmonics
+    wide = system.widened(max(4 * kept, kept + 8))
+    start = resized(unknown, wide.integrals.harmonics)
+    rows = len(unknown)
+    residual = wide.residual(start)
+    residual[:rows] = 0.0  # solved; what samples leave is another error
+
+    def precondition(values: np.ndarray) -> np.ndarray:
+        found = values.reshape(start.shape).copy()
+        found[:rows] = system.solve_jacobian(found[:rows])
+        return found.ravel()
+
+    def apply(values: np.ndarray) -> np.ndarray:
+        return wide.apply_tangent(values.reshape(start.shape)).ravel()
+
+    size = np.linalg.norm(residual)  # SciPy's tolerances are not all relative
+    if size == 0.0:
+        return np.zeros_like(start)
+    shape = (start.size, start.size)
+    step, _ = scipy.sparse.linalg.gmres(
+        scipy.sparse.linalg.LinearOperator(shape, matvec=apply, dtype=float),
+        -residual.ravel() / size,
+        restart=30,
+        maxiter=1,
+        M=scipy.sparse.linalg.LinearOperator(shape, matvec=precondition, dtype=float),
+    )
+    return wide.gap_of_change(size * step.reshape(start.shape))
+
+
+def _missed_by_samples(integrals: ContactIntegrals, gap: np.ndarray) -> np.ndarray:
+    """Better coefficients of the contact force less those used."""
+    if not isinstance(integrals, SampledIntegrals):
+        return np.zeros_like(gap)
+    better: ContactIntegrals
+    if isinstance(integrals.law, UnilateralPenalty):
+        better = ExactIntegrals(integrals.law, integrals.harmonics)
+    else:
+        better = SampledIntegrals(integrals.law, integrals.harmonics, 4 * integrals.samples)
+    return better.force(gap) - integrals.force(gap)
+
+
+def _lost_in_reduction(
+    system: CondensedSystem | ConstraintSystem,
+    structure: Structure,
+    force: np.ndarray,
+    base_omega: float,
+    subharmonic: int,
+) -> np.ndarray:
+    """Change of the gap if the compliance were that of the reduced structure's reference."""
+    reference = structure.reference if isinstance(structure, ReducedStructure) else None
+    if reference is None:
+        return np.zeros_like(force)
+    harmonics = system.integrals.harmonics
+    better = dynamic_compliance(reference, base_omega, harmonics, subharmonic)
+    free = better.linear_gap - system.compliance.linear_gap
+    return system.gap_change_of_free_gap(
+        free - respond(better.matrices - system.compliance.matrices, force)
+    )
+
+
+def _penetration(gap: np.ndarray) -> np.ndarray:
+    """Coefficients whose mean square is that of max(g, 0), by 512 instants or more."""
+    harmonics = len(gap) // 2
+    integrals = SampledIntegrals(UnilateralPenalty(1.0), harmonics, max(512, 16 * harmonics))
+    inside = np.maximum(integrals.sample(gap), 0.0)
+    return np.sqrt(np.mean(inside**2, axis=0, keepdims=True))
+
+
+def mean_square(coefficients: np.ndarray) -> float:
+    """Mean over the period of the sum of squares (Parseval), rows a0, a1, b1, ...."""
+    return float(np.sum(coefficients[:1] ** 2) + 0.5 * np.sum(coefficients[1:] ** 2))
