@@ -134,7 +134,7 @@ class SampledIntegrals(ContactIntegrals):
 class ExactIntegrals(ContactIntegrals):
     """Closed form between the switching instants, for lambda = k max(g, 0).
 
-        """Complex c_m + i s_m, means of the slope times exp(i m theta): (n_pairs, highest + 1)."""
+    With kappa = k where the pair is closed, else 0,
 
         c_m + i s_m = k / (2 pi) sum int exp(i m theta) d theta,
 
