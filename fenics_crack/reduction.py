@@ -3,7 +3,8 @@
 The displacement is sought in the span of a basis T, u = T q. Three bases:
 
 - ``free_interface`` (the default; MacNeal, Rubin): the lowest modes Phi with free lips, and for
-  every pair and load the *residual attachment vector*, what the modes leave out of the static response,
+  every pair and load the *residual attachment vector*, what the modes leave out of the static
+  response,
 
       Psi = (K^-1 - Phi Lambda^-1 Phi^T) [B, f];
 
