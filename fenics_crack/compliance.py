@@ -211,9 +211,11 @@ class FactoredCompliance:
         self._blocks = [
             DynamicStiffness(structure, k * base_omega) for k in range(len(load) // 2 + 1)
         ]
-        self.matrices = np.array([block.compliance() for block in self._blocks], dtype=complex)
-        self.linear_gap = structure.closing(self.solve_blocks(load))
-        self.linear_gap[0] -= structure.clearance
+        matrices = np.array([block.compliance() for block in self._blocks], dtype=complex)
+        linear_gap = structure.closing(self.solve_blocks(load))
+        linear_gap[0] -= structure.clearance
+        # Every rank goes on by itself with these: they must not differ even by rounding.
+        self.matrices, self.linear_gap = structure.comm.bcast((matrices, linear_gap))
 
     def beyond(self, highest: int) -> np.ndarray:
         """R_k for k = H+1 to ``highest``: modes known, and what they leave of the static R_0."""

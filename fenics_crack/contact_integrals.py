@@ -21,6 +21,7 @@ a Toeplitz plus a Hankel matrix for each pair, with c_0, c_j, s_j in the row of 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from functools import lru_cache
 
 import numpy as np
 
@@ -197,18 +198,24 @@ def apply_to_pairs(tangent: np.ndarray, gap: np.ndarray) -> np.ndarray:
 
 def _tangent(means: np.ndarray, harmonics: int) -> np.ndarray:
     """The Toeplitz plus Hankel matrix of every pair from c_m + i s_m: (n_pairs, 2H+1, 2H+1)."""
-    order = np.arange(1, harmonics + 1)
-    total = means[:, order[:, None] + order]
-    difference = order[:, None] - order
-    lag = means[:, np.abs(difference)]
-    sine_of_lag = np.sign(difference) * lag.imag
+    total, difference, sign = _orders(harmonics)
+    high, lag = means[:, total], means[:, difference]
+    sine_of_lag = sign * lag.imag
     matrix = np.empty((len(means), 2 * harmonics + 1, 2 * harmonics + 1))
     matrix[:, 0, 0] = means[:, 0].real
-    matrix[:, 0, 1::2] = means[:, order].real
-    matrix[:, 0, 2::2] = means[:, order].imag
-    matrix[:, 1:, 0] = 2.0 * matrix[:, 0, 1:]
-    matrix[:, 1::2, 1::2] = lag.real + total.real
-    matrix[:, 1::2, 2::2] = total.imag - sine_of_lag
-    matrix[:, 2::2, 1::2] = total.imag + sine_of_lag
-    matrix[:, 2::2, 2::2] = lag.real - total.real
+    matrix[:, 0, 1::2] = means[:, 1 : harmonics + 1].real
+    matrix[:, 0, 2::2] = means[:, 1 : harmonics + 1].imag
+    np.multiply(2.0, matrix[:, 0, 1:], out=matrix[:, 1:, 0])
+    np.add(lag.real, high.real, out=matrix[:, 1::2, 1::2])
+    np.subtract(high.imag, sine_of_lag, out=matrix[:, 1::2, 2::2])
+    np.add(high.imag, sine_of_lag, out=matrix[:, 2::2, 1::2])
+    np.subtract(lag.real, high.real, out=matrix[:, 2::2, 2::2])
     return matrix
+
+
+@lru_cache(maxsize=64)
+def _orders(harmonics: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """i + j, |i - j| and the sign of i - j for i, j = 1 to H."""
+    order = np.arange(1, harmonics + 1)
+    difference = order[:, None] - order
+    return order[:, None] + order, np.abs(difference), np.sign(difference)

@@ -69,7 +69,7 @@ class DynamicStiffness:
         if omega > 0.0:
             self._matrix = weighted_sum(structure.stiffness, -(omega**2), structure.mass)
         self._full_damping: Any = structure.damping_matrix if omega > 0.0 else None
-        self._near = np.zeros(0, dtype=int)
+        self._near: np.ndarray = np.zeros(0, dtype=int)
         if self._modes is not None:
             squares = self._modes.omega**2
             self._near = np.flatnonzero(np.abs(squares - omega**2) < DEFLATION_BAND * squares)

@@ -29,6 +29,9 @@ from fenics_crack.structure import Structure
 
 __all__ = ["ErrorReport", "estimate_errors", "mean_square"]
 
+DIRECT = 200
+"""Up to so many unknowns the widened equations are solved by elimination."""
+
 
 @dataclass(frozen=True)
 class ErrorReport:
@@ -99,7 +102,7 @@ def estimate_errors(
         truncation=relative(_beyond_truncation(system, unknown)),
         sampling=relative(system.gap_change(_missed_by_samples(system.integrals, gap))),
         reduction=relative(_lost_in_reduction(system, structure, force, base_omega, subharmonic)),
-        penetration=relative(_penetration(gap)),
+        penetration=relative(_penetration(system, gap, force)),
     )
 
 
@@ -108,7 +111,8 @@ def _beyond_truncation(
 ) -> np.ndarray:
     """One Newton step in the equations with four times the harmonics: (2K+1, n_pairs).
 
-    The step is found iteratively, preconditioned by the Jacobian up to H.
+    Where there are many unknowns the step is found iteratively, preconditioned by the Jacobian up
+    to H.
     """
     kept = system.integrals.harmonics
     wide = system.widened(max(4 * kept, kept + 8))
@@ -125,6 +129,9 @@ def _beyond_truncation(
     def apply(values: np.ndarray) -> np.ndarray:
         return wide.apply_tangent(values.reshape(start.shape)).ravel()
 
+    if start.size <= DIRECT:
+        wide.linearise(start)
+        return wide.gap_of_change(wide.solve_jacobian(-residual))
     size = np.linalg.norm(residual)  # SciPy's tolerances are not all relative
     if size == 0.0:
         return np.zeros_like(start)
@@ -170,11 +177,19 @@ def _lost_in_reduction(
     )
 
 
-def _penetration(gap: np.ndarray) -> np.ndarray:
-    """Coefficients whose mean square is that of max(g, 0), by 512 instants or more."""
+def _penetration(
+    system: CondensedSystem | ConstraintSystem, gap: np.ndarray, force: np.ndarray
+) -> np.ndarray:
+    """Coefficients whose mean square is that of max(g, 0)."""
+    integrals = system.integrals
+    if isinstance(system, CondensedSystem) and isinstance(integrals, ExactIntegrals):
+        # lambda / k = max(g, 0), whose mean square is the mean of g lambda / k.
+        inside = force / integrals.law.stiffness
+        product = gap[0] * inside[0] + 0.5 * np.sum(gap[1:] * inside[1:], axis=0)
+        return np.sqrt(np.maximum(product, 0.0))[None]
     harmonics = len(gap) // 2
-    integrals = SampledIntegrals(UnilateralPenalty(1.0), harmonics, max(512, 16 * harmonics))
-    inside = np.maximum(integrals.sample(gap), 0.0)
+    sampled = SampledIntegrals(UnilateralPenalty(1.0), harmonics, max(512, 16 * harmonics))
+    inside = np.maximum(sampled.sample(gap), 0.0)
     return np.sqrt(np.mean(inside**2, axis=0, keepdims=True))
 
 

@@ -18,7 +18,7 @@ from petsc4py import PETSc
 from slepc4py import SLEPc
 
 from fenics_crack.errors import ConvergenceError, InputError
-from fenics_crack.factor import Factor
+from fenics_crack.factor import Factor, weighted_sum
 from fenics_crack.parallel import gather_rows
 from fenics_crack.structure import ModalDamping, Structure
 
@@ -120,19 +120,18 @@ def _nearest_zero(structure: Structure, count: int, scale: float) -> tuple[np.nd
 
 def _count_below(structure: Structure, square: float) -> int:
     """Number of modes with omega^2 < square: the negative pivots of K - square M (Sylvester)."""
-    shifted = structure.stiffness.copy()
-    shifted.axpy(-square, structure.mass, PETSc.Mat.Structure.UNKNOWN_NONZERO_PATTERN)
+    shifted = weighted_sum(structure.stiffness, -square, structure.mass)
     with Factor(shifted, symmetric=True) as factor:
         count = factor.negative_pivots
     shifted.destroy()
     return count
 
 
-def largest_frequency(structure: Structure, mass: Any = None) -> float:
-    """Largest natural angular frequency [rad/s] (collective); with another mass matrix if given."""
+def largest_frequency(structure: Structure) -> float:
+    """Largest natural angular frequency [rad/s] (collective)."""
     solver = SLEPc.EPS().create(structure.comm)
     solver.setOptionsPrefix("crack_largest_")
-    solver.setOperators(structure.stiffness, structure.mass if mass is None else mass)
+    solver.setOperators(structure.stiffness, structure.mass)
     solver.setProblemType(SLEPc.EPS.ProblemType.GHEP)
     solver.setDimensions(1, min(structure.n_dofs, 30))
     solver.setTolerances(1e-6, 1000)

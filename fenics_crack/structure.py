@@ -121,6 +121,7 @@ class Structure:
         self.mass = mass
         self.stiffness = stiffness
         self.gap = sparse.csr_matrix(gap)
+        self._gap_transposed = sparse.csr_matrix(self.gap.T)
         self.force = force
         self.clearance = clearance
         self.damping = damping
@@ -166,7 +167,7 @@ class Structure:
 
     def closing(self, displacement: np.ndarray) -> np.ndarray:
         """B^T u of displacements (m, n_local): (m, n_pairs) on every rank (collective)."""
-        return self.sum_over_ranks((self.gap.T @ displacement.T).T)
+        return self.sum_over_ranks((self._gap_transposed @ displacement.T).T)
 
     def spread(self, pair_force: np.ndarray) -> np.ndarray:
         """B lambda of forces on the pairs (m, n_pairs): (m, n_local)."""

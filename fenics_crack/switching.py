@@ -109,7 +109,7 @@ def _divide(
     values[:, 1:-1] = np.einsum("ch,cph->cp", table[cells.pair], wave).real
     bound = curvature[cells.pair] * width**2
     changes, settled = _classify(values[:, :-1], values[:, 1:], bound[:, None])
-    settled |= (bound < 8.0 * resolution[cells.pair])[:, None]
+    settled |= (bound <= 8.0 * resolution[cells.pair])[:, None]  # equal where g is zero
 
     def pick(chosen: np.ndarray) -> _Brackets:
         row, part = np.nonzero(chosen)
@@ -139,19 +139,20 @@ def _polished(brackets: _Brackets, table: np.ndarray) -> np.ndarray:
     left, low = brackets.left, brackets.low
     right = left + brackets.width
     theta = left - brackets.width * low / (brackets.high - low)
-    rate = 1j * np.arange(table.shape[1])
-    for _ in range(60 if len(left) else 0):
-        wave = table * np.exp(np.multiply.outer(theta, rate))
-        value, slope = wave.real.sum(axis=1), (wave * rate).real.sum(axis=1)
-        before = (value > 0.0) == (low > 0.0)
-        left, right = np.where(before, theta, left), np.where(before, right, theta)
-        with np.errstate(divide="ignore", invalid="ignore"):
+    order = np.arange(table.shape[1])
+    starts_positive = low > 0.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for _ in range(60 if len(left) else 0):
+            wave = table * np.exp(1j * np.multiply.outer(theta, order))
+            value, slope = wave.real.sum(axis=1), -(wave.imag @ order)
+            before = (value > 0.0) == starts_positive
+            left, right = np.where(before, theta, left), np.where(before, right, theta)
             updated = theta - value / slope
-        inside = (updated >= left) & (updated <= right)
-        if not inside.all():
-            updated = np.where(inside, updated, 0.5 * (left + right))
-        step = np.abs(updated - theta).max()
-        theta = updated
-        if step < 1e-9:
-            break
+            inside = (updated >= left) & (updated <= right)
+            if not inside.all():
+                updated = np.where(inside, updated, 0.5 * (left + right))
+            step = np.abs(updated - theta).max()
+            theta = updated
+            if step < 1e-9:
+                break
     return theta
