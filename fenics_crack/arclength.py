@@ -11,7 +11,7 @@ With the unit tangent (t_x, t_p) of the path in the norm |x|^2 / |x_0|^2 + p^2, 
 3. is lengthened where few iterations were needed, and halved where they failed or where the path
    was left. It is left where the new tangent makes a large angle with the old one. Of the two
    tangents at a point the right one keeps the sign of t_p det J, which changes neither along a path
-   nor at its folds.
+   nor at its folds, but where another branch crosses.
 
 Source: Keller, in Applications of Bifurcation Theory, 1977; Seydel, Practical Bifurcation and
 Stability Analysis, chapter 4.
@@ -20,15 +20,17 @@ Stability Analysis, chapter 4.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 
-__all__ = ["ParametricSystem", "PathPoint", "follow_path"]
+__all__ = ["ParametricSystem", "PathPoint", "Tangent", "follow_path", "step_along"]
 
-LEAST_COSINE = 0.5
-"""Of the angle between the tangents of neighbouring points."""
+MOST_ITERATIONS, MOST_EVALUATIONS = 8, 30
+"""Of one corrector."""
+BRANCHING_STEP = 1e-3
+"""Relative to the longest step: with shorter ones, a sign that changes straight ahead is believed."""
 
 
 class ParametricSystem(Protocol):
@@ -58,11 +60,17 @@ class ParametricSystem(Protocol):
 
 @dataclass(frozen=True)
 class PathPoint:
-    """A point of the path, and the iterations that it took."""
+    """A point of the path, the iterations that it took, and the tangent there.
+
+    The sign of ``tangent.p`` says whether the parameter grows along the path; it changes at folds.
+    ``crosses_branch`` says that another branch has been crossed since the point before.
+    """
 
     unknown: np.ndarray
     parameter: float
     iterations: int
+    tangent: Tangent
+    crosses_branch: bool = False
 
 
 def follow_path(
@@ -75,30 +83,45 @@ def follow_path(
     most_steps: int = 1000,
     longest_step: float = 1.0,
     shortest_step: float = 1e-7,
+    least_cosine: float = 0.5,
 ) -> Iterator[PathPoint]:
     """Yield points of the path from a solution on, towards growing p first.
 
-    It ends after ``most_steps`` or where the steps have become too short.
+    It ends after ``most_steps`` or where the steps have become too short. Neighbouring tangents make
+    an angle whose cosine is at least ``least_cosine``.
     """
-    here = PathPoint(start, parameter, 0)
     system.set_parameter(parameter)
     tangent = _tangent(system, start)
+    here = PathPoint(start, parameter, 0, tangent)
     orientation = system.determinant_sign()
     for _ in range(most_steps):
         while True:
-            found = _correct(system, here, tangent, step, tolerance)
+            # Points must be known better than the steps between them are long.
+            sharp = max(1e-13, min(tolerance, 1e-4 * step))
+            found = _correct(system, here, tangent, step, sharp)
             if found is not None:
                 # The determinant of the bordered matrix keeps its sign along a path: it tells where
                 # the path goes on, and the angle tells a step that has left it.
                 ahead = _tangent(system, found.unknown)
                 if system.determinant_sign() != orientation:
                     ahead = ahead.reversed()
-                if ahead.along(tangent, system) > LEAST_COSINE:
+                cosine = ahead.along(tangent, system)
+                if cosine > least_cosine:
+                    break
+                if cosine < -0.999 and step < BRANCHING_STEP * longest_step:
+                    # A short step straight on, but the sign has changed: another branch crosses.
+                    ahead, orientation = ahead.reversed(), -orientation
+                    found = replace(found, crosses_branch=True)
                     break
             step *= 0.5
             if step < shortest_step:
-                return
-        here, tangent = found, ahead
+                turned = _round_corner(system, here, tangent, orientation, longest_step)
+                if turned is None:
+                    return
+                found, ahead, step = turned
+                break
+        tangent = ahead
+        here = replace(found, tangent=ahead)
         yield here
         if here.iterations <= 3:
             step = min(longest_step, 1.7 * step)
@@ -107,55 +130,105 @@ def follow_path(
 
 
 @dataclass(frozen=True)
-class _Tangent:
+class Tangent:
     """Unit tangent (t_x, t_p) in the norm weight |x|^2 + p^2."""
 
     x: np.ndarray
     p: float
     weight: float
 
-    def reversed(self) -> _Tangent:
-        return _Tangent(-self.x, -self.p, self.weight)
+    def reversed(self) -> Tangent:
+        return Tangent(-self.x, -self.p, self.weight)
 
-    def along(self, other: _Tangent, system: ParametricSystem) -> float:
+    def along(self, other: Tangent, system: ParametricSystem) -> float:
         """Cosine of the angle to another tangent, in that one's norm."""
         product = other.weight * system.inner(self.x, other.x) + self.p * other.p
         length = other.weight * system.inner(self.x, self.x) + self.p**2
         return product / float(np.sqrt(length))
 
 
-def _tangent(system: ParametricSystem, unknown: np.ndarray) -> _Tangent:
+def _tangent(system: ParametricSystem, unknown: np.ndarray) -> Tangent:
     """Tangent towards growing p."""
     system.linearise(unknown)
     slope = -system.solve_jacobian(system.parameter_derivative(unknown))
     weight = 1.0 / max(system.inner(unknown, unknown), 1e-300)
     length = float(np.sqrt(weight * system.inner(slope, slope) + 1.0))
-    return _Tangent(slope / length, 1.0 / length, weight)
+    return Tangent(slope / length, 1.0 / length, weight)
+
+
+def _round_corner(
+    system: ParametricSystem,
+    here: PathPoint,
+    tangent: Tangent,
+    orientation: float,
+    longest_step: float,
+) -> tuple[PathPoint, Tangent, float] | None:
+    """Leave a point where the path turns more sharply than steps can resolve.
+
+    Where stiff contact begins to graze, the Jacobian changes by orders of magnitude over the
+    smallest distance. The direction in which the path goes on is that of the Jacobian just behind
+    the point.
+    """
+    for step in longest_step * 10.0 ** np.arange(-7.0, -1.5, 0.5):
+        system.set_parameter(here.parameter + step * tangent.p)
+        turned = _tangent(system, here.unknown + step * tangent.x)
+        if system.determinant_sign() != orientation:
+            turned = turned.reversed()
+        found = _correct(system, here, turned, step, max(1e-13, 1e-4 * step))
+        if found is None:
+            continue
+        ahead = _tangent(system, found.unknown)
+        if system.determinant_sign() != orientation:
+            ahead = ahead.reversed()
+        if ahead.along(turned, system) > 0.5:
+            return found, ahead, step
+    return None
+
+
+def step_along(
+    system: ParametricSystem, start: PathPoint, step: float, tolerance: float = 1e-8
+) -> PathPoint | None:
+    """Point of the path at a distance from another one, along its tangent; None where not found."""
+    found = _correct(system, start, start.tangent, step, tolerance)
+    if found is None:
+        return None
+    ahead = _tangent(system, found.unknown)
+    if ahead.along(start.tangent, system) < 0.0:
+        ahead = ahead.reversed()
+    return replace(found, tangent=ahead)
 
 
 def _correct(
-    system: ParametricSystem, start: PathPoint, tangent: _Tangent, step: float, tolerance: float
+    system: ParametricSystem, start: PathPoint, tangent: Tangent, step: float, tolerance: float
 ) -> PathPoint | None:
-    """Newton's method orthogonal to the tangent; None where it does not converge in 8 steps."""
+    """Damped Newton's method orthogonal to the tangent; None where it does not converge."""
     unknown = start.unknown + step * tangent.x
     predicted = parameter = start.parameter + step * tangent.p
-    before = np.inf
-    for iterations in range(9):
+    change, shift, damping, before = np.zeros_like(unknown), 0.0, 1.0, np.inf
+    linearised = 0
+    for _ in range(MOST_EVALUATIONS):
         system.set_parameter(parameter)
         residual = system.residual(unknown)
         size = float(np.sqrt(tangent.weight * system.inner(residual, residual)))
-        if not np.isfinite(size) or size > 10.0 * before:
-            return None
-        before = min(before, max(size, 1e-3))
         if size <= tolerance:
-            return PathPoint(unknown, parameter, iterations)
+            return PathPoint(unknown, parameter, linearised, tangent)
+        if not size < before:
+            # Where lips begin to touch the Jacobian changes like a square root: shorten the step.
+            damping *= 0.5
+            if damping < 0.05 or not np.isfinite(size):
+                return None
+            unknown, parameter = unknown - damping * change, parameter - damping * shift
+            continue
+        if linearised == MOST_ITERATIONS:
+            return None
         system.linearise(unknown)
-        change = -system.solve_jacobian(residual)
+        free = -system.solve_jacobian(residual)
         slope = -system.solve_jacobian(system.parameter_derivative(unknown))
         along = tangent.weight * system.inner(tangent.x, slope) + tangent.p
-        shift = -tangent.weight * system.inner(tangent.x, change) / along if along else np.inf
+        shift = -tangent.weight * system.inner(tangent.x, free) / along if along else np.inf
         if not abs(parameter + shift - predicted) <= 3.0 * step:
             return None  # another branch, or none
-        unknown = unknown + change + shift * slope
-        parameter += shift
+        change, damping, before = free + shift * slope, 1.0, size
+        linearised += 1
+        unknown, parameter = unknown + change, parameter + shift
     return None

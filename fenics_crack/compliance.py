@@ -119,6 +119,22 @@ class ModalCompliance:
         drive = self._modal_load - to_complex(force) @ self._modes.pairs.T
         return from_complex(_respond(self._receptance, drive) @ self._modes.shapes.T)
 
+    def frequency_derivative(self, force: np.ndarray) -> np.ndarray:
+        """d (R lambda - g_lin) / d base_omega of fixed forces (2H+1, n_pairs): (2H+1, n_pairs).
+
+        With H = Z^-1, dH = -H dZ H, dZ_k = -2 k^2 w + i k c.
+        """
+        order = np.arange(len(self.matrices))
+        drive = to_complex(force) @ self._modes.pairs.T - self._modal_load
+        moved = _respond(self._receptance, drive)
+        rate = self._modes.damping
+        if rate.ndim == 1:
+            damped = rate * moved
+        else:
+            damped = moved @ rate.T
+        change = -2.0 * self._base * order[:, None] ** 2 * moved + 1j * order[:, None] * damped
+        return from_complex(-_respond(self._receptance, change) @ self._modes.pairs)
+
     def destroy(self) -> None:
         """Nothing is held."""
 
@@ -163,13 +179,20 @@ class _AllModes:
         stiffness = self.squares - omega[:, None] ** 2
         if self.damping.ndim == 1:
             impedance = stiffness + 1j * omega[:, None] * self.damping
-            smallest = np.abs(impedance) / (np.abs(self.squares) + omega[:, None] ** 2)
-            if np.any(smallest < 1e-15):
-                at = omega[np.nonzero(smallest < 1e-15)[0][0]]
-                cause = "it can move as a rigid body" if at == 0.0 else "an undamped resonance"
-                raise ConvergenceError(
-                    f"dynamic compliance at {at:g} rad/s: the structure is singular ({cause})"
-                )
+            size = np.abs(self.squares) + omega[:, None] ** 2
+            singular = np.any(np.abs(impedance) <= 1e-15 * size, axis=1)
+        else:
+            singular = np.zeros(len(omega), dtype=bool)
+        # Rounding leaves a rigid body's omega^2 a part of the largest one, not zero.
+        loose = np.abs(self.squares).min() <= 1e-13 * np.abs(self.squares).max()
+        singular |= loose & (omega == 0.0)
+        if np.any(singular):
+            at = omega[np.argmax(singular)]
+            cause = "it can move as a rigid body" if at == 0.0 else "an undamped resonance"
+            raise ConvergenceError(
+                f"dynamic compliance at {at:g} rad/s: the structure is singular ({cause})"
+            )
+        if self.damping.ndim == 1:
             return 1.0 / impedance
         coupled = 1j * omega[:, None, None] * self.damping
         diagonal = np.arange(len(self.squares))

@@ -115,7 +115,7 @@ class Search:
             path.set_parameter(soft)
             found, self.converged, count = newton.solve(system.linear, 20)
             self.iterations += count
-            last = PathPoint(found, soft, count)
+            last = (found, soft)
             if self.converged and soft < 0.0:
                 self.converged = False
                 for point in follow_path(path, found, soft, step=1.0, longest_step=2.0):
@@ -125,21 +125,26 @@ class Search:
                         found = self._land(path, newton, last, point)
                         if self.converged:
                             break
-                    last = point
+                    last = (point.unknown, point.parameter)
         finally:
             path.set_parameter(0.0)
             self.history += newton.history
             newton.free()
-        end = "" if self.converged else f", last at {np.exp(last.parameter):.2g} of the stiffness"
+        end = "" if self.converged else f", last at {np.exp(last[1]):.2g} of the stiffness"
         self._note("path in the contact stiffness", f"{steps} steps{end}")
         return found
 
     def _land(
-        self, path: _StiffnessPath, newton: Newton, before: PathPoint, after: PathPoint
+        self,
+        path: _StiffnessPath,
+        newton: Newton,
+        before: tuple[np.ndarray, float],
+        after: PathPoint,
     ) -> np.ndarray:
         """Solve at the full stiffness, from between two points of the path."""
-        share = before.parameter / (before.parameter - after.parameter)
-        between = before.unknown + share * (after.unknown - before.unknown)
+        unknown, parameter = before
+        share = parameter / (parameter - after.parameter)
+        between = unknown + share * (after.unknown - unknown)
         path.set_parameter(0.0)
         found, self.converged, count = newton.solve(between, 20)
         self.iterations += count

@@ -51,12 +51,15 @@ class Switching:
 def switching_instants(harmonics: np.ndarray) -> Switching:
     """Find all sign changes of the polynomials with complex harmonics (H+1, n_pairs)."""
     count, table = len(harmonics) - 1, harmonics.T
+    order = np.arange(count + 1.0)
+    curvature = np.abs(table) @ order**2
+    if not np.all(np.isfinite(curvature)):  # an iterate gone astray: no roots, but an end
+        table = np.where(np.isfinite(curvature)[:, None], table, 0.0)
+        curvature = np.where(np.isfinite(curvature), curvature, 0.0)
     samples = 1 << (16 * (count + 1) - 1).bit_length()
     spectrum = 0.5 * samples * table
     spectrum[:, 0] = samples * table[:, 0].real
     values = np.fft.irfft(spectrum, n=samples, axis=1)
-    order = np.arange(count + 1.0)
-    curvature = np.abs(table) @ order**2
     resolution = RESOLUTION * np.abs(values).max(axis=1)
 
     width = 2.0 * np.pi / samples

@@ -1,0 +1,406 @@
+"""Response curves: solutions followed over the load's frequency, through resonances and folds.
+
+Pseudo-arc-length continuation (:mod:`arclength`) of the condensed equations
+
+    F(g, w) = g - g_lin(w) + R(w) b(g) = 0
+
+with the parameter p = (w - w_start) / (w_end - w_start). Only the small or reduced structure is touched
+at a point, in closed form: a curve costs the same on any mesh.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.optimize
+from tqdm import tqdm
+
+from fenics_crack.arclength import PathPoint, follow_path, step_along
+from fenics_crack.compliance import ModalCompliance, dynamic_compliance, load_coefficients
+from fenics_crack.condensed import CondensedSystem
+from fenics_crack.contact import ContactLaw
+from fenics_crack.contact_integrals import contact_integrals
+from fenics_crack.error_report import estimate_errors
+from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.harmonic_balance import solve_harmonic_balance
+from fenics_crack.reduction import ReducedStructure, reduce_structure
+from fenics_crack.solution import PeriodicSolution
+from fenics_crack.structure import Structure
+
+__all__ = ["Bifurcation", "ResponseCurve", "continue_frequency"]
+
+
+@dataclass(frozen=True)
+class Bifurcation:
+    """A special point of a curve.
+
+    Attributes
+    ----------
+    kind : str
+        "fold": the curve turns back in frequency; "branch_point": another branch crosses.
+    omega : float [rad/s]
+        Where.
+    gap_coefficients : (2H+1, n_pairs) [m]
+        The solution there.
+    solution : PeriodicSolution
+        The same, with its displacement and error report.
+    """
+
+    kind: str
+    omega: float
+    gap_coefficients: np.ndarray
+    solution: PeriodicSolution
+
+
+@dataclass(frozen=True)
+class ResponseCurve:
+    """Solutions along a curve, in the order in which it was followed.
+
+    Attributes
+    ----------
+    structure : Structure
+        Whose solutions they are: small or reduced.
+    contact : ContactLaw
+        Law of all pairs.
+    omega : (n,) [rad/s]
+        Load frequencies.
+    gap_coefficients : (n, 2H+1, n_pairs) [m]
+        Closing of the pairs.
+    iterations : (n,) int
+        Newton iterations of each point.
+    bifurcations : tuple of Bifurcation
+        Folds, in order.
+    complete : bool
+        Whether the curve reached the end that was asked for.
+    status : str
+        How it ended.
+    """
+
+    structure: Structure
+    contact: ContactLaw
+    omega: np.ndarray
+    gap_coefficients: np.ndarray
+    iterations: np.ndarray
+    bifurcations: tuple[Bifurcation, ...]
+    complete: bool
+    status: str
+    samples: int | None
+    subharmonic: int
+
+    @property
+    def harmonics(self) -> int:
+        """H."""
+        return self.gap_coefficients.shape[1] // 2
+
+    def solution(self, index: int) -> PeriodicSolution:
+        """The solution at a point, with its displacement and error report."""
+        return _solution(
+            self.structure,
+            float(self.omega[index]),
+            self.contact,
+            self.gap_coefficients[index],
+            self.samples,
+            self.subharmonic,
+        )
+
+    @property
+    def solutions(self) -> list[PeriodicSolution]:
+        """The solutions at all points."""
+        return [self.solution(index) for index in range(len(self.omega))]
+
+    def amplitude(self, dof: int) -> np.ndarray:
+        """Half the peak-to-peak displacement of a dof at every point: (n,) [m]."""
+        integrals = contact_integrals(self.contact, self.harmonics, self.samples, self.subharmonic)
+        phase = 2.0 * np.pi * np.arange(256) / 256
+        order = np.arange(1, self.harmonics + 1)
+        basis = np.ones((len(phase), 2 * self.harmonics + 1))
+        basis[:, 1::2] = np.cos(np.outer(phase, order))
+        basis[:, 2::2] = np.sin(np.outer(phase, order))
+        found = np.empty(len(self.omega))
+        for index, (omega, gap) in enumerate(zip(self.omega, self.gap_coefficients, strict=True)):
+            compliance = dynamic_compliance(
+                self.structure, omega / self.subharmonic, self.harmonics, self.subharmonic
+            )
+            rows = compliance.displacement(integrals.force(gap))
+            found[index] = np.ptp(basis @ self.structure.values_at(rows, [dof])[:, 0]) / 2.0
+        return found
+
+
+def continue_frequency(
+    structure: Structure,
+    omega_start: float,
+    omega_end: float,
+    contact: ContactLaw,
+    *,
+    harmonics: int = 5,
+    samples: int | None = None,
+    subharmonic: int = 1,
+    initial: PeriodicSolution | None = None,
+    longest_step: float = 0.05,
+    most_points: int = 20000,
+    progress: bool = False,
+    throw: bool = True,
+) -> ResponseCurve:
+    """Follow the response from one load frequency to another, through resonances and folds.
+
+    Parameters
+    ----------
+    structure : Structure
+        What vibrates. One with many dofs is reduced first (:func:`reduce_structure`, its default).
+    omega_start, omega_end : float
+        Load frequencies [rad/s]; the end may be below the start.
+    contact : ContactLaw
+        Law of all pairs.
+    harmonics, samples, subharmonic, initial
+        As in :func:`solve_harmonic_balance`; ``initial`` is where to start at ``omega_start``.
+    longest_step : float
+        Longest step, relative to the range of frequencies and to the size of the solution.
+    most_points : int
+        Give up after so many.
+    progress : bool
+        Show a progress bar.
+    throw : bool
+        Raise if the end is not reached; else return what was found, ``complete`` being False.
+        Ctrl-C always returns what was found.
+
+    Raises
+    ------
+    InputError
+        An argument cannot be used.
+    ConvergenceError
+        No first point, or the end was not reached.
+    """
+    for key, value in (("omega_start", omega_start), ("omega_end", omega_end)):
+        if not (np.isfinite(value) and value > 0.0):
+            raise InputError(key, value, "a finite number > 0")
+    if omega_start == omega_end:
+        raise InputError("omega_end", omega_end, "different from omega_start")
+    if not (np.isfinite(longest_step) and longest_step > 0.0):
+        raise InputError("longest_step", longest_step, "a finite number > 0")
+    if not hasattr(contact, "force"):
+        raise InputError("contact", contact, "a law that gives the force from the gap")
+    if structure.n_dofs > 600 and not isinstance(structure, ReducedStructure):
+        structure = reduce_structure(structure)
+    first = solve_harmonic_balance(
+        structure,
+        omega_start,
+        contact,
+        harmonics=harmonics,
+        samples=samples,
+        subharmonic=subharmonic,
+        initial=initial,
+    )
+    family = FrequencyFamily(
+        structure, omega_start, omega_end, contact, first.harmonics, samples, subharmonic
+    )
+    gaps, omegas, counts = [first.gap_coefficients], [omega_start], [first.iterations]
+    special: list[tuple[str, PathPoint]] = []
+    status, complete = "the steps became too short", False
+    before: PathPoint | None = None
+    hidden = not progress or structure.whole.comm.rank != 0
+    bar = tqdm(total=100.0, desc="curve", unit="%", disable=hidden, bar_format="{l_bar}{bar}")
+    try:
+        for point in follow_path(
+            family,
+            first.gap_coefficients,
+            0.0,
+            step=0.2 * longest_step,
+            longest_step=longest_step,
+            most_steps=most_points,
+            tolerance=1e-9,
+            shortest_step=1e-10,
+            least_cosine=0.85,
+        ):
+            if point.crosses_branch:
+                special.append(("branch_point", point))
+            if before is not None and point.tangent.p * before.tangent.p < 0.0:
+                fold = _locate(family, before, point, lambda at: at.tangent.p)
+                if fold is not None:
+                    special.append(("fold", fold))
+            if point.parameter >= 1.0:
+                point = family.land(point, before)
+                complete, status = True, "reached the end"
+            gaps.append(point.unknown)
+            omegas.append(family.omega(point.parameter))
+            counts.append(point.iterations)
+            before = point
+            bar.update(max(0.0, 100.0 * min(1.0, point.parameter) - bar.n))
+            if complete:
+                break
+            if point.parameter < -0.02:
+                status = "the curve turned back past its start"
+                break
+        else:
+            if len(gaps) > most_points:
+                status = f"{most_points} points were not enough"
+    except KeyboardInterrupt:
+        status, throw = "interrupted", False
+    finally:
+        bar.close()
+    curve = ResponseCurve(
+        structure,
+        contact,
+        np.array(omegas),
+        np.array(gaps),
+        np.array(counts),
+        tuple(
+            Bifurcation(
+                kind,
+                family.omega(at.parameter),
+                at.unknown,
+                _solution(
+                    structure,
+                    family.omega(at.parameter),
+                    contact,
+                    at.unknown,
+                    samples,
+                    subharmonic,
+                ),
+            )
+            for kind, at in special
+        ),
+        complete,
+        status,
+        samples,
+        subharmonic,
+    )
+    if throw and not complete:
+        raise ConvergenceError(
+            f"curve from {omega_start:g} to {omega_end:g} rad/s: {status} at "
+            f"{omegas[-1]:g} rad/s after {len(omegas)} points"
+        )
+    return curve
+
+
+class FrequencyFamily:
+    """The condensed equations with the parameter p = (w - w_start) / (w_end - w_start)."""
+
+    def __init__(
+        self,
+        structure: Structure,
+        omega_start: float,
+        omega_end: float,
+        contact: ContactLaw,
+        harmonics: int,
+        samples: int | None,
+        subharmonic: int,
+    ) -> None:
+        self._structure = structure
+        self._start, self._span = omega_start, omega_end - omega_start
+        self._integrals = contact_integrals(contact, harmonics, samples, subharmonic)
+        self._load = load_coefficients(structure, harmonics, subharmonic)
+        self._subharmonic = subharmonic
+        self._parameter = np.nan
+        self.set_parameter(0.0)
+
+    def omega(self, parameter: float) -> float:
+        """Load frequency [rad/s]."""
+        return self._start + parameter * self._span
+
+    def set_parameter(self, parameter: float) -> None:
+        """Set p."""
+        if parameter != self._parameter:
+            base = self.omega(parameter) / self._subharmonic
+            self._compliance = ModalCompliance(self._structure, base, self._load)
+            self.system = CondensedSystem(self._compliance, self._integrals)
+            self._parameter = parameter
+
+    def residual(self, unknown: np.ndarray) -> np.ndarray:
+        """F(g, p)."""
+        return self.system.residual(unknown)
+
+    def linearise(self, unknown: np.ndarray) -> None:
+        """Evaluate J."""
+        self.system.linearise(unknown)
+
+    def solve_jacobian(self, residual: np.ndarray) -> np.ndarray:
+        """J^-1 r."""
+        return self.system.solve_jacobian(residual)
+
+    def determinant_sign(self) -> float:
+        """Sign of det J."""
+        return self.system.determinant_sign()
+
+    def parameter_derivative(self, unknown: np.ndarray) -> np.ndarray:
+        """dF/dp."""
+        force = self.system.gap_and_force(unknown)[1]
+        change = self._compliance.frequency_derivative(force)
+        return self._span / self._subharmonic * change
+
+    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
+        """Inner product."""
+        return self.system.inner(first, second)
+
+    def land(self, after: PathPoint, before: PathPoint | None) -> PathPoint:
+        """The point of the path at p = 1, from points on both sides of it."""
+        unknown = after.unknown
+        if before is not None:
+            share = (1.0 - before.parameter) / (after.parameter - before.parameter)
+            unknown = before.unknown + share * (after.unknown - before.unknown)
+        self.set_parameter(1.0)
+        for iterations in range(20):
+            residual = self.residual(unknown)
+            if self.system.norm(residual) <= 1e-10 * self.system.norm(unknown):
+                return PathPoint(unknown, 1.0, iterations, after.tangent)
+            self.linearise(unknown)
+            unknown = unknown - self.solve_jacobian(residual)
+        raise ConvergenceError("curve: no solution at its very end")
+
+
+def _locate(
+    family: FrequencyFamily,
+    before: PathPoint,
+    after: PathPoint,
+    test: Callable[[PathPoint], float],
+) -> PathPoint | None:
+    """Point between two others where a test function vanishes, by the method of Brent."""
+    weight = before.tangent.weight
+    distance = np.sqrt(
+        weight * family.inner(after.unknown - before.unknown, after.unknown - before.unknown)
+        + (after.parameter - before.parameter) ** 2
+    )
+    best: list[PathPoint] = []
+
+    def value(step: float) -> float:
+        point = before if step == 0.0 else step_along(family, before, step, 1e-11)
+        if point is None:
+            raise ConvergenceError("curve: lost between two points")
+        best.append(point)
+        return test(point)
+
+    try:
+        scipy.optimize.brentq(value, 0.0, float(distance), xtol=1e-12, rtol=1e-12)
+    except (ConvergenceError, ValueError):
+        return None
+    return min(best, key=lambda point: abs(test(point)))
+
+
+def _solution(
+    structure: Structure,
+    omega: float,
+    contact: ContactLaw,
+    gap: np.ndarray,
+    samples: int | None,
+    subharmonic: int,
+) -> PeriodicSolution:
+    """Expand a gap to the solution that it belongs to."""
+    harmonics = len(gap) // 2
+    integrals = contact_integrals(contact, harmonics, samples, subharmonic)
+    base = omega / subharmonic
+    compliance = dynamic_compliance(structure, base, harmonics, subharmonic)
+    system = CondensedSystem(compliance, integrals)
+    force = integrals.force(gap)
+    displacement = compliance.displacement(force)
+    return PeriodicSolution(
+        structure,
+        omega,
+        contact,
+        displacement,
+        gap,
+        force,
+        subharmonic=subharmonic,
+        status="point of a curve",
+        report=estimate_errors(system, gap, structure, displacement, base, subharmonic),
+    )
