@@ -9,6 +9,7 @@ from fenics_crack.contact import (
     UnilateralPenalty,
     contact_law,
 )
+from fenics_crack.continuation import Bifurcation, ResponseCurve, continue_frequency
 from fenics_crack.error_report import ErrorReport
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.finite_elements import build_structure, find_crack_length
@@ -22,9 +23,11 @@ from fenics_crack.modes import Modes, solve_modes
 from fenics_crack.reduction import ReducedStructure, reduce_structure
 from fenics_crack.scene import Scene
 from fenics_crack.solution import PeriodicSolution
+from fenics_crack.stability import Stability, floquet
 from fenics_crack.structure import ModalDamping, Structure
 
 __all__ = [
+    "Bifurcation",
     "ConvergenceError",
     "ErrorReport",
     "InputError",
@@ -32,15 +35,19 @@ __all__ = [
     "Modes",
     "PeriodicSolution",
     "ReducedStructure",
+    "ResponseCurve",
     "Scene",
     "SmoothedPenalty",
+    "Stability",
     "Structure",
     "TimeHistory",
     "UnilateralConstraint",
     "UnilateralPenalty",
     "build_structure",
     "contact_law",
+    "continue_frequency",
     "find_crack_length",
+    "floquet",
     "integrate_central_difference",
     "reduce_structure",
     "solve_harmonic_balance",

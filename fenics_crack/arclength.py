@@ -30,7 +30,8 @@ __all__ = ["ParametricSystem", "PathPoint", "Tangent", "follow_path", "step_alon
 MOST_ITERATIONS, MOST_EVALUATIONS = 8, 30
 """Of one corrector."""
 BRANCHING_STEP = 1e-3
-"""Relative to the longest step: with shorter ones, a sign that changes straight ahead is believed."""
+"""Relative to the longest step: with shorter ones, a sign that changes straight ahead is
+believed."""
 
 
 class ParametricSystem(Protocol):
@@ -87,8 +88,8 @@ def follow_path(
 ) -> Iterator[PathPoint]:
     """Yield points of the path from a solution on, towards growing p first.
 
-    It ends after ``most_steps`` or where the steps have become too short. Neighbouring tangents make
-    an angle whose cosine is at least ``least_cosine``.
+    It ends after ``most_steps`` or where the steps have become too short. Neighbouring tangents
+    make an angle whose cosine is at least ``least_cosine``.
     """
     system.set_parameter(parameter)
     tangent = _tangent(system, start)

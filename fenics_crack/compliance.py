@@ -22,14 +22,16 @@ import scipy.linalg
 from fenics_crack.dynamic_stiffness import DynamicStiffness
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.fourier import from_complex, resized, to_complex
-from fenics_crack.modes import damped_modes, solve_modes
+from fenics_crack.modes import damped_modes, solve_modes, times
 from fenics_crack.structure import Structure
 
 __all__ = [
+    "AllModes",
     "Compliance",
     "FactoredCompliance",
     "ModalCompliance",
     "WidenedCompliance",
+    "all_modes",
     "dynamic_compliance",
     "load_coefficients",
 ]
@@ -98,7 +100,7 @@ class ModalCompliance:
     def __init__(self, structure: Structure, base_omega: float, load: np.ndarray) -> None:
         self._structure = structure
         self._base = base_omega
-        self._modes = _all_modes(structure)
+        self._modes = all_modes(structure)
         self._load = load
         harmonics = len(load) // 2
         self._receptance = self._modes.receptance(base_omega * np.arange(harmonics + 1))
@@ -145,7 +147,7 @@ class ModalCompliance:
         return pairs.T @ receptance @ pairs
 
 
-class _AllModes:
+class AllModes:
     """All modes of a small structure, its pairs and its damping in modal coordinates."""
 
     def __init__(self, structure: Structure) -> None:
@@ -200,12 +202,13 @@ class _AllModes:
         return np.linalg.inv(coupled)
 
 
-_ALL_MODES: WeakKeyDictionary[Structure, _AllModes] = WeakKeyDictionary()
+_ALL_MODES: WeakKeyDictionary[Structure, AllModes] = WeakKeyDictionary()
 
 
-def _all_modes(structure: Structure) -> _AllModes:
+def all_modes(structure: Structure) -> AllModes:
+    """All modes of a small structure, computed once."""
     if structure not in _ALL_MODES:
-        _ALL_MODES[structure] = _AllModes(structure)
+        _ALL_MODES[structure] = AllModes(structure)
     return _ALL_MODES[structure]
 
 
@@ -283,10 +286,28 @@ class WidenedCompliance:
         self.destroy = compliance.destroy
 
 
+_KNOWN_MODES: WeakKeyDictionary[Structure, tuple[np.ndarray, np.ndarray, np.ndarray]] = (
+    WeakKeyDictionary()
+)
+
+
 def _known_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """omega, damping rate and B^T phi of the damped modes, or of the 20 lowest."""
-    known = damped_modes(structure)
-    if known is not None:
-        return known.omega, known.rate, structure.closing(known.shapes.T)
-    modes = solve_modes(structure, min(20, structure.n_dofs))
-    return modes.omega, np.zeros_like(modes.omega), structure.closing(modes.shapes.T)
+    """omega, damping rate and B^T phi of the damped modes, or of the 20 lowest if these are more.
+
+    They are computed once for a structure.
+    """
+    if structure not in _KNOWN_MODES:
+        known, count = damped_modes(structure), min(20, structure.n_dofs)
+        if known is not None and len(known.omega) >= count:
+            omega, rate, shapes = known.omega, known.rate, known.shapes
+        else:
+            modes = solve_modes(structure, count)
+            omega, shapes = modes.omega, modes.shapes
+            rate = np.zeros(count)
+            if known is not None:
+                rate[: len(known.rate)] = known.rate
+            elif structure.damping_matrix is not None:
+                damping = times(structure.damping_matrix, shapes)
+                rate = structure.sum_over_ranks((shapes * damping).sum(axis=0))
+        _KNOWN_MODES[structure] = omega, rate, structure.closing(shapes.T)
+    return _KNOWN_MODES[structure]

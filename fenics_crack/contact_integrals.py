@@ -34,6 +34,7 @@ __all__ = [
     "ExactIntegrals",
     "SampledIntegrals",
     "apply_to_pairs",
+    "closed_means",
     "contact_integrals",
     "default_samples",
 ]

@@ -4,12 +4,13 @@ Pseudo-arc-length continuation (:mod:`arclength`) of the condensed equations
 
     F(g, w) = g - g_lin(w) + R(w) b(g) = 0
 
-with the parameter p = (w - w_start) / (w_end - w_start). Only the small or reduced structure is touched
-at a point, in closed form: a curve costs the same on any mesh.
+with the parameter p = (w - w_start) / (w_end - w_start). Only the small or reduced structure is
+touched at a point, in closed form: a curve costs the same on any mesh.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -27,6 +28,7 @@ from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.harmonic_balance import solve_harmonic_balance
 from fenics_crack.reduction import ReducedStructure, reduce_structure
 from fenics_crack.solution import PeriodicSolution
+from fenics_crack.stability import PiecewiseFlow
 from fenics_crack.structure import Structure
 
 __all__ = ["Bifurcation", "ResponseCurve", "continue_frequency"]
@@ -39,7 +41,9 @@ class Bifurcation:
     Attributes
     ----------
     kind : str
-        "fold": the curve turns back in frequency; "branch_point": another branch crosses.
+        "fold": the curve turns back in frequency; "branch_point": another branch crosses;
+        "period_doubling": a multiplier leaves the unit circle through -1; "neimark_sacker": a pair
+        of them leaves it anywhere else. The last two only with ``stability=True``.
     omega : float [rad/s]
         Where.
     gap_coefficients : (2H+1, n_pairs) [m]
@@ -88,6 +92,21 @@ class ResponseCurve:
     status: str
     samples: int | None
     subharmonic: int
+    multipliers: np.ndarray | None = None
+    """(n, 2 n_dofs) Floquet multipliers, largest first; with ``stability=True``."""
+
+    @property
+    def stable(self) -> np.ndarray:
+        """Whether the largest multiplier lies within the unit circle: (n,) bool.
+
+        Raises
+        ------
+        InputError
+            The curve was followed without ``stability=True``.
+        """
+        if self.multipliers is None:
+            raise InputError("stability", False, "True when the curve is followed")
+        return np.abs(self.multipliers[:, 0]) < 1.0
 
     @property
     def harmonics(self) -> int:
@@ -138,6 +157,7 @@ def continue_frequency(
     samples: int | None = None,
     subharmonic: int = 1,
     initial: PeriodicSolution | None = None,
+    stability: bool = False,
     longest_step: float = 0.05,
     most_points: int = 20000,
     progress: bool = False,
@@ -155,6 +175,8 @@ def continue_frequency(
         Law of all pairs.
     harmonics, samples, subharmonic, initial
         As in :func:`solve_harmonic_balance`; ``initial`` is where to start at ``omega_start``.
+    stability : bool
+        Compute Floquet multipliers at every point, and locate where stability changes.
     longest_step : float
         Longest step, relative to the range of frequencies and to the size of the solution.
     most_points : int
@@ -197,6 +219,10 @@ def continue_frequency(
     )
     gaps, omegas, counts = [first.gap_coefficients], [omega_start], [first.iterations]
     special: list[tuple[str, PathPoint]] = []
+    flow = PiecewiseFlow(structure, contact) if stability else None
+    multipliers: list[np.ndarray] = []
+    if flow is not None:
+        multipliers.append(flow.multipliers(first.gap_coefficients, first.base_omega))
     status, complete = "the steps became too short", False
     before: PathPoint | None = None
     hidden = not progress or structure.whole.comm.rank != 0
@@ -217,11 +243,14 @@ def continue_frequency(
                 special.append(("branch_point", point))
             if before is not None and point.tangent.p * before.tangent.p < 0.0:
                 fold = _locate(family, before, point, lambda at: at.tangent.p)
-                if fold is not None:
-                    special.append(("fold", fold))
+                special.append(("fold", fold))
             if point.parameter >= 1.0:
                 point = family.land(point, before)
                 complete, status = True, "reached the end"
+            if flow is not None:
+                multipliers.append(flow.multipliers(point.unknown, family.base(point.parameter)))
+                if before is not None:
+                    special += _changes(family, flow, before, point, multipliers[-2:])
             gaps.append(point.unknown)
             omegas.append(family.omega(point.parameter))
             counts.append(point.iterations)
@@ -265,6 +294,7 @@ def continue_frequency(
         status,
         samples,
         subharmonic,
+        np.array(multipliers) if stability else None,
     )
     if throw and not complete:
         raise ConvergenceError(
@@ -299,10 +329,14 @@ class FrequencyFamily:
         """Load frequency [rad/s]."""
         return self._start + parameter * self._span
 
+    def base(self, parameter: float) -> float:
+        """Frequency of the response [rad/s]."""
+        return self.omega(parameter) / self._subharmonic
+
     def set_parameter(self, parameter: float) -> None:
         """Set p."""
         if parameter != self._parameter:
-            base = self.omega(parameter) / self._subharmonic
+            base = self.base(parameter)
             self._compliance = ModalCompliance(self._structure, base, self._load)
             self.system = CondensedSystem(self._compliance, self._integrals)
             self._parameter = parameter
@@ -349,32 +383,67 @@ class FrequencyFamily:
         raise ConvergenceError("curve: no solution at its very end")
 
 
+def _changes(
+    family: FrequencyFamily,
+    flow: PiecewiseFlow,
+    before: PathPoint,
+    after: PathPoint,
+    multipliers: list[np.ndarray],
+) -> list[tuple[str, PathPoint]]:
+    """Where multipliers cross the unit circle at -1, or as a pair, between two points."""
+
+    def at(test: Callable[[np.ndarray], float]) -> Callable[[PathPoint], float]:
+        return lambda point: test(flow.multipliers(point.unknown, family.base(point.parameter)))
+
+    found = []
+    for kind, test in (("period_doubling", _doubling), ("neimark_sacker", _pair)):
+        if test(multipliers[0]) * test(multipliers[1]) < 0.0:
+            found.append((kind, _locate(family, before, after, at(test))))
+    return found
+
+
+def _doubling(multipliers: np.ndarray) -> float:
+    """det(I + M), scaled: changes its sign where a multiplier passes through -1."""
+    return float(np.prod((1.0 + multipliers) / (1.0 + np.abs(multipliers))).real)
+
+
+def _pair(multipliers: np.ndarray) -> float:
+    """Largest modulus of the complex multipliers less one."""
+    paired = multipliers[np.abs(multipliers.imag) > 1e-6 * np.abs(multipliers)]
+    return float(np.abs(paired).max() - 1.0) if len(paired) else -1.0
+
+
 def _locate(
     family: FrequencyFamily,
     before: PathPoint,
     after: PathPoint,
     test: Callable[[PathPoint], float],
-) -> PathPoint | None:
-    """Point between two others where a test function vanishes, by the method of Brent."""
+) -> PathPoint:
+    """Point between two others where a test function vanishes, by the method of Brent.
+
+    Where that fails, the point met at which the function is smallest.
+    """
     weight = before.tangent.weight
-    distance = np.sqrt(
+    distance = math.sqrt(
         weight * family.inner(after.unknown - before.unknown, after.unknown - before.unknown)
         + (after.parameter - before.parameter) ** 2
     )
-    best: list[PathPoint] = []
+    met = [before, after]
 
     def value(step: float) -> float:
         point = before if step == 0.0 else step_along(family, before, step, 1e-11)
         if point is None:
             raise ConvergenceError("curve: lost between two points")
-        best.append(point)
+        met.append(point)
         return test(point)
 
-    try:
-        scipy.optimize.brentq(value, 0.0, float(distance), xtol=1e-12, rtol=1e-12)
-    except (ConvergenceError, ValueError):
-        return None
-    return min(best, key=lambda point: abs(test(point)))
+    for reach in (1.0, 1.2, 0.8, 1.5):  # along the tangent the other point is not quite as far
+        try:
+            scipy.optimize.brentq(value, 0.0, reach * distance, xtol=1e-12, rtol=1e-12)
+            break
+        except (ConvergenceError, ValueError):
+            continue
+    return min(met, key=lambda point: abs(test(point)))
 
 
 def _solution(

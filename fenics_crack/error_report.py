@@ -27,7 +27,7 @@ from fenics_crack.fourier import resized
 from fenics_crack.reduction import ReducedStructure
 from fenics_crack.structure import Structure
 
-__all__ = ["ErrorReport", "estimate_errors", "mean_square"]
+__all__ = ["ErrorReport", "beyond_truncation", "estimate_errors", "mean_square"]
 
 DIRECT = 200
 """Up to so many unknowns the widened equations are solved by elimination."""
@@ -99,14 +99,14 @@ def estimate_errors(
     expanded = relative(structure.closing(displacement) - closing)
     return ErrorReport(
         residual=max(algebraic, expanded),
-        truncation=relative(_beyond_truncation(system, unknown)),
+        truncation=relative(beyond_truncation(system, unknown)),
         sampling=relative(system.gap_change(_missed_by_samples(system.integrals, gap))),
         reduction=relative(_lost_in_reduction(system, structure, force, base_omega, subharmonic)),
         penetration=relative(_penetration(system, gap, force)),
     )
 
 
-def _beyond_truncation(
+def beyond_truncation(
     system: CondensedSystem | ConstraintSystem, unknown: np.ndarray
 ) -> np.ndarray:
     """One Newton step in the equations with four times the harmonics: (2K+1, n_pairs).
@@ -139,6 +139,7 @@ def _beyond_truncation(
     step, _ = scipy.sparse.linalg.gmres(
         scipy.sparse.linalg.LinearOperator(shape, matvec=apply, dtype=float),
         -residual.ravel() / size,
+        atol=0.0,
         restart=30,
         maxiter=1,
         M=scipy.sparse.linalg.LinearOperator(shape, matvec=precondition, dtype=float),

@@ -56,7 +56,7 @@ def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> P
     ConvergenceError
         The structure has no damping and is met in resonance, or is loose under a mean load.
     """
-    _check_omega(omega)
+    _check_positive("omega", omega)
     _check_count("harmonics", harmonics, 1)
     load = to_complex(load_coefficients(structure, harmonics, 1))
     amplitude = np.zeros_like(load)
@@ -107,6 +107,7 @@ def solve_harmonic_balance(
     tolerance : float, optional
         Choose H, and for a structure with many dofs the modes of a reduction, so that the estimated
         error (:class:`ErrorReport`) is below this; the solution's status says what was chosen.
+        ``harmonics`` and ``samples`` are then left out.
     form : "condensed" or "full"
         Unknowns on the gaps, or in all degrees of freedom.
     residual_tolerance : float
@@ -127,7 +128,7 @@ def solve_harmonic_balance(
 
     Source: the paper, eqs 2 to 15, with the corrections listed in ``docs/theory.md``.
     """
-    _check_omega(omega)
+    _check_positive("omega", omega)
     _check_count("subharmonic", subharmonic, 1)
     if harmonics is None and tolerance is None:
         harmonics = max(5, subharmonic)
@@ -137,9 +138,11 @@ def solve_harmonic_balance(
             raise InputError("tolerance", tolerance, "left out where harmonics are given")
         if samples is not None:
             _check_count("samples", samples, 4 * harmonics + 1)
-    for key, value in (("tolerance", tolerance), ("residual_tolerance", residual_tolerance)):
-        if value is not None and not (np.isfinite(value) and value > 0.0):
-            raise InputError(key, value, "a finite number > 0")
+    if tolerance is not None:
+        _check_positive("tolerance", tolerance)
+        if samples is not None:
+            raise InputError("samples", samples, "left out where a tolerance is given")
+    _check_positive("residual_tolerance", residual_tolerance)
     if form not in ("condensed", "full"):
         raise InputError("form", form, "'condensed' or 'full'")
     _check_contact(structure, contact, samples, form)
@@ -286,11 +289,11 @@ def _solve_to_tolerance(
 # --- input ----------------------------------------------------------------------------------------
 
 
-def _check_omega(omega: float) -> None:
-    if isinstance(omega, bool) or not isinstance(omega, int | float | np.number):
-        raise InputError("omega", omega, "a finite number > 0")
-    if not (np.isfinite(omega) and omega > 0.0):
-        raise InputError("omega", omega, "a finite number > 0")
+def _check_positive(key: str, value: float) -> None:
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        raise InputError(key, value, "a finite number > 0")
+    if not (np.isfinite(value) and value > 0.0):
+        raise InputError(key, value, "a finite number > 0")
 
 
 def _check_count(key: str, value: int, least: int) -> None:

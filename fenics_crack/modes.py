@@ -14,7 +14,6 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from petsc4py import PETSc
 from slepc4py import SLEPc
 
 from fenics_crack.errors import ConvergenceError, InputError

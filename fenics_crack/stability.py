@@ -1,0 +1,261 @@
+"""Stability of periodic solutions: Floquet multipliers of the flow between switching instants.
+
+Between two switching instants the structure is linear. In its modal coordinates, with z = (q, q'),
+
+    z' = A z,   A = [ 0               I  ]
+                    [ -(W^2 + b k b^T) -c ],     b, k: pairs closed there,
+
+and since the contact force is continuous where a pair opens or closes, small disturbances of a
+period are multiplied by the monodromy matrix, the product of matrix exponentials
+
+    M = exp(A_m tau_m) ... exp(A_1 tau_1).
+
+Its eigenvalues, the multipliers, lie within the unit circle where the solution is stable; their
+product is exp(-T tr c). As a check Hill's determinant is solved for the leading one, condensed
+onto the pairs:
+
+    det( I + R(s) kappa ) = 0,       mu = exp(s T),
+
+with the compliance R at s + i k w, k = -H..H, and the harmonics kappa of the contact stiffness.
+
+Sources: Leine and Nijmeijer, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, 2004,
+chapter 7; Lazarus and Thomas, Comptes Rendus Mecanique 338, 2010, 510-517.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from fenics_crack.compliance import AllModes, all_modes, dynamic_compliance
+from fenics_crack.condensed import CondensedSystem
+from fenics_crack.contact import ContactLaw, UnilateralPenalty
+from fenics_crack.contact_integrals import SampledIntegrals, closed_means, contact_integrals
+from fenics_crack.error_report import beyond_truncation
+from fenics_crack.errors import InputError
+from fenics_crack.fourier import evaluate, resized, to_complex
+from fenics_crack.solution import PeriodicSolution
+from fenics_crack.structure import Structure
+from fenics_crack.switching import switching_instants
+
+__all__ = ["PiecewiseFlow", "Stability", "floquet"]
+
+SMOOTH_INTERVALS = 512
+"""In a period, for laws that are not linear in contact."""
+
+
+@dataclass(frozen=True)
+class Stability:
+    """Floquet multipliers and what follows from them.
+
+    Attributes
+    ----------
+    multipliers : (2n,) complex
+        Largest modulus first.
+    verdict : "stable", "unstable" or "undecided"
+        Undecided where the largest modulus lies on different sides of 1 with the switching
+        instants of the solution, with those of a wave with more harmonics, and by Hill's
+        determinant.
+    uncertainty : float
+        Largest difference between these three; nan where Hill's determinant has no root nearby.
+    """
+
+    multipliers: np.ndarray
+    verdict: str
+    uncertainty: float
+
+
+def floquet(
+    structure: Structure, solution: PeriodicSolution, contact: ContactLaw | None = None
+) -> Stability:
+    """Floquet multipliers of a solution.
+
+    Parameters
+    ----------
+    structure : Structure
+        The solution's; at most 600 dofs, else reduce it before solving.
+    solution : PeriodicSolution
+        The orbit.
+    contact : ContactLaw, optional
+        Its law; default: the solution's own.
+
+    Raises
+    ------
+    InputError
+        The structure is too large, or contact is not given by a law of the gap.
+    """
+    contact = contact if contact is not None else solution.contact  # type: ignore[assignment]
+    if contact is None or not hasattr(contact, "tangent"):
+        raise InputError("contact", contact, "a law that gives the force from the gap")
+    if structure.comm.size > 1 or structure.n_dofs > 600:
+        raise InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
+    flow = PiecewiseFlow(structure, contact)
+    multipliers = flow.multipliers(solution.gap_coefficients, solution.base_omega)
+    largest = float(np.abs(multipliers[0]))
+    wider = flow.multipliers(_wider(structure, solution, contact), solution.base_omega)
+    hill = _hill(structure, solution, contact, multipliers[0])
+    known = np.array([largest, abs(wider[0]), abs(hill)])
+    verdict = "undecided"
+    if np.all(known < 1.0 - 1e-9):
+        verdict = "stable"
+    elif np.all(known > 1.0 + 1e-9):
+        verdict = "unstable"
+    return Stability(multipliers, verdict, float(np.abs(known - largest).max()))
+
+
+class PiecewiseFlow:
+    """The linear flows between switching instants of one structure and one contact law.
+
+    What belongs to a set of closed pairs is computed once, so that a curve costs one product of
+    matrices for each interval.
+    """
+
+    def __init__(self, structure: Structure, contact: ContactLaw) -> None:
+        self._modes: AllModes = all_modes(structure)
+        self._contact = contact
+        self._pairs = structure.n_pairs
+        self._scale = float(np.sqrt(np.abs(self._modes.squares).max())) or 1.0
+        self._known: dict[bytes, tuple[np.ndarray, np.ndarray, np.ndarray] | None] = {}
+
+    def multipliers(self, gap: np.ndarray, base_omega: float) -> np.ndarray:
+        """Eigenvalues of the monodromy matrix, largest modulus first: (2n,) complex."""
+        found = np.linalg.eigvals(self.monodromy(gap, base_omega))
+        return found[np.argsort(-np.abs(found), kind="stable")]
+
+    def monodromy(self, gap: np.ndarray, base_omega: float) -> np.ndarray:
+        """M over one period of the gap (2H+1, n_pairs), from phase zero: (2n, 2n).
+
+        In coordinates (s q, q'), s a frequency that balances the two.
+        """
+        size = 2 * len(self._modes.squares)
+        product = np.eye(size)
+        for stiffness, duration in self._intervals(gap, base_omega):
+            product = self._advance(stiffness, duration, product)
+        return product
+
+    def _intervals(self, gap: np.ndarray, base_omega: float) -> list[tuple[np.ndarray, float]]:
+        """Contact stiffness of the pairs, and for how long, in order."""
+        period = 2.0 * np.pi / base_omega
+        if not isinstance(self._contact, UnilateralPenalty):
+            time = (np.arange(SMOOTH_INTERVALS) + 0.5) * period / SMOOTH_INTERVALS
+            slopes = self._contact.tangent(evaluate(gap, base_omega, time))
+            return [(slope, period / SMOOTH_INTERVALS) for slope in slopes]
+        switching = switching_instants(to_complex(gap))
+        stiffness = np.broadcast_to(np.asarray(self._contact.stiffness, float), (self._pairs,))
+        order = np.argsort(switching.theta, kind="stable")
+        closed = switching.closed_at_start.copy()
+        intervals, reached = [], 0.0
+        for index in order:
+            theta = switching.theta[index]
+            intervals.append((closed * stiffness, (theta - reached) / base_omega))
+            closed = closed.copy()
+            closed[switching.pair[index]] = switching.closing[index] > 0.0
+            reached = theta
+        intervals.append((closed * stiffness, (2.0 * np.pi - reached) / base_omega))
+        return intervals
+
+    def _matrix(self, stiffness: np.ndarray) -> np.ndarray:
+        modes, scale = self._modes, self._scale
+        count = len(modes.squares)
+        matrix = np.zeros((2 * count, 2 * count))
+        matrix[:count, count:] = scale * np.eye(count)
+        contact = (modes.pairs * stiffness) @ modes.pairs.T
+        matrix[count:, :count] = -(np.diag(modes.squares) + contact) / scale
+        damping = np.diag(modes.damping) if modes.damping.ndim == 1 else modes.damping
+        matrix[count:, count:] = -damping
+        return matrix
+
+    def _advance(self, stiffness: np.ndarray, duration: float, state: np.ndarray) -> np.ndarray:
+        """exp(A duration) times a matrix."""
+        if isinstance(self._contact, UnilateralPenalty):
+            key = stiffness.tobytes()
+            if key not in self._known:
+                self._known[key] = _eigen(self._matrix(stiffness))
+            known = self._known[key]
+            if known is not None:
+                values, vectors, inverse = known
+                moved = (vectors * np.exp(values * duration)) @ (inverse @ state)
+                return moved.real
+        exponential: np.ndarray = scipy.linalg.expm(duration * self._matrix(stiffness))
+        return exponential @ state
+
+
+def _eigen(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Eigenvalues, vectors and their inverse; None where the vectors are all but dependent."""
+    values, vectors = np.linalg.eig(matrix)
+    if np.linalg.cond(vectors) > 1e6:
+        return None
+    return values, vectors.astype(complex), np.linalg.inv(vectors).astype(complex)
+
+
+def _wider(structure: Structure, solution: PeriodicSolution, contact: ContactLaw) -> np.ndarray:
+    """The gap improved by a Newton step with more harmonics."""
+    harmonics = solution.harmonics
+    compliance = dynamic_compliance(structure, solution.base_omega, harmonics, solution.subharmonic)
+    system = CondensedSystem(compliance, contact_integrals(contact, harmonics))
+    gap = solution.gap_coefficients
+    system.linearise(gap)
+    change = beyond_truncation(system, gap)
+    return resized(gap, len(change) // 2) + change
+
+
+def _hill(
+    structure: Structure, solution: PeriodicSolution, contact: ContactLaw, multiplier: complex
+) -> complex:
+    """The root of Hill's condensed determinant next to a multiplier, as a multiplier; nan if none.
+
+    Successive linear problems on D(s) = I + R(s) kappa.
+    """
+    modes, omega = all_modes(structure), solution.base_omega
+    harmonics, pairs = solution.harmonics, structure.n_pairs
+    order = np.arange(-harmonics, harmonics + 1)
+    means = _stiffness_means(solution.gap_coefficients, contact, 2 * harmonics)
+    if not np.any(means):
+        return multiplier  # no contact: the monodromy matrix is that of the linear structure
+    lag = order[:, None] - order
+    coupling = np.where(lag[None] >= 0, means[:, np.abs(lag)].conj(), means[:, np.abs(lag)])
+
+    def matrix(exponent: complex) -> np.ndarray:
+        points = exponent + 1j * order * omega
+        if modes.damping.ndim == 1:
+            receptance = 1.0 / (
+                modes.squares + points[:, None] ** 2 + points[:, None] * modes.damping
+            )
+            compliance = np.einsum("jp,kj,jq->kpq", modes.pairs, receptance, modes.pairs)
+        else:
+            impedance = points[:, None, None] * modes.damping + np.zeros((1, 1, 1), complex)
+            diagonal = np.arange(len(modes.squares))
+            impedance[:, diagonal, diagonal] += modes.squares + points[:, None] ** 2
+            compliance = modes.pairs.T @ np.linalg.inv(impedance) @ modes.pairs
+        product = np.einsum("kpq,qkl->kplq", compliance, coupling)
+        size = len(order) * pairs
+        return np.eye(size) + product.reshape(size, size)
+
+    exponent = complex(np.log(complex(multiplier)) / solution.period)
+    step = 1e-7 * omega
+    for _ in range(6):
+        here = matrix(exponent)
+        slope = (matrix(exponent + step) - matrix(exponent - step)) / (2.0 * step)
+        # Newton on the generalised eigenproblem D + ds D' = 0: ds closest to zero.
+        shifts = scipy.linalg.eigvals(here, -slope)
+        shift = shifts[np.argmin(np.where(np.isfinite(shifts), np.abs(shifts), np.inf))]
+        exponent += shift
+        if abs(shift) < 1e-10 * omega:
+            return complex(np.exp(exponent * solution.period))
+        if abs(shift) > 0.05 * omega:
+            break
+    return complex(np.nan)
+
+
+def _stiffness_means(gap: np.ndarray, contact: ContactLaw, highest: int) -> np.ndarray:
+    """Means of the contact stiffness times exp(i m theta): (n_pairs, highest + 1)."""
+    if isinstance(contact, UnilateralPenalty):
+        stiffness = np.broadcast_to(np.asarray(contact.stiffness, float), gap.shape[1:])
+        means = closed_means(switching_instants(to_complex(gap)), highest)
+        return stiffness[:, None] * means
+    samples = max(1024, 8 * highest)
+    sampled = SampledIntegrals(contact, highest, samples)
+    slopes = contact.tangent(sampled.sample(resized(gap, highest)))
+    return np.fft.rfft(slopes, axis=0)[: highest + 1].T.conj() / samples

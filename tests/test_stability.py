@@ -1,0 +1,162 @@
+"""Floquet multipliers."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.linalg
+from scipy.integrate import solve_ivp
+
+import fenics_crack as fc
+from fenics_crack.continuation import continue_frequency
+from fenics_crack.stability import floquet
+
+DEMOS = Path(__file__).parents[1] / "demos"
+BILINEAR = 2.0 * np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
+
+
+def oscillator(damping: float = 0.1) -> fc.Structure:
+    """x'' + c x' + x (+ contact) = cos(W t)."""
+    one = np.ones((1, 1))
+    return fc.Structure.from_matrices(one, one, one, force_cos=[1.0], damping=damping * one)
+
+
+def test_verification_b() -> None:
+    """W = 2 w0: |X1| = 0.2419996, multiplier -1.23694, unstable; confirmed by Hill."""
+    structure, law = oscillator(), fc.UnilateralPenalty(1.0)
+    solution = fc.solve_harmonic_balance(structure, 2.0 * BILINEAR, law, harmonics=20)
+    rows = solution.gap_coefficients[:, 0]
+    assert np.hypot(rows[1], rows[2]) == pytest.approx(0.2419996, abs=1e-6)
+    found = floquet(structure, solution, law)
+    assert found.multipliers[0] == pytest.approx(-1.23694, abs=1e-4)
+    assert found.verdict == "unstable"
+    assert found.uncertainty < 1e-5
+
+
+def test_stable_orbit_of_twice_the_period() -> None:
+    """VERIFICATION B: the period-2 orbit, |X_1/2| = 0.7790634, X0 = -0.1735445, is stable."""
+    structure, law = oscillator(), fc.UnilateralPenalty(1.0)
+    once = fc.solve_harmonic_balance(structure, 2.0 * BILINEAR, law, harmonics=40, subharmonic=2)
+    disturbed = np.array(once.gap_coefficients)
+    disturbed[1] += 0.8
+    start = fc.PeriodicSolution(
+        structure, once.omega, law, disturbed, disturbed, once.force_coefficients, subharmonic=2
+    )
+    twice = fc.solve_harmonic_balance(
+        structure, 2.0 * BILINEAR, law, harmonics=40, subharmonic=2, initial=start
+    )
+    rows = twice.gap_coefficients[:, 0]
+    assert np.hypot(rows[1], rows[2]) == pytest.approx(0.7790634, abs=1e-5)
+    assert rows[0] == pytest.approx(-0.1735445, abs=1e-5)
+    assert floquet(structure, twice).verdict == "stable"
+
+
+@pytest.mark.parametrize("damping", [0.01, 0.1, 0.5])
+def test_product_of_the_multipliers(damping: float) -> None:
+    """exp(-T tr c), whatever the contact."""
+    structure = oscillator(damping)
+    solution = fc.solve_harmonic_balance(structure, 0.8, fc.UnilateralPenalty(3.0), harmonics=12)
+    product = np.prod(floquet(structure, solution).multipliers)
+    assert product == pytest.approx(np.exp(-damping * solution.period), rel=1e-9)
+
+
+def test_without_contact_the_flow_is_linear() -> None:
+    """An unreachable stop: multipliers are exp(T eigenvalues) of the linear structure."""
+    rng = np.random.default_rng(8)
+    n = 4
+    root, random = rng.normal(size=(n, n)), rng.normal(size=(n, n))
+    stiffness, damping = root @ root.T + n * np.eye(n), 0.05 * (random @ random.T)
+    structure = fc.Structure.from_matrices(
+        np.eye(n), stiffness, rng.normal(size=n), force_sin=np.ones(n), damping=damping,
+        clearance=1e6,
+    )  # fmt: skip
+    solution = fc.solve_harmonic_balance(structure, 1.3, fc.UnilateralPenalty(1.0), harmonics=3)
+    flow = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -damping]])
+    exact = np.linalg.eigvals(scipy.linalg.expm(solution.period * flow))
+    found = floquet(structure, solution).multipliers
+    assert np.allclose(np.sort(np.abs(found)), np.sort(np.abs(exact)), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "law", [fc.UnilateralPenalty(2.0), fc.SmoothedPenalty(2.0, 10.0)], ids=["penalty", "smoothed"]
+)
+def test_against_the_variational_equation(
+    law: fc.UnilateralPenalty | fc.SmoothedPenalty,
+) -> None:
+    """Multipliers of two masses from SciPy's integration of the linearised motion."""
+    stiffness = np.array([[2.0, -1.0], [-1.0, 2.0]])
+    damping = 0.06 * stiffness
+    gap = np.array([1.0, -1.0])
+    structure = fc.Structure.from_matrices(
+        np.eye(2), stiffness, gap, force_cos=[0.3, -0.5], damping=damping
+    )
+    solution = fc.solve_harmonic_balance(structure, 1.1, law, harmonics=40)
+
+    def rate(t: float, state: np.ndarray) -> np.ndarray:
+        slope = law.tangent(solution.gap(np.array([t])))[0, 0]
+        z = state.reshape(4, 4)
+        force = -(stiffness + slope * np.outer(gap, gap)) @ z[:2] - damping @ z[2:]
+        return np.concatenate([z[2:], force]).ravel()
+
+    run = solve_ivp(
+        rate, (0.0, solution.period), np.eye(4).ravel(), rtol=1e-8, atol=1e-10, max_step=0.01
+    )
+    exact = np.linalg.eigvals(run.y[:, -1].reshape(4, 4))
+    found = floquet(structure, solution).multipliers
+    assert np.abs(found[0]) == pytest.approx(np.abs(exact).max(), abs=2e-4)
+
+
+def test_verdict_agrees_with_integration() -> None:
+    """Started next to the orbit, the motion returns to it, or leaves it, as the verdict says."""
+    structure, law = oscillator(), fc.UnilateralPenalty(1.0)
+    verdicts = []
+    for omega in (1.0, 1.6, 2.2, 2.0 * BILINEAR, 2.5, 2.8):
+        orbit = fc.solve_harmonic_balance(structure, omega, law, harmonics=30)
+        found = floquet(structure, orbit)
+        verdicts.append(found.verdict)
+        start = orbit.displacement(np.zeros(1), [0])[0] * 1.001 + 1e-4
+        rate = (
+            orbit.displacement(np.array([1e-6]), [0]) - orbit.displacement(np.array([-1e-6]), [0])
+        )[0] / 2e-6
+        history = fc.integrate_central_difference(
+            structure, omega, law, periods=60, steps_per_period=2000, initial=(start, rate)
+        )
+        exact = orbit.gap(history.time[:2000])
+        distance = np.linalg.norm(history.by_period(history.gap) - exact, axis=(1, 2))
+        grows = distance[-1] > distance[0]
+        assert grows == (found.verdict == "unstable"), (omega, found)
+    assert set(verdicts) == {"stable", "unstable"}
+
+
+def test_poor_truncation_is_not_decided() -> None:
+    """The paper's data with few harmonics: the check disagrees, and the verdict says so."""
+    scene = fc.Scene.load(DEMOS / "paper_plate.toml")
+    plate = fc.reduce_structure(fc.build_structure(scene), modes=10)
+    solution = fc.solve_harmonic_balance(plate, 2000.0, fc.UnilateralPenalty(1e11), harmonics=5)
+    found = floquet(plate, solution)
+    assert solution.report.truncation > 0.005
+    assert found.verdict != "stable"
+    assert np.abs(found.multipliers[0]) > 1.0
+
+
+def test_period_doubling_is_found_on_a_curve() -> None:
+    """Between its two period doublings the orbit is unstable, and W = 2 w0 lies there."""
+    structure, law = oscillator(), fc.UnilateralPenalty(1.0)
+    curve = continue_frequency(structure, 1.5, 3.0, law, harmonics=20, stability=True)
+    doublings = [b for b in curve.bifurcations if b.kind == "period_doubling"]
+    assert len(doublings) == 2
+    first, second = (b.omega for b in doublings)
+    assert first < 2.0 * BILINEAR < second
+    inside = (curve.omega > first) & (curve.omega < second)
+    assert not np.any(curve.stable[inside]) and np.all(curve.stable[~inside])
+    for doubling in doublings:
+        multipliers = floquet(structure, doubling.solution).multipliers
+        assert np.abs(multipliers + 1.0).min() < 1e-6
+
+
+def test_what_cannot_be_judged_is_refused() -> None:
+    """No law of the gap, no multipliers."""
+    structure = oscillator()
+    linear = fc.solve_linear(structure, 1.0)
+    with pytest.raises(fc.InputError, match="contact"):
+        floquet(structure, linear)
