@@ -14,6 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from fenics_crack.contact import ContactLaw
+from fenics_crack.continuation import ResponseCurve
 from fenics_crack.errors import InputError
 from fenics_crack.modes import Modes
 from fenics_crack.output import NodalMesh, make_folder
@@ -25,6 +26,7 @@ __all__ = [
     "COLOURS",
     "Wave",
     "draw_contact_map",
+    "draw_curve",
     "draw_laws",
     "draw_modes",
     "draw_response",
@@ -167,6 +169,72 @@ def draw_response(
     axes.set_xlabel("load frequency [rad/s]")
     axes.set_ylabel(f"{quantity} [µm]")
     _finish(figure, axes, title, path)
+
+
+MARKERS = {
+    "fold": ("v", "fold"),
+    "branch_point": ("s", "branch point"),
+    "period_doubling": ("D", "period doubling"),
+    "neimark_sacker": ("^", "Neimark-Sacker"),
+}
+
+
+def draw_curve(
+    path: str | Path,
+    curve: ResponseCurve,
+    dof: int,
+    *,
+    title: str,
+    behind: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
+) -> None:
+    """Draw a response curve: half the peak-to-peak displacement of a dof over frequency.
+
+    Stable parts are solid and unstable ones dashed where the curve knows; bifurcations are marked.
+
+    Parameters
+    ----------
+    path : str or Path
+        The picture file.
+    curve : ResponseCurve
+        What to draw.
+    dof : int
+        Whose displacement.
+    title : str
+        Heading.
+    behind : mapping, optional
+        Other curves by their labels: frequencies [rad/s] and amplitudes [m].
+    """
+    figure, axes = _figure()
+    for (label, (omega, values)), colour in zip(
+        (behind or {}).items(), ("#9a9a9a", "#c8a2b8", "#a9c7bb"), strict=False
+    ):
+        axes.semilogy(omega, 1e6 * values, color=colour, lw=1.2, label=label)
+    amplitude = 1e6 * curve.amplitude(dof)
+    if curve.multipliers is None:
+        axes.semilogy(curve.omega, amplitude, color=COLOURS["blue"], lw=1.4, label="with contact")
+    else:
+        for stable, style, label in ((True, "-", "stable"), (False, "--", "unstable")):
+            # A stretch between two points belongs to the state of its first one.
+            shown = np.where(curve.stable == stable, amplitude, np.nan)
+            shown[1:] = np.where(curve.stable[:-1] == stable, amplitude[1:], shown[1:])
+            axes.semilogy(curve.omega, shown, style, color=COLOURS["blue"], lw=1.4, label=label)
+    for kind, (marker, label) in MARKERS.items():
+        at = [b for b in curve.bifurcations if b.kind == kind]
+        if at:
+            heights = [
+                5e5 * np.ptp(b.solution.displacement(_instants(b.solution.period), [dof]))
+                for b in at
+            ]
+            axes.semilogy(
+                [b.omega for b in at], heights, marker, color=COLOURS["orange"], ms=4, label=label
+            )
+    axes.set_xlabel("load frequency [rad/s]")
+    axes.set_ylabel("half peak-to-peak displacement [µm]")
+    _finish(figure, axes, title, path)
+
+
+def _instants(period: float) -> np.ndarray:
+    return np.linspace(0.0, period, 257)
 
 
 def draw_modes(

@@ -91,3 +91,19 @@ sweep.main(Path({str(tmp_path)!r}), np.arange(1800.0, 2201.0, 100.0))
     assert (tmp_path / "response.png").exists()
     amplitudes = np.array([float(row["corner_m"]) for row in table])
     assert np.all(np.diff(amplitudes) > 0.0)  # towards the resonance
+
+
+@pytest.mark.slow
+def test_resonances(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The curve through the first resonances: two peaks between the open and the uncracked one."""
+    demo = load("resonances")
+    monkeypatch.setattr(demo, "RANGE", (1500.0, 3600.0))
+    monkeypatch.setattr(demo, "HARMONICS", 7)
+    curve = demo.main(tmp_path)
+    assert curve.complete and curve.omega[-1] == pytest.approx(3600.0)
+    corner = curve.structure.find_dof((0.1, 0.1), "x")
+    peak = curve.omega[curve.amplitude(corner).argmax()]
+    assert 2302.9 < peak < 3481.6
+    assert 0 < np.count_nonzero(curve.stable) < len(curve.omega)
+    for name in ("response.png", "curve.csv", "bifurcations.csv"):
+        assert (tmp_path / name).stat().st_size > 100
