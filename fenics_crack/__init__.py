@@ -12,6 +12,7 @@ from fenics_crack.contact import (
 from fenics_crack.continuation import Bifurcation, ResponseCurve, continue_frequency
 from fenics_crack.error_report import ErrorReport
 from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.events import PeriodicOrbit, integrate_events, shoot
 from fenics_crack.finite_elements import build_structure, find_crack_length
 from fenics_crack.harmonic_balance import solve_harmonic_balance, solve_linear
 from fenics_crack.integration import (
@@ -33,6 +34,7 @@ __all__ = [
     "InputError",
     "ModalDamping",
     "Modes",
+    "PeriodicOrbit",
     "PeriodicSolution",
     "ReducedStructure",
     "ResponseCurve",
@@ -49,7 +51,9 @@ __all__ = [
     "find_crack_length",
     "floquet",
     "integrate_central_difference",
+    "integrate_events",
     "reduce_structure",
+    "shoot",
     "solve_harmonic_balance",
     "solve_linear",
     "solve_modes",

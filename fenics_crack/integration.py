@@ -44,7 +44,12 @@ from fenics_crack.modes import damped_modes, largest_frequency
 from fenics_crack.solution import PeriodicSolution
 from fenics_crack.structure import Structure
 
-__all__ = ["TimeHistory", "integrate_central_difference", "stable_steps_per_period"]
+__all__ = [
+    "TimeHistory",
+    "initial_state",
+    "integrate_central_difference",
+    "stable_steps_per_period",
+]
 
 MEMORY_LIMIT = 2**31
 """Bytes of history on one rank beyond which recording is refused."""
@@ -196,7 +201,7 @@ def integrate_central_difference(
     kept = periods if record_periods is None else min(record_periods, periods)
     marched = _with_mass(structure, mass)
     scheme = _CentralDifferences(marched, omega, contact, steps_per_period)
-    displacement, velocity = _initial_state(structure, initial)
+    displacement, velocity = initial_state(structure, initial)
     recorded_dofs = _recorded_dofs(structure, dofs)
     slots = kept * steps_per_period
     if 8 * slots * (len(recorded_dofs) + structure.n_pairs) > MEMORY_LIMIT:
@@ -430,9 +435,10 @@ def _with_mass(structure: Structure, mass: str) -> Structure:
     return structure if mass == "consistent" else structure.lumped()
 
 
-def _initial_state(
+def initial_state(
     structure: Structure, initial: PeriodicSolution | tuple[np.ndarray, np.ndarray] | None
 ) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement and velocity (n_local,) at time 0: a solution's, two arrays, or rest."""
     if initial is None:
         return np.zeros(structure.n_local), np.zeros(structure.n_local)
     if isinstance(initial, PeriodicSolution):

@@ -34,7 +34,8 @@ from fenics_crack.condensed import CondensedSystem
 from fenics_crack.contact import ContactLaw, UnilateralPenalty
 from fenics_crack.contact_integrals import SampledIntegrals, closed_means, contact_integrals
 from fenics_crack.error_report import beyond_truncation
-from fenics_crack.errors import InputError
+from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.events import shoot
 from fenics_crack.fourier import evaluate, resized, to_complex
 from fenics_crack.solution import PeriodicSolution
 from fenics_crack.structure import Structure
@@ -60,15 +61,22 @@ class Stability:
         determinant.
     uncertainty : float
         Largest difference between these three; nan where Hill's determinant has no root nearby.
+    refined : bool
+        Whether these are the multipliers of the exact orbit, found by shooting.
     """
 
     multipliers: np.ndarray
     verdict: str
     uncertainty: float
+    refined: bool = False
 
 
 def floquet(
-    structure: Structure, solution: PeriodicSolution, contact: ContactLaw | None = None
+    structure: Structure,
+    solution: PeriodicSolution,
+    contact: ContactLaw | None = None,
+    *,
+    refine: bool = True,
 ) -> Stability:
     """Floquet multipliers of a solution.
 
@@ -80,6 +88,9 @@ def floquet(
         The orbit.
     contact : ContactLaw, optional
         Its law; default: the solution's own.
+    refine : bool
+        Where harmonics leave the verdict open and the law is the penalty, refine the orbit by
+        shooting on the exact flow (:func:`fenics_crack.events.shoot`) and judge by its multipliers.
 
     Raises
     ------
@@ -102,7 +113,28 @@ def floquet(
         verdict = "stable"
     elif np.all(known > 1.0 + 1e-9):
         verdict = "unstable"
+    elif refine and isinstance(contact, UnilateralPenalty):
+        return _refined(structure, solution, contact) or Stability(multipliers, verdict, np.nan)
     return Stability(multipliers, verdict, float(np.abs(known - largest).max()))
+
+
+def _refined(
+    structure: Structure, solution: PeriodicSolution, contact: ContactLaw
+) -> Stability | None:
+    """Judge by the exact orbit next to a solution; None where there is none."""
+    try:
+        orbit = shoot(structure, solution, contact)
+    except ConvergenceError:
+        return None
+    gap = solution.gap(np.arange(len(orbit.gap)) * solution.period / len(orbit.gap))
+    distance = np.linalg.norm(orbit.gap - gap) / np.linalg.norm(orbit.gap)
+    if distance > max(0.05, 5.0 * solution.report.truncation):
+        return None  # another orbit
+    largest = abs(orbit.multipliers[0])
+    verdict = "undecided"
+    if abs(largest - 1.0) > 1e-7:
+        verdict = "stable" if largest < 1.0 else "unstable"
+    return Stability(orbit.multipliers, verdict, 1e-7, refined=True)
 
 
 class PiecewiseFlow:

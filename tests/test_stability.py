@@ -133,7 +133,7 @@ def test_poor_truncation_is_not_decided() -> None:
     scene = fc.Scene.load(DEMOS / "paper_plate.toml")
     plate = fc.reduce_structure(fc.build_structure(scene), modes=10)
     solution = fc.solve_harmonic_balance(plate, 2000.0, fc.UnilateralPenalty(1e11), harmonics=5)
-    found = floquet(plate, solution)
+    found = floquet(plate, solution, refine=False)
     assert solution.report.truncation > 0.005
     assert found.verdict != "stable"
     assert np.abs(found.multipliers[0]) > 1.0
@@ -151,7 +151,7 @@ def test_period_doubling_is_found_on_a_curve() -> None:
     assert not np.any(curve.stable[inside]) and np.all(curve.stable[~inside])
     for doubling in doublings:
         multipliers = floquet(structure, doubling.solution).multipliers
-        assert np.abs(multipliers + 1.0).min() < 1e-6
+        assert np.abs(multipliers + 1.0).min() < 1e-5
 
 
 def test_what_cannot_be_judged_is_refused() -> None:

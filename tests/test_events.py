@@ -1,0 +1,188 @@
+"""Exact motion between switching instants, and periodic orbits by shooting."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+import fenics_crack as fc
+from fenics_crack.events import EventFlow, integrate_events, shoot
+from fenics_crack.stability import floquet
+
+BILINEAR = 2.0 * np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
+
+
+def oscillator(damping: float = 0.1) -> fc.Structure:
+    """x'' + c x' + x (+ contact) = cos(W t)."""
+    one = np.ones((1, 1))
+    return fc.Structure.from_matrices(one, one, one, force_cos=[1.0], damping=damping * one)
+
+
+def test_verification_g_contact_release() -> None:
+    """Contact time, peak force and impulse in closed form, to 1e-9."""
+    mass = np.array([[100.0]])
+    structure = fc.Structure.from_matrices(mass, 100.0 * mass, np.ones(1))
+    flow = EventFlow(structure, 1.0, fc.UnilateralPenalty(1e6))
+    start = flow.state(np.zeros(1), np.ones(1))
+    frequency = np.sqrt(1.01e6 / 100.0)
+    contact = np.pi / frequency
+    assert contact == pytest.approx(0.0312600, rel=1e-6)
+    before, gap, _, events = flow.advance(
+        start, 0.0, 0.9999999 * contact, instants=np.linspace(0.0, 0.99 * contact, 20001)
+    )
+    assert events == 0
+    assert 1e6 * gap.max() == pytest.approx(1e6 / frequency, rel=1e-8)
+    assert 1e6 * gap.max() == pytest.approx(9950.372, rel=1e-6)
+    after, _, _, events = flow.advance(start, 0.0, 1.0000001 * contact)
+    assert events == 1
+    velocity = flow.state(np.zeros(1), np.ones(1))[1]
+    assert after[1] == pytest.approx(-velocity, rel=1e-9)  # nothing lost, nothing gained
+    impulse = 1e6 * 2.0 / frequency**2  # of k/m-scaled sine: int k/w sin(w t) dt = 2 k / w^2
+    assert impulse == pytest.approx(198.0198, rel=1e-6)
+    assert before[1] == pytest.approx(-velocity, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("omega", "mean", "harmonics"),
+    [
+        (BILINEAR / 2.0, -0.278069424, (1.04226613, 0.98674532, 0.13692193)),
+        (1.0, -0.564083304, (2.55314357, 0.19177737, 0.02283921)),
+    ],
+)
+def test_verification_a_by_shooting(
+    omega: float, mean: float, harmonics: tuple[float, ...]
+) -> None:
+    """Event-driven reference values, to 1e-8; and harmonic balance converges to this orbit."""
+    structure, law = oscillator(), fc.UnilateralPenalty(1.0)
+    solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=12)
+    orbit = shoot(structure, solution)
+    assert orbit.residual < 1e-10
+    spectrum = np.fft.rfft(orbit.gap[:, 0]) / len(orbit.gap)
+    assert spectrum[0].real == pytest.approx(mean, abs=2e-8)
+    for k, amplitude in enumerate(harmonics, 1):
+        assert 2.0 * abs(spectrum[k]) == pytest.approx(amplitude, abs=2e-8)
+    assert np.prod(orbit.multipliers) == pytest.approx(np.exp(-0.1 * solution.period), rel=1e-9)
+    errors = []
+    for count in (5, 10, 20, 40):
+        wave = fc.solve_harmonic_balance(structure, omega, law, harmonics=count).gap(
+            np.arange(512) * solution.period / 512
+        )
+        errors.append(np.linalg.norm(wave - orbit.gap) / np.linalg.norm(orbit.gap))
+    assert np.polyfit(np.log([5, 10, 20, 40]), np.log(errors), 1)[0] < -2.7
+
+
+def test_verification_b_multiplier() -> None:
+    """The unstable orbit at W = 2 w0: -1.23694."""
+    structure, law = oscillator(), fc.UnilateralPenalty(1.0)
+    solution = fc.solve_harmonic_balance(structure, 2.0 * BILINEAR, law, harmonics=10)
+    orbit = shoot(structure, solution)
+    assert orbit.multipliers[0] == pytest.approx(-1.23694, abs=1e-5)
+
+
+def test_verification_i_paper_plate(paper_scene: fc.Scene) -> None:
+    """All 50 modes, k = 1e9, xi = 0.01: integrated from rest, to the digits published."""
+    plate = fc.build_structure(paper_scene.replace({"damping.ratio": 0.01}))
+    history = integrate_events(
+        plate, 2000.0, fc.UnilateralPenalty(1e9), periods=300, settle=1e-11, record_periods=1,
+        steps_per_period=4096,
+    )  # fmt: skip
+    assert history.settled < 1e-11
+    spectrum = np.fft.rfft(history.gap[:, 0]) / len(history.gap)
+    assert spectrum[0].real == pytest.approx(-4.317675e-7, rel=1e-6)
+    assert 2.0 * abs(spectrum[1]) == pytest.approx(7.418206e-7, rel=1e-6)
+    assert 2.0 * abs(spectrum[2]) == pytest.approx(2.357526e-7, rel=1e-6)
+    assert 2.0 * abs(spectrum[3]) == pytest.approx(1.52476e-8, rel=1e-5)
+    assert -history.gap.min() == pytest.approx(1.451955e-6, rel=1e-6)
+    assert history.gap.max() == pytest.approx(1.06264e-7, rel=2e-3)
+    corner = history.displacement([plate.find_dof((0.1, 0.1), "x")])[:, 0]
+    assert corner.mean() == pytest.approx(1.860995e-7, rel=1e-6)
+    assert corner.min() == pytest.approx(-1.152750e-6, rel=1e-6)
+    assert corner.max() == pytest.approx(1.156557e-6, rel=1e-6)
+
+
+@pytest.mark.parametrize("damping", ["none", "modal", "matrix"])
+def test_linear_motion(damping: str) -> None:
+    """A stop out of reach: matrix exponential with the load as two more states."""
+    rng = np.random.default_rng(2)
+    n, omega = 4, 1.7
+    root, random = rng.normal(size=(n, n)), rng.normal(size=(n, n))
+    stiffness = root @ root.T + n * np.eye(n)
+    full = {"none": np.zeros((n, n)), "matrix": 0.1 * random @ random.T}.get(damping)
+    given = {"none": None, "modal": fc.ModalDamping(0.03), "matrix": full}[damping]
+    force = rng.normal(size=(3, n))
+    structure = fc.Structure.from_matrices(
+        np.eye(n), stiffness, np.ones(n), force_mean=force[0], force_cos=force[1],
+        force_sin=force[2], damping=given, clearance=1e6,
+    )  # fmt: skip
+    if full is None:
+        squares, shapes = np.linalg.eigh(stiffness)
+        full = (shapes * 0.06 * np.sqrt(squares)) @ shapes.T
+    history = integrate_events(
+        structure, omega, fc.UnilateralPenalty(1.0), periods=2, steps_per_period=50
+    )
+    # states u, v, 1, cos, sin
+    flow = np.zeros((2 * n + 3, 2 * n + 3))
+    flow[:n, n : 2 * n] = np.eye(n)
+    flow[n : 2 * n] = np.hstack([-stiffness, -full, force.T])
+    flow[2 * n + 1, 2 * n + 2], flow[2 * n + 2, 2 * n + 1] = -omega, omega
+    start = np.zeros(2 * n + 3)
+    start[2 * n : 2 * n + 2] = 1.0
+    exact = np.array([(expm(t * flow) @ start)[:n] for t in history.time])
+    assert np.allclose(history.displacement(range(n)), exact, atol=1e-10)
+
+
+def test_central_differences_converge_to_it() -> None:
+    """Two pairs with a clearance and a preload; the difference falls like dt^2."""
+    stiffness = np.array([[3.0, -1.0, 0.0], [-1.0, 3.0, -1.0], [0.0, -1.0, 2.0]])
+    gap = np.array([[1.0, 0.0], [-1.0, 1.0], [0.0, -1.0]])
+    structure = fc.Structure.from_matrices(
+        np.eye(3), stiffness, gap, force_sin=[1.0, 0.0, -1.0], clearance=[0.1, -0.05],
+        damping=fc.ModalDamping(0.05),
+    )  # fmt: skip
+    law, omega = fc.UnilateralPenalty(np.array([5.0, 9.0])), 0.9
+    exact = integrate_events(structure, omega, law, periods=4, steps_per_period=200)
+    assert np.any(exact.gap > 0.0, axis=0).all()
+    errors = []
+    for factor in (1, 2, 4, 8):
+        history = fc.integrate_central_difference(
+            structure, omega, law, periods=4, steps_per_period=200 * factor
+        )
+        errors.append(np.abs(history.gap[::factor] - exact.gap).max())
+    assert np.polyfit(np.log([1, 2, 4, 8]), np.log(errors), 1)[0] < -1.7
+    assert errors[-1] < 1e-4 * np.abs(exact.gap).max()
+
+
+def test_brief_contacts_are_not_missed() -> None:
+    """Grazing a stiff stop for a time far below the grid: found as a pair of events."""
+    structure = fc.Structure.from_matrices(np.eye(1), np.eye(1), np.ones(1), clearance=1.0)
+    flow = EventFlow(structure, 1.0, fc.UnilateralPenalty(1e4))
+    for excess in (1e-2, 1e-4, 1e-8):
+        amplitude = 1.0 + excess
+        start = flow.state(np.array([-amplitude]), np.zeros(1))
+        after, _, _, events = flow.advance(start, 0.0, 2.0 * np.pi)
+        assert events == 2
+        energy = 0.5 * (after @ after) / (0.5 * (start @ start))
+        assert energy == pytest.approx(1.0, abs=1e-10)
+    start = flow.state(np.array([-1.0 + 1e-8]), np.zeros(1))
+    assert flow.advance(start, 0.0, 2.0 * np.pi)[3] == 0
+
+
+def test_the_papers_data_are_unstable(paper_scene: fc.Scene) -> None:
+    """k = 1e11, xi = 0.001 on ten modes: harmonics cannot tell, the exact orbit can."""
+    plate = fc.reduce_structure(fc.build_structure(paper_scene), modes=10)
+    solution = fc.solve_harmonic_balance(plate, 2000.0, fc.UnilateralPenalty(1e11), harmonics=20)
+    assert floquet(plate, solution, refine=False).verdict == "undecided"
+    found = floquet(plate, solution)
+    assert found.refined
+    assert found.verdict == "unstable"
+    assert np.abs(found.multipliers[0]) > 1.01
+
+
+def test_what_it_cannot_do_is_refused() -> None:
+    """Other laws, and bad arguments, get one error that names them."""
+    structure, law = oscillator(), fc.UnilateralPenalty(1.0)
+    with pytest.raises(fc.InputError, match=r"^contact"):
+        integrate_events(structure, 1.0, fc.SmoothedPenalty(1.0, 1.0), periods=1)
+    with pytest.raises(fc.InputError, match=r"^periods"):
+        integrate_events(structure, 1.0, law, periods=0)
+    with pytest.raises(fc.InputError, match=r"^initial"):
+        integrate_events(structure, 1.0, law, periods=1, initial=(np.ones(3), np.ones(3)))
