@@ -32,7 +32,7 @@ from fenics_crack.integration import TimeHistory, initial_state
 from fenics_crack.solution import PeriodicSolution
 from fenics_crack.structure import Structure
 
-__all__ = ["EventFlow", "PeriodicOrbit", "integrate_events", "shoot"]
+__all__ = ["EventFlow", "PeriodicOrbit", "flow_matrix", "integrate_events", "shoot"]
 
 MOST_EVENTS = 100_000
 """In one period of the load; more are a sign that pairs chatter without end."""
@@ -51,6 +51,17 @@ class _Regime:
     step: float
     powers: np.ndarray
     """exp(L j step), j = 0 to BLOCK: (2n, BLOCK + 1)."""
+
+
+def flow_matrix(modes: AllModes, stiffness: np.ndarray, scale: float) -> np.ndarray:
+    """A of z' = A z, z = (s q, q'), with contact springs (n_pairs,) on the pairs: (2n, 2n)."""
+    count = len(modes.squares)
+    matrix = np.zeros((2 * count, 2 * count))
+    matrix[:count, count:] = scale * np.eye(count)
+    contact = (modes.pairs * stiffness) @ modes.pairs.T
+    matrix[count:, :count] = -(np.diag(modes.squares) + contact) / scale
+    matrix[count:, count:] = -(np.diag(modes.damping) if modes.damping.ndim == 1 else modes.damping)
+    return matrix
 
 
 class EventFlow:
@@ -145,15 +156,13 @@ class EventFlow:
             modes, scale = self._modes, self.scale
             count = len(modes.squares)
             active = closed * self._stiffness
-            stiffness = np.diag(modes.squares) + (modes.pairs * active) @ modes.pairs.T
-            damping = np.diag(modes.damping) if modes.damping.ndim == 1 else modes.damping
-            matrix = np.block(
-                [[np.zeros((count, count)), scale * np.eye(count)], [-stiffness / scale, -damping]]
-            )
+            matrix = flow_matrix(modes, active, scale)
+            stiffness = -scale * matrix[count:, :count]
             values, vectors = np.linalg.eig(matrix)
             mean, cosine, sine = self.structure.force @ modes.shapes
             mean = mean + modes.pairs @ (active * self.structure.clearance)
             static = np.linalg.lstsq(stiffness, mean, rcond=None)[0]
+            damping = -matrix[count:, count:]
             impedance = stiffness - self.omega**2 * np.eye(count) + 1j * self.omega * damping
             response = np.zeros(count, dtype=complex)
             if np.any(cosine) or np.any(sine):

@@ -35,7 +35,7 @@ from fenics_crack.contact import ContactLaw, UnilateralPenalty
 from fenics_crack.contact_integrals import SampledIntegrals, closed_means, contact_integrals
 from fenics_crack.error_report import beyond_truncation
 from fenics_crack.errors import ConvergenceError, InputError
-from fenics_crack.events import shoot
+from fenics_crack.events import flow_matrix, shoot
 from fenics_crack.fourier import evaluate, resized, to_complex
 from fenics_crack.solution import PeriodicSolution
 from fenics_crack.structure import Structure
@@ -188,29 +188,20 @@ class PiecewiseFlow:
         intervals.append((closed * stiffness, (2.0 * np.pi - reached) / base_omega))
         return intervals
 
-    def _matrix(self, stiffness: np.ndarray) -> np.ndarray:
-        modes, scale = self._modes, self._scale
-        count = len(modes.squares)
-        matrix = np.zeros((2 * count, 2 * count))
-        matrix[:count, count:] = scale * np.eye(count)
-        contact = (modes.pairs * stiffness) @ modes.pairs.T
-        matrix[count:, :count] = -(np.diag(modes.squares) + contact) / scale
-        damping = np.diag(modes.damping) if modes.damping.ndim == 1 else modes.damping
-        matrix[count:, count:] = -damping
-        return matrix
-
     def _advance(self, stiffness: np.ndarray, duration: float, state: np.ndarray) -> np.ndarray:
         """exp(A duration) times a matrix."""
         if isinstance(self._contact, UnilateralPenalty):
             key = stiffness.tobytes()
             if key not in self._known:
-                self._known[key] = _eigen(self._matrix(stiffness))
+                self._known[key] = _eigen(flow_matrix(self._modes, stiffness, self._scale))
             known = self._known[key]
             if known is not None:
                 values, vectors, inverse = known
                 moved = (vectors * np.exp(values * duration)) @ (inverse @ state)
                 return moved.real
-        exponential: np.ndarray = scipy.linalg.expm(duration * self._matrix(stiffness))
+        exponential: np.ndarray = scipy.linalg.expm(
+            duration * flow_matrix(self._modes, stiffness, self._scale)
+        )
         return exponential @ state
 
 
