@@ -11,8 +11,10 @@ touched at a point, in closed form: a curve costs the same on any mesh.
 from __future__ import annotations
 
 import math
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import scipy.optimize
@@ -128,6 +130,84 @@ class ResponseCurve:
     def solutions(self) -> list[PeriodicSolution]:
         """The solutions at all points."""
         return [self.solution(index) for index in range(len(self.omega))]
+
+    def save(self, path: str | Path) -> None:
+        """Write the curve to a NumPy archive (.npz): numbers and words only, nothing executable."""
+        parts = {
+            "omega": self.omega,
+            "gap_coefficients": self.gap_coefficients,
+            "iterations": self.iterations,
+            "kinds": np.array([b.kind for b in self.bifurcations], dtype="U32"),
+            "bifurcation_omega": np.array([b.omega for b in self.bifurcations]),
+            "bifurcation_gaps": np.array([b.gap_coefficients for b in self.bifurcations]),
+            "complete": np.array(self.complete),
+            "status": np.array(self.status),
+            "samples": np.array(self.samples or 0),
+            "subharmonic": np.array(self.subharmonic),
+        }
+        if self.multipliers is not None:
+            parts["multipliers"] = self.multipliers
+        np.savez_compressed(path, **parts)
+
+    @classmethod
+    def load(cls, path: str | Path, structure: Structure, contact: ContactLaw) -> ResponseCurve:
+        """Read a curve written by :meth:`save`; nothing is solved again.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+        structure, contact : Structure, ContactLaw
+            Those with which the curve was followed.
+
+        Raises
+        ------
+        InputError
+            The file is not one of :meth:`save`, or the structure has other pairs.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as archive:
+                parts = {name: archive[name] for name in archive.files}
+            gaps = parts["gap_coefficients"]
+            samples = int(parts["samples"]) or None
+            subharmonic = int(parts["subharmonic"])
+            special = list(
+                zip(
+                    parts["kinds"],
+                    parts["bifurcation_omega"],
+                    parts["bifurcation_gaps"],
+                    strict=True,
+                )
+            )
+            omega, iterations = parts["omega"], parts["iterations"]
+            complete, status = bool(parts["complete"]), str(parts["status"])
+        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            raise InputError("path", str(path), f"a curve written by save ({error})") from None
+        if gaps.ndim != 3 or gaps.shape[2] != structure.n_pairs:
+            raise InputError(
+                "structure", f"{structure.n_pairs} pairs", f"one with {gaps.shape[-1]} pairs"
+            )
+        return cls(
+            structure,
+            contact,
+            omega,
+            gaps,
+            iterations,
+            tuple(
+                Bifurcation(
+                    str(kind),
+                    float(at),
+                    gap,
+                    _solution(structure, float(at), contact, gap, samples, subharmonic),
+                )
+                for kind, at, gap in special
+            ),
+            complete,
+            status,
+            samples,
+            subharmonic,
+            parts.get("multipliers"),
+        )
 
     def amplitude(self, dof: int) -> np.ndarray:
         """Half the peak-to-peak displacement of a dof at every point: (n,) [m]."""

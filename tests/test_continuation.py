@@ -1,5 +1,7 @@
 """Response curves by arc-length continuation."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -157,6 +159,29 @@ def _contact_branch(
     """The branch with contact at W = 0.72: reached from below, where it is the only one."""
     curve = continue_frequency(structure, 0.6, 0.72, law, harmonics=harmonics)
     return curve.solution(len(curve.omega) - 1)
+
+
+def test_saved_curve_comes_back(tmp_path: Path) -> None:
+    """Written and read again: the same numbers, nothing solved; a wrong file gets one error."""
+    structure, law = oscillator(), fc.UnilateralPenalty(1.0)
+    curve = continue_frequency(structure, 2.0, 0.3, law, harmonics=6, stability=True)
+    curve.save(tmp_path / "curve.npz")
+    again = fc.ResponseCurve.load(tmp_path / "curve.npz", structure, law)
+    assert np.array_equal(again.omega, curve.omega)
+    assert np.array_equal(again.amplitude(0), curve.amplitude(0))
+    assert np.array_equal(again.stable, curve.stable)
+    assert [(b.kind, b.omega) for b in again.bifurcations] == [
+        (b.kind, b.omega) for b in curve.bifurcations
+    ]
+    assert (again.complete, again.status) == (curve.complete, curve.status)
+    (tmp_path / "other.npz").write_text("no curve")
+    with pytest.raises(fc.InputError, match="path"):
+        fc.ResponseCurve.load(tmp_path / "other.npz", structure, law)
+    with pytest.raises(fc.InputError, match="path"):
+        fc.ResponseCurve.load(tmp_path / "missing.npz", structure, law)
+    wide = fc.Structure.from_matrices(np.eye(2), np.eye(2), np.eye(2))
+    with pytest.raises(fc.InputError, match="pairs"):
+        fc.ResponseCurve.load(tmp_path / "curve.npz", wide, law)
 
 
 def test_frequency_derivative() -> None:
