@@ -20,9 +20,11 @@ import numpy as np
 import scipy.linalg
 
 from fenics_crack.dynamic_stiffness import DynamicStiffness
-from fenics_crack.errors import ConvergenceError
+from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.factor import Factor
 from fenics_crack.fourier import from_complex, resized, to_complex
 from fenics_crack.modes import damped_modes, solve_modes, times
+from fenics_crack.parallel import collect_garbage
 from fenics_crack.structure import Structure
 
 __all__ = [
@@ -33,6 +35,7 @@ __all__ = [
     "WidenedCompliance",
     "all_modes",
     "dynamic_compliance",
+    "is_small",
     "load_coefficients",
 ]
 
@@ -77,9 +80,14 @@ def dynamic_compliance(
         The structure has no damping and is met in resonance, or is loose.
     """
     load = load_coefficients(structure, harmonics, subharmonic)
-    if structure.comm.size == 1 and structure.n_dofs <= SMALL:
+    if is_small(structure) and not all_modes(structure).spread:
         return ModalCompliance(structure, base_omega, load)
     return FactoredCompliance(structure, base_omega, load)
+
+
+def is_small(structure: Structure) -> bool:
+    """Whether a structure can be taken apart into all of its modes: few dofs, on one rank."""
+    return structure.comm.size == 1 and structure.n_dofs <= SMALL
 
 
 def load_coefficients(structure: Structure, harmonics: int, subharmonic: int) -> np.ndarray:
@@ -98,6 +106,8 @@ class ModalCompliance:
     """
 
     def __init__(self, structure: Structure, base_omega: float, load: np.ndarray) -> None:
+        if not is_small(structure):
+            raise InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
         self._structure = structure
         self._base = base_omega
         self._modes = all_modes(structure)
@@ -175,31 +185,35 @@ class AllModes:
             self.damping = rate if coupling <= 1e-14 * np.abs(rate).max() else coupled
         self.pairs = (structure.gap.T @ self.shapes).T
         """(n_modes, n_pairs)"""
+        # Loose: it can move as a rigid body.
+        with Factor(structure.stiffness, symmetric=True) as factor:
+            self._loose = factor.null_pivots > 0
+        # The lowest modes may have drowned in the rounding of the highest ones.
+        self.spread = not self._loose and bool(self.squares[0] < 1e-12 * self.squares[-1])
 
     def receptance(self, omega: np.ndarray) -> np.ndarray:
         """Inverse impedance at frequencies (m,): (m, n_modes), or with coupling (m, n, n)."""
         stiffness = self.squares - omega[:, None] ** 2
-        if self.damping.ndim == 1:
+        diagonal = self.damping.ndim == 1
+        singular = self._loose & (omega == 0.0)
+        if diagonal:
             impedance = stiffness + 1j * omega[:, None] * self.damping
             size = np.abs(self.squares) + omega[:, None] ** 2
-            singular = np.any(np.abs(impedance) <= 1e-15 * size, axis=1)
+            singular |= np.any(np.abs(impedance) <= 1e-15 * size, axis=1)
         else:
-            singular = np.zeros(len(omega), dtype=bool)
-        # Rounding leaves a rigid body's omega^2 a part of the largest one, not zero.
-        loose = np.abs(self.squares).min() <= 1e-13 * np.abs(self.squares).max()
-        singular |= loose & (omega == 0.0)
+            impedance = 1j * omega[:, None, None] * self.damping
+            place = np.arange(len(self.squares))
+            impedance[:, place, place] += stiffness
+            # Only a mode that the damping leaves alone can make this singular.
+            free = np.abs(self.damping).sum(axis=1) == 0.0
+            singular |= np.any(stiffness[:, free] == 0.0, axis=1)
         if np.any(singular):
             at = omega[np.argmax(singular)]
             cause = "it can move as a rigid body" if at == 0.0 else "an undamped resonance"
             raise ConvergenceError(
                 f"dynamic compliance at {at:g} rad/s: the structure is singular ({cause})"
             )
-        if self.damping.ndim == 1:
-            return 1.0 / impedance
-        coupled = 1j * omega[:, None, None] * self.damping
-        diagonal = np.arange(len(self.squares))
-        coupled[:, diagonal, diagonal] += stiffness
-        return np.linalg.inv(coupled)
+        return 1.0 / impedance if diagonal else np.linalg.inv(impedance)
 
 
 _ALL_MODES: WeakKeyDictionary[Structure, AllModes] = WeakKeyDictionary()
@@ -273,6 +287,7 @@ class FactoredCompliance:
         """Free the factors (collective)."""
         for block in self._blocks:
             block.destroy()
+        collect_garbage(self.structure.comm)
 
 
 class WidenedCompliance:

@@ -154,11 +154,6 @@ class CondensedSystem(_DenseSystem):
             WidenedCompliance(self.compliance, harmonics), self.integrals.widened(harmonics)
         )
 
-    def apply_tangent(self, change: np.ndarray) -> np.ndarray:
-        """J dg = dg + R T dg where the residual was evaluated last, without forming J."""
-        force = apply_to_pairs(self._tangent, change)
-        return change + respond(self.compliance.matrices, force)
-
     def gap_of_change(self, change: np.ndarray) -> np.ndarray:
         """Change of the gap that belongs to a change of the unknowns."""
         return change
@@ -225,10 +220,6 @@ class ConstraintSystem(_DenseSystem):
         return ConstraintSystem(
             WidenedCompliance(self.compliance, harmonics), harmonics, self.weight
         )
-
-    def apply_tangent(self, change: np.ndarray) -> np.ndarray:
-        """J dy = dy - T (dy - eps R dy) where the residual was evaluated last."""
-        return change - apply_to_pairs(self._tangent, change + self.gap_of_change(change))
 
     def gap_of_change(self, change: np.ndarray) -> np.ndarray:
         """Change of the gap that belongs to a change of the unknowns."""

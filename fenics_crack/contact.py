@@ -21,6 +21,7 @@ __all__ = [
     "SmoothedPenalty",
     "UnilateralConstraint",
     "UnilateralPenalty",
+    "check_law",
     "contact_law",
 ]
 
@@ -64,7 +65,8 @@ class UnilateralPenalty:
     stiffness: float | np.ndarray
 
     def __post_init__(self) -> None:
-        _check_positive("contact stiffness", self.stiffness)
+        stiffness = _positive("contact stiffness", self.stiffness, each_pair=True)
+        object.__setattr__(self, "stiffness", stiffness)
 
     def force(self, gap: np.ndarray) -> np.ndarray:
         """lambda(g) [N]."""
@@ -76,7 +78,7 @@ class UnilateralPenalty:
 
     def scaled(self, factor: float) -> UnilateralPenalty:
         """The same law with factor * k."""
-        return replace(self, stiffness=factor * self.stiffness)
+        return replace(self, stiffness=np.multiply(factor, self.stiffness))
 
 
 @dataclass(frozen=True)
@@ -104,8 +106,9 @@ class SmoothedPenalty:
     sharpness: float
 
     def __post_init__(self) -> None:
-        _check_positive("contact stiffness", self.stiffness)
-        _check_positive("contact sharpness", self.sharpness)
+        stiffness = _positive("contact stiffness", self.stiffness, each_pair=True)
+        object.__setattr__(self, "stiffness", stiffness)
+        object.__setattr__(self, "sharpness", _positive("contact sharpness", self.sharpness))
 
     def force(self, gap: np.ndarray) -> np.ndarray:
         """lambda(g) [N]."""
@@ -118,7 +121,7 @@ class SmoothedPenalty:
 
     def scaled(self, factor: float) -> SmoothedPenalty:
         """The same law with factor * k."""
-        return replace(self, stiffness=factor * self.stiffness)
+        return replace(self, stiffness=np.multiply(factor, self.stiffness))
 
 
 @dataclass(frozen=True)
@@ -140,7 +143,7 @@ class UnilateralConstraint:
 
     def __post_init__(self) -> None:
         if self.weight is not None:
-            _check_positive("contact weight", self.weight)
+            object.__setattr__(self, "weight", _positive("contact weight", self.weight))
 
 
 def contact_law(
@@ -156,6 +159,8 @@ def contact_law(
     InputError
         There is a stiffness per area, and no structure with areas.
     """
+    if not isinstance(contact, tables.Contact):
+        raise InputError("contact", contact, "the contact table of a scene")
     if contact.law == "constraint":
         return UnilateralConstraint()
     stiffness: float | np.ndarray | None = contact.stiffness
@@ -164,7 +169,7 @@ def contact_law(
             raise InputError(
                 "contact.stiffness_per_area",
                 contact.stiffness_per_area,
-                "used with a structure made from a mesh",
+                "used with the structure, made from a mesh: contact_law(scene.contact, structure)",
             )
         stiffness = contact.stiffness_per_area * structure.pair_areas
     assert stiffness is not None
@@ -174,10 +179,36 @@ def contact_law(
     return UnilateralPenalty(stiffness)
 
 
-def _check_positive(key: str, value: object) -> None:
+def check_law(structure: Structure, contact: object) -> None:
+    """Raise InputError unless an object is a contact law for a structure's pairs."""
+    members = ("stiffness", "force", "tangent", "scaled")
+    if isinstance(contact, type) or not all(hasattr(contact, name) for name in members):
+        raise InputError("contact", contact, "a contact law such as UnilateralPenalty(1e9)")
+    stiffness = np.asarray(getattr(contact, "stiffness"), dtype=np.float64)  # noqa: B009
+    if stiffness.ndim > 0 and stiffness.shape != (structure.n_pairs,):
+        raise InputError(
+            "contact stiffness", stiffness.shape, f"one number or {structure.n_pairs}, one per pair"
+        )
+    if not np.all(np.isfinite(stiffness)):
+        raise InputError("contact stiffness", contact, "finite")
+
+
+def _positive(key: str, value: object, *, each_pair: bool = False) -> float | np.ndarray:
+    """A positive number, or an array of them, one per pair.
+
+    Raises
+    ------
+    InputError
+        It is neither.
+    """
+    allowed = "a finite number > 0" + (", or one per pair" if each_pair else "")
+    if isinstance(value, str | bool):
+        raise InputError(key, value, allowed)
     try:
-        numbers = np.asarray(value, dtype=float)
+        numbers = np.array(value, dtype=float)
     except (TypeError, ValueError):
-        numbers = np.asarray(np.nan)
-    if numbers.ndim > 1 or not np.all(np.isfinite(numbers)) or np.any(numbers <= 0.0):
-        raise InputError(key, value, "a finite number > 0, or one per pair")
+        raise InputError(key, value, allowed) from None
+    right = numbers.ndim <= (1 if each_pair else 0) and numbers.size > 0
+    if not right or not np.all(np.isfinite(numbers)) or np.any(numbers <= 0.0):
+        raise InputError(key, value, allowed)
+    return float(numbers) if numbers.ndim == 0 else numbers

@@ -21,14 +21,25 @@ import scipy.optimize
 from tqdm import tqdm
 
 from fenics_crack.arclength import PathPoint, follow_path, step_along
-from fenics_crack.compliance import ModalCompliance, dynamic_compliance, load_coefficients
+from fenics_crack.compliance import (
+    ModalCompliance,
+    dynamic_compliance,
+    is_small,
+    load_coefficients,
+)
 from fenics_crack.condensed import CondensedSystem
-from fenics_crack.contact import ContactLaw
+from fenics_crack.contact import ContactLaw, check_law
 from fenics_crack.contact_integrals import contact_integrals
 from fenics_crack.error_report import estimate_errors
-from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.errors import (
+    ConvergenceError,
+    InputError,
+    check_count,
+    check_number,
+    check_omega,
+)
 from fenics_crack.harmonic_balance import solve_harmonic_balance
-from fenics_crack.reduction import ReducedStructure, reduce_structure
+from fenics_crack.reduction import reduce_structure
 from fenics_crack.solution import PeriodicSolution
 from fenics_crack.stability import PiecewiseFlow
 from fenics_crack.structure import Structure
@@ -77,11 +88,15 @@ class ResponseCurve:
     iterations : (n,) int
         Newton iterations of each point.
     bifurcations : tuple of Bifurcation
-        Folds, in order.
+        Special points, in order along the curve.
     complete : bool
         Whether the curve reached the end that was asked for.
     status : str
         How it ended.
+    samples, subharmonic : int or None, int
+        As given to :func:`continue_frequency`.
+    multipliers : (n, 2 n_dofs) complex or None
+        Floquet multipliers, largest first; with ``stability=True``.
     """
 
     structure: Structure
@@ -95,7 +110,6 @@ class ResponseCurve:
     samples: int | None
     subharmonic: int
     multipliers: np.ndarray | None = None
-    """(n, 2 n_dofs) Floquet multipliers, largest first; with ``stability=True``."""
 
     @property
     def stable(self) -> np.ndarray:
@@ -210,7 +224,7 @@ class ResponseCurve:
         )
 
     def amplitude(self, dof: int) -> np.ndarray:
-        """Half the peak-to-peak displacement of a dof at every point: (n,) [m]."""
+        """Half the peak-to-peak displacement of a dof at every point: (n,) [m], of 256 instants."""
         integrals = contact_integrals(self.contact, self.harmonics, self.samples, self.subharmonic)
         phase = 2.0 * np.pi * np.arange(256) / 256
         order = np.arange(1, self.harmonics + 1)
@@ -274,16 +288,14 @@ def continue_frequency(
     ConvergenceError
         No first point, or the end was not reached.
     """
-    for key, value in (("omega_start", omega_start), ("omega_end", omega_end)):
-        if not (np.isfinite(value) and value > 0.0):
-            raise InputError(key, value, "a finite number > 0")
+    check_omega(omega_start, "omega_start")
+    check_omega(omega_end, "omega_end")
     if omega_start == omega_end:
         raise InputError("omega_end", omega_end, "different from omega_start")
-    if not (np.isfinite(longest_step) and longest_step > 0.0):
-        raise InputError("longest_step", longest_step, "a finite number > 0")
-    if not hasattr(contact, "force"):
-        raise InputError("contact", contact, "a law that gives the force from the gap")
-    if structure.n_dofs > 600 and not isinstance(structure, ReducedStructure):
+    check_number("longest_step", longest_step, 0.0, above=True)
+    check_count("most_points", most_points, 1)
+    check_law(structure, contact)
+    if not is_small(structure):
         structure = reduce_structure(structure)
     first = solve_harmonic_balance(
         structure,
@@ -325,8 +337,11 @@ def continue_frequency(
                 fold = _locate(family, before, point, lambda at: at.tangent.p)
                 special.append(("fold", fold))
             if point.parameter >= 1.0:
-                point = family.land(point, before)
-                complete, status = True, "reached the end"
+                landed = family.land(point, before)
+                if landed is None:
+                    status = "no solution at the very end"
+                    break
+                point, complete, status = landed, True, "reached the end"
             if flow is not None:
                 multipliers.append(flow.multipliers(point.unknown, family.base(point.parameter)))
                 if before is not None:
@@ -346,6 +361,8 @@ def continue_frequency(
                 status = f"{most_points} points were not enough"
     except KeyboardInterrupt:
         status, throw = "interrupted", False
+    except ConvergenceError as error:
+        status = str(error)
     finally:
         bar.close()
     curve = ResponseCurve(
@@ -447,8 +464,8 @@ class FrequencyFamily:
         """Inner product."""
         return self.system.inner(first, second)
 
-    def land(self, after: PathPoint, before: PathPoint | None) -> PathPoint:
-        """The point of the path at p = 1, from points on both sides of it."""
+    def land(self, after: PathPoint, before: PathPoint | None) -> PathPoint | None:
+        """The point of the path at p = 1, from points on both sides of it; None if not found."""
         unknown = after.unknown
         if before is not None:
             share = (1.0 - before.parameter) / (after.parameter - before.parameter)
@@ -460,7 +477,7 @@ class FrequencyFamily:
                 return PathPoint(unknown, 1.0, iterations, after.tangent)
             self.linearise(unknown)
             unknown = unknown - self.solve_jacobian(residual)
-        raise ConvergenceError("curve: no solution at its very end")
+        return None
 
 
 def _changes(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from numbers import Integral, Real
 
-__all__ = ["ConvergenceError", "InputError"]
+__all__ = ["ConvergenceError", "InputError", "check_count", "check_number", "check_omega"]
 
 
 class InputError(ValueError):
@@ -42,3 +44,23 @@ class ConvergenceError(RuntimeError):
     def __init__(self, message: str, history: Sequence[float] = ()) -> None:
         super().__init__(message)
         self.history = tuple(history)
+
+
+def check_number(key: str, value: object, least: float, *, above: bool = False) -> None:
+    """Raise InputError unless a value is a finite number >= ``least`` (or > with ``above``)."""
+    number = isinstance(value, Real) and not isinstance(value, bool)
+    if number and math.isfinite(float(value)):  # type: ignore[arg-type]
+        if float(value) > least or (float(value) == least and not above):  # type: ignore[arg-type]
+            return
+    raise InputError(key, value, f"a finite number {'>' if above else '>='} {least:g}")
+
+
+def check_omega(value: object, key: str = "omega") -> None:
+    """Raise InputError unless a value can be an angular frequency."""
+    check_number(key, value, 0.0, above=True)
+
+
+def check_count(key: str, value: object, least: int) -> None:
+    """Raise InputError unless a value is a whole number >= ``least``."""
+    if isinstance(value, bool) or not isinstance(value, Integral) or int(value) < least:
+        raise InputError(key, value, f"a whole number >= {least}")

@@ -25,9 +25,9 @@ import numpy as np
 import scipy.optimize
 from tqdm import tqdm
 
-from fenics_crack.compliance import SMALL, AllModes, all_modes
-from fenics_crack.contact import ContactLaw, UnilateralPenalty
-from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.compliance import AllModes, all_modes, is_small
+from fenics_crack.contact import ContactLaw, UnilateralPenalty, check_law
+from fenics_crack.errors import ConvergenceError, InputError, check_count, check_omega
 from fenics_crack.integration import TimeHistory, initial_state
 from fenics_crack.solution import PeriodicSolution
 from fenics_crack.structure import Structure
@@ -73,7 +73,9 @@ class EventFlow:
     def __init__(self, structure: Structure, omega: float, contact: ContactLaw) -> None:
         if not isinstance(contact, UnilateralPenalty):
             raise InputError("contact", contact, "a UnilateralPenalty, linear in contact")
-        if structure.comm.size > 1 or structure.n_dofs > SMALL:
+        check_omega(omega)
+        check_law(structure, contact)
+        if not is_small(structure):
             raise InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
         self.structure, self.omega = structure, omega
         self._modes: AllModes = all_modes(structure)
@@ -312,8 +314,7 @@ def integrate_events(
         Pairs open and close without end.
     """
     for key, value in (("periods", periods), ("steps_per_period", steps_per_period)):
-        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-            raise InputError(key, value, "a whole number >= 1")
+        check_count(key, value, 1)
     flow = EventFlow(structure, omega, contact)
     state = flow.state(*initial_state(structure, initial))
     period = 2.0 * np.pi / omega

@@ -24,7 +24,7 @@ from fenics_crack import compat
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.mesh import PlateMesh, build_mesh
 from fenics_crack.modes import solve_modes
-from fenics_crack.parallel import gather_rows
+from fenics_crack.parallel import collect_garbage, gather_rows
 from fenics_crack.scene import Scene
 from fenics_crack.structure import ModalDamping, Nodes, Structure
 
@@ -73,6 +73,7 @@ def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     )
     mass.destroy()
     stiffness.destroy()
+    collect_garbage(comm)
     return structure
 
 

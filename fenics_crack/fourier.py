@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["evaluate", "from_complex", "resized", "to_complex"]
+__all__ = ["evaluate", "from_complex", "resized", "stretched", "to_complex"]
 
 
 def to_complex(coefficients: np.ndarray) -> np.ndarray:
@@ -44,3 +44,13 @@ def resized(coefficients: np.ndarray, harmonics: int) -> np.ndarray:
     rows = min(len(padded), len(coefficients))
     padded[:rows] = coefficients[:rows]
     return padded
+
+
+def stretched(coefficients: np.ndarray, factor: int) -> np.ndarray:
+    """The same wave as one of ``factor`` times the period: harmonic k becomes harmonic factor k."""
+    harmonics = len(coefficients) // 2
+    longer = np.zeros((2 * factor * harmonics + 1, *coefficients.shape[1:]))
+    longer[0] = coefficients[0]
+    longer[2 * factor - 1 :: 2 * factor] = coefficients[1::2]
+    longer[2 * factor :: 2 * factor] = coefficients[2::2]
+    return longer

@@ -17,15 +17,22 @@ from fenics_crack.compliance import (
     Compliance,
     FactoredCompliance,
     dynamic_compliance,
+    is_small,
     load_coefficients,
 )
 from fenics_crack.condensed import CondensedSystem, ConstraintSystem
-from fenics_crack.contact import ContactLaw, UnilateralConstraint
-from fenics_crack.contact_integrals import contact_integrals
+from fenics_crack.contact import ContactLaw, UnilateralConstraint, check_law
+from fenics_crack.contact_integrals import contact_integrals, default_samples
 from fenics_crack.dynamic_stiffness import DynamicStiffness
 from fenics_crack.error_report import estimate_errors
-from fenics_crack.errors import ConvergenceError, InputError
-from fenics_crack.fourier import from_complex, resized, to_complex
+from fenics_crack.errors import (
+    ConvergenceError,
+    InputError,
+    check_count,
+    check_number,
+    check_omega,
+)
+from fenics_crack.fourier import from_complex, resized, stretched, to_complex
 from fenics_crack.reduction import ReducedStructure, reduce_structure
 from fenics_crack.search import Search
 from fenics_crack.solution import PeriodicSolution
@@ -33,8 +40,8 @@ from fenics_crack.structure import Structure
 
 __all__ = ["solve_harmonic_balance", "solve_linear"]
 
-MOST_HARMONICS = 300
-"""Beyond these the choice of harmonics by a tolerance gives up."""
+MOST_HARMONICS, MOST_SAMPLES = 300, 2**20
+"""Beyond these the choice by a tolerance gives up."""
 
 
 def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> PeriodicSolution:
@@ -56,8 +63,8 @@ def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> P
     ConvergenceError
         The structure has no damping and is met in resonance, or is loose under a mean load.
     """
-    _check_positive("omega", omega)
-    _check_count("harmonics", harmonics, 1)
+    check_omega(omega)
+    check_count("harmonics", harmonics, 1)
     load = to_complex(load_coefficients(structure, harmonics, 1))
     amplitude = np.zeros_like(load)
     for k in (0, 1):
@@ -101,12 +108,14 @@ def solve_harmonic_balance(
         between the switching instants for the penalty law and the constraint; for other laws 1024
         for each period of the load, or 32 H where that is more.
     initial : PeriodicSolution, optional
-        Where Newton starts; default: the linear solution.
+        Where Newton starts; default: the linear solution. May have other harmonics, and a
+        subharmonic that divides m.
     subharmonic : int
         m: look for a response of m times the load's period.
     tolerance : float, optional
-        Choose H, and for a structure with many dofs the modes of a reduction, so that the estimated
-        error (:class:`ErrorReport`) is below this; the solution's status says what was chosen.
+        Choose H, the samples of a law that needs them, and for a structure with many dofs the modes
+        of a reduction, so that the estimated error (:class:`ErrorReport`) is below this; the
+        solution's status says what was chosen.
         ``harmonics`` and ``samples`` are then left out.
     form : "condensed" or "full"
         Unknowns on the gaps, or in all degrees of freedom.
@@ -128,21 +137,21 @@ def solve_harmonic_balance(
 
     Source: the paper, eqs 2 to 15, with the corrections listed in ``docs/theory.md``.
     """
-    _check_positive("omega", omega)
-    _check_count("subharmonic", subharmonic, 1)
+    check_omega(omega)
+    check_count("subharmonic", subharmonic, 1)
     if harmonics is None and tolerance is None:
         harmonics = max(5, subharmonic)
     if harmonics is not None:
-        _check_count("harmonics", harmonics, subharmonic)
+        check_count("harmonics", harmonics, subharmonic)
         if tolerance is not None:
             raise InputError("tolerance", tolerance, "left out where harmonics are given")
         if samples is not None:
-            _check_count("samples", samples, 4 * harmonics + 1)
+            check_count("samples", samples, 4 * harmonics + 1)
     if tolerance is not None:
-        _check_positive("tolerance", tolerance)
+        check_number("tolerance", tolerance, 0.0, above=True)
         if samples is not None:
             raise InputError("samples", samples, "left out where a tolerance is given")
-    _check_positive("residual_tolerance", residual_tolerance)
+    check_number("residual_tolerance", residual_tolerance, 0.0, above=True)
     if form not in ("condensed", "full"):
         raise InputError("form", form, "'condensed' or 'full'")
     _check_contact(structure, contact, samples, form)
@@ -196,6 +205,11 @@ class _Problem:
         finally:
             compliance.destroy()
 
+    def _start(self, initial: PeriodicSolution, name: str, harmonics: int) -> np.ndarray:
+        """Coefficients of a solution with this many harmonics of this response."""
+        factor = self.subharmonic // initial.subharmonic
+        return resized(stretched(getattr(initial, name), factor), harmonics)
+
     def _search(
         self,
         search: Search,
@@ -209,7 +223,9 @@ class _Problem:
             condensed = ConstraintSystem(compliance, harmonics, contact.weight)
             contact = replace(contact, weight=condensed.weight)
             if initial is not None:
-                unknown = condensed.from_force(resized(initial.force_coefficients, harmonics))
+                unknown = condensed.from_force(
+                    self._start(initial, "force_coefficients", harmonics)
+                )
             unknown = search.constraint(condensed, unknown)
         else:
             integrals = contact_integrals(contact, harmonics, self.samples, self.subharmonic)
@@ -218,13 +234,13 @@ class _Problem:
                 block = BlockSystem(compliance, integrals)
                 start = block.linear
                 if initial is not None:
-                    start = resized(initial.displacement_coefficients, harmonics)
+                    start = self._start(initial, "displacement_coefficients", harmonics)
                 amplitude = search.penalty(block, start)
                 unknown = block.gap(amplitude)
             else:
                 start = condensed.linear
                 if initial is not None:
-                    start = resized(initial.gap_coefficients, harmonics)
+                    start = self._start(initial, "gap_coefficients", harmonics)
                 unknown = search.penalty(condensed, start)
         gap, force = condensed.gap_and_force(unknown)
         displacement = compliance.displacement(force)
@@ -253,52 +269,54 @@ class _Problem:
 def _solve_to_tolerance(
     problem: _Problem, tolerance: float, initial: PeriodicSolution | None
 ) -> PeriodicSolution:
-    """Raise H, and the modes of a reduction, until the estimated error is below the tolerance."""
-    harmonics, structure = max(3, 2 * problem.subharmonic), problem.structure
-    reducible = structure.n_dofs > 600 and not isinstance(structure, ReducedStructure)
-    modes = 10
+    """Raise H, the samples, and the modes of a reduction until the estimated error is small."""
+    whole, harmonics, modes = problem.structure, max(3, 2 * problem.subharmonic), 10
+    reducible = not is_small(whole) and not isinstance(whole, ReducedStructure)
     if reducible:
-        problem = replace(problem, structure=reduce_structure(structure, modes=modes))
+        problem = replace(problem, structure=reduce_structure(whole, modes=modes))
         initial = None
     while True:
         solution = problem.solve(harmonics, initial)
-        report = solution.report
+        report = whole.comm.bcast(solution.report)
         if not solution.converged:
             return solution
-        if reducible and report.reduction > 0.3 * tolerance and 2 * modes <= structure.n_dofs:
-            modes *= 2
-            problem = replace(problem, structure=reduce_structure(structure, modes=modes))
-            initial = None
-            continue
         if report.total <= tolerance:
             chosen = f"chosen for an error of {tolerance:g}: H = {harmonics}"
-            if isinstance(problem.structure, ReducedStructure):
+            if problem.samples is not None:
+                chosen += f", {problem.samples} samples"
+            if reducible:
                 chosen += f", {modes} modes ({problem.structure.n_dofs} coordinates)"
             return replace(solution, status=f"{solution.status}; {chosen}")
-        if harmonics >= MOST_HARMONICS:
+        initial, obstacle = solution, ""
+        if report.reduction > 0.3 * tolerance and reducible and modes < whole.n_dofs:
+            modes = min(2 * modes, whole.n_dofs)
+            problem = replace(problem, structure=reduce_structure(whole, modes=modes))
+            initial = None
+        elif report.reduction > tolerance:
+            obstacle = "that of the reduced structure given"
+        elif report.sampling > 0.3 * tolerance:
+            used = problem.samples or problem.subharmonic * default_samples(harmonics)
+            problem = replace(problem, samples=4 * used)
+            obstacle = "sampling" if used > MOST_SAMPLES else ""
+        elif harmonics < MOST_HARMONICS:
+            # The error falls like H^-3 or slower: aim a little past the goal, but not too far.
+            wanted = harmonics * min(2.5, 1.1 * (report.truncation / tolerance) ** (1.0 / 3.0))
+            harmonics = min(MOST_HARMONICS, max(harmonics + 2, int(np.ceil(wanted))))
+            if problem.samples is not None:
+                problem = replace(problem, samples=max(problem.samples, 8 * harmonics))
+        else:
+            obstacle = f"truncation at H = {harmonics}"
+        if obstacle and not problem.throw:
+            status = f"{solution.status}; error {report.total:.1e} above the tolerance: {obstacle}"
+            return replace(solution, converged=False, status=status)
+        if obstacle:
             raise ConvergenceError(
-                f"harmonic balance at {problem.omega:g} rad/s: the estimated error is still "
-                f"{report.total:.1e} with H = {harmonics}"
+                f"harmonic balance at {problem.omega:g} rad/s: the estimated error, "
+                f"{report.total:.1e}, stays above {tolerance:g}; what is left is {obstacle}"
             )
-        # The error falls like H^-3 or slower: aim a little past the goal, but not too far at once.
-        wanted = harmonics * min(2.5, 1.1 * (report.truncation / tolerance) ** (1.0 / 3.0))
-        harmonics = min(MOST_HARMONICS, max(harmonics + 2, int(np.ceil(wanted))))
-        initial = solution
 
 
 # --- input ----------------------------------------------------------------------------------------
-
-
-def _check_positive(key: str, value: float) -> None:
-    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
-        raise InputError(key, value, "a finite number > 0")
-    if not (np.isfinite(value) and value > 0.0):
-        raise InputError(key, value, "a finite number > 0")
-
-
-def _check_count(key: str, value: int, least: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        raise InputError(key, value, f"a whole number >= {least}")
 
 
 def _check_contact(
@@ -315,24 +333,22 @@ def _check_contact(
         if form == "full":
             raise InputError("form", form, "'condensed' with UnilateralConstraint")
         return
-    stiffness = np.asarray(getattr(contact, "stiffness", np.nan))
-    if stiffness.ndim > 0 and stiffness.shape != (structure.n_pairs,):
-        raise InputError(
-            "contact stiffness", stiffness.shape, f"one number or {structure.n_pairs}, one per pair"
-        )
+    check_law(structure, contact)
 
 
 def _check_initial(structure: Structure, initial: PeriodicSolution, subharmonic: int) -> None:
-    if (
-        initial.structure.n_dofs != structure.n_dofs
-        or initial.structure.n_pairs != structure.n_pairs
-    ):
+    if not isinstance(initial, PeriodicSolution):
+        raise InputError("initial", type(initial).__name__, "a PeriodicSolution")
+    has = initial.structure.n_dofs, initial.structure.n_pairs
+    if has != (structure.n_dofs, structure.n_pairs):
         raise InputError(
             "initial",
-            f"{initial.structure.n_dofs} dofs, {initial.structure.n_pairs} pairs",
+            f"{has[0]} dofs, {has[1]} pairs",
             f"a solution with {structure.n_dofs} dofs and {structure.n_pairs} pairs",
         )
-    if initial.subharmonic != subharmonic:
+    if subharmonic % initial.subharmonic:
         raise InputError(
-            "initial", f"subharmonic {initial.subharmonic}", f"of subharmonic {subharmonic}"
+            "initial",
+            f"subharmonic {initial.subharmonic}",
+            f"of a subharmonic that divides {subharmonic}",
         )

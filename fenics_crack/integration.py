@@ -36,11 +36,18 @@ import numpy as np
 from petsc4py import PETSc
 from tqdm import tqdm
 
-from fenics_crack.contact import ContactLaw
-from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.contact import ContactLaw, check_law
+from fenics_crack.errors import (
+    ConvergenceError,
+    InputError,
+    check_count,
+    check_number,
+    check_omega,
+)
 from fenics_crack.factor import weighted_sum
 from fenics_crack.fourier import evaluate
 from fenics_crack.modes import damped_modes, largest_frequency
+from fenics_crack.parallel import collect_garbage, raise_together
 from fenics_crack.solution import PeriodicSolution
 from fenics_crack.structure import Structure
 
@@ -106,7 +113,9 @@ class TimeHistory:
         InputError
             A dof was not recorded.
         """
-        wanted = np.atleast_1d(np.asarray(dofs, dtype=int))
+        if self.structure.whole is not self.structure:
+            return self.structure.values_at(self.recorded, dofs)
+        wanted = self.structure.check_dofs(dofs)
         place = {int(dof): column for column, dof in enumerate(self.recorded_dofs)}
         found = np.zeros((len(self.time), len(wanted)))
         known = np.zeros(len(wanted))
@@ -127,8 +136,11 @@ def stable_steps_per_period(
 
     dt <= 2 / omega_max with every pair closed.
     """
+    check_omega(omega)
+    check_law(structure, contact)
     marched = _with_mass(structure, mass)
     highest = largest_frequency(marched.tied(contact.stiffness))
+    collect_garbage(structure.comm)
     return int(np.floor(np.pi * highest * (1.0 + 1e-6) / omega)) + 1
 
 
@@ -169,7 +181,7 @@ def integrate_central_difference(
     record_periods : int, optional
         Keep only the last so many periods; default: all.
     dofs : sequence of int, optional
-        Record only these displacements; default: all.
+        Record only these displacements; default: all. A reduced structure records all.
     progress : bool
         Show a progress bar.
 
@@ -189,10 +201,10 @@ def integrate_central_difference(
     Source: the paper, section 2, with the contact force added.
     """
     for key, value in (("periods", periods), ("steps_per_period", steps_per_period)):
-        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-            raise InputError(key, value, "a whole number >= 1")
-    if not (np.isfinite(omega) and omega > 0.0):
-        raise InputError("omega", omega, "a finite number > 0")
+        check_count(key, value, 1)
+    if record_periods is not None:
+        check_count("record_periods", record_periods, 1)
+    check_number("settle", settle, 0.0)
     least = stable_steps_per_period(structure, omega, contact, mass=mass)
     if steps_per_period < least:
         raise InputError(
@@ -204,11 +216,12 @@ def integrate_central_difference(
     displacement, velocity = initial_state(structure, initial)
     recorded_dofs = _recorded_dofs(structure, dofs)
     slots = kept * steps_per_period
-    if 8 * slots * (len(recorded_dofs) + structure.n_pairs) > MEMORY_LIMIT:
+    most = max(structure.comm.allgather(len(recorded_dofs)))
+    if 8 * slots * (most + structure.n_pairs) > MEMORY_LIMIT:
         raise InputError(
             "record_periods",
             record_periods,
-            f"fewer, or fewer dofs: {slots} instants of {len(recorded_dofs)} dofs do not fit in "
+            f"fewer, or fewer dofs: {slots} instants of {most} dofs do not fit in "
             f"{MEMORY_LIMIT // 2**30} GiB",
         )
     recorded = np.empty((slots, len(recorded_dofs)))
@@ -441,28 +454,37 @@ def initial_state(
     """Displacement and velocity (n_local,) at time 0: a solution's, two arrays, or rest."""
     if initial is None:
         return np.zeros(structure.n_local), np.zeros(structure.n_local)
+    shape = (structure.n_local,)
+    state: tuple[np.ndarray, ...]
     if isinstance(initial, PeriodicSolution):
         coefficients, omega = initial.displacement_coefficients, initial.base_omega
         rate = np.zeros_like(coefficients)
         order = omega * np.arange(1, initial.harmonics + 1)[:, None]
         rate[1::2], rate[2::2] = order * coefficients[2::2], -order * coefficients[1::2]
         zero = np.zeros(1)
-        return evaluate(coefficients, omega, zero)[0], evaluate(rate, omega, zero)[0]
-    state = tuple(np.asarray(part, dtype=float) for part in initial)
-    if len(state) != 2 or any(part.shape != (structure.n_local,) for part in state):
-        raise InputError(
-            "initial",
-            [part.shape for part in state],
-            f"displacement and velocity of shape ({structure.n_local},)",
-        )
-    return state
+        state = (evaluate(coefficients, omega, zero)[0], evaluate(rate, omega, zero)[0])
+    else:
+        try:
+            state = tuple(np.asarray(part, dtype=float) for part in initial)
+        except (TypeError, ValueError):
+            state = ()
+    right = len(state) == 2 and all(
+        part.shape == shape and np.all(np.isfinite(part)) for part in state
+    )
+    error = InputError(
+        "initial",
+        [part.shape for part in state],
+        f"a solution of this structure, or finite displacement and velocity of shape {shape}",
+    )
+    raise_together(structure.comm, None if right else error)
+    return state[0], state[1]
 
 
 def _recorded_dofs(structure: Structure, dofs: Sequence[int] | None) -> np.ndarray:
+    """Dofs of this rank to record; all coordinates of a reduced structure, which carry all dofs."""
     first, last = structure.first_dof, structure.first_dof + structure.n_local
-    if dofs is None:
+    whole = structure.whole
+    wanted = np.arange(first, last) if dofs is None else whole.check_dofs(dofs)
+    if whole is not structure:
         return np.arange(first, last)
-    wanted = np.atleast_1d(np.asarray(dofs, dtype=int))
-    if wanted.size and (wanted.min() < 0 or wanted.max() >= structure.n_dofs):
-        raise InputError("dofs", list(wanted), f"between 0 and {structure.n_dofs - 1}")
     return wanted[(wanted >= first) & (wanted < last)]

@@ -65,7 +65,7 @@ def write_modes(structure: Structure, modes: Modes, path: str | Path) -> None:
     a tenth of the structure's size, ready for ParaView's Warp By Vector.
     """
     mesh = NodalMesh(structure)
-    shapes = mesh.field(modes.shapes.T)
+    shapes = mesh.field(structure.expand(modes.shapes.T))
 
     def write() -> None:
         grid = mesh.grid(np.zeros_like(mesh.points))

@@ -7,8 +7,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 from mpi4py import MPI
+from petsc4py import PETSc
 
-__all__ = ["gather_rows", "on_root", "raise_together"]
+__all__ = ["collect_garbage", "gather_rows", "on_root", "raise_together"]
 
 Result = TypeVar("Result")
 
@@ -35,6 +36,14 @@ def on_root(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
     if error is not None:
         raise error
     return comm.bcast(result)
+
+
+def collect_garbage(comm: MPI.Comm) -> None:
+    """Free PETSc objects that nobody refers to any more (collective).
+
+    petsc4py does not free them when Python forgets them, since ranks could do so in another order.
+    """
+    PETSc.garbage_cleanup(comm)
 
 
 def gather_rows(comm: MPI.Comm, rows: np.ndarray) -> np.ndarray[Any, Any]:

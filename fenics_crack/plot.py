@@ -242,7 +242,7 @@ def draw_modes(
 ) -> None:
     """Draw the first mode shapes with pyvista, off screen (collective)."""
     mesh = NodalMesh(structure)
-    shapes = mesh.field(modes.shapes.T[: columns * rows])
+    shapes = mesh.field(structure.expand(modes.shapes.T[: columns * rows]))
 
     def draw() -> None:
         if not os.environ.get("DISPLAY"):  # spares VTK the search for a screen, and its warning

@@ -89,12 +89,12 @@ class ReducedStructure(Structure):
 
     @property
     def whole(self) -> Structure:
-        """The structure that was reduced."""
-        return self._whole
+        """The structure that was reduced, in the first place."""
+        return self._whole.whole
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
         """u = T q of coordinates (m, n_dofs): (m, whole.n_local)."""
-        return displacement @ self.basis.T
+        return self._whole.expand(displacement @ self.basis.T)
 
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int]) -> np.ndarray:
         """Displacement of dofs of the whole structure from coordinates (m, n_dofs) (collective)."""
@@ -103,6 +103,10 @@ class ReducedStructure(Structure):
     def find_dof(self, point: Sequence[float], component: int | str) -> int:
         """Return a dof of the whole structure (collective)."""
         return self._whole.find_dof(point, component)
+
+    def _changed(self, **changes: Any) -> Structure:
+        # A plain structure of the coordinates: it does not know where they are.
+        return super()._changed(**({"nodes": None} | changes))
 
 
 def reduce_structure(
@@ -131,7 +135,8 @@ def reduce_structure(
     damped = damped_modes(structure)
     if modes is None:
         modes = min(20, structure.n_dofs) if damped is None else len(damped.omega)
-    if isinstance(modes, bool) or not isinstance(modes, int) or not 1 <= modes <= structure.n_dofs:
+    whole = isinstance(modes, int | np.integer) and not isinstance(modes, bool)
+    if not (whole and 1 <= modes <= structure.n_dofs):
         raise InputError("modes", modes, f"a whole number from 1 to n_dofs = {structure.n_dofs}")
 
     attachments = _sources(structure)
@@ -140,7 +145,8 @@ def reduce_structure(
         squares: np.ndarray = np.zeros(0)
         if method == "craig_bampton":
             response = static.solve(attachments)
-            scale = 1e3 / np.abs(structure.closing(response.T)).max(initial=1e-300)
+            compliance = structure.closing(response[:, : structure.n_pairs].T)
+            scale = 1e3 / np.abs(compliance).max(initial=1e-300)
             tied = solve_modes(structure.tied(scale), modes).shapes
             extra = np.hstack([response, tied])
         else:
@@ -151,8 +157,11 @@ def reduce_structure(
                 kept, squares = found.shapes, found.omega**2
             response = static.solve(attachments)
             extra = response if method == "free_interface" else response[:, :0]
-        inertia = static.solve(mass_times(structure, response))
-    reference = _reduced(structure, kept, squares, np.hstack([extra, response, inertia]), None)
+        following = [extra, response, static.solve(mass_times(structure, response))]
+        if structure.damping_matrix is not None:
+            damping = times(structure.damping_matrix, np.hstack([kept, extra, response]))
+            following.append(static.solve(damping))
+    reference = _reduced(structure, kept, squares, np.hstack(following), None)
     return _reduced(structure, kept, squares, extra, reference)
 
 

@@ -29,9 +29,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from fenics_crack.compliance import AllModes, all_modes, dynamic_compliance
+from fenics_crack.compliance import AllModes, all_modes, dynamic_compliance, is_small
 from fenics_crack.condensed import CondensedSystem
-from fenics_crack.contact import ContactLaw, UnilateralPenalty
+from fenics_crack.contact import ContactLaw, UnilateralPenalty, check_law
 from fenics_crack.contact_integrals import SampledIntegrals, closed_means, contact_integrals
 from fenics_crack.error_report import beyond_truncation
 from fenics_crack.errors import ConvergenceError, InputError
@@ -97,11 +97,14 @@ def floquet(
     InputError
         The structure is too large, or contact is not given by a law of the gap.
     """
-    contact = contact if contact is not None else solution.contact  # type: ignore[assignment]
-    if contact is None or not hasattr(contact, "tangent"):
-        raise InputError("contact", contact, "a law that gives the force from the gap")
-    if structure.comm.size > 1 or structure.n_dofs > 600:
+    if contact is None:
+        contact = solution.contact  # type: ignore[assignment]
+    check_law(structure, contact)
+    assert contact is not None
+    if not is_small(structure):
         raise InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
+    if solution.structure.n_dofs != structure.n_dofs:
+        raise InputError("solution", f"{solution.structure.n_dofs} dofs", "of this structure")
     flow = PiecewiseFlow(structure, contact)
     multipliers = flow.multipliers(solution.gap_coefficients, solution.base_omega)
     largest = float(np.abs(multipliers[0]))

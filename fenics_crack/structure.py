@@ -118,16 +118,38 @@ class Structure:
         pair_areas: np.ndarray | None = None,
     ) -> None:
         self.comm: MPI.Comm = mass.comm.tompi4py()
-        self.mass = mass
-        self.stiffness = stiffness
-        self.gap = sparse.csr_matrix(gap)
-        self._gap_transposed = sparse.csr_matrix(self.gap.T)
+        self._mass = mass
+        self._stiffness = stiffness
+        self._gap = sparse.csr_matrix(gap)
+        self._gap_transposed = sparse.csr_matrix(self._gap.T)
         self.force = force
         self.clearance = clearance
-        self.damping = damping
+        self._damping = damping
         self.nodes = nodes
         self.pair_points = pair_points
         self.pair_areas = pair_areas
+
+    # What modes and compliances have been computed from may not change under them.
+
+    @property
+    def mass(self) -> Any:
+        """M, PETSc (n, n) [kg]."""
+        return self._mass
+
+    @property
+    def stiffness(self) -> Any:
+        """K, PETSc (n, n) [N/m]."""
+        return self._stiffness
+
+    @property
+    def gap(self) -> sparse.csr_matrix:
+        """B, the rows owned by this rank: (n_local, n_pairs)."""
+        return self._gap
+
+    @property
+    def damping(self) -> Any:
+        """ModalDamping, the matrix C [N s/m], or None."""
+        return self._damping
 
     @property
     def n_dofs(self) -> int:
@@ -190,14 +212,24 @@ class Structure:
         InputError
             A dof is not between 0 and n_dofs - 1.
         """
-        wanted = np.atleast_1d(_numbers(dofs)).ravel()
-        if not np.all((wanted >= 0) & (wanted < self.n_dofs) & (wanted == np.round(wanted))):
-            raise InputError("dofs", dofs, f"whole numbers between 0 and {self.n_dofs - 1}")
-        wanted = wanted.astype(int)
+        wanted = self.check_dofs(dofs)
         mine = (wanted >= self.first_dof) & (wanted < self.first_dof + self.n_local)
         picked = np.zeros((len(displacement), len(wanted)), dtype=displacement.dtype)
         picked[:, mine] = displacement[:, wanted[mine] - self.first_dof]
         return self.sum_over_ranks(picked)
+
+    def check_dofs(self, dofs: Sequence[int]) -> np.ndarray:
+        """Dofs as an array of whole numbers.
+
+        Raises
+        ------
+        InputError
+            A dof is not a whole number between 0 and n_dofs - 1.
+        """
+        wanted = np.atleast_1d(_numbers(dofs)).ravel()
+        if not np.all((wanted >= 0) & (wanted < self.n_dofs) & (wanted == np.round(wanted))):
+            raise InputError("dofs", dofs, f"whole numbers between 0 and {self.n_dofs - 1}")
+        return wanted.astype(int)
 
     def find_dof(self, point: Sequence[float], component: int | str) -> int:
         """Return the dof of a displacement component at the node at a point (collective).
@@ -289,6 +321,8 @@ class Structure:
 
     def damped(self, damping: ModalDamping | None) -> Structure:
         """Return this structure with another modal damping, or none."""
+        if damping is not None and not isinstance(damping, ModalDamping):
+            raise InputError("damping", damping, "a ModalDamping or None")
         return self._changed(damping=damping)
 
     def _changed(self, **changes: Any) -> Structure:
@@ -380,7 +414,8 @@ class Structure:
 
 def _distributed(rows: Any, comm: MPI.Comm) -> Any:
     """Square PETSc matrix whose rows on this rank are given: (n_local, n)."""
-    rows = sparse.csr_matrix(rows)
+    rows = sparse.csr_matrix(rows, copy=True)
+    rows.sum_duplicates()  # PETSc would keep the last of them
     local, total = rows.shape
     sizes = ((local, total), (local, total))
     matrix = PETSc.Mat().createAIJ(sizes, csr=(rows.indptr, rows.indices, rows.data), comm=comm)

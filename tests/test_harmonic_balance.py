@@ -336,6 +336,10 @@ def test_failure_is_an_error_with_its_history() -> None:
         ("samples", {"samples": 20}),
         ("residual_tolerance", {"residual_tolerance": 0.0}),
         ("contact stiffness", {"contact": fc.UnilateralPenalty(np.ones(2))}),
+        ("contact", {"contact": None}),
+        ("contact", {"contact": 5.0}),
+        ("contact", {"contact": fc.UnilateralPenalty}),
+        ("form", {"form": "incremental"}),
     ],
 )
 def test_bad_arguments_are_named(key: str, arguments: dict[str, object]) -> None:
@@ -352,9 +356,24 @@ def test_initial_of_another_structure_is_refused() -> None:
     other = fc.solve_linear(chain(), 1.0)
     with pytest.raises(fc.InputError, match="initial"):
         fc.solve_harmonic_balance(oscillator(), 1.0, law, initial=other)
-    same = fc.solve_linear(oscillator(), 1.0)
+    twice = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=4, subharmonic=2)
     with pytest.raises(fc.InputError, match="initial"):
-        fc.solve_harmonic_balance(oscillator(), 1.0, law, initial=same, subharmonic=2)
+        fc.solve_harmonic_balance(oscillator(), 1.0, law, initial=twice, subharmonic=3)
+    for wrong in ("solution", np.zeros(3), 1.0):
+        with pytest.raises(fc.InputError, match="initial"):
+            fc.solve_harmonic_balance(oscillator(), 1.0, law, initial=wrong)  # type: ignore[arg-type]
+
+
+def test_initial_of_a_divisor_of_the_subharmonic() -> None:
+    """A solution of the load's period is one of twice that period: nothing is left to do."""
+    law = fc.UnilateralPenalty(1.0)
+    once = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=6)
+    twice = fc.solve_harmonic_balance(
+        oscillator(), 1.0, law, harmonics=12, subharmonic=2, initial=once
+    )
+    assert twice.iterations == 0
+    t = np.linspace(0.0, twice.period, 101)
+    assert np.allclose(twice.gap(t), once.gap(t), atol=1e-12)
 
 
 PARALLEL = """

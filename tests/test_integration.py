@@ -244,7 +244,13 @@ def test_recording(soft_plate: fc.Structure) -> None:
         ("mass", {"mass": "diagonal"}),
         ("initial", {"initial": (np.zeros(3), np.zeros(3))}),
         ("dofs", {"dofs": [1000]}),
+        ("dofs", {"dofs": [0.5]}),
         ("record_periods", {"periods": 10**7}),
+        ("record_periods", {"record_periods": 0}),
+        ("settle", {"settle": "soon"}),
+        ("omega", {"omega": "fast"}),
+        ("initial", {"initial": "rest"}),
+        ("initial", {"initial": (np.full(50, np.nan), np.zeros(50))}),
     ],
 )
 def test_bad_arguments_are_named(
@@ -284,3 +290,23 @@ def test_same_motion_on_one_and_two_ranks(mpirun, tmp_path) -> None:  # type: ig
         mpirun(PARALLEL.replace("DEMOS", str(DEMOS)).replace("FOLDER", str(tmp_path)), ranks)
     one, two = (np.load(tmp_path / f"ranks{ranks}.npy") for ranks in (1, 2))
     assert np.linalg.norm(one - two) < 1e-8 * np.linalg.norm(one)
+
+
+def test_reduced_structure_speaks_of_the_dofs_of_the_whole(soft_plate: fc.Structure) -> None:
+    """Recorded displacement is that of the whole structure, by every way of recording."""
+    reduced = fc.reduce_structure(soft_plate, modes=50)
+    corner = soft_plate.find_dof((0.1, 0.1), "x")
+    options = {"periods": 2, "steps_per_period": 512}
+    whole = fc.integrate_central_difference(soft_plate, 2000.0, LAW, **options)  # type: ignore[arg-type]
+    for dofs in (None, [corner]):
+        history = fc.integrate_central_difference(reduced, 2000.0, LAW, dofs=dofs, **options)  # type: ignore[arg-type]
+        difference = history.displacement([corner]) - whole.displacement([corner])
+        assert np.abs(difference).max() < 1e-6 * np.abs(whole.displacement([corner])).max()
+    with pytest.raises(fc.InputError, match="contact"):
+        fc.integrate_central_difference(
+            soft_plate,
+            2000.0,
+            fc.UnilateralConstraint(),
+            periods=1,
+            steps_per_period=512,  # type: ignore[arg-type]
+        )

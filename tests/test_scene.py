@@ -120,6 +120,10 @@ def test_a_good_file_loads(tmp_path: Path) -> None:
         {"crack": GONE, "contact": GONE},
         GRADED | {"crack.length": GONE, "crack.first_omega": 2300.0},
         {"contact.law": "smoothed", "contact.sharpness": 1e9},
+        {"contact": {"stiffness_per_area": 1e12}},
+        {"contact": {"stiffness_per_area": 1e12, "law": "smoothed", "sharpness": 1e9}},
+        {"contact": {"law": "constraint"}},
+        {"contact": {"law": "constraint", "pairs": "mouth"}},
         {"damping": {"ratio": [0.01, 0.0], "modes": 2}},
         {"damping": {"ratio": [0.01, 0.02]}},
         {"material.poisson": 0},
@@ -209,6 +213,21 @@ BAD: list[tuple[str, dict[str, Any]]] = [
     ("contact.stiffness", {"contact.stiffness": 0.0}),
     ("contact.sharpness", {"contact.law": "smoothed"}),
     ("contact.sharpness", {"contact.sharpness": 1e6}),
+    # exactly one stiffness, or none without penetration
+    ("contact.stiffness", {"contact.stiffness_per_area": 1e12}),
+    ("contact.stiffness", {"contact": {"law": "penalty"}}),
+    ("contact.stiffness", {"contact": {"law": "smoothed", "sharpness": 1e9}}),
+    (
+        "contact.stiffness",
+        {"contact.stiffness_per_area": 1e12, "contact.law": "smoothed", "contact.sharpness": 1e9},
+    ),
+    ("contact.stiffness", {"contact.law": "constraint"}),
+    ("contact.stiffness_per_area", {"contact": {"law": "constraint", "stiffness_per_area": 1e12}}),
+    ("contact.sharpness", {"contact": {"law": "constraint", "sharpness": 1e9}}),
+    *(
+        ("contact.stiffness_per_area", {"contact": {"stiffness_per_area": value}})
+        for value in (0.0, -1e12, math.nan, math.inf, "1e12", True, [1e12])
+    ),
     ("damping.ratio", {"damping.ratio": -0.1}),
     ("damping.ratio", {"damping.ratio": (0.1, -0.1)}),
     ("damping.ratio", {"damping.ratio": ()}),
@@ -319,6 +338,20 @@ def test_replace_changes_a_copy() -> None:
     assert scene == Scene.from_mapping(GOOD)
 
 
+def test_replace_changes_the_kind_of_stiffness() -> None:
+    """One stiffness takes the place of the other, or none is left, in one change."""
+    scene = Scene.from_mapping(GOOD)
+    by_area = scene.replace({"contact.stiffness": None, "contact.stiffness_per_area": 1e12})
+    assert by_area == Scene.from_mapping(changed({"contact": {"stiffness_per_area": 1e12}}))
+    rigid = scene.replace({"contact.stiffness": None, "contact.law": "constraint"})
+    assert rigid.contact is not None
+    assert (rigid.contact.stiffness, rigid.contact.stiffness_per_area) == (None, None)
+    for change in ({"contact.stiffness": None}, {"contact.stiffness_per_area": 1e12}):
+        with pytest.raises(InputError) as caught:
+            scene.replace(change)
+        assert caught.value.key == "contact.stiffness"
+
+
 def test_replace_removes_an_optional_table() -> None:
     """Without its crack a plate needs no contact."""
     scene = Scene.from_mapping(GOOD).replace({"crack": None, "contact": None})
@@ -357,7 +390,8 @@ def test_replace_refuses_a_key_of_a_missing_table() -> None:
 # --- anything at all ------------------------------------------------------------------------------
 KEYS = [(table, key) for table, keys in GOOD.items() for key in keys] + [
     ("crack", "first_omega"), ("crack", "clearance"), ("damping", "modes"), ("contact", "law"),
-    ("contact", "sharpness"), ("contact", "pairs"), ("mesh", "cells"), ("mesh", "order"),
+    ("contact", "sharpness"), ("contact", "pairs"), ("contact", "stiffness_per_area"),
+    ("mesh", "cells"), ("mesh", "order"),
     ("mesh", "size"), ("mesh", "lip_elements"), ("mesh", "grading"), ("mesh", "file"),
     ("excitation", "force_cos"), ("excitation", "force_mean"), ("harmonic_balance", "samples"),
 ]  # fmt: skip
@@ -367,7 +401,9 @@ LEAVES = st.one_of(
     st.integers(-(10**400), 10**400),
     st.floats(),
     st.text(),
-    st.sampled_from(["left", "right", "all", "grid", "graded", "file", "smoothed", "mouth"]),
+    st.sampled_from(
+        ["left", "right", "all", "grid", "graded", "file", "smoothed", "constraint", "mouth"]
+    ),
     st.datetimes(),
     st.dates(),
     st.times(),

@@ -433,3 +433,21 @@ def test_lumped_refuses_six_node_triangles(paper_scene: Scene, columns: int, row
     with pytest.raises(InputError, match="row sum") as caught:
         structure.lumped()
     assert caught.value.key == "mass"
+
+
+def test_duplicate_entries_are_added() -> None:
+    """CSR and COO matrices may give an entry in parts."""
+    parts = sparse.coo_matrix(([1.0, 1.0, 3.0], ([0, 0, 1], [0, 0, 1])))
+    for matrix in (parts, sparse.csr_matrix(([1.0, 1.0, 3.0], [0, 0, 1], [0, 2, 3]))):
+        structure = Structure.from_matrices(np.eye(2), matrix, None)
+        assert np.array_equal(structure.stiffness[:, :], [[2.0, 0.0], [0.0, 3.0]])
+
+
+def test_what_modes_were_computed_from_cannot_be_replaced() -> None:
+    """Matrices and damping are read-only; another damping makes another structure."""
+    structure = Structure.from_matrices(np.eye(2), np.eye(2), None, damping=ModalDamping(0.1))
+    with pytest.raises(AttributeError):
+        structure.damping = ModalDamping(0.5)  # type: ignore[misc]
+    assert structure.damped(ModalDamping(0.5)).damping == ModalDamping(0.5)
+    with pytest.raises(InputError, match="damping"):
+        structure.damped("much")  # type: ignore[arg-type]
