@@ -29,11 +29,13 @@ from fenics_crack.contact_integrals import (
     ExactIntegrals,
     apply_to_pairs,
 )
+from fenics_crack.errors import InputError
 from fenics_crack.fourier import from_complex, to_complex
 
 __all__ = [
     "CondensedSystem",
     "ConstraintSystem",
+    "default_weight",
     "determinant_sign",
     "respond",
     "respond_to_columns",
@@ -167,6 +169,14 @@ class CondensedSystem(_DenseSystem):
         return self.solve_jacobian(change)
 
 
+def default_weight(compliance: Compliance) -> float:
+    """Inverse of the static compliance: the stiffness that the pairs see [N/m]."""
+    largest = float(np.abs(compliance.matrices[0]).sum(axis=1).max())
+    if not largest > 0.0:
+        raise InputError("structure", "static compliance 0", "one whose pairs can move")
+    return 1.0 / largest
+
+
 class ConstraintSystem(_DenseSystem):
     """F(y) = y - P(g_lin + y - eps R y): no penetration, in the frequency-time sense.
 
@@ -177,13 +187,12 @@ class ConstraintSystem(_DenseSystem):
     harmonics : int
         H.
     weight : float [N/m]
-        eps > 0; the solution hardly depends on it, Newton's method does. Default: the inverse of
-        the static compliance, the stiffness that the pairs see.
+        eps > 0; the solution hardly depends on it, Newton's method does.
     """
 
-    def __init__(self, compliance: Compliance, harmonics: int, weight: float | None = None) -> None:
+    def __init__(self, compliance: Compliance, harmonics: int, weight: float) -> None:
         super().__init__(compliance, ExactIntegrals(UnilateralPenalty(1.0), harmonics))
-        self.weight = weight or float(1.0 / np.abs(compliance.matrices[0]).sum(axis=1).max())
+        self.weight = weight
 
     def _argument(self, unknown: np.ndarray) -> np.ndarray:
         return self.linear + unknown + self.gap_of_change(unknown)

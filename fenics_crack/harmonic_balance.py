@@ -20,7 +20,7 @@ from fenics_crack.compliance import (
     is_small,
     load_coefficients,
 )
-from fenics_crack.condensed import CondensedSystem, ConstraintSystem
+from fenics_crack.condensed import CondensedSystem, ConstraintSystem, default_weight
 from fenics_crack.contact import ContactLaw, UnilateralConstraint, check_law
 from fenics_crack.contact_integrals import contact_integrals, default_samples
 from fenics_crack.dynamic_stiffness import DynamicStiffness
@@ -217,16 +217,22 @@ class _Problem:
         harmonics: int,
         initial: PeriodicSolution | None,
     ) -> PeriodicSolution:
-        contact, unknown = self.contact, None
+        contact = self.contact
         condensed: CondensedSystem | ConstraintSystem
+        unknown: np.ndarray
         if isinstance(contact, UnilateralConstraint):
-            condensed = ConstraintSystem(compliance, harmonics, contact.weight)
-            contact = replace(contact, weight=condensed.weight)
-            if initial is not None:
-                unknown = condensed.from_force(
-                    self._start(initial, "force_coefficients", harmonics)
-                )
-            unknown = search.constraint(condensed, unknown)
+            # Newton's method depends on the weight more than the solution does.
+            for factor in (1.0,) if contact.weight else (1.0, 10.0, 0.1, 100.0, 0.01):
+                weight = contact.weight or factor * default_weight(compliance)
+                condensed = ConstraintSystem(compliance, harmonics, weight)
+                start = None
+                if initial is not None and factor == 1.0:
+                    force = self._start(initial, "force_coefficients", harmonics)
+                    start = condensed.from_force(force)
+                unknown = search.constraint(condensed, start)
+                if search.converged:
+                    break
+            contact = replace(contact, weight=weight)
         else:
             integrals = contact_integrals(contact, harmonics, self.samples, self.subharmonic)
             condensed = CondensedSystem(compliance, integrals)
