@@ -54,15 +54,20 @@ def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     A force a - i b on harmonic k moves the gap by R_k (a - i b), that is by the real matrix
     [[Re R_k, Im R_k], [-Im R_k, Re R_k]] on (a, b).
     """
-    rows, pairs = tangent.shape[1], tangent.shape[0]
-    columns = tangent.transpose(1, 2, 0)[:, None]  # (row, 1, column, pair)
-    real, imaginary = matrices.real[:, :, None], matrices.imag[:, :, None]
+    pairs, rows, _ = tangent.shape
+    harmonics = len(matrices) - 1
     product = np.empty((rows, pairs, rows, pairs))
-    np.multiply(real[0], columns[0], out=product[0])
-    np.multiply(real[1:], columns[1::2], out=product[1::2])
-    np.multiply(real[1:], columns[2::2], out=product[2::2])
-    product[1::2] += imaginary[1:] * columns[2::2]
-    product[2::2] -= imaginary[1:] * columns[1::2]
+    product[0] = matrices[0].real[:, None] * tangent[:, 0].T
+    # For each harmonic and each pair that carries a force: (a, b) of all pairs from (a, b) of it.
+    through = matrices[1:].transpose(0, 2, 1)
+    blocks = np.empty((harmonics, pairs, 2, pairs, 2))
+    blocks[:, :, 0, :, 0] = blocks[:, :, 1, :, 1] = through.real
+    blocks[:, :, 0, :, 1] = through.imag
+    np.negative(through.imag, out=blocks[:, :, 1, :, 0])
+    forces = tangent[:, 1:].reshape(pairs, harmonics, 2, rows).transpose(1, 0, 2, 3)
+    gaps = np.matmul(blocks.reshape(harmonics, pairs, 2 * pairs, 2), forces)
+    gaps = gaps.reshape(harmonics, pairs, 2, pairs, rows).transpose(0, 2, 3, 4, 1)
+    product[1:].reshape(harmonics, 2, pairs, rows, pairs)[:] = gaps
     return product.reshape(rows * pairs, rows * pairs)
 
 
@@ -103,8 +108,9 @@ class _DenseSystem:
     def solve_jacobian(self, residual: np.ndarray) -> np.ndarray:
         """Solve J dx = r."""
         if self._factors is None:
-            self._factors = scipy.linalg.lu_factor(self.jacobian, check_finite=False)
-        found = scipy.linalg.lu_solve(self._factors, residual.ravel(), check_finite=False)
+            # The transpose is in Fortran's order, which LAPACK takes without a transposing copy.
+            self._factors = scipy.linalg.lu_factor(self.jacobian.T, check_finite=False)
+        found = scipy.linalg.lu_solve(self._factors, residual.ravel(), trans=1, check_finite=False)
         return found.reshape(self.shape)
 
     def determinant_sign(self) -> float:

@@ -15,6 +15,7 @@ import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy.optimize
@@ -147,7 +148,7 @@ class ResponseCurve:
 
     def save(self, path: str | Path) -> None:
         """Write the curve to a NumPy archive (.npz): numbers and words only, nothing executable."""
-        parts = {
+        parts: dict[str, Any] = {
             "omega": self.omega,
             "gap_coefficients": self.gap_coefficients,
             "iterations": self.iterations,

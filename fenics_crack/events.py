@@ -166,7 +166,7 @@ class EventFlow:
             static = np.linalg.lstsq(stiffness, mean, rcond=None)[0]
             damping = -matrix[count:, count:]
             impedance = stiffness - self.omega**2 * np.eye(count) + 1j * self.omega * damping
-            response = np.zeros(count, dtype=complex)
+            response: np.ndarray = np.zeros(count, dtype=complex)
             if np.any(cosine) or np.any(sine):
                 response = np.linalg.solve(impedance, cosine - 1j * sine)
             step = 2.0 * np.pi / np.abs(values.imag).max() / 12.0
@@ -214,7 +214,8 @@ class EventFlow:
             return float(side[pair] * (wave.real + steady.real))
 
         grid = regime.step * np.arange(BLOCK + 1)
-        reached, carried = 0.0, np.ones(len(weights), dtype=complex)
+        reached = 0.0
+        carried: np.ndarray = np.ones(len(weights), dtype=complex)
         while reached < duration:
             times = reached + grid
             turn = np.exp(1j * self.omega * (start + times))

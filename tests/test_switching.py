@@ -141,6 +141,27 @@ def test_many_known_roots() -> None:
         assert found.closed_at_start.tolist() == [True]
 
 
+@pytest.mark.parametrize("distance", [1e-1, 1e-2, 1e-3])
+def test_three_roots_close_together(distance: float) -> None:
+    """sin^3 x - sin^2(d) sin x, x = m theta - p: roots at multiples of pi and d beside them.
+
+    = (3/4 - sin^2 d) sin x - 1/4 sin 3 x. Between them the sign changes once or three times.
+    """
+    rng = np.random.default_rng(15)
+    for multiple in (1, 4, 20):
+        for phase in rng.uniform(0.1, 3.0, 10):
+            table = np.zeros((3 * multiple + 1, 1), dtype=complex)
+            table[multiple] = -1j * (0.75 - np.sin(distance) ** 2) * np.exp(-1j * phase)
+            table[3 * multiple] = 0.25j * np.exp(-3j * phase)
+            found = switching_instants(table)
+            x = np.sort((multiple * found.theta - phase) % np.pi)
+            expected = np.repeat([0.0, distance, np.pi - distance], 2 * multiple)
+            wrapped = np.sort((x + 0.5 * np.pi) % np.pi)
+            expected = np.sort((expected + 0.5 * np.pi) % np.pi)
+            assert wrapped == pytest.approx(expected, abs=1e-2 * distance)
+            assert_certified(table, found)
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_without_sign_change(sign: float) -> None:
     """A mean larger than all waves together, or alone: always closed, or always open."""
