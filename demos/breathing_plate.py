@@ -43,7 +43,7 @@ def main(output: Path = Path("output/breathing_plate")) -> dict[str, Any]:
     solution = fc.solve_harmonic_balance(
         plate,
         omega,
-        fc.contact_law(scene.contact),
+        fc.contact_law(scene.contact, plate),
         harmonics=scene.harmonic_balance.harmonics,
         samples=scene.harmonic_balance.samples,
     )

@@ -30,7 +30,7 @@ def main(output: Path = Path("output/sweep"), frequencies: np.ndarray = FREQUENC
     scene = fc.Scene.load(SCENE).replace({"contact.stiffness": 1e9, "damping.ratio": 0.01})
     assert scene.contact is not None
     plate = fc.build_structure(scene, MPI.COMM_SELF)
-    law, corner = fc.contact_law(scene.contact), plate.find_dof((0.1, 0.1), "x")
+    law, corner = fc.contact_law(scene.contact, plate), plate.find_dof((0.1, 0.1), "x")
 
     mine: list[Row] = []
     neighbour = None
