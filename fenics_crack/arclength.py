@@ -145,7 +145,8 @@ class Tangent:
         """Cosine of the angle to another tangent, in that one's norm."""
         product = other.weight * system.inner(self.x, other.x) + self.p * other.p
         length = other.weight * system.inner(self.x, self.x) + self.p**2
-        return product / float(np.sqrt(length))
+        # No direction where the Jacobian is singular to rounding: the slope has overflowed.
+        return product / float(np.sqrt(length)) if length > 0.0 else 0.0
 
 
 def _tangent(system: ParametricSystem, unknown: np.ndarray) -> Tangent:

@@ -256,6 +256,9 @@ class FactoredCompliance:
         linear_gap[0] -= structure.clearance
         # Every rank goes on by itself with these: they must not differ even by rounding.
         self.matrices, self.linear_gap = structure.comm.bcast((matrices, linear_gap))
+        if not (np.all(np.isfinite(self.matrices)) and np.all(np.isfinite(self.linear_gap))):
+            self.destroy()
+            raise ConvergenceError("dynamic compliance: the structure is singular")
 
     def beyond(self, highest: int) -> np.ndarray:
         """R_k for k = H+1 to ``highest``: modes known, and what they leave of the static R_0."""

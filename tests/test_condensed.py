@@ -376,6 +376,13 @@ def test_verification_b_period_doubled_orbit() -> None:
     same = fc.solve_harmonic_balance(oscillator(), omega, law, harmonics=20, subharmonic=2)
     assert amplitude(same)[1] == pytest.approx(0.2419996, rel=1e-4)
     assert amplitude(same)[0] < 1e-10
+    # Ten harmonics of the one are twenty of the other, of which every second one is zero.
+    ten = fc.solve_harmonic_balance(oscillator(), omega, law, harmonics=10)
+    again = fc.solve_harmonic_balance(
+        oscillator(), omega, law, harmonics=20, subharmonic=2, initial=ten
+    )
+    assert again.iterations <= 1
+    assert_same(again.gap_coefficients, same.gap_coefficients, 1e-8)
     disturbed = same.gap_coefficients.copy()
     disturbed[1] += 0.3
     twice = fc.solve_harmonic_balance(
@@ -492,6 +499,42 @@ def test_loose_structure_is_an_error(damping: object) -> None:
     for form in ("condensed", "full"):
         with pytest.raises(fc.ConvergenceError, match="rigid body"):
             fc.solve_harmonic_balance(loose, 0.5, fc.UnilateralPenalty(1.0), form=form)
+
+
+def test_without_any_stiffness_is_an_error() -> None:
+    """K = 0: no pivot to be found null, but nothing to stand on either."""
+    free = fc.Structure.from_matrices(np.eye(1), np.zeros((1, 1)), [1.0], force_cos=[1.0])
+    for form in ("condensed", "full"):
+        with pytest.raises(fc.ConvergenceError, match="singular"):
+            fc.solve_harmonic_balance(free, 0.5, fc.UnilateralPenalty(1.0), form=form)
+
+
+@pytest.mark.parametrize("form", ["condensed", "full"])
+def test_close_to_an_undamped_resonance(form: str) -> None:
+    """Resonance met but for rounding: the solution that a little damping gives, or an error."""
+    whole = chain("none", n=8, pairs=1)
+    law = fc.UnilateralPenalty(1.0)
+    omega = fc.solve_modes(whole, 1).omega[0]
+    damped = fc.Structure.from_matrices(
+        whole.mass,
+        whole.stiffness,
+        whole.gap,
+        force_mean=whole.force[0],
+        force_cos=whole.force[1],
+        force_sin=whole.force[2],
+        clearance=whole.clearance,
+        damping=1e-7 * np.eye(8),
+    )
+    expected = fc.solve_harmonic_balance(damped, omega, law, harmonics=3).gap_coefficients
+    for off in (0.0, 1e-14, 1e-8):
+        try:
+            found = fc.solve_harmonic_balance(
+                whole, omega * (1.0 + off), law, harmonics=3, form=form
+            )
+        except fc.ConvergenceError:
+            assert off < 1e-8
+        else:
+            assert_same(found.gap_coefficients, expected, max(1e-4, 10.0 * found.report.residual))
 
 
 def test_structure_without_pairs_is_refused() -> None:

@@ -251,6 +251,31 @@ def test_tolerance_on_a_large_structure(large_plate: fc.Structure) -> None:
     assert sizes[0][1] <= sizes[1][1] <= sizes[2][1] and sizes[0][1] < sizes[2][1]
 
 
+def test_tolerance_chooses_the_samples_of_a_smoothed_law() -> None:
+    """A sharp law needs more than the default number of them, and gets it; true error below."""
+    law = fc.SmoothedPenalty(1.0, 1e3)
+    exact = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=150, samples=1 << 17)
+    samples = []
+    for tolerance in (1e-3, 1e-6, 1e-7):
+        found = fc.solve_harmonic_balance(oscillator(), 1.0, law, tolerance=tolerance)
+        assert true_error(found, exact) < tolerance
+        assert found.report.sampling < tolerance
+        words = found.status.split()
+        samples.append(int(words[words.index("samples") - 1]) if "samples" in words else 1024)
+    assert samples[0] == 1024 < samples[1] < samples[2]
+
+
+@pytest.mark.parametrize("contact", [fc.UnilateralPenalty(1e9), fc.UnilateralConstraint()])
+def test_tolerance_with_several_stiff_pairs(
+    large_plate: fc.Structure, contact: fc.UnilateralPenalty | fc.UnilateralConstraint
+) -> None:
+    """8 pairs, stiffer than the plate by far, 2e-2: also then the true error is below."""
+    reduced = fc.reduce_structure(large_plate, modes=60)
+    found = fc.solve_harmonic_balance(reduced, 2000.0, contact, tolerance=2e-2)
+    exact = fc.solve_harmonic_balance(reduced, 2000.0, contact, harmonics=60, initial=found)
+    assert 1e-4 < true_error(found, exact) < 2e-2
+
+
 def test_tolerance_out_of_reach_is_an_error() -> None:
     """Better than rounding is impossible: an error, not a solution that claims it."""
     with pytest.raises(fc.ConvergenceError, match="estimated error"):

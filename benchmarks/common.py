@@ -1,0 +1,165 @@
+"""What the benchmarks share: arguments, timing in alternation, tables, CSV files, pictures.
+
+All of them run with one thread, ``OMP_NUM_THREADS=1``, and take the folder for the results:
+
+    OMP_NUM_THREADS=1 python benchmarks/NAME.py [--quick] [folder]
+
+A time alone says more about the machine and its other work than about the program. So two ways are
+compared by letting them take turns in one run (:func:`alternate`), and their ratio is reported. All
+times are the process's own (one thread, ``time.process_time``), which other work on the machine
+disturbs less than the clock on the wall; where waiting counts, both are given.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import os
+import platform
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+import fenics_crack as fc
+
+DEMOS = Path(__file__).parents[1] / "demos"
+FOLDER = Path("output/benchmarks")
+Row = Sequence[Any]
+
+
+# --- the command line -----------------------------------------------------------------------------
+
+
+def argument_parser(description: str | None, parts: Sequence[str] = ()) -> argparse.ArgumentParser:
+    """``--quick``, the folder, and with parts ``--only``; more may be added."""
+    parser = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", nargs="?", type=Path, default=FOLDER, help="for the results")
+    parser.add_argument("--quick", action="store_true", help="a small part of it, in a minute")
+    if parts:
+        parser.add_argument("--only", choices=parts, help="one part of the benchmark")
+    return parser
+
+
+def start(arguments: argparse.Namespace) -> None:
+    """Make the folder and say on what the numbers were measured."""
+    arguments.folder.mkdir(parents=True, exist_ok=True)
+    threads = os.environ.get("OMP_NUM_THREADS", "not set")
+    print(
+        f"Python {platform.python_version()}, NumPy {np.__version__}, {os.cpu_count()} cores, "
+        f"OMP_NUM_THREADS {threads}"
+    )
+    if threads != "1":
+        print("Set OMP_NUM_THREADS=1: small matrices are slower on several threads.")
+
+
+# --- timing ---------------------------------------------------------------------------------------
+
+
+def seconds(function: Callable[[], Any]) -> float:
+    """Processor time of one call [s]."""
+    started = time.process_time()
+    function()
+    return time.process_time() - started
+
+
+def alternate(
+    functions: Mapping[str, Callable[[], Any]], repeats: int, warm: bool = True
+) -> dict[str, np.ndarray]:
+    """Times [s] of functions that take turns: name -> (repeats,)."""
+    if warm:
+        for function in functions.values():
+            function()
+    times: dict[str, list[float]] = {name: [] for name in functions}
+    for _ in range(repeats):
+        for name, function in functions.items():
+            times[name].append(seconds(function))
+    return {name: np.array(values) for name, values in times.items()}
+
+
+def ratio(times: Mapping[str, np.ndarray], above: str, below: str) -> float:
+    """Median over the turns of the quotient of two times."""
+    return float(np.median(times[above] / times[below]))
+
+
+# --- results --------------------------------------------------------------------------------------
+
+
+def show(value: object) -> str:
+    """A number for a table."""
+    if isinstance(value, bool | np.bool_):
+        return "yes" if value else "no"
+    if isinstance(value, float | np.floating):
+        return f"{value:.4g}"
+    return str(value)
+
+
+def print_table(title: str, columns: Sequence[str], rows: Sequence[Row]) -> None:
+    """A plain table with its heading."""
+    cells = [list(columns), *([show(value) for value in row] for row in rows)]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(columns))]
+    print(f"\n{title}")
+    for number, row in enumerate(cells):
+        print("  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)))
+        if number == 0:
+            print("  ".join("-" * width for width in widths), flush=True)
+    print(end="", flush=True)
+
+
+def write_csv(path: Path, columns: Sequence[str], rows: Sequence[Row]) -> None:
+    """The same numbers in full."""
+    with open(path, "w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows(rows)
+
+
+def figure(columns: int = 1, rows: int = 1) -> tuple[Figure, list[Axes]]:
+    """A figure with axes side by side, row after row."""
+    size = (1.0 + 5.6 * columns, 4.2 * rows)
+    drawing = Figure(figsize=size, dpi=150, layout="constrained")
+    FigureCanvasAgg(drawing)
+    axes = drawing.subplots(rows, columns, squeeze=False).ravel()
+    for ax in axes:
+        ax.grid(alpha=0.3)
+    return drawing, list(axes)
+
+
+# --- what is solved -------------------------------------------------------------------------------
+
+
+def oscillator(force: float = 0.1, damping: float = 0.02) -> fc.Structure:
+    """m = 1 kg, k = 1 N/m, and a load force cos(w t)."""
+    return fc.Structure.from_matrices(
+        [[1.0]], [[1.0]], [1.0], force_cos=[force], damping=[[damping]]
+    )
+
+
+def plate(name: str, changes: Mapping[str, Any] | None = None) -> fc.Structure:
+    """The structure of a scene in demos/, its crack length found where the scene asks for it."""
+    scene = fc.Scene.load(DEMOS / f"{name}.toml").replace(dict(changes or {}))
+    assert scene.crack is not None
+    if scene.crack.first_omega is not None:
+        length = fc.find_crack_length(scene)
+        scene = scene.replace({"crack.length": length, "crack.first_omega": None})
+    return fc.build_structure(scene)
+
+
+def relative_difference(values: np.ndarray, reference: np.ndarray) -> float:
+    """Relative L2 difference over the period of coefficients (rows a0, a1, b1, ...), any H."""
+    rows = max(len(values), len(reference))
+    first, second = (
+        np.concatenate([part, np.zeros((rows - len(part), part.shape[1]))])
+        for part in (values, reference)
+    )
+    weight = np.full((rows, 1), 0.5)
+    weight[0] = 1.0
+    error, size = ((weight * part**2).sum() for part in (first - second, second))
+    return float(np.sqrt(error / size))

@@ -1,0 +1,532 @@
+"""Speed of the condensed solver, always with the error beside it.
+
+newton : one Newton iteration (contact integrals, residual, Jacobian, factorisation, solution) as a
+    multiple of one LAPACK factorisation and solution (``scipy.linalg.lu_factor``, ``lu_solve``) of
+    a dense matrix of that size; and where the time goes.
+integrals : exact contact integrals against sampled ones, error against time, on the bilinear
+    oscillator of the verification (c = 0.1, kc = 1, f = 1) at w0/2 and 1, on the paper's plate
+    (k = 1e9 N/m, damping 0.01, 2000 rad/s) and on the reduced breathing plate (18 pairs, 1e9 N/m a
+    pair); the error is measured against exact integrals with H = 400, 320 and 40.
+full : the breathing plate, all pairs, 1e9 N/m a pair, 2000 rad/s: the condensed solution (on the
+    reduced structure, prepared beforehand; and with the exact compliance, its factorisations
+    included) against ``form="full"``.
+pyharm : pyHarm's arc-length sweep of the bilinear oscillator (c = 0.02, kc = 1, f = 0.1) and of
+    50 masses in a chain with one stop, against this package on the frequencies that pyHarm visited,
+    each solution starting from its neighbour, its error report included; and against
+    ``continue_frequency`` with steps of its own, without error reports. Same H, 128 samples, then
+    exact integrals; error at w = 1.2 against exact integrals with H = 200. pyHarm's Python is found
+    by --pyharm or the variable PYHARM_PYTHON (pip install pyHarm-os in an environment of its own).
+
+Times are the process's own, taken in turns within one run; ratios are medians over the turns.
+
+    OMP_NUM_THREADS=1 python benchmarks/condensed_speed.py [--quick] [--only PART]
+        [--pyharm PYTHON] [folder]
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import common
+import numpy as np
+import scipy.linalg
+
+import fenics_crack as fc
+from fenics_crack.compliance import dynamic_compliance
+from fenics_crack.condensed import CondensedSystem
+from fenics_crack.contact_integrals import contact_integrals
+from fenics_crack.plot import COLOURS
+
+PARTS = ("newton", "integrals", "full", "pyharm")
+CONTINUED = "this, continued, exact"
+WORKER = Path(__file__).with_name("pyharm_worker.py")
+
+
+def main() -> None:
+    """Run the parts asked for."""
+    parser = common.argument_parser(__doc__, PARTS)
+    parser.add_argument(
+        "--pyharm", default=os.environ.get("PYHARM_PYTHON"), help="a Python that has pyHarm"
+    )
+    arguments = parser.parse_args()
+    common.start(arguments)
+    folder, quick = arguments.folder, arguments.quick
+    if arguments.only in (None, "newton"):
+        run_newton(folder, quick)
+    if arguments.only in (None, "integrals"):
+        run_integrals(folder, quick)
+    if arguments.only in (None, "full"):
+        run_full(folder, quick)
+    if arguments.only in (None, "pyharm"):
+        run_pyharm(folder, quick, arguments.pyharm)
+
+
+# --- one Newton iteration -------------------------------------------------------------------------
+
+
+def run_newton(folder: Path, quick: bool) -> None:
+    """Cost of the parts of an iteration, as multiples of LAPACK's."""
+    plate = fc.reduce_structure(common.plate("breathing_plate"))
+    cases = [("18 pairs", plate, h) for h in ((12,) if quick else (12, 20, 30, 40))]
+    cases += [("10 pairs", stops(10), h) for h in ((20,) if quick else (20, 40))]
+    columns = (
+        "case", "H", "unknowns", "iteration / LAPACK", "integrals and residual", "Jacobian",
+        "factorisation", "solution", "LAPACK ms",
+    )  # fmt: skip
+    rows = []
+    for name, structure, harmonics in cases:
+        times = iteration_times(structure, harmonics, 5 if quick else 31)
+        parts = ["residual", "jacobian", "factor", "solve"]
+        whole = sum(times[part] for part in parts)
+        lapack = times["lapack"]
+        shares = [float(np.median(times[part] / lapack)) for part in parts]
+        unknowns = (2 * harmonics + 1) * structure.n_pairs
+        rows.append(
+            (name, harmonics, unknowns, float(np.median(whole / lapack)), *shares,
+             1e3 * float(np.median(lapack)))
+        )  # fmt: skip
+    title = (
+        "One Newton iteration and its parts, as multiples of LAPACK's factorisation and solution"
+    )
+    common.print_table(title, columns, rows)
+    common.write_csv(folder / "condensed_speed_newton.csv", columns, rows)
+    figure, (axes,) = common.figure(1)
+    labels = [f"{row[0]}\nH = {row[1]}\n{row[2]} unknowns" for row in rows]
+    bottom = np.zeros(len(rows))
+    colours = ("blue", "orange", "green", "pink")
+    for part, colour in enumerate(colours):
+        heights = np.array([row[4 + part] for row in rows])
+        label = columns[4 + part]
+        axes.bar(labels, heights, bottom=bottom, color=COLOURS[colour], label=label, width=0.6)
+        bottom += heights
+    axes.axhline(1.0, color=COLOURS["grey"], ls="--", lw=1, label="LAPACK alone")
+    axes.axhline(1.5, color=COLOURS["grey"], ls=":", lw=1.2, label="goal: 1.5")
+    axes.set_ylabel("time / LAPACK's factorisation and solution [-]")
+    axes.set_title("One Newton iteration with exact contact integrals")
+    axes.tick_params(axis="x", labelsize=7)
+    axes.set_ylim(top=1.35 * bottom.max())
+    axes.legend(fontsize=8, ncols=2)
+    figure.savefig(folder / "condensed_speed_newton.png")
+
+
+def iteration_times(structure: fc.Structure, harmonics: int, repeats: int) -> dict[str, np.ndarray]:
+    """Times [s] of the parts of one iteration, and of LAPACK on the same matrix."""
+    omega = 2000.0 if structure.n_dofs > 20 else 1.2
+    compliance = dynamic_compliance(structure, omega, harmonics)
+    law = fc.UnilateralPenalty(1e9 if structure.n_dofs > 20 else 1.0)
+    system = CondensedSystem(compliance, contact_integrals(law, harmonics))
+    generator = np.random.default_rng(1)
+    decay = 1.0 / (1.0 + np.arange(2 * harmonics + 1)) ** 2
+    size = np.abs(system.linear).max()
+    residual = np.zeros_like(system.linear)
+
+    def new_gap() -> np.ndarray:
+        noise = generator.standard_normal(system.shape) * decay[:, None]
+        return system.linear + size * noise
+
+    times: dict[str, list[float]] = {}
+
+    def timed(name: str, function: Callable[[], Any]) -> None:
+        times.setdefault(name, []).append(common.seconds(function))
+
+    for _ in range(repeats + 1):
+        gap = new_gap()
+        timed("residual", lambda gap=gap: np.copyto(residual, system.residual(gap)))
+        timed("jacobian", lambda gap=gap: system.linearise(gap))
+        matrix = system.jacobian.copy()
+        timed("first", lambda: system.solve_jacobian(residual))  # factors and solves
+        timed("solve", lambda: system.solve_jacobian(residual))
+
+        def lapack(matrix: np.ndarray = matrix) -> None:
+            factors = scipy.linalg.lu_factor(matrix, check_finite=False)
+            scipy.linalg.lu_solve(factors, residual.ravel(), check_finite=False)
+
+        timed("lapack", lapack)
+    arrays = {name: np.array(values)[1:] for name, values in times.items()}
+    arrays["factor"] = arrays["first"] - arrays["solve"]
+    return arrays
+
+
+def stops(count: int) -> fc.Structure:
+    """Masses on springs, coupled to their neighbours, each with a stop."""
+    coupling = 2.0 * np.eye(count) - np.eye(count, k=1) - np.eye(count, k=-1)
+    load = np.linspace(0.5, 1.0, count)
+    return fc.Structure.from_matrices(
+        np.eye(count), np.eye(count) + 0.3 * coupling, np.eye(count), force_cos=load,
+        damping=0.05 * np.eye(count),
+    )  # fmt: skip
+
+
+# --- exact against sampled ------------------------------------------------------------------------
+
+
+def run_integrals(folder: Path, quick: bool) -> None:
+    """Error against time."""
+    oscillator = common.oscillator(1.0, 0.1)
+    fundamental = 2.0 / (1.0 + np.sqrt(0.5))  # 2 w1 w2 / (w1 + w2) with w2 = sqrt(2) w1
+    plate = common.plate("paper_plate", {"damping.ratio": 0.01})
+    breathing = fc.reduce_structure(common.plate("breathing_plate"))
+    cases: list[tuple[str, fc.Structure, float, float, int]] = [
+        ("oscillator w0/2", oscillator, fundamental / 2.0, 1.0, 400),
+        ("oscillator w = 1", oscillator, 1.0, 1.0, 400),
+        ("paper's plate", plate, 2000.0, 1e9, 320),
+    ]
+    if not quick:
+        cases.append(("breathing plate", breathing, 2000.0, 1e9, 40))
+    columns = ("case", "H", "samples", "relative L2 error", "iterations", "ms", "time / exact")
+    columns += ("integrals / exact",)
+    rows: list[tuple[Any, ...]] = []
+    for name, structure, omega, stiffness, finest in cases:
+        law = fc.UnilateralPenalty(stiffness)
+        reference = fc.solve_harmonic_balance(structure, omega, law, harmonics=finest)
+        for harmonics in (5, 20) if quick else (5, 10, 20, 40):
+            if structure is breathing and harmonics > 10:
+                continue  # seconds a solution
+            rows += compare_integrals(name, structure, omega, law, harmonics, reference, quick)
+    common.print_table("Exact and sampled contact integrals", columns, rows)
+    common.write_csv(folder / "condensed_speed_integrals.csv", columns, rows)
+    cheapest_equal(rows, folder)
+    names = [case[0] for case in cases]
+    figure, panels = common.figure(2, 2)
+    colours = dict(zip(sorted({row[1] for row in rows}), COLOURS.values(), strict=False))
+    for axes, name in zip(panels, names, strict=False):
+        for harmonics, colour in colours.items():
+            chosen = [row for row in rows if row[:2] == (name, harmonics)]
+            if not chosen:
+                continue
+            exact = next(row for row in chosen if row[2] == "exact")
+            sampled = [row for row in chosen if row[2] != "exact"]
+            axes.semilogy(
+                [r[6] for r in sampled], [r[3] for r in sampled], ".-", color=colour, lw=1.2,
+                label=f"sampled, H = {harmonics}",
+            )  # fmt: skip
+            axes.semilogy(exact[6], exact[3], "*", color=colour, ms=12, mec="black", mew=0.6)
+        axes.plot([], [], "*", color="white", ms=12, mec="black", label="exact, same colour")
+        axes.set_xlabel("time of a solution / that with exact integrals, same H [-]")
+        axes.set_ylabel("relative L2 error of the gap [-]")
+        axes.set_title(f"{name}; samples double from point to point", fontsize=10)
+        axes.legend(fontsize=7)
+    figure.savefig(folder / "condensed_speed_integrals.png")
+
+
+def compare_integrals(
+    name: str,
+    structure: fc.Structure,
+    omega: float,
+    law: fc.UnilateralPenalty,
+    harmonics: int,
+    reference: fc.PeriodicSolution,
+    quick: bool,
+) -> list[tuple[Any, ...]]:
+    """Solve with exact integrals and with ever more samples, taking turns."""
+    counts: list[int | None] = [None]
+    least = 1 << (4 * harmonics + 1 - 1).bit_length()
+    counts += [least << i for i in range(0, 9, 2 if quick else 1) if least << i <= 16384]
+    solutions, runs, alone = {}, {}, {}
+    for count in counts:
+        key = "exact" if count is None else str(count)
+
+        def run(count: int | None = count) -> fc.PeriodicSolution:
+            return fc.solve_harmonic_balance(
+                structure, omega, law, harmonics=harmonics, samples=count, throw=False
+            )
+
+        integrals = contact_integrals(law, harmonics, count)
+        solutions[key] = run()
+        gap = solutions[key].gap_coefficients
+        runs[key] = run
+        alone[key] = lambda integrals=integrals, gap=gap: integrals.linearise(gap)
+    times = common.alternate(runs, 5 if quick or structure.n_pairs > 1 else 15)
+    single = common.alternate(alone, 5 if quick else 25)
+    rows = []
+    for key, solution in solutions.items():
+        error = common.relative_difference(solution.gap_coefficients, reference.gap_coefficients)
+        rows.append(
+            (
+                name,
+                harmonics,
+                key,
+                error if solution.converged else float("nan"),
+                solution.iterations,
+                1e3 * float(np.median(times[key])),
+                common.ratio(times, key, "exact"),
+                common.ratio(single, key, "exact"),
+            )
+        )
+    return rows
+
+
+def cheapest_equal(rows: Sequence[tuple[Any, ...]], folder: Path) -> None:
+    """For each exact solution: the fewest samples with an error at most a tenth larger."""
+    columns = ("case", "H", "exact: error", "samples for 1.1 times that", "time / exact")
+    columns += ("integrals / exact",)
+    table = []
+    for row in rows:
+        if row[2] != "exact":
+            continue
+        same = [r for r in rows if r[:2] == row[:2] and r[2] != "exact" and r[3] <= 1.1 * row[3]]
+        if same:
+            best = min(same, key=lambda r: int(r[2]))
+            table.append((*row[:2], row[3], best[2], best[6], best[7]))
+        else:
+            table.append((*row[:2], row[3], "none tried", float("nan"), float("nan")))
+    common.print_table("Samples needed for the error of exact integrals", columns, table)
+    common.write_csv(folder / "condensed_speed_equal_error.csv", columns, table)
+
+
+# --- condensed against full -----------------------------------------------------------------------
+
+
+def run_full(folder: Path, quick: bool) -> None:
+    """The breathing plate three ways."""
+    whole = common.plate("breathing_plate")
+    reduced = fc.reduce_structure(whole)
+    columns = (
+        "H", "full / reduced", "full / exact compliance", "full ms", "difference of gap: reduced",
+        "exact", "reduction error estimated", "iterations",
+    )  # fmt: skip
+    rows = []
+    for harmonics in (5,) if quick else (5, 10, 20):
+        found: dict[str, fc.PeriodicSolution] = {}
+
+        def solver(
+            key: str,
+            structure: fc.Structure,
+            form: str,
+            harmonics: int = harmonics,
+            found: dict[str, fc.PeriodicSolution] = found,
+        ) -> Callable[[], None]:
+            def run() -> None:
+                found[key] = fc.solve_harmonic_balance(
+                    structure, 2000.0, fc.UnilateralPenalty(1e9), harmonics=harmonics, form=form
+                )
+
+            return run
+
+        times = common.alternate(
+            {
+                "full": solver("full", whole, "full"),
+                "reduced": solver("reduced", reduced, "condensed"),
+                "exact": solver("exact", whole, "condensed"),
+            },
+            1 if quick else 3,
+        )
+        gaps = {key: solution.gap_coefficients for key, solution in found.items()}
+        rows.append(
+            (
+                harmonics,
+                common.ratio(times, "full", "reduced"),
+                common.ratio(times, "full", "exact"),
+                1e3 * float(np.median(times["full"])),
+                common.relative_difference(gaps["reduced"], gaps["full"]),
+                common.relative_difference(gaps["exact"], gaps["full"]),
+                found["reduced"].report.reduction,
+                found["full"].iterations,
+            )
+        )
+    title = f"Breathing plate, {whole.n_dofs} dofs, {whole.n_pairs} pairs: times of form='full'"
+    common.print_table(title + " over the condensed ones", columns, rows)
+    common.write_csv(folder / "condensed_speed_full.csv", columns, rows)
+    figure, (axes,) = common.figure(1)
+    place = np.arange(len(rows))
+    for shift, column, colour in ((-0.2, 1, "blue"), (0.2, 2, "orange")):
+        bars = axes.bar(
+            place + shift, [row[column] for row in rows], 0.36, color=COLOURS[colour],
+            label=("reduced structure" if column == 1 else "exact compliance, factors included"),
+        )  # fmt: skip
+        difference = [row[3 + column] for row in rows]
+        axes.bar_label(bars, [f"{d:.0e}" for d in difference], fontsize=7, padding=2)
+    axes.axhline(20.0, color=COLOURS["grey"], ls=":", label="goal for the reduced one: 20")
+    axes.set_xticks(place, [f"H = {row[0]}" for row in rows])
+    axes.set_ylabel("time of the full form / condensed [-]")
+    axes.set_ylim(top=1.35 * max(max(row[1] for row in rows), 20.0))
+    axes.set_title("Full against condensed (numbers: relative difference of the gap)", fontsize=10)
+    axes.legend(fontsize=8)
+    figure.savefig(folder / "condensed_speed_full.png")
+
+
+# --- pyHarm ---------------------------------------------------------------------------------------
+
+
+def run_pyharm(folder: Path, quick: bool, python: str | None) -> None:
+    """The same sweeps by pyHarm and by this package."""
+    if not python or not has_pyharm(python):
+        print(
+            "\nNo pyHarm: this part is left out. Make a virtual environment, pip install "
+            "pyHarm-os in it, and name its Python with --pyharm or PYHARM_PYTHON."
+        )
+        return
+    one = np.eye(1)
+    single = dict(
+        name="oscillator", mass=one, stiffness=one, damping=0.02 * one, stop=1.0,
+        solver="scipyroot", start=2.0, end=0.5, timeout="00:00:01:00",
+    )  # fmt: skip
+    K = 2.0 * np.eye(50) - np.eye(50, k=1) - np.eye(50, k=-1)
+    K[-1, -1] = 1.0
+    K /= np.linalg.eigvalsh(K)[0]  # the first natural frequency is 1
+    # The harmonics of the load meet the chain's other modes: its fine sweep is a short one.
+    chain = dict(
+        name="50 masses", mass=np.eye(50), stiffness=K, damping=0.02 * K, stop=25.0,
+        solver="NewtonRaphson", start=1.3, end=1.15, timeout="00:00:00:40",
+    )  # fmt: skip
+    columns = (
+        "case", "H", "who", "points", "of", "ms a point", "pyHarm / this", "error at w = 1.2",
+    )  # fmt: skip
+    rows: list[tuple[Any, ...]] = []
+    for case, counts, turns in (
+        (single, (5,) if quick else (5, 10), 1 if quick else 5),
+        (chain, () if quick else (5, 10), 2),
+    ):
+        for harmonics in counts:
+            rows += race(python, case, harmonics, turns)
+    common.print_table(
+        "pyHarm's sweep, and ours on the frequencies it visited; error: relative L2 of the stopped "
+        "mass",
+        columns,
+        rows,
+    )
+    common.write_csv(folder / "condensed_speed_pyharm.csv", columns, rows)
+    figure, (axes,) = common.figure(1)
+    looks = dict(zip(dict.fromkeys(row[2] for row in rows), ("o", "^", "*", "D"), strict=False))
+    colours = dict(zip(dict.fromkeys(row[2] for row in rows), COLOURS.values(), strict=False))
+    filled = {"oscillator": "full", "50 masses": "none"}
+    for case in filled:
+        for who in looks:
+            chosen = [row for row in rows if row[0] == case and row[2] == who]
+            axes.loglog(
+                [row[5] for row in chosen],
+                [row[7] for row in chosen],
+                looks[who] + ":",
+                color=colours[who],
+                ms=9,
+                lw=0.8,
+                fillstyle=filled[case],
+            )
+            for row in chosen if who in ("pyHarm", CONTINUED) else []:
+                left = who == CONTINUED
+                axes.annotate(
+                    f"H = {row[1]}",
+                    (row[5], row[7]),
+                    (-9 if left else 9, 0),
+                    textcoords="offset points",
+                    ha="right" if left else "left",
+                    va="center",
+                    size=8,
+                )
+    for who, look in looks.items():
+        axes.plot([], [], look, color=colours[who], label=who)
+    axes.plot([], [], "o", color=COLOURS["grey"], label="filled: one mass")
+    axes.plot([], [], "o", color=COLOURS["grey"], fillstyle="none", label="open: 50 masses")
+    axes.set_xlabel("time of a converged point [ms]")
+    axes.set_ylabel("relative L2 error at w = 1.2 rad/s [-]")
+    axes.set_title("Sweep of a structure with one stop: error against time")
+    axes.margins(0.2)
+    axes.legend(fontsize=8, loc="lower right")
+    figure.savefig(folder / "condensed_speed_pyharm.png")
+
+
+def has_pyharm(python: str) -> bool:
+    """Whether that Python can import it."""
+    command = [python, "-c", "import pyHarm"]
+    try:
+        return (
+            subprocess.run(command, capture_output=True, check=False, env=plain()).returncode == 0
+        )
+    except OSError:
+        return False
+
+
+def plain() -> dict[str, str]:
+    """The environment without this Python's paths."""
+    hidden = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV")
+    return {name: value for name, value in os.environ.items() if name not in hidden}
+
+
+def race(python: str, case: dict[str, Any], harmonics: int, turns: int) -> list[tuple[Any, ...]]:
+    """Both on the same points, taking turns."""
+    size = len(case["mass"])
+    job = {name: value for name, value in case.items() if name != "name"}
+    job |= {name: case[name].tolist() for name in ("mass", "stiffness", "damping")}
+    job |= dict(
+        loaded=size - 1, stopped=size - 1, force=0.1, harmonics=harmonics, samples=128, at=1.2,
+        step=0.05, reductor="noreductor", solver_options={},
+    )  # fmt: skip
+    load = np.zeros(size)
+    load[-1] = 0.1
+    gap = np.zeros(size)
+    gap[-1] = 1.0
+    structure = fc.Structure.from_matrices(
+        case["mass"], case["stiffness"], gap, force_cos=load, damping=case["damping"]
+    )
+    law = fc.UnilateralPenalty(case["stop"])
+    reference = fc.solve_harmonic_balance(structure, 1.2, law, harmonics=200).gap_coefficients
+    ways = {"this, 128 samples": 128, "this, exact": None}
+    times: dict[str, list[float]] = {}
+    converged = dict.fromkeys(ways, 0)
+    theirs: dict[str, Any] = {}
+    for _ in range(turns):
+        finished = subprocess.run(
+            [python, str(WORKER)], input=json.dumps(job), capture_output=True, text=True,
+            check=True, env=plain(),
+        )  # fmt: skip
+        theirs = json.loads(finished.stdout)
+        times.setdefault("pyHarm", []).append(theirs["seconds"] / len(theirs["omega"]))
+        for who, samples in ways.items():
+            seconds, converged[who] = sweep(structure, law, harmonics, samples, theirs["omega"])
+            times.setdefault(who, []).append(seconds / max(converged[who], 1))
+        started = time.process_time()
+        curve = fc.continue_frequency(
+            structure, case["start"], case["end"], law, harmonics=harmonics, longest_step=0.05
+        )
+        seconds = time.process_time() - started
+        converged[CONTINUED] = len(curve.omega)
+        times.setdefault(CONTINUED, []).append(seconds / len(curve.omega))
+    arrays = {who: np.array(values) for who, values in times.items()}
+    points = len(theirs["omega"])
+    coefficients = np.array(theirs["coefficients"])[:, -1:]
+    rows: list[tuple[Any, ...]] = [
+        (case["name"], harmonics, "pyHarm", points, theirs["tried"],
+         1e3 * float(np.median(arrays["pyHarm"])), 1.0,
+         common.relative_difference(coefficients, reference))
+    ]  # fmt: skip
+    for who, samples in (ways | {CONTINUED: None}).items():
+        solution = fc.solve_harmonic_balance(
+            structure, 1.2, law, harmonics=harmonics, samples=samples
+        )
+        error = common.relative_difference(solution.gap_coefficients, reference)
+        rows.append(
+            (case["name"], harmonics, who, converged[who], points,
+             1e3 * float(np.median(arrays[who])), common.ratio(arrays, "pyHarm", who), error)
+        )  # fmt: skip
+    return rows
+
+
+def sweep(
+    structure: fc.Structure,
+    law: fc.UnilateralPenalty,
+    harmonics: int,
+    samples: int | None,
+    frequencies: Sequence[float],
+) -> tuple[float, int]:
+    """Processor time [s] of solutions that start from their neighbours, and how many converged."""
+    neighbour: fc.PeriodicSolution | None = None
+    converged = 0
+    started = time.process_time()
+    for omega in frequencies:
+        solution = fc.solve_harmonic_balance(
+            structure, omega, law, harmonics=harmonics, samples=samples, initial=neighbour,
+            throw=False,
+        )  # fmt: skip
+        neighbour = solution if solution.converged else None
+        converged += solution.converged
+    return time.process_time() - started, converged
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,105 @@
+"""Run by pyHarm's own Python for ``condensed_speed.py``: JSON in, JSON out.
+
+A frequency sweep of a structure with a penalty contact to the ground on one dof, by pyHarm's arc
+length continuation with its tangent predictor (its defaults), then one solution at a frequency,
+from the nearest point of the sweep. Compiling is not timed: a sweep of one harmonic runs first.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import sys
+import time
+from typing import Any
+
+import numpy as np
+from pyHarm.Maestro import Maestro
+
+
+def maestro(job: dict[str, Any], harmonics: int, start: float, end: float) -> Maestro:
+    """The system and its sweep."""
+    names = ("mass", "stiffness", "damping")
+    M, K, C = (np.array(job[name]) for name in names)
+    return Maestro(
+        {
+            "system": {"type": "Base", "nh": harmonics, "nti": job["samples"]},
+            "substructures": {
+                "body": {
+                    "matrix": {"M": M, "K": K, "C": C},
+                    "ndofs": 1,
+                    "nnodes": len(M),
+                    "matching": [0],
+                }
+            },
+            "connectors": {
+                "load": {
+                    "type": "CosinusForcing",
+                    "connect": {"body": [job["loaded"]]},
+                    "dirs": [0],
+                    "amp": job["force"],
+                },
+                "stop": {
+                    "type": "PenaltyUnilateralGap",
+                    "connect": {"body": [job["stopped"]]},
+                    "dirs": [0],
+                    "g": 0.0,
+                    "k": job["stop"],
+                },
+            },
+            "kinematics": {},
+            "analysis": {
+                "sweep": {
+                    "study": "frf",
+                    "puls_inf": min(start, end),
+                    "puls_sup": max(start, end),
+                    "puls_start": start,
+                    "sign_ds": 1 if end > start else -1,
+                    "ds0": job["step"],
+                    "ds_max": job["step"],
+                    "solver": job["solver"],
+                    "solver_options": job["solver_options"],
+                    "reductors": [{"type": job["reductor"]}],
+                    "stopper_options": {"timeout": {"status": True, "timeout": job["timeout"]}},
+                    "verbose": False,
+                }
+            },
+        }
+    )
+
+
+def main() -> None:
+    """Do the job on standard input."""
+    job = json.load(sys.stdin)
+    logging.disable(logging.CRITICAL)
+    with contextlib.redirect_stdout(sys.stderr):
+        warm = maestro(job | {"samples": 32}, 1, job["start"], job["end"])
+        warm.nls["sweep"].initialise()
+        warm.nls["sweep"].makeStep(index_insolve=1)
+
+        sweep = maestro(job, job["harmonics"], job["start"], job["end"]).nls["sweep"]
+        started = time.process_time()
+        sweep.Solve()
+        seconds = time.process_time() - started
+        good = [point for point in sweep.SolList if point.flag_accepted]
+        omega = np.array([float(point.x[-1]) for point in good])
+
+        nearest = good[int(np.argmin(np.abs(omega - job["at"])))]
+        single = maestro(job, job["harmonics"], job["at"], job["end"]).nls["sweep"]
+        single.initialise(nearest.x[:-1])
+        found = single.SolList[0]
+    json.dump(
+        {
+            "seconds": seconds,
+            "tried": len(sweep.SolList),
+            "omega": omega.tolist(),
+            "coefficients": found.x[:-1].reshape(2 * job["harmonics"] + 1, -1).tolist(),
+            "residual": float(np.linalg.norm(found.R)),
+        },
+        sys.stdout,
+    )
+
+
+if __name__ == "__main__":
+    main()
