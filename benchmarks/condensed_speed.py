@@ -28,6 +28,7 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -45,7 +46,7 @@ from fenics_crack.plot import COLOURS
 
 PARTS = ("newton", "integrals", "full", "pyharm")
 CONTINUED = "this, continued, exact"
-WORKER = Path(__file__).with_name("pyharm_worker.py")
+WORKER = Path(__file__).absolute().with_name("pyharm_worker.py")
 
 
 def main() -> None:
@@ -356,7 +357,7 @@ def run_full(folder: Path, quick: bool) -> None:
 
 def run_pyharm(folder: Path, quick: bool, python: str | None) -> None:
     """The same sweeps by pyHarm and by this package."""
-    if not python or not has_pyharm(python):
+    if not python or not Path(python).exists() or not has_pyharm(python):
         print(
             "\nNo pyHarm: this part is left out. Make a virtual environment, pip install "
             "pyHarm-os in it, and name its Python with --pyharm or PYHARM_PYTHON."
@@ -433,13 +434,23 @@ def run_pyharm(folder: Path, quick: bool, python: str | None) -> None:
 
 def has_pyharm(python: str) -> bool:
     """Whether that Python can import it."""
-    command = [python, "-c", "import pyHarm"]
-    try:
-        return (
-            subprocess.run(command, capture_output=True, check=False, env=plain()).returncode == 0
+    return run_python(python, ["-c", "import pyHarm"]).returncode == 0
+
+
+def run_python(
+    python: str, arguments: Sequence[str], text: str = ""
+) -> subprocess.CompletedProcess[str]:
+    """Run another Python; in a folder that is thrown away, since pyHarm leaves files there."""
+    with tempfile.TemporaryDirectory() as folder:
+        return subprocess.run(
+            [str(Path(python).absolute()), *arguments],
+            input=text,
+            capture_output=True,
+            text=True,
+            check=False,
+            cwd=folder,
+            env=plain(),
         )
-    except OSError:
-        return False
 
 
 def plain() -> dict[str, str]:
@@ -471,10 +482,9 @@ def race(python: str, case: dict[str, Any], harmonics: int, turns: int) -> list[
     converged = dict.fromkeys(ways, 0)
     theirs: dict[str, Any] = {}
     for _ in range(turns):
-        finished = subprocess.run(
-            [python, str(WORKER)], input=json.dumps(job), capture_output=True, text=True,
-            check=True, env=plain(),
-        )  # fmt: skip
+        finished = run_python(python, [str(WORKER)], json.dumps(job))
+        if finished.returncode != 0:
+            raise RuntimeError(f"pyHarm failed: {finished.stderr[-500:]}")
         theirs = json.loads(finished.stdout)
         times.setdefault("pyHarm", []).append(theirs["seconds"] / len(theirs["omega"]))
         for who, samples in ways.items():

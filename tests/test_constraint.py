@@ -145,6 +145,18 @@ def test_constraint_on_the_papers_data(paper_structure: fc.Structure) -> None:
         assert solution.contact_force(t).max() > 10.0
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("harmonics", [5, 10])
+def test_constraint_over_the_frequencies(paper_structure: fc.Structure, harmonics: int) -> None:
+    """The paper's data at 1000 to 3000 rad/s in steps of 100, every one from a cold start."""
+    for omega in np.arange(1000.0, 3001.0, 100.0):
+        solution = fc.solve_harmonic_balance(
+            paper_structure, omega, fc.UnilateralConstraint(), harmonics=harmonics
+        )
+        assert solution.converged and solution.report.residual < 1e-9
+        assert solution.force_coefficients[0, 0] > 0.0
+
+
 def test_starts_from_a_solution_nearby(
     plate: fc.Structure, constrained: dict[int, fc.PeriodicSolution]
 ) -> None:

@@ -132,18 +132,18 @@ def test_paper_data_does_not_settle(paper_structure: fc.Structure) -> None:
         paper_structure,
         2000.0,
         law,
-        periods=60,
+        periods=150,
         steps_per_period=2304,
         initial=orbit,
         settle=1e-6,
         dofs=[],
     )
-    assert history.periods == 60
-    assert history.settled > 0.01
+    assert history.periods == 150
+    assert history.settled > 1e-3
     folded = history.by_period(history.gap[:, 0])
-    assert folded.shape == (60, 2304)
+    assert folded.shape == (150, 2304)
     drift = np.linalg.norm(folded - orbit.gap(history.time[:2304])[:, 0], axis=1)
-    assert drift[-1] > 3.0 * drift[0]
+    assert drift.max() > 3.0 * drift[0]
     opening = -folded.min(axis=1)
     assert 0.5e-6 < opening.min() and opening.max() < 5e-6  # bounded all the same
 
