@@ -172,7 +172,7 @@ def solve(
     milliseconds = 1e3 * (time.process_time() - started)
     way = FAILED
     if solution.converged:
-        way = PATH if "path in" in solution.status else PLAIN
+        way = PATH if "path" in solution.status else PLAIN
     point = Point(
         case,
         float(getattr(contact, "stiffness", np.nan)),

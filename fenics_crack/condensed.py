@@ -193,15 +193,26 @@ class ConstraintSystem(_DenseSystem):
     harmonics : int
         H.
     weight : float [N/m]
-        eps > 0; the solution hardly depends on it, Newton's method does.
+        eps > 0. Truncated solutions depend on it a little, less the more harmonics there are.
     """
 
     def __init__(self, compliance: Compliance, harmonics: int, weight: float) -> None:
         super().__init__(compliance, ExactIntegrals(UnilateralPenalty(1.0), harmonics))
         self.weight = weight
+        self.share = 1.0
+
+    def set_parameter(self, parameter: float) -> None:
+        """Set t in y = P(g_lin + t y - eps R y): a penalty of stiffness eps (0), constraint (1)."""
+        self.share = parameter
+        self._at = None
+
+    def parameter_derivative(self, unknown: np.ndarray) -> np.ndarray:
+        """dF/dt = -T y."""
+        self._evaluate(self._argument(unknown))
+        return -apply_to_pairs(self._tangent, unknown)
 
     def _argument(self, unknown: np.ndarray) -> np.ndarray:
-        return self.linear + unknown + self.gap_of_change(unknown)
+        return self.linear + self.share * unknown + self.gap_of_change(unknown)
 
     def residual(self, unknown: np.ndarray) -> np.ndarray:
         """F(y) [m]."""
@@ -214,7 +225,7 @@ class ConstraintSystem(_DenseSystem):
         rows, pairs = self.shape
         identity = np.broadcast_to(np.eye(rows), (pairs, rows, rows))
         inner = -self.weight * respond_to_columns(self.compliance.matrices, identity)
-        inner.flat[:: len(inner) + 1] += 1.0
+        inner.flat[:: len(inner) + 1] += self.share
         inner = inner.reshape(rows, pairs, -1).transpose(1, 0, 2)
         product = np.matmul(self._tangent, inner).transpose(1, 0, 2)
         self.jacobian = -product.reshape(rows * pairs, rows * pairs)

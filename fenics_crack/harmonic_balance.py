@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -32,6 +33,7 @@ from fenics_crack.errors import (
     check_number,
     check_omega,
 )
+from fenics_crack.family import FrequencyFamily
 from fenics_crack.fourier import from_complex, resized, stretched, to_complex
 from fenics_crack.reduction import ReducedStructure, reduce_structure
 from fenics_crack.search import Search
@@ -205,6 +207,18 @@ class _Problem:
         finally:
             compliance.destroy()
 
+    def _family_from(self, harmonics: int, factor: float) -> FrequencyFamily:
+        assert not isinstance(self.contact, UnilateralConstraint)
+        return FrequencyFamily(
+            self.structure,
+            factor * self.omega,
+            self.omega,
+            self.contact,
+            harmonics,
+            self.samples,
+            self.subharmonic,
+        )
+
     def _start(self, initial: PeriodicSolution, name: str, harmonics: int) -> np.ndarray:
         """Coefficients of a solution with this many harmonics of this response."""
         factor = self.subharmonic // initial.subharmonic
@@ -221,17 +235,13 @@ class _Problem:
         condensed: CondensedSystem | ConstraintSystem
         unknown: np.ndarray
         if isinstance(contact, UnilateralConstraint):
-            # Newton's method depends on the weight more than the solution does.
-            for factor in (1.0,) if contact.weight else (1.0, 10.0, 0.1, 100.0, 0.01):
-                weight = contact.weight or factor * default_weight(compliance)
-                condensed = ConstraintSystem(compliance, harmonics, weight)
-                start = None
-                if initial is not None and factor == 1.0:
-                    force = self._start(initial, "force_coefficients", harmonics)
-                    start = condensed.from_force(force)
-                unknown = search.constraint(condensed, start)
-                if search.converged:
-                    break
+            weight = contact.weight or default_weight(compliance)
+            condensed = ConstraintSystem(compliance, harmonics, weight)
+            start = None
+            if initial is not None:
+                force = self._start(initial, "force_coefficients", harmonics)
+                start = condensed.from_force(force)
+            unknown = search.constraint(condensed, start)
             contact = replace(contact, weight=weight)
         else:
             integrals = contact_integrals(contact, harmonics, self.samples, self.subharmonic)
@@ -247,7 +257,8 @@ class _Problem:
                 start = condensed.linear
                 if initial is not None:
                     start = self._start(initial, "gap_coefficients", harmonics)
-                unknown = search.penalty(condensed, start)
+                paths = self._family_from if is_small(self.structure) else None
+                unknown = search.penalty(condensed, start, paths and partial(paths, harmonics))
         gap, force = condensed.gap_and_force(unknown)
         displacement = compliance.displacement(force)
         return PeriodicSolution(

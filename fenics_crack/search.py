@@ -5,30 +5,40 @@
    linear one; from there the path of solutions is followed by arc-length, through its folds. It
    cannot come back to soft contact, so as long as solutions stay bounded it reaches every
    stiffness.
+3. A path in the frequency, where a small or reduced structure makes it cheap: from the nearest
+   frequency at which full steps converge.
 
-Without penetration at all, path 2 leads to a stiff penalty, whose contact force starts the
-constraint.
+Without penetration at all, attempts 1 and 2 lead to the contact force of a stiff penalty, from
+which full steps start; where these fail, solutions are followed from a soft penalty to the
+constraint (:class:`ConstraintSystem`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
-from fenics_crack.arclength import PathPoint, follow_path
+from fenics_crack.arclength import ParametricSystem, follow_path
 from fenics_crack.block import BlockSystem
 from fenics_crack.condensed import CondensedSystem, ConstraintSystem
 from fenics_crack.contact import ContactLaw, UnilateralPenalty
 from fenics_crack.contact_integrals import ExactIntegrals
+from fenics_crack.family import FrequencyFamily
 from fenics_crack.newton import Newton, System
 
 __all__ = ["Search"]
 
 SOFT = 0.05
 """k R where the path in the stiffness starts."""
+FAR = 5.0
+"""A path is given up that far from its end, unless it began farther away."""
 STIFF = 10.0
-"""k / eps of the penalty from which the constraint starts; then ten times that, and so on."""
+"""k / eps of the penalty from which full steps to the constraint start."""
+NEARBY = (1.02, 0.98, 1.1, 0.9, 1.3, 0.75, 2.0, 0.5)
+"""Frequencies, relative to the one wanted, from which a path in the frequency may start."""
 
 
 @dataclass
@@ -60,13 +70,25 @@ class Search:
         """The attempts in words."""
         return "; then ".join(self.attempts)
 
-    def penalty(self, system: CondensedSystem | BlockSystem, start: np.ndarray) -> np.ndarray:
-        """Solve for a law that gives the force from the gap."""
+    def penalty(
+        self,
+        system: CondensedSystem | BlockSystem,
+        start: np.ndarray,
+        family_from: Callable[[float], FrequencyFamily] | None = None,
+    ) -> np.ndarray:
+        """Solve for a law that gives the force from the gap.
+
+        ``family_from`` makes the family of the same equations from a relative frequency to 1.
+        """
         found = self._newton(system, start, 20, "full Newton steps")
-        return found if self.converged else self._stiffness_path(system)
+        if not self.converged:
+            found = self._stiffness_path(system)
+        if not self.converged and family_from is not None:
+            found = self._frequency_path(family_from)
+        return found
 
     def constraint(self, system: ConstraintSystem, start: np.ndarray | None) -> np.ndarray:
-        """Solve without penetration, starting from ever stiffer penalties."""
+        """Solve without penetration."""
         if start is not None:
             found = self._newton(system, start, 20, "full Newton steps")
             if self.converged:
@@ -75,18 +97,20 @@ class Search:
         penalty = CondensedSystem(
             system.compliance, ExactIntegrals(UnilateralPenalty(STIFF * system.weight), harmonics)
         )
-        gap = penalty.linear
-        found = system.from_force(np.zeros_like(gap))
-        for _ in range(4):
-            gap = self.penalty(penalty, gap)
-            if not self.converged:
-                break
-            force = penalty.gap_and_force(gap)[1]
-            found = self._newton(system, system.from_force(force), 30, "constraint from penalty")
+        gap = self.penalty(penalty, penalty.linear)
+        found = system.from_force(penalty.gap_and_force(gap)[1])
+        if self.converged:
+            found = self._newton(system, found, 30, "constraint from penalty")
             if self.converged:
-                break
-            penalty.with_law(penalty.integrals.law.scaled(10.0))
-        return found
+                return found
+        penalty.with_law(UnilateralPenalty(system.weight))
+        gap = self.penalty(penalty, penalty.linear)
+        found = system.from_force(penalty.gap_and_force(gap)[1])
+        if not self.converged:
+            return found
+        return self._path(
+            "from penalty to constraint", system, lambda: system, found, 0.0, 1.0, 0.1, 0.3
+        )
 
     def _newton(
         self, system: System, start: np.ndarray, most_iterations: int, name: str
@@ -98,7 +122,8 @@ class Search:
             self.history += newton.history
             newton.free()
         self.iterations += count
-        self._note(name, f"{count} iterations")
+        if name:
+            self._note(name, f"{count} iterations")
         return found
 
     def _note(self, attempt: str, details: str) -> None:
@@ -106,48 +131,60 @@ class Search:
         self.attempts.append(f"{attempt}: {outcome} ({details})")
 
     def _stiffness_path(self, system: CondensedSystem | BlockSystem) -> np.ndarray:
-        law = system.integrals.law
-        path = _StiffnessPath(system, law)
-        newton = Newton(system, self.tolerance)
-        steps = 0
-        try:
-            soft = min(0.0, float(np.log(SOFT / path.stiffness_times_compliance)))
-            path.set_parameter(soft)
-            found, self.converged, count = newton.solve(system.linear, 20)
-            self.iterations += count
-            last = (found, soft)
-            if self.converged and soft < 0.0:
-                self.converged = False
-                for point in follow_path(path, found, soft, step=1.0, longest_step=2.0):
-                    steps += 1
-                    self.iterations += point.iterations
-                    if point.parameter >= 0.0:
-                        found = self._land(path, newton, last, point)
-                        if self.converged:
-                            break
-                    last = (point.unknown, point.parameter)
-        finally:
-            path.set_parameter(0.0)
-            self.history += newton.history
-            newton.free()
-        end = "" if self.converged else f", last at {np.exp(last[1]):.2g} of the stiffness"
-        self._note("path in the contact stiffness", f"{steps} steps{end}")
+        name = "in the contact stiffness"
+        path = _StiffnessPath(system, system.integrals.law)
+        soft = min(0.0, float(np.log(SOFT / path.stiffness_times_compliance)))
+        path.set_parameter(soft)
+        found = self._newton(system, system.linear, 20, "")
+        if self.converged and soft < 0.0:
+            return self._path(name, path, lambda: system, found, soft, 0.0, 1.0, 2.0)
+        path.set_parameter(0.0)
+        self._note(f"path {name}", f"its start at {np.exp(soft):.2g} of the stiffness")
         return found
 
-    def _land(
+    def _frequency_path(self, family_from: Callable[[float], FrequencyFamily]) -> np.ndarray:
+        for factor in NEARBY:
+            name = f"{factor:g} of the frequency"
+            family = family_from(factor)
+            found = self._newton(family.system, family.system.linear, 20, f"start at {name}")
+            if self.converged:
+                there = partial(getattr, family, "system")
+                found = self._path(f"from {name}", family, there, found, 0.0, 1.0, 0.1, 0.3)
+                if self.converged:
+                    break
+        return found
+
+    def _path(
         self,
-        path: _StiffnessPath,
-        newton: Newton,
-        before: tuple[np.ndarray, float],
-        after: PathPoint,
+        name: str,
+        path: ParametricSystem,
+        at_end: Callable[[], System],
+        start: np.ndarray,
+        parameter: float,
+        end: float,
+        step: float,
+        longest_step: float,
     ) -> np.ndarray:
-        """Solve at the full stiffness, from between two points of the path."""
-        unknown, parameter = before
-        share = parameter / (parameter - after.parameter)
-        between = unknown + share * (after.unknown - unknown)
-        path.set_parameter(0.0)
-        found, self.converged, count = newton.solve(between, 20)
-        self.iterations += count
+        """Follow a path until Newton's method lands at the end, from either side."""
+        found, steps, last = start, 0, (start, parameter)
+        self.converged = False
+        for point in follow_path(path, start, parameter, step=step, longest_step=longest_step):
+            steps += 1
+            self.iterations += point.iterations
+            if max(point.parameter, last[1]) >= end:
+                path.set_parameter(end)
+                share = (end - last[1]) / (point.parameter - last[1])
+                between = last[0] + share * (point.unknown - last[0])
+                # Where the path bends between the two, one of them may be nearer than the chord.
+                for nearby in (between, last[0], point.unknown):
+                    found = self._newton(at_end(), nearby, 20, "")
+                    if self.converged:
+                        break
+            if self.converged or abs(point.parameter - end) > max(FAR, end - parameter):
+                break
+            last = (point.unknown, point.parameter)
+        path.set_parameter(end)
+        self._note(f"path {name}", f"{steps} steps, {last[1]:.3g} of {parameter:.3g} to {end:g}")
         return found
 
 

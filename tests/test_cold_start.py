@@ -9,6 +9,8 @@ import pytest
 
 import fenics_crack as fc
 from fenics_crack.arclength import PathPoint, follow_path
+from fenics_crack.condensed import CondensedSystem
+from fenics_crack.search import Search
 
 DEMOS = Path(__file__).parents[1] / "demos"
 FREQUENCIES = np.linspace(0.3, 2.0, 300)
@@ -69,6 +71,36 @@ def test_status_tells_the_attempts() -> None:
     assert hard.status.startswith("full Newton steps: failed")
     assert "path in the contact stiffness: converged" in hard.status
     assert hard.iterations > 20
+
+
+@pytest.mark.parametrize("harmonics", [10, 20])
+def test_lands_where_the_path_bends_at_its_end(harmonics: int) -> None:
+    """Landing from the chord fails here, and the path does not come back: from its last point."""
+    one = np.ones((1, 1))
+    oscillator = fc.Structure.from_matrices(one, one, one, force_cos=[0.1], damping=0.02 * one)
+    omega = FREQUENCIES[82]
+    law = fc.UnilateralPenalty(10.0)
+    solution = fc.solve_harmonic_balance(oscillator, omega, law, harmonics=harmonics)
+    assert solution.converged and solution.iterations < 500
+
+
+@pytest.mark.parametrize("omega", [0.54, 0.68, 1.03])
+def test_path_in_frequency(omega: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the path in the stiffness is blocked, one in the frequency reaches the same orbit."""
+    one = np.ones((1, 1))
+    oscillator = fc.Structure.from_matrices(one, one, one, force_cos=[0.1], damping=0.1 * one)
+    law = fc.UnilateralPenalty(10.0)
+    usual = fc.solve_harmonic_balance(oscillator, omega, law, harmonics=10)
+    assert "path in the contact stiffness: converged" in usual.status
+
+    def blocked(search: Search, system: CondensedSystem) -> np.ndarray:
+        search.converged = False
+        return system.linear
+
+    monkeypatch.setattr(Search, "_stiffness_path", blocked)
+    found = fc.solve_harmonic_balance(oscillator, omega, law, harmonics=10)
+    assert "of the frequency: converged" in found.status
+    np.testing.assert_allclose(found.gap_coefficients, usual.gap_coefficients, atol=1e-8)
 
 
 # --- arc-length -----------------------------------------------------------------------------------
