@@ -2,7 +2,8 @@
 
 With the unit tangent (t_x, t_p) of the path in the norm |x|^2 / |x_0|^2 + p^2, a step of length h
 
-1. predicts   (x, p) + h (t_x, t_p),
+1. predicts   (x, p) + h (t_x, t_p) + the cubic terms that follow from the point before and its
+   tangent,
 2. corrects by Newton's method in the plane orthogonal to the tangent:
 
        [ J    F_p ] [dx]     [F]
@@ -94,12 +95,14 @@ def follow_path(
     system.set_parameter(parameter)
     tangent = _tangent(system, start)
     here = PathPoint(start, parameter, 0, tangent)
+    before: PathPoint | None = None
     orientation = system.determinant_sign()
     for _ in range(most_steps):
         while True:
             # Points must be known better than the steps between them are long.
             sharp = max(1e-13, min(tolerance, 1e-4 * step))
-            found = _correct(system, here, tangent, step, sharp)
+            bend = _bend(system, before, here, step)
+            found = _correct(system, here, tangent, step, sharp, bend)
             if found is not None:
                 # The determinant of the bordered matrix keeps its sign along a path: it tells where
                 # the path goes on, and the angle tells a step that has left it.
@@ -122,7 +125,7 @@ def follow_path(
                 found, ahead, step = turned
                 break
         tangent = ahead
-        here = replace(found, tangent=ahead)
+        before, here = here, replace(found, tangent=ahead)
         yield here
         if here.iterations <= 3:
             step = min(longest_step, 1.7 * step)
@@ -200,12 +203,53 @@ def step_along(
     return replace(found, tangent=ahead)
 
 
+def _bend(
+    system: ParametricSystem, before: PathPoint | None, here: PathPoint, step: float
+) -> tuple[np.ndarray, float] | None:
+    """Quadratic and cubic terms of the prediction, from two points and their tangents.
+
+    Hermite's polynomial in the distance along the last tangent, so that the prediction stays in the
+    plane in which it will be corrected. None where it could not help.
+    """
+    if before is None:
+        return None
+    tangent = here.tangent
+    chord, rise = here.unknown - before.unknown, here.parameter - before.parameter
+    back = tangent.weight * system.inner(chord, tangent.x) + rise * tangent.p
+    along = before.tangent.along(tangent, system)
+    if not (back > 0.0 and along > 0.5):
+        return None
+    size = np.sqrt(
+        tangent.weight * system.inner(before.tangent.x, before.tangent.x) + before.tangent.p**2
+    )
+    # x(s) = x + s t + s^2 A + s^2 (s + back) B, by divided differences with double nodes.
+    both = []
+    for moved, last, first in (
+        (chord, tangent.x, before.tangent.x),
+        (rise, tangent.p, before.tangent.p),
+    ):
+        mean = moved / back
+        second = (last - mean) / back
+        third = (second - (mean - first / (size * along)) / back) / back
+        both.append(step**2 * (second + (step + back) * third))
+    bend, shift = both
+    far = tangent.weight * system.inner(bend, bend) + shift**2
+    return (bend, shift) if far < 0.1 * step**2 else None
+
+
 def _correct(
-    system: ParametricSystem, start: PathPoint, tangent: Tangent, step: float, tolerance: float
+    system: ParametricSystem,
+    start: PathPoint,
+    tangent: Tangent,
+    step: float,
+    tolerance: float,
+    bend: tuple[np.ndarray, float] | None = None,
 ) -> PathPoint | None:
     """Damped Newton's method orthogonal to the tangent; None where it does not converge."""
     unknown = start.unknown + step * tangent.x
     predicted = parameter = start.parameter + step * tangent.p
+    if bend is not None:
+        unknown, parameter = unknown + bend[0], parameter + bend[1]
     change, shift, damping, before = np.zeros_like(unknown), 0.0, 1.0, np.inf
     linearised = 0
     for _ in range(MOST_EVALUATIONS):

@@ -13,6 +13,7 @@ known.
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Protocol
 from weakref import WeakKeyDictionary
 
@@ -108,18 +109,25 @@ class ModalCompliance:
     def __init__(self, structure: Structure, base_omega: float, load: np.ndarray) -> None:
         if not is_small(structure):
             raise InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
-        self._structure = structure
-        self._base = base_omega
+        self._clearance = structure.clearance
         self._modes = all_modes(structure)
-        self._load = load
-        harmonics = len(load) // 2
-        self._receptance = self._modes.receptance(base_omega * np.arange(harmonics + 1))
-        self.matrices = self._seen_by_pairs(self._receptance)
-        # Only the mean and one harmonic are loaded.
+        self._order = np.arange(len(load) // 2 + 1.0)
         self._modal_load = to_complex(load @ self._modes.shapes)
+        self._set_frequency(base_omega)
+
+    def _set_frequency(self, base_omega: float) -> None:
+        self._base = base_omega
+        self._receptance = self._modes.receptance(base_omega * self._order)
+        self.matrices = self._seen_by_pairs(self._receptance)
         free = _respond(self._receptance, self._modal_load)
         self.linear_gap = from_complex(free @ self._modes.pairs)
-        self.linear_gap[0] -= structure.clearance
+        self.linear_gap[0] -= self._clearance
+
+    def at(self, base_omega: float) -> ModalCompliance:
+        """The same at another frequency."""
+        other = copy(self)
+        other._set_frequency(base_omega)
+        return other
 
     def beyond(self, highest: int) -> np.ndarray:
         """R_k for k = H+1 to ``highest``."""
@@ -136,15 +144,12 @@ class ModalCompliance:
 
         With H = Z^-1, dH = -H dZ H, dZ_k = -2 k^2 w + i k c.
         """
-        order = np.arange(len(self.matrices))
+        order = self._order[:, None]
         drive = to_complex(force) @ self._modes.pairs.T - self._modal_load
         moved = _respond(self._receptance, drive)
         rate = self._modes.damping
-        if rate.ndim == 1:
-            damped = rate * moved
-        else:
-            damped = moved @ rate.T
-        change = -2.0 * self._base * order[:, None] ** 2 * moved + 1j * order[:, None] * damped
+        damped = rate * moved if rate.ndim == 1 else moved @ rate.T
+        change = order * (1j * damped - (2.0 * self._base * order) * moved)
         return from_complex(-_respond(self._receptance, change) @ self._modes.pairs)
 
     def destroy(self) -> None:
@@ -193,13 +198,14 @@ class AllModes:
 
     def receptance(self, omega: np.ndarray) -> np.ndarray:
         """Inverse impedance at frequencies (m,): (m, n_modes), or with coupling (m, n, n)."""
-        stiffness = self.squares - omega[:, None] ** 2
+        square = (omega * omega)[:, None]
+        stiffness = self.squares - square
         diagonal = self.damping.ndim == 1
         singular = self._loose & (omega == 0.0)
         if diagonal:
-            impedance = stiffness + 1j * omega[:, None] * self.damping
-            size = np.abs(self.squares) + omega[:, None] ** 2
-            singular |= np.any(np.abs(impedance) <= 1e-15 * size, axis=1)
+            impedance = stiffness + (1j * omega)[:, None] * self.damping
+            tiny = np.abs(impedance) <= 1e-15 * (np.abs(self.squares) + square)
+            singular |= tiny.any(axis=1)
         else:
             impedance = 1j * omega[:, None, None] * self.damping
             place = np.arange(len(self.squares))
@@ -207,7 +213,7 @@ class AllModes:
             # Only a mode that the damping leaves alone can make this singular.
             free = np.abs(self.damping).sum(axis=1) == 0.0
             singular |= np.any(stiffness[:, free] == 0.0, axis=1)
-        if np.any(singular):
+        if singular.any():
             at = omega[np.argmax(singular)]
             cause = "it can move as a rigid body" if at == 0.0 else "an undamped resonance"
             raise ConvergenceError(

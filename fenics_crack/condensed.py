@@ -19,8 +19,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 from mpi4py import MPI
+from scipy.linalg.lapack import dgetrf, dgetrs
 
 from fenics_crack.compliance import Compliance, WidenedCompliance
 from fenics_crack.contact import ContactLaw, UnilateralPenalty
@@ -97,7 +97,7 @@ class _DenseSystem:
 
     def _evaluate(self, argument: np.ndarray) -> None:
         """Contact force and tangent at an argument, once where it is asked for again."""
-        if self._at is None or not np.array_equal(argument, self._at):
+        if self._at is None or not (argument == self._at).all():
             self._force, self._tangent = self.integrals.linearise(argument)
             self._at = argument.copy()
 
@@ -109,8 +109,9 @@ class _DenseSystem:
         """Solve J dx = r."""
         if self._factors is None:
             # The transpose is in Fortran's order, which LAPACK takes without a transposing copy.
-            self._factors = scipy.linalg.lu_factor(self.jacobian.T, check_finite=False)
-        found = scipy.linalg.lu_solve(self._factors, residual.ravel(), trans=1, check_finite=False)
+            matrix, pivots, _ = dgetrf(self.jacobian.T)
+            self._factors = matrix, pivots
+        found, _ = dgetrs(*self._factors, residual.ravel(), trans=1)
         return found.reshape(self.shape)
 
     def determinant_sign(self) -> float:

@@ -199,24 +199,28 @@ def apply_to_pairs(tangent: np.ndarray, gap: np.ndarray) -> np.ndarray:
 
 def _tangent(means: np.ndarray, harmonics: int) -> np.ndarray:
     """The Toeplitz plus Hankel matrix of every pair from c_m + i s_m: (n_pairs, 2H+1, 2H+1)."""
-    total, difference, sign = _orders(harmonics)
-    high, lag = means[:, total], means[:, difference]
-    sine_of_lag = sign * lag.imag
-    matrix = np.empty((len(means), 2 * harmonics + 1, 2 * harmonics + 1))
-    matrix[:, 0, 0] = means[:, 0].real
-    matrix[:, 0, 1::2] = means[:, 1 : harmonics + 1].real
-    matrix[:, 0, 2::2] = means[:, 1 : harmonics + 1].imag
-    np.multiply(2.0, matrix[:, 0, 1:], out=matrix[:, 1:, 0])
-    np.add(lag.real, high.real, out=matrix[:, 1::2, 1::2])
-    np.subtract(high.imag, sine_of_lag, out=matrix[:, 1::2, 2::2])
-    np.add(high.imag, sine_of_lag, out=matrix[:, 2::2, 1::2])
-    np.subtract(lag.real, high.real, out=matrix[:, 2::2, 2::2])
+    lag, lag_sign, total, total_sign = _places(harmonics)
+    parts = means[:, : 2 * harmonics + 1].copy().view(float)  # c_0, s_0, c_1, s_1, ...
+    matrix: np.ndarray = parts.take(lag, axis=1)
+    matrix *= lag_sign
+    hankel = parts.take(total, axis=1)
+    hankel *= total_sign
+    matrix += hankel
     return matrix
 
 
 @lru_cache(maxsize=64)
-def _orders(harmonics: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """i + j, |i - j| and the sign of i - j for i, j = 1 to H."""
-    order = np.arange(1, harmonics + 1)
+def _places(harmonics: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Where c_{i-j} or s_{i-j}, and c_{i+j} or s_{i+j}, stand among the means; with which signs."""
+    row = np.arange(2 * harmonics + 1)
+    order, sine = (row + 1) // 2, (row > 0) & (row % 2 == 0)
     difference = order[:, None] - order
-    return order[:, None] + order, np.abs(difference), np.sign(difference)
+    total = order[:, None] + order
+    # Products of sines and cosines: a cosine of both kinds, or a sine where one is a sine.
+    mixed = sine[:, None] != sine
+    lag_sign = np.where(mixed, np.sign(difference) * np.where(sine, -1.0, 1.0), 1.0)
+    total_sign = np.where(sine[:, None] & sine, -1.0, 1.0)
+    # The row and column of the mean: each of them once, and twice in the column.
+    lag_sign[0, :] = lag_sign[:, 0] = 0.0
+    total_sign[1:, 0] = 2.0
+    return 2 * np.abs(difference) + mixed, lag_sign, 2 * total + mixed, total_sign

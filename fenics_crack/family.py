@@ -27,13 +27,13 @@ class FrequencyFamily:
         samples: int | None,
         subharmonic: int,
     ) -> None:
-        self._structure = structure
         self._start, self._span = omega_start, omega_end - omega_start
         self._integrals = contact_integrals(contact, harmonics, samples, subharmonic)
-        self._load = load_coefficients(structure, harmonics, subharmonic)
+        load = load_coefficients(structure, harmonics, subharmonic)
         self._subharmonic = subharmonic
-        self._parameter = np.nan
-        self.set_parameter(0.0)
+        self._parameter = 0.0
+        self._compliance = ModalCompliance(structure, self.base(0.0), load)
+        self.system = CondensedSystem(self._compliance, self._integrals)
 
     def omega(self, parameter: float) -> float:
         """Load frequency [rad/s]."""
@@ -46,8 +46,7 @@ class FrequencyFamily:
     def set_parameter(self, parameter: float) -> None:
         """Set p."""
         if parameter != self._parameter:
-            base = self.base(parameter)
-            self._compliance = ModalCompliance(self._structure, base, self._load)
+            self._compliance = self._compliance.at(self.base(parameter))
             self.system = CondensedSystem(self._compliance, self._integrals)
             self._parameter = parameter
 

@@ -14,8 +14,10 @@ __all__ = ["evaluate", "from_complex", "resized", "stretched", "to_complex"]
 
 def to_complex(coefficients: np.ndarray) -> np.ndarray:
     """Rows a0, a1, b1, ... (2H+1, ...) as complex harmonics X_0, ..., X_H (H+1, ...)."""
-    harmonics = coefficients[1::2] - 1j * coefficients[2::2]
-    return np.concatenate([coefficients[:1].astype(complex), harmonics])
+    harmonics = np.zeros((len(coefficients) // 2 + 1, *coefficients.shape[1:]), dtype=complex)
+    harmonics.real[0], harmonics.real[1:] = coefficients[0], coefficients[1::2]
+    np.negative(coefficients[2::2], out=harmonics.imag[1:])
+    return harmonics
 
 
 def from_complex(harmonics: np.ndarray) -> np.ndarray:

@@ -10,12 +10,13 @@ A grid alone misses pairs of roots between its points, where a pair of lips only
 - else the cell is divided, until all that could be missed is an excursion below RESOLUTION times
   the largest |g|.
 
-Roots are polished by Newton's method kept inside its bracket. All polynomials are treated together.
+Roots are polished by Halley's method. All polynomials are treated together.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -50,33 +51,45 @@ class Switching:
 
 def switching_instants(harmonics: np.ndarray) -> Switching:
     """Find all sign changes of the polynomials with complex harmonics (H+1, n_pairs)."""
-    count, table = len(harmonics) - 1, harmonics.T
-    order = np.arange(count + 1.0)
+    table = harmonics.T
+    order, samples = _grid(len(harmonics) - 1)
     curvature = np.abs(table) @ order**2
-    if not np.all(np.isfinite(curvature)):  # an iterate gone astray: no roots, but an end
+    if not np.isfinite(curvature.sum()):  # an iterate gone astray: no roots, but an end
         table = np.where(np.isfinite(curvature)[:, None], table, 0.0)
         curvature = np.where(np.isfinite(curvature), curvature, 0.0)
-    samples = 1 << (16 * (count + 1) - 1).bit_length()
     spectrum = 0.5 * samples * table
     spectrum[:, 0] = samples * table[:, 0].real
     values = np.fft.irfft(spectrum, n=samples, axis=1)
-    resolution = RESOLUTION * np.abs(values).max(axis=1)
-
+    values = np.concatenate((values, values[:, :1]), axis=1)
     width = 2.0 * np.pi / samples
-    following = np.empty_like(values)
-    following[:, :-1], following[:, -1] = values[:, 1:], values[:, 0]
-    changes, settled = _classify(values, following, (curvature * width**2)[:, None])
-    pair, cell = np.nonzero(changes & settled)
-    found = [_Brackets(pair, cell * width, width, values[pair, cell], following[pair, cell])]
-    pair, cell = np.nonzero(~settled)
-    open_cells = _Brackets(pair, cell * width, width, values[pair, cell], following[pair, cell])
-    while len(open_cells.pair):
-        roots, open_cells = _divide(open_cells, table, curvature, resolution)
-        found.append(roots)
-    brackets = found[0] if len(found) == 1 else _joined(found)
-    theta = _polished(brackets, table[brackets.pair])
+    bound = curvature * width**2
+    # Only cells that change their sign, or come close to zero at one end, need a closer look.
+    size, positive = np.abs(values), values > 0.0
+    near = size <= 0.125 * bound[:, None]
+    looked_at = positive[:, 1:] != positive[:, :-1]
+    looked_at |= near[:, 1:]
+    looked_at |= near[:, :-1]
+    pair, cell = looked_at.nonzero()
+    cells = _Brackets(pair, cell * width, width, values[pair, cell], values[pair, cell + 1])
+    changes, settled = _classify(cells.low, cells.high, bound[pair])
+    if settled.all():
+        brackets = cells if changes.all() else _some(cells, changes)
+    else:
+        found, open_cells = [_some(cells, changes & settled)], _some(cells, ~settled)
+        resolution = RESOLUTION * size.max(axis=1)
+        while len(open_cells.pair):
+            roots, open_cells = _divide(open_cells, table, curvature, resolution)
+            found.append(roots)
+        brackets = _joined(found)
+    theta = _polished(brackets, table[brackets.pair], curvature[brackets.pair])
     closing = np.where(brackets.high > brackets.low, 1.0, -1.0)
-    return Switching(brackets.pair, theta, closing, values[:, 0] > 0.0)
+    return Switching(brackets.pair, theta, closing, positive[:, 0])
+
+
+@lru_cache(maxsize=64)
+def _grid(highest: int) -> tuple[np.ndarray, int]:
+    """Orders 0 to H, and the number of cells of the first grid."""
+    return np.arange(highest + 1.0), 1 << (16 * (highest + 1) - 1).bit_length()
 
 
 @dataclass
@@ -88,6 +101,13 @@ class _Brackets:
     width: float | np.ndarray
     low: np.ndarray
     high: np.ndarray
+
+
+def _some(cells: _Brackets, chosen: np.ndarray) -> _Brackets:
+    """Some of the cells of the first grid."""
+    return _Brackets(
+        cells.pair[chosen], cells.left[chosen], cells.width, cells.low[chosen], cells.high[chosen]
+    )
 
 
 def _classify(
@@ -134,28 +154,53 @@ def _joined(found: list[_Brackets]) -> _Brackets:
     )
 
 
-def _polished(brackets: _Brackets, table: np.ndarray) -> np.ndarray:
-    """Newton's method from the chord's root; a step out of the bracket is replaced by its middle.
+def _polished(brackets: _Brackets, table: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+    """Halley's method from the chord's root, and bisection with Newton's where it strays.
 
-    It stops when the last step was so small that the next one would be rounding.
+    It triples the digits: a step d leaves about d (M d / g')^2, and the last one is as small as to
+    leave nothing but rounding.
     """
-    left, low = brackets.left, brackets.low
-    right = left + brackets.width
-    theta = left - brackets.width * low / (brackets.high - low)
-    order = np.arange(table.shape[1])
-    starts_positive = low > 0.0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for _ in range(60 if len(left) else 0):
-            wave = table * np.exp(1j * np.multiply.outer(theta, order))
-            value, slope = wave.real.sum(axis=1), -(wave.imag @ order)
-            before = (value > 0.0) == starts_positive
-            left, right = np.where(before, theta, left), np.where(before, right, theta)
-            updated = theta - value / slope
-            inside = (updated >= left) & (updated <= right)
-            if not inside.all():
-                updated = np.where(inside, updated, 0.5 * (left + right))
-            step = np.abs(updated - theta).max()
-            theta = updated
-            if step < 1e-9:
+    left, right = brackets.left, brackets.left + brackets.width
+    theta = left - brackets.width * brackets.low / (brackets.high - brackets.low)
+    if not len(left):
+        return theta
+    rate = 1j * _grid(table.shape[1] - 1)[0]
+    derivatives = np.empty((3, *table.shape), dtype=complex)
+    derivatives[0] = table
+    np.multiply(table, rate, out=derivatives[1])
+    np.multiply(derivatives[1], rate, out=derivatives[2])
+    with np.errstate(all="ignore"):
+        for _ in range(6):
+            wave = np.exp(np.multiply.outer(theta, rate))
+            value, slope, bend = (derivatives * wave).sum(axis=2).real
+            step = value * slope / (slope * slope - 0.5 * value * bend)
+            theta = theta - step
+            sharp = np.abs(step) * curvature <= 1e-5 * np.abs(slope)
+            if sharp.all():
                 break
+    good = sharp & (theta >= left) & (theta <= right)
+    if not good.all():
+        for place in np.flatnonzero(~good):
+            theta[place] = _bracketed(
+                derivatives[:2, place], rate, left[place], right[place], brackets.low[place]
+            )
+    return theta
+
+
+def _bracketed(
+    derivatives: np.ndarray, rate: np.ndarray, left: float, right: float, low: float
+) -> float:
+    """Newton's method kept inside a bracket, from its middle."""
+    theta = 0.5 * (left + right)
+    for _ in range(100):
+        value, slope = (derivatives @ np.exp(theta * rate)).real
+        if (value > 0.0) == (low > 0.0):
+            left = theta
+        else:
+            right = theta
+        newton = theta - value / slope if slope else np.nan
+        updated = newton if left <= newton <= right else 0.5 * (left + right)
+        if abs(updated - theta) <= 1e-15 * np.pi:
+            break
+        theta = updated
     return theta
