@@ -25,7 +25,7 @@ from fenics_crack.condensed import CondensedSystem, ConstraintSystem, default_we
 from fenics_crack.contact import ContactLaw, UnilateralConstraint, check_law
 from fenics_crack.contact_integrals import contact_integrals, default_samples
 from fenics_crack.dynamic_stiffness import DynamicStiffness
-from fenics_crack.error_report import estimate_errors
+from fenics_crack.error_report import estimate_errors, mean_square
 from fenics_crack.errors import (
     ConvergenceError,
     InputError,
@@ -182,10 +182,8 @@ class _Problem:
     throw: bool
 
     def solve(self, harmonics: int, initial: PeriodicSolution | None) -> PeriodicSolution:
-        """Solve with a number of harmonics."""
-        search = Search(self.residual_tolerance)
-        with self._compliance(harmonics) as compliance:
-            solution = self._search(search, compliance, harmonics, initial)
+        """Solve with a number of harmonics; raise if nothing converged, if that is wanted."""
+        search, solution = self.try_to_solve(harmonics, initial)
         if self.throw and not search.converged:
             raise ConvergenceError(
                 f"harmonic balance at {self.omega:g} rad/s, H = {harmonics}: {search.status}; "
@@ -193,6 +191,14 @@ class _Problem:
                 search.history,
             )
         return solution
+
+    def try_to_solve(
+        self, harmonics: int, initial: PeriodicSolution | None
+    ) -> tuple[Search, PeriodicSolution]:
+        """Solve with a number of harmonics; the search tells whether it converged."""
+        search = Search(self.residual_tolerance)
+        with self._compliance(harmonics) as compliance:
+            return search, self._search(search, compliance, harmonics, initial)
 
     @contextmanager
     def _compliance(self, harmonics: int) -> Iterator[Compliance]:
@@ -250,7 +256,8 @@ class _Problem:
                 block = BlockSystem(compliance, integrals)
                 start = block.linear
                 if initial is not None:
-                    start = self._start(initial, "displacement_coefficients", harmonics)
+                    force = self._start(initial, "force_coefficients", harmonics)
+                    start = compliance.displacement(force)
                 amplitude = search.penalty(block, start)
                 unknown = block.gap(amplitude)
             else:
@@ -286,17 +293,36 @@ class _Problem:
 def _solve_to_tolerance(
     problem: _Problem, tolerance: float, initial: PeriodicSolution | None
 ) -> PeriodicSolution:
-    """Raise H, the samples, and the modes of a reduction until the estimated error is small."""
+    """Raise H, the samples, and the modes of a reduction until the estimated error is small.
+
+    The estimate of the truncation, a Newton step, is far too large where contact is stiff. The
+    change of the solution from H to q H bounds it as well: where the error falls like 1/H or
+    faster, the error of the latter is at most change / (q - 1). The smaller of the two counts.
+    """
     whole, harmonics, modes = problem.structure, max(3, 2 * problem.subharmonic), 10
     reducible = not is_small(whole) and not isinstance(whole, ReducedStructure)
     if reducible:
         problem = replace(problem, structure=reduce_structure(whole, modes=modes))
-        initial = None
+    last: PeriodicSolution | None = None
     while True:
-        solution = problem.solve(harmonics, initial)
-        report = whole.comm.bcast(solution.report)
+        if last is None:
+            solution = problem.solve(harmonics, initial)
+        else:
+            solution = problem.try_to_solve(harmonics, initial)[1]
         if not solution.converged:
-            return solution
+            if last is None:
+                return solution
+            return _give_up(problem, tolerance, last, f"truncation; H = {harmonics} failed")
+        report = solution.report
+        if last is not None and harmonics > last.harmonics:
+            change = solution.gap_coefficients - resized(last.gap_coefficients, harmonics)
+            closing = solution.gap_coefficients.copy()
+            closing[0] += whole.clearance
+            size = np.sqrt(mean_square(closing))
+            bound = np.sqrt(mean_square(change)) / (size * (harmonics / last.harmonics - 1.0))
+            report = replace(report, truncation=min(report.truncation, float(bound)))
+        report = whole.comm.bcast(report)
+        solution = replace(solution, report=report)
         if report.total <= tolerance:
             chosen = f"chosen for an error of {tolerance:g}: H = {harmonics}"
             if problem.samples is not None:
@@ -304,11 +330,12 @@ def _solve_to_tolerance(
             if reducible:
                 chosen += f", {modes} modes ({problem.structure.n_dofs} coordinates)"
             return replace(solution, status=f"{solution.status}; {chosen}")
-        initial, obstacle = solution, ""
+        initial = last = solution
+        obstacle = ""
         if report.reduction > 0.3 * tolerance and reducible and modes < whole.n_dofs:
             modes = min(2 * modes, whole.n_dofs)
             problem = replace(problem, structure=reduce_structure(whole, modes=modes))
-            initial = None
+            last = None
         elif report.reduction > tolerance:
             obstacle = "that of the reduced structure given"
         elif report.sampling > 0.3 * tolerance:
@@ -323,14 +350,22 @@ def _solve_to_tolerance(
                 problem = replace(problem, samples=max(problem.samples, 8 * harmonics))
         else:
             obstacle = f"truncation at H = {harmonics}"
-        if obstacle and not problem.throw:
-            status = f"{solution.status}; error {report.total:.1e} above the tolerance: {obstacle}"
-            return replace(solution, converged=False, status=status)
         if obstacle:
-            raise ConvergenceError(
-                f"harmonic balance at {problem.omega:g} rad/s: the estimated error, "
-                f"{report.total:.1e}, stays above {tolerance:g}; what is left is {obstacle}"
-            )
+            return _give_up(problem, tolerance, solution, obstacle)
+
+
+def _give_up(
+    problem: _Problem, tolerance: float, best: PeriodicSolution, obstacle: str
+) -> PeriodicSolution:
+    """The best solution found, or the error that says how far it is from what was asked for."""
+    error = f"{best.report.total:.1e} with H = {best.harmonics}"
+    if problem.throw:
+        raise ConvergenceError(
+            f"harmonic balance at {problem.omega:g} rad/s: the estimated error, {error}, stays "
+            f"above {tolerance:g}; what is left is {obstacle}"
+        )
+    status = f"{best.status}; error {error} above the tolerance: {obstacle}"
+    return replace(best, converged=False, status=status)
 
 
 # --- input ----------------------------------------------------------------------------------------

@@ -146,12 +146,13 @@ class Search:
         for factor in NEARBY:
             name = f"{factor:g} of the frequency"
             family = family_from(factor)
-            found = self._newton(family.system, family.system.linear, 20, f"start at {name}")
+            found = self._newton(family.system, family.system.linear, 20, "")
             if self.converged:
                 there = partial(getattr, family, "system")
-                found = self._path(f"from {name}", family, there, found, 0.0, 1.0, 0.1, 0.3)
+                found = self._path(f"from {name}", family, there, found, 0.0, 1.0, 0.1, 0.3, 200)
                 if self.converged:
-                    break
+                    return found
+        self._note("path in the frequency", "from 0.5 to 2 of it")
         return found
 
     def _path(
@@ -164,11 +165,14 @@ class Search:
         end: float,
         step: float,
         longest_step: float,
+        most_steps: int = 1000,
     ) -> np.ndarray:
         """Follow a path until Newton's method lands at the end, from either side."""
         found, steps, last = start, 0, (start, parameter)
         self.converged = False
-        for point in follow_path(path, start, parameter, step=step, longest_step=longest_step):
+        for point in follow_path(
+            path, start, parameter, step=step, longest_step=longest_step, most_steps=most_steps
+        ):
             steps += 1
             self.iterations += point.iterations
             if max(point.parameter, last[1]) >= end:

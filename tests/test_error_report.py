@@ -227,6 +227,26 @@ def test_tolerance_on_the_paper_plate(plate: fc.Structure) -> None:
     assert counts[0] < counts[1]
 
 
+def test_tolerance_with_stiff_contact(plate: fc.Structure) -> None:
+    """Where a Newton step says little, the change from H to the next H shows the error."""
+    law = fc.UnilateralPenalty(1e11)
+    found = fc.solve_harmonic_balance(plate, 1000.0, law, tolerance=1e-2)
+    exact = fc.solve_harmonic_balance(plate, 1000.0, law, harmonics=140, initial=found)
+    assert true_error(found, exact) < 1e-2
+    assert 10 < found.harmonics < 70
+
+
+def test_tolerance_out_of_reach(plate: fc.Structure, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The best solution is not lost, and does not claim to be good enough."""
+    monkeypatch.setattr("fenics_crack.harmonic_balance.MOST_HARMONICS", 40)
+    law = fc.UnilateralPenalty(1e11)
+    with pytest.raises(fc.ConvergenceError, match=r"with H = 40, stays above 1e-05.*truncation"):
+        fc.solve_harmonic_balance(plate, 1000.0, law, tolerance=1e-5)
+    best = fc.solve_harmonic_balance(plate, 1000.0, law, tolerance=1e-5, throw=False)
+    assert not best.converged and best.harmonics == 40
+    assert best.report.total > 1e-5 and "above the tolerance: truncation" in best.status
+
+
 def test_tolerance_on_a_large_structure(large_plate: fc.Structure) -> None:
     """8 pairs, k = 1e8: harmonics and modes are chosen; error against the whole with H = 80."""
     assert large_plate.n_dofs > 600 and large_plate.n_pairs == 8
