@@ -86,11 +86,13 @@ def follow_path(
     longest_step: float = 1.0,
     shortest_step: float = 1e-7,
     least_cosine: float = 0.5,
+    rounding: float = 1e-13,
 ) -> Iterator[PathPoint]:
     """Yield points of the path from a solution on, towards growing p first.
 
     It ends after ``most_steps`` or where the steps have become too short. Neighbouring tangents
-    make an angle whose cosine is at least ``least_cosine``.
+    make an angle whose cosine is at least ``least_cosine``. Residuals relative to the unknowns do
+    not fall below ``rounding``.
     """
     system.set_parameter(parameter)
     tangent = _tangent(system, start)
@@ -100,7 +102,7 @@ def follow_path(
     for _ in range(most_steps):
         while True:
             # Points must be known better than the steps between them are long.
-            sharp = max(1e-13, min(tolerance, 1e-4 * step))
+            sharp = max(rounding, min(tolerance, 1e-4 * step))
             bend = _bend(system, before, here, step)
             found = _correct(system, here, tangent, step, sharp, bend)
             if found is not None:
@@ -119,7 +121,7 @@ def follow_path(
                     break
             step *= 0.5
             if step < shortest_step:
-                turned = _round_corner(system, here, tangent, orientation, longest_step)
+                turned = _round_corner(system, here, tangent, orientation, longest_step, rounding)
                 if turned is None:
                     return
                 found, ahead, step = turned
@@ -167,6 +169,7 @@ def _round_corner(
     tangent: Tangent,
     orientation: float,
     longest_step: float,
+    rounding: float,
 ) -> tuple[PathPoint, Tangent, float] | None:
     """Leave a point where the path turns more sharply than steps can resolve.
 
@@ -179,7 +182,7 @@ def _round_corner(
         turned = _tangent(system, here.unknown + step * tangent.x)
         if system.determinant_sign() != orientation:
             turned = turned.reversed()
-        found = _correct(system, here, turned, step, max(1e-13, 1e-4 * step))
+        found = _correct(system, here, turned, step, max(rounding, 1e-4 * step))
         if found is None:
             continue
         ahead = _tangent(system, found.unknown)

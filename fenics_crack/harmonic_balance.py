@@ -122,7 +122,8 @@ def solve_harmonic_balance(
     form : "condensed" or "full"
         Unknowns on the gaps, or in all degrees of freedom.
     residual_tolerance : float
-        |F(x)| / |x| of the algebraic equations.
+        |F(x)| / |x| of the algebraic equations; with very stiff contact (k R > 1e5) rounding alone
+        leaves more, eps k R, which is then accepted and reported.
     throw : bool
         Raise if nothing converged; else return the last iterate, ``converged`` being False.
 

@@ -227,9 +227,10 @@ def _crack_divisions(scene: Scene) -> tuple[list[Interval], list[Interval]]:
 
 def _graded(length: float, first: float, last: float) -> Division:
     """Elements growing geometrically from about ``first`` to about ``last`` along ``length``."""
-    if first >= last or length <= 2.0 * last:
-        count = max(1, math.ceil(length / min(first, last)) if length <= first else 2)
-        return max(count, math.ceil(length / max(first, last))), 1.0
+    if first >= last:
+        return math.ceil(length / last), 1.0
+    if length <= 2.0 * last:
+        return (1 if length <= first else 2), 1.0
     growth = (length - first) / (length - last)
     count = max(1, round(1.0 + math.log(last / first) / math.log(growth)))
     return count, (last / first) ** (1.0 / max(count - 1, 1))

@@ -33,6 +33,7 @@ __all__ = ["Search"]
 
 SOFT = 0.05
 """k R where the path in the stiffness starts."""
+EPSILON, ROUNDING = float(np.finfo(float).eps), 1e-13
 FAR = 5.0
 """A path is given up that far from its end, unless it began farther away."""
 STIFF = 10.0
@@ -48,7 +49,7 @@ class Search:
     Attributes
     ----------
     tolerance : float
-        |F| / |x| at which a solution is accepted.
+        |F| / |x| at which a solution is accepted; raised to what rounding lets be reached.
     converged : bool
         Whether the last attempt met it.
     iterations : int
@@ -64,6 +65,7 @@ class Search:
     iterations: int = 0
     history: list[float] = field(default_factory=list)
     attempts: list[str] = field(default_factory=list)
+    _rounding: float = ROUNDING
 
     @property
     def status(self) -> str:
@@ -79,7 +81,14 @@ class Search:
         """Solve for a law that gives the force from the gap.
 
         ``family_from`` makes the family of the same equations from a relative frequency to 1.
+        A gap rounded to eps |g| makes a force rounded to eps k |g|: no residual is asked to be
+        smaller than that.
         """
+        law = system.integrals.law
+        least = EPSILON * _stiffness_times_compliance(system, law)
+        if least > self._rounding:
+            self._rounding = least
+            self.tolerance = max(self.tolerance, least)
         found = self._newton(system, start, 20, "full Newton steps")
         if not self.converged:
             found = self._stiffness_path(system)
@@ -132,8 +141,9 @@ class Search:
 
     def _stiffness_path(self, system: CondensedSystem | BlockSystem) -> np.ndarray:
         name = "in the contact stiffness"
-        path = _StiffnessPath(system, system.integrals.law)
-        soft = min(0.0, float(np.log(SOFT / path.stiffness_times_compliance)))
+        law = system.integrals.law
+        path = _StiffnessPath(system, law)
+        soft = min(0.0, float(np.log(SOFT / _stiffness_times_compliance(system, law))))
         path.set_parameter(soft)
         found = self._newton(system, system.linear, 20, "")
         if self.converged and soft < 0.0:
@@ -171,7 +181,13 @@ class Search:
         found, steps, last = start, 0, (start, parameter)
         self.converged = False
         for point in follow_path(
-            path, start, parameter, step=step, longest_step=longest_step, most_steps=most_steps
+            path,
+            start,
+            parameter,
+            step=step,
+            longest_step=longest_step,
+            most_steps=most_steps,
+            rounding=self._rounding,
         ):
             steps += 1
             self.iterations += point.iterations
@@ -192,6 +208,12 @@ class Search:
         return found
 
 
+def _stiffness_times_compliance(system: CondensedSystem | BlockSystem, law: ContactLaw) -> float:
+    """Largest k R over the harmonics."""
+    largest = np.abs(system.compliance.matrices).sum(axis=2).max()
+    return float(largest * np.max(law.stiffness))
+
+
 class _StiffnessPath:
     """A system whose parameter is ln of the contact stiffness relative to the wanted one."""
 
@@ -205,12 +227,6 @@ class _StiffnessPath:
         self.parameter_derivative = system.stiffness_derivative
         self.determinant_sign = system.determinant_sign
         self.inner = system.inner
-
-    @property
-    def stiffness_times_compliance(self) -> float:
-        """Largest k R over the harmonics."""
-        largest = np.abs(self._system.compliance.matrices).sum(axis=2).max()
-        return float(largest * np.max(self._law.stiffness))
 
     def set_parameter(self, parameter: float) -> None:
         """Set ln (k / k wanted)."""

@@ -61,6 +61,18 @@ def test_breathing_plate() -> None:
     assert np.all(pressed)
 
 
+@pytest.mark.parametrize("stiffness", [1e12, 1e14])
+def test_contact_stiffer_than_rounding_resolves(stiffness: float) -> None:
+    """k R up to 1e8: solved to what rounding allows, and the report says how far that is."""
+    reduced = fc.reduce_structure(fc.build_structure(fc.Scene.load(DEMOS / "breathing_plate.toml")))
+    law = fc.UnilateralPenalty(stiffness)
+    for omega in (1500.0, 2000.0):
+        solution = fc.solve_harmonic_balance(reduced, omega, law, harmonics=10)
+        assert solution.converged and solution.iterations < 500
+        assert solution.report.residual < 1e-21 * stiffness
+        assert solution.report.penetration < 1e9 / stiffness
+
+
 def test_status_tells_the_attempts() -> None:
     """Full steps first; where they fail, the path in the stiffness, both on record."""
     one = np.ones((1, 1))
