@@ -33,7 +33,6 @@ import numpy as np
 import fenics_crack as fc
 from fenics_crack.plot import COLOURS
 
-PARTS = ("oscillator", "plate", "constraint")
 PLAIN, PATH, FAILED = "plain Newton", "stiffness path", "failed"
 WEIGHTS = (0.1, 10.0, 100.0)
 """Times the default weight, where that fails and H <= 10."""
@@ -58,34 +57,29 @@ class Point:
 
 def main() -> None:
     """Run the parts asked for."""
-    parser = common.argument_parser(__doc__, PARTS)
-    parser.add_argument("--harmonics", type=int, nargs="+", help="of the plate: these H alone")
-    arguments = parser.parse_args()
-    common.start(arguments)
-    folder, quick = arguments.folder, arguments.quick
-    if arguments.only in (None, "oscillator"):
-        run_oscillator(folder, quick)
-    if arguments.only in (None, "plate"):
-        run_plate(folder, quick, arguments.harmonics)
-    if arguments.only in (None, "constraint"):
-        run_constraint(folder, quick)
+    common.run(
+        __doc__,
+        {"oscillator": run_oscillator, "plate": run_plate, "constraint": run_constraint},
+        harmonics={"type": int, "nargs": "+", "help": "of the plate: these H alone"},
+    )
 
 
-def run_oscillator(folder: Path, quick: bool) -> None:
+def run_oscillator(arguments: common.Arguments) -> None:
     """3,600 solutions of a bilinear oscillator."""
     structure = common.oscillator()
-    frequencies = np.linspace(0.3, 2.0, 30 if quick else 300)
+    frequencies = np.linspace(0.3, 2.0, 30 if arguments.quick else 300)
     points = [
         solve(structure, omega, fc.UnilateralPenalty(kc), harmonics, "oscillator")
         for kc in (1.0, 10.0, 100.0, 1000.0)
         for harmonics in (5, 10, 20)
         for omega in frequencies
     ]
-    report("Bilinear oscillator, w = 0.3 to 2", points, folder / "cold_starts_oscillator")
+    report("Bilinear oscillator, w = 0.3 to 2", points, arguments.folder / "cold_starts_oscillator")
 
 
-def run_plate(folder: Path, quick: bool, only: list[int] | None) -> None:
+def run_plate(arguments: common.Arguments) -> None:
     """Contact all along the crack of the breathing plate."""
+    quick, only = arguments.quick, arguments.harmonics
     whole = common.plate("breathing_plate")
     reduced = fc.reduce_structure(whole)
     frequencies = np.arange(1000.0, 3001.0, 500.0 if quick else 100.0)
@@ -103,11 +97,12 @@ def run_plate(folder: Path, quick: bool, only: list[int] | None) -> None:
                     print(f"H = {harmonics}, k = {k:g}, {omega:g} rad/s: {last.way}", flush=True)
     title = f"Breathing plate, {whole.n_pairs} pairs, 1000 to 3000 rad/s"
     suffix = "_H" + "_".join(map(str, only)) if only else ""
-    report(title, points, folder / f"cold_starts_plate{suffix}")
+    report(title, points, arguments.folder / f"cold_starts_plate{suffix}")
 
 
-def run_constraint(folder: Path, quick: bool) -> None:
+def run_constraint(arguments: common.Arguments) -> None:
     """No penetration: what converges, and what happens where it does not."""
+    folder, quick = arguments.folder, arguments.quick
     cases: list[tuple[str, fc.Structure, Sequence[int]]] = [
         (
             f"paper xi={ratio}",
@@ -134,8 +129,8 @@ def run_constraint(folder: Path, quick: bool) -> None:
     if again:
         columns = ("case", "H", "omega", "weight [N/m]", "converged", "how the last attempt went")
         rows = [(p.case, p.harmonics, p.omega, p.weight, p.converged, p.status) for p in again]
-        common.print_table("Where the default weight fails (its line first)", columns, rows)
-        common.write_csv(folder / "cold_starts_constraint_weights.csv", columns, rows)
+        title = "Where the default weight fails (its line first)"
+        common.save_table(folder / "cold_starts_constraint_weights.csv", title, columns, rows)
 
 
 def other_weights(structure: fc.Structure, failed: Point) -> list[Point]:

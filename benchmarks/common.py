@@ -27,28 +27,42 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import fenics_crack as fc
+from fenics_crack.error_report import mean_square
+from fenics_crack.fourier import resized
 
 DEMOS = Path(__file__).parents[1] / "demos"
 FOLDER = Path("output/benchmarks")
 Row = Sequence[Any]
+Arguments = argparse.Namespace
+Part = Callable[[Arguments], None]
 
 
 # --- the command line -----------------------------------------------------------------------------
 
 
-def argument_parser(description: str | None, parts: Sequence[str] = ()) -> argparse.ArgumentParser:
-    """``--quick``, the folder, and with parts ``--only``; more may be added."""
+def run(description: str | None, parts: Mapping[str, Part], **options: Mapping[str, Any]) -> None:
+    """Read the command line and run the parts: all of them, or the one of ``--only``.
+
+    Options are further arguments ``--name``, with what ``add_argument`` is given for each.
+    """
     parser = argparse.ArgumentParser(
         description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("folder", nargs="?", type=Path, default=FOLDER, help="for the results")
     parser.add_argument("--quick", action="store_true", help="a small part of it, in a minute")
-    if parts:
+    parser.set_defaults(only=None)
+    if len(parts) > 1:
         parser.add_argument("--only", choices=parts, help="one part of the benchmark")
-    return parser
+    for name, option in options.items():
+        parser.add_argument(f"--{name}", **option)
+    arguments = parser.parse_args()
+    start(arguments)
+    for name, part in parts.items():
+        if arguments.only in (None, name):
+            part(arguments)
 
 
-def start(arguments: argparse.Namespace) -> None:
+def start(arguments: Arguments) -> None:
     """Make the folder and say on what the numbers were measured."""
     arguments.folder.mkdir(parents=True, exist_ok=True)
     threads = os.environ.get("OMP_NUM_THREADS", "not set")
@@ -121,6 +135,12 @@ def write_csv(path: Path, columns: Sequence[str], rows: Sequence[Row]) -> None:
         writer.writerows(rows)
 
 
+def save_table(path: Path, title: str, columns: Sequence[str], rows: Sequence[Row]) -> None:
+    """Print a table and write it as CSV."""
+    print_table(title, columns, rows)
+    write_csv(path, columns, rows)
+
+
 def figure(columns: int = 1, rows: int = 1) -> tuple[Figure, list[Axes]]:
     """A figure with axes side by side, row after row."""
     size = (1.0 + 5.6 * columns, 4.2 * rows)
@@ -142,6 +162,11 @@ def oscillator(force: float = 0.1, damping: float = 0.02) -> fc.Structure:
     )
 
 
+def chain(count: int) -> np.ndarray:
+    """Stiffness of masses in a chain between two walls, on springs of 1 N/m."""
+    return 2.0 * np.eye(count) - np.eye(count, k=1) - np.eye(count, k=-1)
+
+
 def plate(name: str, changes: Mapping[str, Any] | None = None) -> fc.Structure:
     """The structure of a scene in demos/, its crack length found where the scene asks for it."""
     scene = fc.Scene.load(DEMOS / f"{name}.toml").replace(dict(changes or {}))
@@ -154,12 +179,6 @@ def plate(name: str, changes: Mapping[str, Any] | None = None) -> fc.Structure:
 
 def relative_difference(values: np.ndarray, reference: np.ndarray) -> float:
     """Relative L2 difference over the period of coefficients (rows a0, a1, b1, ...), any H."""
-    rows = max(len(values), len(reference))
-    first, second = (
-        np.concatenate([part, np.zeros((rows - len(part), part.shape[1]))])
-        for part in (values, reference)
-    )
-    weight = np.full((rows, 1), 0.5)
-    weight[0] = 1.0
-    error, size = ((weight * part**2).sum() for part in (first - second, second))
-    return float(np.sqrt(error / size))
+    harmonics = max(len(values), len(reference)) // 2
+    one, other = resized(values, harmonics), resized(reference, harmonics)
+    return float(np.sqrt(mean_square(one - other) / mean_square(other)))

@@ -44,35 +44,25 @@ from fenics_crack.condensed import CondensedSystem
 from fenics_crack.contact_integrals import contact_integrals
 from fenics_crack.plot import COLOURS
 
-PARTS = ("newton", "integrals", "full", "pyharm")
 CONTINUED = "this, continued, exact"
 WORKER = Path(__file__).absolute().with_name("pyharm_worker.py")
 
 
 def main() -> None:
     """Run the parts asked for."""
-    parser = common.argument_parser(__doc__, PARTS)
-    parser.add_argument(
-        "--pyharm", default=os.environ.get("PYHARM_PYTHON"), help="a Python that has pyHarm"
+    common.run(
+        __doc__,
+        {"newton": run_newton, "integrals": run_integrals, "full": run_full, "pyharm": run_pyharm},
+        pyharm={"default": os.environ.get("PYHARM_PYTHON"), "help": "a Python that has pyHarm"},
     )
-    arguments = parser.parse_args()
-    common.start(arguments)
-    folder, quick = arguments.folder, arguments.quick
-    if arguments.only in (None, "newton"):
-        run_newton(folder, quick)
-    if arguments.only in (None, "integrals"):
-        run_integrals(folder, quick)
-    if arguments.only in (None, "full"):
-        run_full(folder, quick)
-    if arguments.only in (None, "pyharm"):
-        run_pyharm(folder, quick, arguments.pyharm)
 
 
 # --- one Newton iteration -------------------------------------------------------------------------
 
 
-def run_newton(folder: Path, quick: bool) -> None:
+def run_newton(arguments: common.Arguments) -> None:
     """Cost of the parts of an iteration, as multiples of LAPACK's."""
+    folder, quick = arguments.folder, arguments.quick
     plate = fc.reduce_structure(common.plate("breathing_plate"))
     cases = [("18 pairs", plate, h) for h in ((12,) if quick else (12, 20, 30, 40))]
     cases += [("10 pairs", stops(10), h) for h in ((20,) if quick else (20, 40))]
@@ -95,8 +85,7 @@ def run_newton(folder: Path, quick: bool) -> None:
     title = (
         "One Newton iteration and its parts, as multiples of LAPACK's factorisation and solution"
     )
-    common.print_table(title, columns, rows)
-    common.write_csv(folder / "condensed_speed_newton.csv", columns, rows)
+    common.save_table(folder / "condensed_speed_newton.csv", title, columns, rows)
     figure, (axes,) = common.figure(1)
     labels = [f"{row[0]}\nH = {row[1]}\n{row[2]} unknowns" for row in rows]
     bottom = np.zeros(len(rows))
@@ -156,10 +145,9 @@ def iteration_times(structure: fc.Structure, harmonics: int, repeats: int) -> di
 
 def stops(count: int) -> fc.Structure:
     """Masses on springs, coupled to their neighbours, each with a stop."""
-    coupling = 2.0 * np.eye(count) - np.eye(count, k=1) - np.eye(count, k=-1)
     load = np.linspace(0.5, 1.0, count)
     return fc.Structure.from_matrices(
-        np.eye(count), np.eye(count) + 0.3 * coupling, np.eye(count), force_cos=load,
+        np.eye(count), np.eye(count) + 0.3 * common.chain(count), np.eye(count), force_cos=load,
         damping=0.05 * np.eye(count),
     )  # fmt: skip
 
@@ -167,8 +155,9 @@ def stops(count: int) -> fc.Structure:
 # --- exact against sampled ------------------------------------------------------------------------
 
 
-def run_integrals(folder: Path, quick: bool) -> None:
+def run_integrals(arguments: common.Arguments) -> None:
     """Error against time."""
+    folder, quick = arguments.folder, arguments.quick
     oscillator = common.oscillator(1.0, 0.1)
     fundamental = 2.0 / (1.0 + np.sqrt(0.5))  # 2 w1 w2 / (w1 + w2) with w2 = sqrt(2) w1
     plate = common.plate("paper_plate", {"damping.ratio": 0.01})
@@ -190,8 +179,8 @@ def run_integrals(folder: Path, quick: bool) -> None:
             if structure is breathing and harmonics > 10:
                 continue  # seconds a solution
             rows += compare_integrals(name, structure, omega, law, harmonics, reference, quick)
-    common.print_table("Exact and sampled contact integrals", columns, rows)
-    common.write_csv(folder / "condensed_speed_integrals.csv", columns, rows)
+    title = "Exact and sampled contact integrals"
+    common.save_table(folder / "condensed_speed_integrals.csv", title, columns, rows)
     cheapest_equal(rows, folder)
     names = [case[0] for case in cases]
     figure, panels = common.figure(2, 2)
@@ -277,15 +266,16 @@ def cheapest_equal(rows: Sequence[tuple[Any, ...]], folder: Path) -> None:
             table.append((*row[:2], row[3], best[2], best[6], best[7]))
         else:
             table.append((*row[:2], row[3], "none tried", float("nan"), float("nan")))
-    common.print_table("Samples needed for the error of exact integrals", columns, table)
-    common.write_csv(folder / "condensed_speed_equal_error.csv", columns, table)
+    title = "Samples needed for the error of exact integrals"
+    common.save_table(folder / "condensed_speed_equal_error.csv", title, columns, table)
 
 
 # --- condensed against full -----------------------------------------------------------------------
 
 
-def run_full(folder: Path, quick: bool) -> None:
+def run_full(arguments: common.Arguments) -> None:
     """The breathing plate three ways."""
+    folder, quick = arguments.folder, arguments.quick
     whole = common.plate("breathing_plate")
     reduced = fc.reduce_structure(whole)
     columns = (
@@ -332,8 +322,8 @@ def run_full(folder: Path, quick: bool) -> None:
             )
         )
     title = f"Breathing plate, {whole.n_dofs} dofs, {whole.n_pairs} pairs: times of form='full'"
-    common.print_table(title + " over the condensed ones", columns, rows)
-    common.write_csv(folder / "condensed_speed_full.csv", columns, rows)
+    title += " over the condensed ones"
+    common.save_table(folder / "condensed_speed_full.csv", title, columns, rows)
     figure, (axes,) = common.figure(1)
     place = np.arange(len(rows))
     for shift, column, colour in ((-0.2, 1, "blue"), (0.2, 2, "orange")):
@@ -355,8 +345,9 @@ def run_full(folder: Path, quick: bool) -> None:
 # --- pyHarm ---------------------------------------------------------------------------------------
 
 
-def run_pyharm(folder: Path, quick: bool, python: str | None) -> None:
+def run_pyharm(arguments: common.Arguments) -> None:
     """The same sweeps by pyHarm and by this package."""
+    folder, quick, python = arguments.folder, arguments.quick, arguments.pyharm
     if not python or not Path(python).exists() or not has_pyharm(python):
         print(
             "\nNo pyHarm: this part is left out. Make a virtual environment, pip install "
@@ -368,7 +359,7 @@ def run_pyharm(folder: Path, quick: bool, python: str | None) -> None:
         name="oscillator", mass=one, stiffness=one, damping=0.02 * one, stop=1.0,
         solver="scipyroot", start=2.0, end=0.5, timeout="00:00:01:00",
     )  # fmt: skip
-    K = 2.0 * np.eye(50) - np.eye(50, k=1) - np.eye(50, k=-1)
+    K = common.chain(50)
     K[-1, -1] = 1.0
     K /= np.linalg.eigvalsh(K)[0]  # the first natural frequency is 1
     # The harmonics of the load meet the chain's other modes: its fine sweep is a short one.
@@ -386,13 +377,9 @@ def run_pyharm(folder: Path, quick: bool, python: str | None) -> None:
     ):
         for harmonics in counts:
             rows += race(python, case, harmonics, turns)
-    common.print_table(
-        "pyHarm's sweep, and ours on the frequencies it visited; error: relative L2 of the stopped "
-        "mass",
-        columns,
-        rows,
-    )
-    common.write_csv(folder / "condensed_speed_pyharm.csv", columns, rows)
+    title = "pyHarm's sweep, and ours on the frequencies it visited; error: relative L2 of the "
+    title += "stopped mass"
+    common.save_table(folder / "condensed_speed_pyharm.csv", title, columns, rows)
     figure, (axes,) = common.figure(1)
     looks = dict(zip(dict.fromkeys(row[2] for row in rows), ("o", "^", "*", "D"), strict=False))
     colours = dict(zip(dict.fromkeys(row[2] for row in rows), COLOURS.values(), strict=False))

@@ -40,14 +40,16 @@ STAGES = ("mesh and matrices", "modes", "reduction", "first solution", "one more
 
 
 def main() -> None:
+    """Run every mesh, or one."""
+    option = {"help": "run one mesh (JSON) and print its figures as JSON"}
+    common.run(__doc__, {"meshes": run_meshes}, mesh=option)
+
+
+def run_meshes(arguments: common.Arguments) -> None:
     """Run every mesh in its own process and collect."""
-    parser = common.argument_parser(__doc__)
-    parser.add_argument("--mesh", help="run one mesh (JSON) and print its figures as JSON")
-    arguments = parser.parse_args()
     if arguments.mesh:
         json.dump(measure(*json.loads(arguments.mesh)), sys.stdout)
         return
-    common.start(arguments)
     columns = (
         "meshes", "dofs", "pairs", "coordinates", *(f"{stage} [s]" for stage in STAGES),
         "set-up [s]", "set-up on the clock [s]", "peak memory [MB]", "after set-up [MB]",
@@ -56,7 +58,7 @@ def main() -> None:
     rows: list[tuple[Any, ...]] = []
     for name, meshes in MESHES.items():
         for mesh in meshes[: 1 + (meshes[1][1] == 9)] if arguments.quick else meshes:
-            command = [sys.executable, __file__, "--mesh", json.dumps(mesh)]
+            command = [sys.executable, __file__, "--mesh", json.dumps(mesh), str(arguments.folder)]
             finished = subprocess.run(command, capture_output=True, text=True, check=True)
             found = json.loads(finished.stdout.splitlines()[-1])
             stages = [found["processor"][stage] for stage in STAGES]

@@ -31,9 +31,12 @@ FACTORS = (1.0, 10.0, 100.0, 0.1)
 
 
 def main() -> None:
+    """Run it."""
+    common.run(__doc__, {"limit": run_limit})
+
+
+def run_limit(arguments: common.Arguments) -> None:
     """Solve, print the table, draw."""
-    arguments = common.argument_parser(__doc__).parse_args()
-    common.start(arguments)
     folder, quick = arguments.folder, arguments.quick
     paper = common.plate("paper_plate", {"damping.ratio": 0.01})
     stiffness = 10.0 ** np.arange(8.0, 14.1, 1.0 if quick else 0.5)
@@ -62,14 +65,14 @@ def main() -> None:
         "case", "H", "k [N/m]", "error", "penetration", "truncation (penalty)",
         "truncation (constraint)", "converged",
     )  # fmt: skip
-    common.print_table("Penalty against no penetration, relative to the gap", columns, rows)
-    common.write_csv(folder / "penalty_limit.csv", columns, rows)
+    title = "Penalty against no penetration, relative to the gap"
+    common.save_table(folder / "penalty_limit.csv", title, columns, rows)
     columns = (
         "case", "H", "order in 1/k", "fitted from k", "to k", "least error", "twice that from k",
         "truncation (constraint)",
     )  # fmt: skip
-    common.print_table("Fitted order, and where truncation takes over", columns, fits)
-    common.write_csv(folder / "penalty_limit_order.csv", columns, fits)
+    title = "Fitted order, and where truncation takes over"
+    common.save_table(folder / "penalty_limit_order.csv", title, columns, fits)
     draw(rows, [case[0] for case in cases], folder)
 
 

@@ -1,15 +1,18 @@
-"""What several test files need: the paper's plate, and a way to run a program on several ranks."""
+"""Fixtures of several test files: plates, and ways to run programs on several ranks."""
 
 from __future__ import annotations
 
 import os
+import pickle
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
+from helpers import DEMOS
 from hypothesis import settings
 from mpi4py import MPI
 
@@ -51,6 +54,26 @@ def paper_structure(paper_scene: Scene) -> Structure:
     return build_structure(paper_scene, MPI.COMM_SELF)
 
 
+@pytest.fixture(scope="session")
+def soft_plate(paper_scene: Scene) -> Structure:
+    """The paper's plate with 1 % of critical damping, whose orbit on k = 1e9 is stable."""
+    return build_structure(paper_scene.replace({"damping.ratio": 0.01}))
+
+
+@pytest.fixture(scope="session")
+def wide_plate(paper_scene: Scene) -> Structure:
+    """The same with 8 x 8 elements and 4 pairs."""
+    return build_structure(
+        paper_scene.replace({"mesh.columns": 8, "mesh.rows": 8, "damping.ratio": 0.01})
+    )
+
+
+@pytest.fixture(scope="session")
+def breathing_plate() -> Structure:
+    """The plate of demos/breathing_plate.toml: about 4000 dofs, 18 pairs."""
+    return build_structure(Scene.load(DEMOS / "breathing_plate.toml"))
+
+
 @pytest.fixture
 def mpirun(tmp_path: Path) -> Callable[..., str]:
     """Run a Python program, source or file, on some ranks; return what it printed.
@@ -90,3 +113,29 @@ def mpirun(tmp_path: Path) -> Callable[..., str]:
         return output
 
     return run
+
+
+@pytest.fixture
+def on_ranks(mpirun: Callable[..., str], tmp_path: Path) -> Callable[..., Any]:
+    """Call a function of a test file on two ranks; return what it returned on the first.
+
+    The arguments are the function's, but for its last one, the communicator.
+    """
+
+    def call(function: Callable[..., Any], *arguments: Any) -> Any:
+        given, found = tmp_path / "arguments.pickle", tmp_path / "found.pickle"
+        given.write_bytes(pickle.dumps(arguments))
+        mpirun(
+            "import pickle\n"
+            "from pathlib import Path\n"
+            "from mpi4py import MPI\n"
+            f"from {function.__module__} import {function.__name__} as function\n"
+            f"arguments = pickle.loads(Path({str(given)!r}).read_bytes())\n"
+            "assert MPI.COMM_WORLD.size == 2\n"
+            "found = function(*arguments, MPI.COMM_WORLD)\n"
+            "if MPI.COMM_WORLD.rank == 0:\n"
+            f"    Path({str(found)!r}).write_bytes(pickle.dumps(found))\n"
+        )
+        return pickle.loads(found.read_bytes())
+
+    return call

@@ -2,17 +2,16 @@
 
 from collections.abc import Callable
 from itertools import islice
-from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import oscillator
 
 import fenics_crack as fc
 from fenics_crack.arclength import PathPoint, follow_path
 from fenics_crack.condensed import CondensedSystem
 from fenics_crack.search import Search
 
-DEMOS = Path(__file__).parents[1] / "demos"
 FREQUENCIES = np.linspace(0.3, 2.0, 300)
 
 
@@ -24,13 +23,12 @@ def test_bilinear_oscillator(stiffness: float, harmonics: int) -> None:
 
     The solution also satisfies the balance of the oscillator's own equation, harmonic by harmonic.
     """
-    one = np.ones((1, 1))
-    oscillator = fc.Structure.from_matrices(one, one, one, force_cos=[0.1], damping=0.02 * one)
+    structure = oscillator(0.02, 0.1)
     law = fc.UnilateralPenalty(stiffness)
     first = (3 * round(np.log10(stiffness)) + [5, 10, 20].index(harmonics)) % 10
     order = np.arange(harmonics + 1)
     for omega in FREQUENCIES[first::10]:
-        solution = fc.solve_harmonic_balance(oscillator, omega, law, harmonics=harmonics)
+        solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=harmonics)
         assert solution.converged and solution.report.residual < 1e-9
         rows, force = solution.gap_coefficients[:, 0], solution.force_coefficients[:, 0]
         wave = np.concatenate([rows[:1], rows[1::2] - 1j * rows[2::2]])
@@ -44,11 +42,10 @@ def test_bilinear_oscillator(stiffness: float, harmonics: int) -> None:
 
 
 @pytest.mark.slow
-def test_breathing_plate() -> None:
+def test_breathing_plate(breathing_plate: fc.Structure) -> None:
     """18 pairs on the reduced structure, soft and stiff, H = 5 and 10, 1000 to 3000 rad/s."""
-    plate = fc.build_structure(fc.Scene.load(DEMOS / "breathing_plate.toml"))
-    assert plate.n_pairs == 18
-    reduced = fc.reduce_structure(plate)
+    reduced = fc.reduce_structure(breathing_plate)
+    assert reduced.n_pairs == 18
     pressed = np.zeros(18, dtype=bool)
     for stiffness in (1e9, 1e11):
         law = fc.UnilateralPenalty(stiffness)
@@ -75,11 +72,10 @@ def test_contact_stiffer_than_rounding_resolves(stiffness: float) -> None:
 
 def test_status_tells_the_attempts() -> None:
     """Full steps first; where they fail, the path in the stiffness, both on record."""
-    one = np.ones((1, 1))
-    oscillator = fc.Structure.from_matrices(one, one, one, force_cos=[0.1], damping=0.02 * one)
-    easy = fc.solve_harmonic_balance(oscillator, 0.9, fc.UnilateralPenalty(1.0))
+    structure = oscillator(0.02, 0.1)
+    easy = fc.solve_harmonic_balance(structure, 0.9, fc.UnilateralPenalty(1.0))
     assert easy.status.startswith("full Newton steps: converged")
-    hard = fc.solve_harmonic_balance(oscillator, 0.9, fc.UnilateralPenalty(1000.0))
+    hard = fc.solve_harmonic_balance(structure, 0.9, fc.UnilateralPenalty(1000.0))
     assert hard.status.startswith("full Newton steps: failed")
     assert "path in the contact stiffness: converged" in hard.status
     assert hard.iterations > 20
@@ -88,21 +84,19 @@ def test_status_tells_the_attempts() -> None:
 @pytest.mark.parametrize("harmonics", [10, 20])
 def test_lands_where_the_path_bends_at_its_end(harmonics: int) -> None:
     """Landing from the chord fails here, and the path does not come back: from its last point."""
-    one = np.ones((1, 1))
-    oscillator = fc.Structure.from_matrices(one, one, one, force_cos=[0.1], damping=0.02 * one)
+    structure = oscillator(0.02, 0.1)
     omega = FREQUENCIES[82]
     law = fc.UnilateralPenalty(10.0)
-    solution = fc.solve_harmonic_balance(oscillator, omega, law, harmonics=harmonics)
+    solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=harmonics)
     assert solution.converged and solution.iterations < 500
 
 
 @pytest.mark.parametrize("omega", [0.54, 0.68, 1.03])
 def test_path_in_frequency(omega: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where the path in the stiffness is blocked, one in the frequency reaches the same orbit."""
-    one = np.ones((1, 1))
-    oscillator = fc.Structure.from_matrices(one, one, one, force_cos=[0.1], damping=0.1 * one)
+    structure = oscillator(force=0.1)
     law = fc.UnilateralPenalty(10.0)
-    usual = fc.solve_harmonic_balance(oscillator, omega, law, harmonics=10)
+    usual = fc.solve_harmonic_balance(structure, omega, law, harmonics=10)
     assert "path in the contact stiffness: converged" in usual.status
 
     def blocked(search: Search, system: CondensedSystem) -> np.ndarray:
@@ -110,7 +104,7 @@ def test_path_in_frequency(omega: float, monkeypatch: pytest.MonkeyPatch) -> Non
         return system.linear
 
     monkeypatch.setattr(Search, "_stiffness_path", blocked)
-    found = fc.solve_harmonic_balance(oscillator, omega, law, harmonics=10)
+    found = fc.solve_harmonic_balance(structure, omega, law, harmonics=10)
     assert "of the frequency: converged" in found.status
     np.testing.assert_allclose(found.gap_coefficients, usual.gap_coefficients, atol=1e-8)
 

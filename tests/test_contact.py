@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers import log_slope, oscillator
 
 from fenics_crack import (
     InputError,
@@ -17,6 +18,7 @@ from fenics_crack import (
 )
 from fenics_crack.scene import Contact
 
+GRADED = {"columns": None, "rows": None, "size": 0.02, "lip_elements": 5}
 GAPS = np.linspace(-2.0, 2.0, 81)[:, None] + 0.003
 
 
@@ -45,8 +47,7 @@ def test_smoothed_law_tends_to_the_penalty_law_like_one_over_s() -> None:
         lag = penalty.force(far) - smooth.force(far)
         assert np.allclose(lag, 3.0 / (np.pi * s), rtol=1e-3)
         differences.append(np.abs(penalty.force(GAPS) - smooth.force(GAPS)).max())
-    slope = np.polyfit(np.log(sharp), np.log(differences), 1)[0]
-    assert slope == pytest.approx(-1.0, abs=0.05)
+    assert log_slope(sharp, differences) == pytest.approx(-1.0, abs=0.05)
     assert np.all(SmoothedPenalty(3.0, 1e3).tangent(GAPS) <= 3.0)
 
 
@@ -95,17 +96,15 @@ def test_stiffness_in_a_list_is_scaled_like_any_other() -> None:
 # --- stiffness per area ---------------------------------------------------------------------------
 
 
-def plate(scene: Scene, order: int, columns: int, **changes: object) -> Structure:
-    """The paper's plate of square elements, little more damped."""
-    mesh = {"mesh.order": order, "mesh.columns": columns, "mesh.rows": columns}
-    damping = {"damping.ratio": 0.05, "damping.modes": 20}
-    named = {name.replace("__", "."): value for name, value in changes.items()}
-    return build_structure(scene.replace(mesh | damping | named))
+def plate(scene: Scene, columns: int) -> Structure:
+    """The paper's plate of quadratic square elements, little more damped."""
+    mesh = {"mesh.order": 2, "mesh.columns": columns, "mesh.rows": columns}
+    return build_structure(scene.replace(mesh | {"damping.ratio": 0.05, "damping.modes": 20}))
 
 
 def test_stiffness_per_area_is_shared_by_the_pairs(paper_scene: Scene) -> None:
     """k of a pair is that of its area, for both laws; fixed stiffness stays as it is."""
-    made = plate(paper_scene, 2, 4)
+    made = plate(paper_scene, 4)
     areas = made.pair_areas
     assert areas is not None and len(areas) == 4 and np.ptp(areas) > 0.0
     penalty = contact_law(Contact(stiffness_per_area=1e12), made)
@@ -122,8 +121,7 @@ def test_stiffness_per_area_is_shared_by_the_pairs(paper_scene: Scene) -> None:
 
 def test_stiffness_per_area_needs_areas() -> None:
     """Matrices have no lips whose area could be known."""
-    one = np.ones((1, 1))
-    for structure in (None, Structure.from_matrices(one, one, one)):
+    for structure in (None, oscillator()):
         with pytest.raises(InputError, match=r"contact\.stiffness_per_area"):
             contact_law(Contact(stiffness_per_area=1e12), structure)
 
@@ -138,18 +136,10 @@ def test_areas_of_the_pairs(paper_scene: Scene, layout: str, order: int, cells: 
     """
     thickness, length = 0.7, 0.05
     mesh: dict[str, object] = {"layout": layout, "cells": cells, "order": order}
-    mesh |= {"columns": 8, "rows": 8} if layout == "grid" else {"size": 0.02, "lip_elements": 5}
-    scene = Scene.from_mapping(
-        {
-            "geometry": {"width": 0.1, "height": 0.1, "thickness": thickness},
-            "crack": {"edge": "left", "height": 0.05, "length": length},
-            "material": {"young": 2e9, "poisson": 0.3, "density": 7800.0},
-            "damping": {"ratio": 0.01, "modes": 2},
-            "excitation": {"omega": 2000.0, "point": [0.1, 0.1], "force_sin": [100.0, 0.0]},
-            "contact": {"stiffness_per_area": 1e12},
-            "mesh": mesh,
-        }
-    )
+    mesh |= {"columns": 8, "rows": 8} if layout == "grid" else GRADED
+    changes = {f"mesh.{key}": value for key, value in mesh.items()}
+    changes |= {"geometry.thickness": thickness, "damping.modes": 2}
+    scene = paper_scene.replace(changes)
     made = build_structure(scene)
     assert made.pair_points is not None and made.pair_areas is not None
     position = np.append(made.pair_points[:, 0], length)
@@ -176,7 +166,7 @@ def test_refining_the_mesh_does_not_change_the_physics(paper_scene: Scene) -> No
     found: dict[str, list[tuple[float, float]]] = {"area": [], "pair": []}
     per_pair = None
     for columns in (4, 8, 16):
-        made = plate(paper_scene, 2, columns)
+        made = plate(paper_scene, columns)
         assert made.pair_areas is not None
         per_pair = per_pair or per_area * float(made.pair_areas.mean())
         reduced = reduce_structure(made)

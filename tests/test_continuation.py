@@ -4,29 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import amplitudes, log_slope, oscillator, random_stiffness, two_masses
 
 import fenics_crack as fc
 from fenics_crack.compliance import ModalCompliance, load_coefficients
+from fenics_crack.condensed import respond
 from fenics_crack.continuation import continue_frequency
-
-
-def oscillator() -> fc.Structure:
-    """x'' + 0.02 x' + x (+ contact) = 0.1 cos(W t)."""
-    one = np.ones((1, 1))
-    return fc.Structure.from_matrices(one, one, one, force_cos=[0.1], damping=0.02 * one)
-
-
-def two_masses() -> fc.Structure:
-    """VERIFICATION C: two masses and a stop beyond a clearance of 1."""
-    stiffness = np.array([[1.0, -1.0], [-1.0, 2.0]])
-    return fc.Structure.from_matrices(
-        np.eye(2),
-        stiffness,
-        np.array([1.0, 0.0]),
-        force_cos=[0.0, 0.1],
-        damping=0.03 * stiffness,
-        clearance=1.0,
-    )
 
 
 def folds(curve: fc.ResponseCurve) -> list[float]:
@@ -39,7 +22,7 @@ def folds(curve: fc.ResponseCurve) -> list[float]:
 def test_bilinear_oscillator_runs_through(stiffness: float, harmonics: int) -> None:
     """From 2.0 down to 0.3 without intervention; at kc = 1 with the two true folds only."""
     curve = continue_frequency(
-        oscillator(), 2.0, 0.3, fc.UnilateralPenalty(stiffness), harmonics=harmonics
+        oscillator(0.02, 0.1), 2.0, 0.3, fc.UnilateralPenalty(stiffness), harmonics=harmonics
     )
     assert curve.complete and curve.omega[-1] == pytest.approx(0.3)
     assert len(folds(curve)) % 2 == 0
@@ -58,7 +41,7 @@ def test_bilinear_oscillator_runs_through(stiffness: float, harmonics: int) -> N
 
 def test_points_are_solutions() -> None:
     """Each point, solved again by SNES from itself, does not move."""
-    structure, law = oscillator(), fc.UnilateralPenalty(10.0)
+    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(10.0)
     curve = continue_frequency(structure, 2.0, 0.3, law, harmonics=8)
     for index in range(0, len(curve.omega), 25):
         solution = curve.solution(index)
@@ -71,7 +54,7 @@ def test_points_are_solutions() -> None:
 
 def test_folds_are_where_the_curve_turns() -> None:
     """The Jacobian is singular at a fold, and folds lie beyond their neighbours in frequency."""
-    structure, law = oscillator(), fc.UnilateralPenalty(1.0)
+    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
     curve = continue_frequency(structure, 2.0, 0.3, law, harmonics=10)
     turning = np.flatnonzero(np.diff(np.sign(np.diff(curve.omega))) != 0) + 1
     assert len(turning) == len(folds(curve)) == 2
@@ -84,8 +67,7 @@ def test_folds_are_where_the_curve_turns() -> None:
 def test_fold_of_a_duffing_oscillator() -> None:
     """One harmonic: a1 = amplitude obeys a cubic whose folds are roots of its discriminant."""
     damping, force, cubic = 0.1, 0.2, 1.0
-    one = np.ones((1, 1))
-    structure = fc.Structure.from_matrices(one, one, one, force_cos=[force], damping=damping * one)
+    structure = oscillator(damping, force)
     curve = continue_frequency(structure, 0.5, 2.5, Cubic(cubic), harmonics=1, longest_step=0.02)
 
     def discriminant(omega: float) -> float:
@@ -131,8 +113,7 @@ def test_both_stable_orbits_of_two_masses_and_a_stop() -> None:
     for index in crossing:
         near = curve.solution(int(index))
         solution = fc.solve_harmonic_balance(structure, 0.7, law, harmonics=21, initial=near)
-        rows = solution.coefficients_at([1])[:, 0]
-        found.append(float(np.hypot(rows[1], rows[2])))
+        found.append(amplitudes(solution.coefficients_at([1])[:, 0])[0])
     assert len(found) == 3
     assert max(found) == pytest.approx(0.77839461, abs=1e-3)
     assert min(found) == pytest.approx(0.22134025, abs=1e-6)
@@ -150,7 +131,7 @@ def test_period_doubling_of_two_masses_and_a_stop() -> None:
         doubling = [b.omega for b in curve.bifurcations if b.kind == "period_doubling"]
         errors.append(abs(doubling[0] - 0.7387830))
     assert errors[-1] < 4e-4
-    assert np.polyfit(np.log(counts), np.log(errors), 1)[0] < -1.8
+    assert log_slope(counts, errors) < -1.8
 
 
 def _contact_branch(
@@ -163,7 +144,7 @@ def _contact_branch(
 
 def test_saved_curve_comes_back(tmp_path: Path) -> None:
     """Written and read again: the same numbers, nothing solved; a wrong file gets one error."""
-    structure, law = oscillator(), fc.UnilateralPenalty(1.0)
+    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
     curve = continue_frequency(structure, 2.0, 0.3, law, harmonics=6, stability=True)
     curve.save(tmp_path / "curve.npz")
     again = fc.ResponseCurve.load(tmp_path / "curve.npz", structure, law)
@@ -188,8 +169,7 @@ def test_frequency_derivative() -> None:
     """d(R lambda - g_lin)/dw against central differences, with all kinds of damping."""
     rng = np.random.default_rng(3)
     n = 5
-    root = rng.normal(size=(n, n))
-    stiffness, gap = root @ root.T + n * np.eye(n), rng.normal(size=(n, 2))
+    stiffness, gap = random_stiffness(rng, n), rng.normal(size=(n, 2))
     random = rng.normal(size=(n, n))
     for damping in (fc.ModalDamping(0.05), 0.1 * np.eye(n), 0.1 * random @ random.T, None):
         structure = fc.Structure.from_matrices(
@@ -199,8 +179,6 @@ def test_frequency_derivative() -> None:
         force = rng.normal(size=(7, 2))
 
         def moved(omega: float, structure=structure, load=load, force=force) -> np.ndarray:  # type: ignore[no-untyped-def]
-            from fenics_crack.condensed import respond
-
             compliance = ModalCompliance(structure, omega, load)
             return respond(compliance.matrices, force) - compliance.linear_gap
 
@@ -211,17 +189,16 @@ def test_frequency_derivative() -> None:
 
 
 @pytest.mark.slow
-def test_paper_plate_over_three_resonances(paper_scene: fc.Scene) -> None:
+def test_paper_plate_over_three_resonances(soft_plate: fc.Structure) -> None:
     """k = 1e9 and 1e11, xi = 0.01, past the third natural frequency; reduced equals whole."""
-    plate = fc.build_structure(paper_scene.replace({"damping.ratio": 0.01}))
-    corner = plate.find_dof((0.1, 0.1), "x")
+    corner = soft_plate.find_dof((0.1, 0.1), "x")
     for stiffness in (1e9, 1e11):
         law = fc.UnilateralPenalty(stiffness)
-        whole = continue_frequency(plate, 1000.0, 9500.0, law, harmonics=5)
+        whole = continue_frequency(soft_plate, 1000.0, 9500.0, law, harmonics=5)
         assert whole.complete
         assert whole.omega.max() > 8579.0
         reduced = continue_frequency(
-            fc.reduce_structure(plate, modes=20), 1000.0, 9500.0, law, harmonics=5
+            fc.reduce_structure(soft_plate, modes=20), 1000.0, 9500.0, law, harmonics=5
         )
         peaks = [curve.amplitude(corner).max() for curve in (whole, reduced)]
         assert peaks[1] == pytest.approx(peaks[0], rel=0.02)
@@ -229,7 +206,7 @@ def test_paper_plate_over_three_resonances(paper_scene: fc.Scene) -> None:
 
 def test_bad_arguments_and_unfinished_curves() -> None:
     """One error names the argument; a curve that is not finished says so."""
-    structure, law = oscillator(), fc.UnilateralPenalty(1.0)
+    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
     for key, arguments in (
         ("omega_start", (0.0, 1.0)),
         ("omega_end", (1.0, float("nan"))),

@@ -1,21 +1,20 @@
 """The demos run, and reproduce the numbers that are known."""
 
 import csv
+import importlib.util
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
-
-DEMOS = Path(__file__).parents[1] / "demos"
+from helpers import DEMOS
 
 
 def load(name: str) -> ModuleType:
     """Import a demo by its name."""
-    import importlib.util
-
     spec = importlib.util.spec_from_file_location(name, DEMOS / f"{name}.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -72,7 +71,7 @@ def test_breathing_plate(tmp_path: Path) -> None:
 
 @pytest.mark.mpi
 @pytest.mark.slow
-def test_sweep_over_two_ranks(mpirun, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_sweep_over_two_ranks(mpirun: Callable[..., str], tmp_path: Path) -> None:
     """Ranks share the frequencies; the table is whole, sorted, and right at 2000 rad/s."""
     program = f"""
 import sys

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 import scipy.linalg
+from helpers import dense, dense_matrices
 from mpi4py import MPI
 
 from fenics_crack import (
@@ -44,23 +43,9 @@ def random_structure(damping: Any = None, seed: int = 0) -> Structure:
     return Structure.from_matrices(*with_frequencies(omega, seed), gap, damping=damping)
 
 
-def dense(matrix: Any) -> np.ndarray:
-    """A sequential PETSc matrix as an array."""
-    return np.array(matrix[:, :])
-
-
 def dense_stiffness(structure: Structure, omega: float) -> np.ndarray:
-    """Z = K - omega^2 M + i omega C, with C formed from all it is made of by LAPACK."""
-    mass, stiffness = dense(structure.mass), dense(structure.stiffness)
-    damping = np.zeros_like(mass)
-    if isinstance(structure.damping, ModalDamping):
-        squares, shapes = scipy.linalg.eigh(stiffness, mass)
-        count = structure.damping.modes or len(mass)
-        mass_shapes = mass @ shapes[:, :count]
-        rate = 2.0 * np.asarray(structure.damping.ratio) * np.sqrt(squares[:count])
-        damping = (mass_shapes * rate) @ mass_shapes.T
-    elif structure.damping is not None:
-        damping = dense(structure.damping)
+    """Z = K - omega^2 M + i omega C, from dense matrices."""
+    mass, damping, stiffness = dense_matrices(structure)
     return stiffness - omega**2 * mass + 1j * omega * damping
 
 
@@ -291,9 +276,9 @@ def test_frequency_that_cannot_be(omega: float) -> None:
 
 
 # --- several ranks --------------------------------------------------------------------------------
-def responses(mapping: dict[str, Any], cases: list[Any], comm: MPI.Comm) -> list[Any]:
+def responses(scene: Scene, cases: list[Any], comm: MPI.Comm) -> list[Any]:
     """Static compliance and the load's response at the nodes by position (collective)."""
-    built = build_structure(Scene.from_mapping(mapping), comm)
+    built = build_structure(scene, comm)
     assert built.nodes is not None
     local = built.nodes.dofs - np.where(built.nodes.dofs >= 0, built.first_dof, 0)
     lip = np.append(built.gap.toarray().sum(axis=1), 0.0)[local[:, 1]]  # clamped: number -1
@@ -308,19 +293,13 @@ def responses(mapping: dict[str, Any], cases: list[Any], comm: MPI.Comm) -> list
             compliance = stiffness.compliance()
         shape = gather_rows(comm, np.append(response[2], 0.0)[local])[order]
         residual = comm.allreduce(np.abs(back - built.force).max(), MPI.MAX)
-        found.append(
-            {
-                "shape": [shape.real.tolist(), shape.imag.tolist()],
-                "compliance": [compliance.real.tolist(), compliance.imag.tolist()],
-                "residual": float(residual),
-            }
-        )
+        found.append({"shape": shape, "compliance": compliance, "residual": residual})
     return found
 
 
 @pytest.mark.mpi
 def test_two_ranks_give_the_same_responses(
-    mpirun: Callable[..., str], paper_scene: Scene, paper_structure: Structure
+    on_ranks: Callable[..., Any], paper_scene: Scene, paper_structure: Structure
 ) -> None:
     """Response and compliance of the paper's plate, at a resonance too, are those of one rank."""
     first, second = solve_modes(paper_structure, 2).omega
@@ -332,42 +311,26 @@ def test_two_ranks_give_the_same_responses(
         (0.01, None, float(first)),
         (0.01, None, float(second) * (1.0 + 1e-4)),
     ]
-    mapping = dataclasses.asdict(paper_scene)
-    output = mpirun(
-        "import json\n"
-        "from mpi4py import MPI\n"
-        "from test_dynamic_stiffness import responses\n"
-        f"found = responses({mapping!r}, {cases!r}, MPI.COMM_WORLD)\n"
-        "if MPI.COMM_WORLD.rank == 0:\n"
-        "    print(json.dumps(found))\n"
-    )
-    parallel = json.loads(output.splitlines()[-1])
-    for two, one in zip(parallel, responses(mapping, cases, MPI.COMM_SELF), strict=True):
+    parallel = on_ranks(responses, paper_scene, cases)
+    for two, one in zip(parallel, responses(paper_scene, cases, MPI.COMM_SELF), strict=True):
         for name in ("shape", "compliance"):
-            assert relative_error(np.array(two[name]), np.array(one[name])) < 1e-8
+            assert relative_error(two[name], one[name]) < 1e-8
         assert two["residual"] < 1e-6 and one["residual"] < 1e-6  # of a load of 100 N
 
 
+def any_compliance(comm: MPI.Comm) -> np.ndarray:
+    """B^T Z^-1 B with a full damping matrix that is not symmetric (collective)."""
+    one = random_structure(DAMPINGS["any matrix"])
+    mass, damping, stiffness = dense_matrices(one)
+    spread = Structure.from_matrices(mass, stiffness, one.gap, damping=damping, comm=comm)
+    with DynamicStiffness(spread, 7.77) as dynamic:
+        return dynamic.compliance()
+
+
 @pytest.mark.mpi
-def test_damping_matrix_on_two_ranks(mpirun: Callable[..., str]) -> None:
-    """A full damping matrix, not symmetric, spread over two ranks gives the dense compliance."""
-    output = mpirun(
-        "import json\n"
-        "import numpy as np\n"
-        "from mpi4py import MPI\n"
-        "from fenics_crack import Structure\n"
-        "from fenics_crack.dynamic_stiffness import DynamicStiffness\n"
-        "from test_dynamic_stiffness import DAMPINGS, dense, random_structure\n"
-        "one = random_structure(DAMPINGS['any matrix'])\n"
-        "spread = Structure.from_matrices(dense(one.mass), dense(one.stiffness), one.gap,\n"
-        "    damping=dense(one.damping), comm=MPI.COMM_WORLD)\n"
-        "with DynamicStiffness(spread, 7.77) as stiffness:\n"
-        "    compliance = stiffness.compliance()\n"
-        "if MPI.COMM_WORLD.rank == 0:\n"
-        "    print(json.dumps([compliance.real.tolist(), compliance.imag.tolist()]))\n"
-    )
-    real, imaginary = np.array(json.loads(output.splitlines()[-1]))
+def test_damping_matrix_on_two_ranks(on_ranks: Callable[..., Any]) -> None:
+    """Spread over two ranks such a matrix gives the dense compliance."""
     structure = random_structure(DAMPINGS["any matrix"])
     gap = structure.gap.toarray()
     expected = gap.T @ np.linalg.solve(dense_stiffness(structure, 7.77), gap)
-    assert relative_error(real + 1j * imaginary, expected) < 1e-10
+    assert relative_error(on_ranks(any_compliance), expected) < 1e-10

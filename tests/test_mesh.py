@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-import json
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import gmsh
 import numpy as np
 import pytest
 import ufl
+from helpers import gmsh_model
 from mpi4py import MPI
 
 from fenics_crack import InputError, Scene, Structure, build_structure
@@ -77,11 +77,6 @@ def area(scene: Scene) -> float:
     return float(dolfinx.fem.assemble_scalar(dolfinx.fem.form(one * ufl.dx)))
 
 
-def serial(scene: Scene) -> Structure:
-    """The scene's structure on one rank."""
-    return build_structure(scene, MPI.COMM_SELF)
-
-
 def field(structure: Structure, values: np.ndarray) -> np.ndarray:
     """Displacement (1, n_local) that takes the values (n_nodes, 2) at this rank's nodes."""
     assert structure.nodes is not None
@@ -133,7 +128,7 @@ def test_lips_pair_one_to_one(layout: str, cells: str, order: int, edge: str) ->
     """Pairs are coincident nodes of the two lips, from the mouth to the tip, without the tip."""
     for length, height in ((0.05, 0.5), (0.4, 0.25), (0.5, 0.75), (0.95, 0.5)):
         scene = plate(layout, cells, order, edge, length, height)
-        structure = serial(scene)
+        structure = build_structure(scene)
         elements = round(20 * length) if layout == "grid" else 5
         assert structure.n_pairs == elements * order
         assert structure.nodes is not None and structure.pair_points is not None
@@ -178,7 +173,7 @@ def test_graded_meshes_of_any_crack(cells: str, length: float, height: float) ->
     """Cracks of 1 % to 95 % of the width, close to either end too, are meshed without overlap."""
     scene = plate("graded", cells, 1, "left", length, height)
     np.testing.assert_allclose(area(scene), WIDTH * HEIGHT, rtol=1e-12)
-    assert serial(scene).n_pairs == 5
+    assert build_structure(scene).n_pairs == 5
 
 
 def test_elements_are_no_larger_than_the_size_asked_for() -> None:
@@ -191,7 +186,7 @@ def test_elements_are_no_larger_than_the_size_asked_for() -> None:
 
 def test_grading_shortens_the_elements_at_the_tip() -> None:
     """The lip's element at the tip is `grading` times shorter than the one at the mouth."""
-    structure = serial(plate("graded", "quadrilateral", 1))
+    structure = build_structure(plate("graded", "quadrilateral", 1))
     assert structure.pair_points is not None
     ends = np.append(structure.pair_points[:, 0], 0.4 * WIDTH)
     lengths = np.diff(ends)
@@ -202,7 +197,7 @@ def test_one_pair_at_the_mouth() -> None:
     """pairs = 'mouth' keeps the pair farthest from the tip alone."""
     for edge, mouth in (("left", 0.0), ("right", WIDTH)):
         scene = plate("graded", "quadrilateral", 2, edge).replace({"contact.pairs": "mouth"})
-        structure = serial(scene)
+        structure = build_structure(scene)
         assert structure.n_pairs == 1
         np.testing.assert_allclose(structure.pair_points, [[mouth, HEIGHT / 2]], atol=1e-12)
 
@@ -212,8 +207,8 @@ def test_one_pair_at_the_mouth() -> None:
 def test_uncracked_plate(cells: str, order: int) -> None:
     """Without the crack the same grid has no pairs and no duplicated dofs."""
     scene = plate("grid", cells, order)
-    cracked = serial(scene)
-    whole = serial(scene.replace({"crack": None, "contact": None}))
+    cracked = build_structure(scene)
+    whole = build_structure(scene.replace({"crack": None, "contact": None}))
     nodes = (20 * order + 1) * (4 * order)  # all rows but the clamped one
     assert whole.n_pairs == 0
     assert whole.n_dofs == 2 * nodes
@@ -231,7 +226,7 @@ def test_paper_plate(paper_structure: Structure) -> None:
 def test_sign_of_the_closing(layout: str, cells: str, order: int) -> None:
     """A translation closes nothing; lifting the part above the crack by 1 opens every pair by 1."""
     scene = plate(layout, cells, order)
-    structure = serial(scene)
+    structure = build_structure(scene)
     assert structure.nodes is not None
     everywhere = np.ones((len(structure.nodes.points), 1))
     for direction in ([1.0, 0.0], [0.0, 1.0], [2.0, -3.0]):
@@ -247,8 +242,8 @@ def test_written_mesh_gives_the_same_structure(tmp_path: Path) -> None:
     scene = plate("graded", "quadrilateral", 1)
     path = tmp_path / "plate.msh"
     write_msh(scene, path)
-    first = serial(scene)
-    second = serial(file_plate(path, **{"excitation.force_sin": [1.0, 0.0]}))
+    first = build_structure(scene)
+    second = build_structure(file_plate(path, **{"excitation.force_sin": [1.0, 0.0]}))
     np.testing.assert_allclose(second.pair_points, first.pair_points, atol=1e-12)
     assert first.stiffness.norm() == pytest.approx(second.stiffness.norm(), rel=1e-12)
     assert first.mass.norm() == pytest.approx(second.mass.norm(), rel=1e-12)
@@ -269,7 +264,7 @@ def test_point_load_does_its_work(
     scene = plate(layout, cells, order).replace(
         {"excitation.point": point} | {f"excitation.{name}": part for name, part in parts.items()}
     )
-    structure = serial(scene)
+    structure = build_structure(scene)
     assert structure.nodes is not None
     rng = np.random.default_rng(3)
     for gradient in (np.zeros((2, 2)), rng.standard_normal((2, 2))):
@@ -286,7 +281,7 @@ def test_clamped_load_is_refused(order: int) -> None:
     for x in (0.0, 0.15, 0.1234):
         scene = plate("grid", "quadrilateral", order).replace({"excitation.point": (x, 0.0)})
         with pytest.raises(InputError, match="free to move") as caught:
-            serial(scene)
+            build_structure(scene)
         assert caught.value.key == "excitation.point"
 
 
@@ -309,10 +304,8 @@ def msh(tmp_path: Path) -> Callable[..., Path]:
         groups: bool = True,
     ) -> Path:
         path = tmp_path / "inclined.msh"
-        gmsh.initialize(readConfigFiles=False)
-        try:
-            gmsh.option.setNumber("General.Terminal", 0)
-            geo = gmsh.model.geo
+        with gmsh_model() as model:
+            geo = model.geo
             point = {
                 name: geo.addPoint(x, y, z, 0.2)
                 for name, (x, y, z) in {
@@ -345,15 +338,13 @@ def msh(tmp_path: Path) -> Callable[..., Path]:
                 "upper_lip": (1, lips[0 if one_curve else 1]), "load": (0, point["ne"]),
             }  # fmt: skip
             if groups:
-                gmsh.model.setPhysicalName(2, gmsh.model.addPhysicalGroup(2, surfaces), "any")
+                model.setPhysicalName(2, model.addPhysicalGroup(2, surfaces), "any")
                 for name in names:
                     dimension, tag = named[name]
-                    group = gmsh.model.addPhysicalGroup(dimension, [tag])
-                    gmsh.model.setPhysicalName(dimension, group, name)
-            gmsh.model.mesh.generate(2)
+                    group = model.addPhysicalGroup(dimension, [tag])
+                    model.setPhysicalName(dimension, group, name)
+            model.mesh.generate(2)
             gmsh.write(str(path))
-        finally:
-            gmsh.finalize()
         return path
 
     return write
@@ -366,7 +357,7 @@ def test_inclined_crack_from_a_file(msh: Callable[..., Path], recombined: bool, 
     path = msh(quadrilaterals=(recombined, recombined))
     scene = file_plate(path, **{"mesh.order": order, "crack.clearance": 1e-6})
     np.testing.assert_allclose(area(scene), 2.0, rtol=1e-12)
-    structure = serial(scene)
+    structure = build_structure(scene)
     assert structure.nodes is not None and structure.pair_points is not None
     assert structure.n_pairs == 4 * order
     np.testing.assert_array_equal(structure.clearance, np.full(4 * order, 1e-6))
@@ -387,17 +378,17 @@ def test_inclined_crack_from_a_file(msh: Callable[..., Path], recombined: bool, 
 def test_load_point_of_the_file(msh: Callable[..., Path]) -> None:
     """The physical point `load` carries the force; excitation.point overrules it."""
     path = msh()
-    structure = serial(file_plate(path))
+    structure = build_structure(file_plate(path))
     for component, value in ((0, 3.0), (1, 4.0)):
         dof = structure.find_dof((2.0, 1.0), component)
         assert structure.force[2, dof] == pytest.approx(value, rel=1e-9)
-    moved = serial(file_plate(path, **{"excitation.point": (2.0, 0.5)}))
+    moved = build_structure(file_plate(path, **{"excitation.point": (2.0, 0.5)}))
     assert moved.force[2, moved.find_dof((2.0, 0.5), 0)] == pytest.approx(3.0, rel=1e-9)
 
 
 def test_file_without_lips_is_an_uncracked_plate(msh: Callable[..., Path]) -> None:
     """A mesh without lips has no pairs."""
-    assert serial(file_plate(msh(names=("clamp", "load")))).n_pairs == 0
+    assert build_structure(file_plate(msh(names=("clamp", "load")))).n_pairs == 0
 
 
 @pytest.mark.parametrize(
@@ -420,18 +411,19 @@ def test_bad_mesh_file(msh: Callable[..., Path], how: dict[str, Any], words: str
     assert "inclined.msh" in str(caught.value)
 
 
-def test_lips_with_different_nodes(msh: Callable[..., Path]) -> None:
-    """Lips that are not meshed alike are refused, whether their numbers of nodes differ or not."""
-    with pytest.raises(InputError, match="lips = '4 lower and 5 upper nodes'"):
-        serial(file_plate(msh(lip_elements=(4, 5))))
-    with pytest.raises(InputError, match="lips = '4 lower and 4 upper nodes'"):
-        serial(file_plate(msh(progression=1.3)))
-
-
-def test_lips_on_one_curve(msh: Callable[..., Path]) -> None:
-    """Two lips that are the same curve are no slit: refused."""
-    with pytest.raises(InputError, match="lips"):
-        serial(file_plate(msh(one_curve=True)))
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        ({"lip_elements": (4, 5)}, "lips = '4 lower and 5 upper nodes'"),
+        ({"progression": 1.3}, "lips = '4 lower and 4 upper nodes'"),
+        ({"one_curve": True}, "lips"),
+    ],
+    ids=str,
+)
+def test_lips_that_do_not_fit(msh: Callable[..., Path], how: dict[str, Any], words: str) -> None:
+    """Lips that are not meshed alike, or are the same curve, are refused."""
+    with pytest.raises(InputError, match=words):
+        build_structure(file_plate(msh(**how)))
 
 
 @pytest.mark.parametrize("content", [None, "", "nonsense\n", "$MeshFormat\n4.1 0 8\n"])
@@ -448,16 +440,12 @@ def test_unreadable_mesh_file(content: str | None, tmp_path: Path) -> None:
 def test_three_dimensional_mesh_file(tmp_path: Path) -> None:
     """A mesh of a box is refused."""
     path = tmp_path / "box.msh"
-    gmsh.initialize(readConfigFiles=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.model.occ.addBox(0, 0, 0, 1, 1, 1)
-        gmsh.model.occ.synchronize()
-        gmsh.model.addPhysicalGroup(3, [1], 1)
-        gmsh.model.mesh.generate(3)
+    with gmsh_model() as model:
+        model.occ.addBox(0, 0, 0, 1, 1, 1)
+        model.occ.synchronize()
+        model.addPhysicalGroup(3, [1], 1)
+        model.mesh.generate(3)
         gmsh.write(str(path))
-    finally:
-        gmsh.finalize()
     with pytest.raises(InputError, match="plane") as caught:
         build_mesh(file_plate(path), MPI.COMM_SELF)
     assert caught.value.key == "mesh.file"
@@ -467,10 +455,10 @@ def test_load_off_the_mesh_of_a_file(msh: Callable[..., Path]) -> None:
     """A load beside the mesh is refused, and so is none at all."""
     path = msh(names=("clamp", "lower_lip", "upper_lip"))
     with pytest.raises(InputError, match="on the mesh") as caught:
-        serial(file_plate(path, **{"excitation.point": (2.1, 0.5)}))
+        build_structure(file_plate(path, **{"excitation.point": (2.1, 0.5)}))
     assert caught.value.key == "excitation.point"
     with pytest.raises(InputError, match="load") as caught:
-        serial(file_plate(path))
+        build_structure(file_plate(path))
     assert caught.value.key == "excitation.point"
 
 
@@ -482,9 +470,9 @@ def test_the_package_is_usable_after_a_bad_file(tmp_path: Path) -> None:
 
 
 # --- several ranks --------------------------------------------------------------------------------
-def summary(mapping: dict[str, Any], comm: MPI.Comm) -> dict[str, Any]:
+def summary(scene: Scene, comm: MPI.Comm) -> dict[str, Any]:
     """What must not depend on the number of ranks (collective)."""
-    structure = build_structure(Scene.from_mapping(mapping), comm)
+    structure = build_structure(scene, comm)
     assert structure.nodes is not None and structure.pair_points is not None
     linear = structure.nodes.points @ np.array([[0.3, 1.7], [-0.4, 0.9]]) + [0.1, 0.2]
     linear[nodes_of_side(structure, (0.0, HEIGHT / 2), (0.0, 1.0))] *= 1.5
@@ -493,70 +481,53 @@ def summary(mapping: dict[str, Any], comm: MPI.Comm) -> dict[str, Any]:
     return {
         "dofs": structure.n_dofs,
         "pairs": structure.n_pairs,
-        "nodes": nodes[np.lexsort(nodes.round(9).T)].tolist(),
-        "points": structure.pair_points.tolist(),
-        "closing": structure.closing(moved).tolist(),
-        "load": comm.allreduce(structure.force.sum(axis=1)).tolist(),
-        "work": comm.allreduce(structure.force @ moved[0]).tolist(),
+        "nodes": nodes[np.lexsort(nodes.round(9).T)],
+        "points": structure.pair_points,
+        "closing": structure.closing(moved),
+        "load": comm.allreduce(structure.force.sum(axis=1)),
+        "work": comm.allreduce(structure.force @ moved[0]),
         "stiffness": structure.stiffness.norm(),
         "mass": structure.mass.norm(),
     }
 
 
 @pytest.mark.mpi
-def test_two_ranks_build_the_same_structure(mpirun: Callable[..., str]) -> None:
+@pytest.mark.parametrize("kind", [("grid", "quadrilateral", 1), ("graded", "triangle", 2)], ids=str)
+def test_two_ranks_build_the_same_structure(
+    on_ranks: Callable[..., Any], kind: tuple[str, str, int]
+) -> None:
     """Dofs, nodes, pairs, closings, load and matrices are the serial ones on two ranks."""
-    scenes = [
-        dataclasses.asdict(plate(*kind).replace({"excitation.point": (0.17, 0.133)}))
-        for kind in (("grid", "quadrilateral", 1), ("graded", "triangle", 2))
-    ]
-    output = mpirun(
-        "import json\n"
-        "from mpi4py import MPI\n"
-        "from test_mesh import summary\n"
-        f"found = [summary(scene, MPI.COMM_WORLD) for scene in {scenes!r}]\n"
-        "if MPI.COMM_WORLD.rank == 0:\n"
-        "    print(json.dumps(found))\n"
-    )
-    for scene, parallel in zip(scenes, json.loads(output.splitlines()[-1]), strict=True):
-        alone = summary(scene, MPI.COMM_SELF)
-        assert parallel.keys() == alone.keys()
-        for name, value in alone.items():
-            np.testing.assert_allclose(parallel[name], value, rtol=1e-10, atol=1e-12, err_msg=name)
+    scene = plate(*kind).replace({"excitation.point": (0.17, 0.133)})
+    parallel, alone = on_ranks(summary, scene), summary(scene, MPI.COMM_SELF)
+    assert parallel.keys() == alone.keys()
+    for name, value in alone.items():
+        np.testing.assert_allclose(parallel[name], value, rtol=1e-10, atol=1e-12, err_msg=name)
 
 
-def totals(mapping: dict[str, Any], points: list[Any], comm: MPI.Comm) -> list[Any]:
+def totals(scene: Scene, points: list[Any], comm: MPI.Comm) -> list[Any]:
     """Sum of the load's nodal forces for a load at each of the points (collective)."""
-    scene = Scene.from_mapping(mapping)
     structures = (build_structure(scene.replace({"excitation.point": p}), comm) for p in points)
     return [comm.allreduce(structure.force[2].sum()) for structure in structures]
 
 
 @pytest.mark.mpi
-def test_load_between_two_ranks(mpirun: Callable[..., str]) -> None:
+def test_load_between_two_ranks(on_ranks: Callable[..., Any]) -> None:
     """A load on the border of two ranks' cells, wherever that runs, is applied once."""
-    mapping = dataclasses.asdict(plate("grid", "quadrilateral", 1))
     points = [(i * WIDTH / 20, 0.75 * HEIGHT) for i in range(21)]
     points += [(0.5 * WIDTH, j * HEIGHT / 4) for j in range(1, 5)]
-    output = mpirun(
-        "from mpi4py import MPI\n"
-        "from test_mesh import totals\n"
-        f"found = totals({mapping!r}, {points!r}, MPI.COMM_WORLD)\n"
-        "if MPI.COMM_WORLD.rank == 0:\n"
-        "    print(*found)\n"
-    )
-    found = [float(total) for total in output.splitlines()[-1].split()]
+    found = on_ranks(totals, plate("grid", "quadrilateral", 1), points)
     np.testing.assert_allclose(found, np.ones(len(points)), rtol=1e-9)
 
 
 @pytest.mark.mpi
 def test_errors_reach_every_rank(mpirun: Callable[..., str], tmp_path: Path) -> None:
     """A mesh file that only rank 0 reads is refused on every rank; nobody waits for ever."""
-    scene = dataclasses.asdict(file_plate(tmp_path / "missing.msh"))
+    scene = pickle.dumps(file_plate(tmp_path / "missing.msh"))
     output = mpirun(
-        "from fenics_crack import InputError, Scene, build_structure\n"
+        "import pickle\n"
+        "from fenics_crack import InputError, build_structure\n"
         "try:\n"
-        f"    build_structure(Scene.from_mapping({scene!r}))\n"
+        f"    build_structure(pickle.loads({scene!r}))\n"
         "except InputError as error:\n"
         "    print(f'refused {error.key}\\n', end='', flush=True)\n",
         timeout=60.0,

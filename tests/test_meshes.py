@@ -4,13 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import DEMOS
 
 import fenics_crack as fc
 
-ROOT = Path(__file__).parents[1]
 
-
-@pytest.mark.parametrize("path", sorted((ROOT / "demos").glob("*.toml")), ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", sorted((DEMOS).glob("*.toml")), ids=lambda p: p.stem)
 def test_scenes_load(path: Path) -> None:
     """Every scene beside the demos is valid."""
     assert isinstance(fc.Scene.load(path), fc.Scene)
@@ -18,7 +17,7 @@ def test_scenes_load(path: Path) -> None:
 
 def test_inclined_crack_from_a_mesh_file() -> None:
     """A mesh of one's own: normals across the crack, areas along it, and it breathes."""
-    scene = fc.Scene.load(ROOT / "demos" / "inclined_crack.toml")
+    scene = fc.Scene.load(DEMOS / "inclined_crack.toml")
     plate = fc.build_structure(scene)
     along = np.array([0.035, -0.010])
     assert plate.n_pairs == 16  # eight quadratic elements

@@ -1,32 +1,26 @@
 """Floquet multipliers."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import scipy.linalg
+from helpers import (
+    OMEGA_0,
+    chain_stiffness,
+    oscillator,
+    period_two_orbit,
+    random_stiffness,
+)
 from scipy.integrate import solve_ivp
 
 import fenics_crack as fc
 from fenics_crack.continuation import continue_frequency
 from fenics_crack.stability import floquet
 
-DEMOS = Path(__file__).parents[1] / "demos"
-BILINEAR = 2.0 * np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
-
-
-def oscillator(damping: float = 0.1) -> fc.Structure:
-    """x'' + c x' + x (+ contact) = cos(W t)."""
-    one = np.ones((1, 1))
-    return fc.Structure.from_matrices(one, one, one, force_cos=[1.0], damping=damping * one)
-
 
 def test_verification_b() -> None:
-    """W = 2 w0: |X1| = 0.2419996, multiplier -1.23694, unstable; confirmed by Hill."""
+    """W = 2 w0: multiplier -1.23694, unstable; confirmed by Hill."""
     structure, law = oscillator(), fc.UnilateralPenalty(1.0)
-    solution = fc.solve_harmonic_balance(structure, 2.0 * BILINEAR, law, harmonics=20)
-    rows = solution.gap_coefficients[:, 0]
-    assert np.hypot(rows[1], rows[2]) == pytest.approx(0.2419996, abs=1e-6)
+    solution = fc.solve_harmonic_balance(structure, 2.0 * OMEGA_0, law, harmonics=20)
     found = floquet(structure, solution, law)
     assert found.multipliers[0] == pytest.approx(-1.23694, abs=1e-4)
     assert found.verdict == "unstable"
@@ -34,21 +28,9 @@ def test_verification_b() -> None:
 
 
 def test_stable_orbit_of_twice_the_period() -> None:
-    """VERIFICATION B: the period-2 orbit, |X_1/2| = 0.7790634, X0 = -0.1735445, is stable."""
-    structure, law = oscillator(), fc.UnilateralPenalty(1.0)
-    once = fc.solve_harmonic_balance(structure, 2.0 * BILINEAR, law, harmonics=40, subharmonic=2)
-    disturbed = np.array(once.gap_coefficients)
-    disturbed[1] += 0.8
-    start = fc.PeriodicSolution(
-        structure, once.omega, law, disturbed, disturbed, once.force_coefficients, subharmonic=2
-    )
-    twice = fc.solve_harmonic_balance(
-        structure, 2.0 * BILINEAR, law, harmonics=40, subharmonic=2, initial=start
-    )
-    rows = twice.gap_coefficients[:, 0]
-    assert np.hypot(rows[1], rows[2]) == pytest.approx(0.7790634, abs=1e-5)
-    assert rows[0] == pytest.approx(-0.1735445, abs=1e-5)
-    assert floquet(structure, twice).verdict == "stable"
+    """VERIFICATION B: the orbit that takes over where the other is unstable."""
+    orbit = period_two_orbit(40)
+    assert floquet(orbit.structure, orbit).verdict == "stable"
 
 
 @pytest.mark.parametrize("damping", [0.01, 0.1, 0.5])
@@ -64,8 +46,8 @@ def test_without_contact_the_flow_is_linear() -> None:
     """An unreachable stop: multipliers are exp(T eigenvalues) of the linear structure."""
     rng = np.random.default_rng(8)
     n = 4
-    root, random = rng.normal(size=(n, n)), rng.normal(size=(n, n))
-    stiffness, damping = root @ root.T + n * np.eye(n), 0.05 * (random @ random.T)
+    stiffness, random = random_stiffness(rng, n), rng.normal(size=(n, n))
+    damping = 0.05 * (random @ random.T)
     structure = fc.Structure.from_matrices(
         np.eye(n), stiffness, rng.normal(size=n), force_sin=np.ones(n), damping=damping,
         clearance=1e6,
@@ -84,7 +66,7 @@ def test_against_the_variational_equation(
     law: fc.UnilateralPenalty | fc.SmoothedPenalty,
 ) -> None:
     """Multipliers of two masses from SciPy's integration of the linearised motion."""
-    stiffness = np.array([[2.0, -1.0], [-1.0, 2.0]])
+    stiffness = chain_stiffness(np.ones(3))
     damping = 0.06 * stiffness
     gap = np.array([1.0, -1.0])
     structure = fc.Structure.from_matrices(
@@ -110,7 +92,7 @@ def test_verdict_agrees_with_integration() -> None:
     """Started next to the orbit, the motion returns to it, or leaves it, as the verdict says."""
     structure, law = oscillator(), fc.UnilateralPenalty(1.0)
     verdicts = []
-    for omega in (1.0, 1.6, 2.2, 2.0 * BILINEAR, 2.5, 2.8):
+    for omega in (1.0, 1.6, 2.2, 2.0 * OMEGA_0, 2.5, 2.8):
         orbit = fc.solve_harmonic_balance(structure, omega, law, harmonics=30)
         found = floquet(structure, orbit)
         verdicts.append(found.verdict)
@@ -128,10 +110,9 @@ def test_verdict_agrees_with_integration() -> None:
     assert set(verdicts) == {"stable", "unstable"}
 
 
-def test_poor_truncation_is_not_decided() -> None:
+def test_poor_truncation_is_not_decided(paper_structure: fc.Structure) -> None:
     """The paper's data with few harmonics: the check disagrees, and the verdict says so."""
-    scene = fc.Scene.load(DEMOS / "paper_plate.toml")
-    plate = fc.reduce_structure(fc.build_structure(scene), modes=10)
+    plate = fc.reduce_structure(paper_structure, modes=10)
     solution = fc.solve_harmonic_balance(plate, 2000.0, fc.UnilateralPenalty(1e11), harmonics=5)
     found = floquet(plate, solution, refine=False)
     assert solution.report.truncation > 0.005
@@ -146,7 +127,7 @@ def test_period_doubling_is_found_on_a_curve() -> None:
     doublings = [b for b in curve.bifurcations if b.kind == "period_doubling"]
     assert len(doublings) == 2
     first, second = (b.omega for b in doublings)
-    assert first < 2.0 * BILINEAR < second
+    assert first < 2.0 * OMEGA_0 < second
     inside = (curve.omega > first) & (curve.omega < second)
     assert not np.any(curve.stable[inside]) and np.all(curve.stable[~inside])
     for doubling in doublings:

@@ -1,0 +1,189 @@
+"""What several test files share: structures from matrices, their dense matrices, and measures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gmsh
+import numpy as np
+import scipy.linalg
+
+import fenics_crack as fc
+from fenics_crack.error_report import mean_square
+from fenics_crack.fourier import resized
+
+ROOT = Path(__file__).parents[1]
+DEMOS = ROOT / "demos"
+
+OMEGA_0 = 2.0 * np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
+"""Natural frequency of the bilinear oscillator with kc = 1."""
+VERIFICATION_A = {
+    0.5 * OMEGA_0: (-0.278069424, (1.04226613, 0.98674532, 0.13692193), 1.41059367, -2.10198075),
+    1.0: (-0.564083304, (2.55314357, 0.19177737, 0.02283921), 2.19791942, -2.94941155),
+}
+"""oscillator(), kc = 1: by W the mean, |X1| to |X3|, largest and smallest value, event-driven."""
+DAMPINGS = ("modal", "matrix", "few modes", "none")
+"""Kinds of damping of a chain."""
+
+
+# --- structures -----------------------------------------------------------------------------------
+
+
+def oscillator(
+    damping: float | None = 0.1, force: float = 1.0, clearance: float = 0.0
+) -> fc.Structure:
+    """x'' + c x' + x (+ contact beyond the clearance) = f cos(W t)."""
+    one = np.ones((1, 1))
+    matrix = None if damping is None else damping * one
+    return fc.Structure.from_matrices(
+        one, one, one, force_cos=[force], damping=matrix, clearance=clearance
+    )
+
+
+def two_masses(force: float = 0.1) -> fc.Structure:
+    """VERIFICATION C: a stop at mass 1 beyond a clearance of 1, the load on mass 2."""
+    stiffness = chain_stiffness(np.array([0.0, 1.0, 1.0]))
+    return fc.Structure.from_matrices(
+        np.eye(2), stiffness, [1.0, 0.0], force_cos=[0.0, force], clearance=1.0,
+        damping=0.03 * stiffness,
+    )  # fmt: skip
+
+
+def heavy_mass() -> fc.Structure:
+    """VERIFICATION G: mass 100, stiffness 1e4, a pair, no load."""
+    mass = np.array([[100.0]])
+    return fc.Structure.from_matrices(mass, 100.0 * mass, np.ones(1))
+
+
+def chain_stiffness(springs: np.ndarray) -> np.ndarray:
+    """K of n masses between n + 1 springs, the first and the last of them fixed to walls."""
+    inner = springs[1:-1]
+    return np.diag(springs[:-1] + springs[1:]) - np.diag(inner, 1) - np.diag(inner, -1)
+
+
+def chain(
+    damping: str = "modal", n: int = 10, pairs: int = 3, seed: int = 1, *, loose: bool = False
+) -> fc.Structure:
+    """A random chain with loads in both phases and clearances of both signs.
+
+    It has a mean load too, unless it is loose: not fixed at its ends.
+    """
+    rng = np.random.default_rng(seed)
+    springs = rng.uniform(1.0, 3.0, n + 1)
+    if loose:
+        springs[[0, -1]] = 0.0
+    stiffness = chain_stiffness(springs)
+    gap = np.zeros((n, pairs))
+    for pair in range(pairs):
+        gap[3 * pair + 1, pair], gap[3 * pair, pair] = 1.0, -1.0
+    dashpots = rng.uniform(0.0, 0.2, n)
+    kinds = {
+        "modal": fc.ModalDamping(rng.uniform(0.02, 0.08, n)),
+        "matrix": np.diag(dashpots) + 0.02 * stiffness,  # does not commute: couples the modes
+        "few modes": fc.ModalDamping([0.05, 0.02, 0.08], modes=3),
+        "none": None,
+    }
+    return fc.Structure.from_matrices(
+        np.diag(rng.uniform(1.0, 2.0, n)),
+        stiffness,
+        gap,
+        force_sin=rng.normal(size=n),
+        force_cos=rng.normal(size=n),
+        force_mean=None if loose else 0.3 * rng.normal(size=n),
+        clearance=np.linspace(-0.3, 0.3, pairs),
+        damping=kinds[damping],
+    )
+
+
+def random_stiffness(rng: np.random.Generator, n: int) -> np.ndarray:
+    """A full matrix, symmetric and positive definite."""
+    root = rng.normal(size=(n, n))
+    return root @ root.T + n * np.eye(n)
+
+
+# --- dense matrices -------------------------------------------------------------------------------
+
+
+def dense(matrix: Any) -> np.ndarray:
+    """A sequential PETSc matrix as an array."""
+    return np.array(matrix[:, :])
+
+
+def dense_matrices(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """M, C and K as arrays; modal damping by its definition, with LAPACK's modes."""
+    mass, stiffness = dense(structure.mass), dense(structure.stiffness)
+    damping = np.zeros_like(mass)
+    if isinstance(structure.damping, fc.ModalDamping):
+        squares, shapes = scipy.linalg.eigh(stiffness, mass)
+        count = structure.damping.modes or len(mass)
+        mass_shapes = mass @ shapes[:, :count]
+        rate = 2.0 * np.asarray(structure.damping.ratio) * np.sqrt(squares[:count])
+        damping = (mass_shapes * rate) @ mass_shapes.T
+    elif structure.damping is not None:
+        damping = dense(structure.damping)
+    return mass, damping, stiffness
+
+
+# --- orbits and measures --------------------------------------------------------------------------
+
+
+def period_two_orbit(harmonics: int) -> fc.PeriodicSolution:
+    """VERIFICATION B: the orbit of twice the load's period at W = 2 w0, kc = 1."""
+    structure, law, omega = oscillator(), fc.UnilateralPenalty(1.0), 2.0 * OMEGA_0
+    once = fc.solve_harmonic_balance(structure, omega, law, harmonics=harmonics, subharmonic=2)
+    disturbed = once.gap_coefficients.copy()
+    disturbed[1] += 0.3
+    return fc.solve_harmonic_balance(
+        structure, omega, law, harmonics=harmonics, subharmonic=2,
+        initial=replace(once, gap_coefficients=disturbed),
+    )  # fmt: skip
+
+
+def amplitudes(rows: np.ndarray) -> np.ndarray:
+    """|X_1|, |X_2|, ... of coefficients a0, a1, b1, ...."""
+    return np.hypot(rows[1::2], rows[2::2])
+
+
+def sampled_harmonics(values: np.ndarray) -> tuple[float, np.ndarray]:
+    """Mean and |X_1|, |X_2|, ... of samples of one period."""
+    spectrum = np.fft.rfft(values) / len(values)
+    return float(spectrum[0].real), 2.0 * np.abs(spectrum[1:])
+
+
+def relative(found: np.ndarray, expected: np.ndarray) -> float:
+    """Norm of the difference relative to that of the second, which is not zero."""
+    size = np.linalg.norm(expected)
+    assert size > 0.0
+    return float(np.linalg.norm(found - expected) / size)
+
+
+def log_slope(sizes: Any, errors: Any) -> float:
+    """Slope of the errors over the sizes, both logarithmic."""
+    return float(np.polyfit(np.log(sizes), np.log(errors), 1)[0])
+
+
+def true_error(found: fc.PeriodicSolution, exact: fc.PeriodicSolution) -> float:
+    """Root mean square of the gaps' difference relative to that of B^T u, by coefficients."""
+    harmonics = max(found.harmonics, exact.harmonics)
+    one, two = (resized(s.gap_coefficients, harmonics) for s in (found, exact))
+    closing = two.copy()
+    closing[0] += exact.structure.clearance
+    return float(np.sqrt(mean_square(one - two) / mean_square(closing)))
+
+
+# --- meshes ---------------------------------------------------------------------------------------
+
+
+@contextmanager
+def gmsh_model() -> Iterator[Any]:
+    """gmsh's model, silent, and gmsh ended afterwards."""
+    gmsh.initialize(readConfigFiles=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        yield gmsh.model
+    finally:
+        gmsh.finalize()
