@@ -68,13 +68,8 @@ class BlockSystem:
 
     # --- residual ---------------------------------------------------------------------------------
 
-    def equilibrium(self, amplitude: np.ndarray) -> np.ndarray:
-        """R(u) = A u + B b(g) - c [N] (eq. 5)."""
-        contact = self.structure.spread(self.integrals.force(self.gap(amplitude)))
-        return self.compliance.apply_blocks(amplitude) + contact - self.compliance.load
-
     def residual(self, amplitude: np.ndarray) -> np.ndarray:
-        """F(u) = A^-1 R(u) [m]."""
+        """F(u) = A^-1 (A u + B b(g) - c) [m] (eq. 5, divided by A)."""
         return amplitude - self.linear + self.stiffness_derivative(amplitude)
 
     # --- Jacobian ---------------------------------------------------------------------------------

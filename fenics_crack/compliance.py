@@ -286,12 +286,6 @@ class FactoredCompliance:
         ]
         return from_complex(np.array(rows, dtype=complex))
 
-    def apply_blocks(self, displacement: np.ndarray) -> np.ndarray:
-        """A u of coefficients (2H+1, n_local)."""
-        harmonics = to_complex(displacement)
-        rows = [b.apply(row[None])[0] for b, row in zip(self._blocks, harmonics, strict=True)]
-        return from_complex(np.array(rows))
-
     def destroy(self) -> None:
         """Free the factors (collective)."""
         for block in self._blocks:

@@ -222,9 +222,8 @@ def _reduced(
     extra = extra @ rotation
     basis = np.hstack([kept, extra])
     squares = np.concatenate([squares, more])
-    return ReducedStructure(
-        structure, basis, squares, _damping(structure, basis, squares, kept.shape[1]), reference
-    )
+    damping = _damping(structure, basis, squares)
+    return ReducedStructure(structure, basis, squares, damping, reference)
 
 
 def _norms(structure: Structure, columns: np.ndarray) -> np.ndarray:
@@ -234,7 +233,7 @@ def _norms(structure: Structure, columns: np.ndarray) -> np.ndarray:
 
 
 def _damping(
-    structure: Structure, basis: np.ndarray, squares: np.ndarray, kept: int
+    structure: Structure, basis: np.ndarray, squares: np.ndarray
 ) -> ModalDamping | np.ndarray | None:
     """T^T C T: modal where it is diagonal, else a matrix."""
     damped = damped_modes(structure)

@@ -59,9 +59,11 @@ def test_breathing_plate(breathing_plate: fc.Structure) -> None:
 
 
 @pytest.mark.parametrize("stiffness", [1e12, 1e14])
-def test_contact_stiffer_than_rounding_resolves(stiffness: float) -> None:
+def test_contact_stiffer_than_rounding_resolves(
+    stiffness: float, breathing_plate: fc.Structure
+) -> None:
     """k R up to 1e8: solved to what rounding allows, and the report says how far that is."""
-    reduced = fc.reduce_structure(fc.build_structure(fc.Scene.load(DEMOS / "breathing_plate.toml")))
+    reduced = fc.reduce_structure(breathing_plate)
     law = fc.UnilateralPenalty(stiffness)
     for omega in (1500.0, 2000.0):
         solution = fc.solve_harmonic_balance(reduced, omega, law, harmonics=10)

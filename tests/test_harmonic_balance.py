@@ -132,14 +132,19 @@ def test_correction_is_the_residual_of_the_paper_divided_by_a() -> None:
     omega, harmonics, samples = 0.9, 3, 64
     mass, damping, stiffness = dense_matrices(structure)
     amplitude = np.random.default_rng(7).normal(size=(2 * harmonics + 1, 6))
-    residual = np.zeros_like(amplitude)
-    residual[0] = stiffness @ amplitude[0] - structure.force[0]
-    for k in range(1, harmonics + 1):
-        a, b = amplitude[2 * k - 1], amplitude[2 * k]
-        block, coupling = stiffness - (k * omega) ** 2 * mass, k * omega * damping
-        residual[2 * k - 1] = block @ a + coupling @ b
-        residual[2 * k] = -coupling @ a + block @ b
-    residual[1:3] -= structure.force[1:]
+
+    def apply(rows: np.ndarray) -> np.ndarray:
+        """A u."""
+        product = np.zeros_like(rows)
+        product[0] = stiffness @ rows[0]
+        for k in range(1, harmonics + 1):
+            a, b = rows[2 * k - 1], rows[2 * k]
+            block, coupling = stiffness - (k * omega) ** 2 * mass, k * omega * damping
+            product[2 * k - 1], product[2 * k] = block @ a + coupling @ b, block @ b - coupling @ a
+        return product
+
+    residual = apply(amplitude)
+    residual[:3] -= structure.force
     phase = 2.0 * np.pi * np.arange(samples) / samples
     basis = np.ones((samples, 2 * harmonics + 1))
     for k in range(1, harmonics + 1):
@@ -151,10 +156,7 @@ def test_correction_is_the_residual_of_the_paper_divided_by_a() -> None:
     weights[0] = 1.0 / samples
     residual += weights[:, None] * (basis.T @ force)
     with block_system(structure, omega, law, harmonics, samples) as system:
-        assert np.allclose(system.equilibrium(amplitude), residual, atol=1e-10)
-        assert np.allclose(
-            system.compliance.apply_blocks(system.residual(amplitude)), residual, atol=1e-9
-        )
+        assert np.allclose(apply(system.residual(amplitude)), residual, atol=1e-9)
 
 
 @pytest.mark.parametrize("omega", [0.3, 0.55, 0.9, 1.3, 1.8])
