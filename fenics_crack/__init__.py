@@ -9,7 +9,14 @@ from fenics_crack.contact import (
     UnilateralPenalty,
     contact_law,
 )
-from fenics_crack.continuation import Bifurcation, ResponseCurve, continue_frequency
+from fenics_crack.continuation import (
+    Continuation,
+    CurvePoint,
+    continue_frequency,
+    continue_parameter,
+    follow_branch,
+)
+from fenics_crack.curve import Bifurcation, ResponseCurve
 from fenics_crack.error_report import ErrorReport
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.events import PeriodicOrbit, integrate_events, shoot
@@ -29,7 +36,9 @@ from fenics_crack.structure import ModalDamping, Structure
 
 __all__ = [
     "Bifurcation",
+    "Continuation",
     "ConvergenceError",
+    "CurvePoint",
     "ErrorReport",
     "InputError",
     "ModalDamping",
@@ -48,8 +57,10 @@ __all__ = [
     "build_structure",
     "contact_law",
     "continue_frequency",
+    "continue_parameter",
     "find_crack_length",
     "floquet",
+    "follow_branch",
     "integrate_central_difference",
     "integrate_events",
     "reduce_structure",

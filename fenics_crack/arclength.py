@@ -26,7 +26,16 @@ from typing import Protocol
 
 import numpy as np
 
-__all__ = ["ParametricSystem", "PathPoint", "Tangent", "follow_path", "step_along"]
+__all__ = [
+    "ParametricSystem",
+    "PathPoint",
+    "Tangent",
+    "correct",
+    "follow_path",
+    "land",
+    "step_along",
+    "tangent_at",
+]
 
 MOST_ITERATIONS, MOST_EVALUATIONS = 8, 30
 """Of one corrector."""
@@ -87,28 +96,32 @@ def follow_path(
     shortest_step: float = 1e-7,
     least_cosine: float = 0.5,
     rounding: float = 1e-13,
+    towards: Tangent | None = None,
 ) -> Iterator[PathPoint]:
-    """Yield points of the path from a solution on, towards growing p first.
+    """Yield points of the path from a solution on, towards growing p first or along ``towards``.
 
     It ends after ``most_steps`` or where the steps have become too short. Neighbouring tangents
     make an angle whose cosine is at least ``least_cosine``. Residuals relative to the unknowns do
     not fall below ``rounding``.
     """
     system.set_parameter(parameter)
-    tangent = _tangent(system, start)
+    tangent = tangent_at(system, start)
     here = PathPoint(start, parameter, 0, tangent)
     before: PathPoint | None = None
     orientation = system.determinant_sign()
+    if towards is not None and tangent.along(towards, system) < 0.0:
+        tangent, orientation = tangent.reversed(), -orientation
+        here = PathPoint(start, parameter, 0, tangent)
     for _ in range(most_steps):
         while True:
             # Points must be known better than the steps between them are long.
             sharp = max(rounding, min(tolerance, 1e-4 * step))
             bend = _bend(system, before, here, step)
-            found = _correct(system, here, tangent, step, sharp, bend)
+            found = correct(system, here, tangent, step, sharp, bend)
             if found is not None:
                 # The determinant of the bordered matrix keeps its sign along a path: it tells where
                 # the path goes on, and the angle tells a step that has left it.
-                ahead = _tangent(system, found.unknown)
+                ahead = tangent_at(system, found.unknown)
                 if system.determinant_sign() != orientation:
                     ahead = ahead.reversed()
                 cosine = ahead.along(tangent, system)
@@ -154,8 +167,8 @@ class Tangent:
         return product / float(np.sqrt(length)) if length > 0.0 else 0.0
 
 
-def _tangent(system: ParametricSystem, unknown: np.ndarray) -> Tangent:
-    """Tangent towards growing p."""
+def tangent_at(system: ParametricSystem, unknown: np.ndarray) -> Tangent:
+    """Tangent at a solution, towards growing p."""
     system.linearise(unknown)
     slope = -system.solve_jacobian(system.parameter_derivative(unknown))
     weight = 1.0 / max(system.inner(unknown, unknown), 1e-300)
@@ -179,13 +192,13 @@ def _round_corner(
     """
     for step in longest_step * 10.0 ** np.arange(-7.0, -1.5, 0.5):
         system.set_parameter(here.parameter + step * tangent.p)
-        turned = _tangent(system, here.unknown + step * tangent.x)
+        turned = tangent_at(system, here.unknown + step * tangent.x)
         if system.determinant_sign() != orientation:
             turned = turned.reversed()
-        found = _correct(system, here, turned, step, max(rounding, 1e-4 * step))
+        found = correct(system, here, turned, step, max(rounding, 1e-4 * step))
         if found is None:
             continue
-        ahead = _tangent(system, found.unknown)
+        ahead = tangent_at(system, found.unknown)
         if system.determinant_sign() != orientation:
             ahead = ahead.reversed()
         if ahead.along(turned, system) > 0.5:
@@ -197,10 +210,10 @@ def step_along(
     system: ParametricSystem, start: PathPoint, step: float, tolerance: float = 1e-8
 ) -> PathPoint | None:
     """Point of the path at a distance from another one, along its tangent; None where not found."""
-    found = _correct(system, start, start.tangent, step, tolerance)
+    found = correct(system, start, start.tangent, step, tolerance)
     if found is None:
         return None
-    ahead = _tangent(system, found.unknown)
+    ahead = tangent_at(system, found.unknown)
     if ahead.along(start.tangent, system) < 0.0:
         ahead = ahead.reversed()
     return replace(found, tangent=ahead)
@@ -240,15 +253,28 @@ def _bend(
     return (bend, shift) if far < 0.1 * step**2 else None
 
 
-def _correct(
+def correct(
     system: ParametricSystem,
     start: PathPoint,
     tangent: Tangent,
     step: float,
     tolerance: float,
     bend: tuple[np.ndarray, float] | None = None,
+    reach: float | None = None,
 ) -> PathPoint | None:
-    """Damped Newton's method orthogonal to the tangent; None where it does not converge."""
+    """Damped Newton's method orthogonal to the tangent; None where it does not converge.
+
+    Parameters
+    ----------
+    start, tangent, step : PathPoint, Tangent, float
+        Where the prediction starts, where to, and how far.
+    tolerance : float
+        |F| / |x| of the solution.
+    bend : array and float, optional
+        Added to the prediction.
+    reach : float, optional
+        How far from the prediction the parameter may go; default: 3 steps.
+    """
     unknown = start.unknown + step * tangent.x
     predicted = parameter = start.parameter + step * tangent.p
     if bend is not None:
@@ -275,9 +301,35 @@ def _correct(
         slope = -system.solve_jacobian(system.parameter_derivative(unknown))
         along = tangent.weight * system.inner(tangent.x, slope) + tangent.p
         shift = -tangent.weight * system.inner(tangent.x, free) / along if along else np.inf
-        if not abs(parameter + shift - predicted) <= 3.0 * step:
+        if not abs(parameter + shift - predicted) <= (reach or 3.0 * step):
             return None  # another branch, or none
         change, damping, before = free + shift * slope, 1.0, size
         linearised += 1
         unknown, parameter = unknown + change, parameter + shift
+    return None
+
+
+def land(
+    system: ParametricSystem,
+    before: PathPoint,
+    after: PathPoint,
+    end: float,
+    tolerance: float = 1e-10,
+) -> PathPoint | None:
+    """The solution at a value of the parameter between two points of the path; None if not found.
+
+    Newton's method from the chord; where the path bends, one of the two points may be nearer.
+    """
+    share = (end - before.parameter) / (after.parameter - before.parameter)
+    between = before.unknown + share * (after.unknown - before.unknown)
+    system.set_parameter(end)
+    for start in (between, before.unknown, after.unknown):
+        unknown = start
+        for iterations in range(20):
+            residual = system.residual(unknown)
+            size = system.inner(unknown, unknown)
+            if system.inner(residual, residual) <= tolerance**2 * size:
+                return PathPoint(unknown, end, iterations, after.tangent)
+            system.linearise(unknown)
+            unknown = unknown - system.solve_jacobian(residual)
     return None

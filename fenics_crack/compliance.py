@@ -112,45 +112,72 @@ class ModalCompliance:
         self._clearance = structure.clearance
         self._modes = all_modes(structure)
         self._order = np.arange(len(load) // 2 + 1.0)
-        self._modal_load = to_complex(load @ self._modes.shapes)
-        self._set_frequency(base_omega)
+        self._unit_load = to_complex(load @ self._modes.shapes)
+        self._set(base_omega, 1.0, 1.0, 0.0)
 
-    def _set_frequency(self, base_omega: float) -> None:
-        self._base = base_omega
-        self._receptance = self._modes.receptance(base_omega * self._order)
+    def _set(self, base_omega: float, load: float, damping: float, clearance: float) -> None:
+        self._base, self._damping = base_omega, damping
+        self._receptance = self._modes.receptance(base_omega * self._order, damping)
         self.matrices = self._seen_by_pairs(self._receptance)
+        self._modal_load = load * self._unit_load
         free = _respond(self._receptance, self._modal_load)
         self.linear_gap = from_complex(free @ self._modes.pairs)
-        self.linear_gap[0] -= self._clearance
+        self.linear_gap[0] -= self._clearance + clearance
 
-    def at(self, base_omega: float) -> ModalCompliance:
-        """The same at another frequency."""
+    def at(
+        self,
+        base_omega: float,
+        *,
+        load: float = 1.0,
+        damping: float = 1.0,
+        clearance: float = 0.0,
+    ) -> ModalCompliance:
+        """The same at another frequency, and of a varied structure (:meth:`Structure.varied`)."""
         other = copy(self)
-        other._set_frequency(base_omega)
+        other._set(base_omega, load, damping, clearance)
         return other
 
     def beyond(self, highest: int) -> np.ndarray:
         """R_k for k = H+1 to ``highest``."""
         order = np.arange(len(self.matrices), highest + 1)
-        return self._seen_by_pairs(self._modes.receptance(self._base * order))
+        return self._seen_by_pairs(self._modes.receptance(self._base * order, self._damping))
 
     def displacement(self, force: np.ndarray) -> np.ndarray:
         """u = A^-1 (c - B lambda)."""
+        return self.seen_through(self._modes.shapes, force)
+
+    def seen_through(self, shapes: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """The displacement of some dofs, from their rows of all modes (m, n_modes): (2H+1, m)."""
         drive = self._modal_load - to_complex(force) @ self._modes.pairs.T
-        return from_complex(_respond(self._receptance, drive) @ self._modes.shapes.T)
+        return from_complex(_respond(self._receptance, drive) @ shapes.T)
+
+    # Derivatives of R lambda - g_lin for fixed forces (2H+1, n_pairs): (2H+1, n_pairs).
 
     def frequency_derivative(self, force: np.ndarray) -> np.ndarray:
-        """d (R lambda - g_lin) / d base_omega of fixed forces (2H+1, n_pairs): (2H+1, n_pairs).
-
-        With H = Z^-1, dH = -H dZ H, dZ_k = -2 k^2 w + i k c.
-        """
-        order = self._order[:, None]
-        drive = to_complex(force) @ self._modes.pairs.T - self._modal_load
-        moved = _respond(self._receptance, drive)
-        rate = self._modes.damping
-        damped = rate * moved if rate.ndim == 1 else moved @ rate.T
+        """By base_omega: with H = Z^-1, dH = -H dZ H, dZ_k = -2 k^2 w + i k c."""
+        order, moved = self._order[:, None], self._moved(force)
+        damped = self._damping * self._damped(moved)
         change = order * (1j * damped - (2.0 * self._base * order) * moved)
         return from_complex(-_respond(self._receptance, change) @ self._modes.pairs)
+
+    def damping_derivative(self, force: np.ndarray) -> np.ndarray:
+        """By the factor of the damping: dZ_k = i k w c."""
+        change = (1j * self._base) * self._order[:, None] * self._damped(self._moved(force))
+        return from_complex(-_respond(self._receptance, change) @ self._modes.pairs)
+
+    def load_derivative(self) -> np.ndarray:
+        """By the factor of the load."""
+        return from_complex(-_respond(self._receptance, self._unit_load) @ self._modes.pairs)
+
+    def _moved(self, force: np.ndarray) -> np.ndarray:
+        """Modal response to the contact forces and the load reversed."""
+        drive = to_complex(force) @ self._modes.pairs.T - self._modal_load
+        return _respond(self._receptance, drive)
+
+    def _damped(self, modal: np.ndarray) -> np.ndarray:
+        rate = self._modes.damping
+        product: np.ndarray = rate * modal if rate.ndim == 1 else modal @ rate.T
+        return product
 
     def destroy(self) -> None:
         """Nothing is held."""
@@ -196,18 +223,21 @@ class AllModes:
         # The lowest modes may have drowned in the rounding of the highest ones.
         self.spread = not self._loose and bool(self.squares[0] < 1e-12 * self.squares[-1])
 
-    def receptance(self, omega: np.ndarray) -> np.ndarray:
-        """Inverse impedance at frequencies (m,): (m, n_modes), or with coupling (m, n, n)."""
+    def receptance(self, omega: np.ndarray, factor: float = 1.0) -> np.ndarray:
+        """Inverse impedance at frequencies (m,): (m, n_modes), or with coupling (m, n, n).
+
+        ``factor`` multiplies the damping.
+        """
         square = (omega * omega)[:, None]
         stiffness = self.squares - square
         diagonal = self.damping.ndim == 1
         singular = self._loose & (omega == 0.0)
         if diagonal:
-            impedance = stiffness + (1j * omega)[:, None] * self.damping
+            impedance = stiffness + (1j * factor * omega)[:, None] * self.damping
             tiny = np.abs(impedance) <= 1e-15 * (np.abs(self.squares) + square)
             singular |= tiny.any(axis=1)
         else:
-            impedance = 1j * omega[:, None, None] * self.damping
+            impedance = 1j * factor * omega[:, None, None] * self.damping
             place = np.arange(len(self.squares))
             impedance[:, place, place] += stiffness
             # Only a mode that the damping leaves alone can make this singular.

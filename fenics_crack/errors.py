@@ -46,13 +46,14 @@ class ConvergenceError(RuntimeError):
         self.history = tuple(history)
 
 
-def check_number(key: str, value: object, least: float, *, above: bool = False) -> None:
+def check_number(key: str, value: object, least: float = -math.inf, *, above: bool = False) -> None:
     """Raise InputError unless a value is a finite number >= ``least`` (or > with ``above``)."""
     number = isinstance(value, Real) and not isinstance(value, bool)
     if number and math.isfinite(float(value)):  # type: ignore[arg-type]
         if float(value) > least or (float(value) == least and not above):  # type: ignore[arg-type]
             return
-    raise InputError(key, value, f"a finite number {'>' if above else '>='} {least:g}")
+    bound = f" {'>' if above else '>='} {least:g}" if math.isfinite(least) else ""
+    raise InputError(key, value, f"a finite number{bound}")
 
 
 def check_omega(value: object, key: str = "omega") -> None:

@@ -1,53 +1,130 @@
-"""Families of the condensed equations along a parameter, as :mod:`arclength` follows them."""
+"""Families of the condensed equations along one parameter, as :mod:`arclength` follows them.
+
+    F(g, v) = g - g_lin(v) + R(v) b(g, v) = 0,        v = v_start + p (v_end - v_start)
+
+with the parameter v a load frequency, a factor of the load, of the damping or of the contact
+stiffness, or a clearance. Only the small or reduced structure is touched, in closed form.
+"""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+
 import numpy as np
 
-from fenics_crack.arclength import PathPoint
 from fenics_crack.compliance import ModalCompliance, load_coefficients
 from fenics_crack.condensed import CondensedSystem
 from fenics_crack.contact import ContactLaw
 from fenics_crack.contact_integrals import contact_integrals
+from fenics_crack.errors import InputError, check_number, check_omega
 from fenics_crack.structure import Structure
 
-__all__ = ["FrequencyFamily"]
+__all__ = ["FAMILIES", "Family", "FrequencyFamily"]
+
+Problem = tuple[Structure, ContactLaw]
 
 
-class FrequencyFamily:
-    """The condensed equations with the parameter p = (w - w_start) / (w_end - w_start)."""
+class Family(ABC):
+    """The condensed equations along a parameter.
+
+    Parameters
+    ----------
+    structure : Structure
+        Small or reduced.
+    omega : float [rad/s]
+        Load frequency, where it is not the parameter.
+    contact : ContactLaw
+        Law of all pairs.
+    start, end : float
+        The parameter's values at p = 0 and 1.
+    harmonics, samples, subharmonic
+        As in :func:`solve_harmonic_balance`.
+
+    Attributes
+    ----------
+    system : CondensedSystem
+        The equations at the parameter set last.
+    """
+
+    name: str
+    label: str
 
     def __init__(
         self,
         structure: Structure,
-        omega_start: float,
-        omega_end: float,
+        omega: float,
         contact: ContactLaw,
+        start: float,
+        end: float,
         harmonics: int,
         samples: int | None,
         subharmonic: int,
     ) -> None:
-        self._start, self._span = omega_start, omega_end - omega_start
-        self._integrals = contact_integrals(contact, harmonics, samples, subharmonic)
-        load = load_coefficients(structure, harmonics, subharmonic)
-        self._subharmonic = subharmonic
+        self.structure, self.contact = structure, contact
+        self.start, self.end = start, end
+        self.harmonics, self.samples, self.subharmonic = harmonics, samples, subharmonic
+        self._omega = omega
         self._parameter = 0.0
-        self._compliance = ModalCompliance(structure, self.base(0.0), load)
-        self.system = CondensedSystem(self._compliance, self._integrals)
+        load = load_coefficients(structure, harmonics, subharmonic)
+        compliance = ModalCompliance(structure, omega / subharmonic, load)
+        integrals = contact_integrals(contact, harmonics, samples, subharmonic)
+        self.system = CondensedSystem(compliance, integrals)
+        self._compliance = compliance
+        self.set_value(start)
 
-    def omega(self, parameter: float) -> float:
-        """Load frequency [rad/s]."""
-        return self._start + parameter * self._span
+    @classmethod
+    def check(cls, structure: Structure, key: str, value: float) -> None:
+        """Raise InputError unless the parameter can have a value."""
+        check_number(key, value, 0.0, above=True)
 
-    def base(self, parameter: float) -> float:
-        """Frequency of the response [rad/s]."""
-        return self.omega(parameter) / self._subharmonic
+    def with_harmonics(self, harmonics: int) -> Family:
+        """The same family with other harmonics."""
+        return type(self)(
+            self.structure,
+            self._omega,
+            self.contact,
+            self.start,
+            self.end,
+            harmonics,
+            self.samples,
+            self.subharmonic,
+        )
+
+    def value(self, parameter: float) -> float:
+        """v of p."""
+        return self.start + parameter * (self.end - self.start)
+
+    def parameter(self, value: float) -> float:
+        """p of v."""
+        return (value - self.start) / (self.end - self.start)
+
+    def omega(self, value: float) -> float:
+        """Load frequency [rad/s] where the parameter has a value."""
+        return self._omega
+
+    @staticmethod
+    @abstractmethod
+    def vary(structure: Structure, contact: ContactLaw, value: float) -> Problem:
+        """Structure and law where the parameter has a value."""
+
+    def compliance(self, value: float) -> ModalCompliance:
+        """Dynamic compliance where the parameter has a value."""
+        return self._compliance
+
+    @abstractmethod
+    def set_value(self, value: float) -> None:
+        """Make :attr:`system` that of a value."""
+
+    @abstractmethod
+    def _derivative(self, unknown: np.ndarray) -> np.ndarray:
+        """dF / dv."""
+
+    # --- what arclength asks for ------------------------------------------------------------------
 
     def set_parameter(self, parameter: float) -> None:
         """Set p."""
         if parameter != self._parameter:
-            self._compliance = self._compliance.at(self.base(parameter))
-            self.system = CondensedSystem(self._compliance, self._integrals)
+            self.set_value(self.value(parameter))
             self._parameter = parameter
 
     def residual(self, unknown: np.ndarray) -> np.ndarray:
@@ -68,25 +145,156 @@ class FrequencyFamily:
 
     def parameter_derivative(self, unknown: np.ndarray) -> np.ndarray:
         """dF/dp."""
-        force = self.system.gap_and_force(unknown)[1]
-        change = self._compliance.frequency_derivative(force)
-        return self._span / self._subharmonic * change
+        return (self.end - self.start) * self._derivative(unknown)
 
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
         """Inner product."""
         return self.system.inner(first, second)
 
-    def land(self, after: PathPoint, before: PathPoint | None) -> PathPoint | None:
-        """The point of the path at p = 1, from points on both sides of it; None if not found."""
-        unknown = after.unknown
-        if before is not None:
-            share = (1.0 - before.parameter) / (after.parameter - before.parameter)
-            unknown = before.unknown + share * (after.unknown - before.unknown)
-        self.set_parameter(1.0)
-        for iterations in range(20):
-            residual = self.residual(unknown)
-            if self.system.norm(residual) <= 1e-10 * self.system.norm(unknown):
-                return PathPoint(unknown, 1.0, iterations, after.tangent)
-            self.linearise(unknown)
-            unknown = unknown - self.solve_jacobian(residual)
-        return None
+
+class _ComplianceFamily(Family):
+    """The parameter changes the dynamic compliance or the linear gap."""
+
+    def set_value(self, value: float) -> None:
+        """Another compliance."""
+        self._current = self.compliance(value)
+        self.system = CondensedSystem(self._current, self.system.integrals)
+
+    def _force(self, unknown: np.ndarray) -> np.ndarray:
+        return self.system.gap_and_force(unknown)[1]
+
+
+class FrequencyFamily(_ComplianceFamily):
+    """v: load frequency [rad/s]."""
+
+    name, label = "omega", "load frequency [rad/s]"
+
+    @classmethod
+    def check(cls, structure: Structure, key: str, value: float) -> None:
+        """Raise InputError unless it is a frequency."""
+        check_omega(value, key)
+
+    def omega(self, value: float) -> float:
+        """The value itself."""
+        return value
+
+    @staticmethod
+    def vary(structure: Structure, contact: ContactLaw, value: float) -> Problem:
+        """At another frequency."""
+        return structure, contact
+
+    def compliance(self, value: float) -> ModalCompliance:
+        """At another frequency."""
+        return self._compliance.at(value / self.subharmonic)
+
+    def _derivative(self, unknown: np.ndarray) -> np.ndarray:
+        return self._current.frequency_derivative(self._force(unknown)) / self.subharmonic
+
+
+class LoadFamily(_ComplianceFamily):
+    """v: factor of the load."""
+
+    name, label = "load", "factor of the load [-]"
+
+    @classmethod
+    def check(cls, structure: Structure, key: str, value: float) -> None:
+        """Raise InputError unless it is a number; a negative one reverses the load."""
+        check_number(key, value)
+
+    @staticmethod
+    def vary(structure: Structure, contact: ContactLaw, value: float) -> Problem:
+        """With another load."""
+        return structure.varied(load=value), contact
+
+    def compliance(self, value: float) -> ModalCompliance:
+        """With another load."""
+        return self._compliance.at(self._omega / self.subharmonic, load=value)
+
+    def _derivative(self, unknown: np.ndarray) -> np.ndarray:
+        return self._current.load_derivative()
+
+
+class DampingFamily(_ComplianceFamily):
+    """v: factor of the damping."""
+
+    name, label = "damping", "factor of the damping [-]"
+
+    @classmethod
+    def check(cls, structure: Structure, key: str, value: float) -> None:
+        """Raise InputError unless it is a number >= 0 and there is damping to change."""
+        check_number(key, value, 0.0)
+        if structure.damping is None:
+            raise InputError("parameter", "damping", "another one: the structure has no damping")
+
+    @staticmethod
+    def vary(structure: Structure, contact: ContactLaw, value: float) -> Problem:
+        """With other damping."""
+        return structure.varied(damping=value), contact
+
+    def compliance(self, value: float) -> ModalCompliance:
+        """With other damping."""
+        return self._compliance.at(self._omega / self.subharmonic, damping=value)
+
+    def _derivative(self, unknown: np.ndarray) -> np.ndarray:
+        return self._current.damping_derivative(self._force(unknown))
+
+
+class ClearanceFamily(_ComplianceFamily):
+    """v: clearance [m] added to that of every pair."""
+
+    name, label = "clearance", "clearance added [m]"
+
+    @classmethod
+    def check(cls, structure: Structure, key: str, value: float) -> None:
+        """Raise InputError unless it is a number."""
+        check_number(key, value)
+
+    @staticmethod
+    def vary(structure: Structure, contact: ContactLaw, value: float) -> Problem:
+        """With another clearance."""
+        return structure.varied(clearance=value), contact
+
+    def compliance(self, value: float) -> ModalCompliance:
+        """With another clearance."""
+        return self._compliance.at(self._omega / self.subharmonic, clearance=value)
+
+    def _derivative(self, unknown: np.ndarray) -> np.ndarray:
+        change = np.zeros_like(unknown)
+        change[0] = 1.0
+        return change
+
+
+class StiffnessFamily(Family):
+    """v: factor of the contact stiffness; p is proportional to ln v."""
+
+    name, label = "stiffness", "factor of the contact stiffness [-]"
+
+    def value(self, parameter: float) -> float:
+        """v of p."""
+        return float(self.start * (self.end / self.start) ** parameter)
+
+    def parameter(self, value: float) -> float:
+        """p of v."""
+        return float(np.log(value / self.start) / np.log(self.end / self.start))
+
+    @staticmethod
+    def vary(structure: Structure, contact: ContactLaw, value: float) -> Problem:
+        """With another law."""
+        return structure, contact.scaled(value)
+
+    def set_value(self, value: float) -> None:
+        """Another law."""
+        self.system.with_law(self.contact.scaled(value))
+
+    def parameter_derivative(self, unknown: np.ndarray) -> np.ndarray:
+        """dF/dp = ln(v_end / v_start) R b."""
+        return float(np.log(self.end / self.start)) * self._derivative(unknown)
+
+    def _derivative(self, unknown: np.ndarray) -> np.ndarray:
+        return self.system.stiffness_derivative(unknown)
+
+
+FAMILIES: dict[str, type[Family]] = {
+    family.name: family
+    for family in (FrequencyFamily, LoadFamily, StiffnessFamily, DampingFamily, ClearanceFamily)
+}

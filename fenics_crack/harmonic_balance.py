@@ -218,9 +218,10 @@ class _Problem:
         assert not isinstance(self.contact, UnilateralConstraint)
         return FrequencyFamily(
             self.structure,
-            factor * self.omega,
             self.omega,
             self.contact,
+            factor * self.omega,
+            self.omega,
             harmonics,
             self.samples,
             self.subharmonic,

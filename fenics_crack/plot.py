@@ -14,7 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from fenics_crack.contact import ContactLaw
-from fenics_crack.continuation import ResponseCurve
+from fenics_crack.curve import ResponseCurve
 from fenics_crack.errors import InputError
 from fenics_crack.modes import Modes
 from fenics_crack.output import NodalMesh, make_folder

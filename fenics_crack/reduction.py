@@ -104,6 +104,18 @@ class ReducedStructure(Structure):
         """Return a dof of the whole structure (collective)."""
         return self._whole.find_dof(point, component)
 
+    def varied(
+        self, *, load: float = 1.0, damping: float = 1.0, clearance: float = 0.0
+    ) -> Structure:
+        """Return this structure with its load and damping multiplied, and a clearance added."""
+        other = super().varied(load=load, damping=damping, clearance=clearance)
+        assert isinstance(other, ReducedStructure)
+        if self.reference is not None:
+            reference = self.reference.varied(load=load, damping=damping, clearance=clearance)
+            assert isinstance(reference, ReducedStructure)
+            other.reference = reference
+        return other
+
     def _changed(self, **changes: Any) -> Structure:
         # A plain structure of the coordinates: it does not know where they are.
         return super()._changed(**({"nodes": None} | changes))

@@ -11,7 +11,8 @@ one rank are all.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from numbers import Integral
 from pathlib import Path
 from typing import Any
@@ -324,6 +325,30 @@ class Structure:
         if damping is not None and not isinstance(damping, ModalDamping):
             raise InputError("damping", damping, "a ModalDamping or None")
         return self._changed(damping=damping)
+
+    def varied(
+        self, *, load: float = 1.0, damping: float = 1.0, clearance: float = 0.0
+    ) -> Structure:
+        """Return this structure with its load and damping multiplied, and a clearance added.
+
+        Parameters
+        ----------
+        load, damping : float
+            Factors; damping >= 0.
+        clearance : float [m]
+            Added to that of every pair.
+        """
+        other = copy(self)
+        other.force = load * self.force
+        other.clearance = self.clearance + clearance
+        if isinstance(self.damping, ModalDamping):
+            ratio = np.multiply(damping, self.damping.ratio)
+            other._damping = replace(self.damping, ratio=ratio.tolist())
+        elif self.damping is not None and damping != 1.0:
+            matrix = self.damping.copy()
+            matrix.scale(damping)
+            other._damping = matrix
+        return other
 
     def _changed(self, **changes: Any) -> Structure:
         parts = {

@@ -1,15 +1,26 @@
 """Response curves by arc-length continuation."""
 
+from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import amplitudes, log_slope, oscillator, random_stiffness, two_masses
+from helpers import (
+    amplitudes,
+    log_slope,
+    oscillator,
+    random_stiffness,
+    true_error,
+    two_masses,
+)
 
 import fenics_crack as fc
 from fenics_crack.compliance import ModalCompliance, load_coefficients
 from fenics_crack.condensed import respond
 from fenics_crack.continuation import continue_frequency
+from fenics_crack.family import FAMILIES
+from fenics_crack.fourier import from_complex
 
 
 def folds(curve: fc.ResponseCurve) -> list[float]:
@@ -223,3 +234,233 @@ def test_bad_arguments_and_unfinished_curves() -> None:
     assert not curve.complete and len(curve.omega) == 11
     with pytest.raises(fc.InputError, match="stability"):
         _ = curve.stable
+
+
+# --- other parameters -----------------------------------------------------------------------------
+
+RANGES = {
+    "omega": (1.3, 0.9),
+    "load": (1.0, 3.0),
+    "stiffness": (1.0, 50.0),
+    "damping": (1.0, 0.1),
+    "clearance": (-0.3, 0.5),
+}
+
+
+@pytest.mark.parametrize("name", list(RANGES))
+def test_derivative_by_each_parameter(name: str) -> None:
+    """dF/dp against central differences, along the whole range."""
+    structure, (start, end) = two_masses(), RANGES[name]
+    law = fc.UnilateralPenalty(np.array([3.0]))
+    family = FAMILIES[name](structure, 0.9, law, start, end, 4, None, 1)
+    gap = np.random.default_rng(2).normal(size=(9, 1))
+    for parameter in (0.0, 0.4, 1.0):
+        family.set_parameter(parameter)
+        exact = family.parameter_derivative(gap)
+        sides = []
+        for step in (1e-6, -1e-6):
+            family.set_parameter(parameter + step)
+            sides.append(family.residual(gap))
+        slope = (sides[0] - sides[1]) / 2e-6
+        assert np.allclose(slope, exact, rtol=1e-5, atol=1e-7 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize("name", ["load", "stiffness", "damping", "clearance"])
+def test_curve_over_another_parameter(name: str) -> None:
+    """Every point solves the structure or the law varied accordingly, and its amplitude is that."""
+    structure, (start, end) = oscillator(0.1, 1.0), RANGES[name]
+    law = fc.UnilateralPenalty(1.0)
+    curve = fc.continue_parameter(structure, 1.2, law, name, start, end, harmonics=8)
+    assert curve.complete and np.all(curve.omega == 1.2)
+    assert (curve.values[0], curve.values[-1]) == pytest.approx((start, end))
+    amplitude = curve.amplitude(0)
+    for index in (0, len(curve) // 2, len(curve) - 1):
+        varied = {"load": 1.0, "damping": 1.0, "clearance": 0.0}
+        factor = float(curve.values[index]) if name == "stiffness" else 1.0
+        if name != "stiffness":
+            varied[name] = float(curve.values[index])
+        by_hand = fc.Structure.from_matrices(
+            np.eye(1),
+            np.eye(1),
+            np.eye(1),
+            force_cos=[varied["load"]],
+            damping=0.1 * varied["damping"] * np.eye(1),
+            clearance=varied["clearance"],
+        )
+        found = fc.solve_harmonic_balance(
+            by_hand, 1.2, law.scaled(factor), harmonics=8, initial=curve.solution(index)
+        )
+        difference = found.gap_coefficients - curve.gap(index)
+        assert np.abs(difference).max() < 1e-8 * np.abs(curve.gap(index)).max()
+        wave = found.displacement(np.linspace(0.0, found.period, 257), [0])
+        assert np.ptp(wave) / 2.0 == pytest.approx(amplitude[index], rel=1e-3)
+
+
+def test_load_only_scales_without_clearance() -> None:
+    """The penalty law without clearance is homogeneous: so is the response."""
+    structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(4.0)
+    curve = fc.continue_parameter(structure, 1.2, law, "load", 1.0, 5.0, harmonics=6)
+    scaled = curve.gap_coefficients / curve.values[:, None, None]
+    assert np.allclose(scaled, scaled[0], atol=1e-8 * np.abs(scaled[0]).max())
+
+
+# --- branches, loops, resuming --------------------------------------------------------------------
+
+
+def test_doubled_branch() -> None:
+    """VERIFICATION B: from the period doubling to the stable orbit of period 2 at W = 2 w0.
+
+    The branch is stable, and joins the old one again at the other period doubling.
+    """
+    structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(1.0)
+    curve = continue_frequency(structure, 1.5, 3.0, law, harmonics=20, stability=True)
+    doublings = [b for b in curve.bifurcations if b.kind == "period_doubling"]
+    assert len(doublings) == 2
+    between = (curve.omega > doublings[0].omega) & (curve.omega < doublings[1].omega)
+    assert np.array_equal(curve.stable, ~between)
+    branch = fc.follow_branch(curve, doublings[0], stability=True)
+    assert branch.complete and branch.status == "joined the branch that it left"
+    assert branch.multipliers is not None and branch.subharmonic == 2
+    assert np.abs(branch.multipliers).max() < 1.0 + 1e-5  # 1 at both ends but for the truncation
+    ends = doublings[0].omega, doublings[1].omega
+    assert (branch.omega.min(), branch.omega.max()) == pytest.approx(ends, abs=1e-4)
+    omega = 4.0 * np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
+    near = branch.solution(int(np.argmin(np.abs(branch.omega - omega))))
+    orbit = fc.solve_harmonic_balance(
+        structure, omega, law, harmonics=40, subharmonic=2, initial=near
+    )
+    rows = orbit.coefficients_at([0])[:, 0]
+    assert amplitudes(rows)[0] == pytest.approx(0.7790634, abs=1e-6)
+    assert rows[0] == pytest.approx(-0.1735445, abs=1e-6)
+
+
+def test_closed_loop() -> None:
+    """An orbit of three periods lives on a closed curve of its own: found, and followed once."""
+    law = fc.UnilateralPenalty(10.0)
+    omega = 6.0 * np.sqrt(11.0) / (1.0 + np.sqrt(11.0))
+    structure = oscillator(0.1, 1.0)
+    rest = np.array([1.0]), np.array([2.0])
+    history = fc.integrate_events(
+        structure, omega, law, periods=300, steps_per_period=64, initial=rest, record_periods=3
+    )
+    spectrum = np.fft.rfft(history.gap, axis=0)[:25] * (2.0 / len(history.gap))
+    spectrum[0] *= 0.5
+    rows = from_complex(spectrum)
+    guess = replace(
+        fc.solve_linear(structure, omega, harmonics=24), gap_coefficients=rows, subharmonic=3
+    )
+    orbit = fc.solve_harmonic_balance(
+        structure, omega, law, harmonics=24, subharmonic=3, initial=guess
+    )
+    curve = continue_frequency(
+        structure, omega, 2.5 * omega, law, harmonics=24, subharmonic=3, initial=orbit,
+        turning_back=0.5,
+    )  # fmt: skip
+    assert curve.complete and curve.status == "closed loop"
+    assert np.array_equal(curve.gap(0), curve.gap(-1)) and len(folds(curve)) == 2
+    assert curve.omega.min() < 0.95 * omega and curve.omega.max() > 1.3 * omega
+    assert amplitudes(curve.coefficients_at(0)[0])[0] > 0.01  # a third of the load's frequency
+
+
+def test_points_come_one_by_one_and_go_on_later(tmp_path: Path) -> None:
+    """Stopped, written, read and resumed: the same curve, though not the same points."""
+    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
+    whole = continue_frequency(structure, 2.0, 0.3, law, harmonics=6, stability=True)
+    growing = fc.Continuation(
+        structure, law, "omega", 2.0, 0.3, harmonics=6, stability=True, longest_step=0.05
+    )
+    turned = whole.omega[:-1] < whole.omega[1:]  # on the way back between the folds
+    stop = int(np.argmax(turned)) + 2
+    points = list(islice(growing, stop))
+    part = growing.curve
+    assert len(points) == len(part) == stop and not part.complete
+    assert [point.omega for point in points] == list(part.omega)
+    assert np.array_equal(part.omega, whole.omega[:stop])
+    assert 0.0 < growing.progress() < 1.0
+    part.save(tmp_path / "part.npz")
+    again = fc.ResponseCurve.load(tmp_path / "part.npz", structure, law)
+    resumed = continue_frequency(structure, 2.0, 0.3, law, stability=True, resume=again)
+    assert resumed.complete and np.array_equal(resumed.omega[:stop], part.omega)
+    assert folds(resumed) == pytest.approx(folds(whole), abs=1e-9)
+    assert resumed.amplitude(0).max() == pytest.approx(whole.amplitude(0).max(), rel=1e-3)
+    with pytest.raises(fc.InputError, match="resume"):
+        continue_frequency(structure, 2.0, 0.3, law, resume=whole)
+    with pytest.raises(fc.InputError, match="start"):
+        continue_frequency(structure, 1.9, 0.3, law, resume=again)
+
+
+def test_interruption_keeps_what_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C ends a curve early, but loses nothing."""
+    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
+    calls = []
+
+    def progress(self: fc.Continuation) -> float:
+        calls.append(1)
+        if len(calls) == 20:
+            raise KeyboardInterrupt
+        return 0.5
+
+    monkeypatch.setattr(fc.Continuation, "progress", progress)
+    curve = continue_frequency(structure, 2.0, 0.3, law, progress=True)
+    assert not curve.complete and curve.status == "interrupted" and len(curve) == 20
+
+
+def test_harmonics_follow_the_truncation(tmp_path: Path) -> None:
+    """More harmonics where they are needed alone; every point is as good as was asked for."""
+    structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(1.0)
+    curve = continue_frequency(structure, 0.2, 3.0, law, harmonics=4, tolerance=1e-3)
+    assert curve.complete
+    assert curve.harmonics.min() == 4 and 8 <= curve.harmonics.max() <= 40
+    assert curve.harmonics[-1] < curve.harmonics.max()
+    errors = []
+    for index in range(0, len(curve), 10):
+        rough = curve.solution(index)
+        exact = fc.solve_harmonic_balance(structure, rough.omega, law, harmonics=80, initial=rough)
+        errors.append(true_error(rough, exact))
+    assert np.median(errors) < 1e-3 and max(errors) < 1e-2
+    curve.save(tmp_path / "curve.npz")
+    again = fc.ResponseCurve.load(tmp_path / "curve.npz", structure, law)
+    assert np.array_equal(again.harmonics, curve.harmonics)
+    assert np.array_equal(again.amplitude(0), curve.amplitude(0))
+
+
+@pytest.mark.parametrize(
+    ("key", "arguments"),
+    [
+        ("parameter", {"parameter": "crack"}),
+        ("start", {"start": -1.0}),
+        ("end", {"end": 0.0}),
+        ("end", {"end": 1.0}),
+        ("omega", {"omega": None}),
+        ("tolerance", {"tolerance": 0.0}),
+        ("turning_back", {"turning_back": -1.0}),
+        ("harmonics", {"harmonics": 0}),
+    ],
+)
+def test_bad_arguments_of_a_continuation(key: str, arguments: dict[str, object]) -> None:
+    """One error names the argument."""
+    good = {"parameter": "stiffness", "start": 1.0, "end": 10.0, "omega": 1.2}
+    with pytest.raises(fc.InputError) as caught:
+        fc.Continuation(oscillator(0.1, 1.0), fc.UnilateralPenalty(1.0), **(good | arguments))  # type: ignore[arg-type]
+    assert caught.value.key == key
+
+
+def test_damping_that_is_not_there_cannot_vary() -> None:
+    """A factor of nothing."""
+    one = np.ones((1, 1))
+    bare = fc.Structure.from_matrices(one, one, one, force_cos=[1.0])
+    with pytest.raises(fc.InputError, match="no damping"):
+        fc.continue_parameter(bare, 1.2, fc.UnilateralPenalty(1.0), "damping", 1.0, 2.0)
+
+
+def test_branch_only_from_where_one_begins() -> None:
+    """Not from a fold, and not without room on both sides."""
+    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
+    curve = continue_frequency(structure, 2.0, 0.3, law, harmonics=6)
+    with pytest.raises(fc.InputError, match="fold"):
+        fc.follow_branch(curve, curve.bifurcations[0])
+    wrong = replace(curve.bifurcations[0], kind="period_doubling")
+    with pytest.raises(fc.InputError, match="either side"):
+        fc.follow_branch(curve, wrong, 1.9, 2.0)
+    with pytest.raises(fc.InputError, match="harmonics"):
+        fc.follow_branch(curve, wrong, harmonics=7)
