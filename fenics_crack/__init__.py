@@ -20,6 +20,7 @@ from fenics_crack.curve import Bifurcation, ResponseCurve
 from fenics_crack.error_report import ErrorReport
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.events import PeriodicOrbit, integrate_events, shoot
+from fenics_crack.fill import fill_curve
 from fenics_crack.finite_elements import build_structure, find_crack_length
 from fenics_crack.harmonic_balance import solve_harmonic_balance, solve_linear
 from fenics_crack.integration import (
@@ -58,6 +59,7 @@ __all__ = [
     "contact_law",
     "continue_frequency",
     "continue_parameter",
+    "fill_curve",
     "find_crack_length",
     "floquet",
     "follow_branch",

@@ -49,26 +49,38 @@ def respond(matrices: np.ndarray, force: np.ndarray) -> np.ndarray:
 
 
 def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-    """R T as a dense matrix for unknowns ordered (row, pair).
+    """R T as a dense matrix for unknowns ordered (row, pair); of many points at once.
 
     A force a - i b on harmonic k moves the gap by R_k (a - i b), that is by the real matrix
     [[Re R_k, Im R_k], [-Im R_k, Re R_k]] on (a, b).
+
+    Parameters
+    ----------
+    matrices : (..., H+1, n_pairs, n_pairs)
+        R_k.
+    tangent : (..., n_pairs, 2H+1, 2H+1)
+        T of every pair.
     """
-    pairs, rows, _ = tangent.shape
-    harmonics = len(matrices) - 1
-    product = np.empty((rows, pairs, rows, pairs))
-    product[0] = matrices[0].real[:, None] * tangent[:, 0].T
+    *points, pairs, rows, _ = tangent.shape
+    harmonics, lead = rows // 2, range(len(points))
+    at = len(points)
+    product = np.empty((*points, rows, pairs, rows, pairs))
+    mean = tangent[..., :, 0, :].swapaxes(-1, -2)
+    static = matrices[..., 0, :, :].real
+    np.multiply(static[..., :, None, :], mean[..., None, :, :], out=product[..., 0, :, :, :])
     # For each harmonic and each pair that carries a force: (a, b) of all pairs from (a, b) of it.
-    through = matrices[1:].transpose(0, 2, 1)
-    blocks = np.empty((harmonics, pairs, 2, pairs, 2))
-    blocks[:, :, 0, :, 0] = blocks[:, :, 1, :, 1] = through.real
-    blocks[:, :, 0, :, 1] = through.imag
-    np.negative(through.imag, out=blocks[:, :, 1, :, 0])
-    forces = tangent[:, 1:].reshape(pairs, harmonics, 2, rows).transpose(1, 0, 2, 3)
-    gaps = np.matmul(blocks.reshape(harmonics, pairs, 2 * pairs, 2), forces)
-    gaps = gaps.reshape(harmonics, pairs, 2, pairs, rows).transpose(0, 2, 3, 4, 1)
-    product[1:].reshape(harmonics, 2, pairs, rows, pairs)[:] = gaps
-    return product.reshape(rows * pairs, rows * pairs)
+    through = matrices[..., 1:, :, :].swapaxes(-1, -2)
+    blocks = np.empty((*points, harmonics, pairs, 2, pairs, 2))
+    blocks[..., 0, :, 0] = blocks[..., 1, :, 1] = through.real
+    blocks[..., 0, :, 1] = through.imag
+    np.negative(through.imag, out=blocks[..., 1, :, 0])
+    forces = tangent[..., 1:, :].reshape(*points, pairs, harmonics, 2, rows)
+    forces = forces.transpose(*lead, at + 1, at, at + 2, at + 3)
+    gaps = np.matmul(blocks.reshape(*points, harmonics, pairs, 2 * pairs, 2), forces)
+    gaps = gaps.reshape(*points, harmonics, pairs, 2, pairs, rows)
+    gaps = gaps.transpose(*lead, at, at + 2, at + 3, at + 4, at + 1)
+    product[..., 1:, :, :, :].reshape(*points, harmonics, 2, pairs, rows, pairs)[:] = gaps
+    return product.reshape(*points, rows * pairs, rows * pairs)
 
 
 def determinant_sign(factors: tuple[np.ndarray, np.ndarray]) -> float:
