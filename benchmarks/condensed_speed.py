@@ -45,6 +45,9 @@ from fenics_crack.contact_integrals import contact_integrals
 from fenics_crack.plot import COLOURS
 
 CONTINUED = "this, continued, exact"
+FILLED = "this, continued and filled"
+CURVES = {CONTINUED: (0.05, 0), FILLED: (0.2, 4)}
+"""Longest step, and points put between each two."""
 WORKER = Path(__file__).absolute().with_name("pyharm_worker.py")
 
 
@@ -381,7 +384,9 @@ def run_pyharm(arguments: common.Arguments) -> None:
     title += "stopped mass"
     common.save_table(folder / "condensed_speed_pyharm.csv", title, columns, rows)
     figure, (axes,) = common.figure(1)
-    looks = dict(zip(dict.fromkeys(row[2] for row in rows), ("o", "^", "*", "D"), strict=False))
+    looks = dict(
+        zip(dict.fromkeys(row[2] for row in rows), ("o", "^", "*", "D", "s"), strict=False)
+    )
     colours = dict(zip(dict.fromkeys(row[2] for row in rows), COLOURS.values(), strict=False))
     filled = {"oscillator": "full", "50 masses": "none"}
     for case in filled:
@@ -396,8 +401,8 @@ def run_pyharm(arguments: common.Arguments) -> None:
                 lw=0.8,
                 fillstyle=filled[case],
             )
-            for row in chosen if who in ("pyHarm", CONTINUED) else []:
-                left = who == CONTINUED
+            for row in chosen if who in ("pyHarm", FILLED) else []:
+                left = who == FILLED
                 axes.annotate(
                     f"H = {row[1]}",
                     (row[5], row[7]),
@@ -477,13 +482,17 @@ def race(python: str, case: dict[str, Any], harmonics: int, turns: int) -> list[
         for who, samples in ways.items():
             seconds, converged[who] = sweep(structure, law, harmonics, samples, theirs["omega"])
             times.setdefault(who, []).append(seconds / max(converged[who], 1))
-        started = time.process_time()
-        curve = fc.continue_frequency(
-            structure, case["start"], case["end"], law, harmonics=harmonics, longest_step=0.05
-        )
-        seconds = time.process_time() - started
-        converged[CONTINUED] = len(curve.omega)
-        times.setdefault(CONTINUED, []).append(seconds / len(curve.omega))
+        for who, (longest, between) in CURVES.items():
+            started = time.process_time()
+            curve = fc.continue_frequency(
+                structure, case["start"], case["end"], law, harmonics=harmonics,
+                longest_step=longest,
+            )  # fmt: skip
+            if between:
+                curve = fc.fill_curve(curve, between)
+            seconds = time.process_time() - started
+            converged[who] = len(curve)
+            times.setdefault(who, []).append(seconds / len(curve))
     arrays = {who: np.array(values) for who, values in times.items()}
     points = len(theirs["omega"])
     coefficients = np.array(theirs["coefficients"])[:, -1:]
@@ -492,7 +501,7 @@ def race(python: str, case: dict[str, Any], harmonics: int, turns: int) -> list[
          1e3 * float(np.median(arrays["pyHarm"])), 1.0,
          common.relative_difference(coefficients, reference))
     ]  # fmt: skip
-    for who, samples in (ways | {CONTINUED: None}).items():
+    for who, samples in (ways | dict.fromkeys(CURVES)).items():
         solution = fc.solve_harmonic_balance(
             structure, 1.2, law, harmonics=harmonics, samples=samples
         )
