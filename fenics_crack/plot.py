@@ -12,6 +12,7 @@ import pyvista
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from scipy.signal import find_peaks
 
 from fenics_crack.contact import ContactLaw
 from fenics_crack.curve import ResponseCurve
@@ -26,9 +27,11 @@ __all__ = [
     "COLOURS",
     "Wave",
     "draw_contact_map",
+    "draw_content",
     "draw_curve",
     "draw_laws",
     "draw_modes",
+    "draw_multipliers",
     "draw_response",
     "draw_waves",
 ]
@@ -186,10 +189,12 @@ def draw_curve(
     *,
     title: str,
     behind: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
+    points: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
 ) -> None:
     """Draw a response curve: half the peak-to-peak displacement of a dof over frequency.
 
-    Stable parts are solid and unstable ones dashed where the curve knows; bifurcations are marked.
+    Stable parts are solid and unstable ones dashed where the curve knows; bifurcations are marked,
+    and peaks whose largest harmonic is not the load's carry that harmonic's order.
 
     Parameters
     ----------
@@ -201,8 +206,8 @@ def draw_curve(
         Whose displacement.
     title : str
         Heading.
-    behind : mapping, optional
-        Other curves by their labels: frequencies [rad/s] and amplitudes [m].
+    behind, points : mapping, optional
+        Other curves, and single points, by their labels: frequencies [rad/s] and amplitudes [m].
     """
     figure, axes = _figure()
     for (label, (omega, values)), colour in zip(
@@ -210,14 +215,8 @@ def draw_curve(
     ):
         axes.semilogy(omega, 1e6 * values, color=colour, lw=1.2, label=label)
     amplitude = 1e6 * curve.amplitude(dof)
-    if curve.multipliers is None:
-        axes.semilogy(curve.omega, amplitude, color=COLOURS["blue"], lw=1.4, label="with contact")
-    else:
-        for stable, style, label in ((True, "-", "stable"), (False, "--", "unstable")):
-            # A stretch between two points belongs to the state of its first one.
-            shown = np.where(curve.stable == stable, amplitude, np.nan)
-            shown[1:] = np.where(curve.stable[:-1] == stable, amplitude[1:], shown[1:])
-            axes.semilogy(curve.omega, shown, style, color=COLOURS["blue"], lw=1.4, label=label)
+    for style, label, shown in _by_stability(curve, amplitude):
+        axes.semilogy(curve.omega, shown, style, color=COLOURS["blue"], lw=1.4, label=label)
     for kind, (marker, label) in MARKERS.items():
         at = [b for b in curve.bifurcations if b.kind == kind]
         if at:
@@ -228,8 +227,104 @@ def draw_curve(
             axes.semilogy(
                 [b.omega for b in at], heights, marker, color=COLOURS["orange"], ms=4, label=label
             )
+    for (label, (omega, values)), marker in zip((points or {}).items(), "^v", strict=False):
+        axes.semilogy(
+            omega, 1e6 * values, marker, color=COLOURS["green"], ms=4.5, mfc="none", label=label
+        )
+    for at_omega, height, order in _superharmonic_peaks(curve, dof, amplitude):
+        axes.annotate(
+            f"{order}$\\omega$", (at_omega, height), (0, 5), textcoords="offset points", ha="center",
+            fontsize=8, color=COLOURS["grey"],
+        )  # fmt: skip
     axes.set_xlabel("load frequency [rad/s]")
     axes.set_ylabel("half peak-to-peak displacement [µm]")
+    axes.margins(y=0.1)
+    _finish(figure, axes, title, path)
+
+
+def _by_stability(curve: ResponseCurve, values: np.ndarray) -> list[tuple[str, str, np.ndarray]]:
+    """Line styles, labels, and the values shown so: nan elsewhere."""
+    if curve.multipliers is None:
+        return [("-", "with contact", values)]
+    parts = []
+    for stable, style, label in ((True, "-", "stable"), (False, "--", "unstable")):
+        # A stretch between two points belongs to the state of its first one.
+        shown = np.where(curve.stable == stable, values, np.nan)
+        shown[1:] = np.where(curve.stable[:-1] == stable, values[1:], shown[1:])
+        if not np.all(np.isnan(shown)):
+            parts.append((style, label, shown))
+    return parts
+
+
+def _harmonic_amplitudes(curve: ResponseCurve, dof: int) -> np.ndarray:
+    """Amplitudes of the harmonics 1 to H of the response at every point: (n, H) [m]."""
+    rows = curve.coefficients_at(dof)
+    return np.asarray(np.hypot(rows[:, 1::2], rows[:, 2::2]))
+
+
+def _superharmonic_peaks(
+    curve: ResponseCurve, dof: int, amplitude: np.ndarray
+) -> list[tuple[float, float, int]]:
+    """Frequency and height of peaks, and the order > 1 of the harmonic that makes them."""
+    peaks, _ = find_peaks(np.log10(np.maximum(amplitude, 1e-300)), prominence=0.05)
+    harmonics = _harmonic_amplitudes(curve, dof)[peaks]
+    found = []
+    for peak, sizes in zip(peaks, harmonics, strict=True):
+        order = int(np.argmax(sizes)) + 1
+        if order > curve.subharmonic and order % curve.subharmonic == 0:
+            found.append((curve.omega[peak], amplitude[peak], order // curve.subharmonic))
+    return found
+
+
+def draw_content(
+    path: str | Path, curve: ResponseCurve, dof: int, *, title: str, highest: int = 5
+) -> None:
+    """Draw the amplitudes of the lowest harmonics of a dof's displacement over frequency.
+
+    Parameters
+    ----------
+    path, curve, dof, title
+        As in :func:`draw_curve`.
+    highest : int
+        How many harmonics of the load.
+    """
+    figure, axes = _figure()
+    harmonics = (
+        1e6 * _harmonic_amplitudes(curve, dof)[:, curve.subharmonic - 1 :: curve.subharmonic]
+    )
+    count = min(highest, harmonics.shape[1])
+    for order, colour in zip(range(1, count + 1), COLOURS.values(), strict=False):
+        axes.semilogy(
+            curve.omega, harmonics[:, order - 1], color=colour, lw=1.2, label=f"harmonic {order}"
+        )
+    top = harmonics[:, :count].max()
+    axes.set_ylim(1e-5 * top, 2.0 * top)
+    axes.set_xlabel("load frequency [rad/s]")
+    axes.set_ylabel("amplitude of the harmonic [µm]")
+    _finish(figure, axes, title, path)
+
+
+def draw_multipliers(path: str | Path, curve: ResponseCurve, *, title: str) -> None:
+    """Draw the Floquet multipliers of all points in the complex plane, with the unit circle.
+
+    The curve has to be followed with ``stability=True``.
+    """
+    if curve.multipliers is None:
+        raise InputError("curve", "without multipliers", "one followed with stability=True")
+    figure = Figure(figsize=(6.0, 4.8), dpi=150, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    multipliers = curve.multipliers
+    shown = axes.scatter(
+        multipliers.real.ravel(), multipliers.imag.ravel(), s=3.0, cmap="viridis",
+        c=np.repeat(curve.omega, multipliers.shape[1]), linewidths=0.0,
+    )  # fmt: skip
+    angle = np.linspace(0.0, 2.0 * np.pi, 361)
+    axes.plot(np.cos(angle), np.sin(angle), color=COLOURS["orange"], lw=1.2, label="unit circle")
+    axes.set_aspect("equal")
+    axes.set_xlabel("real part of the multiplier [-]")
+    axes.set_ylabel("imaginary part [-]")
+    figure.colorbar(shown, ax=axes, label="load frequency [rad/s]")
     _finish(figure, axes, title, path)
 
 
