@@ -32,7 +32,14 @@ from fenics_crack.integration import TimeHistory, initial_state
 from fenics_crack.solution import PeriodicSolution
 from fenics_crack.structure import Structure
 
-__all__ = ["EventFlow", "PeriodicOrbit", "flow_matrix", "integrate_events", "shoot"]
+__all__ = [
+    "EventFlow",
+    "PeriodicOrbit",
+    "describe_orbit",
+    "flow_matrix",
+    "integrate_events",
+    "shoot",
+]
 
 MOST_EVENTS = 100_000
 """In one period of the load; more are a sign that pairs chatter without end."""
@@ -382,6 +389,28 @@ class PeriodicOrbit:
     events: int
 
 
+def describe_orbit(
+    flow: EventFlow,
+    state: np.ndarray,
+    period: float,
+    monodromy: np.ndarray,
+    residual: float,
+    iterations: int,
+    events: int,
+) -> PeriodicOrbit:
+    """The orbit through a state at phase zero whose monodromy matrix is known."""
+    _, gap, _, _ = flow.advance(state, 0.0, period, instants=np.arange(512) * period / 512)
+    values = np.linalg.eigvals(monodromy)
+    return PeriodicOrbit(
+        state,
+        values[np.argsort(-np.abs(values), kind="stable")],
+        gap - flow.structure.clearance,
+        residual,
+        iterations,
+        events,
+    )
+
+
 def shoot(
     structure: Structure,
     solution: PeriodicSolution,
@@ -409,17 +438,7 @@ def shoot(
     for iteration in range(50):
         assert monodromy is not None
         if before <= tolerance:
-            instants = np.arange(512) * period / 512
-            _, gap, _, _ = flow.advance(state, 0.0, period, instants=instants)
-            values = np.linalg.eigvals(monodromy)
-            return PeriodicOrbit(
-                state,
-                values[np.argsort(-np.abs(values), kind="stable")],
-                gap - structure.clearance,
-                before,
-                iteration,
-                events,
-            )
+            return describe_orbit(flow, state, period, monodromy, before, iteration, events)
         change = np.linalg.solve(np.eye(size) - monodromy, moved - state)
         damping = 1.0
         while True:

@@ -41,10 +41,17 @@ from fenics_crack.solution import PeriodicSolution
 from fenics_crack.structure import Structure
 from fenics_crack.switching import switching_instants
 
-__all__ = ["PiecewiseFlow", "Stability", "floquet"]
+__all__ = ["LeadingMultiplier", "PiecewiseFlow", "Stability", "floquet"]
 
 SMOOTH_INTERVALS = 512
 """In a period, for laws that are not linear in contact."""
+MOST_CHANGES = 256
+"""Changes of basis that are kept."""
+BLOCK, FULL = 8, 40
+"""Columns of a subspace in which the leading multiplier is sought; up to so many multipliers, all
+are computed at once."""
+SQUARINGS = (4, 7, 9, 11)
+"""Of M, after which it is sought."""
 
 
 @dataclass(frozen=True)
@@ -140,11 +147,35 @@ def _refined(
     return Stability(orbit.multipliers, verdict, 1e-7, refined=True)
 
 
+@dataclass(frozen=True)
+class LeadingMultiplier:
+    """What a curve needs of the monodromy matrix M at each of its points.
+
+    Attributes
+    ----------
+    value : complex
+        The multiplier of largest modulus; of a pair the one with positive imaginary part.
+    doubling : float
+        Sign of det(I + M): it changes where a multiplier passes through -1.
+    """
+
+    value: complex
+    doubling: float
+
+    @property
+    def stable(self) -> bool:
+        """Whether it lies within the unit circle."""
+        return abs(self.value) < 1.0
+
+
 class PiecewiseFlow:
     """The linear flows between switching instants of one structure and one contact law.
 
-    What belongs to a set of closed pairs is computed once, so that a curve costs one product of
-    matrices for each interval.
+    While a set of pairs is closed, exp(A t) = V E(t) V^-1 with a real basis V of the eigenvectors
+    and E made of decaying rotations, two rows each. So the product over a period needs, at every
+    switching instant, one real matrix V_next^-1 V, which is computed once for a curve: a point
+    costs one product of real matrices for each switching instant, and the eigenvalues of M: all of
+    them (:meth:`multipliers`), or the leading one for a fraction of that (:meth:`leading`).
     """
 
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
@@ -152,23 +183,69 @@ class PiecewiseFlow:
         self._contact = contact
         self._pairs = structure.n_pairs
         self._scale = float(np.sqrt(np.abs(self._modes.squares).max())) or 1.0
-        self._known: dict[bytes, tuple[np.ndarray, np.ndarray, np.ndarray] | None] = {}
+        self._bases: dict[bytes, _Basis | None] = {}
+        self._changes: dict[tuple[bytes, bytes], np.ndarray] = {}
 
     def multipliers(self, gap: np.ndarray, base_omega: float) -> np.ndarray:
-        """Eigenvalues of the monodromy matrix, largest modulus first: (2n,) complex."""
-        found = np.linalg.eigvals(self.monodromy(gap, base_omega))
+        """Eigenvalues of the monodromy matrix, largest modulus first: (2n,) complex.
+
+        ``gap`` are the coefficients of the orbit, (2H+1, n_pairs) [m]; ``base_omega`` [rad/s] is
+        its frequency.
+        """
+        found = np.linalg.eigvals(self._product(gap, base_omega)[0])
         return found[np.argsort(-np.abs(found), kind="stable")]
+
+    def leading(self, gap: np.ndarray, base_omega: float) -> LeadingMultiplier:
+        """The leading multiplier, to 1e-8, at a fraction of the cost of all of them.
+
+        Arguments as of :meth:`multipliers`. The matrices M^2, M^4, ... turn a few columns towards
+        the leading eigenvectors. In their span M has the leading multiplier mu where
+
+            |M v - mu v| < 1e-10 |mu v|;
+
+        mu is taken where it lies outside the unit circle, or |M^m| < 1 proves that all lie within.
+        Where that is not reached all are computed.
+
+        Source: Saad, Numerical Methods for Large Eigenvalue Problems, chapter 5 (subspace
+        iteration).
+        """
+        product = self._product(gap, base_omega)[0]
+        value = _leading(product) if len(product) > FULL else None
+        if value is None:
+            found = np.linalg.eigvals(product)
+            value = complex(found[np.argmax(np.abs(found))])
+        doubling = float(np.linalg.slogdet(np.eye(len(product)) + product)[0])
+        return LeadingMultiplier(complex(value.real, abs(value.imag)), doubling)
 
     def monodromy(self, gap: np.ndarray, base_omega: float) -> np.ndarray:
         """M over one period of the gap (2H+1, n_pairs), from phase zero: (2n, 2n).
 
         In coordinates (s q, q'), s a frequency that balances the two.
         """
-        size = 2 * len(self._modes.squares)
-        product = np.eye(size)
-        for stiffness, duration in self._intervals(gap, base_omega):
-            product = self._advance(stiffness, duration, product)
-        return product
+        product, first = self._product(gap, base_omega)
+        return product if first is None else first.vectors @ product @ first.inverse
+
+    def _product(self, gap: np.ndarray, base_omega: float) -> tuple[np.ndarray, _Basis | None]:
+        """M in the basis that holds at phase zero, and this basis; None: in (s q, q')."""
+        intervals = self._intervals(gap, base_omega)
+        bases = [self._basis(stiffness) for stiffness, _ in intervals]
+        product: np.ndarray = np.eye(2 * len(self._modes.squares))
+        if any(basis is None for basis in bases):
+            for (stiffness, duration), basis in zip(intervals, bases, strict=True):
+                if basis is None:
+                    matrix = flow_matrix(self._modes, stiffness, self._scale)
+                    product = scipy.linalg.expm(duration * matrix) @ product
+                else:
+                    product = basis.vectors @ basis.advance(duration, basis.inverse @ product)
+            return product, None
+        first = before = bases[0]
+        assert first is not None and before is not None
+        product = first.advance(intervals[0][1], product)
+        for (_, duration), basis in zip(intervals[1:], bases[1:], strict=True):
+            assert basis is not None
+            product = basis.advance(duration, self._change(before, basis) @ product)
+            before = basis
+        return (product if before is first else self._change(before, first) @ product), first
 
     def _intervals(self, gap: np.ndarray, base_omega: float) -> list[tuple[np.ndarray, float]]:
         """Contact stiffness of the pairs, and for how long, in order."""
@@ -191,29 +268,87 @@ class PiecewiseFlow:
         intervals.append((closed * stiffness, (2.0 * np.pi - reached) / base_omega))
         return intervals
 
-    def _advance(self, stiffness: np.ndarray, duration: float, state: np.ndarray) -> np.ndarray:
-        """exp(A duration) times a matrix."""
-        if isinstance(self._contact, UnilateralPenalty):
-            key = stiffness.tobytes()
-            if key not in self._known:
-                self._known[key] = _eigen(flow_matrix(self._modes, stiffness, self._scale))
-            known = self._known[key]
-            if known is not None:
-                values, vectors, inverse = known
-                moved = (vectors * np.exp(values * duration)) @ (inverse @ state)
-                return moved.real
-        exponential: np.ndarray = scipy.linalg.expm(
-            duration * flow_matrix(self._modes, stiffness, self._scale)
-        )
-        return exponential @ state
+    def _basis(self, stiffness: np.ndarray) -> _Basis | None:
+        """The real basis of the flow with contact springs; None where there is no good one."""
+        if not isinstance(self._contact, UnilateralPenalty):
+            return None  # another one in each interval
+        key = stiffness.tobytes()
+        if key not in self._bases:
+            matrix = flow_matrix(self._modes, stiffness, self._scale)
+            self._bases[key] = _real_basis(matrix, key)
+        return self._bases[key]
+
+    def _change(self, before: _Basis, after: _Basis) -> np.ndarray:
+        """V_after^-1 V_before."""
+        key = (before.key, after.key)
+        if key not in self._changes:
+            if len(self._changes) >= MOST_CHANGES:
+                self._changes.clear()
+            self._changes[key] = after.inverse @ before.vectors
+        return self._changes[key]
 
 
-def _eigen(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Eigenvalues, vectors and their inverse; None where the vectors are all but dependent."""
+def _leading(matrix: np.ndarray) -> complex | None:
+    """The eigenvalue of largest modulus by powers of a matrix; None where they do not tell."""
+    columns = np.random.default_rng(0).normal(size=(len(matrix), BLOCK))
+    power, logarithm = matrix, 0.0  # matrix^m = exp(logarithm) power
+    for squaring in range(1, SQUARINGS[-1] + 1):
+        power = power @ power
+        size = float(np.linalg.norm(power))
+        if not 0.0 < size < np.inf:
+            return None
+        power /= size
+        logarithm = 2.0 * logarithm + float(np.log(size))
+        if squaring not in SQUARINGS:
+            continue
+        columns = np.linalg.qr(power @ columns)[0]
+        image = matrix @ columns
+        values, vectors = np.linalg.eig(columns.T @ image)
+        place = np.argmax(np.abs(values))
+        value, vector = complex(values[place]), vectors[:, place]
+        error = np.linalg.norm(image @ vector - value * (columns @ vector))
+        if error < 1e-10 * abs(value) and (abs(value) > 1.0 or logarithm < 0.0):
+            return value
+    return None
+
+
+@dataclass(frozen=True)
+class _Basis:
+    """Real basis in which exp(A t) is made of decaying rotations of two rows each."""
+
+    key: bytes
+    decay: np.ndarray
+    """Real parts of the eigenvalues: (2n,)."""
+    turn: np.ndarray
+    """Imaginary parts, + and - in turn: (2n,); zero for real eigenvalues, which come last."""
+    vectors: np.ndarray
+    inverse: np.ndarray
+
+    def advance(self, duration: float, state: np.ndarray) -> np.ndarray:
+        """E(duration) times a matrix (2n, m) in this basis."""
+        size = np.exp(self.decay * duration)
+        along = (size * np.cos(self.turn * duration))[:, None] * state
+        swapped = state.reshape(-1, 2, state.shape[1])[:, ::-1].reshape(state.shape)
+        along += (size * np.sin(self.turn * duration))[:, None] * swapped
+        return along
+
+
+def _real_basis(matrix: np.ndarray, key: bytes) -> _Basis | None:
+    """Real and imaginary parts of eigenvectors; None where these are all but dependent."""
     values, vectors = np.linalg.eig(matrix)
-    if np.linalg.cond(vectors) > 1e6:
+    above, real = np.flatnonzero(values.imag > 0.0), np.flatnonzero(values.imag == 0.0)
+    # A (x + i y) = (a + i b) (x + i y): (x, y) turn with b, their coordinates with (b, -b).
+    basis = np.empty(matrix.shape)
+    basis[:, : 2 * len(above) : 2] = vectors[:, above].real
+    basis[:, 1 : 2 * len(above) : 2] = vectors[:, above].imag
+    basis[:, 2 * len(above) :] = vectors[:, real].real
+    if np.linalg.cond(basis) > 1e6:
         return None
-    return values, vectors.astype(complex), np.linalg.inv(vectors).astype(complex)
+    decay = np.concatenate([np.repeat(values[above].real, 2), values[real].real])
+    turn = np.zeros(len(values))
+    turn[: 2 * len(above) : 2] = values[above].imag
+    turn[1 : 2 * len(above) : 2] = -values[above].imag
+    return _Basis(key, decay, turn, basis, np.linalg.inv(basis))
 
 
 def _wider(structure: Structure, solution: PeriodicSolution, contact: ContactLaw) -> np.ndarray:

@@ -5,16 +5,21 @@ import pytest
 import scipy.linalg
 from helpers import (
     OMEGA_0,
+    chain,
     chain_stiffness,
+    dense_matrices,
     oscillator,
     period_two_orbit,
     random_stiffness,
+    relative,
 )
 from scipy.integrate import solve_ivp
 
 import fenics_crack as fc
+from fenics_crack.compliance import all_modes
 from fenics_crack.continuation import continue_frequency
-from fenics_crack.stability import floquet
+from fenics_crack.events import EventFlow, flow_matrix
+from fenics_crack.stability import PiecewiseFlow, floquet
 
 
 def test_verification_b() -> None:
@@ -108,6 +113,87 @@ def test_verdict_agrees_with_integration() -> None:
         grows = distance[-1] > distance[0]
         assert grows == (found.verdict == "unstable"), (omega, found)
     assert set(verdicts) == {"stable", "unstable"}
+
+
+@pytest.mark.parametrize("ratio", [0.03, 0.01, 0.001])
+def test_verdict_agrees_with_exact_motion(paper_scene: fc.Scene, ratio: float) -> None:
+    """The paper's plate: a disturbed orbit returns or leaves as the verdict says, at the rate |mu|.
+
+    ``benchmarks/verdicts.py`` has the whole grid.
+    """
+    plate = fc.build_structure(paper_scene.replace({"damping.ratio": ratio}))
+    random = np.random.default_rng(3).normal(size=2 * plate.n_dofs)
+    verdicts = []
+    for stiffness, omega in (
+        (1e8, 2000.0), (1e8, 5200.0), (1e9, 2000.0), (1e9, 5200.0), (1e10, 5200.0),
+    ):  # fmt: skip
+        law = fc.UnilateralPenalty(stiffness)
+        harmonics = 100 if stiffness > 5e9 else 40
+        solution = fc.solve_harmonic_balance(plate, omega, law, harmonics=harmonics)
+        found = floquet(plate, solution)
+        assert found.verdict != "undecided"
+        verdicts.append(found.verdict)
+        orbit, flow = fc.shoot(plate, solution), EventFlow(plate, omega, law)
+        assert np.abs(orbit.multipliers[0]) == pytest.approx(np.abs(found.multipliers[0]), rel=0.02)
+        state, distance = orbit.state * (1.0 + 1e-6 * random), [1e-6]
+        while 1e-8 < distance[-1] < 1e-4 and len(distance) < 120:
+            state = flow.advance(state, len(distance) * solution.period, solution.period)[0]
+            distance.append(relative(state, orbit.state))
+        late = np.arange(len(distance) // 2, len(distance))
+        rate = np.exp(np.polyfit(late, np.log(np.array(distance)[late]), 1)[0])
+        assert (rate < 1.0) == (found.verdict == "stable"), (stiffness, omega, found, rate)
+        assert rate == pytest.approx(np.abs(orbit.multipliers[0]), rel=0.15)
+    assert set(verdicts) == {"stable", "unstable"}
+
+
+@pytest.mark.parametrize("damping", ["modal", "matrix", "overdamped"])
+def test_monodromy_is_a_product_of_exponentials(damping: str) -> None:
+    """Three pairs with clearances, and modes that do not oscillate at all."""
+    structure = chain("matrix" if damping == "matrix" else "modal")
+    if damping == "overdamped":
+        mass, _, stiffness = dense_matrices(structure)
+        structure = fc.Structure.from_matrices(
+            mass, stiffness, structure.gap.toarray(), force_cos=structure.force[1],
+            damping=fc.ModalDamping([1.5] * 4 + [0.1] * 6), clearance=structure.clearance,
+        )  # fmt: skip
+    law = fc.UnilateralPenalty(np.array([3.0, 5.0, 9.0]))
+    solution = fc.solve_harmonic_balance(structure, 1.1, law, harmonics=9)
+    flow = PiecewiseFlow(structure, law)
+    times = np.linspace(0.0, solution.period, 40001)
+    closed = solution.gap(0.5 * (times[1:] + times[:-1])) > 0.0
+    ends = np.flatnonzero(np.any(closed[1:] != closed[:-1], axis=1)) + 1
+    assert len(ends) >= 2
+    exact = np.eye(2 * structure.n_dofs)
+    modes, starts = all_modes(structure), [0, *ends]
+    scale = np.sqrt(modes.squares.max())
+    for start, end in zip(starts, [*ends, len(closed)], strict=True):
+        matrix = flow_matrix(modes, closed[start] * law.stiffness, scale)
+        exact = scipy.linalg.expm((times[end] - times[start]) * matrix) @ exact
+    found = flow.monodromy(solution.gap_coefficients, solution.base_omega)
+    assert relative(found, exact) < 1e-3  # of the grid's instants
+    product = np.prod(flow.multipliers(solution.gap_coefficients, solution.base_omega))
+    trace = np.trace(matrix[structure.n_dofs :, structure.n_dofs :])
+    assert product == pytest.approx(np.exp(solution.period * trace), rel=1e-9)
+
+
+@pytest.mark.parametrize("stiffness", [1e9, 1e11])
+@pytest.mark.parametrize("ratio", [0.01, 0.001])
+def test_leading_multiplier(paper_scene: fc.Scene, ratio: float, stiffness: float) -> None:
+    """Sought alone it is the first of all, over the whole range of frequencies."""
+    plate = fc.build_structure(paper_scene.replace({"damping.ratio": ratio}))
+    law = fc.UnilateralPenalty(stiffness)
+    flow, stable = PiecewiseFlow(plate, law), []
+    for omega in np.linspace(1000.0, 9500.0, 15):
+        # Not only orbits: whatever the gap, it has its monodromy matrix.
+        solution = fc.solve_harmonic_balance(plate, omega, law, harmonics=20, throw=False)
+        every = flow.multipliers(solution.gap_coefficients, omega)
+        found = flow.leading(solution.gap_coefficients, omega)
+        assert np.abs(found.value) == pytest.approx(np.abs(every[0]), rel=1e-8)
+        assert found.stable == (np.abs(every[0]) < 1.0)
+        signs = np.sign(1.0 + every[np.abs(every.imag) < 1e-12 * np.abs(every)].real)
+        assert found.doubling == np.prod(signs)
+        stable.append(found.stable)
+    assert not all(stable)
 
 
 def test_poor_truncation_is_not_decided(paper_structure: fc.Structure) -> None:
