@@ -153,7 +153,7 @@ def write(file: Path, curve: fc.ResponseCurve, dof: int) -> None:
         writer.writerow(("omega_rad_per_s", "half_peak_to_peak_m", "largest_multiplier"))
         largest = np.full(len(curve), np.nan)
         if curve.multipliers is not None:
-            largest = np.abs(curve.multipliers[:, 0])
+            largest = np.abs(curve.multipliers)
         writer.writerows(zip(curve.omega, curve.amplitude(dof), largest, strict=True))
     with open(file.with_name(f"{file.stem}_bifurcations.csv"), "w", newline="") as target:
         writer = csv.writer(target)

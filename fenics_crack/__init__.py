@@ -30,6 +30,7 @@ from fenics_crack.integration import (
 )
 from fenics_crack.modes import Modes, solve_modes
 from fenics_crack.reduction import ReducedStructure, reduce_structure
+from fenics_crack.refinement import refine_bifurcation
 from fenics_crack.scene import Scene
 from fenics_crack.solution import PeriodicSolution
 from fenics_crack.stability import Stability, floquet
@@ -66,6 +67,7 @@ __all__ = [
     "integrate_central_difference",
     "integrate_events",
     "reduce_structure",
+    "refine_bifurcation",
     "shoot",
     "solve_harmonic_balance",
     "solve_linear",

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import scipy.linalg
@@ -43,7 +43,7 @@ from fenics_crack.fourier import resized, stretched
 from fenics_crack.harmonic_balance import solve_harmonic_balance
 from fenics_crack.reduction import reduce_structure
 from fenics_crack.solution import PeriodicSolution
-from fenics_crack.stability import PiecewiseFlow
+from fenics_crack.stability import LeadingMultiplier, PiecewiseFlow
 from fenics_crack.structure import Structure
 
 __all__ = [
@@ -54,6 +54,7 @@ __all__ = [
     "follow_branch",
 ]
 
+Answer = TypeVar("Answer")
 MOST_HARMONICS = 100
 """Beyond these a curve's harmonics are not raised."""
 EVERY = 4
@@ -74,8 +75,8 @@ class CurvePoint:
         Newton iterations.
     truncation : float
         Estimated error of the harmonics left out, or nan where it was not estimated.
-    multipliers : (2 n_dofs,) complex or None
-        Floquet multipliers, largest first; with ``stability=True``.
+    multiplier : LeadingMultiplier or None
+        The Floquet multiplier of largest modulus; with ``stability=True``.
     bifurcations : tuple of (str, float)
         Kinds and parameters of the special points since the point before.
     """
@@ -85,7 +86,7 @@ class CurvePoint:
     gap_coefficients: np.ndarray
     iterations: int
     truncation: float = math.nan
-    multipliers: np.ndarray | None = None
+    multiplier: LeadingMultiplier | None = None
     bifurcations: tuple[tuple[str, float], ...] = ()
 
 
@@ -115,7 +116,8 @@ class Continuation:
         Raise and lower H along the curve so that the estimated truncation error, looked at every
         fourth point, stays near or below this, between ``harmonics`` and 100.
     stability : bool
-        Compute Floquet multipliers at every point, and locate where stability changes.
+        Compute the leading Floquet multiplier at every point, and locate where multipliers leave
+        the unit circle: through -1, or the leading ones as a pair.
     longest_step : float
         Longest step, relative to the range of the parameter and to the size of the solution.
     most_points : int
@@ -232,7 +234,7 @@ class Continuation:
         gaps = np.array([resized(point.gap_coefficients, counts.max()) for point in points])
         multipliers = None
         if self._flow is not None:
-            multipliers = np.array([point.multipliers for point in points])
+            multipliers = np.array([p.multiplier.value for p in points if p.multiplier])
         curve = ResponseCurve(
             self._structure,
             self._contact,
@@ -326,20 +328,23 @@ class Continuation:
     def _point(self, point: PathPoint) -> CurvePoint:
         family = self._family
         value = family.value(point.parameter)
-        multipliers = None
+        multiplier = None
         if self._flow is not None:
-            multipliers = self._multipliers(point)
+            multiplier = self._at(point, PiecewiseFlow.leading)
         return CurvePoint(
-            value, family.omega(value), point.unknown, point.iterations, multipliers=multipliers
+            value, family.omega(value), point.unknown, point.iterations, multiplier=multiplier
         )
 
-    def _multipliers(self, point: PathPoint) -> np.ndarray:
+    def _at(
+        self, point: PathPoint, ask: Callable[[PiecewiseFlow, np.ndarray, float], Answer]
+    ) -> Answer:
+        """What the flow at a point says."""
         assert self._flow is not None
         family, flow = self._family, self._flow
         value = family.value(point.parameter)
         if self._name in ("stiffness", "damping"):
             flow = PiecewiseFlow(*family.vary(self._structure, self._contact, value))
-        return flow.multipliers(point.unknown, family.omega(value) / family.subharmonic)
+        return ask(flow, point.unknown, family.omega(value) / family.subharmonic)
 
     def _truncation(self, point: PathPoint) -> float:
         self._family.set_parameter(point.parameter)
@@ -441,13 +446,16 @@ class Continuation:
         """Where multipliers cross the unit circle at -1, or as a pair, between two points."""
 
         def at(test: Callable[[np.ndarray], float]) -> Callable[[PathPoint], float]:
-            return lambda point: test(self._multipliers(point))
+            return lambda point: test(self._at(point, PiecewiseFlow.multipliers))
 
-        assert old.multipliers is not None and new.multipliers is not None
+        first, second = old.multiplier, new.multiplier
+        assert first is not None and second is not None
         found = []
-        for kind, test in (("period_doubling", _doubling), ("neimark_sacker", _pair)):
-            if test(old.multipliers) * test(new.multipliers) < 0.0:
-                found.append((kind, self._locate(before, after, at(test))))
+        if first.doubling * second.doubling < 0.0:
+            found.append(("period_doubling", self._locate(before, after, at(_doubling))))
+        paired = abs(first.value.imag) > 0.0 and abs(second.value.imag) > 0.0
+        if paired and first.stable != second.stable:
+            found.append(("neimark_sacker", self._locate(before, after, at(_pair))))
         return found
 
     def _locate(
@@ -480,10 +488,10 @@ class Continuation:
     def _take_over(self, curve: ResponseCurve) -> None:
         """Begin with the points of another curve, on its way."""
         for index in range(len(curve)):
-            multipliers = None
+            multiplier = None
             if self._flow is not None:
-                assert curve.multipliers is not None
-                multipliers = curve.multipliers[index]
+                at = float(curve.omega[index]) / curve.subharmonic
+                multiplier = self._flow.leading(curve.gap(index), at)
             self._points.append(
                 CurvePoint(
                     float(curve.values[index]),
@@ -491,7 +499,7 @@ class Continuation:
                     curve.gap(index),
                     int(curve.iterations[index]),
                     float(curve.truncation[index]),
-                    multipliers,
+                    multiplier,
                 )
             )
         self._special = [(b.kind, b.value, b.gap_coefficients) for b in curve.bifurcations]

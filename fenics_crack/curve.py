@@ -85,8 +85,9 @@ class ResponseCurve:
         How it ended.
     samples, subharmonic : int or None, int
         As given when it was followed.
-    multipliers : (n, 2 n_dofs) complex or None
-        Floquet multipliers, largest first; with ``stability=True``.
+    multipliers : (n,) complex or None
+        Floquet multiplier of largest modulus at each point, of a pair the one with positive
+        imaginary part; with ``stability=True``.
     """
 
     structure: Structure
@@ -119,7 +120,7 @@ class ResponseCurve:
         """
         if self.multipliers is None:
             raise InputError("stability", False, "True when the curve is followed")
-        return np.abs(self.multipliers[:, 0]) < 1.0
+        return np.abs(self.multipliers) < 1.0
 
     def gap(self, index: int) -> np.ndarray:
         """Gap coefficients of a point with its own harmonics: (2H+1, n_pairs) [m]."""

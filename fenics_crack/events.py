@@ -101,6 +101,11 @@ class EventFlow:
         inverse = np.linalg.inv(self._modes.shapes)
         return np.concatenate([self.scale * (inverse @ displacement), inverse @ velocity])
 
+    def motion(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Displacement and velocity (n_dofs,) of a state."""
+        modal, rate = np.split(state, 2)
+        return self._modes.shapes @ modal / self.scale, self._modes.shapes @ rate
+
     def displacement_rows(self) -> np.ndarray:
         """Displacement of all dofs as a matrix on states: (n_dofs, 2n)."""
         return np.hstack([self._modes.shapes / self.scale, np.zeros_like(self._modes.shapes)])
@@ -360,6 +365,7 @@ def integrate_events(
         structure=structure,
         recorded=whole[:, structure.n_pairs :],
         recorded_dofs=np.arange(structure.n_dofs),
+        final_state=flow.motion(state),
     )
 
 

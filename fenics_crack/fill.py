@@ -212,7 +212,7 @@ def _merged(
     if multipliers is not None:
         flow = PiecewiseFlow(curve.structure, curve.contact)
         more = [
-            flow.multipliers(gap[: 2 * count + 1], at / curve.subharmonic)
+            flow.leading(gap[: 2 * count + 1], at / curve.subharmonic).value
             for gap, count, at in zip(gaps[good], counts[good], omegas[good], strict=True)
         ]
         multipliers = np.concatenate([multipliers, np.array(more)])[order]

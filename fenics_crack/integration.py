@@ -97,6 +97,9 @@ class TimeHistory:
     recorded: np.ndarray
     """(n, n_recorded) [m], the dofs of :attr:`recorded_dofs` that this rank owns."""
     recorded_dofs: np.ndarray
+    final_state: tuple[np.ndarray, np.ndarray]
+    """Displacement [m] and velocity [m/s] (n_local,) at the end of the last period: ``initial`` of
+    a run that goes on, at the same frequency or another."""
 
     def by_period(self, values: np.ndarray) -> np.ndarray:
         """Fold a record (n, ...) at the load's period: (periods kept, steps_per_period, ...).
@@ -257,6 +260,7 @@ def integrate_central_difference(
     count = min(done, kept) * steps_per_period
     newest = (done % kept) * steps_per_period if done > kept else 0
     steps = np.arange(done * steps_per_period - count, done * steps_per_period)
+    final_state = scheme.state()
     scheme.free()
     return TimeHistory(
         time=steps * (2.0 * np.pi / omega / steps_per_period),
@@ -269,6 +273,7 @@ def integrate_central_difference(
         structure=structure,
         recorded=np.roll(recorded[:count], -newest, axis=0),
         recorded_dofs=recorded_dofs,
+        final_state=final_state,
     )
 
 
@@ -314,25 +319,39 @@ class _CentralDifferences:
         """Set the state at time 0; the step before follows from u_{-1} = u - dt v + dt^2 a / 2."""
         dt = self.step_size
         self.displacement[:] = displacement
+        acceleration = self._acceleration(velocity)
+        self.increment[:] = dt * velocity - 0.5 * dt**2 * acceleration
+        if self._modes is not None:
+            self._modal = self.structure.sum_over_ranks(self.increment @ self._modes.mass_shapes)
+
+    def state(self) -> tuple[np.ndarray, np.ndarray]:
+        """Displacement and velocity, after whole periods, from which :meth:`start` goes on."""
+        backwards = self.increment / self.step_size
+        velocity = backwards.copy()
+        for _ in range(3):  # the acceleration depends on the velocity a little
+            velocity = backwards + 0.5 * self.step_size * self._acceleration(velocity)
+        self.increment[:] = self.step_size * backwards
+        return self.displacement.copy(), velocity
+
+    def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
+        """M^-1 (f - K u - B lambda - C v) at phase zero of the load; spoils the increment."""
         self._measure()
         self._unbalance(0)
         modes, structure = self._modes, self.structure
-        mass_solve = (
-            self._inverse if self._mixed is None else _inverse(structure.mass, symmetric=True)
-        )
-        if self._mixed is not None:  # a = M^-1 (r - C v)
+        if self._mixed is None:
+            self._inverse.apply(self._r, self._a)
+        else:
             self._d.array_w[:] = velocity
             self._damping.mult(self._d, self._a)
             self.rhs -= self.solved
-        mass_solve.apply(self._r, self._a)
+            inverse = _inverse(structure.mass, symmetric=True)
+            inverse.apply(self._r, self._a)
+            inverse.destroy()
         acceleration = self.solved.copy()
-        self.increment[:] = velocity
         if modes is not None:
             modal = structure.sum_over_ranks(velocity @ modes.mass_shapes)
             acceleration -= modes.shapes @ (modes.rate * modal)
-        self.increment[:] = dt * velocity - 0.5 * dt**2 * acceleration
-        if modes is not None:
-            self._modal = structure.sum_over_ranks(self.increment @ modes.mass_shapes)
+        return acceleration
 
     def advance(self, step: int) -> None:
         """Measure the gap at this instant, ``step`` of the period, and march to the next."""

@@ -21,6 +21,7 @@ from fenics_crack.modes import Modes
 from fenics_crack.output import NodalMesh, make_folder
 from fenics_crack.parallel import on_root
 from fenics_crack.solution import PeriodicSolution
+from fenics_crack.stability import PiecewiseFlow
 from fenics_crack.structure import Structure
 
 __all__ = [
@@ -233,8 +234,8 @@ def draw_curve(
         )
     for at_omega, height, order in _superharmonic_peaks(curve, dof, amplitude):
         axes.annotate(
-            f"{order}$\\omega$", (at_omega, height), (0, 5), textcoords="offset points", ha="center",
-            fontsize=8, color=COLOURS["grey"],
+            f"{order}$\\omega$", (at_omega, height), (0, 5), textcoords="offset points",
+            ha="center", fontsize=8, color=COLOURS["grey"],
         )  # fmt: skip
     axes.set_xlabel("load frequency [rad/s]")
     axes.set_ylabel("half peak-to-peak displacement [µm]")
@@ -304,20 +305,26 @@ def draw_content(
     _finish(figure, axes, title, path)
 
 
-def draw_multipliers(path: str | Path, curve: ResponseCurve, *, title: str) -> None:
-    """Draw the Floquet multipliers of all points in the complex plane, with the unit circle.
+def draw_multipliers(
+    path: str | Path, curve: ResponseCurve, *, title: str, points: int = 200
+) -> None:
+    """Draw all Floquet multipliers along a curve in the complex plane, with the unit circle.
 
-    The curve has to be followed with ``stability=True``.
+    They are computed for at most so many points, spread evenly along a curve in frequency.
     """
-    if curve.multipliers is None:
-        raise InputError("curve", "without multipliers", "one followed with stability=True")
+    if curve.parameter != "omega":
+        raise InputError("curve", f"in {curve.parameter!r}", "in 'omega'")
+    flow = PiecewiseFlow(curve.structure, curve.contact)
+    chosen = np.unique(np.linspace(0, len(curve) - 1, points).astype(int))
+    multipliers = np.array(
+        [flow.multipliers(curve.gap(i), curve.omega[i] / curve.subharmonic) for i in chosen]
+    )
     figure = Figure(figsize=(6.0, 4.8), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    multipliers = curve.multipliers
     shown = axes.scatter(
-        multipliers.real.ravel(), multipliers.imag.ravel(), s=3.0, cmap="viridis",
-        c=np.repeat(curve.omega, multipliers.shape[1]), linewidths=0.0,
+        multipliers.real.ravel(), multipliers.imag.ravel(), s=4.0, cmap="viridis",
+        c=np.repeat(curve.omega[chosen], multipliers.shape[1]), linewidths=0.0,
     )  # fmt: skip
     angle = np.linspace(0.0, 2.0 * np.pi, 361)
     axes.plot(np.cos(angle), np.sin(angle), color=COLOURS["orange"], lw=1.2, label="unit circle")

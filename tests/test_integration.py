@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import (
+    chain,
     dense_matrices,
     heavy_mass,
     log_slope,
@@ -296,3 +297,32 @@ def test_reduced_structure_speaks_of_the_dofs_of_the_whole(soft_plate: fc.Struct
             periods=1,
             steps_per_period=512,  # type: ignore[arg-type]
         )
+
+
+@pytest.mark.parametrize("damping", ["modal", "matrix", "none"])
+def test_a_run_goes_on_from_another(damping: str) -> None:
+    """Twice five periods are ten: exactly with events, to the scheme's order by differences."""
+    structure, law = chain(damping), fc.UnilateralPenalty(4.0)
+    ten = fc.integrate_events(structure, 0.8, law, periods=10, record_periods=1)
+    five = fc.integrate_events(structure, 0.8, law, periods=5)
+    more = fc.integrate_events(
+        structure, 0.8, law, periods=5, initial=five.final_state, record_periods=1
+    )
+    assert np.allclose(more.gap, ten.gap, atol=1e-9 * np.abs(ten.gap).max())
+    errors, counts = [], (200, 400, 800)
+    for steps in counts:
+        whole, first = (
+            fc.integrate_central_difference(
+                structure, 0.8, law, periods=periods, steps_per_period=steps, record_periods=1
+            )
+            for periods in (10, 5)
+        )
+        second = fc.integrate_central_difference(
+            structure, 0.8, law, periods=5, steps_per_period=steps, initial=first.final_state,
+            record_periods=1,
+        )  # fmt: skip
+        errors.append(np.abs(second.gap - whole.gap).max() / np.abs(whole.gap).max())
+    if damping == "none":  # the acceleration does not depend on the velocity
+        assert max(errors) < 1e-12
+    else:
+        assert errors[-1] < 1e-3 and log_slope(counts, errors) < -1.8
