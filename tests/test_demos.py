@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from helpers import DEMOS
 
+import fenics_crack as fc
+
 
 def load(name: str) -> ModuleType:
     """Import a demo by its name."""
@@ -94,15 +96,33 @@ sweep.main(Path({str(tmp_path)!r}), np.arange(1800.0, 2201.0, 100.0))
 
 @pytest.mark.slow
 def test_resonances(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The curve through the first resonances: two peaks between the open and the uncracked one."""
+    """The curves through the first resonance: peaks between the open and the uncracked one.
+
+    Drawn again from the files, without solving; integration in time lies on the first curve.
+    """
     demo = load("resonances")
     monkeypatch.setattr(demo, "RANGE", (1500.0, 3600.0))
-    monkeypatch.setattr(demo, "HARMONICS", 7)
+    monkeypatch.setattr(demo, "HARMONICS", {"paper_plate": 7, "breathing_plate": 3})
+    monkeypatch.setattr(demo, "SWEEP", np.array([1900.0, 2000.0, 2100.0]))
     curve = demo.main(tmp_path)
     assert curve.complete and curve.omega[-1] == pytest.approx(3600.0)
     corner = curve.structure.find_dof((0.1, 0.1), "x")
-    peak = curve.omega[curve.amplitude(corner).argmax()]
-    assert 2302.9 < peak < 3481.6
+    amplitude = curve.amplitude(corner)
+    assert 2302.9 < curve.omega[amplitude.argmax()] < 3481.6
     assert 0 < np.count_nonzero(curve.stable) < len(curve.omega)
-    for name in ("response.png", "curve.csv", "bifurcations.csv"):
-        assert (tmp_path / name).stat().st_size > 100
+    with open(tmp_path / "swept.csv", newline="") as file:
+        table = list(csv.DictReader(file))
+    assert len(table) == 6
+    for row in table:
+        omega, height = float(row["omega_rad_per_s"]), float(row["half_peak_to_peak_m"])
+        assert height == pytest.approx(np.interp(omega, curve.omega, amplitude), rel=0.02)
+    pictures = ["multipliers.png"]
+    pictures += [f"{name}{part}.png" for name in demo.HARMONICS for part in ("", "_content")]
+    before = {name: (tmp_path / name).read_bytes() for name in pictures}
+    for name in pictures:
+        (tmp_path / name).unlink()
+    monkeypatch.setattr(fc, "continue_frequency", None)
+    monkeypatch.setattr(fc, "integrate_events", None)
+    again = demo.main(tmp_path, again=True)
+    assert np.array_equal(again.omega, curve.omega)
+    assert {name: (tmp_path / name).read_bytes() for name in pictures} == before
