@@ -3,6 +3,7 @@
 Start with ``demos/paper_plate.py``; the equations and conventions are in ``docs/theory.md``.
 """
 
+from fenics_crack.backbone import Backbone, follow_backbone
 from fenics_crack.contact import (
     SmoothedPenalty,
     UnilateralConstraint,
@@ -37,6 +38,7 @@ from fenics_crack.stability import Stability, floquet
 from fenics_crack.structure import ModalDamping, Structure
 
 __all__ = [
+    "Backbone",
     "Bifurcation",
     "Continuation",
     "ConvergenceError",
@@ -63,6 +65,7 @@ __all__ = [
     "fill_curve",
     "find_crack_length",
     "floquet",
+    "follow_backbone",
     "follow_branch",
     "integrate_central_difference",
     "integrate_events",

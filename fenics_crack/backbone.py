@@ -1,0 +1,734 @@
+"""Nonlinear normal modes: free periodic motions followed over their energy.
+
+    M u'' + K u + B lambda(g) = 0,      g = B^T u - g0,
+
+without load and damping; clearance and preload stay. Time can be reversed, so a motion at rest at
+t = 0 is a cosine series about the equilibrium u_e. In modal coordinates, u = u_e + Phi q,
+
+    q_j(t) = a sum_{k=0}^{H} (z_jk / omega_j) cos(k w t),      a^2 = 2 E,
+
+    (omega_j^2 - (k w)^2) a z_jk / omega_j + phi_j^T B (b_k(g) - b_k(g_e)) = 0,
+
+b_k the cosine coefficients of the contact force. The unknowns are z and w; the parameter is ln E,
+E the energy of the motion, by one more equation at t = 0, where nothing moves:
+
+    1/2 |sum_k a z_k|^2 + sum over pairs int_{g_e}^{g(0)} (lambda - lambda_e) dg = E.
+
+Unlike the compliance R, displacements stay finite in resonance, and that is where these motions
+live. Contact couples the z_jk through few pairs only: the Jacobian is diagonal plus low rank. All
+entries are eliminated but those with k w close to omega_j; what is left is a dense system in the
+gaps, these entries and w, whose size does not depend on the number of dofs.
+
+Source: Kerschen, Peeters, Golinval, Vakakis, Mechanical Systems and Signal Processing 23 (2009)
+170-194; Krack, Gross, Harmonic Balance for Nonlinear Vibration Problems, 2019, section 2.6.
+"""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg.lapack import dgetrf, dgetrs
+from tqdm import tqdm
+
+from fenics_crack.arclength import follow_path
+from fenics_crack.compliance import AllModes, ModalCompliance, all_modes, is_small
+from fenics_crack.condensed import CondensedSystem, determinant_sign
+from fenics_crack.contact import ContactLaw, check_law
+from fenics_crack.contact_integrals import ContactIntegrals, apply_to_pairs, contact_integrals
+from fenics_crack.error_report import ErrorReport, mean_square
+from fenics_crack.errors import ConvergenceError, InputError, check_count, check_number
+from fenics_crack.reduction import reduce_structure
+from fenics_crack.search import EPSILON, ROUNDING, SOFT, Search
+from fenics_crack.solution import PeriodicSolution
+from fenics_crack.structure import Structure
+
+__all__ = ["Backbone", "follow_backbone"]
+
+RESONANT = 1e-3
+"""|omega_j^2 - (k w)^2| relative to the sum below which an entry is kept, not eliminated."""
+
+FAST = 0.5
+"""Rate of the parameter along a path at which arc-length is left again."""
+NEAR, ALIKE = 0.05, 0.99
+"""Entries relatively that close to resonance are not predicted; cosine between motions of the same
+shape."""
+FACTORS = (1.0, 0.5, 1.6, 0.25, 2.7, 0.1, 4.3, 0.03, 0.01)
+"""Of a step: those that are tried before arc-length."""
+
+
+@dataclass(frozen=True)
+class Backbone:
+    """Free periodic motions of one mode, in the order in which they were followed.
+
+    Attributes
+    ----------
+    structure : Structure
+        Whose motions they are: small or reduced. Its load and its damping take no part.
+    contact : ContactLaw
+        Law of all pairs.
+    mode : int
+        Number of the mode, from 1.
+    omega : (n,) [rad/s]
+        Frequencies.
+    energy : (n,) [J]
+        Total energy, which each motion conserves: strain and contact energy at t = 0.
+    rest_energy : float [J]
+        The part of it that the equilibrium holds; not 0 with preload.
+    cosines : (n, H+1, n_dofs) [m]
+        Coefficients of cos(k w t) of the structure's displacement.
+    iterations : (n,) int
+        Newton iterations of each point.
+    complete : bool
+        Whether the energy asked for was reached.
+    status : str
+        How it ended.
+    jumps : (n,) bool
+        Whether an internal resonance has been passed over since the point before.
+    samples : int or None
+        As given to :func:`follow_backbone`.
+    """
+
+    structure: Structure
+    contact: ContactLaw
+    mode: int
+    omega: np.ndarray
+    energy: np.ndarray
+    rest_energy: float
+    cosines: np.ndarray
+    iterations: np.ndarray
+    complete: bool
+    status: str
+    jumps: np.ndarray
+    samples: int | None
+
+    @property
+    def harmonics(self) -> int:
+        """H."""
+        return self.cosines.shape[1] - 1
+
+    def solution(self, index: int) -> PeriodicSolution:
+        """The motion at a point as a solution of the equations without load and damping.
+
+        Of its report the residual and the truncation are estimated, the rest is nan.
+        """
+        shape = (2 * self.harmonics + 1, self.structure.n_dofs)
+        rows = np.zeros(shape)
+        rows[_cosine_rows(self.harmonics)] = self.cosines[index]
+        gap = self.structure.closing(rows)
+        gap[0] -= self.structure.clearance
+        integrals = contact_integrals(self.contact, self.harmonics, self.samples)
+        return PeriodicSolution(
+            self.structure,
+            float(self.omega[index]),
+            self.contact,
+            rows,
+            gap,
+            integrals.force(gap),
+            status="point of a backbone",
+            iterations=int(self.iterations[index]),
+            report=self._report(index),
+        )
+
+    def _report(self, index: int) -> ErrorReport:
+        """The first Newton step with more harmonics, at the same energy."""
+        rest = _Equilibrium(self.structure, self.contact)
+        harmonics = max(4 * self.harmonics, self.harmonics + 8)
+        integrals = contact_integrals(self.contact, self.harmonics, self.samples)
+        motion = _FreeMotion(rest, integrals.widened(harmonics), float(self.omega[index]))
+        motion.energy = float(self.energy[index]) - self.rest_energy
+        modal = np.linalg.solve(rest.modes.shapes, self.cosines[index].T).T
+        modal[0] -= rest.modal
+        start = np.append(np.zeros((harmonics + 1) * len(rest.modes.squares)), 1.0)
+        z = start[:-1].reshape(harmonics + 1, -1)
+        z[: self.harmonics + 1] = modal * rest.frequencies / motion.amplitude
+        motion.linearise(start)
+        wave = np.zeros((2 * harmonics + 1, self.structure.n_pairs))
+        wave[_cosine_rows(harmonics)] = z @ motion.gap_rows
+        size = mean_square(wave)
+        missing = motion.residual(start)
+        blocks = missing[:-1].reshape(harmonics + 1, -1)
+        known = np.append(blocks[: self.harmonics + 1].ravel(), missing[-1])
+        blocks[: self.harmonics + 1] = 0.0
+        missing[-1] = 0.0
+        step = motion.solve_jacobian(missing)[:-1].reshape(harmonics + 1, -1)
+        wave[_cosine_rows(harmonics)] = step @ motion.gap_rows
+        truncation = math.sqrt(mean_square(wave) / size) if size > 0.0 else 0.0
+        residual = float(np.linalg.norm(known) / np.linalg.norm(start))
+        return ErrorReport(residual, truncation, math.nan, math.nan, math.nan)
+
+    def amplitude(self, dof: int) -> np.ndarray:
+        """Half the peak-to-peak displacement of a dof at every point: (n,) [m], of 256 instants."""
+        points, terms, dofs = self.cosines.shape
+        values = self.structure.values_at(self.cosines.reshape(-1, dofs), [dof])
+        phase = 2.0 * np.pi * np.arange(256) / 256
+        waves = values.reshape(points, terms) @ np.cos(np.outer(np.arange(terms), phase))
+        return np.ptp(waves, axis=1) / 2.0
+
+    def save(self, path: str | Path) -> None:
+        """Write the curve to a NumPy archive (.npz): numbers and words only, nothing executable."""
+        np.savez_compressed(
+            path,
+            mode=np.array(self.mode),
+            omega=self.omega,
+            energy=self.energy,
+            rest_energy=np.array(self.rest_energy),
+            cosines=self.cosines,
+            iterations=self.iterations,
+            complete=np.array(self.complete),
+            status=np.array(self.status),
+            jumps=self.jumps,
+            samples=np.array(self.samples or 0),
+        )
+
+    @classmethod
+    def load(cls, path: str | Path, structure: Structure, contact: ContactLaw) -> Backbone:
+        """Read a curve written by :meth:`save`; nothing is solved again.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+        structure, contact : Structure, ContactLaw
+            Those of the curve.
+
+        Raises
+        ------
+        InputError
+            The file is not one of :meth:`save`, or the structure has other dofs.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as archive:
+                found = cls(
+                    structure,
+                    contact,
+                    int(archive["mode"]),
+                    archive["omega"],
+                    archive["energy"],
+                    float(archive["rest_energy"]),
+                    archive["cosines"],
+                    archive["iterations"],
+                    bool(archive["complete"]),
+                    str(archive["status"]),
+                    archive["jumps"],
+                    int(archive["samples"]) or None,
+                )
+        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            raise InputError("path", str(path), f"a backbone written by save ({error})") from None
+        if found.cosines.ndim != 3 or found.cosines.shape[2] != structure.n_dofs:
+            dofs = found.cosines.shape[-1]
+            raise InputError("structure", f"{structure.n_dofs} dofs", f"one with {dofs} dofs")
+        return found
+
+
+def follow_backbone(
+    structure: Structure,
+    contact: ContactLaw,
+    mode: int,
+    energy_start: float,
+    energy_end: float,
+    *,
+    harmonics: int = 20,
+    samples: int | None = None,
+    internal_resonances: bool = False,
+    longest_step: float = 0.2,
+    most_points: int = 2000,
+    progress: bool = False,
+    throw: bool = True,
+) -> Backbone:
+    """Follow a nonlinear normal mode over its energy: the backbone of its resonance.
+
+    The linear mode of the structure without contact is followed in the contact stiffness, at
+    ``energy_start``, and from there in ln E, both by arc-length, through folds.
+
+    Where a multiple of the frequency meets that of another mode (an internal resonance), the
+    backbone goes over into the motion of that mode, and on the other side another piece of it comes
+    from there. Without damping there are many such tongues, most of them narrow. They are passed
+    over where a motion of the same shape is found beyond; else they are followed.
+
+    Where all clearances are zero, the penalty law makes the equations homogeneous: a motion times
+    any positive factor is a motion, and the frequency does not depend on the energy. The backbone
+    is then a straight line, one motion at growing energies.
+
+    Parameters
+    ----------
+    structure : Structure
+        What vibrates; its load, mean load included, and its damping are left out. One with many
+        dofs is reduced first (:func:`reduce_structure`, its default).
+    contact : ContactLaw
+        Law of all pairs. With preload, contact grows about the equilibrium held fixed.
+    mode : int
+        Number of the linear mode, 1 the lowest.
+    energy_start, energy_end : float
+        Energy of the motion [J], above that of the equilibrium; the end is above the start.
+    harmonics, samples : int, int or None
+        As in :func:`solve_harmonic_balance`.
+    internal_resonances : bool
+        Follow all tongues that the steps resolve; the path then rarely comes out of them.
+    longest_step : float
+        Longest step, relative to the size of the motion's shape and in ln E.
+    most_points : int
+        Give up after so many.
+    progress : bool
+        Show a progress bar.
+    throw : bool
+        Raise if the end is not reached; else return what was found, ``complete`` being False.
+        Ctrl-C always returns what was found.
+
+    Returns
+    -------
+    Backbone
+        At t = 0 and after half a period nothing moves; at the start, t = 0 is where the pairs are
+        further open.
+
+    Raises
+    ------
+    InputError
+        An argument cannot be used, or the structure can move as a rigid body.
+    ConvergenceError
+        No equilibrium or no first motion was found, or the end was not reached.
+
+    Notes
+    -----
+    Source: Kerschen, Peeters, Golinval, Vakakis, Mechanical Systems and Signal Processing 23 (2009)
+    170-194.
+    """
+    check_number("energy_start", energy_start, 0.0, above=True)
+    check_number("energy_end", energy_end, energy_start, above=True)
+    check_number("longest_step", longest_step, 0.0, above=True)
+    check_count("most_points", most_points, 1)
+    check_count("harmonics", harmonics, 1)
+    if samples is not None:
+        check_count("samples", samples, 4 * harmonics + 1)
+    check_law(structure, contact)
+    check_count("mode", mode, 1)
+    if not is_small(structure):
+        structure = reduce_structure(structure)
+    if mode > structure.n_dofs:
+        raise InputError("mode", mode, f"at most {structure.n_dofs}, the number of dofs")
+    rest = _Equilibrium(structure, contact)
+    integrals = contact_integrals(contact, harmonics, samples)
+    unknown = _first_motion(rest, integrals, mode, energy_start)
+    family = _EnergyFamily(rest, integrals, float(rest.frequencies[mode - 1]))
+    start, end = math.log(energy_start), math.log(energy_end)
+    found = [_Motion(unknown, start)]
+    status, complete = "the steps became too short", False
+    hidden = not progress or structure.whole.comm.rank != 0
+    bar = tqdm(total=100.0, desc="backbone", unit="%", disable=hidden, bar_format="{l_bar}{bar}")
+    try:
+        for motion in _follow(family, found[0], longest_step, most_points, not internal_resonances):
+            if motion.parameter >= end:
+                landed = _land(family, found[-1], motion, end)
+                complete = landed is not None
+                status = "reached the end" if complete else "no motion at the very end"
+                if landed is not None:
+                    found.append(landed)
+                break
+            found.append(motion)
+            share = (motion.parameter - start) / (end - start)
+            bar.update(max(0.0, 100.0 * share - bar.n))
+            if motion.parameter < start - 0.02:
+                status = "the backbone turned back past its start"
+                break
+        else:
+            if len(found) > most_points:
+                status = f"{most_points} points were not enough"
+    except KeyboardInterrupt:
+        status, throw = "interrupted", False
+    except ConvergenceError as error:
+        status = str(error)
+    finally:
+        bar.close()
+    unknowns = np.array([motion.unknown for motion in found])
+    energy = np.exp([motion.parameter for motion in found])
+    modal = unknowns[:, :-1].reshape(len(found), harmonics + 1, -1) / rest.frequencies
+    modal *= np.sqrt(2.0 * energy)[:, None, None]
+    modal[:, 0] += rest.modal
+    backbone = Backbone(
+        structure,
+        contact,
+        mode,
+        unknowns[:, -1] * family.reference,
+        rest.energy + energy,
+        rest.energy,
+        modal @ rest.modes.shapes.T,
+        np.array([motion.iterations for motion in found]),
+        complete,
+        status,
+        np.array([motion.jump for motion in found]),
+        samples,
+    )
+    if throw and not complete:
+        raise ConvergenceError(
+            f"backbone of mode {mode} from {energy_start:g} to {energy_end:g} J: {status} at "
+            f"{energy[-1]:g} J after {len(energy)} points"
+        )
+    return backbone
+
+
+class _Equilibrium:
+    """Where a structure rests without load, held or closed by its pairs alone."""
+
+    def __init__(self, structure: Structure, contact: ContactLaw) -> None:
+        self.contact = contact
+        self.modes: AllModes = all_modes(structure)
+        squares = self.modes.squares
+        if not squares[0] > 1e-12 * squares[-1]:
+            raise InputError(
+                "structure",
+                f"lowest eigenvalue {squares[0]:.3g} 1/s^2",
+                "fixed, so that it cannot move as a rigid body",
+            )
+        self.frequencies = np.sqrt(squares)
+        compliance = ModalCompliance(structure, 0.0, np.zeros((1, structure.n_local)))
+        search = Search(ROUNDING)
+        system = CondensedSystem(compliance, contact_integrals(contact, 0))
+        found = search.penalty(system, system.linear)
+        if not search.converged:
+            raise ConvergenceError(f"equilibrium without load: {search.status}", search.history)
+        self.gap = found[0]
+        self.force = contact.force(self.gap)
+        self.modal = -(self.modes.pairs @ self.force) / squares
+        held = _work(contact, np.zeros_like(self.gap), self.gap, 0.0 * self.force)
+        self.energy = 0.5 * float(squares @ self.modal**2) + held
+        static = compliance.matrices[0].real
+        self.stiffness = float(np.abs(static).sum(axis=1).max(initial=0.0))
+        self.stiffness *= float(np.max(contact.stiffness, initial=0.0))
+        """Largest k R, static."""
+
+
+def _work(law: ContactLaw, gap: np.ndarray, change: np.ndarray, less: np.ndarray) -> float:
+    """Integral of lambda - less over the gaps (n_pairs,) from ``gap`` on, of all pairs [J].
+
+    Gauss's rule on both sides of g = 0: exact for piecewise polynomials.
+    """
+    nodes, weights = _gauss()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.clip(np.nan_to_num(-gap / change, posinf=0.0, neginf=0.0), 0.0, 1.0)
+    total = np.zeros_like(gap)
+    for start, length in ((0.0 * share, share), (share, 1.0 - share)):
+        at = start + length * nodes[:, None]
+        total += length * (weights @ (law.force(gap + at * change) - less))
+    return float(total @ change)
+
+
+def _gauss() -> tuple[np.ndarray, np.ndarray]:
+    nodes, weights = np.polynomial.legendre.leggauss(32)
+    return 0.5 + 0.5 * nodes, 0.5 * weights
+
+
+def _cosine_rows(harmonics: int) -> np.ndarray:
+    """Places of a0, a1, a2, ... among the rows a0, a1, b1, ...."""
+    return np.maximum(2 * np.arange(harmonics + 1) - 1, 0)
+
+
+class _FreeMotion:
+    """F(x) = 0 for x = (z_00, ..., z_0n, z_10, ..., z_Hn, w / reference), at an energy.
+
+    Row (k, j) is divided by (omega_j^2 + (k reference)^2) a / omega_j, the last one by E: they are
+    numbers. ``share`` multiplies the contact force.
+    """
+
+    def __init__(
+        self, rest: _Equilibrium, integrals: ContactIntegrals, reference: float
+    ) -> None:
+        self.rest, self.reference = rest, reference
+        self.energy, self.share = 1.0, 1.0
+        self.rounding = max(ROUNDING, EPSILON * rest.stiffness)
+        self._integrals = integrals
+        self._rows = _cosine_rows(integrals.harmonics)
+        self._squares = rest.modes.squares
+        self._order = (np.arange(integrals.harmonics + 1.0) * reference)[:, None] ** 2
+        self._scale = 1.0 / (self._squares + self._order)
+        self._left = self._scale * rest.frequencies
+        self.gap_rows = rest.modes.pairs / rest.frequencies[:, None]
+        """d (gap / a) / dz: (n_modes, n_pairs)."""
+        self._at: np.ndarray | None = None
+
+    @property
+    def amplitude(self) -> float:
+        """a."""
+        return math.sqrt(2.0 * self.energy)
+
+    def _evaluate(self, unknown: np.ndarray) -> None:
+        """Contact force, its tangent and the work that went into it, where not known yet."""
+        if self._at is not None and np.array_equal(unknown, self._at):
+            return
+        rest, rows, scale = self.rest, self._rows, self.amplitude
+        z = unknown[:-1].reshape(len(rows), -1)
+        moved = scale * (z @ self.gap_rows)
+        gap = np.zeros((2 * len(rows) - 1, moved.shape[1]))
+        gap[rows] = moved
+        gap[0] += rest.gap
+        force, tangent = self._integrals.linearise(gap)
+        self._force = force[rows]
+        self._force[0] -= rest.force
+        self._force *= self.share / scale
+        self._tangent = self.share * tangent[:, rows[:, None], rows]
+        first = moved.sum(axis=0)
+        law = rest.contact
+        self._push = (self.share / scale) * (law.force(rest.gap + first) - rest.force)
+        self._work = self.share * _work(law, rest.gap, first, rest.force) / self.energy
+        self._change = moved / scale
+        self._at = unknown.copy()
+
+    def _stiffness(self, unknown: np.ndarray) -> np.ndarray:
+        """Scaled omega_j^2 - (k w)^2: (H+1, n_modes)."""
+        return (self._squares - self._order * unknown[-1] ** 2) * self._scale
+
+    def _join(self, blocks: np.ndarray, last: float) -> np.ndarray:
+        return np.append(blocks.ravel(), last)
+
+    def residual(self, unknown: np.ndarray) -> np.ndarray:
+        """F(x)."""
+        self._evaluate(unknown)
+        z = unknown[:-1].reshape(self._scale.shape)
+        blocks = self._stiffness(unknown) * z
+        blocks += self._left * (self._force @ self.rest.modes.pairs.T)
+        first = z.sum(axis=0)
+        return self._join(blocks, float(first @ first) + self._work - 1.0)
+
+    def linearise(self, unknown: np.ndarray) -> None:
+        """Evaluate J, reduced to the gaps, the resonant entries and w."""
+        self._evaluate(unknown)
+        pairs, right, tangent = self.rest.modes.pairs, self.gap_rows, self._tangent
+        z = unknown[:-1].reshape(self._scale.shape)
+        stiffness = self._stiffness(unknown)
+        resonant = np.abs(stiffness) < RESONANT
+        inverse = np.where(resonant, 0.0, 1.0 / np.where(resonant, 1.0, stiffness))
+        at, which = np.nonzero(resonant)
+        column = -2.0 * unknown[-1] * self._order * self._scale * z
+        row = 2.0 * (z.sum(axis=0) + right @ self._push)
+        n_rows, n_pairs, kept = len(z), pairs.shape[1], len(at)
+        gaps = n_rows * n_pairs
+        matrix = np.zeros((gaps + kept + 1, gaps + kept + 1))
+        # The gaps: 1 + R T, R the compliance without the resonant entries.
+        compliance = np.matmul(right.T * (inverse * self._left)[:, None, :], pairs)
+        by_row = tangent.transpose(1, 2, 0)[:, None]
+        matrix[:gaps, :gaps] = (compliance[:, :, None, :] * by_row).reshape(gaps, gaps)
+        matrix.flat[: gaps * (len(matrix) + 1) : len(matrix) + 1] += 1.0
+        place = at[:, None] * n_pairs + np.arange(n_pairs)
+        matrix[place, gaps + np.arange(kept)[:, None]] = -right[which]
+        matrix[:gaps, -1] = ((inverse * column) @ right).ravel()
+        # The resonant entries.
+        drive = (self._left[resonant][:, None] * pairs[which])[:, None, :]
+        matrix[gaps:-1, :gaps] = (drive * tangent[:, at].transpose(1, 2, 0)).reshape(kept, gaps)
+        matrix[gaps + np.arange(kept), gaps + np.arange(kept)] = stiffness[resonant]
+        matrix[gaps:-1, -1] = column[resonant]
+        # The energy.
+        through = (row * inverse * self._left) @ pairs
+        matrix[-1, :gaps] = -np.einsum("kq,qkl->lq", through, tangent).ravel()
+        matrix[-1, gaps:-1] = row[which]
+        matrix[-1, -1] = -np.sum(row * inverse * column)
+        lu, pivots, _ = dgetrf(matrix)
+        self._factors = lu, pivots
+        self._parts = inverse, resonant, column, row
+        flips = np.count_nonzero(stiffness[~resonant] < 0.0)
+        self._sign = determinant_sign(self._factors) * (-1.0 if flips % 2 else 1.0)
+
+    def solve_jacobian(self, residual: np.ndarray) -> np.ndarray:
+        """J^-1 r."""
+        inverse, resonant, column, row = self._parts
+        blocks = residual[:-1].reshape(inverse.shape)
+        free = inverse * blocks
+        seen = (free @ self.gap_rows).ravel()
+        last = residual[-1] - np.sum(row * free)
+        found, _ = dgetrs(*self._factors, np.concatenate([seen, blocks[resonant], [last]]))
+        n_pairs = self.gap_rows.shape[1]
+        force = apply_to_pairs(self._tangent, found[: len(seen)].reshape(-1, n_pairs))
+        change = blocks - self._left * (force @ self.rest.modes.pairs.T) - column * found[-1]
+        change *= inverse
+        change[resonant] = found[len(seen) : -1]
+        return self._join(change, found[-1])
+
+    def determinant_sign(self) -> float:
+        """Sign of det J where :meth:`linearise` was called last."""
+        return self._sign
+
+    def near(self, unknown: np.ndarray) -> np.ndarray:
+        """Which entries of x are close to resonance, the fundamental ones left out."""
+        close = np.abs(self._stiffness(unknown)) < NEAR
+        close[1] = False
+        return np.append(close.ravel(), False)
+
+    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
+        """Inner product."""
+        return float(first @ second)
+
+    def newton(self, unknown: np.ndarray) -> tuple[np.ndarray | None, int]:
+        """Solution near an unknown by full steps, or None, and their number."""
+        for iterations in range(12):
+            residual = self.residual(unknown)
+            size = np.linalg.norm(residual) / np.linalg.norm(unknown)
+            if size <= max(1e-12, self.rounding):
+                return unknown, iterations
+            if not np.isfinite(size):
+                break
+            self.linearise(unknown)
+            unknown = unknown - self.solve_jacobian(residual)
+        return None, iterations
+
+
+class _StiffnessFamily(_FreeMotion):
+    """Free motions of one energy; the parameter is ln of the share of the contact stiffness."""
+
+    def set_parameter(self, parameter: float) -> None:
+        """Set ln share."""
+        if math.exp(parameter) != self.share:
+            self.share, self._at = math.exp(parameter), None
+
+    def parameter_derivative(self, unknown: np.ndarray) -> np.ndarray:
+        """dF / d ln share."""
+        self._evaluate(unknown)
+        return self._join(self._left * (self._force @ self.rest.modes.pairs.T), self._work)
+
+
+class _EnergyFamily(_FreeMotion):
+    """Free motions; the parameter is ln E."""
+
+    def set_parameter(self, parameter: float) -> None:
+        """Set ln E."""
+        if math.exp(parameter) != self.energy:
+            self.energy, self._at = math.exp(parameter), None
+
+    def parameter_derivative(self, unknown: np.ndarray) -> np.ndarray:
+        """dF / d ln E: of b(g_e + a c) / a, with da = a / 2, and of the work over E."""
+        self._evaluate(unknown)
+        change = 0.5 * (apply_to_pairs(self._tangent, self._change) - self._force)
+        blocks = self._left * (change @ self.rest.modes.pairs.T)
+        return self._join(blocks, float(self._push @ self._change.sum(axis=0)) - self._work)
+
+
+class _Motion(NamedTuple):
+    """A point of a path."""
+
+    unknown: np.ndarray
+    parameter: float
+    iterations: int = 0
+    jump: bool = False
+
+
+def _follow(
+    family: _StiffnessFamily | _EnergyFamily,
+    here: _Motion,
+    longest_step: float,
+    most_steps: int,
+    pass_over: bool,
+) -> Iterator[_Motion]:
+    """Yield the points that follow a solution.
+
+    Steps in the parameter itself pass over tongues; where there is none to a motion of the same
+    shape, arc-length leads on.
+    """
+    count, step = 0, 0.2 * longest_step
+    while count < most_steps:
+        ahead = _step(family, here, step, longest_step) if pass_over else None
+        if ahead is not None:
+            count += 1
+            step = ahead.parameter - here.parameter
+            step = min(longest_step, (1.7 if ahead.iterations <= 4 else 1.0) * step)
+            here = ahead
+            yield here
+            continue
+        path = follow_path(
+            family,
+            here.unknown,
+            here.parameter,
+            step=0.2 * longest_step,
+            longest_step=longest_step,
+            most_steps=most_steps - count,
+            tolerance=1e-10,
+            shortest_step=1e-10,
+            least_cosine=0.85,
+            rounding=family.rounding,
+        )
+        for point in path:
+            count += 1
+            motion = _Motion(
+                point.unknown, point.parameter, point.iterations, point.crosses_branch
+            )
+            yield motion
+            if pass_over and point.tangent.p > FAST and motion.parameter > here.parameter:
+                here = motion
+                break
+        else:
+            return
+
+
+def _step(
+    family: _StiffnessFamily | _EnergyFamily, here: _Motion, step: float, longest_step: float
+) -> _Motion | None:
+    """A motion of the same shape further on, about a step away; None where there is none.
+
+    The sign of det J changes where an odd number of tongues has been passed.
+    """
+    family.set_parameter(here.parameter)
+    family.linearise(here.unknown)
+    sign = family.determinant_sign()
+    slope = -family.solve_jacobian(family.parameter_derivative(here.unknown))
+    slope[family.near(here.unknown)] = 0.0
+    steepness = math.sqrt(float(slope @ slope) / float(here.unknown @ here.unknown))
+    step = min(step, longest_step / math.hypot(1.0, steepness))
+    for factor in FACTORS:
+        ahead = here.parameter + factor * step
+        guess = here.unknown + factor * step * slope
+        family.set_parameter(ahead)
+        unknown, iterations = family.newton(guess)
+        if unknown is None:
+            continue
+        one, other = unknown[:-1], guess[:-1]
+        if one @ other > ALIKE * np.linalg.norm(one) * np.linalg.norm(other):
+            family.linearise(unknown)
+            return _Motion(unknown, ahead, iterations, family.determinant_sign() != sign)
+    return None
+
+
+def _land(
+    family: _StiffnessFamily | _EnergyFamily, first: _Motion, second: _Motion, end: float
+) -> _Motion | None:
+    """The motion at a parameter between those of two others; None if not found."""
+    share = (end - first.parameter) / (second.parameter - first.parameter)
+    between = first.unknown + share * (second.unknown - first.unknown)
+    family.set_parameter(end)
+    for nearby in (between, first.unknown, second.unknown):
+        found, _ = family.newton(nearby)
+        if found is not None:
+            return _Motion(found, end, second.iterations, second.jump)
+    return None
+
+
+def _first_motion(
+    rest: _Equilibrium, integrals: ContactIntegrals, mode: int, energy: float
+) -> np.ndarray:
+    """From the linear mode without contact to the whole contact stiffness at one energy."""
+    family = _StiffnessFamily(rest, integrals, float(rest.frequencies[mode - 1]))
+    family.energy = energy
+    count = len(rest.frequencies)
+    unknown = np.zeros((integrals.harmonics + 1) * count + 1)
+    opens = rest.modes.pairs[mode - 1].sum() <= 0.0
+    unknown[count + mode - 1], unknown[-1] = (1.0 if opens else -1.0), 1.0
+    soft = min(0.0, math.log(SOFT / max(rest.stiffness, SOFT)))
+    family.set_parameter(soft)
+    first, _ = family.newton(unknown)
+    if first is None:
+        raise ConvergenceError(f"backbone of mode {mode}: no motion with soft contact")
+    last = _Motion(first, soft)
+    if soft == 0.0:
+        return first
+    for motion in _follow(family, last, 1.0, 1000, True):
+        if motion.parameter >= 0.0:
+            landed = _land(family, last, motion, 0.0)
+            if landed is not None:
+                return landed.unknown
+        if motion.parameter < soft - 5.0:
+            break
+        last = motion
+    raise ConvergenceError(
+        f"backbone of mode {mode}: the path in the contact stiffness ended at "
+        f"{math.exp(last.parameter):.2g} of it"
+    )
