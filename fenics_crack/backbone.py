@@ -55,11 +55,8 @@ RESONANT = 1e-3
 
 FAST = 0.5
 """Rate of the parameter along a path at which arc-length is left again."""
-NEAR, ALIKE = 0.05, 0.99
-"""Entries relatively that close to resonance are not predicted; cosine between motions of the same
-shape."""
-FACTORS = (1.0, 0.5, 1.6, 0.25, 2.7, 0.1, 4.3, 0.03, 0.01)
-"""Of a step: those that are tried before arc-length."""
+NEAR = 0.05
+"""Entries relatively that close to resonance are not predicted."""
 
 
 @dataclass(frozen=True)
@@ -233,7 +230,7 @@ def follow_backbone(
     energy_start: float,
     energy_end: float,
     *,
-    harmonics: int = 20,
+    harmonics: int = 10,
     samples: int | None = None,
     internal_resonances: bool = False,
     longest_step: float = 0.2,
@@ -434,9 +431,7 @@ class _FreeMotion:
     numbers. ``share`` multiplies the contact force.
     """
 
-    def __init__(
-        self, rest: _Equilibrium, integrals: ContactIntegrals, reference: float
-    ) -> None:
+    def __init__(self, rest: _Equilibrium, integrals: ContactIntegrals, reference: float) -> None:
         self.rest, self.reference = rest, reference
         self.energy, self.share = 1.0, 1.0
         self.rounding = max(ROUNDING, EPSILON * rest.stiffness)
@@ -649,9 +644,7 @@ def _follow(
         )
         for point in path:
             count += 1
-            motion = _Motion(
-                point.unknown, point.parameter, point.iterations, point.crosses_branch
-            )
+            motion = _Motion(point.unknown, point.parameter, point.iterations, point.crosses_branch)
             yield motion
             if pass_over and point.tangent.p > FAST and motion.parameter > here.parameter:
                 here = motion
@@ -671,21 +664,31 @@ def _step(
     family.linearise(here.unknown)
     sign = family.determinant_sign()
     slope = -family.solve_jacobian(family.parameter_derivative(here.unknown))
-    slope[family.near(here.unknown)] = 0.0
+    near = family.near(here.unknown)
+    # What grows on this side of a resonance has the opposite sign on the other one.
+    across = np.where(near & (slope * here.unknown > 0.0), -here.unknown, here.unknown)
+    slope[near] = 0.0
     steepness = math.sqrt(float(slope @ slope) / float(here.unknown @ here.unknown))
     step = min(step, longest_step / math.hypot(1.0, steepness))
-    for factor in FACTORS:
-        ahead = here.parameter + factor * step
-        guess = here.unknown + factor * step * slope
+    trials = (
+        *((here.unknown, factor, 0.99) for factor in (1.0, 0.5, 0.25)),
+        *((across, factor, 0.95) for factor in (0.25, 0.5, 1.0, 2.0, 4.0)),
+        *((here.unknown, factor, 0.99) for factor in (0.1, 0.03, 0.01)),
+    )
+    for base, factor, cosine in trials:
+        ahead, guess = here.parameter + factor * step, base + factor * step * slope
         family.set_parameter(ahead)
         unknown, iterations = family.newton(guess)
-        if unknown is None:
-            continue
-        one, other = unknown[:-1], guess[:-1]
-        if one @ other > ALIKE * np.linalg.norm(one) * np.linalg.norm(other):
+        if unknown is not None and _alike(unknown, guess, cosine):
             family.linearise(unknown)
             return _Motion(unknown, ahead, iterations, family.determinant_sign() != sign)
     return None
+
+
+def _alike(unknown: np.ndarray, other: np.ndarray, cosine: float) -> bool:
+    """Whether two motions have the same shape."""
+    one, two = unknown[:-1], other[:-1]
+    return bool(one @ two > cosine * np.linalg.norm(one) * np.linalg.norm(two))
 
 
 def _land(
@@ -720,7 +723,7 @@ def _first_motion(
     last = _Motion(first, soft)
     if soft == 0.0:
         return first
-    for motion in _follow(family, last, 1.0, 1000, True):
+    for motion in _follow(family, last, 1.0, 400, True):
         if motion.parameter >= 0.0:
             landed = _land(family, last, motion, 0.0)
             if landed is not None:
