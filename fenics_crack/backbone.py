@@ -19,6 +19,11 @@ live. Contact couples the z_jk through few pairs only: the Jacobian is diagonal 
 entries are eliminated but those with k w close to omega_j; what is left is a dense system in the
 gaps, these entries and w, whose size does not depend on the number of dofs.
 
+Where a multiple of w meets another mode's frequency, two pieces of the family end in that mode's
+motion, from either side: a tongue. Newton's method at the next energy passes over a narrow one,
+for the motion found there has the same shape but for the entry in resonance, whose sign is the
+opposite; det J changes its sign.
+
 Source: Kerschen, Peeters, Golinval, Vakakis, Mechanical Systems and Signal Processing 23 (2009)
 170-194; Krack, Gross, Harmonic Balance for Nonlinear Vibration Problems, 2019, section 2.6.
 """
@@ -246,7 +251,10 @@ def follow_backbone(
     Where a multiple of the frequency meets that of another mode (an internal resonance), the
     backbone goes over into the motion of that mode, and on the other side another piece of it comes
     from there. Without damping there are many such tongues, most of them narrow. They are passed
-    over where a motion of the same shape is found beyond; else they are followed.
+    over where a motion of the same shape is found beyond; else they are followed. Broad ones, with
+    stiff contact, many modes and many harmonics, can end the path: fewer harmonics, or a structure
+    reduced to fewer modes, have fewer of them. Next to a tongue, and where one was passed over,
+    another motion of the same energy may exist.
 
     Where all clearances are zero, the penalty law makes the equations homogeneous: a motion times
     any positive factor is a motion, and the frequency does not depend on the energy. The backbone
@@ -266,7 +274,7 @@ def follow_backbone(
     harmonics, samples : int, int or None
         As in :func:`solve_harmonic_balance`.
     internal_resonances : bool
-        Follow all tongues that the steps resolve; the path then rarely comes out of them.
+        Follow all tongues that the steps resolve; a path need not come out of them again.
     longest_step : float
         Longest step, relative to the size of the motion's shape and in ln E.
     most_points : int
