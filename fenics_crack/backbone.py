@@ -34,6 +34,7 @@ import math
 import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -48,6 +49,7 @@ from fenics_crack.contact import ContactLaw, check_law
 from fenics_crack.contact_integrals import ContactIntegrals, apply_to_pairs, contact_integrals
 from fenics_crack.error_report import ErrorReport, mean_square
 from fenics_crack.errors import ConvergenceError, InputError, check_count, check_number
+from fenics_crack.fourier import resized, to_complex
 from fenics_crack.reduction import reduce_structure
 from fenics_crack.search import EPSILON, ROUNDING, SOFT, Search
 from fenics_crack.solution import PeriodicSolution
@@ -237,6 +239,7 @@ def follow_backbone(
     *,
     harmonics: int = 10,
     samples: int | None = None,
+    initial: PeriodicSolution | None = None,
     internal_resonances: bool = False,
     longest_step: float = 0.2,
     most_points: int = 2000,
@@ -245,8 +248,9 @@ def follow_backbone(
 ) -> Backbone:
     """Follow a nonlinear normal mode over its energy: the backbone of its resonance.
 
-    The linear mode of the structure without contact is followed in the contact stiffness, at
-    ``energy_start``, and from there in ln E, both by arc-length, through folds.
+    The linear mode of the structure without contact is followed in ln k, the contact stiffness, at
+    ``energy_start``, and from there in ln E: by steps in the parameter, and by arc-length, through
+    folds, where there is no motion of the same shape a step further.
 
     Where a multiple of the frequency meets that of another mode (an internal resonance), the
     backbone goes over into the motion of that mode, and on the other side another piece of it comes
@@ -273,6 +277,9 @@ def follow_backbone(
         Energy of the motion [J], above that of the equilibrium; the end is above the start.
     harmonics, samples : int, int or None
         As in :func:`solve_harmonic_balance`.
+    initial : PeriodicSolution, optional
+        Start from the motion next to this solution, scaled to ``energy_start``, and not from the
+        linear mode: for example from a peak of the response with little damping.
     internal_resonances : bool
         Follow all tongues that the steps resolve; a path need not come out of them again.
     longest_step : float
@@ -318,8 +325,11 @@ def follow_backbone(
         raise InputError("mode", mode, f"at most {structure.n_dofs}, the number of dofs")
     rest = _Equilibrium(structure, contact)
     integrals = contact_integrals(contact, harmonics, samples)
-    unknown = _first_motion(rest, integrals, mode, energy_start)
     family = _EnergyFamily(rest, integrals, float(rest.frequencies[mode - 1]))
+    if initial is None:
+        unknown = _first_motion(rest, integrals, mode, energy_start)
+    else:
+        unknown = _next_to(family, structure, initial, mode, energy_start)
     start, end = math.log(energy_start), math.log(energy_end)
     found = [_Motion(unknown, start)]
     status, complete = "the steps became too short", False
@@ -422,7 +432,9 @@ def _work(law: ContactLaw, gap: np.ndarray, change: np.ndarray, less: np.ndarray
     return float(total @ change)
 
 
+@lru_cache(maxsize=1)
 def _gauss() -> tuple[np.ndarray, np.ndarray]:
+    """Gauss's 32 nodes between 0 and 1, and their weights."""
     nodes, weights = np.polynomial.legendre.leggauss(32)
     return 0.5 + 0.5 * nodes, 0.5 * weights
 
@@ -443,6 +455,7 @@ class _FreeMotion:
         self.rest, self.reference = rest, reference
         self.energy, self.share = 1.0, 1.0
         self.rounding = max(ROUNDING, EPSILON * rest.stiffness)
+        self.harmonics = integrals.harmonics
         self._integrals = integrals
         self._rows = _cosine_rows(integrals.harmonics)
         self._squares = rest.modes.squares
@@ -708,9 +721,39 @@ def _land(
     family.set_parameter(end)
     for nearby in (between, first.unknown, second.unknown):
         found, _ = family.newton(nearby)
-        if found is not None:
+        if found is not None and _alike(found, between, 0.9):
             return _Motion(found, end, second.iterations, second.jump)
     return None
+
+
+def _next_to(
+    family: _EnergyFamily,
+    structure: Structure,
+    initial: PeriodicSolution,
+    mode: int,
+    energy: float,
+) -> np.ndarray:
+    """The motion next to a solution, whose mode is made a cosine in the first harmonic."""
+    if not isinstance(initial, PeriodicSolution):
+        raise InputError("initial", initial, "a PeriodicSolution or None")
+    rows = initial.displacement_coefficients
+    if rows.shape[1:] != (structure.n_dofs,):
+        raise InputError("initial", rows.shape[1:], f"of shape ({structure.n_dofs},)")
+    rest, order = family.rest, np.arange(family.harmonics + 1)
+    modal = to_complex(resized(rows, family.harmonics)) @ np.linalg.inv(rest.modes.shapes).T
+    modal[0] -= rest.modal
+    opens = rest.modes.pairs[mode - 1].sum() <= 0.0
+    phase = np.angle(modal[1, mode - 1]) + (0.0 if opens else np.pi)
+    z = (modal * np.exp(-1j * phase * order)[:, None]).real * rest.frequencies
+    family.set_parameter(math.log(energy))
+    start = np.append(z.ravel() / family.amplitude, initial.base_omega / family.reference)
+    ratio = 1.0 + family.residual(start)[-1]
+    if ratio > 0.0:
+        start[:-1] /= math.sqrt(ratio)
+        found, _ = family.newton(start)
+        if found is not None and _alike(found, start, 0.9):
+            return found
+    raise ConvergenceError(f"backbone of mode {mode}: no motion next to the initial solution")
 
 
 def _first_motion(

@@ -1,11 +1,13 @@
 """Backbones: free periodic motions over their energy."""
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import scipy.special
-from helpers import chain, chain_stiffness, log_slope, oscillator
+from helpers import chain, chain_stiffness, dense, log_slope, oscillator
 from test_continuation import Cubic
 
 import fenics_crack as fc
@@ -208,6 +210,31 @@ def test_paper_plate(paper_structure: fc.Structure) -> None:
     assert distances[-1] < 5e-4
 
 
+def test_both_pieces_of_the_paper_plate(paper_structure: fc.Structure) -> None:
+    """Two peaks of the response lie on motions whose second harmonics have opposite signs.
+
+    From the lower peak Newton's method finds the motion that the path from the linear mode finds.
+    """
+    law = fc.UnilateralPenalty(1e9)
+    damped = paper_structure.damped(fc.ModalDamping(0.002))
+    first = fc.follow_backbone(damped, law, 1, 1e-4, 1e-3, harmonics=5)
+    found = []
+    for start, end in ((2500.0, 2680.0), (2850.0, 3050.0)):
+        response = fc.continue_frequency(damped, start, end, law, harmonics=5, throw=False)
+        peak = int(np.argmax(response.amplitude(damped.find_dof((0.1, 0.1), "x"))))
+        curve = fc.follow_backbone(
+            damped, law, 1, 1e-4, 1e-3, harmonics=5, initial=response.solution(peak)
+        )
+        assert curve.omega[-1] == pytest.approx(response.omega[peak], rel=5e-4)
+        found.append(curve)
+    assert found[0].omega[-1] == pytest.approx(first.omega[-1], rel=1e-9)
+    assert found[1].omega[-1] == pytest.approx(2956.25, abs=0.1)  # measured, not from elsewhere
+    shapes = fc.solve_modes(damped, 2).shapes
+    weights = shapes.T @ dense(damped.mass)
+    second = [(weights @ curve.cosines[-1, 2])[1] for curve in found]
+    assert second[0] * second[1] < 0.0
+
+
 # --- the equations --------------------------------------------------------------------------------
 
 
@@ -286,6 +313,10 @@ def test_bad_arguments_and_unfinished_backbones() -> None:
         assert caught.value.key == key
     with pytest.raises(fc.InputError, match="contact"):
         fc.follow_backbone(structure, fc.UnilateralConstraint(), 1, 1.0, 2.0)  # type: ignore[arg-type]
+    other = fc.solve_linear(two_masses(), 1.0, harmonics=1)
+    for wrong in (other, 1.0):
+        with pytest.raises(fc.InputError, match="initial"):
+            fc.follow_backbone(structure, law, 1, 1.0, 2.0, initial=wrong)  # type: ignore[arg-type]
     loose = fc.Structure.from_matrices(
         np.eye(2), [[1.0, -1.0], [-1.0, 1.0]], [1.0, -1.0], clearance=1.0
     )
@@ -295,3 +326,19 @@ def test_bad_arguments_and_unfinished_backbones() -> None:
         fc.follow_backbone(structure, law, 1, 0.1, 10.0, most_points=5)
     curve = fc.follow_backbone(structure, law, 1, 0.1, 10.0, most_points=5, throw=False)
     assert not curve.complete and len(curve.omega) == 6
+
+
+def test_interrupted_backbone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C returns what was found."""
+    follow = backbone._follow
+
+    def interrupted(*arguments: Any) -> Iterator[Any]:
+        path = follow(*arguments)
+        yield next(path)
+        if isinstance(arguments[0], backbone._EnergyFamily):
+            raise KeyboardInterrupt
+        yield from path
+
+    monkeypatch.setattr(backbone, "_follow", interrupted)
+    curve = fc.follow_backbone(two_masses(), fc.UnilateralPenalty(10.0), 1, 0.02, 1.0)
+    assert (curve.complete, curve.status, len(curve.omega)) == (False, "interrupted", 2)
