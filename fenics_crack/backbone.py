@@ -751,7 +751,7 @@ def _next_to(
     if ratio > 0.0:
         start[:-1] /= math.sqrt(ratio)
         found, _ = family.newton(start)
-        if found is not None and _alike(found, start, 0.9):
+        if found is not None and _alike(found, start, 0.7):
             return found
     raise ConvergenceError(f"backbone of mode {mode}: no motion next to the initial solution")
 
