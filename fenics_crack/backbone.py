@@ -62,6 +62,9 @@ RESONANT = 1e-3
 
 FAST = 0.5
 """Rate of the parameter along a path at which arc-length is left again."""
+LEAST_FUNDAMENTAL = 0.25
+"""Least share of the first harmonic in a motion's square: below, it is a tongue's."""
+ELSEWHERE = "the path ended in the motion of another mode"
 NEAR = 0.05
 """Entries relatively that close to resonance are not predicted."""
 
@@ -255,10 +258,11 @@ def follow_backbone(
     Where a multiple of the frequency meets that of another mode (an internal resonance), the
     backbone goes over into the motion of that mode, and on the other side another piece of it comes
     from there. Without damping there are many such tongues, most of them narrow. They are passed
-    over where a motion of the same shape is found beyond; else they are followed. Broad ones, with
-    stiff contact, many modes and many harmonics, can end the path: fewer harmonics, or a structure
-    reduced to fewer modes, have fewer of them. Next to a tongue, and where one was passed over,
-    another motion of the same energy may exist.
+    over where a motion of the same shape is found beyond; else they are followed. Broad ones,
+    with stiff contact, many modes and many harmonics, can end the path: fewer harmonics, or a
+    structure reduced to fewer modes, have fewer of them. A motion whose first harmonic has become
+    small belongs to another mode, and is not taken for the end. Next to a tongue, and where one was
+    passed over, another motion of the same energy may exist.
 
     Where all clearances are zero, the penalty law makes the equations homogeneous: a motion times
     any positive factor is a motion, and the frequency does not depend on the energy. The backbone
@@ -339,10 +343,11 @@ def follow_backbone(
         for motion in _follow(family, found[0], longest_step, most_points, not internal_resonances):
             if motion.parameter >= end:
                 landed = _land(family, found[-1], motion, end)
-                complete = landed is not None
-                status = "reached the end" if complete else "no motion at the very end"
+                status = "no motion at the very end"
                 if landed is not None:
                     found.append(landed)
+                    complete = family.fundamental(landed.unknown) > LEAST_FUNDAMENTAL
+                    status = "reached the end" if complete else ELSEWHERE
                 break
             found.append(motion)
             share = (motion.parameter - start) / (end - start)
@@ -572,6 +577,11 @@ class _FreeMotion:
         close[1] = False
         return np.append(close.ravel(), False)
 
+    def fundamental(self, unknown: np.ndarray) -> float:
+        """Share of the first harmonic in the square of z."""
+        z = unknown[:-1].reshape(self._scale.shape)
+        return float(np.sum(z[1] ** 2) / np.sum(z**2))
+
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
         """Inner product."""
         return float(first @ second)
@@ -667,7 +677,8 @@ def _follow(
             count += 1
             motion = _Motion(point.unknown, point.parameter, point.iterations, point.crosses_branch)
             yield motion
-            if pass_over and point.tangent.p > FAST and motion.parameter > here.parameter:
+            outside = point.tangent.p > FAST and motion.parameter > here.parameter
+            if pass_over and outside and family.fundamental(point.unknown) > LEAST_FUNDAMENTAL:
                 here = motion
                 break
         else:
@@ -700,7 +711,9 @@ def _step(
         ahead, guess = here.parameter + factor * step, base + factor * step * slope
         family.set_parameter(ahead)
         unknown, iterations = family.newton(guess)
-        if unknown is not None and _alike(unknown, guess, cosine):
+        if unknown is None or family.fundamental(unknown) < LEAST_FUNDAMENTAL:
+            continue
+        if _alike(unknown, guess, cosine):
             family.linearise(unknown)
             return _Motion(unknown, ahead, iterations, family.determinant_sign() != sign)
     return None
@@ -778,11 +791,14 @@ def _first_motion(
         if motion.parameter >= 0.0:
             landed = _land(family, last, motion, 0.0)
             if landed is not None:
+                if family.fundamental(landed.unknown) < LEAST_FUNDAMENTAL:
+                    raise ConvergenceError(f"backbone of mode {mode}: {ELSEWHERE}")
                 return landed.unknown
         if motion.parameter < soft - 5.0:
             break
         last = motion
     raise ConvergenceError(
         f"backbone of mode {mode}: the path in the contact stiffness ended at "
-        f"{math.exp(last.parameter):.2g} of it"
+        f"{math.exp(last.parameter):.2g} of it; fewer harmonics have fewer internal resonances, and "
+        "a solution given as initial starts elsewhere"
     )

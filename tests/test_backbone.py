@@ -235,6 +235,12 @@ def test_both_pieces_of_the_paper_plate(paper_structure: fc.Structure) -> None:
     assert second[0] * second[1] < 0.0
 
 
+def test_another_modes_motion_is_no_backbone(paper_structure: fc.Structure) -> None:
+    """Tongues too broad to pass over: an error, though motions of other modes are met."""
+    with pytest.raises(fc.ConvergenceError, match="mode 2"):
+        fc.follow_backbone(paper_structure, fc.UnilateralPenalty(1e9), 2, 1e-4, 1e-3)
+
+
 # --- the equations --------------------------------------------------------------------------------
 
 
