@@ -62,8 +62,6 @@ RESONANT = 1e-3
 
 FAST = 0.5
 """Rate of the parameter along a path at which arc-length is left again."""
-LEAST_FUNDAMENTAL = 0.25
-"""Least share of the first harmonic in a motion's square: below, it is a tongue's."""
 ELSEWHERE = "the path ended in the motion of another mode"
 NEAR = 0.05
 """Entries relatively that close to resonance are not predicted."""
@@ -119,6 +117,17 @@ class Backbone:
         """H."""
         return self.cosines.shape[1] - 1
 
+    @property
+    def fundamental(self) -> np.ndarray:
+        """Share of the first harmonic in the strain energies of all, the mean left out: (n,).
+
+        Where it is small the backbone has gone over into the motion of another mode.
+        """
+        modes = all_modes(self.structure)
+        modal = self.cosines[:, 1:] @ np.linalg.inv(modes.shapes).T
+        squares = np.sum(modes.squares * modal**2, axis=2)
+        return squares[:, 0] / np.sum(squares, axis=1)
+
     def solution(self, index: int) -> PeriodicSolution:
         """The motion at a point as a solution of the equations without load and damping.
 
@@ -147,7 +156,7 @@ class Backbone:
         rest = _Equilibrium(self.structure, self.contact)
         harmonics = max(4 * self.harmonics, self.harmonics + 8)
         integrals = contact_integrals(self.contact, self.harmonics, self.samples)
-        motion = _FreeMotion(rest, integrals.widened(harmonics), float(self.omega[index]))
+        motion = _EnergyFamily(rest, integrals.widened(harmonics), float(self.omega[index]))
         motion.energy = float(self.energy[index]) - self.rest_energy
         modal = np.linalg.solve(rest.modes.shapes, self.cosines[index].T).T
         modal[0] -= rest.modal
@@ -260,9 +269,10 @@ def follow_backbone(
     from there. Without damping there are many such tongues, most of them narrow. They are passed
     over where a motion of the same shape is found beyond; else they are followed. Broad ones,
     with stiff contact, many modes and many harmonics, can end the path: fewer harmonics, or a
-    structure reduced to fewer modes, have fewer of them. A motion whose first harmonic has become
-    small belongs to another mode, and is not taken for the end. Next to a tongue, and where one was
-    passed over, another motion of the same energy may exist.
+    structure reduced to fewer modes, have fewer of them.
+    At the start, a motion whose first harmonic is small is taken for another mode's, and refused;
+    on the way, :attr:`Backbone.fundamental` tells it. Next to a tongue, and where one was passed
+    over, another motion of the same energy may exist.
 
     Where all clearances are zero, the penalty law makes the equations homogeneous: a motion times
     any positive factor is a motion, and the frequency does not depend on the energy. The backbone
@@ -346,7 +356,7 @@ def follow_backbone(
                 status = "no motion at the very end"
                 if landed is not None:
                     found.append(landed)
-                    complete = family.fundamental(landed.unknown) > LEAST_FUNDAMENTAL
+                    complete = family.fundamental(landed.unknown) > family.least_fundamental
                     status = "reached the end" if complete else ELSEWHERE
                 break
             found.append(motion)
@@ -453,8 +463,11 @@ class _FreeMotion:
     """F(x) = 0 for x = (z_00, ..., z_0n, z_10, ..., z_Hn, w / reference), at an energy.
 
     Row (k, j) is divided by (omega_j^2 + (k reference)^2) a / omega_j, the last one by E: they are
-    numbers. ``share`` multiplies the contact force.
+    numbers. ``share`` multiplies the contact force. Motions with less than ``least_fundamental`` of
+    the first harmonic are a tongue's: another mode's.
     """
+
+    least_fundamental: float
 
     def __init__(self, rest: _Equilibrium, integrals: ContactIntegrals, reference: float) -> None:
         self.rest, self.reference = rest, reference
@@ -578,9 +591,9 @@ class _FreeMotion:
         return np.append(close.ravel(), False)
 
     def fundamental(self, unknown: np.ndarray) -> float:
-        """Share of the first harmonic in the square of z."""
+        """Share of the first harmonic in the square of z, the mean left out."""
         z = unknown[:-1].reshape(self._scale.shape)
-        return float(np.sum(z[1] ** 2) / np.sum(z**2))
+        return float(np.sum(z[1] ** 2) / max(np.sum(z[1:] ** 2), 1e-300))
 
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
         """Inner product."""
@@ -603,6 +616,8 @@ class _FreeMotion:
 class _StiffnessFamily(_FreeMotion):
     """Free motions of one energy; the parameter is ln of the share of the contact stiffness."""
 
+    least_fundamental = 0.25
+
     def set_parameter(self, parameter: float) -> None:
         """Set ln share."""
         if math.exp(parameter) != self.share:
@@ -616,6 +631,8 @@ class _StiffnessFamily(_FreeMotion):
 
 class _EnergyFamily(_FreeMotion):
     """Free motions; the parameter is ln E."""
+
+    least_fundamental = 0.02
 
     def set_parameter(self, parameter: float) -> None:
         """Set ln E."""
@@ -678,7 +695,11 @@ def _follow(
             motion = _Motion(point.unknown, point.parameter, point.iterations, point.crosses_branch)
             yield motion
             outside = point.tangent.p > FAST and motion.parameter > here.parameter
-            if pass_over and outside and family.fundamental(point.unknown) > LEAST_FUNDAMENTAL:
+            if (
+                pass_over
+                and outside
+                and family.fundamental(point.unknown) > family.least_fundamental
+            ):
                 here = motion
                 break
         else:
@@ -711,7 +732,7 @@ def _step(
         ahead, guess = here.parameter + factor * step, base + factor * step * slope
         family.set_parameter(ahead)
         unknown, iterations = family.newton(guess)
-        if unknown is None or family.fundamental(unknown) < LEAST_FUNDAMENTAL:
+        if unknown is None or family.fundamental(unknown) < family.least_fundamental:
             continue
         if _alike(unknown, guess, cosine):
             family.linearise(unknown)
@@ -784,21 +805,21 @@ def _first_motion(
     first, _ = family.newton(unknown)
     if first is None:
         raise ConvergenceError(f"backbone of mode {mode}: no motion with soft contact")
-    last = _Motion(first, soft)
     if soft == 0.0:
         return first
+    last, furthest = _Motion(first, soft), soft
     for motion in _follow(family, last, 1.0, 400, True):
         if motion.parameter >= 0.0:
             landed = _land(family, last, motion, 0.0)
             if landed is not None:
-                if family.fundamental(landed.unknown) < LEAST_FUNDAMENTAL:
+                if family.fundamental(landed.unknown) < family.least_fundamental:
                     raise ConvergenceError(f"backbone of mode {mode}: {ELSEWHERE}")
                 return landed.unknown
         if motion.parameter < soft - 5.0:
             break
-        last = motion
+        last, furthest = motion, max(furthest, motion.parameter)
     raise ConvergenceError(
-        f"backbone of mode {mode}: the path in the contact stiffness ended at "
-        f"{math.exp(last.parameter):.2g} of it; fewer harmonics have fewer internal resonances, and "
-        "a solution given as initial starts elsewhere"
+        f"backbone of mode {mode}: the path in the contact stiffness came as far as "
+        f"{math.exp(furthest):.2g} of it; fewer harmonics have fewer internal resonances, "
+        "and a solution given as initial starts elsewhere"
     )

@@ -179,6 +179,7 @@ def test_tongues_of_internal_resonances() -> None:
     assert np.any(np.diff(into.energy) < 0.0) and not into.jumps.any()
     assert into.omega[-1] == pytest.approx(over.omega[-1], rel=1e-9)
     assert np.allclose(into.cosines[-1], over.cosines[-1], atol=1e-8)
+    assert into.fundamental.min() < 0.5 < over.fundamental.min()
     for curve in (over, into):
         reports = [curve.solution(i).report for i in range(len(curve.omega))]
         assert max(report.residual for report in reports) < 1e-9
