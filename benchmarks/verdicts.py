@@ -222,7 +222,7 @@ def draw(rows: list[tuple], path: object) -> None:
             [row[2] for row in chosen], [row[8] for row in chosen], marker, color=colour, ms=5,
             label=verdict, mfc="none",
         )  # fmt: skip
-    values = [row[8] for row in rows if np.isfinite(row[8])]
+    values = [row[8] for row in rows if np.isfinite(row[8] * row[12])]
     ends = [min(values), max(values)]
     axes.loglog(ends, ends, "-", color="0.7", lw=1.0)
     axes.axvline(1.0, color="0.7", lw=1.0)

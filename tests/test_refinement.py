@@ -59,15 +59,15 @@ def test_multiplier_seen_in_the_motion() -> None:
 
 
 def test_order_of_the_location_by_harmonic_balance() -> None:
-    """The error of the period doubling of VERIFICATION C falls at least like H^-2."""
-    harmonics, errors = (21, 41, 61, 81, 121), []
+    """The error of the period doubling of VERIFICATION C falls like H^-3."""
+    harmonics, errors = (21, 41, 61, 81, 121, 161), []
     for count in harmonics:
         curve = fc.continue_frequency(two_masses(), **CURVE, harmonics=count, stability=True)
         found = next(b.omega for b in curve.bifurcations if b.kind == "period_doubling")
         errors.append(abs(found / EXACT["period_doubling"][0] - 1.0))
     assert np.all(np.diff(errors) < 0.0)
     assert errors[0] < 0.1 and errors[-1] < 1e-3
-    assert -4.0 < log_slope(harmonics, errors) < -2.0
+    assert -3.3 < log_slope(harmonics, errors) < -2.7
 
 
 def test_doublings_of_the_oscillator() -> None:
