@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
 from functools import partial
 
@@ -47,6 +48,19 @@ BLOCK = 64
 
 
 @dataclass(frozen=True)
+class _FreeMotion:
+    """What does not depend on the load's frequency with one set of closed pairs."""
+
+    values: np.ndarray
+    vectors: np.ndarray
+    inverse: np.ndarray
+    static: np.ndarray
+    step: float
+    powers: np.ndarray
+    """exp(L j step), j = 0 to BLOCK: (2n, BLOCK + 1)."""
+
+
+@dataclass(frozen=True)
 class _Regime:
     """Everything about the flow with one set of closed pairs."""
 
@@ -57,7 +71,6 @@ class _Regime:
     harmonic: np.ndarray
     step: float
     powers: np.ndarray
-    """exp(L j step), j = 0 to BLOCK: (2n, BLOCK + 1)."""
 
 
 def flow_matrix(modes: AllModes, stiffness: np.ndarray, scale: float) -> np.ndarray:
@@ -91,10 +104,18 @@ class EventFlow:
             np.asarray(contact.stiffness, dtype=float), (structure.n_pairs,)
         )
         self._regimes: dict[bytes, _Regime] = {}
+        self._free: dict[bytes, _FreeMotion] = {}
         count = len(self._modes.squares)
         self.gap_rows = np.hstack(
             [self._modes.pairs.T / self.scale, np.zeros((structure.n_pairs, count))]
         )
+
+    def at(self, omega: float) -> EventFlow:
+        """The same with another load frequency [rad/s]; the free motion is not computed again."""
+        check_omega(omega)
+        other = copy(self)
+        other.omega, other._regimes = omega, {}
+        return other
 
     def state(self, displacement: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """State of a displacement and a velocity (n_dofs,)."""
@@ -169,29 +190,42 @@ class EventFlow:
         if key not in self._regimes:
             modes, scale = self._modes, self.scale
             count = len(modes.squares)
-            active = closed * self._stiffness
-            matrix = flow_matrix(modes, active, scale)
-            stiffness = -scale * matrix[count:, :count]
-            values, vectors = np.linalg.eig(matrix)
-            mean, cosine, sine = self.structure.force @ modes.shapes
-            mean = mean + modes.pairs @ (active * self.structure.clearance)
-            static = np.linalg.lstsq(stiffness, mean, rcond=None)[0]
-            damping = -matrix[count:, count:]
-            impedance = stiffness - self.omega**2 * np.eye(count) + 1j * self.omega * damping
+            matrix = flow_matrix(modes, closed * self._stiffness, scale)
+            if key not in self._free:
+                self._free[key] = self._free_motion(matrix, closed)
+            free = self._free[key]
+            _, cosine, sine = self.structure.force @ modes.shapes
             response: np.ndarray = np.zeros(count, dtype=complex)
             if np.any(cosine) or np.any(sine):
+                stiffness, damping = -scale * matrix[count:, :count], -matrix[count:, count:]
+                impedance = stiffness - self.omega**2 * np.eye(count) + 1j * self.omega * damping
                 response = np.linalg.solve(impedance, cosine - 1j * sine)
-            step = 2.0 * np.pi / np.abs(values.imag).max() / 12.0
             self._regimes[key] = _Regime(
-                values,
-                vectors.astype(complex),
-                np.linalg.inv(vectors).astype(complex),
-                np.concatenate([scale * static, np.zeros(count)]),
+                free.values,
+                free.vectors,
+                free.inverse,
+                np.concatenate([scale * free.static, np.zeros(count)]),
                 np.concatenate([scale * response, 1j * self.omega * response]),
-                step,
-                np.exp(np.outer(values, step * np.arange(BLOCK + 1))),
+                free.step,
+                free.powers,
             )
         return self._regimes[key]
+
+    def _free_motion(self, matrix: np.ndarray, closed: np.ndarray) -> _FreeMotion:
+        modes, count = self._modes, len(matrix) // 2
+        values, vectors = np.linalg.eig(matrix)
+        mean = self.structure.force[0] @ modes.shapes
+        mean = mean + modes.pairs @ (closed * self._stiffness * self.structure.clearance)
+        static = np.linalg.lstsq(-self.scale * matrix[count:, :count], mean, rcond=None)[0]
+        step = 2.0 * np.pi / np.abs(values.imag).max() / 12.0
+        return _FreeMotion(
+            values,
+            vectors.astype(complex),
+            np.linalg.inv(vectors).astype(complex),
+            static,
+            step,
+            np.exp(np.outer(values, step * np.arange(BLOCK + 1))),
+        )
 
     def _steady(self, regime: _Regime, time: float) -> np.ndarray:
         return regime.mean + (np.exp(1j * self.omega * time) * regime.harmonic).real

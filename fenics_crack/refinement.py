@@ -89,7 +89,7 @@ def refine_bifurcation(
     contact : UnilateralPenalty, optional
         Default: the solution's.
     reach : float
-        How far to look, relative to the frequency of the solution.
+        How far to look, relative to the frequency of the solution; at most 0.5.
     longest_step : float
         Along the branch, relative to the solution's size and frequency.
 
@@ -99,6 +99,11 @@ def refine_bifurcation(
         Load frequency of the bifurcation nearest along the branch.
     orbit : PeriodicOrbit
         The orbit there.
+
+    Notes
+    -----
+    With few harmonics a curve has special points that are not there on exact orbits, or several
+    where these have one: several of them may lead to the same point, or to none.
 
     Raises
     ------
@@ -111,6 +116,8 @@ def refine_bifurcation(
     if kind not in KINDS:
         raise InputError("kind", kind, "one of " + ", ".join(map(repr, KINDS)))
     check_number("reach", reach, 0.0, above=True)
+    if reach > 0.5:
+        raise InputError("reach", reach, "at most 0.5")
     check_number("longest_step", longest_step, 0.0, above=True)
     law = solution.contact if contact is None else contact
     branch = _ExactBranch(structure or solution.structure, law, solution)  # type: ignore[arg-type]
@@ -145,7 +152,6 @@ class _ExactBranch:
     def __init__(
         self, structure: Structure, contact: ContactLaw, solution: PeriodicSolution
     ) -> None:
-        self._structure, self._contact = structure, contact
         self.omega = solution.omega
         self._turns = 2.0 * np.pi * solution.subharmonic
         self._flow = EventFlow(structure, self.omega, contact)
@@ -155,9 +161,12 @@ class _ExactBranch:
 
     def first(self) -> _Point | None:
         """The point next to the solution, orthogonal to the branch."""
-        _, monodromy, _ = self._mismatch(self._start)
-        slopes = self._slopes(self._start, monodromy)
-        return self._correct(self._start, np.linalg.svd(slopes)[2][-1])
+        try:
+            _, monodromy, _ = self._mismatch(self._start)
+            normal = np.linalg.svd(self._slopes(self._start, monodromy))[2][-1]
+        except (ConvergenceError, np.linalg.LinAlgError):
+            return None
+        return self._correct(self._start, normal)
 
     def along(self, point: _Point, step: float) -> _Point | None:
         """The point at a distance along the tangent of another one."""
@@ -167,7 +176,7 @@ class _ExactBranch:
         """The orbit of a point."""
         omega = float(point.x[-1] * self.omega)
         return describe_orbit(
-            EventFlow(self._structure, omega, self._contact),
+            self._flow.at(omega),
             self._size * point.x[:-1],
             self._turns / omega,
             point.monodromy,
@@ -187,7 +196,7 @@ class _ExactBranch:
     ) -> tuple[np.ndarray, np.ndarray | None, int]:
         omega = float(x[-1] * self.omega)
         if omega != self._flow.omega:
-            self._flow = EventFlow(self._structure, omega, self._contact)
+            self._flow = self._flow.at(omega)
         moved, _, monodromy, events = self._flow.advance(
             self._size * x[:-1], 0.0, self._turns / omega, monodromy=monodromy
         )
@@ -201,7 +210,14 @@ class _ExactBranch:
         return np.hstack([monodromy - np.eye(len(monodromy)), by_frequency[:, None]])
 
     def _correct(self, guess: np.ndarray, normal: np.ndarray) -> _Point | None:
-        """Damped Newton's method in the plane through a guess; None where it does not converge."""
+        """The point in the plane through a guess; None where it is not found."""
+        try:
+            return self._newton(guess, normal)
+        except (ConvergenceError, np.linalg.LinAlgError):  # pairs chatter, or a singular point
+            return None
+
+    def _newton(self, guess: np.ndarray, normal: np.ndarray) -> _Point | None:
+        """Newton's method in this plane, damped."""
         x = guess
         residual, monodromy, events = self._mismatch(x)
         before = float(np.linalg.norm(residual))

@@ -138,7 +138,7 @@ def _refined(
         return None
     gap = solution.gap(np.arange(len(orbit.gap)) * solution.period / len(orbit.gap))
     distance = np.linalg.norm(orbit.gap - gap) / np.linalg.norm(orbit.gap)
-    if distance > max(0.05, 5.0 * solution.report.truncation):
+    if distance > min(0.25, max(0.05, 5.0 * solution.report.truncation)):
         return None  # another orbit
     largest = abs(orbit.multipliers[0])
     verdict = "undecided"

@@ -5,6 +5,7 @@ import pytest
 from helpers import (
     OMEGA_0,
     VERIFICATION_A,
+    chain,
     dense_matrices,
     heavy_mass,
     log_slope,
@@ -136,6 +137,22 @@ def test_central_differences_converge_to_it() -> None:
         errors.append(np.abs(history.gap[::factor] - exact.gap).max())
     assert log_slope([1, 2, 4, 8], errors) < -1.7
     assert errors[-1] < 1e-4 * np.abs(exact.gap).max()
+
+
+def test_the_same_flow_at_another_frequency() -> None:
+    """As if made for it, and the first one stays as it was."""
+    structure = chain()
+    law = fc.UnilateralPenalty(5.0)
+    first = EventFlow(structure, 0.9, law)
+    state = np.linspace(-1.0, 1.0, 2 * structure.n_dofs)
+    before = first.advance(state, 0.3, 8.0)[0]
+    moved, _, _, events = first.at(1.3).advance(state, 0.3, 8.0)
+    assert events > 2
+    assert relative(moved, EventFlow(structure, 1.3, law).advance(state, 0.3, 8.0)[0]) < 1e-13
+    assert np.array_equal(first.advance(state, 0.3, 8.0)[0], before)
+    assert relative(moved, before) > 1e-3
+    with pytest.raises(fc.InputError, match=r"^omega"):
+        first.at(-1.0)
 
 
 def test_brief_contacts_are_not_missed() -> None:
