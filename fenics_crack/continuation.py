@@ -453,8 +453,9 @@ class Continuation:
         found = []
         if first.doubling * second.doubling < 0.0:
             found.append(("period_doubling", self._locate(before, after, at(_doubling))))
-        paired = abs(first.value.imag) > 0.0 and abs(second.value.imag) > 0.0
-        if paired and first.stable != second.stable:
+        unstable = second if first.stable else first
+        left = first.stable != second.stable and first.doubling == second.doubling
+        if left and unstable.value.imag > 0.0:
             found.append(("neimark_sacker", self._locate(before, after, at(_pair))))
         return found
 
