@@ -6,7 +6,8 @@ oscillator : m = 1, c = 0.02, k = 1, f = 0.1 cos(w t), a stop of kc = 1, 10, 100
     clearance; 300 frequencies from 0.3 to 2, H = 5, 10, 20: 3,600 solutions.
 plate : ``demos/breathing_plate.toml``, contact on all pairs, 1e9 and 1e11 N/m a pair, 1000 to 3000
     rad/s in steps of 100; H = 5, 10, 20, 40 on the reduced structure, H = 5, 10 also with the exact
-    dynamic compliance of the whole one.
+    dynamic compliance of the whole one. With H = 40 harmonics reach 120,000 rad/s: there 150 modes
+    are damped, to 111,000 rad/s, instead of 50, to 60,000 rad/s.
 constraint : no penetration at all, the same frequencies and H, on ``demos/paper_plate.toml`` with
     damping ratios 0.001 and 0.01 and on the reduced breathing plate (there H = 5, 10 and every
     fourth frequency with H = 20). Where the default weight fails, how the residual behaved is said,
@@ -83,8 +84,11 @@ def run_plate(arguments: common.Arguments) -> None:
     whole = common.plate("breathing_plate")
     reduced = fc.reduce_structure(whole)
     frequencies = np.arange(1000.0, 3001.0, 500.0 if quick else 100.0)
-    runs = [("reduced", reduced, h) for h in ((5, 10) if quick else (5, 10, 20, 40))]
+    runs = [("reduced", reduced, h) for h in ((5, 10) if quick else (5, 10, 20))]
     runs += [("exact", whole, h) for h in ((5,) if quick else (5, 10))]
+    if not quick and (not only or 40 in only):
+        damped = common.plate("breathing_plate", {"damping.modes": 150})
+        runs.append(("reduced, 150", fc.reduce_structure(damped), 40))
     points: list[Point] = []
     for name, structure, harmonics in runs:
         if only and harmonics not in only:
