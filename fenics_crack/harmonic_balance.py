@@ -6,6 +6,7 @@ The unknowns are the Fourier coefficients of the gaps (``form="condensed"``) or 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -44,6 +45,8 @@ __all__ = ["solve_harmonic_balance", "solve_linear"]
 
 MOST_HARMONICS, MOST_SAMPLES = 300, 2**20
 """Beyond these the choice by a tolerance gives up."""
+MATRICES = 4
+"""Dense matrices of the size of the Jacobian that are held at a time."""
 
 
 def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> PeriodicSolution:
@@ -158,6 +161,8 @@ def solve_harmonic_balance(
     if form not in ("condensed", "full"):
         raise InputError("form", form, "'condensed' or 'full'")
     _check_contact(structure, contact, samples, form)
+    if harmonics is not None:
+        _check_memory(structure, harmonics)
     if initial is not None:
         _check_initial(structure, initial, subharmonic)
     problem = _Problem(
@@ -388,6 +393,21 @@ def _check_contact(
             raise InputError("form", form, "'condensed' with UnilateralConstraint")
         return
     check_law(structure, contact)
+
+
+def _check_memory(structure: Structure, harmonics: int) -> None:
+    """Raise InputError where the dense Jacobian of the condensed equations would not fit."""
+    pairs = structure.n_pairs
+    unknowns = (2 * harmonics + 1) * pairs
+    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if MATRICES * 8 * unknowns**2 > 0.8 * memory:
+        fits = int(np.sqrt(0.8 * memory / (8 * MATRICES)) / (2 * pairs) - 0.5)
+        raise InputError(
+            "harmonics",
+            harmonics,
+            f"at most {fits} with {pairs} pairs: {unknowns} unknowns need "
+            f"{MATRICES * 8 * unknowns**2 / 2**30:.0f} GiB of this machine's {memory / 2**30:.0f}",
+        )
 
 
 def _check_initial(structure: Structure, initial: PeriodicSolution, subharmonic: int) -> None:
