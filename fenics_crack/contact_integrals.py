@@ -85,7 +85,11 @@ def default_samples(harmonics: int) -> int:
 
 
 class SampledIntegrals(ContactIntegrals):
-    """Trapezoidal rule on N > 4 H equally spaced instants, by the fast Fourier transform.
+    """Trapezoidal rule on N equally spaced instants, by the fast Fourier transform.
+
+    N > 4 H is the usual choice. N = 2H+1 is the least: as many instants as coefficients, and then
+    the transform is square, so that the equations of harmonic balance say no more and no less than
+    that the equation of motion holds at these instants (collocation, :mod:`harmonic_balance`).
 
     Parameters
     ----------
@@ -128,9 +132,16 @@ class SampledIntegrals(ContactIntegrals):
         return SampledIntegrals(self.law, harmonics, samples)
 
     def _means(self, values: np.ndarray, highest: int) -> np.ndarray:
-        """Complex c_m + i s_m of the slope, m = 0 to highest: (n_pairs, highest + 1)."""
-        spectrum = np.fft.rfft(self.law.tangent(values), axis=0)[: highest + 1]
-        return spectrum.T.conj() / self.samples
+        """Complex c_m + i s_m of the slope, m = 0 to highest < N: (n_pairs, highest + 1).
+
+        At the instants exp(i m theta) and exp(i (m - N) theta) are the same: on few of them the
+        means of high order are those of low order, conjugate.
+        """
+        spectrum = np.fft.rfft(self.law.tangent(values), axis=0)
+        if highest >= len(spectrum):
+            folded = self.samples - np.arange(len(spectrum), highest + 1)
+            spectrum = np.concatenate((spectrum, spectrum[folded].conj()))
+        return spectrum[: highest + 1].T.conj() / self.samples
 
 
 class ExactIntegrals(ContactIntegrals):

@@ -6,7 +6,8 @@ J of F(g) = g + R b(g) - g_lin at the solution, compliance R, and a disturbance 
     delta g = -J^-1 R d.
 
 - truncation: the first Newton step of the equations with more harmonics;
-- sampling: d is the difference between the contact integrals used and finer or exact ones;
+- sampling: d is the difference between the contact integrals used and finer or exact ones; by
+  collocation this is the aliasing;
 - reduction: R lacks delta R, known from a larger basis: R d becomes delta R b - delta g_lin.
 
 All are root mean squares over the period and the pairs, relative to that of B^T u.
@@ -21,7 +22,12 @@ import numpy as np
 from fenics_crack.compliance import dynamic_compliance
 from fenics_crack.condensed import CondensedSystem, ConstraintSystem, respond
 from fenics_crack.contact import UnilateralPenalty
-from fenics_crack.contact_integrals import ContactIntegrals, ExactIntegrals, SampledIntegrals
+from fenics_crack.contact_integrals import (
+    ContactIntegrals,
+    ExactIntegrals,
+    SampledIntegrals,
+    default_samples,
+)
 from fenics_crack.fourier import resized
 from fenics_crack.reduction import ReducedStructure
 from fenics_crack.structure import Structure
@@ -133,7 +139,8 @@ def _missed_by_samples(integrals: ContactIntegrals, gap: np.ndarray) -> np.ndarr
     if isinstance(integrals.law, UnilateralPenalty):
         better = ExactIntegrals(integrals.law, integrals.harmonics)
     else:
-        better = SampledIntegrals(integrals.law, integrals.harmonics, 4 * integrals.samples)
+        samples = max(4 * integrals.samples, default_samples(integrals.harmonics))
+        better = SampledIntegrals(integrals.law, integrals.harmonics, samples)
     return better.force(gap) - integrals.force(gap)
 
 

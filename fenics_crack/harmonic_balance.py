@@ -2,6 +2,18 @@
 
 The unknowns are the Fourier coefficients of the gaps (``form="condensed"``) or of all displacements
 (``form="full"``, the reference); both have the same solutions. See :mod:`condensed`, :mod:`block`.
+
+The equations are balanced by projection on the same functions (``balance="galerkin"``, the
+classical form) or hold at 2H+1 instants of the period (``balance="collocation"``, the
+high-dimensional form of Hall, Thomas and Clark, AIAA Journal 40, 2002, 879-886). With E the square
+matrix of the functions' values at the instants theta_n = 2 pi n / (2H+1),
+
+    w^2 M D^2 U + w C D U + K U + B lambda(B^T U - g0) = f,      D = E (d/dtheta) E^-1,   U = E u,
+
+and E^-1 times that is A u + B b - c = 0 with b = E^-1 lambda(E g): harmonic balance whose contact
+force is sampled 2H+1 times, no more. Harmonics of the force beyond H fold back onto those kept, and
+can make spurious solutions (Liu, Thomas, Dowell, Attar, Hall, Journal of Computational Physics 215,
+2006, 298-320). The incremental form takes the steps of the classical one: :mod:`incremental`.
 """
 
 from __future__ import annotations
@@ -93,6 +105,7 @@ def solve_harmonic_balance(
     subharmonic: int = 1,
     tolerance: float | None = None,
     form: str = "condensed",
+    balance: str = "galerkin",
     residual_tolerance: float = 1e-10,
     throw: bool = True,
 ) -> PeriodicSolution:
@@ -124,6 +137,10 @@ def solve_harmonic_balance(
         ``harmonics`` and ``samples`` are then left out.
     form : "condensed" or "full"
         Unknowns on the gaps, or in all degrees of freedom.
+    balance : "galerkin" or "collocation"
+        How the equations are balanced: by integrals over the period, or at 2H+1 instants, for
+        comparison: cheap for any law, but it aliases, and may have spurious solutions, which betray
+        themselves by a large ``report.sampling``. ``samples`` and ``tolerance`` are then left out.
     residual_tolerance : float
         |F(x)| / |x| of the algebraic equations; with very stiff contact (k R > 1e5) rounding alone
         leaves more, eps k R, which is then accepted and reported.
@@ -145,6 +162,7 @@ def solve_harmonic_balance(
     """
     check_omega(omega)
     check_count("subharmonic", subharmonic, 1)
+    _check_balance(contact, samples, tolerance, balance)
     if harmonics is None and tolerance is None:
         harmonics = max(5, subharmonic)
     if harmonics is not None:
@@ -160,6 +178,9 @@ def solve_harmonic_balance(
     check_number("residual_tolerance", residual_tolerance, 0.0, above=True)
     if form not in ("condensed", "full"):
         raise InputError("form", form, "'condensed' or 'full'")
+    if balance == "collocation":
+        assert harmonics is not None
+        samples = 2 * harmonics + 1
     _check_contact(structure, contact, samples, form)
     if harmonics is not None:
         _check_memory(structure, harmonics)
@@ -408,6 +429,24 @@ def _check_memory(structure: Structure, harmonics: int) -> None:
             f"at most {fits} with {pairs} pairs: {unknowns} unknowns need "
             f"{MATRICES * 8 * unknowns**2 / 2**30:.0f} GiB of this machine's {memory / 2**30:.0f}",
         )
+
+
+def _check_balance(
+    contact: ContactLaw | UnilateralConstraint,
+    samples: int | None,
+    tolerance: float | None,
+    balance: str,
+) -> None:
+    if balance not in ("galerkin", "collocation"):
+        raise InputError("balance", balance, "'galerkin' or 'collocation'")
+    if balance == "galerkin":
+        return
+    if isinstance(contact, UnilateralConstraint):
+        raise InputError("balance", balance, "'galerkin' with UnilateralConstraint")
+    for key, value in (("samples", samples), ("tolerance", tolerance)):
+        if value is not None:
+            allowed = "left out with balance='collocation', whose 2H+1 instants follow from H"
+            raise InputError(key, value, allowed)
 
 
 def _check_initial(structure: Structure, initial: PeriodicSolution, subharmonic: int) -> None:
