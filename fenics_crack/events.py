@@ -45,6 +45,8 @@ __all__ = [
 MOST_EVENTS = 100_000
 """In one period of the load; more are a sign that pairs chatter without end."""
 BLOCK = 64
+PATIENCE = 6
+"""Newton steps of shooting that may together fail to halve the residual."""
 
 
 @dataclass(frozen=True)
@@ -475,6 +477,7 @@ def shoot(
     period, size = solution.period, 2 * structure.n_dofs
     moved, _, monodromy, events = flow.advance(state, 0.0, period, monodromy=np.eye(size))
     before = float(np.linalg.norm(moved - state) / np.linalg.norm(state))
+    history = [before]
     for iteration in range(50):
         assert monodromy is not None
         if before <= tolerance:
@@ -488,7 +491,9 @@ def shoot(
             if now < before or damping < 1e-3:
                 break
             damping *= 0.5
-        if not now < before:
+        history.append(now)
+        stalls = len(history) > PATIENCE and now > 0.5 * history[-1 - PATIENCE]
+        if not now < before or stalls:
             break
         state, before = trial, now
     raise ConvergenceError(

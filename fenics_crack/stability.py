@@ -45,6 +45,8 @@ __all__ = ["LeadingMultiplier", "PiecewiseFlow", "Stability", "floquet"]
 
 SMOOTH_INTERVALS = 512
 """In a period, for laws that are not linear in contact."""
+FEW_PAIRS = 4
+"""Up to so many, shooting takes seconds at most; many pairs switch too often."""
 MOST_CHANGES = 256
 """Changes of basis that are kept."""
 BLOCK, FULL = 8, 40
@@ -96,8 +98,9 @@ def floquet(
     contact : ContactLaw, optional
         Its law; default: the solution's own.
     refine : bool
-        Where harmonics leave the verdict open and the law is the penalty, refine the orbit by
-        shooting on the exact flow (:func:`fenics_crack.events.shoot`) and judge by its multipliers.
+        Where harmonics leave the verdict open, the law is the penalty and there are at most four
+        pairs, refine the orbit by shooting on the exact flow (:func:`fenics_crack.events.shoot`)
+        and judge by its multipliers.
 
     Raises
     ------
@@ -123,7 +126,7 @@ def floquet(
         verdict = "stable"
     elif np.all(known > 1.0 + 1e-9):
         verdict = "unstable"
-    elif refine and isinstance(contact, UnilateralPenalty):
+    elif refine and isinstance(contact, UnilateralPenalty) and structure.n_pairs <= FEW_PAIRS:
         return _refined(structure, solution, contact) or Stability(multipliers, verdict, np.nan)
     return Stability(multipliers, verdict, float(np.abs(known - largest).max()))
 
