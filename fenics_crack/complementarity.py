@@ -1,18 +1,19 @@
 """The contact problem of one time step: a small dense one, in the forces on the pairs.
 
 With the gaps that the step would reach without contact forces, g_free, and the compliance D of the
-step, the gaps at its end are g = g_free - D lambda. A constraint asks for
+step, symmetric and positive definite, the gaps at its end are g = g_free - D lambda. A constraint
+asks for
 
     0 <= lambda,     g <= 0,     lambda^T g = 0,
 
-a linear complementarity problem with the matrix D; the penalty law lambda = k max(g, 0) for the
-same with D + diag(1/k) and g - lambda/k in place of g; any other law for lambda = lambda(g).
+a linear complementarity problem. It is solved by the primal-dual active set method, a semismooth
+Newton method that ends with the exact solution after few steps: pairs taken as closed have g = 0,
+the others lambda = 0; pairs then pulled are opened, those that penetrate are closed. Where it
+cycles, the same solution is the minimum of lambda^T D lambda / 2 - lambda^T g_free for
+lambda >= 0, a least-squares problem with bounds, for which the method of Lawson and Hanson ends.
 
-The first two are solved by the primal-dual active set method, a semismooth Newton method that ends
-with the exact solution after few steps: pairs taken as closed have g = 0, the others lambda = 0;
-pairs then pulled are opened, those that penetrate are closed. Where it cycles, the same solution is
-the minimum of lambda^T D lambda / 2 - lambda^T g_free for lambda >= 0, a least-squares problem with
-bounds, for which the method of Lawson and Hanson always ends.
+With forces that follow from the gap, lambda = h(g) pair by pair, Newton's method solves
+lambda = h(g_free - D lambda).
 
 Sources: Hintermueller, Ito and Kunisch, SIAM Journal on Optimization 13 (2002) 865; Lawson and
 Hanson, Solving Least Squares Problems (1974), chapter 23.
@@ -20,49 +21,18 @@ Hanson, Solving Least Squares Problems (1974), chapter 23.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import scipy.optimize
 
-from fenics_crack.contact import ContactLaw, UnilateralConstraint, UnilateralPenalty
 from fenics_crack.errors import ConvergenceError
 
-__all__ = ["solve_complementarity", "solve_contact"]
+__all__ = ["solve_complementarity", "solve_forces"]
 
 ROUNDING = 1e-14
 """Gaps relative to the largest one that count as zero."""
 MOST_ITERATIONS = 100
-
-
-def solve_contact(
-    contact: ContactLaw | UnilateralConstraint,
-    compliance: np.ndarray,
-    gap: np.ndarray,
-    guess: np.ndarray,
-) -> np.ndarray:
-    """Forces on the pairs at the end of a step: (n_pairs,) [N].
-
-    Parameters
-    ----------
-    contact : ContactLaw or UnilateralConstraint
-        Law of all pairs.
-    compliance : (n_pairs, n_pairs) [m/N]
-        D, symmetric but for damping that couples, positive semidefinite.
-    gap : (n_pairs,) [m]
-        Gaps without contact forces, g_free.
-    guess : (n_pairs,) [N]
-        Forces to start from, those of the step before.
-
-    Raises
-    ------
-    ConvergenceError
-        No forces were found that satisfy the law.
-    """
-    if isinstance(contact, UnilateralConstraint):
-        return solve_complementarity(compliance, gap, guess > 0.0)
-    if isinstance(contact, UnilateralPenalty):
-        softness = np.broadcast_to(1.0 / np.asarray(contact.stiffness), gap.shape)
-        return solve_complementarity(compliance + np.diag(softness), gap, guess > 0.0)
-    return _newton(contact, compliance, gap, guess)
 
 
 def solve_complementarity(
@@ -73,7 +43,7 @@ def solve_complementarity(
     Parameters
     ----------
     matrix : (n, n)
-        D, positive semidefinite, and close to symmetric.
+        D, symmetric and positive definite.
     gap : (n,)
         g.
     closed : (n,) bool, optional
@@ -102,51 +72,67 @@ def solve_complementarity(
 
 
 def _by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
-    """The same by least squares with bounds; what of D is not symmetric follows by iteration."""
-    symmetric = 0.5 * (matrix + matrix.T)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(symmetric), np.finfo(float).tiny))
-    values, vectors = np.linalg.eigh(scale[:, None] * symmetric * scale)
+    """The same by least squares with bounds."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(scale[:, None] * matrix * scale)
     root = np.sqrt(np.maximum(values, 1e-15 * values.max(initial=0.0)))
+    target = (vectors.T @ (scale * gap)) / root
+    try:
+        force = scale * scipy.optimize.nnls((vectors * root).T, target)[0]
+    except RuntimeError:
+        force = np.zeros(len(gap))
     allowed = 1e-10 * float(np.abs(gap).max(initial=0.0))
-    force = np.zeros(len(gap))
-    for _ in range(MOST_ITERATIONS):
-        target = scale * (gap - (matrix - symmetric) @ force)
-        try:
-            found, _ = scipy.optimize.nnls((vectors * root).T, (vectors.T @ target) / root)
-        except RuntimeError:
-            break
-        force = scale * found
-        opening = matrix @ force - gap
-        if opening.min() >= -allowed and np.abs(opening[force > 0.0]).max(initial=0.0) <= allowed:
-            return force
-    raise ConvergenceError("contact: no set of closed pairs satisfies the constraints of the step")
+    opening = matrix @ force - gap
+    if opening.min() < -allowed or np.abs(opening[force > 0.0]).max(initial=0.0) > allowed:
+        raise ConvergenceError("contact: no set of closed pairs satisfies the step's constraints")
+    return force
 
 
-def _newton(
-    contact: ContactLaw, compliance: np.ndarray, gap: np.ndarray, guess: np.ndarray
+def solve_forces(
+    response: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    matrix: np.ndarray,
+    gap: np.ndarray,
+    guess: np.ndarray,
 ) -> np.ndarray:
-    """lambda = lambda(g_free - D lambda) by Newton's method.
+    """Find lambda = h(g - D lambda) by Newton's method: (n,).
 
-    For a law that does not fall with the gap the solution is the minimum of a convex potential,
-    whose slope along a step is used to shorten steps that go too far.
+    Parameters
+    ----------
+    response : callable
+        h(g) and its derivative, pair by pair; it may not fall where g grows. The solution is then
+        the minimum of a convex function, whose slope along a step shortens steps that go too far.
+    matrix : (n, n)
+        D, symmetric and positive definite.
+    gap : (n,)
+        g.
+    guess : (n,)
+        lambda to start from.
+
+    Raises
+    ------
+    ConvergenceError
+        Newton's method does not converge.
     """
-    force = guess.copy()
+    force = guess
 
     def excess(trial: np.ndarray) -> np.ndarray:
-        return trial - contact.force(gap - compliance @ trial)
+        return trial - response(gap - matrix @ trial)[0]
 
     for _ in range(MOST_ITERATIONS):
-        tangent = contact.tangent(gap - compliance @ force)
-        jacobian = np.eye(len(gap)) + tangent[:, None] * compliance
+        reached = gap - matrix @ force
+        found, tangent = response(reached)
+        if not np.any(found != force):
+            return force
+        jacobian = np.eye(len(gap)) + tangent[:, None] * matrix
         try:
-            change = np.linalg.solve(jacobian, -excess(force))
+            change = np.linalg.solve(jacobian, found - force)
         except np.linalg.LinAlgError:
             break
-        moved = compliance @ change
-        size = np.abs(gap).max(initial=0.0) + np.abs(compliance @ force).max(initial=0.0)
+        moved = matrix @ change
+        size = np.abs(gap).max() + np.abs(gap - reached).max()
         if not np.all(np.isfinite(change)):
             break
-        if np.abs(moved).max(initial=0.0) <= 1e-13 * size:
+        if np.abs(moved).max() <= ROUNDING * size:
             return force + change
 
         def slope(
@@ -161,4 +147,4 @@ def _newton(
         if before < 0.0 and slope(1.0) > -0.1 * before:
             share = float(scipy.optimize.brentq(slope, 0.0, 1.0, xtol=1e-6))
         force = force + share * change
-    raise ConvergenceError("contact: Newton's method for the forces of the step does not converge")
+    raise ConvergenceError("contact: Newton's method for the forces of a step does not converge")

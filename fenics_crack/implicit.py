@@ -9,7 +9,7 @@ Displacement u, velocity v and acceleration a advance by Newmark's formulas,
 
 and the equation of motion holds between both ends of the step,
 
-    M a_{n+1-am} + C v_{n+1-af} + K u_{n+1-af} + B lambda_{n+1-af} = f_{n+1-af},
+    M a_{n+1-am} + C v_{n+1-af} + K u_{n+1-af} + B h = f_{n+1-af},
     x_{n+1-s} = (1 - s) x_{n+1} + s x_n,
 
     am = (2 rho - 1)/(rho + 1),  af = rho/(rho + 1),  gamma = 1/2 - am + af,
@@ -24,20 +24,30 @@ value on mode j, and e = (1 - af) gamma dt,
 
     A^-1 = D^-1 + Phi diag(1/(d + e c) - 1/d) Phi^T.
 
-The gap at the end of the step is linear in the forces there, with a small dense compliance that
-does not change, g = g_free - (1 - af) beta dt^2 B^T A^-1 B lambda; together with the contact law
-this is a problem in the pairs alone (:mod:`fenics_crack.complementarity`).
+The contact force of the step is taken from the potential V of the law, lambda = dV/dg,
+
+    h = (V(g_{n+1}) - V(g_n)) / (g_{n+1} - g_n) + (1/2 - af) (lambda_{n+1} - lambda_n),
+
+where both ends are closed by the penalty law nothing but lambda_{n+1-af}. So contact that begins or
+ends within a step creates no energy: h (g_{n+1} - g_n) is at least the change of V, and with
+rho = 1 the balance of energy is exact. Averaged forces would feed stiff contact. The gap at the end
+of the step is linear in h, with a small dense compliance that does not change,
+
+    g_{n+1} = g_free - beta dt^2 B^T A^-1 B h(g_{n+1}),
+
+a problem in the pairs alone (:mod:`fenics_crack.complementarity`).
 
 A constraint (:class:`UnilateralConstraint`) acts by impulses p = dt lambda at the start of a step,
 
-    v_n+ = v_n - M^-1 B p,    0 <= p,  g_{n+1} <= 0,  complementary,
+    v_n+ = v_n - (1 - am) A^-1 B p,    0 <= p,  g_{n+1} <= 0,  complementary,
 
-the rest of the step being the linear one without contact. So an impact is without rebound, as in
-:mod:`fenics_crack.integration`: averaged forces of a constraint would swing from step to step, and
-the rebound would depend on where in the step the impact falls. In lasting contact lambda is of
-first order in dt.
+the rest of the step being the linear one without contact; A/(1 - am) is M but for what the step
+does not resolve. So an impact is without rebound, as in :mod:`fenics_crack.integration`: averaged
+forces of a constraint would swing from step to step, and the rebound would depend on where in the
+step the impact falls. With a constraint the scheme is of first order in dt.
 
-Source: Chung and Hulbert, Journal of Applied Mechanics 60 (1993) 371.
+Sources: Chung and Hulbert, Journal of Applied Mechanics 60 (1993) 371; for the potential's
+quotient, Simo and Tarnow, Zeitschrift fuer angewandte Mathematik und Physik 43 (1992) 757.
 """
 
 from __future__ import annotations
@@ -47,7 +57,7 @@ from collections.abc import Sequence
 import numpy as np
 from petsc4py import PETSc
 
-from fenics_crack.complementarity import solve_contact
+from fenics_crack.complementarity import solve_complementarity, solve_forces
 from fenics_crack.contact import ContactLaw, UnilateralConstraint, check_law
 from fenics_crack.errors import (
     ConvergenceError,
@@ -176,7 +186,6 @@ class _GeneralisedAlpha:
         self.before = self.displacement
         self.force = np.zeros(structure.n_pairs)
         """At the instant that :meth:`advance` has started from."""
-        self._next_force = self.force
         self._x, self._y = structure.mass.createVecs()
         self._gap_rows, self._gap_block = gap_block(structure)
         self.load_rows, self.load = load_waves(structure, steps_per_period)
@@ -208,9 +217,7 @@ class _GeneralisedAlpha:
         self._kick: np.ndarray | None = None
         pairs = structure.gap.toarray()
         if isinstance(self.contact, UnilateralConstraint):
-            inverse = inverse_of(structure.mass, symmetric=True)
-            kick = solve_columns(inverse, structure.mass, pairs)
-            inverse.destroy()
+            kick = self._inertia * self._solve(pairs)
             right = np.empty_like(kick)
             for column in range(structure.n_pairs):
                 # C v of the whole step, K u of the end.
@@ -221,13 +228,13 @@ class _GeneralisedAlpha:
             self._pull = self._solve(right)
             moved = dt * kick - dt**2 * self._beta * self._pull
         else:
-            self._pull = -self._now * self._solve(pairs)
+            self._pull = -self._solve(pairs)
             moved = -(dt**2) * self._beta * self._pull
         self._compliance = structure.closing(moved.T).T
         if self._modes is not None:
             self._modal_pull = structure.sum_over_ranks(self._modes.mass_shapes.T @ self._pull)
             if self._kick is not None:
-                self._modal_kick = structure.closing(self._modes.shapes.T)
+                self._modal_kick = structure.sum_over_ranks(self._modes.mass_shapes.T @ self._kick)
 
     def start(self, displacement: np.ndarray, velocity: np.ndarray) -> None:
         """Set the state at time 0; the acceleration follows from the equation of motion."""
@@ -240,8 +247,9 @@ class _GeneralisedAlpha:
         right = -self._times(structure.stiffness, displacement) - self._damped(velocity)
         right[self.load_rows] += self.load[0]
         if not constrained:
-            self._next_force = self.contact.force(self.gap)  # type: ignore[union-attr]
-            right[self._gap_rows] -= self._gap_block @ self._next_force
+            self.force = self.contact.force(self.gap)  # type: ignore[union-attr]
+            right[self._gap_rows] -= self._gap_block @ self.force
+            self._held = self.force
         inverse = inverse_of(structure.mass, symmetric=True)
         self.acceleration = solve_columns(inverse, structure.mass, right[:, None])[:, 0]
         inverse.destroy()
@@ -255,7 +263,6 @@ class _GeneralisedAlpha:
         """March from this instant, ``step`` of the period, to the next."""
         dt, structure, modes = self.step_size, self.structure, self._modes
         following = (step + 1) % len(self.load)
-        self.force = self._next_force
         self.gap = self._measured(self.displacement)
         self.before = self.displacement
 
@@ -266,8 +273,6 @@ class _GeneralisedAlpha:
             structure.stiffness, self._now * moved + self._af * self.displacement
         ) - self._times(structure.mass, self._am * self.acceleration)
         right[self.load_rows] += self._now * self.load[following] + self._af * self.load[step]
-        if self._kick is None:
-            right[self._gap_rows] -= self._af * (self._gap_block @ self.force)
         if modes is not None:
             modal_faster = self._modal_velocity + (
                 dt * (1.0 - self._gamma) * self._modal_acceleration
@@ -284,15 +289,14 @@ class _GeneralisedAlpha:
             found = self._apply(right)
 
         free = self._measured(moved + (self._beta * dt**2) * found)
-        share = 1.0 if self._kick is None else dt
-        force = solve_contact(self.contact, share * self._compliance, free, self.force)
-        impulse = share * force
-        found += self._pull @ impulse
         kicked = self.velocity
         if self._kick is None:
-            self._next_force = force
+            impulse = self._forces(free)
+            found += self._pull @ impulse
         else:
-            self.force = self._next_force = force  # it acts from this instant to the next
+            impulse = solve_complementarity(self._compliance, free, self.force > 0.0)
+            self.force = impulse / dt
+            found += self._pull @ impulse
             change = self._kick @ impulse
             kicked = self.velocity - change
             faster -= change
@@ -315,6 +319,21 @@ class _GeneralisedAlpha:
             lost = np.array([means @ self._damped(means)])
             self._lost += dt * float(structure.sum_over_ranks(lost)[0])
         self.velocity, self.acceleration = velocity, found
+
+    def _forces(self, free: np.ndarray) -> np.ndarray:
+        """h of a step from the present gap, its end where there are no contact forces given."""
+        contact, start = self.contact, self.gap
+        assert not isinstance(contact, UnilateralConstraint)
+        self.force = force = contact.force(start)
+        shift = 0.5 - self._af
+
+        def response(gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            mean, slope = _mean_force(contact, start, gap)
+            mean += shift * (contact.force(gap) - force)
+            return mean, slope + shift * contact.tangent(gap)
+
+        self._held = solve_forces(response, self._compliance, free, self._held)
+        return self._held
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
         """Displacement and velocity."""
@@ -346,11 +365,8 @@ class _GeneralisedAlpha:
         """Kinetic, elastic, and contact energy at this instant."""
         energy = linear_energy(self.structure, self.displacement, self.velocity)
         if not isinstance(self.contact, UnilateralConstraint):
-            # The integral of lambda from 0 to g, by Gauss's rule.
-            points, weights = np.polynomial.legendre.leggauss(16)
             gap = self._measured(self.displacement)
-            forces = self.contact.force(0.5 * (1.0 + points)[:, None] * gap)
-            energy += float(0.5 * (weights @ forces) @ gap)
+            energy += float(_potential(self.contact, gap).sum())
         return energy
 
     # --- linear algebra ---------------------------------------------------------------------------
@@ -393,3 +409,32 @@ class _GeneralisedAlpha:
         """Free PETSc's objects (collective)."""
         for item in (self._x, self._y, self._inverse, self._matrix):
             item.destroy()
+
+
+_POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+_POINTS, _WEIGHTS = 0.5 * (1.0 + _POINTS), 0.5 * _WEIGHTS
+
+
+def _potential(contact: ContactLaw, gap: np.ndarray) -> np.ndarray:
+    """V(g), the integral of lambda from 0, by Gauss's rule: (n_pairs,) [J]."""
+    return gap * (_WEIGHTS @ contact.force(_POINTS[:, None] * gap))
+
+
+def _mean_force(
+    contact: ContactLaw, start: np.ndarray, end: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(V(end) - V(start)) / (end - start) and its derivative by the end: (n_pairs,) each.
+
+    On one side of g = 0, where laws have their kink, from the mean of lambda.
+    """
+    change = end - start
+    between = start + _POINTS[:, None] * change
+    mean = _WEIGHTS @ contact.force(between)
+    slope = (_WEIGHTS * _POINTS) @ contact.tangent(between)
+    crosses = start * end < 0.0
+    if np.any(crosses):
+        length = np.where(crosses, change, 1.0)
+        split = (_potential(contact, end) - _potential(contact, start)) / length
+        mean = np.where(crosses, split, mean)
+        slope = np.where(crosses, (contact.force(end) - split) / length, slope)
+    return mean, slope

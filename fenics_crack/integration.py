@@ -47,7 +47,7 @@ import numpy as np
 from petsc4py import PETSc
 from tqdm import tqdm
 
-from fenics_crack.complementarity import solve_complementarity, solve_contact
+from fenics_crack.complementarity import solve_complementarity
 from fenics_crack.contact import ContactLaw, UnilateralConstraint, check_law
 from fenics_crack.errors import (
     ConvergenceError,
@@ -516,7 +516,7 @@ class _CentralDifferences:
         assert self._push is not None
         closing = self.increment[self._gap_rows] @ self._gap_block
         reached = self.gap + self.structure.sum_over_ranks(closing)
-        self.force = solve_contact(self.contact, self._compliance, reached, self.force)
+        self.force = solve_complementarity(self._compliance, reached, self.force > 0.0)
         self.increment -= self._push @ self.force
         if self._modes is not None:
             self._modal -= self._modal_push @ self.force
