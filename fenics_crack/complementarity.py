@@ -43,7 +43,7 @@ def solve_complementarity(
     Parameters
     ----------
     matrix : (n, n)
-        D, symmetric and positive definite.
+        D, positive definite, and symmetric but for a small part.
     gap : (n,)
         g.
     closed : (n,) bool, optional
@@ -72,20 +72,23 @@ def solve_complementarity(
 
 
 def _by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
-    """The same by least squares with bounds."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
-    values, vectors = np.linalg.eigh(scale[:, None] * matrix * scale)
+    """The same by least squares with bounds; what of D is not symmetric follows by iteration."""
+    symmetric = 0.5 * (matrix + matrix.T)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(symmetric), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(scale[:, None] * symmetric * scale)
     root = np.sqrt(np.maximum(values, 1e-15 * values.max(initial=0.0)))
-    target = (vectors.T @ (scale * gap)) / root
-    try:
-        force = scale * scipy.optimize.nnls((vectors * root).T, target)[0]
-    except RuntimeError:
-        force = np.zeros(len(gap))
     allowed = 1e-10 * float(np.abs(gap).max(initial=0.0))
-    opening = matrix @ force - gap
-    if opening.min() < -allowed or np.abs(opening[force > 0.0]).max(initial=0.0) > allowed:
-        raise ConvergenceError("contact: no set of closed pairs satisfies the step's constraints")
-    return force
+    force = np.zeros(len(gap))
+    for _ in range(MOST_ITERATIONS):
+        target = (vectors.T @ (scale * (gap - (matrix - symmetric) @ force))) / root
+        try:
+            force = scale * scipy.optimize.nnls((vectors * root).T, target)[0]
+        except RuntimeError:
+            break
+        opening = matrix @ force - gap
+        if opening.min() >= -allowed and np.abs(opening[force > 0.0]).max(initial=0.0) <= allowed:
+            return force
+    raise ConvergenceError("contact: no set of closed pairs satisfies the step's constraints")
 
 
 def solve_forces(

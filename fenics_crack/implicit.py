@@ -37,14 +37,17 @@ of the step is linear in h, with a small dense compliance that does not change,
 
 a problem in the pairs alone (:mod:`fenics_crack.complementarity`).
 
-A constraint (:class:`UnilateralConstraint`) acts by impulses p = dt lambda at the start of a step,
+A constraint (:class:`UnilateralConstraint`) acts by impulses p = dt lambda at the start of a step
+and q at its end, each by the change of velocity (1 - am) D^-1 B, which is M^-1 B but for what the
+step does not resolve; the step between is the linear one without contact:
 
-    v_n+ = v_n - (1 - am) A^-1 B p,    0 <= p,  g_{n+1} <= 0,  complementary,
+    v_n+ = v_n - (1 - am) D^-1 B p,                0 <= p,  g_{n+1} <= 0,        complementary,
+    v_{n+1} = v_{n+1}- - (1 - am) D^-1 B q,        0 <= q,  B^T v_{n+1} <= 0,    complementary,
 
-the rest of the step being the linear one without contact; A/(1 - am) is M but for what the step
-does not resolve. So an impact is without rebound, as in :mod:`fenics_crack.integration`: averaged
-forces of a constraint would swing from step to step, and the rebound would depend on where in the
-step the impact falls. With a constraint the scheme is of first order in dt.
+the second for the pairs with p > 0. So nothing penetrates, and an impact is without rebound, as in
+:mod:`fenics_crack.integration`; averaged forces of a constraint would swing from step to step, and
+the rebound would depend on where in the step the impact falls. This part is of first order in dt
+where C couples closed pairs to other dofs and rho < 1; elsewhere second order is observed.
 
 Sources: Chung and Hulbert, Journal of Applied Mechanics 60 (1993) 371; for the potential's
 quotient, Simo and Tarnow, Zeitschrift fuer angewandte Mathematik und Physik 43 (1992) 757.
@@ -217,14 +220,14 @@ class _GeneralisedAlpha:
         self._kick: np.ndarray | None = None
         pairs = structure.gap.toarray()
         if isinstance(self.contact, UnilateralConstraint):
-            kick = self._inertia * self._solve(pairs)
+            kick = self._kicks(pairs)
             right = np.empty_like(kick)
             for column in range(structure.n_pairs):
                 # C v of the whole step, K u of the end.
                 right[:, column] = self._damped(kick[:, column]) + self._now * dt * self._times(
                     structure.stiffness, kick[:, column]
                 )
-            self._kick = kick
+            self._kick, self._rates = kick, structure.closing(kick.T).T
             self._pull = self._solve(right)
             moved = dt * kick - dt**2 * self._beta * self._pull
         else:
@@ -235,6 +238,19 @@ class _GeneralisedAlpha:
             self._modal_pull = structure.sum_over_ranks(self._modes.mass_shapes.T @ self._pull)
             if self._kick is not None:
                 self._modal_kick = structure.sum_over_ranks(self._modes.mass_shapes.T @ self._kick)
+
+    def _kicks(self, pairs: np.ndarray) -> np.ndarray:
+        """(1 - am) D^-1 B: change of velocity by unit impulses."""
+        structure = self.structure
+        if self._damping is None:
+            return self._inertia * solve_columns(self._inverse, self._matrix, pairs)
+        weight = self._now * self._beta * self.step_size**2 / self._inertia
+        undamped = weighted_sum(structure.mass, weight, structure.stiffness)
+        inverse = inverse_of(undamped, symmetric=True)
+        kick = solve_columns(inverse, undamped, pairs)
+        inverse.destroy()
+        undamped.destroy()
+        return kick
 
     def start(self, displacement: np.ndarray, velocity: np.ndarray) -> None:
         """Set the state at time 0; the acceleration follows from the equation of motion."""
@@ -295,7 +311,6 @@ class _GeneralisedAlpha:
             found += self._pull @ impulse
         else:
             impulse = solve_complementarity(self._compliance, free, self.force > 0.0)
-            self.force = impulse / dt
             found += self._pull @ impulse
             change = self._kick @ impulse
             kicked = self.velocity - change
@@ -303,6 +318,7 @@ class _GeneralisedAlpha:
             moved -= dt * change
         self.displacement = moved + (self._beta * dt**2) * found
         velocity = faster + (self._gamma * dt) * found
+        stop = self._stopped(velocity, impulse) if self._kick is not None else None
         if modes is not None:
             modal_found += self._modal_pull @ impulse
             modal_kicked = self._modal_velocity
@@ -318,6 +334,11 @@ class _GeneralisedAlpha:
             means = 0.5 * (kicked + velocity)
             lost = np.array([means @ self._damped(means)])
             self._lost += dt * float(structure.sum_over_ranks(lost)[0])
+        if self._kick is not None:
+            self.force = (impulse + stop) / dt
+            velocity -= self._kick @ stop
+            if modes is not None:
+                self._modal_velocity = self._modal_velocity - self._modal_kick @ stop
         self.velocity, self.acceleration = velocity, found
 
     def _forces(self, free: np.ndarray) -> np.ndarray:
@@ -334,6 +355,15 @@ class _GeneralisedAlpha:
 
         self._held = solve_forces(response, self._compliance, free, self._held)
         return self._held
+
+    def _stopped(self, velocity: np.ndarray, impulse: np.ndarray) -> np.ndarray:
+        """Impulses that keep pairs which are closed at the end of a step from closing further."""
+        stop = np.zeros_like(impulse)
+        closed = np.flatnonzero(impulse > 0.0)
+        if len(closed):
+            rates = self.structure.sum_over_ranks(velocity[self._gap_rows] @ self._gap_block)
+            stop[closed] = solve_complementarity(self._rates[np.ix_(closed, closed)], rates[closed])
+        return stop
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
         """Displacement and velocity."""

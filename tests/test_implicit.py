@@ -226,6 +226,19 @@ def test_no_penetration_and_no_pull(scheme: Callable[..., fc.TimeHistory], dampi
     )
 
 
+@pytest.mark.parametrize("damping", ["none", "modal", "matrix"])
+def test_order_without_penetration(damping: str) -> None:
+    """Impacts and lasting contact, against fine central differences: about second order."""
+    structure, counts, errors = chain(damping), (64, 128, 256, 512), []
+    fine = fc.integrate_central_difference(
+        structure, 0.8, RIGID, periods=1, steps_per_period=8192
+    ).gap
+    for steps in counts:
+        history = fc.integrate_implicit(structure, 0.8, RIGID, periods=1, steps_per_period=steps)
+        errors.append(relative(history.gap, fine[:: 8192 // steps]))
+    assert log_slope(counts, errors) < -1.8 and errors[-1] < 5e-4
+
+
 @both_schemes
 def test_paper_plate_without_penetration(
     scheme: Callable[..., fc.TimeHistory], soft_plate: fc.Structure
@@ -262,7 +275,6 @@ def test_limit_of_stiff_penalty_in_lasting_contact(
         last = slice(3 * steps, None)
         errors.append(relative(soft.displacement([1])[last], rigid.displacement([1])[last]))
         forces.append(relative(soft.contact_force[last], rigid.contact_force[last]))
-    print(errors, forces)
     assert log_slope([1e2, 1e3, 1e4], errors) == pytest.approx(-1.0, abs=0.1)
     assert errors[-1] < 1e-3 and forces[-1] < 2e-3
 
