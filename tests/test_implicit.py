@@ -82,7 +82,7 @@ def test_verification_g_contact_release() -> None:
 
 
 def test_verification_i_paper_plate(soft_plate: fc.Structure) -> None:
-    """k = 1e9, xi = 0.01: settles from rest on the exact values, with a third of the steps."""
+    """k = 1e9, xi = 0.01: settles from rest on the exact values with 256 steps a period."""
     history = fc.integrate_implicit(
         soft_plate, 2000.0, LAW, periods=200, steps_per_period=256, settle=1e-6, record_periods=1,
     )  # fmt: skip
