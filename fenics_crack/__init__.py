@@ -24,6 +24,7 @@ from fenics_crack.events import PeriodicOrbit, integrate_events, shoot
 from fenics_crack.fill import fill_curve
 from fenics_crack.finite_elements import build_structure, find_crack_length
 from fenics_crack.harmonic_balance import solve_harmonic_balance, solve_linear
+from fenics_crack.implicit import integrate_implicit
 from fenics_crack.integration import (
     TimeHistory,
     integrate_central_difference,
@@ -69,6 +70,7 @@ __all__ = [
     "follow_branch",
     "integrate_central_difference",
     "integrate_events",
+    "integrate_implicit",
     "reduce_structure",
     "refine_bifurcation",
     "shoot",

@@ -402,6 +402,7 @@ def integrate_events(
         recorded=whole[:, structure.n_pairs :],
         recorded_dofs=np.arange(structure.n_dofs),
         final_state=flow.motion(state),
+        contact_force=contact.force(whole[:, : structure.n_pairs]),
     )
 
 

@@ -23,6 +23,17 @@ conserves energy as long as no pair changes its state; a contact from step a to 
 
 of either sign, which close to the limit can outgrow the damping. So the energy that contact creates
 is booked, reported, and an error where it outweighs what the load has put in.
+
+Without penetration (:class:`UnilateralConstraint`) the forces of instant n are those that keep the
+gaps of the next from penetrating, with d* the increment without them and A^-1 as above,
+
+    B^T (u_n + d* - dt^2 A^-1 B lambda_n) - g0 <= 0,    lambda_n >= 0,   complementary,
+
+the forward increment Lagrange multiplier method (Carpenter, Taylor and Katona, International
+Journal for Numerical Methods in Engineering 32, 1991). An impact is then without rebound: the pair
+stays closed, and the kinetic energy of its closing, with the mass (B^T M^-1 B)^-1, is lost. The
+penalty law, which loses nothing, tends to another motion; the difference vanishes with the mass of
+the lips, when the mesh is refined.
 """
 
 from __future__ import annotations
@@ -30,13 +41,14 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from petsc4py import PETSc
 from tqdm import tqdm
 
-from fenics_crack.contact import ContactLaw, check_law
+from fenics_crack.complementarity import solve_complementarity
+from fenics_crack.contact import ContactLaw, UnilateralConstraint, check_law
 from fenics_crack.errors import (
     ConvergenceError,
     InputError,
@@ -52,9 +64,20 @@ from fenics_crack.solution import PeriodicSolution
 from fenics_crack.structure import Structure
 
 __all__ = [
+    "Recorder",
+    "Scheme",
     "TimeHistory",
+    "check_march",
+    "dofs_to_record",
+    "gap_block",
     "initial_state",
     "integrate_central_difference",
+    "inverse_of",
+    "linear_energy",
+    "load_waves",
+    "march",
+    "moved_apart",
+    "solve_columns",
     "stable_steps_per_period",
 ]
 
@@ -76,8 +99,10 @@ class TimeHistory:
         Relative change of the gaps (without pairs: of the load's displacement) over the last
         period; a small number says that the motion repeats with the load.
     created_energy : float
-        Net energy created by contact that opens and closes between steps, relative to the energy
-        put in by the load and the initial state; it vanishes with the step like dt^2.
+        Net energy created, relative to the energy put in by the load and the initial state. Central
+        differences: by contact that opens and closes between steps; it vanishes like dt^2. The
+        implicit scheme: what is missing in the energy balance at the end of the last period.
+        Negative: lost; with a constraint impacts lose energy whatever the step.
     periods : int
         Load periods integrated.
     seconds : float
@@ -100,6 +125,8 @@ class TimeHistory:
     final_state: tuple[np.ndarray, np.ndarray]
     """Displacement [m] and velocity [m/s] (n_local,) at the end of the last period: ``initial`` of
     a run that goes on, at the same frequency or another."""
+    contact_force: np.ndarray
+    """(n, n_pairs) [N]; with a constraint the mean force from this instant to the next."""
 
     def by_period(self, values: np.ndarray) -> np.ndarray:
         """Fold a record (n, ...) at the load's period: (periods kept, steps_per_period, ...).
@@ -133,16 +160,23 @@ class TimeHistory:
 
 
 def stable_steps_per_period(
-    structure: Structure, omega: float, contact: ContactLaw, *, mass: str = "consistent"
+    structure: Structure,
+    omega: float,
+    contact: ContactLaw | UnilateralConstraint,
+    *,
+    mass: str = "consistent",
 ) -> int:
     """Smallest number of steps per load period that is stable (collective).
 
-    dt <= 2 / omega_max with every pair closed.
+    dt <= 2 / omega_max with every pair closed by its spring; with a constraint, which lowers the
+    largest frequency, with every pair open.
     """
     check_omega(omega)
-    check_law(structure, contact)
     marched = _with_mass(structure, mass)
-    highest = largest_frequency(marched.tied(contact.stiffness))
+    if not isinstance(contact, UnilateralConstraint):
+        check_law(structure, contact)
+        marched = marched.tied(contact.stiffness)
+    highest = largest_frequency(marched)
     collect_garbage(structure.comm)
     return int(np.floor(np.pi * highest * (1.0 + 1e-6) / omega)) + 1
 
@@ -150,7 +184,7 @@ def stable_steps_per_period(
 def integrate_central_difference(
     structure: Structure,
     omega: float,
-    contact: ContactLaw,
+    contact: ContactLaw | UnilateralConstraint,
     *,
     periods: int,
     steps_per_period: int,
@@ -169,14 +203,15 @@ def integrate_central_difference(
         What vibrates.
     omega : float
         Angular frequency of the load [rad/s].
-    contact : ContactLaw
+    contact : ContactLaw or UnilateralConstraint
         Law of all pairs.
     periods : int
         Load periods to march.
     steps_per_period : int
         Steps in one load period; at least :func:`stable_steps_per_period`.
     initial : PeriodicSolution, (displacement, velocity) or None
-        State at time 0: a solution's, two arrays (n_local,) [m], [m/s], or rest.
+        State at time 0: a solution's, two arrays (n_local,) [m], [m/s], or rest. With a constraint,
+        pairs that penetrate are moved apart by the least change in the norm of M.
     mass : "consistent" or "lumped"
         M itself, or the diagonal matrix of its row sums.
     settle : float
@@ -195,59 +230,130 @@ def integrate_central_difference(
         in memory.
     ConvergenceError
         The motion grows without bound, or contact creates more energy than the load puts in: the
-        steps are too long.
+        steps are too long. Or no contact forces keep the lips from penetrating.
 
     Notes
     -----
     A motion that does not settle is a result, not an error: look at ``settled``.
 
-    Source: the paper, section 2, with the contact force added.
+    Source: the paper, section 2, with the contact force added; the module's text for constraints.
     """
-    for key, value in (("periods", periods), ("steps_per_period", steps_per_period)):
-        check_count(key, value, 1)
-    if record_periods is not None:
-        check_count("record_periods", record_periods, 1)
-    check_number("settle", settle, 0.0)
+    check_march(periods, steps_per_period, record_periods, settle)
     least = stable_steps_per_period(structure, omega, contact, mass=mass)
     if steps_per_period < least:
         raise InputError(
             "steps_per_period", steps_per_period, f">= {least}, the stable limit of the scheme"
         )
-    kept = periods if record_periods is None else min(record_periods, periods)
     marched = _with_mass(structure, mass)
-    scheme = _CentralDifferences(marched, omega, contact, steps_per_period)
     displacement, velocity = initial_state(structure, initial)
-    recorded_dofs = _recorded_dofs(structure, dofs)
-    slots = kept * steps_per_period
-    most = max(structure.comm.allgather(len(recorded_dofs)))
-    if 8 * slots * (most + structure.n_pairs) > MEMORY_LIMIT:
-        raise InputError(
-            "record_periods",
-            record_periods,
-            f"fewer, or fewer dofs: {slots} instants of {most} dofs do not fit in "
-            f"{MEMORY_LIMIT // 2**30} GiB",
-        )
-    recorded = np.empty((slots, len(recorded_dofs)))
-    gaps = np.empty((slots, structure.n_pairs))
-    gap_now = np.empty((steps_per_period, structure.n_pairs))
-    load_now = np.empty((steps_per_period, len(scheme.load_rows)))
-    columns = recorded_dofs - structure.first_dof
-
+    recorder = Recorder(
+        structure,
+        dofs_to_record(structure, dofs, "dofs"),
+        periods,
+        record_periods,
+        steps_per_period,
+    )
+    scheme = _CentralDifferences(marched, omega, contact, steps_per_period)
     scheme.start(displacement, velocity)
-    book = _EnergyBook(scheme, displacement, velocity)
+    return march(recorder, scheme, omega, settle, "central differences", hidden=not progress)
+
+
+class Scheme(Protocol):
+    """What :func:`march` needs of a scheme."""
+
+    load_rows: np.ndarray
+    """Rows of this rank where the load is not zero."""
+    before: np.ndarray
+    """Displacement (n_local,) at the instant from which :meth:`advance` has started."""
+    gap: np.ndarray
+    """(n_pairs,), at the same instant."""
+    force: np.ndarray
+    """(n_pairs,), at the same instant."""
+
+    def advance(self, step: int) -> None:
+        """March from an instant of the period to the next."""
+
+    def close_period(self, gap: np.ndarray, force: np.ndarray, load_motion: np.ndarray) -> None:
+        """Book a period from its gaps, contact forces, and the motion of the loaded dofs."""
+
+    @property
+    def created_share(self) -> float:
+        """Energy created relative to the energy put in."""
+
+    def state(self) -> tuple[np.ndarray, np.ndarray]:
+        """Displacement and velocity."""
+
+    def free(self) -> None:
+        """Free PETSc's objects (collective)."""
+
+
+def check_march(
+    periods: object, steps_per_period: object, record_periods: object, settle: object
+) -> None:
+    """Raise InputError unless these arguments can be used."""
+    check_count("periods", periods, 1)
+    check_count("steps_per_period", steps_per_period, 1)
+    if record_periods is not None:
+        check_count("record_periods", record_periods, 1)
+    check_number("settle", settle, 0.0)
+
+
+class Recorder:
+    """Room for the last periods of a motion (collective).
+
+    Raises
+    ------
+    InputError
+        The history would not fit in memory.
+    """
+
+    def __init__(
+        self,
+        structure: Structure,
+        dofs: np.ndarray,
+        periods: int,
+        record_periods: int | None,
+        steps_per_period: int,
+    ) -> None:
+        self.structure, self.dofs = structure, dofs
+        self.periods, self.steps_per_period = periods, steps_per_period
+        self.kept = periods if record_periods is None else min(record_periods, periods)
+        slots = self.kept * steps_per_period
+        most = max(structure.comm.allgather(len(dofs)))
+        if 8 * slots * (most + 2 * structure.n_pairs) > MEMORY_LIMIT:
+            raise InputError(
+                "record_periods",
+                record_periods,
+                f"fewer, or fewer dofs: {slots} instants of {most} dofs do not fit in "
+                f"{MEMORY_LIMIT // 2**30} GiB",
+            )
+        self.recorded = np.empty((slots, len(dofs)))
+        self.gaps = np.empty((slots, structure.n_pairs))
+        self.forces = np.empty((slots, structure.n_pairs))
+
+
+def march(
+    recorder: Recorder, scheme: Scheme, omega: float, settle: float, name: str, *, hidden: bool
+) -> TimeHistory:
+    """March a scheme that has started, until it settles, and free it (collective)."""
+    structure, kept = recorder.structure, recorder.kept
+    steps_per_period = recorder.steps_per_period
+    load_now = np.empty((steps_per_period, len(scheme.load_rows)))
+    columns = recorder.dofs - structure.first_dof
     settled, done, before = np.inf, 0, None
     started = clock.perf_counter()
-    hidden = not progress or structure.comm.rank != 0
-    for period in tqdm(range(periods), "central differences", unit="period", disable=hidden):
+    hidden = hidden or structure.comm.rank != 0
+    for period in tqdm(range(recorder.periods), name, unit="period", disable=hidden):
         slot = (period % kept) * steps_per_period
+        gap_now = recorder.gaps[slot : slot + steps_per_period]
+        force_now = recorder.forces[slot : slot + steps_per_period]
         for step in range(steps_per_period):
             scheme.advance(step)
-            gap_now[step] = scheme.gap
+            gap_now[step], force_now[step] = scheme.gap, scheme.force
             load_now[step] = scheme.before[scheme.load_rows]
-            recorded[slot + step] = scheme.before[columns]
-        gaps[slot : slot + steps_per_period] = gap_now
+            recorder.recorded[slot + step] = scheme.before[columns]
         done = period + 1
-        book.close_period(gap_now, load_now)
+        scheme.close_period(gap_now, force_now, load_now)
         now = gap_now if structure.n_pairs else _whole(structure, load_now)
         if before is not None:
             size = np.linalg.norm(now)
@@ -262,18 +368,23 @@ def integrate_central_difference(
     steps = np.arange(done * steps_per_period - count, done * steps_per_period)
     final_state = scheme.state()
     scheme.free()
+    gap, force, recorded = (
+        np.roll(rows[:count], -newest, axis=0)
+        for rows in (recorder.gaps, recorder.forces, recorder.recorded)
+    )
     return TimeHistory(
         time=steps * (2.0 * np.pi / omega / steps_per_period),
-        gap=np.roll(gaps[:count], -newest, axis=0),
+        gap=gap,
         settled=settled,
-        created_energy=book.created_share,
+        created_energy=scheme.created_share,
         periods=done,
         seconds=seconds,
         steps_per_period=steps_per_period,
         structure=structure,
-        recorded=np.roll(recorded[:count], -newest, axis=0),
-        recorded_dofs=recorded_dofs,
+        recorded=recorded,
+        recorded_dofs=recorder.dofs,
         final_state=final_state,
+        contact_force=force,
     )
 
 
@@ -281,7 +392,11 @@ class _CentralDifferences:
     """State and one step of the scheme; everything that does not change is prepared once."""
 
     def __init__(
-        self, structure: Structure, omega: float, contact: ContactLaw, steps_per_period: int
+        self,
+        structure: Structure,
+        omega: float,
+        contact: ContactLaw | UnilateralConstraint,
+        steps_per_period: int,
     ) -> None:
         self.structure, self.contact = structure, contact
         self.step_size = dt = 2.0 * np.pi / omega / steps_per_period
@@ -296,12 +411,9 @@ class _CentralDifferences:
             for array in (self.displacement, self.rhs, self.solved, self.increment)
         )
         # Only few rows of B and of the load are not zero.
-        self._gap_rows = np.flatnonzero(np.diff(structure.gap.indptr))
-        self._gap_block = structure.gap[self._gap_rows].toarray()
-        self.load_rows = np.flatnonzero(np.any(structure.force, axis=0))
-        phase = 2.0 * np.pi * np.arange(steps_per_period) / steps_per_period
-        waves = np.column_stack([np.ones_like(phase), np.cos(phase), np.sin(phase)])
-        self.load = waves @ structure.force[:, self.load_rows]
+        self._gap_rows, self._gap_block = gap_block(structure)
+        self.load_rows, self.load = load_waves(structure, steps_per_period)
+        self.force = np.zeros(structure.n_pairs)
 
         self._modes = damped_modes(structure)
         self._damping = structure.damping_matrix
@@ -313,14 +425,31 @@ class _CentralDifferences:
         elif self._damping is not None:
             matrix = weighted_sum(structure.mass, 0.5 * dt, self._damping)
             self._mixed = weighted_sum(structure.mass, -0.5 * dt, self._damping)
-        self._inverse = _inverse(matrix, symmetric=self._mixed is None)
+        self._inverse = inverse_of(matrix, symmetric=self._mixed is None)
+        self._push: np.ndarray | None = None
+        if isinstance(contact, UnilateralConstraint):
+            self._push, self._modal_push = self._response()
+            self._compliance = structure.closing(self._push.T).T
+
+    def _response(self) -> tuple[np.ndarray, np.ndarray]:
+        """What unit forces on the pairs take from the increment (n_local, n_pairs), and from q."""
+        dt2 = self.step_size**2
+        push = dt2 * solve_columns(self._inverse, self.structure.mass, self.structure.gap.toarray())
+        if self._modes is None:
+            return push, np.zeros((0, self.structure.n_pairs))
+        pushed = dt2 * self.structure.closing(self._modes.shapes.T)
+        push -= self._modes.shapes @ (self._share[:, None] * pushed)
+        return push, (1.0 - self._share)[:, None] * pushed
 
     def start(self, displacement: np.ndarray, velocity: np.ndarray) -> None:
         """Set the state at time 0; the step before follows from u_{-1} = u - dt v + dt^2 a / 2."""
         dt = self.step_size
+        if self._push is not None:
+            displacement = moved_apart(self.structure, displacement)
         self.displacement[:] = displacement
         acceleration = self._acceleration(velocity)
         self.increment[:] = dt * velocity - 0.5 * dt**2 * acceleration
+        self._book = _EnergyBook(self, displacement, velocity)
         if self._modes is not None:
             self._modal = self.structure.sum_over_ranks(self.increment @ self._modes.mass_shapes)
 
@@ -334,7 +463,10 @@ class _CentralDifferences:
         return self.displacement.copy(), velocity
 
     def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
-        """M^-1 (f - K u - B lambda - C v) at phase zero of the load; spoils the increment."""
+        """M^-1 (f - K u - B lambda - C v) at phase zero of the load; spoils the increment.
+
+        The forces of a constraint, which belong to the next increment, are left out.
+        """
         self._measure()
         self._unbalance(0)
         modes, structure = self._modes, self.structure
@@ -344,7 +476,7 @@ class _CentralDifferences:
             self._d.array_w[:] = velocity
             self._damping.mult(self._d, self._a)
             self.rhs -= self.solved
-            inverse = _inverse(structure.mass, symmetric=True)
+            inverse = inverse_of(structure.mass, symmetric=True)
             inverse.apply(self._r, self._a)
             inverse.destroy()
         acceleration = self.solved.copy()
@@ -374,8 +506,20 @@ class _CentralDifferences:
         else:
             self._inverse.apply(self._r, self._a)
             self.increment += dt2 * self.solved
+        if self._push is not None:
+            self._push_apart()
         self.before[:] = self.displacement
         self.displacement += self.increment
+
+    def _push_apart(self) -> None:
+        """Find the forces of a constraint and take their part from the increment."""
+        assert self._push is not None
+        closing = self.increment[self._gap_rows] @ self._gap_block
+        reached = self.gap + self.structure.sum_over_ranks(closing)
+        self.force = solve_complementarity(self._compliance, reached, self.force > 0.0)
+        self.increment -= self._push @ self.force
+        if self._modes is not None:
+            self._modal -= self._modal_push @ self.force
 
     def _measure(self) -> None:
         """Gap at the current displacement."""
@@ -387,7 +531,18 @@ class _CentralDifferences:
         self.structure.stiffness.mult(self._u, self._r)
         np.negative(self.rhs, out=self.rhs)
         self.rhs[self.load_rows] += self.load[step]
-        self.rhs[self._gap_rows] -= self._gap_block @ self.contact.force(self.gap)
+        if not isinstance(self.contact, UnilateralConstraint):
+            self.force = self.contact.force(self.gap)
+            self.rhs[self._gap_rows] -= self._gap_block @ self.force
+
+    def close_period(self, gap: np.ndarray, force: np.ndarray, load_motion: np.ndarray) -> None:
+        """Book a period."""
+        self._book.close_period(gap, force, load_motion)
+
+    @property
+    def created_share(self) -> float:
+        """Energy created by contact relative to the energy put in."""
+        return self._book.created_share
 
     def free(self) -> None:
         """Free PETSc's objects (collective)."""
@@ -406,33 +561,29 @@ class _EnergyBook:
         self, scheme: _CentralDifferences, displacement: np.ndarray, velocity: np.ndarray
     ) -> None:
         self._scheme = scheme
-        structure = scheme.structure
-        self._put_in = 0.0
-        for matrix, motion in ((structure.stiffness, displacement), (structure.mass, velocity)):
-            source, target = matrix.createVecs()
-            source.array_w[:] = motion
-            matrix.mult(source, target)
-            self._put_in += 0.5 * source.dot(target)
+        self._put_in = linear_energy(scheme.structure, displacement, velocity)
         self._created = 0.0
-        self._gap_tail: np.ndarray | None = None
-        self._load_tail: np.ndarray | None = None
+        self._tail: tuple[np.ndarray, ...] | None = None
 
-    def close_period(self, gap: np.ndarray, load_motion: np.ndarray) -> None:
-        """Book a period from its gaps (N, n_pairs) and the motion of the loaded dofs (N, ...)."""
+    def close_period(self, gap: np.ndarray, force: np.ndarray, load_motion: np.ndarray) -> None:
+        """Book a period from gaps and forces (N, n_pairs) and the motion of the loaded dofs."""
         scheme = self._scheme
         loads = scheme.load
-        if self._gap_tail is not None and self._load_tail is not None:
-            gap = np.vstack([self._gap_tail, gap])
-            load_motion = np.vstack([self._load_tail, load_motion])
+        tail = (gap[-2:].copy(), force[-2:].copy(), load_motion[-2:].copy())
+        if self._tail is not None:
+            gap, force, load_motion = (
+                np.vstack(both) for both in zip(self._tail, (gap, force, load_motion), strict=True)
+            )
             loads = np.vstack([scheme.load[-2:], scheme.load])
-        force = scheme.contact.force(gap)
-        potential = 0.25 * (gap * force).sum(axis=1)
-        stored = potential[-1] + potential[-2] - potential[0] - potential[1]
+        self._tail = tail
+        stored = 0.0
+        if not isinstance(scheme.contact, UnilateralConstraint):
+            potential = 0.25 * (gap * force).sum(axis=1)
+            stored = potential[-1] + potential[-2] - potential[0] - potential[1]
         self._created += stored - 0.5 * float(np.sum(force[1:-1] * (gap[2:] - gap[:-2])))
         work = 0.5 * (loads[1:-1] * (load_motion[2:] - load_motion[:-2])).sum(axis=1)
         total = scheme.structure.sum_over_ranks(np.array([work.sum()]))
         self._put_in += abs(float(total[0]))
-        self._gap_tail, self._load_tail = gap[-2:].copy(), load_motion[-2:].copy()
         if not np.isfinite(self._created) or self._created > 2.0 * self._put_in > 0.0:
             raise ConvergenceError(
                 "central differences: the steps are too long for this contact, which creates "
@@ -445,7 +596,58 @@ class _EnergyBook:
         return self._created / self._put_in if self._put_in > 0.0 else 0.0
 
 
-def _inverse(matrix: Any, *, symmetric: bool) -> Any:
+def gap_block(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of this rank where B is not zero, and B there: (rows,), (rows, n_pairs)."""
+    rows = np.flatnonzero(np.diff(structure.gap.indptr))
+    return rows, structure.gap[rows].toarray()
+
+
+def load_waves(structure: Structure, steps_per_period: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of this rank where the load is not zero, and the load there: (N, rows) [N]."""
+    rows = np.flatnonzero(np.any(structure.force, axis=0))
+    phase = 2.0 * np.pi * np.arange(steps_per_period) / steps_per_period
+    waves = np.column_stack([np.ones_like(phase), np.cos(phase), np.sin(phase)])
+    return rows, waves @ structure.force[:, rows]
+
+
+def linear_energy(structure: Structure, displacement: np.ndarray, velocity: np.ndarray) -> float:
+    """(u^T K u + v^T M v) / 2 of arrays (n_local,): [J] (collective)."""
+    energy = 0.0
+    for matrix, motion in ((structure.stiffness, displacement), (structure.mass, velocity)):
+        source, target = matrix.createVecs()
+        source.array_w[:] = motion
+        matrix.mult(source, target)
+        energy += 0.5 * source.dot(target)
+        source.destroy()
+        target.destroy()
+    return energy
+
+
+def solve_columns(inverse: Any, matrix: Any, columns: np.ndarray) -> np.ndarray:
+    """X with A X = columns (n_local, m), A factored, of the layout of a matrix (collective)."""
+    source, target = matrix.createVecs()
+    found = np.empty_like(columns)
+    for column in range(columns.shape[1]):
+        source.array_w[:] = columns[:, column]
+        inverse.apply(source, target)
+        found[:, column] = target.array_r
+    source.destroy()
+    target.destroy()
+    return found
+
+
+def moved_apart(structure: Structure, displacement: np.ndarray) -> np.ndarray:
+    """The displacement (n_local,) closest in the norm of M without penetration (collective)."""
+    gap = structure.closing(displacement[None])[0] - structure.clearance
+    if not np.any(gap > 0.0):
+        return displacement
+    inverse = inverse_of(structure.mass, symmetric=True)
+    push = solve_columns(inverse, structure.mass, structure.gap.toarray())
+    inverse.destroy()
+    return displacement - push @ solve_complementarity(structure.closing(push.T).T, gap)
+
+
+def inverse_of(matrix: Any, *, symmetric: bool) -> Any:
     """Factorisation with little overhead a solution: PETSc's own on one rank, MUMPS on several."""
     solver = PETSc.PC().create(matrix.comm)
     solver.setOperators(matrix)
@@ -499,11 +701,14 @@ def initial_state(
     return state[0], state[1]
 
 
-def _recorded_dofs(structure: Structure, dofs: Sequence[int] | None) -> np.ndarray:
+def dofs_to_record(structure: Structure, dofs: Sequence[int] | None, key: str) -> np.ndarray:
     """Dofs of this rank to record; all coordinates of a reduced structure, which carry all dofs."""
     first, last = structure.first_dof, structure.first_dof + structure.n_local
     whole = structure.whole
-    wanted = np.arange(first, last) if dofs is None else whole.check_dofs(dofs)
+    try:
+        wanted = np.arange(first, last) if dofs is None else whole.check_dofs(dofs)
+    except InputError as error:
+        raise InputError(key, error.value, error.allowed) from None
     if whole is not structure:
         return np.arange(first, last)
     return wanted[(wanted >= first) & (wanted < last)]

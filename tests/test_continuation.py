@@ -131,7 +131,7 @@ def test_both_stable_orbits_of_two_masses_and_a_stop() -> None:
 
 
 def test_period_doubling_of_two_masses_and_a_stop() -> None:
-    """VERIFICATION C: at W = 0.7387830; the located points approach it like H^-2 or faster."""
+    """VERIFICATION C: at W = 0.7387830; the located points approach it like H^-3."""
     structure, law = two_masses(), fc.UnilateralPenalty(100.0)
     errors, counts = [], (61, 81, 121)
     for harmonics in counts:
@@ -142,7 +142,7 @@ def test_period_doubling_of_two_masses_and_a_stop() -> None:
         doubling = [b.omega for b in curve.bifurcations if b.kind == "period_doubling"]
         errors.append(abs(doubling[0] - 0.7387830))
     assert errors[-1] < 4e-4
-    assert log_slope(counts, errors) < -1.8
+    assert -3.6 < log_slope(counts, errors) < -2.4
 
 
 def _contact_branch(

@@ -289,14 +289,20 @@ def test_reduced_structure_speaks_of_the_dofs_of_the_whole(soft_plate: fc.Struct
         history = fc.integrate_central_difference(reduced, 2000.0, LAW, dofs=dofs, **options)  # type: ignore[arg-type]
         difference = history.displacement([corner]) - whole.displacement([corner])
         assert np.abs(difference).max() < 1e-6 * np.abs(whole.displacement([corner])).max()
+
+
+def test_only_a_contact_law_is_accepted(soft_plate: fc.Structure) -> None:
+    """What is no law is refused; a constraint is one here, see test_implicit.py."""
     with pytest.raises(fc.InputError, match="contact"):
         fc.integrate_central_difference(
             soft_plate,
             2000.0,
-            fc.UnilateralConstraint(),
+            "rigid",
             periods=1,
             steps_per_period=512,  # type: ignore[arg-type]
         )
+    least = fc.stable_steps_per_period(soft_plate, 2000.0, fc.UnilateralConstraint())
+    assert least <= fc.stable_steps_per_period(soft_plate, 2000.0, fc.UnilateralPenalty(1e6))
 
 
 @pytest.mark.parametrize("damping", ["modal", "matrix", "none"])
