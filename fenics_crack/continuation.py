@@ -162,7 +162,7 @@ class Continuation:
         tolerance: float | None = None,
         stability: bool = False,
         longest_step: float = 0.05,
-        most_points: int = 20000,
+        most_points: int = 50000,
         turning_back: float = 0.02,
         resume: ResponseCurve | None = None,
         leaving: Bifurcation | None = None,

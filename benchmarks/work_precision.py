@@ -1,0 +1,332 @@
+"""Error against processor time for every way of solving the same scene.
+
+Scenes
+    A          the bilinear oscillator of the verification (c = 0.1, kc = 1) at W = w0 / 2
+    paper      ``demos/paper_plate.toml`` with 1e9 N/m and damping 0.01, 2000 rad/s
+    breathing  ``demos/breathing_plate.toml`` with 1e9 N/m and damping 0.01, 2000 rad/s, 18 pairs
+    data       the paper's own data (1e11 N/m, damping 0.001): no steady motion to settle on; the
+               phase average of 200 periods by central differences beside harmonic balance
+
+Methods
+    harmonic balance, all from a cold start, the error report included: exact integrals, 128 or 1024
+    samples a period, collocation on 2H+1 instants, the full form (all dofs), the reduced structure;
+    in time, from rest: central differences (full and reduced), the implicit scheme, the exact flow
+    from one switching instant to the next, and SciPy's `solve_ivp` (DOP853) on one mass.
+
+The error is the relative L2 difference of the gaps over one period from a reference: the exact
+orbit by shooting (A, paper), or for the breathing plate harmonic balance with 40 harmonics and 150
+damped modes, whose own estimate is printed. Motions in time settle until the gaps of two periods
+differ by less than a tenth of the scheme's error, but at most 400 periods; their time includes
+that. Set-up of the structure is left out for all, that of a reduction given beside.
+
+    OMP_NUM_THREADS=1 python benchmarks/work_precision.py [--quick] [--only SCENE] [folder]
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import common
+import numpy as np
+from scipy.integrate import solve_ivp
+
+import fenics_crack as fc
+from fenics_crack.events import EventFlow
+from fenics_crack.plot import COLOURS
+
+COLUMNS = ("scene", "method", "setting", "error", "CPU ms", "periods", "note")
+LOOKS = {
+    "harmonic balance, exact": ("blue", "o-"),
+    "harmonic balance, 128 samples": ("blue", "s--"),
+    "harmonic balance, 1024 samples": ("green", "s--"),
+    "harmonic balance, collocation": ("pink", "x--"),
+    "harmonic balance, full form": ("grey", "d:"),
+    "harmonic balance, reduced": ("green", "o-"),
+    "central differences": ("orange", "^-"),
+    "central differences, reduced": ("orange", "v--"),
+    "implicit scheme": ("pink", "P-"),
+    "exact flow": ("green", "*"),
+    "solve_ivp": ("grey", "h-"),
+}
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is solved, and the wave that is right."""
+
+    name: str
+    structure: fc.Structure
+    omega: float
+    law: fc.UnilateralPenalty
+    reference: Callable[[np.ndarray], np.ndarray]
+    """Gaps (n, n_pairs) at phases (n,) of the period, 0 to 1."""
+    reduced: fc.Structure | None = None
+
+    def error(self, gap: np.ndarray) -> float:
+        """Of gaps (n, n_pairs) at n instants equally spaced from phase zero."""
+        exact = self.reference(np.arange(len(gap)) / len(gap))
+        return float(np.linalg.norm(gap - exact) / np.linalg.norm(exact))
+
+
+def main() -> None:
+    """Run the scenes asked for."""
+    common.run(
+        __doc__, {"A": verification_a, "paper": paper, "breathing": breathing, "data": own_data}
+    )
+
+
+# --- the scenes -----------------------------------------------------------------------------------
+
+
+def verification_a(arguments: common.Arguments) -> None:
+    """One mass."""
+    structure = common.oscillator(1.0, 0.1)
+    omega = np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
+    law = fc.UnilateralPenalty(1.0)
+    scene = Scene("A", structure, omega, law, exact_orbit(structure, omega, law))
+    rows = balance(scene, "exact", (3, 5, 10, 20, 40, 80))
+    rows += balance(scene, "128 samples", (3, 5, 10, 20), samples=128)
+    rows += balance(scene, "1024 samples", (10, 20, 40, 80), samples=1024)
+    rows += balance(scene, "collocation", (5, 10, 20, 40, 80), balance="collocation")
+    steps = (100, 400, 1600) if arguments.quick else (50, 100, 200, 400, 800, 1600, 3200)
+    rows += in_time(scene, "central differences", structure, steps)
+    rows += in_time(scene, "implicit scheme", structure, steps[:-1])
+    rows.append(by_events(scene, structure))
+    rows += by_solve_ivp(
+        scene, (1e-3, 1e-5, 1e-7) if arguments.quick else 10.0 ** -np.arange(3, 10)
+    )
+    finish(arguments.folder, scene, rows)
+
+
+def paper(arguments: common.Arguments) -> None:
+    """50 dofs, one pair."""
+    plate = common.plate("paper_plate", {"damping.ratio": 0.01})
+    law = fc.UnilateralPenalty(1e9)
+    reduced = fc.reduce_structure(plate, modes=25)
+    scene = Scene("paper", plate, 2000.0, law, exact_orbit(plate, 2000.0, law), reduced)
+    rows = balance(scene, "exact", (3, 5, 10, 20, 40, 80))
+    rows += balance(scene, "128 samples", (3, 5, 10, 20), samples=128)
+    rows += balance(scene, "1024 samples", (10, 20, 40, 80), samples=1024)
+    rows += balance(scene, "collocation", (5, 10, 20, 40), balance="collocation")
+    rows += balance(scene, "full form", (3, 5, 10, 20), form="full")
+    rows += balance(scene, "reduced", (5, 10, 20, 40), structure=reduced)
+    shares = (1.05, 2.0, 4.0) if arguments.quick else (1.05, 1.5, 2.0, 4.0, 8.0, 16.0)
+    least = fc.stable_steps_per_period(plate, 2000.0, law)
+    steps = [int(np.ceil(share * least)) for share in shares]
+    rows += in_time(scene, "central differences", plate, steps)
+    rows += in_time(scene, "central differences, reduced", reduced, steps)
+    rows += in_time(scene, "implicit scheme", plate, (128, 256, 512) if arguments.quick else
+                    (64, 128, 256, 512, 1024, 2048))  # fmt: skip
+    rows.append(by_events(scene, plate))
+    finish(arguments.folder, scene, rows)
+
+
+def breathing(arguments: common.Arguments) -> None:
+    """4000 dofs, 18 pairs."""
+    changes = {"damping.ratio": 0.01}
+    plate = common.plate("breathing_plate", changes)
+    law = fc.UnilateralPenalty(1e9)
+    started = time.process_time()
+    reduced = fc.reduce_structure(plate)
+    setup = time.process_time() - started
+    fine = fc.reduce_structure(common.plate("breathing_plate", changes | {"damping.modes": 150}))
+    best = fc.solve_harmonic_balance(fine, 2000.0, law, harmonics=20 if arguments.quick else 40)
+    print(f"reference: {best.report}; reduction took {1e3 * setup:.0f} ms")
+    scene = Scene(
+        "breathing", plate, 2000.0, law, lambda phase: best.gap(phase * best.period), reduced
+    )
+    rows = balance(scene, "reduced", (3, 5, 10) if arguments.quick else (3, 5, 10, 15, 20),
+                   structure=reduced)  # fmt: skip
+    rows += balance(scene, "full form", (3, 5) if arguments.quick else (3, 5, 10, 20), form="full")
+    if not arguments.quick:
+        least = fc.stable_steps_per_period(plate, 2000.0, law)
+        rows += in_time(scene, "central differences", plate, [int(1.3 * least)], most=60)
+        rows += in_time(scene, "implicit scheme", plate, (256, 512), most=60)
+    finish(arguments.folder, scene, rows)
+
+
+def own_data(arguments: common.Arguments) -> None:
+    """The paper's own data: an unstable orbit."""
+    plate = common.plate("paper_plate")
+    law = fc.UnilateralPenalty(1e11)
+    least = fc.stable_steps_per_period(plate, 2000.0, law)
+    periods = 60 if arguments.quick else 400
+    kept = periods // 2
+    history = fc.integrate_central_difference(
+        plate, 2000.0, law, periods=periods, steps_per_period=2 * least, record_periods=kept
+    )
+    by_period = history.by_period(history.gap)[:, :, 0]
+    waves = np.fft.rfft(by_period, axis=1) / by_period.shape[1]
+    rows = []
+    for harmonics in (5, 20, 80):
+        solution = fc.solve_harmonic_balance(plate, 2000.0, law, harmonics=harmonics)
+        gap = solution.gap_coefficients[:, 0]
+        verdict = fc.floquet(plate, solution).verdict
+        rows.append((f"harmonic balance, H = {harmonics}", gap[0], 0.0,
+                     float(np.hypot(*gap[1:3])), 0.0, verdict))  # fmt: skip
+    mean, first = waves[:, 0].real, 2.0 * np.abs(waves[:, 1])
+    spread = 1.0 / np.sqrt(kept)
+    rows.append(
+        (f"central differences, {kept} periods", mean.mean(), mean.std(), first.mean(),
+         first.std(), f"not settled: {history.settled:.2g} from period to period")
+    )  # fmt: skip
+    average = 2.0 * abs(waves[:, 1].mean())
+    rows.append(("the same, averaged by phase", mean.mean(), mean.std() * spread, average,
+                 np.abs(waves[:, 1]).std() * 2.0 * spread, "standard errors"))  # fmt: skip
+    columns = ("what", "mean gap [m]", "+-", "harmonic 1 [m]", "+-", "verdict")
+    common.save_table(
+        arguments.folder / "work_precision_data.csv", "The paper's own data", columns, rows
+    )
+
+
+# --- the methods ----------------------------------------------------------------------------------
+
+
+def exact_orbit(
+    structure: fc.Structure, omega: float, law: fc.UnilateralPenalty
+) -> Callable[[np.ndarray], np.ndarray]:
+    """The exact orbit, by shooting from harmonic balance."""
+    near = fc.solve_harmonic_balance(structure, omega, law, harmonics=40)
+    orbit = fc.shoot(structure, near)
+    flow, period = EventFlow(structure, omega, law), 2.0 * np.pi / omega
+
+    def gaps(phase: np.ndarray) -> np.ndarray:
+        _, gap, _, _ = flow.advance(orbit.state, 0.0, period, instants=phase * period)
+        return np.asarray(gap - structure.clearance)
+
+    return gaps
+
+
+def balance(
+    scene: Scene,
+    kind: str,
+    counts: Sequence[int],
+    *,
+    structure: fc.Structure | None = None,
+    **options: Any,
+) -> list[tuple[Any, ...]]:
+    """Harmonic balance from a cold start."""
+    solved = structure or scene.structure
+    rows = []
+    for harmonics in counts:
+        runs = []
+        for _ in range(3 if solved.n_dofs < 100 else 1):
+            started = time.process_time()
+            solution = fc.solve_harmonic_balance(
+                solved, scene.omega, scene.law, harmonics=harmonics, throw=False, **options
+            )
+            runs.append(time.process_time() - started)
+        gap = solution.gap(np.arange(512) * solution.period / 512)
+        note = "" if solution.converged else "not converged"
+        rows.append((scene.name, f"harmonic balance, {kind}", f"H = {harmonics}",
+                     scene.error(gap), 1e3 * min(runs), 0, note))  # fmt: skip
+    return rows
+
+
+def in_time(
+    scene: Scene, method: str, structure: fc.Structure, steps: Sequence[int], most: int = 400
+) -> list[tuple[Any, ...]]:
+    """A scheme with ever more steps, from rest until it has settled."""
+    rows = []
+    integrate = (
+        fc.integrate_implicit if method.startswith("implicit") else fc.integrate_central_difference
+    )
+    settle = 1e-2
+    for count in steps:
+        started = time.process_time()
+        try:
+            history = integrate(
+                structure, scene.omega, scene.law, periods=most, steps_per_period=count,
+                settle=settle, record_periods=1,
+            )  # fmt: skip
+        except fc.ConvergenceError as failed:
+            rows.append((scene.name, method, f"{count} steps", float("nan"), float("nan"), 0,
+                         str(failed)[:50]))  # fmt: skip
+            continue
+        cpu = time.process_time() - started
+        error = scene.error(history.gap)
+        if history.settled > 0.1 * error and history.periods < most:  # it stopped too early
+            started = time.process_time()
+            history = integrate(
+                structure, scene.omega, scene.law, periods=most, steps_per_period=count,
+                settle=0.01 * error, record_periods=1,
+            )  # fmt: skip
+            cpu = time.process_time() - started
+            error = scene.error(history.gap)
+        settle = min(settle, 0.1 * error)
+        rows.append((scene.name, method, f"{count} steps", error, 1e3 * cpu, history.periods, ""))
+    return rows
+
+
+def by_events(scene: Scene, structure: fc.Structure) -> tuple[Any, ...]:
+    """The exact flow from rest."""
+    started = time.process_time()
+    history = fc.integrate_events(
+        structure, scene.omega, scene.law, periods=400, settle=1e-9, record_periods=1
+    )
+    cpu = time.process_time() - started
+    return (scene.name, "exact flow", "", scene.error(history.gap), 1e3 * cpu, history.periods, "")
+
+
+def by_solve_ivp(scene: Scene, tolerances: Sequence[float]) -> list[tuple[Any, ...]]:
+    """SciPy's Runge-Kutta method of order 8 on the oscillator, 130 periods from rest."""
+    periods, omega = 130, scene.omega
+    span = 2.0 * np.pi / omega * periods
+    instants = span * (1.0 - 1.0 / periods) + np.arange(512) * (span / periods / 512)
+
+    def rate(time_: float, state: np.ndarray) -> tuple[float, float]:
+        force = np.cos(omega * time_) - 0.1 * state[1] - state[0] - max(state[0], 0.0)
+        return state[1], force
+
+    rows = []
+    for tolerance in tolerances:
+        started = time.process_time()
+        found = solve_ivp(
+            rate, (0.0, span), (0.0, 0.0), method="DOP853", rtol=tolerance, atol=tolerance,
+            t_eval=instants,
+        )  # fmt: skip
+        cpu = time.process_time() - started
+        gap = found.y[0][:, None]
+        rows.append((scene.name, "solve_ivp", f"rtol {tolerance:.0e}", scene.error(gap), 1e3 * cpu,
+                     periods, ""))  # fmt: skip
+    return rows
+
+
+# --- results --------------------------------------------------------------------------------------
+
+
+def finish(folder: Path, scene: Scene, rows: list[tuple[Any, ...]]) -> None:
+    """Table, picture, and how much faster harmonic balance is at the same error."""
+    stem = folder / f"work_precision_{scene.name}"
+    common.save_table(stem.with_suffix(".csv"), f"Scene {scene.name}", COLUMNS, rows)
+    figure, (axes,) = common.figure(1)
+    for method, (colour, look) in LOOKS.items():
+        mine = [row for row in rows if row[1] == method and np.isfinite(row[3])]
+        if mine:
+            axes.loglog(
+                [row[4] for row in mine], [row[3] for row in mine], look, ms=5, lw=1.0,
+                color=COLOURS[colour], label=method,
+            )  # fmt: skip
+    axes.set_xlabel("processor time [ms]")
+    axes.set_ylabel("relative L2 error of the gap over the period [-]")
+    axes.set_title(f"Scene {scene.name}: error against time, from a cold start or from rest")
+    axes.legend(fontsize=7, framealpha=0.9)
+    figure.savefig(stem.with_suffix(".png"))
+    for goal in (1e-2, 1e-3, 1e-4):
+        best = {}
+        for kind in ("harmonic balance", "central differences", "implicit scheme"):
+            times = [row[4] for row in rows if row[1].startswith(kind) and row[3] <= goal]
+            best[kind] = min(times, default=float("nan"))
+        print(
+            f"{scene.name}, error {goal:g}: harmonic balance {best['harmonic balance']:.3g} ms; "
+            f"central differences {best['central differences'] / best['harmonic balance']:.3g} "
+            f"times as long, implicit {best['implicit scheme'] / best['harmonic balance']:.3g}"
+        )
+
+
+if __name__ == "__main__":
+    main()
