@@ -30,6 +30,7 @@ from fenics_crack.compliance import AllModes, all_modes, is_small
 from fenics_crack.contact import ContactLaw, UnilateralPenalty, check_law
 from fenics_crack.errors import ConvergenceError, InputError, check_count, check_omega
 from fenics_crack.integration import TimeHistory, initial_state
+from fenics_crack.parallel import StopRequest
 from fenics_crack.solution import PeriodicSolution
 from fenics_crack.structure import Structure
 
@@ -372,21 +373,22 @@ def integrate_events(
     records: list[np.ndarray] = []
     settled, done = np.inf, 0
     started = clock.perf_counter()
-    for index in tqdm(range(periods), "events", unit="period", disable=not progress):
-        instants = (index + np.arange(steps_per_period) / steps_per_period) * period
-        state, record, _, _ = flow.advance(
-            state, index * period, period, instants=instants, rows=rows
-        )
-        record[:, : structure.n_pairs] -= structure.clearance
-        done = index + 1
-        if records:
-            now = record[:, : structure.n_pairs]
-            size = np.linalg.norm(now)
-            change = np.linalg.norm(now - records[-1][:, : structure.n_pairs])
-            settled = float(change / size) if size > 0.0 else 0.0
-        records = [*records[-kept + 1 :], record] if kept > 1 else [record]
-        if settled < settle:
-            break
+    with StopRequest() as stop:
+        for index in tqdm(range(periods), "events", unit="period", disable=not progress):
+            instants = (index + np.arange(steps_per_period) / steps_per_period) * period
+            state, record, _, _ = flow.advance(
+                state, index * period, period, instants=instants, rows=rows
+            )
+            record[:, : structure.n_pairs] -= structure.clearance
+            done = index + 1
+            if records:
+                now = record[:, : structure.n_pairs]
+                size = np.linalg.norm(now)
+                change = np.linalg.norm(now - records[-1][:, : structure.n_pairs])
+                settled = float(change / size) if size > 0.0 else 0.0
+            records = [*records[-kept + 1 :], record] if kept > 1 else [record]
+            if settled < settle or stop.asked(structure.comm):
+                break
     seconds = clock.perf_counter() - started
     whole = np.concatenate(records[-kept:])
     steps = np.arange(done * steps_per_period - len(whole), done * steps_per_period)

@@ -39,8 +39,10 @@ the lips, when the mesh is refined.
 from __future__ import annotations
 
 import time as clock
+import zipfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -59,7 +61,7 @@ from fenics_crack.errors import (
 from fenics_crack.factor import weighted_sum
 from fenics_crack.fourier import evaluate
 from fenics_crack.modes import damped_modes, largest_frequency
-from fenics_crack.parallel import collect_garbage, raise_together
+from fenics_crack.parallel import StopRequest, collect_garbage, raise_together
 from fenics_crack.solution import PeriodicSolution
 from fenics_crack.structure import Structure
 
@@ -104,7 +106,8 @@ class TimeHistory:
         implicit scheme: what is missing in the energy balance at the end of the last period.
         Negative: lost; with a constraint impacts lose energy whatever the step.
     periods : int
-        Load periods integrated.
+        Load periods integrated; fewer than asked for where the motion settled, or Ctrl-C stopped it
+        at the end of a period.
     seconds : float
         Wall-clock time of the marching [s].
     steps_per_period : int
@@ -127,6 +130,52 @@ class TimeHistory:
     a run that goes on, at the same frequency or another."""
     contact_force: np.ndarray
     """(n, n_pairs) [N]; with a constraint the mean force from this instant to the next."""
+
+    def save(self, path: str | Path) -> None:
+        """Write the history to a NumPy archive (.npz): numbers only, nothing executable.
+
+        A run goes on from :attr:`final_state` of what :meth:`load` reads.
+
+        Raises
+        ------
+        InputError
+            It is spread over several ranks.
+        """
+        if self.structure.comm.size > 1:
+            raise InputError("path", str(path), "written from one rank")
+        parts = {field.name: getattr(self, field.name) for field in fields(self)}
+        del parts["structure"]
+        displacement, velocity = parts.pop("final_state")
+        np.savez_compressed(path, displacement=displacement, velocity=velocity, **parts)
+
+    @classmethod
+    def load(cls, path: str | Path, structure: Structure) -> TimeHistory:
+        """Read a history written by :meth:`save`, of the same structure.
+
+        Raises
+        ------
+        InputError
+            The file is another, or the structure has other dofs or pairs.
+        """
+        try:
+            with np.load(path, allow_pickle=False) as archive:
+                parts = {name: archive[name] for name in archive.files}
+            state = parts.pop("displacement"), parts.pop("velocity")
+            for name in ("settled", "created_energy", "seconds"):
+                parts[name] = float(parts[name])
+            for name in ("periods", "steps_per_period"):
+                parts[name] = int(parts[name])
+            history = cls(structure=structure, final_state=state, **parts)
+        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+            raise InputError("path", str(path), f"a history written by save ({error})") from None
+        has = len(state[0]), history.gap.shape[1]
+        if has != (structure.n_local, structure.n_pairs):
+            raise InputError(
+                "structure",
+                f"{structure.n_local} dofs, {structure.n_pairs} pairs",
+                f"one with {has[0]} dofs and {has[1]} pairs",
+            )
+        return history
 
     def by_period(self, values: np.ndarray) -> np.ndarray:
         """Fold a record (n, ...) at the load's period: (periods kept, steps_per_period, ...).
@@ -343,24 +392,25 @@ def march(
     settled, done, before = np.inf, 0, None
     started = clock.perf_counter()
     hidden = hidden or structure.comm.rank != 0
-    for period in tqdm(range(recorder.periods), name, unit="period", disable=hidden):
-        slot = (period % kept) * steps_per_period
-        gap_now = recorder.gaps[slot : slot + steps_per_period]
-        force_now = recorder.forces[slot : slot + steps_per_period]
-        for step in range(steps_per_period):
-            scheme.advance(step)
-            gap_now[step], force_now[step] = scheme.gap, scheme.force
-            load_now[step] = scheme.before[scheme.load_rows]
-            recorder.recorded[slot + step] = scheme.before[columns]
-        done = period + 1
-        scheme.close_period(gap_now, force_now, load_now)
-        now = gap_now if structure.n_pairs else _whole(structure, load_now)
-        if before is not None:
-            size = np.linalg.norm(now)
-            settled = float(np.linalg.norm(now - before) / size) if size > 0.0 else 0.0
-        before = now.copy()
-        if settled < settle:
-            break
+    with StopRequest() as stop:
+        for period in tqdm(range(recorder.periods), name, unit="period", disable=hidden):
+            slot = (period % kept) * steps_per_period
+            gap_now = recorder.gaps[slot : slot + steps_per_period]
+            force_now = recorder.forces[slot : slot + steps_per_period]
+            for step in range(steps_per_period):
+                scheme.advance(step)
+                gap_now[step], force_now[step] = scheme.gap, scheme.force
+                load_now[step] = scheme.before[scheme.load_rows]
+                recorder.recorded[slot + step] = scheme.before[columns]
+            done = period + 1
+            scheme.close_period(gap_now, force_now, load_now)
+            now = gap_now if structure.n_pairs else _whole(structure, load_now)
+            if before is not None:
+                size = np.linalg.norm(now)
+                settled = float(np.linalg.norm(now - before) / size) if size > 0.0 else 0.0
+            before = now.copy()
+            if settled < settle or stop.asked(structure.comm):
+                break
     seconds = clock.perf_counter() - started
 
     count = min(done, kept) * steps_per_period

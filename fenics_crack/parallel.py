@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -9,7 +11,7 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-__all__ = ["collect_garbage", "gather_rows", "on_root", "raise_together"]
+__all__ = ["StopRequest", "collect_garbage", "gather_rows", "on_root", "raise_together"]
 
 Result = TypeVar("Result")
 
@@ -49,3 +51,33 @@ def collect_garbage(comm: MPI.Comm) -> None:
 def gather_rows(comm: MPI.Comm, rows: np.ndarray) -> np.ndarray[Any, Any]:
     """Stack the rows of all ranks, in rank order, on every rank (collective)."""
     return np.concatenate(comm.allgather(np.asarray(rows)), axis=0)
+
+
+class StopRequest:
+    """Ctrl-C as a wish to stop where nothing is lost; a second one stops at once.
+
+    with StopRequest() as stop:
+        while not stop.asked(comm): ...
+    """
+
+    def __init__(self) -> None:
+        self._asked = False
+        self._handler: Any = None
+
+    def __enter__(self) -> StopRequest:
+        if threading.current_thread() is threading.main_thread():
+            self._handler = signal.signal(signal.SIGINT, self._ask)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self._handler is not None:
+            signal.signal(signal.SIGINT, self._handler)
+
+    def _ask(self, number: int, frame: object) -> None:
+        if self._asked:
+            raise KeyboardInterrupt
+        self._asked = True
+
+    def asked(self, comm: MPI.Comm) -> bool:
+        """Whether any rank has been asked to stop (collective)."""
+        return bool(comm.allreduce(self._asked, MPI.LOR))

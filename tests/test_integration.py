@@ -1,6 +1,8 @@
 """Central differences."""
 
+import signal
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +20,7 @@ from mpi4py import MPI
 from scipy.linalg import expm
 
 import fenics_crack as fc
+from fenics_crack import events, implicit, integration
 from fenics_crack.modes import largest_frequency
 
 LAW = fc.UnilateralPenalty(1e9)
@@ -332,3 +335,52 @@ def test_a_run_goes_on_from_another(damping: str) -> None:
         assert max(errors) < 1e-12
     else:
         assert errors[-1] < 1e-3 and log_slope(counts, errors) < -1.8
+
+
+@pytest.mark.parametrize("integrate", ["central", "implicit", "events"])
+def test_a_stopped_run_loses_nothing(
+    integrate: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C in the fourth period ends the run there; written, read and resumed it is the whole."""
+    structure, law = chain("matrix"), fc.UnilateralPenalty(4.0)
+    calls = {"central": 3 * 400 + 50, "implicit": 3 * 400 + 50, "events": 4}[integrate]
+    march = {
+        "central": fc.integrate_central_difference,
+        "implicit": fc.integrate_implicit,
+        "events": fc.integrate_events,
+    }[integrate]
+    steps = 400 if integrate != "events" else 64
+
+    def run(periods: int, **options: Any) -> fc.TimeHistory:
+        return march(structure, 0.8, law, periods=periods, steps_per_period=steps, **options)
+
+    whole = run(8)
+    owner: Any = {
+        "central": integration._CentralDifferences,
+        "implicit": implicit._GeneralisedAlpha,
+        "events": events.EventFlow,
+    }[integrate]
+    advance, count = owner.advance, 0
+
+    def interrupted(self: Any, *arguments: Any, **options: Any) -> Any:
+        nonlocal count
+        count += 1
+        if count == calls:
+            signal.raise_signal(signal.SIGINT)
+        return advance(self, *arguments, **options)
+
+    monkeypatch.setattr(owner, "advance", interrupted)
+    part = run(8)
+    assert part.periods == 4 and signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert np.array_equal(part.gap, whole.gap[: 4 * steps])
+    part.save(tmp_path / "part.npz")
+    again = fc.TimeHistory.load(tmp_path / "part.npz", structure)
+    assert np.array_equal(again.gap, part.gap) and again.periods == 4
+    rest = run(4, initial=again.final_state)
+    size = np.abs(whole.gap).max()
+    assert np.abs(rest.gap - whole.gap[4 * steps :]).max() < (1e-9 if calls == 4 else 2e-3) * size
+    with pytest.raises(fc.InputError, match="structure"):
+        fc.TimeHistory.load(tmp_path / "part.npz", chain(n=12, pairs=3))
+    (tmp_path / "other.npz").write_text("no history")
+    with pytest.raises(fc.InputError, match="path"):
+        fc.TimeHistory.load(tmp_path / "other.npz", structure)
