@@ -73,7 +73,7 @@ def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     blocks = np.empty((*points, harmonics, pairs, 2, pairs, 2))
     blocks[..., 0, :, 0] = blocks[..., 1, :, 1] = through.real
     blocks[..., 0, :, 1] = through.imag
-    np.negative(through.imag, out=blocks[..., 1, :, 0])
+    np.subtract(0.0, through.imag, out=blocks[..., 1, :, 0])
     forces = tangent[..., 1:, :].reshape(*points, pairs, harmonics, 2, rows)
     forces = forces.transpose(*lead, at + 1, at, at + 2, at + 3)
     gaps = np.matmul(blocks.reshape(*points, harmonics, pairs, 2 * pairs, 2), forces)

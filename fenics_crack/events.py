@@ -251,6 +251,7 @@ class EventFlow:
         rates = free * regime.values
         offset = self.gap_rows @ regime.mean - self.structure.clearance
         forced = self.gap_rows @ regime.harmonic
+        rounding = 1e-14 * (np.abs(free).sum(axis=1) + np.abs(forced) + np.abs(offset))
 
         def gap(pair: int, t: float) -> float:
             wave = np.exp(regime.values * t) @ free[pair]
@@ -272,8 +273,10 @@ class EventFlow:
             values = side[:, None] * (values + offset[:, None])
             slopes = ((rates * carried) @ regime.powers).real
             slopes = side[:, None] * (slopes + (1j * self.omega * forced[:, None] * turn).real)
-            if reached == 0.0 and switched >= 0:
-                values[switched, 0] = -0.0
+            if reached == 0.0:  # all are in their states: what is outside is rounding
+                values[:, 0] = np.minimum(values[:, 0], 0.0)
+                if switched >= 0:
+                    values[switched, 0] = -0.0
             first: tuple[float, int] | None = None
             crosses = (values[:, :-1] <= 0.0) & (values[:, 1:] > 0.0)
             # Both ends inside, but a summit between them may reach out.
@@ -286,7 +289,7 @@ class EventFlow:
                 own_gap, own_slope = partial(gap, pair), partial(slope, pair)
                 if not crosses[pair, cell]:
                     high = scipy.optimize.brentq(own_slope, low, high)
-                    if own_gap(high) <= 0.0:
+                    if own_gap(high) <= rounding[pair]:
                         continue
                 if pair == switched and low == 0.0:
                     root = _return(own_gap, own_slope, high)

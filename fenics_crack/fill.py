@@ -191,7 +191,7 @@ def _real(harmonics: np.ndarray) -> np.ndarray:
     """Complex harmonics (n, H+1, m) as rows (n, 2H+1, m)."""
     rows = np.empty((len(harmonics), 2 * harmonics.shape[1] - 1, harmonics.shape[2]))
     rows[:, 0], rows[:, 1::2] = harmonics[:, 0].real, harmonics[:, 1:].real
-    np.negative(harmonics[:, 1:].imag, out=rows[:, 2::2])
+    np.subtract(0.0, harmonics[:, 1:].imag, out=rows[:, 2::2])
     return rows
 
 

@@ -16,7 +16,8 @@ def to_complex(coefficients: np.ndarray) -> np.ndarray:
     """Rows a0, a1, b1, ... (2H+1, ...) as complex harmonics X_0, ..., X_H (H+1, ...)."""
     harmonics = np.zeros((len(coefficients) // 2 + 1, *coefficients.shape[1:]), dtype=complex)
     harmonics.real[0], harmonics.real[1:] = coefficients[0], coefficients[1::2]
-    np.negative(coefficients[2::2], out=harmonics.imag[1:])
+    # Not np.negative: NumPy 2.2 misreads strided input where the output is strided too.
+    np.subtract(0.0, coefficients[2::2], out=harmonics.imag[1:])
     return harmonics
 
 

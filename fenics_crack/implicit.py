@@ -441,8 +441,8 @@ class _GeneralisedAlpha:
             item.destroy()
 
 
-_POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(8)
-_POINTS, _WEIGHTS = 0.5 * (1.0 + _POINTS), 0.5 * _WEIGHTS
+_GAUSS = np.polynomial.legendre.leggauss(8)
+_POINTS, _WEIGHTS = 0.5 * (1.0 + _GAUSS[0]), 0.5 * _GAUSS[1]
 
 
 def _potential(contact: ContactLaw, gap: np.ndarray) -> np.ndarray:

@@ -342,8 +342,12 @@ class Structure:
         other.force = load * self.force
         other.clearance = self.clearance + clearance
         if isinstance(self.damping, ModalDamping):
-            ratio = np.multiply(damping, self.damping.ratio)
-            other._damping = replace(self.damping, ratio=ratio.tolist())
+            given = self.damping.ratio
+            if np.ndim(given):
+                ratio: float | tuple[float, ...] = tuple(damping * np.asarray(given, dtype=float))
+            else:
+                ratio = damping * float(given)  # type: ignore[arg-type]
+            other._damping = replace(self.damping, ratio=ratio)
         elif self.damping is not None and damping != 1.0:
             matrix = self.damping.copy()
             matrix.scale(damping)

@@ -190,3 +190,22 @@ def test_what_it_cannot_do_is_refused() -> None:
         integrate_events(structure, 1.0, law, periods=0)
     with pytest.raises(fc.InputError, match=r"^initial"):
         integrate_events(structure, 1.0, law, periods=1, initial=(np.ones(3), np.ones(3)))
+
+
+@pytest.mark.parametrize("rounding", [-1e-17, 0.0, 1e-17])
+def test_pairs_that_touch_at_the_start(rounding: float) -> None:
+    """At rest on the stop, pressed into it: contact begins at once, whatever rounding says."""
+    structure = fc.Structure.from_matrices(
+        np.eye(2),
+        np.array([[2.0, -1.0], [-1.0, 2.0]]),
+        np.eye(2),
+        force_mean=[0.0, 1.0],
+        force_cos=[1.0, 0.0],
+        clearance=[rounding, 0.3],
+    )
+    law = fc.UnilateralPenalty(50.0)
+    exact = fc.integrate_events(structure, 0.9, law, periods=2, steps_per_period=50)
+    steps = fc.integrate_central_difference(structure, 0.9, law, periods=2, steps_per_period=5000)
+    size = np.abs(exact.gap).max()
+    assert np.abs(steps.gap[::100] - exact.gap).max() < 1e-3 * size
+    assert exact.gap[1:4, 0].max() < 0.1 * size
