@@ -2,8 +2,9 @@
 
 Pseudo-arc-length continuation (:mod:`arclength`) of the condensed equations (:mod:`family`). Only
 the small or reduced structure is touched at a point, in closed form: a curve costs the same on any
-mesh. Along it, folds, branch points, period doublings and Neimark-Sacker points are located by
-root finding; from those where another branch begins it can be followed (:func:`follow_branch`).
+mesh. Along it, folds, period doublings and Neimark-Sacker points are located by root finding,
+branch points by steps that shrink towards them; from those where another branch begins it can be
+followed (:func:`follow_branch`).
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ from fenics_crack.family import FAMILIES, Family
 from fenics_crack.fourier import resized, stretched
 from fenics_crack.harmonic_balance import solve_harmonic_balance
 from fenics_crack.reduction import reduce_structure
+from fenics_crack.search import EPSILON, stiffness_times_compliance
 from fenics_crack.solution import PeriodicSolution
 from fenics_crack.stability import LeadingMultiplier, PiecewiseFlow
 from fenics_crack.structure import Structure
@@ -113,20 +115,24 @@ class Continuation:
     harmonics, samples, subharmonic, initial
         As in :func:`solve_harmonic_balance`; ``initial`` is where to start.
     tolerance : float, optional
-        Raise and lower H along the curve so that the estimated truncation error, looked at every
-        fourth point, stays near or below this, between ``harmonics`` and 100.
+        Without ``samples``. Raise and lower H along the curve so that the estimated truncation
+        error, looked at every fourth point, stays near or below this, between ``harmonics`` and
+        100.
     stability : bool
         Compute the leading Floquet multiplier at every point, and locate where multipliers leave
         the unit circle: through -1, or the leading ones as a pair.
     longest_step : float
-        Longest step, relative to the range of the parameter and to the size of the solution.
+        Longest step, relative to the range of the parameter and to the size of the solution; at
+        most 1.
     most_points : int
         Give up after so many.
     turning_back : float
         How far the curve may turn back past its start, relative to the range of the parameter; a
         closed curve can only be recognised where it may.
     resume : ResponseCurve, optional
-        Go on from the last point of a curve that did not reach its end; ``start`` is then its own.
+        Go on from the last point of a curve that did not reach its end; ``start`` is then its own,
+        or for a branch ``start`` and ``end`` bound the parameter; harmonics, samples, subharmonic
+        and initial are left out.
     leaving : Bifurcation, optional
         Start on the branch that begins there; ``start`` and ``end`` then bound the parameter on
         either side. See :func:`follow_branch`.
@@ -155,7 +161,7 @@ class Continuation:
         end: float,
         *,
         omega: float | None = None,
-        harmonics: int = 5,
+        harmonics: int | None = None,
         samples: int | None = None,
         subharmonic: int = 1,
         initial: PeriodicSolution | None = None,
@@ -179,13 +185,33 @@ class Continuation:
         check_omega(omega)
         assert omega is not None
         check_number("longest_step", longest_step, 0.0, above=True)
+        if longest_step > 1.0:
+            raise InputError("longest_step", longest_step, "at most 1")
+        check_count("subharmonic", subharmonic, 1)
         check_count("most_points", most_points, 1)
         check_number("turning_back", turning_back, 0.0)
         if tolerance is not None:
             check_number("tolerance", tolerance, 0.0, above=True)
+            if samples is not None:
+                raise InputError("samples", samples, "left out where a tolerance is given")
         check_law(structure, contact)
+        if parameter == "load" and start * end <= 0.0 and not np.any(structure.clearance):
+            allowed = "both of one sign: without clearance nothing is left of the motion at 0"
+            raise InputError("start, end", (start, end), allowed)
+        if resume is not None:
+            given: dict[str, Any] = {"samples": samples, "initial": initial}
+            given |= {"harmonics": harmonics, "subharmonic": None if subharmonic == 1 else 2}
+            for key, wrong in given.items():
+                if wrong is not None:
+                    raise InputError(key, wrong, "left out where a curve is resumed")
+        if leaving is not None and not isinstance(leaving, Bifurcation):
+            raise InputError("leaving", type(leaving).__name__, "a Bifurcation")
+        harmonics = max(5, subharmonic) if harmonics is None else harmonics
+        check_count("harmonics", harmonics, subharmonic)
         if not is_small(structure):
             structure = reduce_structure(structure)
+            if isinstance(initial, PeriodicSolution):  # its gaps are all that is used
+                initial = replace(initial, structure=structure)
         self._structure, self._contact, self._name = structure, contact, parameter
         self._tolerance, self._least = tolerance, harmonics
         self._longest, self._most, self._back = longest_step, most_points, turning_back
@@ -193,9 +219,10 @@ class Continuation:
         self._special: list[tuple[str, float, np.ndarray]] = []
         self._both_ends = False
         self._towards: Tangent | None = None
+        self._origin: PathPoint | None = None
         self.complete, self.status = False, "not begun"
         if resume is not None:
-            _check_resumed(resume, structure, parameter, start)
+            _check_resumed(resume, structure, parameter, (start, end))
             harmonics = int(resume.harmonics[-1])
             samples, subharmonic = resume.samples, resume.subharmonic
         first: PeriodicSolution | None = None
@@ -251,6 +278,7 @@ class Continuation:
             family.samples,
             family.subharmonic,
             multipliers,
+            self._both_ends,
         )
         return replace(curve, bifurcations=curve.expand_bifurcations(self._special))
 
@@ -260,25 +288,31 @@ class Continuation:
 
     def __iter__(self) -> Iterator[CurvePoint]:
         """Yield the first point, or the last one of a resumed curve, and all that follow."""
-        last = self._points[-1]
-        parameter = self._family.parameter(last.value)
-        self._family.set_parameter(parameter)
-        tangent = tangent_at(self._family, last.gap_coefficients)
-        here = PathPoint(last.gap_coefficients, parameter, 0, tangent)
         yield self._points[-1]
-        if self._towards is not None and tangent.along(self._towards, self._family) < 0.0:
-            here = replace(here, tangent=tangent.reversed())
-        self._origin = here
+        if self.complete:
+            return
+        last = self._points[-1]
+        here = self._with_tangent(last.gap_coefficients, last.value, self._towards)
+        self._origin = self._origin or here
         self.status = "the steps became too short"
         step: float | None = 0.2 * self._longest
         while step is not None and not self.complete:
             here, step = yield from self._follow(here, step)
 
+    def _with_tangent(self, gap: np.ndarray, value: float, towards: Tangent | None) -> PathPoint:
+        """A point with its tangent, in a direction known roughly."""
+        parameter = self._family.parameter(value)
+        self._family.set_parameter(parameter)
+        tangent = tangent_at(self._family, gap)
+        if towards is not None and tangent.along(towards, self._family) < 0.0:
+            tangent = tangent.reversed()
+        return PathPoint(gap, parameter, 0, tangent)
+
     def _follow(
         self, here: PathPoint, step: float
     ) -> Generator[CurvePoint, None, tuple[PathPoint, float | None]]:
         """Follow the path with one number of harmonics; return where and how to go on, or None."""
-        before = here
+        before, rounding = here, self._rounding()
         path = follow_path(
             self._family,
             here.unknown,
@@ -286,9 +320,10 @@ class Continuation:
             step=step,
             longest_step=self._longest,
             most_steps=self._most,
-            tolerance=1e-9,
+            tolerance=max(1e-9, rounding),
             shortest_step=1e-10,
             least_cosine=0.85,
+            rounding=rounding,
             towards=here.tangent,
         )
         for point in path:
@@ -308,6 +343,7 @@ class Continuation:
             if self._tolerance is not None and len(self._points) % EVERY == 0:
                 found = replace(found, truncation=self._truncation(point))
             self._points.append(found)
+            self._towards = point.tangent
             yield found
             if ended:
                 return here, None
@@ -320,8 +356,16 @@ class Continuation:
                 if again is None:
                     self.status = f"no solution with H = {self._family.harmonics}"
                     return here, None
+                self._towards = again.tangent
                 return again, max(0.1 * step, 1e-3 * self._longest)
         return here, None
+
+    def _rounding(self) -> float:
+        """What rounding leaves of a residual: see :meth:`Search.penalty`."""
+        law = self._contact
+        if self._name == "stiffness":
+            law = law.scaled(max(self._family.start, self._family.end))
+        return max(1e-13, 4.0 * EPSILON * stiffness_times_compliance(self._family.system, law))
 
     # --- one point --------------------------------------------------------------------------------
 
@@ -375,7 +419,8 @@ class Continuation:
         count = family.harmonics
         tangent = replace(point.tangent, x=resized(point.tangent.x, count))
         start = replace(point, unknown=resized(point.unknown, count))
-        found = correct(family, start, tangent, 0.0, 1e-9, reach=self._longest)
+        tolerance = max(1e-9, self._rounding())
+        found = correct(family, start, tangent, 0.0, tolerance, reach=self._longest)
         return found and replace(found, tangent=tangent)
 
     # --- where it ends ----------------------------------------------------------------------------
@@ -386,7 +431,7 @@ class Continuation:
             inside = point.parameter < 1.0 if end else point.parameter > 0.0
             if inside or (end == 0.0 and not self._both_ends):
                 continue
-            landed = land(self._family, before, point, end)
+            landed = land(self._family, before, point, end, max(1e-10, self._rounding()))
             self.complete = landed is not None
             self.status = "reached the end" if self.complete else "no solution at the very end"
             return True, landed
@@ -404,7 +449,7 @@ class Continuation:
     def _closes(self, before: PathPoint, point: PathPoint) -> bool:
         """Whether the first point lies between two others."""
         family, origin, tangent = self._family, self._origin, before.tangent
-        if len(self._points) < 4 or origin.unknown.shape != point.unknown.shape:
+        if origin is None or len(self._points) < 4 or origin.unknown.shape != point.unknown.shape:
             return False
         back, rise = origin.unknown - before.unknown, origin.parameter - before.parameter
         along = tangent.weight * family.inner(back, tangent.x) + rise * tangent.p
@@ -466,10 +511,10 @@ class Continuation:
 
         Where that fails, the point met at which the function is smallest.
         """
-        met = [before, after]
+        met, sharp = [before, after], max(1e-11, self._rounding())
 
         def value(step: float) -> float:
-            point = before if step == 0.0 else step_along(self._family, before, step, 1e-11)
+            point = before if step == 0.0 else step_along(self._family, before, step, sharp)
             if point is None:
                 raise ConvergenceError("curve: lost between two points")
             met.append(point)
@@ -491,8 +536,9 @@ class Continuation:
         for index in range(len(curve)):
             multiplier = None
             if self._flow is not None:
-                at = float(curve.omega[index]) / curve.subharmonic
-                multiplier = self._flow.leading(curve.gap(index), at)
+                parameter = self._family.parameter(float(curve.values[index]))
+                here = PathPoint(curve.gap(index), parameter, 0, _NOWHERE)
+                multiplier = self._at(here, PiecewiseFlow.leading)
             self._points.append(
                 CurvePoint(
                     float(curve.values[index]),
@@ -504,12 +550,26 @@ class Continuation:
                 )
             )
         self._special = [(b.kind, b.value, b.gap_coefficients) for b in curve.bifurcations]
+        self._both_ends = curve.branch
         if len(curve) > 1:
-            last, before = curve.gap(-1), resized(curve.gap(-2), int(curve.harmonics[-1]))
-            rise = self._family.parameter(curve.values[-1]) - self._family.parameter(
-                curve.values[-2]
-            )
-            self._towards = Tangent(last - before, rise, 1.0 / float(np.vdot(last, last)))
+            self._towards = self._chord(curve, -2, -1)
+            if len(curve.gap(0)) == len(curve.gap(-1)):
+                first, value = curve.gap(0), float(curve.values[0])
+                self._origin = self._with_tangent(first, value, self._chord(curve, 0, 1))
+        last = curve.gap(-1)
+        self._family.set_parameter(self._family.parameter(float(curve.values[-1])))
+        residual = self._family.residual(last)
+        allowed = max(1e-6, self._rounding()) * np.linalg.norm(last)
+        if not np.linalg.norm(residual) <= allowed:
+            raise InputError("resume", "a curve of another problem", "of this structure and law")
+
+    def _chord(self, curve: ResponseCurve, first: int, second: int) -> Tangent:
+        """From one point of a curve to another."""
+        after = curve.gap(second)
+        before = resized(curve.gap(first), len(after) // 2)
+        values = self._family.parameter(curve.values[first]), curve.values[second]
+        rise = self._family.parameter(values[1]) - values[0]
+        return Tangent(after - before, float(rise), 1.0 / max(float(np.vdot(after, after)), 1e-300))
 
     def _leave(self, bifurcation: Bifurcation) -> None:
         """Begin with a point on the branch that begins at a bifurcation.
@@ -678,6 +738,8 @@ def follow_branch(
         No branch was found, or its end was not reached.
     """
     kinds = ("period_doubling", "branch_point")
+    if not isinstance(curve, ResponseCurve):
+        raise InputError("curve", type(curve).__name__, "a ResponseCurve")
     if not isinstance(bifurcation, Bifurcation) or bifurcation.kind not in kinds:
         kind = getattr(bifurcation, "kind", type(bifurcation).__name__)
         raise InputError("bifurcation", kind, "a Bifurcation of kind " + " or ".join(kinds))
@@ -744,14 +806,18 @@ def _odd_rows(family: Family) -> np.ndarray:
 
 
 def _check_resumed(
-    curve: ResponseCurve, structure: Structure, parameter: str, start: float
+    curve: ResponseCurve, structure: Structure, parameter: str, span: tuple[float, float]
 ) -> None:
     if not isinstance(curve, ResponseCurve) or curve.complete:
         raise InputError("resume", type(curve).__name__, "a ResponseCurve that is not complete")
     if curve.structure.n_pairs != structure.n_pairs or curve.parameter != parameter:
         raise InputError("resume", f"curve in {curve.parameter}", "a curve of this problem")
-    if not math.isclose(start, float(curve.values[0]), rel_tol=1e-9):
-        raise InputError("start", start, f"where the resumed curve starts, {curve.values[0]:g}")
+    first, last = float(curve.values[0]), float(curve.values[-1])
+    if curve.branch:
+        if not min(span) < last < max(span):
+            raise InputError("start, end", span, f"on either side of {last:g}")
+    elif not math.isclose(span[0], first, rel_tol=1e-9):
+        raise InputError("start", span[0], f"where the resumed curve starts, {first:g}")
 
 
 def _doubling(multipliers: np.ndarray) -> float:

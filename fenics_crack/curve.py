@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.compliance import all_modes, dynamic_compliance
+from fenics_crack.compliance import all_modes, dynamic_compliance, is_small
 from fenics_crack.condensed import CondensedSystem
 from fenics_crack.contact import ContactLaw
 from fenics_crack.contact_integrals import contact_integrals
@@ -18,6 +18,7 @@ from fenics_crack.error_report import estimate_errors
 from fenics_crack.errors import InputError
 from fenics_crack.family import FAMILIES, Family
 from fenics_crack.fourier import evaluate
+from fenics_crack.reduction import reduce_structure
 from fenics_crack.solution import PeriodicSolution
 from fenics_crack.structure import Structure
 
@@ -88,6 +89,8 @@ class ResponseCurve:
     multipliers : (n,) complex or None
         Floquet multiplier of largest modulus at each point, of a pair the one with positive
         imaginary part; with ``stability=True``.
+    branch : bool
+        Whether :func:`follow_branch` has followed it.
     """
 
     structure: Structure
@@ -105,6 +108,7 @@ class ResponseCurve:
     samples: int | None
     subharmonic: int
     multipliers: np.ndarray | None = None
+    branch: bool = False
 
     def __len__(self) -> int:
         return len(self.values)
@@ -193,6 +197,7 @@ class ResponseCurve:
             "status": np.array(self.status),
             "samples": np.array(self.samples or 0),
             "subharmonic": np.array(self.subharmonic),
+            "branch": np.array(self.branch),
         }
         for number, bifurcation in enumerate(self.bifurcations):
             parts[f"bifurcation_{number}"] = bifurcation.gap_coefficients
@@ -209,13 +214,16 @@ class ResponseCurve:
         path : path
             The archive.
         structure, contact : Structure, ContactLaw
-            Those with which the curve was followed.
+            Those with which the curve was followed; a structure with many dofs is reduced by
+            :func:`reduce_structure`, as it was then.
 
         Raises
         ------
         InputError
             The file is not one of :meth:`save`, or the structure has other pairs.
         """
+        if not is_small(structure):
+            structure = reduce_structure(structure)
         try:
             with np.load(path, allow_pickle=False) as archive:
                 parts = {name: archive[name] for name in archive.files}
@@ -235,6 +243,7 @@ class ResponseCurve:
                 int(parts["samples"]) or None,
                 int(parts["subharmonic"]),
                 parts.get("multipliers"),
+                bool(parts["branch"]),
             )
             special = [
                 (str(kind), float(value), parts[f"bifurcation_{number}"])

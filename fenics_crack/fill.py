@@ -25,13 +25,14 @@ from fenics_crack.contact_integrals import contact_integrals
 from fenics_crack.curve import ResponseCurve
 from fenics_crack.errors import InputError, check_count
 from fenics_crack.fourier import to_complex
+from fenics_crack.search import EPSILON
 from fenics_crack.stability import PiecewiseFlow
 from fenics_crack.structure import Structure
 
 __all__ = ["fill_curve"]
 
 TOLERANCE = 1e-9
-MOST_ITERATIONS = 6
+MOST_ITERATIONS, MOST_BETWEEN = 6, 1000
 MOST_NUMBERS = 4_000_000
 """In the Jacobians of the points that are treated together."""
 
@@ -54,6 +55,8 @@ def fill_curve(curve: ResponseCurve, between: int) -> ResponseCurve:
         not the penalty law.
     """
     check_count("between", between, 1)
+    if between > MOST_BETWEEN:
+        raise InputError("between", between, f"at most {MOST_BETWEEN}")
     if curve.parameter != "omega":
         raise InputError("curve", f"in {curve.parameter!r}", "in 'omega'")
     if len(curve) < 4:
@@ -65,7 +68,7 @@ def fill_curve(curve: ResponseCurve, between: int) -> ResponseCurve:
     flat = curve.gap_coefficients.reshape(len(curve), -1)
     size = float(np.linalg.norm(flat, axis=1).mean()) or 1.0
     place = np.hstack([flat / size, curve.omega[:, None] / span])
-    # Equal neighbours, as where H has changed, would have no distance.
+    # Equal neighbours would have no distance.
     distance = np.maximum(np.linalg.norm(np.diff(place, axis=0), axis=1), 1e-12)
     along = np.concatenate([[0.0], np.cumsum(distance)])
     spline = CubicSpline(along, place)
@@ -103,6 +106,7 @@ class _FrequencyBatch:
         self._load = to_complex(load @ self._modes.shapes)
         self._law = curve.contact
         self._samples = curve.samples
+        self._tolerance = TOLERANCE
 
     def correct(
         self,
@@ -119,9 +123,8 @@ class _FrequencyBatch:
         left = np.arange(points)
         for iteration in range(MOST_ITERATIONS + 1):
             residual, jacobian, derivative = self._linearise(gap[left], omega[left])
-            small = np.linalg.norm(residual, axis=1) <= TOLERANCE * np.linalg.norm(
-                gap[left].reshape(len(left), -1), axis=1
-            )
+            size_now = np.linalg.norm(gap[left].reshape(len(left), -1), axis=1)
+            small = np.linalg.norm(residual, axis=1) <= self._tolerance * size_now
             count[left[small]], converged[left[small]] = iteration, True
             left = left[~small]
             if not len(left) or iteration == MOST_ITERATIONS:
@@ -165,6 +168,9 @@ class _FrequencyBatch:
         residual = gap + _real(moved @ modes.pairs)
         residual[:, 0] += self._clearance
         derivative = -_real(rate @ modes.pairs) / self._subharmonic
+        # As in search: a gap rounded to eps |g| makes a force rounded to eps k |g|.
+        rounding = np.abs(matrices).sum(axis=-1).max() * np.max(self._law.stiffness)
+        self._tolerance = max(TOLERANCE, 4.0 * EPSILON * float(rounding))
         jacobian = respond_to_columns(matrices, tangent)
         jacobian[:, np.arange(rows * pairs), np.arange(rows * pairs)] += 1.0
         return residual.reshape(points, -1), jacobian, derivative.reshape(points, -1)

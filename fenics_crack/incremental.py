@@ -118,7 +118,7 @@ def incremental_system(
 
     load = value @ load_coefficients(structure, harmonics, subharmonic)
     inertia = base**2 * (bend @ displacement) @ mass
-    damping = base * (rate @ displacement) @ dashpots
+    damping = base * (rate @ displacement) @ dashpots.T
     elastic = value @ displacement @ stiffness
     return matrix, test.T @ (load - inertia - damping - elastic - contact.force(wave) @ pairs.T)
 

@@ -26,14 +26,17 @@ from fenics_crack.block import BlockSystem
 from fenics_crack.condensed import CondensedSystem, ConstraintSystem
 from fenics_crack.contact import ContactLaw, UnilateralPenalty
 from fenics_crack.contact_integrals import ExactIntegrals
+from fenics_crack.errors import InputError
 from fenics_crack.family import FrequencyFamily
 from fenics_crack.newton import Newton, System
 
-__all__ = ["Search"]
+__all__ = ["EPSILON", "Search", "stiffness_times_compliance"]
 
 SOFT = 0.05
 """k R where the path in the stiffness starts."""
 EPSILON, ROUNDING = float(np.finfo(float).eps), 1e-13
+MOST_ROUNDING = 1e-5
+"""eps k R beyond which a stiffness is refused."""
 FAR = 5.0
 """A path is given up that far from its end, unless it began farther away."""
 STIFF = 10.0
@@ -85,7 +88,15 @@ class Search:
         smaller than that.
         """
         law = system.integrals.law
-        least = EPSILON * _stiffness_times_compliance(system, law)
+        least = EPSILON * stiffness_times_compliance(system, law)
+        if not least < MOST_ROUNDING:
+            stiffest = float(np.max(law.stiffness))
+            raise InputError(
+                "contact stiffness",
+                stiffest,
+                f"at most {stiffest * MOST_ROUNDING / least:.2g} N/m on this structure, beyond "
+                "which rounding leaves nothing; UnilateralConstraint is the limit",
+            )
         if least > self._rounding:
             self._rounding = least
             self.tolerance = max(self.tolerance, least)
@@ -106,7 +117,9 @@ class Search:
         penalty = CondensedSystem(
             system.compliance, ExactIntegrals(UnilateralPenalty(STIFF * system.weight), harmonics)
         )
+        known = self.tolerance, self._rounding
         gap = self.penalty(penalty, penalty.linear)
+        self.tolerance, self._rounding = known  # only the penalty is rounded like that
         found = system.from_force(penalty.gap_and_force(gap)[1])
         if self.converged:
             found = self._newton(system, found, 30, "constraint from penalty")
@@ -114,6 +127,7 @@ class Search:
                 return found
         penalty.with_law(UnilateralPenalty(system.weight))
         gap = self.penalty(penalty, penalty.linear)
+        self.tolerance, self._rounding = known
         found = system.from_force(penalty.gap_and_force(gap)[1])
         if not self.converged:
             return found
@@ -143,7 +157,7 @@ class Search:
         name = "in the contact stiffness"
         law = system.integrals.law
         path = _StiffnessPath(system, law)
-        soft = min(0.0, float(np.log(SOFT / _stiffness_times_compliance(system, law))))
+        soft = min(0.0, float(np.log(SOFT / stiffness_times_compliance(system, law))))
         path.set_parameter(soft)
         found = self._newton(system, system.linear, 20, "")
         if self.converged and soft < 0.0:
@@ -208,7 +222,7 @@ class Search:
         return found
 
 
-def _stiffness_times_compliance(system: CondensedSystem | BlockSystem, law: ContactLaw) -> float:
+def stiffness_times_compliance(system: CondensedSystem | BlockSystem, law: ContactLaw) -> float:
     """Largest k R over the harmonics."""
     largest = np.abs(system.compliance.matrices).sum(axis=2).max()
     return float(largest * np.max(law.stiffness))

@@ -72,6 +72,16 @@ def test_contact_stiffer_than_rounding_resolves(
         assert solution.report.penetration < 1e9 / stiffness
 
 
+def test_stiffness_beyond_all_rounding_is_refused() -> None:
+    """k R of 1e16: no digit would be left; the constraint is not loosened by its penalties."""
+    structure = oscillator(0.02, 0.1)
+    with pytest.raises(fc.InputError, match=r"contact stiffness.*UnilateralConstraint"):
+        fc.solve_harmonic_balance(structure, 0.9, fc.UnilateralPenalty(1e16))
+    rigid = fc.UnilateralConstraint(weight=1e6)
+    found = fc.solve_harmonic_balance(structure, 0.9, rigid, harmonics=5, throw=False)
+    assert not found.converged or found.report.residual < 1e-8
+
+
 def test_status_tells_the_attempts() -> None:
     """Full steps first; where they fail, the path in the stiffness, both on record."""
     structure = oscillator(0.02, 0.1)

@@ -434,6 +434,9 @@ def test_harmonics_follow_the_truncation(tmp_path: Path) -> None:
         ("omega", {"omega": None}),
         ("tolerance", {"tolerance": 0.0}),
         ("turning_back", {"turning_back": -1.0}),
+        ("longest_step", {"longest_step": 2.0}),
+        ("samples", {"tolerance": 1e-3, "samples": 64}),
+        ("leaving", {"leaving": 3}),
         ("harmonics", {"harmonics": 0}),
     ],
 )
@@ -464,3 +467,53 @@ def test_branch_only_from_where_one_begins() -> None:
         fc.follow_branch(curve, wrong, 1.9, 2.0)
     with pytest.raises(fc.InputError, match="harmonics"):
         fc.follow_branch(curve, wrong, harmonics=7)
+
+
+@pytest.mark.parametrize("name", ["stiffness", "damping"])
+def test_resumed_curve_keeps_its_multipliers(name: str) -> None:
+    """Those of the structure and law as the parameter varies them."""
+    structure, law = two_masses(), fc.UnilateralPenalty(2.0)
+    options = {"stability": True, "throw": False}
+    part = fc.continue_parameter(structure, 0.9, law, name, 1.0, 5.0, most_points=8, **options)
+    again = fc.continue_parameter(structure, 0.9, law, name, 1.0, 5.0, resume=part, **options)
+    assert again.complete
+    assert np.allclose(again.multipliers[: len(part)], part.multipliers)
+    with pytest.raises(fc.InputError, match="another problem"):
+        fc.continue_parameter(structure, 0.95, law, name, 1.0, 5.0, resume=part)
+    with pytest.raises(fc.InputError, match="harmonics"):
+        fc.continue_parameter(structure, 0.9, law, name, 1.0, 5.0, resume=part, harmonics=7)
+
+
+def test_iterating_again_goes_on() -> None:
+    """A few points at a time: the same curve, through its folds; at the end nothing more comes."""
+    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
+    growing = fc.Continuation(structure, law, "omega", 2.0, 0.3, harmonics=6)
+    for _ in range(2000):
+        list(islice(growing, 12))
+        if growing.complete:
+            break
+    curve = growing.curve
+    assert curve.complete and curve.status == "reached the end"
+    assert len(folds(curve)) == 2
+    assert len(list(growing)) == 1 and growing.status == "reached the end"
+
+
+@pytest.mark.parametrize("stiffness", [1e7, 1e9, 1e10])
+def test_curve_with_contact_stiffer_than_rounding_resolves(stiffness: float) -> None:
+    """Followed to what rounding allows, as single solutions are."""
+    law = fc.UnilateralPenalty(stiffness)
+    curve = continue_frequency(oscillator(0.1, 1.0), 0.8, 1.0, law, harmonics=3)
+    assert curve.complete and len(curve) < 600
+
+
+def test_load_does_not_pass_zero_without_clearance() -> None:
+    """There the motion vanishes; with a clearance it passes."""
+    law = fc.UnilateralPenalty(1.0)
+    with pytest.raises(fc.InputError, match="one sign"):
+        fc.continue_parameter(oscillator(0.1, 1.0), 1.2, law, "load", 1.0, -1.0)
+    one = np.ones((1, 1))
+    open_ = fc.Structure.from_matrices(
+        one, one, one, force_cos=[1.0], damping=0.1 * one, clearance=0.1
+    )
+    curve = fc.continue_parameter(open_, 1.2, law, "load", 1.0, -1.0)
+    assert curve.complete and len(curve) < 500

@@ -430,3 +430,19 @@ def test_incremental_system_refuses() -> None:
         with pytest.raises(fc.InputError) as error:
             incremental_system(structure, *arguments, **options)
         assert error.value.key == key
+
+
+def test_incremental_residual_with_gyroscopic_damping() -> None:
+    """C need not be symmetric: at a solution nothing is left."""
+    dashpots = np.array([[0.1, 0.3], [-0.3, 0.1]])
+    structure = fc.Structure.from_matrices(
+        np.eye(2),
+        np.array([[2.0, -1.0], [-1.0, 2.0]]),
+        np.array([1.0, 0.0]),
+        force_sin=[0.0, 1.0],
+        damping=dashpots,
+    )
+    law = fc.UnilateralPenalty(2.0)
+    solution = fc.solve_harmonic_balance(structure, 0.7, law)
+    displacement = solution.displacement_coefficients
+    assert np.abs(incremental_system(structure, 0.7, law, displacement)[1]).max() < 1e-9
