@@ -43,6 +43,7 @@ __all__ = [
     "shoot",
 ]
 
+MOST_PAIRS = 12
 MOST_EVENTS = 100_000
 """In one period of the load; more are a sign that pairs chatter without end."""
 BLOCK = 64
@@ -100,6 +101,13 @@ class EventFlow:
         check_law(structure, contact)
         if not is_small(structure):
             raise InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
+        if structure.n_pairs > MOST_PAIRS:
+            raise InputError(
+                "structure",
+                f"{structure.n_pairs} pairs",
+                f"one with at most {MOST_PAIRS}: n pairs have 2^n regimes, each taken apart into "
+                "its modes; integrate_implicit takes many",
+            )
         self.structure, self.omega = structure, omega
         self._modes: AllModes = all_modes(structure)
         self.scale = float(np.sqrt(np.abs(self._modes.squares).max())) or 1.0
@@ -362,7 +370,8 @@ def integrate_events(
     Raises
     ------
     InputError
-        The structure is too large, the law is another, or an argument cannot be used.
+        The structure is too large or has too many pairs, the law is another, or an argument cannot
+        be used.
     ConvergenceError
         Pairs open and close without end.
     """

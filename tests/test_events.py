@@ -209,3 +209,11 @@ def test_pairs_that_touch_at_the_start(rounding: float) -> None:
     size = np.abs(exact.gap).max()
     assert np.abs(steps.gap[::100] - exact.gap).max() < 1e-3 * size
     assert exact.gap[1:4, 0].max() < 0.1 * size
+
+
+def test_many_pairs_are_refused() -> None:
+    """2^n regimes: a clear error that says what to use instead."""
+    n = 13
+    structure = fc.Structure.from_matrices(np.eye(n), 2.0 * np.eye(n), np.eye(n))
+    with pytest.raises(fc.InputError, match=r"13 pairs.*at most 12.*integrate_implicit"):
+        fc.integrate_events(structure, 1.0, fc.UnilateralPenalty(1.0), periods=1)
