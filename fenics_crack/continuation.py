@@ -365,7 +365,8 @@ class Continuation:
         law = self._contact
         if self._name == "stiffness":
             law = law.scaled(max(self._family.start, self._family.end))
-        return max(1e-13, 4.0 * EPSILON * stiffness_times_compliance(self._family.system, law))
+        stiff = stiffness_times_compliance(self._family.system, law)
+        return max(1e-13, min(1e-5, 4.0 * EPSILON * stiff))
 
     # --- one point --------------------------------------------------------------------------------
 

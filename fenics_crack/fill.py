@@ -170,7 +170,7 @@ class _FrequencyBatch:
         derivative = -_real(rate @ modes.pairs) / self._subharmonic
         # As in search: a gap rounded to eps |g| makes a force rounded to eps k |g|.
         rounding = np.abs(matrices).sum(axis=-1).max() * np.max(self._law.stiffness)
-        self._tolerance = max(TOLERANCE, 4.0 * EPSILON * float(rounding))
+        self._tolerance = max(TOLERANCE, min(1e-5, 4.0 * EPSILON * float(rounding)))
         jacobian = respond_to_columns(matrices, tangent)
         jacobian[:, np.arange(rows * pairs), np.arange(rows * pairs)] += 1.0
         return residual.reshape(points, -1), jacobian, derivative.reshape(points, -1)

@@ -36,7 +36,7 @@ SOFT = 0.05
 """k R where the path in the stiffness starts."""
 EPSILON, ROUNDING = float(np.finfo(float).eps), 1e-13
 MOST_ROUNDING = 1e-5
-"""eps k R beyond which a stiffness is refused."""
+"""eps k R_0, of the static compliance, beyond which a stiffness is refused."""
 FAR = 5.0
 """A path is given up that far from its end, unless it began farther away."""
 STIFF = 10.0
@@ -88,15 +88,17 @@ class Search:
         smaller than that.
         """
         law = system.integrals.law
-        least = EPSILON * stiffness_times_compliance(system, law)
-        if not least < MOST_ROUNDING:
-            stiffest = float(np.max(law.stiffness))
+        stiffest = float(np.max(law.stiffness))
+        static = float(np.abs(system.compliance.matrices[0]).sum(axis=1).max())
+        if not EPSILON * stiffest * static < MOST_ROUNDING:
             raise InputError(
                 "contact stiffness",
                 stiffest,
-                f"at most {stiffest * MOST_ROUNDING / least:.2g} N/m on this structure, beyond "
+                f"at most {MOST_ROUNDING / (EPSILON * static):.2g} N/m on this structure, beyond "
                 "which rounding leaves nothing; UnilateralConstraint is the limit",
             )
+        # In an undamped resonance R itself may be as large as that.
+        least = min(MOST_ROUNDING, EPSILON * stiffness_times_compliance(system, law))
         if least > self._rounding:
             self._rounding = least
             self.tolerance = max(self.tolerance, least)
