@@ -45,7 +45,7 @@ from fenics_crack.harmonic_balance import solve_harmonic_balance
 from fenics_crack.reduction import reduce_structure
 from fenics_crack.search import EPSILON, stiffness_times_compliance
 from fenics_crack.solution import PeriodicSolution
-from fenics_crack.stability import LeadingMultiplier, PiecewiseFlow
+from fenics_crack.stability import LeadingMultiplier, PiecewiseFlow, doubling_test
 from fenics_crack.structure import Structure
 
 __all__ = [
@@ -498,7 +498,7 @@ class Continuation:
         assert first is not None and second is not None
         found = []
         if first.doubling * second.doubling < 0.0:
-            found.append(("period_doubling", self._locate(before, after, at(_doubling))))
+            found.append(("period_doubling", self._locate(before, after, at(doubling_test))))
         unstable = second if first.stable else first
         left = first.stable != second.stable and first.doubling == second.doubling
         if left and unstable.value.imag > 0.0:
@@ -819,11 +819,6 @@ def _check_resumed(
             raise InputError("start, end", span, f"on either side of {last:g}")
     elif not math.isclose(span[0], first, rel_tol=1e-9):
         raise InputError("start", span[0], f"where the resumed curve starts, {first:g}")
-
-
-def _doubling(multipliers: np.ndarray) -> float:
-    """det(I + M), scaled: changes its sign where a multiplier passes through -1."""
-    return float(np.prod((1.0 + multipliers) / (1.0 + np.abs(multipliers))).real)
 
 
 def _pair(multipliers: np.ndarray) -> float:

@@ -47,7 +47,6 @@ class Family(ABC):
     """
 
     name: str
-    label: str
 
     def __init__(
         self,
@@ -102,9 +101,9 @@ class Family(ABC):
         """Load frequency [rad/s] where the parameter has a value."""
         return self._omega
 
-    @staticmethod
+    @classmethod
     @abstractmethod
-    def vary(structure: Structure, contact: ContactLaw, value: float) -> Problem:
+    def vary(cls, structure: Structure, contact: ContactLaw, value: float) -> Problem:
         """Structure and law where the parameter has a value."""
 
     def compliance(self, value: float) -> ModalCompliance:
@@ -167,7 +166,7 @@ class _ComplianceFamily(Family):
 class FrequencyFamily(_ComplianceFamily):
     """v: load frequency [rad/s]."""
 
-    name, label = "omega", "load frequency [rad/s]"
+    name = "omega"
 
     @classmethod
     def check(cls, structure: Structure, key: str, value: float) -> None:
@@ -178,8 +177,8 @@ class FrequencyFamily(_ComplianceFamily):
         """The value itself."""
         return value
 
-    @staticmethod
-    def vary(structure: Structure, contact: ContactLaw, value: float) -> Problem:
+    @classmethod
+    def vary(cls, structure: Structure, contact: ContactLaw, value: float) -> Problem:
         """At another frequency."""
         return structure, contact
 
@@ -191,33 +190,37 @@ class FrequencyFamily(_ComplianceFamily):
         return self._current.frequency_derivative(self._force(unknown)) / self.subharmonic
 
 
-class LoadFamily(_ComplianceFamily):
+class _VariedFamily(_ComplianceFamily):
+    """The parameter is one of those of :meth:`Structure.varied`, by its name."""
+
+    @classmethod
+    def vary(cls, structure: Structure, contact: ContactLaw, value: float) -> Problem:
+        """Another structure."""
+        return structure.varied(**{cls.name: value}), contact
+
+    def compliance(self, value: float) -> ModalCompliance:
+        """Of the varied structure."""
+        return self._compliance.at(self._omega / self.subharmonic, **{self.name: value})
+
+
+class LoadFamily(_VariedFamily):
     """v: factor of the load."""
 
-    name, label = "load", "factor of the load [-]"
+    name = "load"
 
     @classmethod
     def check(cls, structure: Structure, key: str, value: float) -> None:
         """Raise InputError unless it is a number; a negative one reverses the load."""
         check_number(key, value)
 
-    @staticmethod
-    def vary(structure: Structure, contact: ContactLaw, value: float) -> Problem:
-        """With another load."""
-        return structure.varied(load=value), contact
-
-    def compliance(self, value: float) -> ModalCompliance:
-        """With another load."""
-        return self._compliance.at(self._omega / self.subharmonic, load=value)
-
     def _derivative(self, unknown: np.ndarray) -> np.ndarray:
         return self._current.load_derivative()
 
 
-class DampingFamily(_ComplianceFamily):
+class DampingFamily(_VariedFamily):
     """v: factor of the damping."""
 
-    name, label = "damping", "factor of the damping [-]"
+    name = "damping"
 
     @classmethod
     def check(cls, structure: Structure, key: str, value: float) -> None:
@@ -226,37 +229,19 @@ class DampingFamily(_ComplianceFamily):
         if structure.damping is None:
             raise InputError("parameter", "damping", "another one: the structure has no damping")
 
-    @staticmethod
-    def vary(structure: Structure, contact: ContactLaw, value: float) -> Problem:
-        """With other damping."""
-        return structure.varied(damping=value), contact
-
-    def compliance(self, value: float) -> ModalCompliance:
-        """With other damping."""
-        return self._compliance.at(self._omega / self.subharmonic, damping=value)
-
     def _derivative(self, unknown: np.ndarray) -> np.ndarray:
         return self._current.damping_derivative(self._force(unknown))
 
 
-class ClearanceFamily(_ComplianceFamily):
+class ClearanceFamily(_VariedFamily):
     """v: clearance [m] added to that of every pair."""
 
-    name, label = "clearance", "clearance added [m]"
+    name = "clearance"
 
     @classmethod
     def check(cls, structure: Structure, key: str, value: float) -> None:
         """Raise InputError unless it is a number."""
         check_number(key, value)
-
-    @staticmethod
-    def vary(structure: Structure, contact: ContactLaw, value: float) -> Problem:
-        """With another clearance."""
-        return structure.varied(clearance=value), contact
-
-    def compliance(self, value: float) -> ModalCompliance:
-        """With another clearance."""
-        return self._compliance.at(self._omega / self.subharmonic, clearance=value)
 
     def _derivative(self, unknown: np.ndarray) -> np.ndarray:
         change = np.zeros_like(unknown)
@@ -267,7 +252,7 @@ class ClearanceFamily(_ComplianceFamily):
 class StiffnessFamily(Family):
     """v: factor of the contact stiffness; p is proportional to ln v."""
 
-    name, label = "stiffness", "factor of the contact stiffness [-]"
+    name = "stiffness"
 
     def value(self, parameter: float) -> float:
         """v of p."""
@@ -277,8 +262,8 @@ class StiffnessFamily(Family):
         """p of v."""
         return float(np.log(value / self.start) / np.log(self.end / self.start))
 
-    @staticmethod
-    def vary(structure: Structure, contact: ContactLaw, value: float) -> Problem:
+    @classmethod
+    def vary(cls, structure: Structure, contact: ContactLaw, value: float) -> Problem:
         """With another law."""
         return structure, contact.scaled(value)
 

@@ -24,7 +24,7 @@ from fenics_crack.contact import UnilateralPenalty
 from fenics_crack.contact_integrals import contact_integrals
 from fenics_crack.curve import ResponseCurve
 from fenics_crack.errors import InputError, check_count
-from fenics_crack.fourier import to_complex
+from fenics_crack.fourier import from_complex, to_complex
 from fenics_crack.search import EPSILON
 from fenics_crack.stability import PiecewiseFlow
 from fenics_crack.structure import Structure
@@ -195,10 +195,7 @@ def _complex(rows: np.ndarray) -> np.ndarray:
 
 def _real(harmonics: np.ndarray) -> np.ndarray:
     """Complex harmonics (n, H+1, m) as rows (n, 2H+1, m)."""
-    rows = np.empty((len(harmonics), 2 * harmonics.shape[1] - 1, harmonics.shape[2]))
-    rows[:, 0], rows[:, 1::2] = harmonics[:, 0].real, harmonics[:, 1:].real
-    np.subtract(0.0, harmonics[:, 1:].imag, out=rows[:, 2::2])
-    return rows
+    return from_complex(harmonics.transpose(1, 0, 2)).transpose(1, 0, 2)
 
 
 def _merged(

@@ -60,7 +60,7 @@ from fenics_crack.errors import (
 )
 from fenics_crack.factor import weighted_sum
 from fenics_crack.fourier import evaluate
-from fenics_crack.modes import damped_modes, largest_frequency
+from fenics_crack.modes import by_columns, damped_modes, largest_frequency
 from fenics_crack.parallel import StopRequest, collect_garbage, raise_together
 from fenics_crack.solution import PeriodicSolution
 from fenics_crack.structure import Structure
@@ -675,15 +675,7 @@ def linear_energy(structure: Structure, displacement: np.ndarray, velocity: np.n
 
 def solve_columns(inverse: Any, matrix: Any, columns: np.ndarray) -> np.ndarray:
     """X with A X = columns (n_local, m), A factored, of the layout of a matrix (collective)."""
-    source, target = matrix.createVecs()
-    found = np.empty_like(columns)
-    for column in range(columns.shape[1]):
-        source.array_w[:] = columns[:, column]
-        inverse.apply(source, target)
-        found[:, column] = target.array_r
-    source.destroy()
-    target.destroy()
-    return found
+    return by_columns(inverse.apply, matrix, columns)
 
 
 def moved_apart(structure: Structure, displacement: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ rigid-body modes are found too.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from numbers import Integral
 from typing import Any
@@ -21,7 +22,7 @@ from fenics_crack.factor import Factor, weighted_sum
 from fenics_crack.parallel import gather_rows
 from fenics_crack.structure import ModalDamping, Structure
 
-__all__ = ["DampedModes", "Modes", "damped_modes", "largest_frequency", "solve_modes"]
+__all__ = ["DampedModes", "Modes", "by_columns", "damped_modes", "largest_frequency", "solve_modes"]
 
 _CACHE: WeakKeyDictionary[Structure, DampedModes] = WeakKeyDictionary()
 
@@ -158,15 +159,20 @@ def _rayleigh_scale(structure: Structure) -> float:
 
 def times(matrix: Any, columns: np.ndarray) -> np.ndarray:
     """A X for a PETSc matrix and the columns of X (n_local, m) (collective)."""
+    return by_columns(matrix.mult, matrix, columns)
+
+
+def by_columns(apply: Callable[[Any, Any], None], matrix: Any, columns: np.ndarray) -> np.ndarray:
+    """Apply what PETSc does to one vector of a matrix's layout to columns (n_local, m)."""
     source, target = matrix.createVecs()
-    product = np.empty_like(columns)
+    found = np.empty_like(columns)
     for column in range(columns.shape[1]):
         source.array_w[:] = columns[:, column]
-        matrix.mult(source, target)
-        product[:, column] = target.array_r
+        apply(source, target)
+        found[:, column] = target.array_r
     source.destroy()
     target.destroy()
-    return product
+    return found
 
 
 def mass_times(structure: Structure, shapes: np.ndarray) -> np.ndarray:

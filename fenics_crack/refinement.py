@@ -33,6 +33,7 @@ from fenics_crack.errors import ConvergenceError, InputError, check_number
 from fenics_crack.events import EventFlow, PeriodicOrbit, describe_orbit
 from fenics_crack.integration import initial_state
 from fenics_crack.solution import PeriodicSolution
+from fenics_crack.stability import doubling_test
 from fenics_crack.structure import Structure
 
 __all__ = ["refine_bifurcation"]
@@ -271,7 +272,7 @@ def _turning(point: _Point) -> float:
 
 def _doubling(point: _Point) -> float:
     """det(I + M), scaled."""
-    return float(np.prod((1.0 + point.multipliers) / (1.0 + np.abs(point.multipliers))).real)
+    return doubling_test(point.multipliers)
 
 
 class _PairTest:

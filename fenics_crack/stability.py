@@ -41,7 +41,7 @@ from fenics_crack.solution import PeriodicSolution
 from fenics_crack.structure import Structure
 from fenics_crack.switching import switching_instants
 
-__all__ = ["LeadingMultiplier", "PiecewiseFlow", "Stability", "floquet"]
+__all__ = ["LeadingMultiplier", "PiecewiseFlow", "Stability", "doubling_test", "floquet"]
 
 SMOOTH_INTERVALS = 512
 """In a period, for laws that are not linear in contact."""
@@ -352,6 +352,11 @@ def _real_basis(matrix: np.ndarray, key: bytes) -> _Basis | None:
     turn[: 2 * len(above) : 2] = values[above].imag
     turn[1 : 2 * len(above) : 2] = -values[above].imag
     return _Basis(key, decay, turn, basis, np.linalg.inv(basis))
+
+
+def doubling_test(multipliers: np.ndarray) -> float:
+    """det(I + M), scaled: changes its sign where a multiplier passes through -1."""
+    return float(np.prod((1.0 + multipliers) / (1.0 + np.abs(multipliers))).real)
 
 
 def _wider(structure: Structure, solution: PeriodicSolution, contact: ContactLaw) -> np.ndarray:
