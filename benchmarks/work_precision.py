@@ -314,7 +314,7 @@ def finish(folder: Path, scene: Scene, rows: list[tuple[Any, ...]]) -> None:
     axes.set_xlabel("processor time [ms]")
     axes.set_ylabel("relative L2 error of the gap over the period [-]")
     axes.set_title(f"Scene {scene.name}: error against time, from a cold start or from rest")
-    axes.legend(fontsize=7, framealpha=0.9)
+    axes.legend(fontsize=7, bbox_to_anchor=(1.01, 1.0), loc="upper left")  # beside, not over points
     figure.savefig(stem.with_suffix(".png"))
     for goal in (1e-2, 1e-3, 1e-4):
         best = {}
