@@ -49,7 +49,7 @@ esac
 packages='
     python3-dolfinx python3-petsc4py python3-slepc4py python3-mpi4py
     gmsh python3-gmsh
-    python3-scipy python3-matplotlib python3-tqdm python3-venv libopenblas0-pthread
+    python3-scipy python3-matplotlib python3-h5py python3-tqdm python3-venv libopenblas0-pthread
     gcc python3-dev
     openmpi-bin
     libegl1 libgl1-mesa-dri
@@ -94,7 +94,7 @@ sound_venv() {
 # that is a matter for the tests.
 debian_imports() {
     (cd / && "$1" -c '
-import dolfinx.fem, gmsh, matplotlib, mpi4py.MPI, petsc4py.PETSc, scipy, slepc4py.SLEPc, tqdm
+import dolfinx.fem, gmsh, h5py, matplotlib, mpi4py.MPI, petsc4py.PETSc, scipy, slepc4py.SLEPc, tqdm
 ')
 }
 everything_imports() {
@@ -128,7 +128,7 @@ fi
 write_pins() {
     .venv/bin/python -c '
 from importlib.metadata import version
-for name in ("numpy", "scipy", "matplotlib", "mpi4py", "tqdm"):
+for name in ("numpy", "scipy", "matplotlib", "h5py", "mpi4py", "pillow", "tqdm"):
     print(f"{name}=={version(name)}")
 ' >.venv/debian-pins.txt
 }

@@ -37,6 +37,7 @@ from fenics_crack.scene import Scene
 from fenics_crack.solution import PeriodicSolution
 from fenics_crack.stability import Stability, floquet
 from fenics_crack.structure import ModalDamping, Structure
+from fenics_crack.version import VERSION
 
 __all__ = [
     "Backbone",
@@ -79,4 +80,4 @@ __all__ = [
     "solve_modes",
     "stable_steps_per_period",
 ]
-__version__ = "0.1.0"
+__version__ = VERSION

@@ -15,9 +15,10 @@ from fenics_crack.errors import InputError
 from fenics_crack.modes import Modes
 from fenics_crack.parallel import gather_rows, on_root
 from fenics_crack.solution import PeriodicSolution
+from fenics_crack.store import make_folder
 from fenics_crack.structure import Structure
 
-__all__ = ["NodalMesh", "make_folder", "write_modes", "write_period"]
+__all__ = ["NodalMesh", "write_modes", "write_period"]
 
 
 class NodalMesh:
@@ -157,8 +158,3 @@ def _scaled(vectors: np.ndarray, largest: float) -> np.ndarray:
     """Three-dimensional vectors (n, 3) scaled to a largest length."""
     length = np.linalg.norm(vectors, axis=1).max()
     return np.pad(vectors * (largest / length if length > 0.0 else 0.0), ((0, 0), (0, 1)))
-
-
-def make_folder(path: str | Path) -> None:
-    """Make the folder in which a file is to be written."""
-    Path(path).parent.mkdir(parents=True, exist_ok=True)

@@ -18,10 +18,11 @@ from fenics_crack.contact import ContactLaw
 from fenics_crack.curve import ResponseCurve
 from fenics_crack.errors import InputError
 from fenics_crack.modes import Modes
-from fenics_crack.output import NodalMesh, make_folder
+from fenics_crack.output import NodalMesh
 from fenics_crack.parallel import on_root
 from fenics_crack.solution import PeriodicSolution
 from fenics_crack.stability import PiecewiseFlow
+from fenics_crack.store import make_folder
 from fenics_crack.structure import Structure
 
 __all__ = [

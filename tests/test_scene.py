@@ -5,11 +5,13 @@ from __future__ import annotations
 import copy
 import dataclasses
 import math
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers import ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -319,7 +321,7 @@ def test_scenes_are_frozen() -> None:
         with pytest.raises(dataclasses.FrozenInstanceError):
             setattr(scene, table.name, None)
         part = getattr(scene, table.name)
-        for item in dataclasses.fields(part):
+        for item in dataclasses.fields(part) if part is not None else ():
             with pytest.raises(dataclasses.FrozenInstanceError):
                 setattr(part, item.name, 1.0)
 
@@ -379,12 +381,79 @@ def test_replace_refuses(key: str, value: object) -> None:
     assert caught.value.key == key
 
 
-def test_replace_refuses_a_key_of_a_missing_table() -> None:
-    """A table that the scene does not have cannot be changed key by key."""
+def test_replace_makes_a_missing_table() -> None:
+    """A table that the scene does not have is made, with all that it needs, or refused."""
     scene = Scene.from_mapping(changed({"crack": GONE, "contact": GONE}))
+    made = scene.replace({"curve.start": 1000.0, "curve.stop": 2000.0})
+    assert made.curve is not None and made.curve.parameter == "omega" and scene.curve is None
+    assert made.replace({"curve": None}) == scene
     with pytest.raises(InputError) as caught:
-        scene.replace({"contact.stiffness": 1e9})
-    assert caught.value.key == "contact.stiffness"
+        scene.replace({"curve.start": 1000.0})
+    assert caught.value.key == "curve.stop"
+
+
+# --- sweeps and files -----------------------------------------------------------------------------
+
+OVER = {
+    "excitation.omega": {"start": 1000, "stop": 3000, "count": 3},
+    "contact.stiffness": {"start": 1e8, "stop": 1e10, "count": 3, "spacing": "logarithmic"},
+    "excitation.force_sin": [[100, 0], [0.0, 50.0]],
+    "crack.edge": ["left", "right"],
+}
+
+
+def test_axes_of_a_sweep() -> None:
+    """Lists stay, spans are cut evenly or by equal ratios; their product is counted."""
+    sweep = Scene.from_mapping(GOOD | {"sweep": {"over": OVER}}).sweep
+    assert sweep is not None and sweep.n_cases == 3 * 3 * 2 * 2
+    omega, stiffness, force, edge = sweep.over
+    assert omega.values == (1000.0, 2000.0, 3000.0)
+    assert stiffness.values == pytest.approx((1e8, 1e9, 1e10), rel=1e-12)
+    assert force.values == ([100, 0], [0.0, 50.0]) and edge.values == ("left", "right")
+
+
+@pytest.mark.parametrize(
+    ("over", "key"),
+    [
+        ({}, "sweep.over"),
+        (5, "sweep.over"),
+        ({"omega": [1.0]}, "sweep.over"),
+        ({"curve.start": [1.0]}, "sweep.over"),
+        ({"crack.colour": [1.0]}, "sweep.over"),
+        ({"crack.length": []}, 'sweep.over."crack.length"'),
+        ({"crack.length": 0.04}, 'sweep.over."crack.length"'),
+        ({"crack.length": {"start": 0.01, "stop": 0.02}}, 'sweep.over."crack.length"'),
+        ({"crack.length": {"start": 0.01, "stop": 0.02, "count": 1}}, 'sweep.over."crack.length"'),
+        (
+            {"crack.clearance": {"start": -1, "stop": 1, "count": 3, "spacing": "logarithmic"}},
+            'sweep.over."crack.clearance"',
+        ),
+        ({"crack.length": [0.05, -0.05]}, "crack.length"),
+        ({"crack.length": [0.05, 0.05]}, 'sweep.over."crack.length"'),
+        ({"crack.edge": ["left", "top"]}, "crack.edge"),
+    ],
+)
+def test_bad_axes_are_named(over: object, key: str) -> None:
+    """What cannot be swept is named."""
+    with pytest.raises(InputError) as caught:
+        Scene.from_mapping(GOOD | {"sweep": {"over": over}})
+    assert caught.value.key == key
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "demos").glob("*.toml")), ids=lambda p: p.stem)
+def test_scene_as_toml_reads_back(path: Path) -> None:
+    """What is written is the same scene; with every optional table, too."""
+    scene = Scene.load(path)
+    if scene.crack is not None and scene.mesh.layout != "file":
+        scene = scene.replace(
+            {
+                "sweep.over": {key: OVER[key] for key in ("excitation.omega", "crack.edge")},
+                "curve.start": 1.5, "curve.stop": 2, "curve.stability": False,
+                "reduction.modes": 7, "integration.method": "events",
+                "damping.ratio": [0.1, 0.2], "damping.modes": 2,
+            }
+        )  # fmt: skip
+    assert Scene.from_mapping(tomllib.loads(scene.as_toml())) == scene
 
 
 # --- anything at all ------------------------------------------------------------------------------

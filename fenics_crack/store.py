@@ -1,0 +1,154 @@
+"""Results on disk: HDF5 files that describe themselves.
+
+A file has the attributes ``kind`` (what is in it), ``program`` and ``version``, ``versions`` of
+what it was computed with, and, where there is one, the ``scene`` as TOML text; its datasets are
+numbers and words. Nothing in it is pickled, and nothing of it is ever executed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import dolfinx
+import h5py
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+from slepc4py import SLEPc
+
+from fenics_crack.errors import InputError
+from fenics_crack.parallel import on_root
+from fenics_crack.scene import Scene
+from fenics_crack.version import VERSION
+
+__all__ = ["kind_of", "make_folder", "read", "read_scene", "write", "write_header"]
+
+PROGRAM = "fenics_crack"
+
+
+def write(
+    path: str | Path,
+    kind: str,
+    parts: Mapping[str, Any],
+    scene: Scene | None = None,
+    comm: MPI.Comm = MPI.COMM_SELF,
+) -> None:
+    """Write a file, whole or not at all (collective; rank 0 writes).
+
+    Parameters
+    ----------
+    path : path
+        Its name; an older file is replaced when the new one is complete.
+    kind : str
+        What is in it, for example "response curve".
+    parts : mapping
+        Datasets by their names: arrays of numbers, numbers, words, lists of words; None is left
+        out.
+    scene : Scene, optional
+        What was computed.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+    """
+
+    def work() -> None:
+        target = Path(path)
+        partial = target.with_name(f".{target.name}.{os.getpid()}")
+        try:
+            make_folder(target)
+            with h5py.File(partial, "w") as file:
+                write_header(file, kind, scene)
+                for name, value in parts.items():
+                    if value is not None:
+                        file[name] = value
+            partial.replace(target)
+        except OSError as error:
+            partial.unlink(missing_ok=True)
+            raise InputError("path", str(path), f"a file that can be written ({error})") from None
+
+    on_root(comm, work)
+
+
+def write_header(file: h5py.File, kind: str, scene: Scene | None) -> None:
+    """Say what a file is, what made it, and from which scene."""
+    file.attrs["kind"] = kind
+    file.attrs["program"] = PROGRAM
+    file.attrs["version"] = VERSION
+    file.attrs["versions"] = (
+        f"DOLFINx {dolfinx.__version__}, PETSc {PETSc.Sys.getVersion()}, "
+        f"SLEPc {SLEPc.Sys.getVersion()}, NumPy {np.__version__}"
+    )
+    if scene is not None:
+        if scene.mesh.file is not None:
+            scene = scene.replace({"mesh.file": str(Path(scene.mesh.file).absolute())})
+        file.attrs["scene"] = scene.as_toml()
+
+
+def read(path: str | Path, kind: str) -> dict[str, Any]:
+    """Datasets of a file by their names: arrays, numbers (0-dimensional arrays) and words.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or something else is in it.
+    """
+    with _opened(path) as file:
+        if kind_of(path) != kind:
+            raise InputError("path", str(path), f"a {kind}, not a {kind_of(path)}")
+        return {name: _value(item) for name, item in file.items() if isinstance(item, h5py.Dataset)}
+
+
+def kind_of(path: str | Path) -> str:
+    """What a file holds.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or is not one of this program.
+    """
+    with _opened(path) as file:
+        return str(file.attrs["kind"])
+
+
+def read_scene(path: str | Path) -> Scene | None:
+    """The scene in a file, or None.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is not one of this program, or its scene cannot be used.
+    """
+    with _opened(path) as file:
+        text = file.attrs.get("scene")
+    return None if text is None else Scene.from_text(str(text), str(path))
+
+
+@contextlib.contextmanager
+def _opened(path: str | Path) -> Iterator[h5py.File]:
+    try:
+        with h5py.File(path, "r") as file:
+            if file.attrs.get("program") != PROGRAM or "kind" not in file.attrs:
+                raise InputError("path", str(path), f"a result file of {PROGRAM}")
+            yield file
+    except FileNotFoundError:
+        raise InputError("path", str(path), "a file that exists") from None
+    except (OSError, KeyError, RuntimeError) as error:
+        raise InputError("path", str(path), f"a readable result file ({error})") from None
+
+
+def _value(item: h5py.Dataset) -> Any:
+    if h5py.check_string_dtype(item.dtype) is None:
+        return item[()]
+    words = item.asstr()[()]
+    return words if isinstance(words, str) else [str(word) for word in words]
+
+
+def make_folder(path: str | Path) -> None:
+    """Make the folder in which a file is to be written."""
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
