@@ -39,7 +39,7 @@ def main(output: Path = Path("output/resonances"), *, again: bool = False) -> fc
         scene = fc.Scene.load(FOLDER / f"{name}.toml").replace({"damping.ratio": 0.01})
         plate = fc.build_structure(scene)
         structure = plate if name == "paper_plate" else fc.reduce_structure(plate)
-        file = output / f"{name}.npz"
+        file = output / f"{name}.h5"
         if again:
             curve = fc.ResponseCurve.load(file, structure, law)
         else:

@@ -31,12 +31,11 @@ Source: Kerschen, Peeters, Golinval, Vakakis, Mechanical Systems and Signal Proc
 from __future__ import annotations
 
 import math
-import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
@@ -51,8 +50,10 @@ from fenics_crack.error_report import ErrorReport, mean_square
 from fenics_crack.errors import ConvergenceError, InputError, check_count, check_number
 from fenics_crack.fourier import resized, to_complex
 from fenics_crack.reduction import reduce_structure
+from fenics_crack.scene import Scene
 from fenics_crack.search import EPSILON, ROUNDING, SOFT, Search
 from fenics_crack.solution import PeriodicSolution
+from fenics_crack.store import reading, write
 from fenics_crack.structure import Structure
 
 __all__ = ["Backbone", "follow_backbone"]
@@ -65,6 +66,12 @@ FAST = 0.5
 ELSEWHERE = "the path ended in the motion of another mode"
 NEAR = 0.05
 """Entries relatively that close to resonance are not predicted."""
+
+
+_STORED = (
+    "mode", "omega", "energy", "rest_energy", "cosines", "iterations", "complete", "status",
+    "jumps",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -111,6 +118,8 @@ class Backbone:
     status: str
     jumps: np.ndarray
     samples: int | None
+
+    KIND: ClassVar[str] = "backbone"
 
     @property
     def harmonics(self) -> int:
@@ -186,21 +195,11 @@ class Backbone:
         waves = values.reshape(points, terms) @ np.cos(np.outer(np.arange(terms), phase))
         return np.ptp(waves, axis=1) / 2.0
 
-    def save(self, path: str | Path) -> None:
-        """Write the curve to a NumPy archive (.npz): numbers and words only, nothing executable."""
-        np.savez_compressed(
-            path,
-            mode=np.array(self.mode),
-            omega=self.omega,
-            energy=self.energy,
-            rest_energy=np.array(self.rest_energy),
-            cosines=self.cosines,
-            iterations=self.iterations,
-            complete=np.array(self.complete),
-            status=np.array(self.status),
-            jumps=self.jumps,
-            samples=np.array(self.samples or 0),
-        )
+    def save(self, path: str | Path, scene: Scene | None = None) -> None:
+        """Write the curve to an HDF5 file, with the scene that it belongs to if there is one."""
+        parts = {name: getattr(self, name) for name in _STORED}
+        parts |= {"samples": self.samples or 0, "couplings": self.structure.couplings}
+        write(path, self.KIND, parts, scene)
 
     @classmethod
     def load(cls, path: str | Path, structure: Structure, contact: ContactLaw) -> Backbone:
@@ -218,28 +217,22 @@ class Backbone:
         InputError
             The file is not one of :meth:`save`, or the structure has other dofs.
         """
-        try:
-            with np.load(path, allow_pickle=False) as archive:
-                found = cls(
-                    structure,
-                    contact,
-                    int(archive["mode"]),
-                    archive["omega"],
-                    archive["energy"],
-                    float(archive["rest_energy"]),
-                    archive["cosines"],
-                    archive["iterations"],
-                    bool(archive["complete"]),
-                    str(archive["status"]),
-                    archive["jumps"],
-                    int(archive["samples"]) or None,
-                )
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-            raise InputError("path", str(path), f"a backbone written by save ({error})") from None
-        if found.cosines.ndim != 3 or found.cosines.shape[2] != structure.n_dofs:
-            dofs = found.cosines.shape[-1]
-            raise InputError("structure", f"{structure.n_dofs} dofs", f"one with {dofs} dofs")
-        return found
+        with reading(path, cls.KIND) as parts:
+            signs = structure.signs_since(parts["couplings"])
+            return cls(
+                structure,
+                contact,
+                int(parts["mode"]),
+                parts["omega"],
+                parts["energy"],
+                float(parts["rest_energy"]),
+                signs * parts["cosines"],
+                parts["iterations"],
+                bool(parts["complete"]),
+                parts["status"],
+                parts["jumps"],
+                int(parts["samples"]) or None,
+            )
 
 
 def follow_backbone(

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,10 +18,17 @@ from fenics_crack.errors import InputError
 from fenics_crack.family import FAMILIES, Family
 from fenics_crack.fourier import evaluate
 from fenics_crack.reduction import reduce_structure
+from fenics_crack.scene import Scene
 from fenics_crack.solution import PeriodicSolution
+from fenics_crack.store import reading, write
 from fenics_crack.structure import Structure
 
 __all__ = ["Bifurcation", "ResponseCurve", "expand_gap"]
+
+_STORED = (
+    "parameter", "values", "omega", "gap_coefficients", "harmonics", "iterations", "truncation",
+    "complete", "status", "subharmonic", "multipliers", "branch",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -110,6 +116,8 @@ class ResponseCurve:
     multipliers: np.ndarray | None = None
     branch: bool = False
 
+    KIND: ClassVar[str] = "response curve"
+
     def __len__(self) -> int:
         return len(self.values)
 
@@ -181,29 +189,15 @@ class ResponseCurve:
 
     # --- on disk ----------------------------------------------------------------------------------
 
-    def save(self, path: str | Path) -> None:
-        """Write the curve to a NumPy archive (.npz): numbers and words only, nothing executable."""
-        parts: dict[str, Any] = {
-            "parameter": np.array(self.parameter),
-            "values": self.values,
-            "omega": self.omega,
-            "gap_coefficients": self.gap_coefficients,
-            "harmonics": self.harmonics,
-            "iterations": self.iterations,
-            "truncation": self.truncation,
-            "kinds": np.array([b.kind for b in self.bifurcations], dtype="U32"),
-            "bifurcation_values": np.array([b.value for b in self.bifurcations]),
-            "complete": np.array(self.complete),
-            "status": np.array(self.status),
-            "samples": np.array(self.samples or 0),
-            "subharmonic": np.array(self.subharmonic),
-            "branch": np.array(self.branch),
-        }
+    def save(self, path: str | Path, scene: Scene | None = None) -> None:
+        """Write the curve to an HDF5 file, with the scene that it belongs to if there is one."""
+        parts = {name: getattr(self, name) for name in _STORED}
+        parts["samples"] = self.samples or 0
+        parts["kinds"] = [b.kind for b in self.bifurcations]
+        parts["bifurcation_values"] = [b.value for b in self.bifurcations]
         for number, bifurcation in enumerate(self.bifurcations):
             parts[f"bifurcation_{number}"] = bifurcation.gap_coefficients
-        if self.multipliers is not None:
-            parts["multipliers"] = self.multipliers
-        np.savez_compressed(path, **parts)
+        write(path, self.KIND, parts, scene)
 
     @classmethod
     def load(cls, path: str | Path, structure: Structure, contact: ContactLaw) -> ResponseCurve:
@@ -212,7 +206,7 @@ class ResponseCurve:
         Parameters
         ----------
         path : path
-            The archive.
+            The file.
         structure, contact : Structure, ContactLaw
             Those with which the curve was followed; a structure with many dofs is reduced by
             :func:`reduce_structure`, as it was then.
@@ -224,13 +218,11 @@ class ResponseCurve:
         """
         if not is_small(structure):
             structure = reduce_structure(structure)
-        try:
-            with np.load(path, allow_pickle=False) as archive:
-                parts = {name: archive[name] for name in archive.files}
+        with reading(path, cls.KIND) as parts:
             curve = cls(
                 structure,
                 contact,
-                str(parts["parameter"]),
+                parts["parameter"],
                 parts["values"],
                 parts["omega"],
                 parts["gap_coefficients"],
@@ -239,20 +231,18 @@ class ResponseCurve:
                 parts["truncation"],
                 (),
                 bool(parts["complete"]),
-                str(parts["status"]),
+                parts["status"],
                 int(parts["samples"]) or None,
                 int(parts["subharmonic"]),
                 parts.get("multipliers"),
                 bool(parts["branch"]),
             )
             special = [
-                (str(kind), float(value), parts[f"bifurcation_{number}"])
+                (kind, float(value), parts[f"bifurcation_{number}"])
                 for number, (kind, value) in enumerate(
                     zip(parts["kinds"], parts["bifurcation_values"], strict=True)
                 )
             ]
-        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
-            raise InputError("path", str(path), f"a curve written by save ({error})") from None
         gaps = curve.gap_coefficients
         sizes = {len(part) for part in (curve.values, curve.omega, gaps, curve.harmonics)}
         if curve.parameter not in FAMILIES or gaps.ndim != 3 or len(sizes) != 1:

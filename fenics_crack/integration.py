@@ -39,11 +39,10 @@ the lips, when the mesh is refined.
 from __future__ import annotations
 
 import time as clock
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from petsc4py import PETSc
@@ -62,7 +61,9 @@ from fenics_crack.factor import weighted_sum
 from fenics_crack.fourier import evaluate
 from fenics_crack.modes import by_columns, damped_modes, largest_frequency
 from fenics_crack.parallel import StopRequest, collect_garbage, raise_together
+from fenics_crack.scene import Scene
 from fenics_crack.solution import PeriodicSolution
+from fenics_crack.store import reading, write
 from fenics_crack.structure import Structure
 
 __all__ = [
@@ -131,8 +132,10 @@ class TimeHistory:
     contact_force: np.ndarray
     """(n, n_pairs) [N]; with a constraint the mean force from this instant to the next."""
 
-    def save(self, path: str | Path) -> None:
-        """Write the history to a NumPy archive (.npz): numbers only, nothing executable.
+    KIND: ClassVar[str] = "time history"
+
+    def save(self, path: str | Path, scene: Scene | None = None) -> None:
+        """Write the history to an HDF5 file, with the scene that it belongs to if there is one.
 
         A run goes on from :attr:`final_state` of what :meth:`load` reads.
 
@@ -146,7 +149,8 @@ class TimeHistory:
         parts = {field.name: getattr(self, field.name) for field in fields(self)}
         del parts["structure"]
         displacement, velocity = parts.pop("final_state")
-        np.savez_compressed(path, displacement=displacement, velocity=velocity, **parts)
+        parts |= {"displacement": displacement, "velocity": velocity}
+        write(path, self.KIND, parts | {"couplings": self.structure.couplings}, scene)
 
     @classmethod
     def load(cls, path: str | Path, structure: Structure) -> TimeHistory:
@@ -157,25 +161,16 @@ class TimeHistory:
         InputError
             The file is another, or the structure has other dofs or pairs.
         """
-        try:
-            with np.load(path, allow_pickle=False) as archive:
-                parts = {name: archive[name] for name in archive.files}
-            state = parts.pop("displacement"), parts.pop("velocity")
+        with reading(path, cls.KIND) as parts:
+            signs = structure.signs_since(parts.pop("couplings"))
+            state = signs * parts.pop("displacement"), signs * parts.pop("velocity")
+            dofs = parts["recorded_dofs"]
+            parts["recorded"] = signs[dofs - structure.first_dof] * parts["recorded"]
             for name in ("settled", "created_energy", "seconds"):
                 parts[name] = float(parts[name])
             for name in ("periods", "steps_per_period"):
                 parts[name] = int(parts[name])
-            history = cls(structure=structure, final_state=state, **parts)
-        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
-            raise InputError("path", str(path), f"a history written by save ({error})") from None
-        has = len(state[0]), history.gap.shape[1]
-        if has != (structure.n_local, structure.n_pairs):
-            raise InputError(
-                "structure",
-                f"{structure.n_local} dofs, {structure.n_pairs} pairs",
-                f"one with {has[0]} dofs and {has[1]} pairs",
-            )
-        return history
+            return cls(structure=structure, final_state=state, **parts)
 
     def by_period(self, values: np.ndarray) -> np.ndarray:
         """Fold a record (n, ...) at the load's period: (periods kept, steps_per_period, ...).

@@ -25,7 +25,7 @@ from fenics_crack.parallel import on_root
 from fenics_crack.scene import Scene
 from fenics_crack.version import VERSION
 
-__all__ = ["kind_of", "make_folder", "read", "read_scene", "write", "write_header"]
+__all__ = ["kind_of", "make_folder", "read_scene", "reading", "write", "write_header"]
 
 PROGRAM = "fenics_crack"
 
@@ -66,7 +66,8 @@ def write(
                 write_header(file, kind, scene)
                 for name, value in parts.items():
                     if value is not None:
-                        file[name] = value
+                        packed = {"compression": "gzip"} if np.size(value) > 1000 else {}
+                        file.create_dataset(name, data=value, **packed)
             partial.replace(target)
         except OSError as error:
             partial.unlink(missing_ok=True)
@@ -90,18 +91,27 @@ def write_header(file: h5py.File, kind: str, scene: Scene | None) -> None:
         file.attrs["scene"] = scene.as_toml()
 
 
-def read(path: str | Path, kind: str) -> dict[str, Any]:
+@contextlib.contextmanager
+def reading(path: str | Path, kind: str) -> Iterator[dict[str, Any]]:
     """Datasets of a file by their names: arrays, numbers (0-dimensional arrays) and words.
 
     Raises
     ------
     InputError
-        The file cannot be read, or something else is in it.
+        The file cannot be read, something else is in it, or a dataset that is used within the
+        ``with`` block is missing or not of the kind expected there.
     """
+    found = kind_of(path)
+    if found != kind:
+        raise InputError("path", str(path), f"a file with a {kind}; in this one is a {found}")
     with _opened(path) as file:
-        if kind_of(path) != kind:
-            raise InputError("path", str(path), f"a {kind}, not a {kind_of(path)}")
-        return {name: _value(item) for name, item in file.items() if isinstance(item, h5py.Dataset)}
+        parts = {n: _value(item) for n, item in file.items() if isinstance(item, h5py.Dataset)}
+    try:
+        yield parts
+    except InputError:
+        raise
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise InputError("path", str(path), f"a {kind} written by save ({error})") from None
 
 
 def kind_of(path: str | Path) -> str:

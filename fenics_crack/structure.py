@@ -274,6 +274,34 @@ class Structure:
             )
         return dof
 
+    @property
+    def couplings(self) -> np.ndarray:
+        """What pairs and load see of each dof: (n_pairs + 3, n_local)."""
+        return np.vstack([self.gap.toarray().T, self.force])
+
+    def signs_since(self, couplings: np.ndarray) -> np.ndarray:
+        """Signs (n_local,) that the dofs have changed since the structure had these couplings.
+
+        The coordinates of a reduction may come out with other signs when it is made anew.
+
+        Raises
+        ------
+        InputError
+            They are those of another structure.
+        """
+        now = self.couplings
+        if couplings.shape != now.shape:
+            raise InputError(
+                "structure",
+                f"{self.n_local} dofs, {self.n_pairs} pairs",
+                f"one with {couplings.shape[1]} dofs and {len(couplings) - 3} pairs",
+            )
+        signs = np.where((couplings * now).sum(axis=0) < 0.0, -1.0, 1.0)
+        largest = np.abs(couplings).max(axis=1, initial=0.0, keepdims=True)
+        if np.any(np.abs(couplings - now * signs) > 1e-6 * largest):
+            raise InputError("structure", "other load or pairs", "that of the file")
+        return signs
+
     # --- related structures -----------------------------------------------------------------------
 
     def lumped(self) -> Structure:

@@ -286,18 +286,18 @@ def test_saved_backbone_comes_back(tmp_path: Path) -> None:
     """Written and read again: the same numbers; a wrong file or structure gets one error."""
     structure, law = two_masses(), fc.UnilateralPenalty(10.0)
     curve = fc.follow_backbone(structure, law, 1, 0.02, 1.0)
-    curve.save(tmp_path / "curve.npz")
-    again = fc.Backbone.load(tmp_path / "curve.npz", structure, law)
+    curve.save(tmp_path / "curve.h5")
+    again = fc.Backbone.load(tmp_path / "curve.h5", structure, law)
     for name in ("omega", "energy", "cosines", "iterations", "jumps"):
         assert np.array_equal(getattr(again, name), getattr(curve, name))
     for name in ("mode", "rest_energy", "complete", "status", "samples"):
         assert getattr(again, name) == getattr(curve, name)
-    (tmp_path / "other.npz").write_text("no curve")
-    for name in ("other.npz", "missing.npz"):
+    (tmp_path / "other.h5").write_text("no curve")
+    for name in ("other.h5", "missing.h5"):
         with pytest.raises(fc.InputError, match="path"):
             fc.Backbone.load(tmp_path / name, structure, law)
     with pytest.raises(fc.InputError, match="dofs"):
-        fc.Backbone.load(tmp_path / "curve.npz", oscillator(), law)
+        fc.Backbone.load(tmp_path / "curve.h5", oscillator(), law)
 
 
 def test_bad_arguments_and_unfinished_backbones() -> None:

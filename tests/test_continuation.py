@@ -157,8 +157,8 @@ def test_saved_curve_comes_back(tmp_path: Path) -> None:
     """Written and read again: the same numbers, nothing solved; a wrong file gets one error."""
     structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
     curve = continue_frequency(structure, 2.0, 0.3, law, harmonics=6, stability=True)
-    curve.save(tmp_path / "curve.npz")
-    again = fc.ResponseCurve.load(tmp_path / "curve.npz", structure, law)
+    curve.save(tmp_path / "curve.h5")
+    again = fc.ResponseCurve.load(tmp_path / "curve.h5", structure, law)
     assert np.array_equal(again.omega, curve.omega)
     assert np.array_equal(again.amplitude(0), curve.amplitude(0))
     assert np.array_equal(again.stable, curve.stable)
@@ -166,14 +166,14 @@ def test_saved_curve_comes_back(tmp_path: Path) -> None:
         (b.kind, b.omega) for b in curve.bifurcations
     ]
     assert (again.complete, again.status) == (curve.complete, curve.status)
-    (tmp_path / "other.npz").write_text("no curve")
+    (tmp_path / "other.h5").write_text("no curve")
     with pytest.raises(fc.InputError, match="path"):
-        fc.ResponseCurve.load(tmp_path / "other.npz", structure, law)
+        fc.ResponseCurve.load(tmp_path / "other.h5", structure, law)
     with pytest.raises(fc.InputError, match="path"):
-        fc.ResponseCurve.load(tmp_path / "missing.npz", structure, law)
+        fc.ResponseCurve.load(tmp_path / "missing.h5", structure, law)
     wide = fc.Structure.from_matrices(np.eye(2), np.eye(2), np.eye(2))
     with pytest.raises(fc.InputError, match="pairs"):
-        fc.ResponseCurve.load(tmp_path / "curve.npz", wide, law)
+        fc.ResponseCurve.load(tmp_path / "curve.h5", wide, law)
 
 
 def test_frequency_derivative() -> None:
@@ -377,8 +377,8 @@ def test_points_come_one_by_one_and_go_on_later(tmp_path: Path) -> None:
     assert [point.omega for point in points] == list(part.omega)
     assert np.array_equal(part.omega, whole.omega[:stop])
     assert 0.0 < growing.progress() < 1.0
-    part.save(tmp_path / "part.npz")
-    again = fc.ResponseCurve.load(tmp_path / "part.npz", structure, law)
+    part.save(tmp_path / "part.h5")
+    again = fc.ResponseCurve.load(tmp_path / "part.h5", structure, law)
     resumed = continue_frequency(structure, 2.0, 0.3, law, stability=True, resume=again)
     assert resumed.complete and np.array_equal(resumed.omega[:stop], part.omega)
     assert folds(resumed) == pytest.approx(folds(whole), abs=1e-9)
@@ -418,8 +418,8 @@ def test_harmonics_follow_the_truncation(tmp_path: Path) -> None:
         exact = fc.solve_harmonic_balance(structure, rough.omega, law, harmonics=80, initial=rough)
         errors.append(true_error(rough, exact))
     assert np.median(errors) < 1e-3 and max(errors) < 1e-2
-    curve.save(tmp_path / "curve.npz")
-    again = fc.ResponseCurve.load(tmp_path / "curve.npz", structure, law)
+    curve.save(tmp_path / "curve.h5")
+    again = fc.ResponseCurve.load(tmp_path / "curve.h5", structure, law)
     assert np.array_equal(again.harmonics, curve.harmonics)
     assert np.array_equal(again.amplitude(0), curve.amplitude(0))
 

@@ -373,14 +373,14 @@ def test_a_stopped_run_loses_nothing(
     part = run(8)
     assert part.periods == 4 and signal.getsignal(signal.SIGINT) == handler
     assert np.array_equal(part.gap, whole.gap[: 4 * steps])
-    part.save(tmp_path / "part.npz")
-    again = fc.TimeHistory.load(tmp_path / "part.npz", structure)
+    part.save(tmp_path / "part.h5")
+    again = fc.TimeHistory.load(tmp_path / "part.h5", structure)
     assert np.array_equal(again.gap, part.gap) and again.periods == 4
     rest = run(4, initial=again.final_state)
     size = np.abs(whole.gap).max()
     assert np.abs(rest.gap - whole.gap[4 * steps :]).max() < (1e-9 if calls == 4 else 2e-3) * size
     with pytest.raises(fc.InputError, match="structure"):
-        fc.TimeHistory.load(tmp_path / "part.npz", chain(n=12, pairs=3))
-    (tmp_path / "other.npz").write_text("no history")
+        fc.TimeHistory.load(tmp_path / "part.h5", chain(n=12, pairs=3))
+    (tmp_path / "other.h5").write_text("no history")
     with pytest.raises(fc.InputError, match="path"):
-        fc.TimeHistory.load(tmp_path / "other.npz", structure)
+        fc.TimeHistory.load(tmp_path / "other.h5", structure)
