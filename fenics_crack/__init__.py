@@ -34,8 +34,8 @@ from fenics_crack.modes import Modes, solve_modes
 from fenics_crack.reduction import ReducedStructure, reduce_structure
 from fenics_crack.refinement import refine_bifurcation
 from fenics_crack.scene import Scene
-from fenics_crack.solution import PeriodicSolution
-from fenics_crack.stability import Stability, floquet
+from fenics_crack.solution import PeriodicSolution, Stability
+from fenics_crack.stability import floquet
 from fenics_crack.structure import ModalDamping, Structure
 from fenics_crack.version import VERSION
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from numbers import Integral
-from typing import Any
+from typing import Any, ClassVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -42,6 +42,8 @@ class Modes:
 
     omega: np.ndarray
     shapes: np.ndarray
+
+    KIND: ClassVar[str] = "set of modes"
 
 
 def solve_modes(structure: Structure, count: int) -> Modes:

@@ -28,6 +28,8 @@ class NodalMesh:
     ----------
     points : (n_nodes, 2) [m]
         Node positions.
+    cells : (n_cells, k) int
+        Their nodes in VTK's order.
     size : float [m]
         Largest extent.
     """
@@ -41,7 +43,7 @@ class NodalMesh:
         self.points = gather_rows(comm, nodes.points)
         self.size = float(np.ptp(self.points, axis=0).max())
         self._dofs = gather_rows(comm, nodes.dofs)
-        self._cells = np.concatenate([c for c in comm.allgather(nodes.cells) if len(c)])
+        self.cells = np.concatenate([c for c in comm.allgather(nodes.cells) if len(c)])
         self._vtk_type = nodes.vtk_type
 
     def field(self, rows: np.ndarray) -> np.ndarray:
@@ -54,8 +56,8 @@ class NodalMesh:
         """The mesh displaced by nodal vectors (n_nodes, 2) [m]."""
         points = np.zeros((len(self.points), 3))
         points[:, :2] = self.points + displacement
-        count, nodes = self._cells.shape
-        cells = np.column_stack([np.full(count, nodes), self._cells]).ravel()
+        count, nodes = self.cells.shape
+        cells = np.column_stack([np.full(count, nodes), self.cells]).ravel()
         return pyvista.UnstructuredGrid(cells, np.full(count, self._vtk_type), points)
 
 

@@ -1,16 +1,101 @@
-"""What a scene asks for: its structure, reduced as it says."""
+"""What each command computes from a scene, and its result read back from a file."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.compliance import is_small
-from fenics_crack.finite_elements import build_structure
+from fenics_crack.contact import ContactLaw, UnilateralConstraint, contact_law
+from fenics_crack.continuation import continue_frequency, continue_parameter
+from fenics_crack.curve import ResponseCurve
+from fenics_crack.errors import InputError
+from fenics_crack.events import integrate_events
+from fenics_crack.finite_elements import build_structure, find_crack_length
+from fenics_crack.harmonic_balance import solve_harmonic_balance, solve_linear
+from fenics_crack.implicit import integrate_implicit
+from fenics_crack.integration import (
+    TimeHistory,
+    integrate_central_difference,
+    stable_steps_per_period,
+)
+from fenics_crack.modes import Modes, solve_modes
+from fenics_crack.modes_file import load_modes
+from fenics_crack.parallel import gather_rows
 from fenics_crack.reduction import reduce_structure
-from fenics_crack.scene import Scene
+from fenics_crack.scene import Integration, Scene
+from fenics_crack.solution import PeriodicSolution
+from fenics_crack.stability import floquet
+from fenics_crack.store import kind_of, read_scene
 from fenics_crack.structure import Structure
 
-__all__ = ["prepare"]
+__all__ = [
+    "Run",
+    "find_modes",
+    "follow_curve",
+    "integrate",
+    "load_run",
+    "prepare",
+    "solve",
+    "with_crack_length",
+]
+
+RECORDED_PERIODS = 4
+"""Kept of a motion in time."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """What was found, with all that is needed to go on with it.
+
+    Attributes
+    ----------
+    scene : Scene
+        What was computed; a crack length found from ``crack.first_omega`` stands in it.
+    structure : Structure
+        As it was solved: reduced as the scene says.
+    contact : ContactLaw, UnilateralConstraint or None
+        Law of all pairs; None without a crack.
+    result : Modes, PeriodicSolution, ResponseCurve or TimeHistory
+        What was found.
+    """
+
+    scene: Scene
+    structure: Structure
+    contact: ContactLaw | UnilateralConstraint | None
+    result: Modes | PeriodicSolution | ResponseCurve | TimeHistory
+
+    @property
+    def watched_dof(self) -> int:
+        """The dof of the whole structure that carries most of the load (collective)."""
+        whole = self.structure.whole
+        shares = gather_rows(whole.comm, np.abs(whole.force).max(axis=0))
+        return int(np.argmax(shares))
+
+    @property
+    def watched_name(self) -> str:
+        """Its name, for people: "x at (100, 100) mm" (collective)."""
+        whole = self.structure.whole
+        assert whole.nodes is not None
+        dofs = gather_rows(whole.comm, whole.nodes.dofs)
+        node, component = np.argwhere(dofs == self.watched_dof)[0]
+        x, y = 1e3 * gather_rows(whole.comm, whole.nodes.points)[node]
+        return f"{'xy'[component]} at ({x:.4g}, {y:.4g}) mm"
+
+
+# --- structures -----------------------------------------------------------------------------------
+
+
+def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
+    """Return the scene with the length found from ``crack.first_omega``, if that is given."""
+    if scene.crack is None or scene.crack.first_omega is None:
+        return scene
+    length = find_crack_length(scene, comm)
+    return scene.replace({"crack.length": length, "crack.first_omega": None})
 
 
 def prepare(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
@@ -30,3 +115,134 @@ def prepare(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     if table.method == "none":
         return structure
     return reduce_structure(structure, modes=table.modes, method=table.method)
+
+
+def _law(scene: Scene, structure: Structure) -> ContactLaw | UnilateralConstraint | None:
+    if structure.n_pairs == 0 or scene.contact is None:
+        return None
+    return contact_law(scene.contact, structure)
+
+
+def _needed_law(scene: Scene, structure: Structure) -> ContactLaw | UnilateralConstraint:
+    law = _law(scene, structure)
+    if law is None:
+        raise InputError("crack", None, "given for this command: a table")
+    return law
+
+
+# --- the commands ---------------------------------------------------------------------------------
+
+
+def find_modes(scene: Scene, count: int, comm: MPI.Comm = MPI.COMM_WORLD) -> Run:
+    """Lowest modes with the crack open (collective)."""
+    scene = with_crack_length(scene, comm)
+    structure = build_structure(scene, comm)
+    return Run(scene, structure, _law(scene, structure), solve_modes(structure, count))
+
+
+def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run:
+    """Steady vibration at ``excitation.omega``, with its stability where that can be judged.
+
+    Collective. The solution may not have converged.
+    """
+    scene = with_crack_length(scene, comm)
+    structure = prepare(scene, comm)
+    law, table, omega = _law(scene, structure), scene.harmonic_balance, scene.excitation.omega
+    if law is None:
+        return Run(scene, structure, None, solve_linear(structure, omega, harmonics=1))
+    solution = solve_harmonic_balance(
+        structure, omega, law, harmonics=table.harmonics, samples=table.samples, throw=False
+    )
+    judged = solution.converged and is_small(structure)
+    if judged and not isinstance(law, UnilateralConstraint):
+        solution = replace(solution, stability=floquet(structure, solution))
+    return Run(scene, structure, law, solution)
+
+
+def follow_curve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: bool = False) -> Run:
+    """Response curve of the table ``[curve]`` (collective); it may end early."""
+    table, balance = scene.curve, scene.harmonic_balance
+    if table is None:
+        raise InputError("curve", None, "given for this command: a table with start and stop")
+    scene = with_crack_length(scene, comm)
+    structure = prepare(scene, comm)
+    law = _needed_law(scene, structure)
+    if isinstance(law, UnilateralConstraint):
+        raise InputError("contact.law", "constraint", "'penalty' or 'smoothed' for a curve")
+    options: dict[str, Any] = {
+        "harmonics": balance.harmonics,
+        "samples": balance.samples,
+        "stability": table.stability,
+        "progress": progress,
+        "throw": False,
+    }
+    if table.parameter == "omega":
+        curve = continue_frequency(structure, table.start, table.stop, law, **options)
+    else:
+        omega = scene.excitation.omega
+        curve = continue_parameter(
+            structure, omega, law, table.parameter, table.start, table.stop, **options
+        )
+    return Run(scene, structure, law, curve)
+
+
+def integrate(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: bool = False) -> Run:
+    """Motion in time from rest by the table ``[integration]`` (collective)."""
+    table = scene.integration or Integration()
+    if comm.size > 1 and scene.reduction is not None and scene.reduction.method == "none":
+        raise InputError("reduction.method", "none", "a reduction, or one rank, for this command")
+    scene = with_crack_length(scene, comm)
+    structure = prepare(scene, comm)
+    law, omega = _needed_law(scene, structure), scene.excitation.omega
+    options: dict[str, Any] = {
+        "periods": table.periods,
+        "settle": table.settle,
+        "record_periods": min(RECORDED_PERIODS, table.periods),
+        "progress": progress,
+    }
+    steps = table.steps_per_period
+    if table.method == "events":
+        if isinstance(law, UnilateralConstraint):
+            raise InputError("contact.law", "constraint", "'penalty' with that integration.method")
+        history = integrate_events(structure, omega, law, steps_per_period=steps or 256, **options)
+    elif table.method == "implicit":
+        history = integrate_implicit(
+            structure, omega, law, steps_per_period=steps or 512, **options
+        )
+    else:
+        steps = steps or 2 * stable_steps_per_period(structure, omega, law)
+        history = integrate_central_difference(
+            structure, omega, law, steps_per_period=steps, **options
+        )
+    return Run(scene, structure, law, history)
+
+
+def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run:
+    """Read the result of a command (collective); a sweep has its own ``SweepResult.load``.
+
+    The structure is built anew from the scene in the file; what was found is only read.
+
+    Raises
+    ------
+    InputError
+        The file is not a result with a scene, or is a sweep.
+    """
+    kind, scene = kind_of(path), read_scene(path)
+    if scene is None:
+        raise InputError("path", str(path), f"a {kind} saved with its scene")
+    if kind == Modes.KIND:
+        structure = build_structure(scene, comm)
+        return Run(scene, structure, _law(scene, structure), load_modes(path, structure))
+    structure = prepare(scene, comm)
+    law = _law(scene, structure)
+    result: PeriodicSolution | ResponseCurve | TimeHistory
+    if kind == PeriodicSolution.KIND:
+        result = PeriodicSolution.load(path, structure, law)
+    elif kind == ResponseCurve.KIND:
+        assert law is not None and not isinstance(law, UnilateralConstraint)
+        result = ResponseCurve.load(path, structure, law)
+    elif kind == TimeHistory.KIND:
+        result = TimeHistory.load(path, structure)
+    else:
+        raise InputError("path", str(path), f"the result of a command; in it is a {kind}")
+    return Run(scene, structure, law, result)

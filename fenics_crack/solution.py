@@ -3,16 +3,46 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
+from fenics_crack.compliance import dynamic_compliance
 from fenics_crack.contact import ContactLaw, UnilateralConstraint
 from fenics_crack.error_report import ErrorReport
+from fenics_crack.errors import InputError
 from fenics_crack.fourier import evaluate
+from fenics_crack.scene import Scene
+from fenics_crack.store import reading, write
 from fenics_crack.structure import Structure
 
-__all__ = ["PeriodicSolution"]
+__all__ = ["PeriodicSolution", "Stability"]
+
+
+@dataclass(frozen=True)
+class Stability:
+    """Floquet multipliers and what follows from them.
+
+    Attributes
+    ----------
+    multipliers : (2n,) complex
+        Largest modulus first.
+    verdict : "stable", "unstable" or "undecided"
+        Undecided where the largest modulus lies on different sides of 1 with the switching
+        instants of the solution, with those of a wave with more harmonics, and by Hill's
+        determinant.
+    uncertainty : float
+        Largest difference between these three; nan where Hill's determinant has no root nearby.
+    refined : bool
+        Whether these are the multipliers of the exact orbit, found by shooting.
+    """
+
+    multipliers: np.ndarray
+    verdict: str
+    uncertainty: float
+    refined: bool = False
 
 
 @dataclass(frozen=True)
@@ -44,6 +74,8 @@ class PeriodicSolution:
         Newton iterations, all attempts together.
     report : ErrorReport
         Estimated errors, relative to the gap's amplitude.
+    stability : Stability or None
+        Where it has been judged (:func:`fenics_crack.floquet`).
     """
 
     structure: Structure
@@ -57,6 +89,9 @@ class PeriodicSolution:
     status: str = "linear"
     iterations: int = 0
     report: ErrorReport = ErrorReport(0.0, 0.0, 0.0, 0.0, 0.0)
+    stability: Stability | None = None
+
+    KIND: ClassVar[str] = "periodic solution"
 
     @property
     def harmonics(self) -> int:
@@ -103,3 +138,86 @@ class PeriodicSolution:
         """Displacement of the whole structure's dofs on this rank: (len(time), n_local) [m]."""
         rows = self.structure.expand(self.displacement_coefficients)
         return evaluate(rows, self.base_omega, time)
+
+    # --- on disk ----------------------------------------------------------------------------------
+
+    def save(self, path: str | Path, scene: Scene | None = None) -> None:
+        """Write the solution to an HDF5 file, with its scene if there is one (collective).
+
+        The file holds gap and contact force, from which the displacement follows: it does not
+        depend on the number of ranks.
+        """
+        parts = {
+            "omega": self.omega,
+            "gap_coefficients": self.gap_coefficients,
+            "force_coefficients": self.force_coefficients,
+            "subharmonic": self.subharmonic,
+            "converged": self.converged,
+            "status": self.status,
+            "iterations": self.iterations,
+            **{f"error_{name}": value for name, value in asdict(self.report).items()},
+        }
+        if isinstance(self.contact, UnilateralConstraint):
+            parts["weight"] = self.contact.weight
+        if self.stability is not None:
+            parts |= asdict(self.stability)
+        write(path, self.KIND, parts, scene, self.structure.comm)
+
+    @classmethod
+    def load(
+        cls,
+        path: str | Path,
+        structure: Structure,
+        contact: ContactLaw | UnilateralConstraint | None,
+    ) -> PeriodicSolution:
+        """Read a solution written by :meth:`save`; nothing but the displacement is computed again.
+
+        Parameters
+        ----------
+        path : path
+            The file.
+        structure, contact : Structure, ContactLaw, UnilateralConstraint or None
+            Those with which it was found.
+
+        Raises
+        ------
+        InputError
+            The file is not one of :meth:`save`, or the structure has other pairs.
+        """
+        with reading(path, cls.KIND) as parts:
+            gap, force = parts["gap_coefficients"], parts["force_coefficients"]
+            if gap.ndim != 2 or gap.shape != force.shape or not len(gap) % 2:
+                raise ValueError("coefficients do not fit")
+            if gap.shape[1] != structure.n_pairs:
+                pairs = f"{structure.n_pairs} pairs"
+                raise InputError("structure", pairs, f"one with {gap.shape[1]} pairs")
+            if isinstance(contact, UnilateralConstraint):
+                contact = UnilateralConstraint(float(parts["weight"]))
+            omega, subharmonic = float(parts["omega"]), int(parts["subharmonic"])
+            stability = None
+            if "verdict" in parts:
+                stability = Stability(
+                    parts["multipliers"],
+                    parts["verdict"],
+                    float(parts["uncertainty"]),
+                    bool(parts["refined"]),
+                )
+            names = [field.name for field in fields(ErrorReport)]
+            report = ErrorReport(*[float(parts[f"error_{name}"]) for name in names])
+            compliance = dynamic_compliance(
+                structure, omega / subharmonic, len(gap) // 2, subharmonic
+            )
+            return cls(
+                structure,
+                omega,
+                contact,
+                compliance.displacement(force),
+                gap,
+                force,
+                subharmonic=subharmonic,
+                converged=bool(parts["converged"]),
+                status=parts["status"],
+                iterations=int(parts["iterations"]),
+                report=report,
+                stability=stability,
+            )

@@ -37,7 +37,7 @@ from fenics_crack.error_report import beyond_truncation
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.events import flow_matrix, shoot
 from fenics_crack.fourier import evaluate, resized, to_complex
-from fenics_crack.solution import PeriodicSolution
+from fenics_crack.solution import PeriodicSolution, Stability
 from fenics_crack.structure import Structure
 from fenics_crack.switching import switching_instants
 
@@ -54,30 +54,6 @@ BLOCK, FULL = 8, 40
 are computed at once."""
 SQUARINGS = (4, 7, 9, 11)
 """Of M, after which it is sought."""
-
-
-@dataclass(frozen=True)
-class Stability:
-    """Floquet multipliers and what follows from them.
-
-    Attributes
-    ----------
-    multipliers : (2n,) complex
-        Largest modulus first.
-    verdict : "stable", "unstable" or "undecided"
-        Undecided where the largest modulus lies on different sides of 1 with the switching
-        instants of the solution, with those of a wave with more harmonics, and by Hill's
-        determinant.
-    uncertainty : float
-        Largest difference between these three; nan where Hill's determinant has no root nearby.
-    refined : bool
-        Whether these are the multipliers of the exact orbit, found by shooting.
-    """
-
-    multipliers: np.ndarray
-    verdict: str
-    uncertainty: float
-    refined: bool = False
 
 
 def floquet(

@@ -70,7 +70,8 @@ def write(
                         file.create_dataset(name, data=value, **packed)
             partial.replace(target)
         except OSError as error:
-            partial.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                partial.unlink()
             raise InputError("path", str(path), f"a file that can be written ({error})") from None
 
     on_root(comm, work)
