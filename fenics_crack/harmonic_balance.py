@@ -53,7 +53,7 @@ from fenics_crack.search import Search
 from fenics_crack.solution import PeriodicSolution
 from fenics_crack.structure import Structure
 
-__all__ = ["solve_harmonic_balance", "solve_linear"]
+__all__ = ["check_memory", "solve_harmonic_balance", "solve_linear"]
 
 MOST_HARMONICS, MOST_SAMPLES = 300, 2**20
 """Beyond these the choice by a tolerance gives up."""
@@ -183,7 +183,7 @@ def solve_harmonic_balance(
         samples = 2 * harmonics + 1
     _check_contact(structure, contact, samples, form)
     if harmonics is not None:
-        _check_memory(structure, harmonics)
+        check_memory(structure, harmonics)
     if initial is not None:
         _check_initial(structure, initial, subharmonic)
     problem = _Problem(
@@ -416,7 +416,7 @@ def _check_contact(
     check_law(structure, contact)
 
 
-def _check_memory(structure: Structure, harmonics: int) -> None:
+def check_memory(structure: Structure, harmonics: int) -> None:
     """Raise InputError where the dense Jacobian of the condensed equations would not fit."""
     pairs = structure.n_pairs
     unknowns = (2 * harmonics + 1) * pairs

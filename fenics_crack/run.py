@@ -38,6 +38,7 @@ __all__ = [
     "find_modes",
     "follow_curve",
     "integrate",
+    "law_of",
     "load_run",
     "prepare",
     "solve",
@@ -117,14 +118,15 @@ def prepare(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     return reduce_structure(structure, modes=table.modes, method=table.method)
 
 
-def _law(scene: Scene, structure: Structure) -> ContactLaw | UnilateralConstraint | None:
+def law_of(scene: Scene, structure: Structure) -> ContactLaw | UnilateralConstraint | None:
+    """The contact law of a scene's pairs; None where there are none."""
     if structure.n_pairs == 0 or scene.contact is None:
         return None
     return contact_law(scene.contact, structure)
 
 
 def _needed_law(scene: Scene, structure: Structure) -> ContactLaw | UnilateralConstraint:
-    law = _law(scene, structure)
+    law = law_of(scene, structure)
     if law is None:
         raise InputError("crack", None, "given for this command: a table")
     return law
@@ -137,7 +139,7 @@ def find_modes(scene: Scene, count: int, comm: MPI.Comm = MPI.COMM_WORLD) -> Run
     """Lowest modes with the crack open (collective)."""
     scene = with_crack_length(scene, comm)
     structure = build_structure(scene, comm)
-    return Run(scene, structure, _law(scene, structure), solve_modes(structure, count))
+    return Run(scene, structure, law_of(scene, structure), solve_modes(structure, count))
 
 
 def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run:
@@ -147,7 +149,7 @@ def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run:
     """
     scene = with_crack_length(scene, comm)
     structure = prepare(scene, comm)
-    law, table, omega = _law(scene, structure), scene.harmonic_balance, scene.excitation.omega
+    law, table, omega = law_of(scene, structure), scene.harmonic_balance, scene.excitation.omega
     if law is None:
         return Run(scene, structure, None, solve_linear(structure, omega, harmonics=1))
     solution = solve_harmonic_balance(
@@ -232,9 +234,9 @@ def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run:
         raise InputError("path", str(path), f"a {kind} saved with its scene")
     if kind == Modes.KIND:
         structure = build_structure(scene, comm)
-        return Run(scene, structure, _law(scene, structure), load_modes(path, structure))
+        return Run(scene, structure, law_of(scene, structure), load_modes(path, structure))
     structure = prepare(scene, comm)
-    law = _law(scene, structure)
+    law = law_of(scene, structure)
     result: PeriodicSolution | ResponseCurve | TimeHistory
     if kind == PeriodicSolution.KIND:
         result = PeriodicSolution.load(path, structure, law)

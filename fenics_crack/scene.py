@@ -460,7 +460,8 @@ class Scene:
             if not key and value is None and table in _OPTIONAL:
                 tables[table] = None
             elif key not in known:
-                raise InputError(name, value, "a change of a table.key that scenes have")
+                keys = f"keys: {', '.join(known)}" if known else f"tables: {', '.join(_TABLES)}"
+                raise InputError(name, value, f"left out; known {keys}")
             else:
                 changes.setdefault(table, {})[key] = value
         for table, change in changes.items():

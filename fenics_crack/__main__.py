@@ -1,0 +1,7 @@
+"""``python -m fenics_crack`` is the program ``fenics-crack``."""
+
+import sys
+
+from fenics_crack.command_line import main
+
+sys.exit(main())

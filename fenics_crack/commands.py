@@ -1,0 +1,309 @@
+"""The commands of ``fenics-crack``: what each says, and which files it writes."""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+from mpi4py import MPI
+
+from fenics_crack.compliance import is_small
+from fenics_crack.contact import UnilateralConstraint
+from fenics_crack.curve import ResponseCurve
+from fenics_crack.errors import InputError
+from fenics_crack.finite_elements import build_structure
+from fenics_crack.harmonic_balance import check_memory
+from fenics_crack.integration import TimeHistory
+from fenics_crack.modes import Modes
+from fenics_crack.modes_file import save_modes
+from fenics_crack.parallel import on_root
+from fenics_crack.report import Table
+from fenics_crack.run import (
+    Run,
+    find_modes,
+    follow_curve,
+    integrate,
+    law_of,
+    solve,
+    with_crack_length,
+)
+from fenics_crack.scene import Integration, Scene
+from fenics_crack.solution import PeriodicSolution
+from fenics_crack.store import make_folder
+from fenics_crack.structure import Structure
+
+__all__ = [
+    "DONE",
+    "NOT_CONVERGED",
+    "Console",
+    "check",
+    "curve",
+    "integration",
+    "modes",
+    "new",
+    "solution",
+]
+
+DONE, NOT_CONVERGED = 0, 3
+"""Exit codes."""
+LARGE_ERROR = 0.05
+"""Estimated error of the gap beyond which a solution is not shown without a warning."""
+UNITS = {"omega": "rad/s", "load": "-", "stiffness": "-", "damping": "-", "clearance": "m"}
+"""Of the parameters of curves."""
+
+
+@dataclass(frozen=True)
+class Console:
+    """Where a command speaks: its table on standard output, remarks on standard error."""
+
+    form: str = "text"
+    quiet: bool = False
+    verbose: bool = False
+
+    @property
+    def progress(self) -> bool:
+        """Whether long work shows a bar."""
+        return not self.quiet and sys.stderr.isatty()
+
+    def table(self, table: Table) -> None:
+        """Print a table."""
+        print(table.formatted(self.form), end="", flush=True)
+
+    def note(self, text: str) -> None:
+        """Say something, unless it is to be quiet."""
+        if not self.quiet:
+            print(text, file=sys.stderr, flush=True)
+
+    def warn(self, text: str) -> None:
+        """Say something that must not be missed."""
+        print(f"fenics-crack: warning: {text}", file=sys.stderr, flush=True)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Say how long a part took, if it is to be verbose."""
+        started = time.perf_counter()
+        yield
+        if self.verbose:
+            print(f"{name}: {time.perf_counter() - started:.2f} s", file=sys.stderr, flush=True)
+
+
+# --- scenes ---------------------------------------------------------------------------------------
+
+
+def new(path: Path, console: Console, comm: MPI.Comm) -> int:
+    """Write a commented scene to start from."""
+
+    def write() -> None:
+        text = resources.files("fenics_crack").joinpath("new_scene.toml").read_text("utf-8")
+        try:
+            make_folder(path)
+            with open(path, "x", encoding="utf-8") as file:
+                file.write(text.replace("SCENE", path.name))
+        except FileExistsError:
+            raise InputError("scene", str(path), "a new file; there is one already") from None
+        except OSError as error:
+            allowed = f"a file that can be written ({error.strerror})"
+            raise InputError("scene", str(path), allowed) from None
+
+    on_root(comm, write)
+    console.note(f"{path}: a scene to start from; now: fenics-crack check {path}")
+    return DONE
+
+
+def check(scene: Scene, console: Console, comm: MPI.Comm) -> int:
+    """Mesh and assemble, solve nothing, and say what there is."""
+    found = with_crack_length(scene, comm)
+    whole = build_structure(found, comm)
+    balance = scene.harmonic_balance
+    check_memory(whole, balance.harmonics)
+    rows: list[tuple[str, object]] = [
+        ("degrees of freedom", whole.n_dofs),
+        ("contact pairs", whole.n_pairs),
+        ("harmonics", balance.harmonics),
+        ("unknowns of harmonic balance", (2 * balance.harmonics + 1) * whole.n_pairs),
+        ("solved", _how_solved(scene, whole)),
+    ]
+    if found.crack is not None and found.crack.length is not None:
+        rows.insert(2, ("crack length [m]", found.crack.length))
+    law = law_of(scene, whole)
+    if law is not None:
+        rows.insert(2, ("contact law", scene.contact.law))  # type: ignore[union-attr]
+    if law is not None and not isinstance(law, UnilateralConstraint):
+        stiffness = np.broadcast_to(law.stiffness, whole.n_pairs)
+        rows.insert(3, ("softest pair [N/m]", float(stiffness.min())))
+        rows.insert(4, ("stiffest pair [N/m]", float(stiffness.max())))
+    if scene.curve is not None:
+        span = f"{scene.curve.parameter} from {scene.curve.start:g} to {scene.curve.stop:g}"
+        rows.append(("curve", span))
+    if scene.sweep is not None:
+        axes = " x ".join(f"{len(axis.values)} {axis.key}" for axis in scene.sweep.over)
+        rows += [("sweep", axes), ("cases of the sweep", scene.sweep.n_cases)]
+    console.table(Table(("what", "value"), rows))
+    return DONE
+
+
+def _how_solved(scene: Scene, whole: Structure) -> str:
+    table = scene.reduction
+    if table is None:
+        return "as it is" if is_small(whole) else "reduced, by default"
+    if table.method == "none":
+        return "as it is"
+    return f"reduced, {table.method}" + (f", {table.modes} modes" if table.modes else "")
+
+
+# --- results --------------------------------------------------------------------------------------
+
+
+def modes(scene: Scene, count: int, folder: Path, console: Console, comm: MPI.Comm) -> int:
+    """Natural frequencies and mode shapes with the crack open."""
+    with console.stage("modes"):
+        run = find_modes(scene, count, comm)
+    assert isinstance(run.result, Modes)
+    save_modes(run.result, folder / "modes.h5", run.structure, run.scene)
+    rows = [(n, w, w / (2.0 * np.pi)) for n, w in enumerate(run.result.omega, 1)]
+    table = Table(("mode", "omega [rad/s]", "frequency [Hz]"), rows)
+    return _finish(folder, "modes", table, table, console, comm)
+
+
+def solution(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) -> int:
+    """Steady vibration at one frequency."""
+    with console.stage("solution"):
+        run = solve(scene, comm)
+    found = run.result
+    assert isinstance(found, PeriodicSolution)
+    found.save(folder / "solution.h5", run.scene)
+    table = Table(("quantity", "value", "unit"), _quantities(run, found))
+    time_ = np.linspace(0.0, found.period, 401)
+    waves = [time_, found.displacement(time_, [run.watched_dof])[:, 0]]
+    columns = ["time [s]", f"{run.watched_name} [m]"]
+    if found.gap_coefficients.size:
+        waves += [found.gap(time_)[:, 0], found.contact_force(time_).sum(axis=1)]
+        columns += ["closing at the mouth [m]", "contact force, all pairs [N]"]
+    code = _finish(
+        folder, "solution", table, Table(columns, np.column_stack(waves).tolist()), console, comm
+    )
+    if not found.converged:
+        console.warn(f"not converged: {found.status}")
+        return NOT_CONVERGED
+    if found.report.total > LARGE_ERROR:
+        console.warn(
+            f"the estimated error is {found.report.total:.2g} of the gap: more harmonics "
+            "(harmonic_balance.harmonics) or more modes (reduction.modes) are needed"
+        )
+    if found.stability is not None and found.stability.verdict != "stable":
+        console.warn(f"the orbit is {found.stability.verdict}: it may not be what is seen in time")
+    return code
+
+
+def _quantities(run: Run, found: PeriodicSolution) -> list[tuple[str, object, str]]:
+    """The solution in numbers."""
+    time_ = np.linspace(0.0, found.period, 1024, endpoint=False)
+    motion = found.displacement(time_, [run.watched_dof])
+    rows: list[tuple[str, object, str]] = [
+        ("omega", found.omega, "rad/s"),
+        (f"half peak-to-peak, {run.watched_name}", float(np.ptp(motion) / 2.0), "m"),
+    ]
+    if found.gap_coefficients.size:
+        gap, force = found.gap(time_), found.contact_force(time_)
+        rows += [
+            ("largest opening", float(-gap.min()), "m"),
+            ("largest penetration", float(max(gap.max(), 0.0)), "m"),
+            ("largest contact force of a pair", float(force.max()), "N"),
+            ("share of the period closed, mean over pairs", float((force > 0.0).mean()), "-"),
+        ]
+    if found.stability is not None:
+        rows += [
+            ("verdict", found.stability.verdict, "-"),
+            ("largest multiplier", float(np.abs(found.stability.multipliers[0])), "-"),
+        ]
+    rows += [("converged", found.converged, "-"), ("iterations", found.iterations, "-")]
+    rows += [
+        (f"estimated error: {name}", value, "of the gap")
+        for name, value in dataclasses.asdict(found.report).items()
+        if name != "penetration"
+    ]
+    return rows
+
+
+def curve(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) -> int:
+    """Response curve, through its folds."""
+    with console.stage("curve"):
+        run = follow_curve(scene, comm, progress=console.progress)
+    found = run.result
+    assert isinstance(found, ResponseCurve)
+    on_root(comm, lambda: found.save(folder / "curve.h5", run.scene))
+    amplitude = found.amplitude(run.watched_dof)
+    columns = [f"{found.parameter} [{UNITS[found.parameter]}]", f"{run.watched_name} [m]"]
+    values = [found.values, amplitude, found.iterations]
+    columns.append("iterations")
+    if found.multipliers is not None:
+        values.append(np.abs(found.multipliers))
+        columns.append("largest multiplier")
+    points = Table(columns, list(zip(*[v.tolist() for v in values], strict=True)))
+    peak = int(np.argmax(amplitude))
+    rows = [("start", found.values[0], amplitude[0]), ("peak", found.values[peak], amplitude[peak])]
+    for point in found.bifurcations:
+        time_ = np.linspace(0.0, point.solution.period, 257)
+        motion = point.solution.displacement(time_, [run.watched_dof])
+        rows.append((point.kind.replace("_", " "), point.value, np.ptp(motion) / 2.0))
+    rows.append(("end", found.values[-1], amplitude[-1]))
+    special = Table(("point", columns[0], f"half peak-to-peak, {columns[1]}"), rows)
+    code = _finish(folder, "curve", special, points, console, comm)
+    if not found.complete:
+        console.warn(f"the curve ended early: {found.status}")
+        return NOT_CONVERGED
+    return code
+
+
+def integration(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) -> int:
+    """Motion in time, from rest until it repeats."""
+    with console.stage("integration"):
+        run = integrate(scene, comm, progress=console.progress)
+    found = run.result
+    assert isinstance(found, TimeHistory)
+    on_root(comm, lambda: found.save(folder / "integration.h5", run.scene))
+    motion = found.displacement([run.watched_dof])[:, 0]
+    rows = [
+        ("periods", found.periods, "-"),
+        ("steps in a period", found.steps_per_period, "-"),
+        ("change over the last period", found.settled, "-"),
+        ("energy created", found.created_energy, "-"),
+        (f"half peak-to-peak, {run.watched_name}", float(np.ptp(motion) / 2.0), "m"),
+        ("largest opening", float(-found.gap.min()), "m"),
+        ("largest penetration", float(max(found.gap.max(), 0.0)), "m"),
+    ]
+    table = Table(("quantity", "value", "unit"), rows)
+    waves = np.column_stack([found.time, motion, found.gap[:, 0], found.contact_force.sum(axis=1)])
+    columns = (
+        "time [s]", f"{run.watched_name} [m]", "closing at the mouth [m]",
+        "contact force, all pairs [N]",
+    )  # fmt: skip
+    code = _finish(folder, "integration", table, Table(columns, waves.tolist()), console, comm)
+    wanted = (run.scene.integration or Integration()).settle
+    if wanted is not None and not found.settled <= wanted:
+        console.warn(f"the motion has not settled: a period changes it by {found.settled:.2g}")
+        return NOT_CONVERGED
+    return code
+
+
+def _finish(
+    folder: Path, name: str, shown: Table, stored: Table, console: Console, comm: MPI.Comm
+) -> int:
+    """Print one table, store both, and say where everything is."""
+
+    def write() -> None:
+        shown.save(folder / f"{name}.json")
+        stored.save(folder / f"{name}.csv")
+
+    on_root(comm, write)
+    console.table(shown)
+    result = folder / f"{name}.h5"
+    console.note(f"{result}, .csv, .json; pictures: fenics-crack plot {result}")
+    return DONE
