@@ -17,6 +17,7 @@ import pyvista
 from scipy.spatial import cKDTree
 
 from fenics_crack.errors import InputError, check_count, check_number
+from fenics_crack.fourier import evaluate
 from fenics_crack.modes import Modes
 from fenics_crack.parallel import gather_rows, on_root
 from fenics_crack.scene import Material
@@ -132,6 +133,8 @@ class PeriodFields:
         Contact force of the pairs.
     areas : (n_pairs,) [m^2]
         Area of the lip that belongs to each pair.
+    load : (n, n_nodes, 2) [N]
+        What excites the vibration.
     pair_nodes : (n_nodes, n_pairs)
         1 where a node belongs to a pair, else 0.
     magnification : float
@@ -145,6 +148,7 @@ class PeriodFields:
     displacement: np.ndarray
     force: np.ndarray
     areas: np.ndarray
+    load: np.ndarray
     pair_nodes: np.ndarray
     magnification: float
     material: Material | None
@@ -183,6 +187,9 @@ class PeriodFields:
             displacement,
             solution.contact_force(time),
             structure.pair_areas,
+            evaluate(mesh.field(structure.force).reshape(3, -1), solution.omega, time).reshape(
+                displacement.shape
+            ),
             _node_of_pairs(structure),
             float(magnification),
             material,
@@ -204,11 +211,11 @@ class PeriodFields:
     def colour_end(self) -> float:
         """Where one colour scale for the whole period ends; it begins at 0.
 
-        Of stresses one node in 200 goes beyond: those at the tip and under the load, where they
+        Of stresses one node in 50 goes beyond: those at the tip and under the load, where they
         have no bound.
         """
         largest = self.colour_values.max(axis=0)
-        end = largest.max() if self.material is None else np.quantile(largest, 0.995)
+        end = largest.max() if self.material is None else np.quantile(largest, 0.98)
         return float(end) if end > 0.0 else 1.0
 
     def stress(self, frame: int) -> np.ndarray:
