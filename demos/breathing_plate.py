@@ -20,14 +20,28 @@ import numpy as np
 from mpi4py import MPI
 
 import fenics_crack as fc
+from fenics_crack.animation import animate_period
 from fenics_crack.output import write_modes, write_period
-from fenics_crack.plot import Wave, draw_contact_map, draw_modes, draw_waves
+from fenics_crack.plot import (
+    Wave,
+    draw_contact_map,
+    draw_modes,
+    draw_orbits,
+    draw_spectrum,
+    draw_waves,
+)
 
 SCENE = Path(__file__).with_suffix(".toml")
+MAGNIFICATION = 12000.0
+"""Of the displacement in the animation: the crack opens by a micrometre."""
 
 
 def main(output: Path = Path("output/breathing_plate")) -> dict[str, Any]:
-    """Solve the scene and write pictures, ParaView files and summary.json to ``output``."""
+    """Solve the scene and write pictures, ParaView files and summary.json to ``output``.
+
+    The breathing crack itself is in breathing_crack.gif, and for ParaView in breathing_crack.pvd:
+    ``paraview --script=breathing_crack_paraview.py``.
+    """
     comm = MPI.COMM_WORLD
     scene = fc.Scene.load(SCENE)
     assert scene.contact is not None
@@ -52,7 +66,17 @@ def main(output: Path = Path("output/breathing_plate")) -> dict[str, Any]:
     corner = plate.find_dof((0.1, 0.1), "x")
     t = np.linspace(0.0, solution.period, 401)
     gap, corner_motion = solution.gap(t), solution.displacement(t, [corner])[:, 0]
-    magnification = write_period(solution, output / "breathing_crack.pvd")
+    magnification = write_period(solution, output / "breathing_crack.pvd", material=scene.material)
+    animate_period(
+        solution,
+        output / "breathing_crack.gif",
+        frames=50,
+        magnification=MAGNIFICATION,
+        material=scene.material,
+    )
+    at = f"{omega:g} rad/s, H = {solution.harmonics}"
+    draw_spectrum(output / "spectrum.png", solution, corner, title=f"Harmonics at {at}")
+    draw_orbits(output / "orbits.png", solution, corner, title=f"Phase planes at {at}")
     summary = {
         "n_dofs": plate.n_dofs,
         "n_pairs": plate.n_pairs,

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pyvista
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.colors import LogNorm, Normalize
 from scipy.signal import find_peaks
 
 from fenics_crack.contact import ContactLaw
 from fenics_crack.curve import ResponseCurve
 from fenics_crack.errors import InputError
+from fenics_crack.figure import COLOURS, finish, new_figure, off_screen_plotter, readable, save
 from fenics_crack.modes import Modes
 from fenics_crack.output import NodalMesh
 from fenics_crack.parallel import on_root
+from fenics_crack.plot_motion import draw_orbits, draw_spectrum
 from fenics_crack.solution import PeriodicSolution
 from fenics_crack.stability import PiecewiseFlow
 from fenics_crack.store import make_folder
@@ -32,20 +30,14 @@ __all__ = [
     "draw_content",
     "draw_curve",
     "draw_laws",
+    "draw_map",
     "draw_modes",
     "draw_multipliers",
+    "draw_orbits",
     "draw_response",
+    "draw_spectrum",
     "draw_waves",
 ]
-
-COLOURS = {
-    "blue": "#0072B2",
-    "orange": "#D55E00",
-    "green": "#009E73",
-    "pink": "#CC79A7",
-    "grey": "#5C5C5C",
-}
-"""Okabe and Ito's palette, told apart by colour-blind readers."""
 
 
 @dataclass(frozen=True)
@@ -94,11 +86,9 @@ def draw_waves(
     zero : str, optional
         Name a line at zero, for example "lips touch".
     """
-    figure, axes = _figure()
+    figure, axes = new_figure()
     largest = max(float(np.abs(wave.values).max()) for wave in waves)
-    exponent = 3 * int(np.floor(np.log10(largest) / 3.0)) if largest > 0.0 else 0
-    unit = {-3: "mm", -6: "µm", -9: "nm", -12: "pm"}.get(exponent, f"10^{exponent} m")
-    scale = 10.0 ** (-exponent)
+    scale, unit = readable(largest, "m")
     for wave in waves:
         time = wave.time / period if period else wave.time
         colour = COLOURS[wave.colour]
@@ -114,19 +104,19 @@ def draw_waves(
         )  # fmt: skip
     axes.set_xlabel("time / load period" if period else "time [s]")
     axes.set_ylabel(f"{quantity} [{unit}]")
-    _finish(figure, axes, title, path)
+    finish(figure, axes, title, path)
 
 
 def draw_laws(path: str | Path, laws: Mapping[str, ContactLaw], closing: np.ndarray) -> None:
     """Draw contact forces [N] over the closing of a pair [m], one curve a law."""
-    figure, axes = _figure()
+    figure, axes = new_figure()
     styles = zip(laws.items(), COLOURS.values(), ("-", "--", ":", "-.", "-"), strict=False)
     for (label, law), colour, style in styles:
         force = law.force(closing[:, None])[:, 0]
         axes.plot(1e6 * closing, 1e-3 * force, style, color=colour, label=label, lw=1.8)
     axes.set_xlabel("closing g [µm]  (g > 0: penetration)")
     axes.set_ylabel("contact force [kN]")
-    _finish(figure, axes, "Contact laws", path)
+    finish(figure, axes, "Contact laws", path)
 
 
 def draw_contact_map(path: str | Path, solution: PeriodicSolution, *, instants: int = 400) -> None:
@@ -145,16 +135,16 @@ def draw_contact_map(path: str | Path, solution: PeriodicSolution, *, instants: 
     time = np.linspace(0.0, solution.period, instants + 1)
     force = solution.contact_force(time)
     depth = 1e3 * np.linalg.norm(points - points[0], axis=1)
-    figure, axes = _figure()
+    figure, axes = new_figure()
     shown = np.ma.masked_less_equal(force.T, 0.0)
     axes.set_facecolor("#e8e8e8")
-    image = axes.pcolormesh(time / solution.period, depth, shown, cmap="viridis", shading="nearest")
+    loads = time * solution.omega / (2.0 * np.pi)
+    image = axes.pcolormesh(loads, depth, shown, cmap="viridis", shading="nearest")
     figure.colorbar(image, ax=axes, label="contact force of a pair [N]")
     axes.set_xlabel("time / load period")
     axes.set_ylabel("distance from the crack's mouth [mm]")
     axes.set_title("Where and when the crack is closed (grey: open)")
-    make_folder(path)
-    figure.savefig(str(path))
+    save(figure, path)
 
 
 def draw_response(
@@ -166,15 +156,77 @@ def draw_response(
     quantity: str,
 ) -> None:
     """Draw amplitudes [m] over the load's frequency [rad/s], logarithmically; gaps where nan."""
-    figure, axes = _figure()
+    figure, axes = new_figure()
     for (label, values), colour, style in zip(
         curves.items(), COLOURS.values(), (".-", "--", ":", "-."), strict=False
     ):
         axes.semilogy(omega, 1e6 * values, style, color=colour, label=label, lw=1.4, ms=4)
     axes.set_xlabel("load frequency [rad/s]")
     axes.set_ylabel(f"{quantity} [µm]")
-    _finish(figure, axes, title, path)
+    finish(figure, axes, title, path)
 
+
+def draw_map(
+    path: str | Path,
+    x: np.ndarray,
+    y: np.ndarray,
+    values: np.ndarray,
+    *,
+    title: str,
+    x_label: str,
+    y_label: str,
+    value_label: str,
+    missing: str = "no value",
+) -> None:
+    """Draw values over two swept quantities, such as load frequency and crack length, as colours.
+
+    The colours are logarithmic where the values are positive and span two decades or more.
+
+    Parameters
+    ----------
+    path : str or Path
+        The picture file.
+    x, y : (n,), (m,)
+        The swept quantities, rising; two or more of each.
+    values : (m, n)
+        What was found; nan where nothing was, drawn grey.
+    title, x_label, y_label, value_label : str
+        Heading; names of the axes and of the colours, with their units.
+    missing : str
+        What a grey cell means.
+
+    Raises
+    ------
+    InputError
+        The shapes do not fit, a quantity does not rise, or there is no finite value.
+    """
+    x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+    values = np.asarray(values, dtype=float)
+    for name, swept in (("x", x), ("y", y)):
+        if swept.ndim != 1 or len(swept) < 2 or not np.all(np.diff(swept) > 0.0):
+            raise InputError(name, swept, "two or more rising numbers")
+    if values.shape != (len(y), len(x)):
+        raise InputError("values", values.shape, f"of shape (len(y), len(x)) = {len(y), len(x)}")
+    shown = np.ma.masked_invalid(values)
+    if not shown.count():
+        raise InputError("values", "nan", "finite somewhere")
+    low, high = float(shown.min()), float(shown.max())
+    scale = LogNorm if 0.0 < 100.0 * low <= high else Normalize
+    figure, axes = new_figure()
+    axes.set_facecolor(MISSING)
+    image = axes.pcolormesh(
+        x, y, shown, cmap="viridis", norm=scale(low, high), shading="nearest", rasterized=True
+    )
+    explained = f"\n(grey: {missing})" if shown.count() < values.size else ""
+    figure.colorbar(image, ax=axes, label=value_label + explained)
+    axes.set_xlabel(x_label)
+    axes.set_ylabel(y_label)
+    axes.set_title(title)
+    save(figure, path)
+
+
+MISSING = "#b5b5b5"
+"""Grey of cells without a value."""
 
 MARKERS = {
     "fold": ("v", "fold"),
@@ -211,7 +263,7 @@ def draw_curve(
     behind, points : mapping, optional
         Other curves, and single points, by their labels: frequencies [rad/s] and amplitudes [m].
     """
-    figure, axes = _figure()
+    figure, axes = new_figure()
     for (label, (omega, values)), colour in zip(
         (behind or {}).items(), ("#9a9a9a", "#c8a2b8", "#a9c7bb"), strict=False
     ):
@@ -241,7 +293,7 @@ def draw_curve(
     axes.set_xlabel("load frequency [rad/s]")
     axes.set_ylabel("half peak-to-peak displacement [µm]")
     axes.margins(y=0.1)
-    _finish(figure, axes, title, path)
+    finish(figure, axes, title, path)
 
 
 def _by_stability(curve: ResponseCurve, values: np.ndarray) -> list[tuple[str, str, np.ndarray]]:
@@ -290,7 +342,7 @@ def draw_content(
     highest : int
         How many harmonics of the load.
     """
-    figure, axes = _figure()
+    figure, axes = new_figure()
     harmonics = (
         1e6 * _harmonic_amplitudes(curve, dof)[:, curve.subharmonic - 1 :: curve.subharmonic]
     )
@@ -303,7 +355,7 @@ def draw_content(
     axes.set_ylim(1e-5 * top, 2.0 * top)
     axes.set_xlabel("load frequency [rad/s]")
     axes.set_ylabel("amplitude of the harmonic [µm]")
-    _finish(figure, axes, title, path)
+    finish(figure, axes, title, path)
 
 
 def draw_multipliers(
@@ -320,9 +372,7 @@ def draw_multipliers(
     multipliers = np.array(
         [flow.multipliers(curve.gap(i), curve.omega[i] / curve.subharmonic) for i in chosen]
     )
-    figure = Figure(figsize=(6.0, 4.8), dpi=150, layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
+    figure, axes = new_figure(size=(6.0, 4.8))
     shown = axes.scatter(
         multipliers.real.ravel(), multipliers.imag.ravel(), s=4.0, cmap="viridis",
         c=np.repeat(curve.omega[chosen], multipliers.shape[1]), linewidths=0.0,
@@ -333,7 +383,7 @@ def draw_multipliers(
     axes.set_xlabel("real part of the multiplier [-]")
     axes.set_ylabel("imaginary part [-]")
     figure.colorbar(shown, ax=axes, label="load frequency [rad/s]")
-    _finish(figure, axes, title, path)
+    finish(figure, axes, title, path)
 
 
 def _instants(period: float) -> np.ndarray:
@@ -348,9 +398,7 @@ def draw_modes(
     shapes = mesh.field(structure.expand(modes.shapes.T[: columns * rows]))
 
     def draw() -> None:
-        if not os.environ.get("DISPLAY"):  # spares VTK the search for a screen, and its warning
-            os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
-        plotter = pyvista.Plotter(off_screen=True, shape=(rows, columns), window_size=(1200, 840))
+        plotter = off_screen_plotter(shape=(rows, columns), window_size=(1200, 840))
         outline = mesh.grid(np.zeros_like(mesh.points)).extract_surface(algorithm=None)
         for number, shape in enumerate(shapes):
             plotter.subplot(number // columns, number % columns)
@@ -382,17 +430,3 @@ def draw_modes(
         plotter.close()
 
     on_root(structure.comm, draw)
-
-
-def _figure() -> tuple[Figure, Axes]:
-    figure = Figure(figsize=(7.0, 4.2), dpi=150, layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure, figure.add_subplot()
-
-
-def _finish(figure: Figure, axes: Axes, title: str, path: str | Path) -> None:
-    axes.set_title(title)
-    axes.grid(alpha=0.3)
-    axes.legend(loc="best", fontsize=8, framealpha=0.9)
-    make_folder(path)
-    figure.savefig(str(path))
