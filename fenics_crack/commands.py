@@ -24,6 +24,7 @@ from fenics_crack.integration import TimeHistory
 from fenics_crack.modes import Modes
 from fenics_crack.modes_file import save_modes
 from fenics_crack.parallel import on_root
+from fenics_crack.pictures import draw_run
 from fenics_crack.report import Table
 from fenics_crack.run import (
     Run,
@@ -31,6 +32,7 @@ from fenics_crack.run import (
     follow_curve,
     integrate,
     law_of,
+    load_run,
     solve,
     with_crack_length,
 )
@@ -48,6 +50,7 @@ __all__ = [
     "integration",
     "modes",
     "new",
+    "plot",
     "solution",
 ]
 
@@ -253,6 +256,10 @@ def curve(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) -> int:
         time_ = np.linspace(0.0, point.solution.period, 257)
         motion = point.solution.displacement(time_, [run.watched_dof])
         rows.append((point.kind.replace("_", " "), point.value, np.ptp(motion) / 2.0))
+    if found.multipliers is not None:
+        for index in np.flatnonzero(np.diff(found.stable)):
+            what = "stability lost after" if found.stable[index] else "stability gained after"
+            rows.append((what, found.values[index], amplitude[index]))
     rows.append(("end", found.values[-1], amplitude[-1]))
     special = Table(("point", columns[0], f"half peak-to-peak, {columns[1]}"), rows)
     code = _finish(folder, "curve", special, points, console, comm)
@@ -306,4 +313,13 @@ def _finish(
     console.table(shown)
     result = folder / f"{name}.h5"
     console.note(f"{result}, .csv, .json; pictures: fenics-crack plot {result}")
+    return DONE
+
+
+def plot(result: Path, folder: Path, show: bool, console: Console, comm: MPI.Comm) -> int:
+    """Pictures of a result, and files for ParaView."""
+    with console.stage("pictures"):
+        files = draw_run(load_run(result, comm), folder, show=show)
+    for file in files:
+        console.note(str(file))
     return DONE

@@ -228,6 +228,15 @@ def draw_map(
 MISSING = "#b5b5b5"
 """Grey of cells without a value."""
 
+PARAMETERS = {
+    "omega": "load frequency [rad/s]",
+    "load": "load, as a multiple of the scene's [-]",
+    "stiffness": "contact stiffness, as a multiple of the scene's [-]",
+    "damping": "damping, as a multiple of the scene's [-]",
+    "clearance": "clearance added to the scene's [m]",
+}
+"""Names of what curves are followed over."""
+
 MARKERS = {
     "fold": ("v", "fold"),
     "branch_point": ("s", "branch point"),
@@ -245,7 +254,8 @@ def draw_curve(
     behind: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
     points: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
 ) -> None:
-    """Draw a response curve: half the peak-to-peak displacement of a dof over frequency.
+    """Draw a response curve: half the peak-to-peak displacement of a dof over the
+    curve's parameter.
 
     Stable parts are solid and unstable ones dashed where the curve knows; bifurcations are marked,
     and peaks whose largest harmonic is not the load's carry that harmonic's order.
@@ -261,37 +271,39 @@ def draw_curve(
     title : str
         Heading.
     behind, points : mapping, optional
-        Other curves, and single points, by their labels: frequencies [rad/s] and amplitudes [m].
+        Other curves, and single points, by their labels: values of the parameter, amplitudes [m].
     """
     figure, axes = new_figure()
-    for (label, (omega, values)), colour in zip(
+    amplitude = curve.amplitude(dof)
+    scale, unit = readable(float(amplitude.max()), "m")
+    for (label, (values, others)), colour in zip(
         (behind or {}).items(), ("#9a9a9a", "#c8a2b8", "#a9c7bb"), strict=False
     ):
-        axes.semilogy(omega, 1e6 * values, color=colour, lw=1.2, label=label)
-    amplitude = 1e6 * curve.amplitude(dof)
-    for style, label, shown in _by_stability(curve, amplitude):
-        axes.semilogy(curve.omega, shown, style, color=COLOURS["blue"], lw=1.4, label=label)
+        axes.semilogy(values, scale * others, color=colour, lw=1.2, label=label)
+    for style, label, shown in _by_stability(curve, scale * amplitude):
+        axes.semilogy(curve.values, shown, style, color=COLOURS["blue"], lw=1.4, label=label)
     for kind, (marker, label) in MARKERS.items():
         at = [b for b in curve.bifurcations if b.kind == kind]
         if at:
             heights = [
-                5e5 * np.ptp(b.solution.displacement(_instants(b.solution.period), [dof]))
+                0.5 * scale * np.ptp(b.solution.displacement(_instants(b.solution.period), [dof]))
                 for b in at
             ]
             axes.semilogy(
-                [b.omega for b in at], heights, marker, color=COLOURS["orange"], ms=4, label=label
+                [b.value for b in at], heights, marker, color=COLOURS["orange"], ms=4, label=label
             )
-    for (label, (omega, values)), marker in zip((points or {}).items(), "^v", strict=False):
+    for (label, (values, others)), marker in zip((points or {}).items(), "^v", strict=False):
         axes.semilogy(
-            omega, 1e6 * values, marker, color=COLOURS["green"], ms=4.5, mfc="none", label=label
+            values, scale * others, marker, color=COLOURS["green"], ms=4.5, mfc="none", label=label
         )
-    for at_omega, height, order in _superharmonic_peaks(curve, dof, amplitude):
-        axes.annotate(
-            f"{order}$\\omega$", (at_omega, height), (0, 5), textcoords="offset points",
-            ha="center", fontsize=8, color=COLOURS["grey"],
-        )  # fmt: skip
-    axes.set_xlabel("load frequency [rad/s]")
-    axes.set_ylabel("half peak-to-peak displacement [µm]")
+    if curve.parameter == "omega":
+        for at_omega, height, order in _superharmonic_peaks(curve, dof, scale * amplitude):
+            axes.annotate(
+                f"{order}$\\omega$", (at_omega, height), (0, 5), textcoords="offset points",
+                ha="center", fontsize=8, color=COLOURS["grey"],
+            )  # fmt: skip
+    axes.set_xlabel(PARAMETERS[curve.parameter])
+    axes.set_ylabel(f"half peak-to-peak displacement [{unit}]")
     axes.margins(y=0.1)
     finish(figure, axes, title, path)
 
@@ -333,7 +345,7 @@ def _superharmonic_peaks(
 def draw_content(
     path: str | Path, curve: ResponseCurve, dof: int, *, title: str, highest: int = 5
 ) -> None:
-    """Draw the amplitudes of the lowest harmonics of a dof's displacement over frequency.
+    """Draw the amplitudes of the lowest harmonics of a dof's displacement over the parameter.
 
     Parameters
     ----------
@@ -343,18 +355,18 @@ def draw_content(
         How many harmonics of the load.
     """
     figure, axes = new_figure()
-    harmonics = (
-        1e6 * _harmonic_amplitudes(curve, dof)[:, curve.subharmonic - 1 :: curve.subharmonic]
-    )
+    harmonics = _harmonic_amplitudes(curve, dof)[:, curve.subharmonic - 1 :: curve.subharmonic]
     count = min(highest, harmonics.shape[1])
+    top = float(harmonics[:, :count].max())
+    scale, unit = readable(top, "m")
     for order, colour in zip(range(1, count + 1), COLOURS.values(), strict=False):
         axes.semilogy(
-            curve.omega, harmonics[:, order - 1], color=colour, lw=1.2, label=f"harmonic {order}"
-        )
-    top = harmonics[:, :count].max()
-    axes.set_ylim(1e-5 * top, 2.0 * top)
-    axes.set_xlabel("load frequency [rad/s]")
-    axes.set_ylabel("amplitude of the harmonic [µm]")
+            curve.values, scale * harmonics[:, order - 1], color=colour, lw=1.2,
+            label=f"harmonic {order}",
+        )  # fmt: skip
+    axes.set_ylim(1e-5 * scale * top, 2.0 * scale * top)
+    axes.set_xlabel(PARAMETERS[curve.parameter])
+    axes.set_ylabel(f"amplitude of the harmonic [{unit}]")
     finish(figure, axes, title, path)
 
 

@@ -1,0 +1,128 @@
+"""All pictures of a result, and its files for ParaView."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from fenics_crack.animation import animate_period, show_period
+from fenics_crack.curve import ResponseCurve
+from fenics_crack.errors import InputError
+from fenics_crack.integration import TimeHistory
+from fenics_crack.modes import Modes
+from fenics_crack.output import write_modes, write_period
+from fenics_crack.parallel import on_root
+from fenics_crack.plot import (
+    Wave,
+    draw_contact_map,
+    draw_content,
+    draw_curve,
+    draw_modes,
+    draw_multipliers,
+    draw_waves,
+)
+from fenics_crack.plot_motion import draw_orbits, draw_spectrum
+from fenics_crack.run import Run
+from fenics_crack.solution import PeriodicSolution
+
+__all__ = ["draw_run"]
+
+
+def draw_run(run: Run, folder: Path, *, show: bool = False) -> list[Path]:
+    """Draw everything that fits a result (collective).
+
+    Parameters
+    ----------
+    run : Run
+        What to draw.
+    folder : Path
+        Where to; names begin with what is drawn.
+    show : bool
+        Show a periodic solution in a window, too.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    InputError
+        There is nothing to be shown in a window, or no screen.
+    """
+    found = run.result
+    if show and not isinstance(found, PeriodicSolution):
+        raise InputError("--show", type(found).__name__, "used with a periodic solution")
+    if isinstance(found, Modes):
+        return _modes(run, found, folder)
+    if isinstance(found, PeriodicSolution):
+        if show:
+            show_period(found, material=run.scene.material)
+        return _solution(run, found, folder)
+    if isinstance(found, ResponseCurve):
+        return on_root(run.structure.whole.comm, lambda: _curve(run, found, folder))
+    return on_root(run.structure.whole.comm, lambda: _history(run, found, folder))
+
+
+def _modes(run: Run, found: Modes, folder: Path) -> list[Path]:
+    files = [folder / "modes.png", folder / "modes.vtu"]
+    columns = min(3, len(found.omega))
+    rows = -(-len(found.omega) // columns)
+    draw_modes(run.structure, found, files[0], columns=columns, rows=rows)
+    write_modes(run.structure, found, files[1])
+    return files
+
+
+def _solution(run: Run, found: PeriodicSolution, folder: Path) -> list[Path]:
+    title = f"{found.omega:.6g} rad/s, H = {found.harmonics}"
+    dof, material = run.watched_dof, run.scene.material
+    names = ["waves.png", "spectrum.png", "orbits.png", "period.pvd", "breathing_crack.gif"]
+    waves, spectrum, orbits, period, animation = (folder / f"solution_{name}" for name in names)
+    draw_spectrum(spectrum, found, dof, title=title)
+    draw_orbits(orbits, found, dof, title=title)
+    write_period(found, period, material=material)
+    animate_period(found, animation, material=material)
+    files = [spectrum, orbits, period, animation]
+    time = np.linspace(0.0, found.period, 801)
+    lines = [Wave(run.watched_name, time, found.displacement(time, [dof])[:, 0])]
+    if found.gap_coefficients.size:
+        mouth = found.gap(time)[:, 0]
+        lines.append(Wave("closing of the lips at the mouth", time, mouth, "orange", "--"))
+    zero = "lips touch" if len(lines) > 1 else None
+    if run.structure.whole.comm.rank == 0:
+        draw_waves(
+            waves, lines, title=title, quantity="displacement", period=found.period, zero=zero
+        )
+    files.insert(0, waves)
+    if found.gap_coefficients.shape[1] > 1:
+        files.insert(3, folder / "solution_contact_map.png")
+        on_root(run.structure.whole.comm, lambda: draw_contact_map(files[3], found))
+    return files
+
+
+def _curve(run: Run, found: ResponseCurve, folder: Path) -> list[Path]:
+    dof = run.watched_dof
+    title = f"{run.watched_name}, H = {int(found.harmonics.max())}"
+    files = [folder / "curve.png", folder / "curve_content.png"]
+    draw_curve(files[0], found, dof, title=title)
+    draw_content(files[1], found, dof, title=title)
+    if found.multipliers is not None and found.parameter == "omega":
+        files.append(folder / "curve_multipliers.png")
+        draw_multipliers(files[2], found, title="Floquet multipliers along the curve")
+    return files
+
+
+def _history(run: Run, found: TimeHistory, folder: Path) -> list[Path]:
+    files = [folder / "integration_waves.png"]
+    time = found.time - found.time[0]
+    lines = [
+        Wave(run.watched_name, time, found.displacement([run.watched_dof])[:, 0]),
+        Wave("closing of the lips at the mouth", time, found.gap[:, 0], "orange", "--"),
+    ]
+    period = 2.0 * np.pi / run.scene.excitation.omega
+    title = f"The last periods of {found.periods}, {run.scene.excitation.omega:.6g} rad/s"
+    draw_waves(
+        files[0], lines, title=title, quantity="displacement", period=period, zero="lips touch"
+    )
+    return files
