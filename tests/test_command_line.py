@@ -1,0 +1,172 @@
+"""The program: a newcomer's path, its files, its exit codes."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import ROOT
+
+import fenics_crack as fc
+from fenics_crack.command_line import main
+from fenics_crack.run import load_run
+
+ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+PROGRAM = [sys.executable, "-m", "fenics_crack"]
+
+
+def run(folder: Path, *words: str, ranks: int = 1) -> subprocess.CompletedProcess[str]:
+    """The program in a folder, on one rank or more."""
+    launcher = [] if ranks == 1 else ["mpirun", "--allow-run-as-root", "--oversubscribe", "-n"]
+    start = [*launcher, str(ranks)] if launcher else []
+    return subprocess.run(
+        [*start, *PROGRAM, *words], cwd=folder, env=ENVIRONMENT, capture_output=True, text=True,
+        timeout=300,
+    )  # fmt: skip
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    """Rows of a CSV file."""
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
+QUICK = ("--set", "mesh.size=0.03", "--set", "harmonic_balance.harmonics=5",
+         "--set", "curve.start=2400.0", "--set", "curve.stop=2800.0")  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.mpi
+def test_newcomers_path(tmp_path: Path) -> None:
+    """New, check, modes, solve, curve, plot; the same on two ranks gives the same files."""
+    made = run(tmp_path, "new", "plate.toml")
+    assert made.returncode == 0 and (tmp_path / "plate.toml").exists(), made.stderr
+    for ranks, output in ((1, "one"), (2, "two")):
+        for command in ("check", "modes", "solve", "curve", "integrate"):
+            where = () if command == "check" else ("--output", output)
+            done = run(tmp_path, command, "plate.toml", *QUICK, *where, ranks=ranks)
+            assert done.returncode == 0, (command, ranks, done.stderr)
+            assert done.stdout.count("\n---") == 1, done.stdout  # one table, from one rank
+    folder = tmp_path / "one"
+    for name in ("modes", "solution", "curve", "integration"):
+        done = run(tmp_path, "plot", f"one/{name}.h5")
+        assert done.returncode == 0, done.stderr
+        for picture in done.stderr.split():
+            assert (tmp_path / picture).stat().st_size > 100, picture
+        for ending in ("h5", "csv", "json"):
+            assert (folder / f"{name}.{ending}").exists()
+        json.loads((folder / f"{name}.json").read_text())
+        one, two = (table(tmp_path / f / f"{name}.csv") for f in ("one", "two"))
+        assert len(one) == len(two)
+    done = run(tmp_path, "plot", "two/modes.h5", "--output", "pictures", ranks=2)
+    assert done.returncode == 0 and (tmp_path / "pictures" / "modes.png").exists(), done.stderr
+
+
+@pytest.mark.slow
+def test_numbers_are_those_of_the_library(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    """What the program prints, stores and reads back is what a script gets."""
+    scene = fc.Scene.load(ROOT / "demos" / "paper_plate.toml").replace(
+        {"contact.stiffness": 1e9, "damping.ratio": 0.01}
+    )
+    plate = fc.build_structure(scene)
+    expected = fc.solve_harmonic_balance(plate, 2000.0, fc.UnilateralPenalty(1e9), harmonics=5)
+    words = ["solve", str(ROOT / "demos" / "paper_plate.toml"), "--output", str(tmp_path),
+             "--set", "contact.stiffness=1e9", "--set", "damping.ratio=0.01",
+             "--format", "json"]  # fmt: skip
+    assert main(words) == 0
+    shown = {row["quantity"]: row["value"] for row in json.loads(capsys.readouterr().out)}
+    time = np.linspace(0.0, expected.period, 1024, endpoint=False)
+    assert shown["largest opening"] == pytest.approx(-expected.gap(time).min(), rel=1e-12)
+    assert shown["verdict"] == fc.floquet(plate, expected).verdict
+    read = load_run(tmp_path / "solution.h5")
+    assert read.scene == scene and isinstance(read.result, fc.PeriodicSolution)
+    assert read.result.report == expected.report
+    for name in ("gap_coefficients", "force_coefficients", "displacement_coefficients"):
+        one, other = getattr(read.result, name), getattr(expected, name)
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12 * np.abs(other).max())
+    rows = table(tmp_path / "solution.csv")
+    time = np.array([float(row["time [s]"]) for row in rows])
+    corner = [float(row["x at (100, 100) mm [m]"]) for row in rows]
+    dof = plate.find_dof((0.1, 0.1), "x")
+    wanted = expected.displacement(time, [dof])[:, 0]
+    np.testing.assert_allclose(corner, wanted, atol=1e-12 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("law", ["constraint", "smoothed"])
+def test_other_laws_read_back(tmp_path: Path, law: str) -> None:
+    """The constraint and the smoothed law, too."""
+    words = ["solve", str(ROOT / "demos" / "paper_plate.toml"), "--quiet",
+             "--output", str(tmp_path), "--set", f"contact.law={law}"]  # fmt: skip
+    if law == "constraint":
+        words += ["--set", "contact.stiffness=none"]
+    else:
+        words += ["--set", "contact.sharpness=1e8", "--set", "contact.stiffness=1e9"]
+    assert main(words) == 0
+    read = load_run(tmp_path / "solution.h5")
+    assert isinstance(read.result, fc.PeriodicSolution) and read.result.converged
+    time = np.linspace(0.0, read.result.period, 200)
+    assert read.result.contact_force(time).max() > 1.0
+
+
+def test_uncracked_plate(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    """Solved linearly, with no word about contact; a curve of it is refused."""
+    scene = str(ROOT / "demos" / "paper_plate.toml")
+    whole = ["--set", "crack=none", "--set", "contact=none", "--output", str(tmp_path)]
+    assert main(["solve", scene, *whole]) == 0
+    assert "opening" not in capsys.readouterr().out
+    assert main(["plot", str(tmp_path / "solution.h5")]) == 0
+    assert main(["integrate", scene, *whole]) == 2
+    assert "crack" in capsys.readouterr().err
+
+
+def test_not_converged_says_so(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    """Exit code 3 where a motion has not settled; the files are there."""
+    words = ["integrate", str(ROOT / "demos" / "paper_plate.toml"), "--output", str(tmp_path),
+             "--set", "integration.periods=2", "--set", "integration.method=events"]  # fmt: skip
+    assert main(words) == 3
+    assert "not settled" in capsys.readouterr().err
+    assert (tmp_path / "integration.h5").exists()
+
+
+def test_help_and_version(capsys: pytest.CaptureFixture) -> None:
+    """Every command is listed and explained."""
+    with pytest.raises(SystemExit) as left:
+        main(["--help"])
+    text = capsys.readouterr().out
+    assert left.value.code == 0
+    for command in ("new", "check", "modes", "solve", "curve", "integrate", "sweep", "plot"):
+        assert f"\n    {command} " in text
+        with pytest.raises(SystemExit):
+            main([command, "--help"])
+        assert "usage: fenics-crack" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        main(["--version"])
+    assert capsys.readouterr().out.strip() == f"fenics-crack {fc.__version__}"
+
+
+@pytest.mark.mpi
+def test_bad_input_on_two_ranks(tmp_path: Path) -> None:
+    """One line, from one rank, and both ranks end."""
+    (tmp_path / "scene.toml").write_text((ROOT / "demos" / "paper_plate.toml").read_text())
+    done = run(tmp_path, "solve", "scene.toml", "--set", "crack.length=-1.0", ranks=2)
+    assert done.returncode == 2
+    assert done.stderr.count("crack.length = -1.0: must be a finite number > 0") == 1
+    assert "Traceback" not in done.stderr
+
+
+def test_loaded_on_other_ranks(tmp_path: Path) -> None:
+    """A file is replaced only when the new one is complete."""
+    words = ["modes", str(ROOT / "demos" / "paper_plate.toml"), "--output", str(tmp_path)]
+    assert main([*words, "--quiet"]) == 0
+    before = (tmp_path / "modes.h5").read_bytes()
+    assert main([*words, "--quiet", "--count", "1000"]) == 2
+    assert (tmp_path / "modes.h5").read_bytes() == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "modes.csv", "modes.h5", "modes.json",
+    ]  # fmt: skip
