@@ -76,9 +76,18 @@ class NodalMesh:
         cells = np.column_stack([np.full(count, nodes), self._cells]).ravel()
         return pyvista.UnstructuredGrid(cells, np.full(count, self._vtk_type), points)
 
+    def lines(
+        self, edges: np.ndarray, displacement: np.ndarray | float = 0.0, height: float = 0.0
+    ) -> pyvista.PolyData:
+        """Edges displaced by nodal vectors, and lifted towards the eye [m]."""
+        count, nodes = edges.shape
+        points = (self.points + displacement)[edges.ravel()]
+        cells = np.column_stack([np.full(count, nodes), np.arange(edges.size).reshape(count, -1)])
+        lifted = np.pad(points, ((0, 0), (0, 1)), constant_values=height)
+        return pyvista.PolyData(lifted, lines=cells.ravel())
+
     @cached_property
-    def boundary(self) -> np.ndarray:
-        """Edges that belong to one cell only: (n_edges, 2 or 3) nodes, a middle one in between."""
+    def _edges_and_uses(self) -> tuple[np.ndarray, np.ndarray]:
         count = self._cells.shape[1]
         corners = 3 if count in (3, 6) else 4
         steps = np.arange(corners)
@@ -87,8 +96,19 @@ class NodalMesh:
             turns = np.insert(turns, 1, corners + steps, axis=1)
         edges = self._cells[:, turns].reshape(-1, turns.shape[1])
         ends = np.sort(edges[:, [0, -1]], axis=1)
-        _, first, times = np.unique(ends, axis=0, return_index=True, return_counts=True)
-        return np.asarray(edges[first[times == 1]])
+        _, first, uses = np.unique(ends, axis=0, return_index=True, return_counts=True)
+        return edges[first], uses
+
+    @property
+    def edges(self) -> np.ndarray:
+        """Edges of the cells: (n_edges, 2 or 3) nodes, a middle one in between."""
+        return self._edges_and_uses[0]
+
+    @cached_property
+    def boundary(self) -> np.ndarray:
+        """Edges that belong to one cell only, likewise."""
+        edges, uses = self._edges_and_uses
+        return np.asarray(edges[uses == 1])
 
     @cached_property
     def lips(self) -> np.ndarray:

@@ -101,13 +101,16 @@ def _stems(
     seen = scale * np.concatenate(list(series.values()))
     lowest = np.min(seen, where=seen > 10.0**-DECADES * top, initial=0.1 * top)
     bottom = 10.0 ** np.floor(np.log10(0.5 * lowest))
+    highest = max(map(len, series.values())) - 1
+    size = 4.5 if highest < 25 else 3.0
     styles = zip(series.items(), COLOURS.values(), "os", strict=False)
     for number, ((label, values), colour, marker) in enumerate(styles):
-        shift = 0.12 * (number - 0.5 * (len(series) - 1)) / subharmonic
-        order = np.arange(len(values)) / subharmonic + shift
-        shown = np.where(scale * values >= bottom, scale * values, np.nan)
+        shift = 0.25 * (number - 0.5 * (len(series) - 1)) / subharmonic
+        kept = np.flatnonzero(scale * values >= bottom)
+        order, shown = kept / subharmonic + shift, scale * values[kept]
         axes.vlines(order, bottom, shown, color=colour, lw=1.2)
-        axes.plot(order, shown, marker, color=colour, ms=4.5, label=label)
+        axes.plot(order, shown, marker, color=colour, ms=size, label=label)
+    axes.set_xlim(-0.5, highest / subharmonic + 0.5)
     axes.set_yscale("log")
     axes.set_ylim(bottom, top * (top / bottom) ** 0.25)  # room for the legend
     axes.xaxis.get_major_locator().set_params(integer=True)
