@@ -180,8 +180,7 @@ class _Plate:
                 color=INK["contact"], point_size=16, render_points_as_spheres=True, lighting=False,
                 name="contact", reset_camera=False, render=False,
             )  # fmt: skip
-
-        start, arrow = load_arrow(self.fields, frame)
+        start, arrow = _load_arrow(self.fields, frame)
         if np.any(arrow):
             head = pyvista.Arrow(
                 start=(*start, 2.0 * self.height), direction=(*arrow, 0.0), scale="auto",
@@ -193,12 +192,12 @@ class _Plate:
             )  # fmt: skip
 
     def _surface(self, frame: int) -> Any:
-        grid = self.fields.grid(frame)
+        grid = self.fields.mesh.grid(self.fields.magnification * self.fields.displacement[frame])
         grid["shown"] = self.colours.factor * self.fields.colour_values[frame]
         return grid.extract_surface(algorithm=None)
 
 
-def load_arrow(fields: PeriodFields, frame: int) -> tuple[np.ndarray, np.ndarray]:
+def _load_arrow(fields: PeriodFields, frame: int) -> tuple[np.ndarray, np.ndarray]:
     """Where the load acts on the magnified plate and an arrow along it, both (2,) [m].
 
     The arrow is an eighth of the plate long where the load is largest in the period.
@@ -266,8 +265,9 @@ def _with_slider(plotter: Any, solution: PeriodicSolution, fields: PeriodFields)
 
 def _caption(solution: PeriodicSolution, fields: PeriodFields) -> str:
     hertz = solution.omega / (2.0 * np.pi)
+    moves = "load" if np.any(fields.load) else "motion"
     return (
-        f"load at {solution.omega:.5g} rad/s ({hertz:.4g} Hz), "
+        f"{moves} at {solution.omega:.5g} rad/s ({hertz:.4g} Hz), "
         f"displacement × {float(f'{fields.magnification:.3g}'):.10g}"
     )
 
@@ -320,9 +320,11 @@ def _palette(colours: _Colours) -> Image.Image:
 def _look_at_all(plotter: Any, fields: PeriodFields, room: float = 1.03) -> None:
     """Set the camera so that the plate stays in the picture for the whole period, with room."""
     moved = fields.mesh.points + fields.magnification * fields.displacement
-    arrows = [np.sum(load_arrow(fields, frame), axis=0) for frame in range(len(fields.time))]
-    every = np.concatenate([moved.reshape(-1, 2), fields.mesh.points, arrows])
-    low, high = every.min(axis=0), every.max(axis=0)
+    every = [fields.mesh.points, *moved]
+    if np.any(fields.load):
+        frames = range(len(fields.time))
+        every.append(np.array([np.sum(_load_arrow(fields, frame), axis=0) for frame in frames]))
+    low, high = np.min(np.concatenate(every), axis=0), np.max(np.concatenate(every), axis=0)
     width, height = plotter.window_size
     half = 0.5 * max(high[1] - low[1], (high[0] - low[0]) * height / width)
     middle = 0.5 * (low + high)

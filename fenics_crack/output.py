@@ -225,7 +225,7 @@ class PeriodFields:
         """That field, of vectors their lengths: (n, n_nodes)."""
         if self.material is None:
             return np.linalg.norm(self.displacement, axis=2)
-        return np.array([von_mises(self.stress(frame)) for frame in range(len(self.time))])
+        return von_mises(self.stress)
 
     @property
     def colour_end(self) -> float:
@@ -238,10 +238,11 @@ class PeriodFields:
         end = largest.max() if self.material is None else np.quantile(largest, 0.98)
         return float(end) if end > 0.0 else 1.0
 
-    def stress(self, frame: int) -> np.ndarray:
-        """Stresses xx, yy, xy of a frame: (n_nodes, 3) [Pa]."""
+    @cached_property
+    def stress(self) -> np.ndarray:
+        """Stresses xx, yy, xy: (n, n_nodes, 3) [Pa]."""
         assert self.material is not None
-        return nodal_stress(self.mesh, self.displacement[frame], self.material)
+        return np.array([nodal_stress(self.mesh, u, self.material) for u in self.displacement])
 
     def grid(self, frame: int) -> pyvista.UnstructuredGrid:
         """The magnified mesh of a frame with its point fields, see :func:`write_period`."""
@@ -253,11 +254,11 @@ class PeriodFields:
         grid["contact force"] = self.pair_nodes @ force
         grid["contact pressure"] = self.pair_nodes @ (force / self.areas)
         if self.material is not None:
-            grid["stress"] = self.stress(frame)
+            grid["stress"] = self.stress[frame]
             array = grid.GetPointData().GetAbstractArray("stress")
             for component, name in enumerate(("xx", "yy", "xy")):
                 array.SetComponentName(component, name)
-            grid["von Mises stress"] = von_mises(grid["stress"])
+            grid["von Mises stress"] = von_mises(self.stress[frame])
         grid.field_data["magnification"] = [self.magnification]
         return grid
 
@@ -291,9 +292,9 @@ def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) 
 
 
 def von_mises(stress: np.ndarray) -> np.ndarray:
-    """Von Mises stress of plane stresses xx, yy, xy (n, 3): (n,) [Pa]."""
-    xx, yy, xy = stress.T
-    return np.sqrt(xx**2 - xx * yy + yy**2 + 3.0 * xy**2)
+    """Von Mises stress of plane stresses xx, yy, xy (..., 3): (...) [Pa]."""
+    xx, yy, xy = np.moveaxis(stress, -1, 0)
+    return np.asarray(np.sqrt(xx**2 - xx * yy + yy**2 + 3.0 * xy**2))
 
 
 def write_period(

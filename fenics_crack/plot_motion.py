@@ -71,6 +71,7 @@ def draw_spectrum(
             _stems(panel, series, quantity, unit, solution.subharmonic)
         axes[-1, 0].set_xlabel("order of the harmonic, in load frequencies (0: mean)")
         axes[0, 0].set_title(title)
+        figure.align_ylabels()
         save(figure, path)
 
     on_root(solution.structure.comm, draw)
