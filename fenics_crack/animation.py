@@ -20,7 +20,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
-from PIL import Image  # type: ignore[import-untyped]
+from PIL import Image
 from vtkmodules.vtkInteractionWidgets import vtkSliderRepresentation2D, vtkSliderWidget
 
 from fenics_crack.errors import InputError
@@ -142,8 +142,9 @@ class _Plate:
         self.fields, self.plotter = fields, plotter
         self.colours = _Colours(fields)
         mesh = fields.mesh
+        self.height = 1e-3 * mesh.size  # of lines above the plate
         self.surface = self._surface(0)
-        at_rest = self._lines(mesh.boundary, 0.0)
+        at_rest = mesh.lines(mesh.boundary, height=self.height)
         plotter.background_color = "white"
         plotter.add_mesh(at_rest, color=INK["rest"], line_width=2, lighting=False)
         plotter.add_mesh(
@@ -154,14 +155,13 @@ class _Plate:
         self.lines = []
         for edges, width in ((mesh.boundary, 2), (mesh.lips, 5)):
             if len(edges):
-                line = self._lines(edges, 0.0)
+                line = mesh.lines(edges, height=self.height)
                 self.lines.append((edges, line))
                 plotter.add_mesh(line, color=INK["lips"], line_width=width, lighting=False)
         clamped = mesh.boundary[mesh.clamped[mesh.boundary].all(axis=1)]
         if len(clamped):
-            plotter.add_mesh(
-                self._lines(clamped, 0.0), color=INK["rest"], line_width=9, lighting=False
-            )
+            held = mesh.lines(clamped, height=self.height)
+            plotter.add_mesh(held, color=INK["rest"], line_width=9, lighting=False)
         plotter.view_xy()
         plotter.enable_parallel_projection()
 
@@ -170,22 +170,21 @@ class _Plate:
         displacement = self.fields.magnification * self.fields.displacement[frame]
         self.surface.copy_from(self._surface(frame))
         for edges, line in self.lines:
-            line.points = self._positions(edges, displacement)
+            line.copy_from(self.fields.mesh.lines(edges, displacement, self.height))
         closed = np.flatnonzero(self.fields.force[frame] > 0.0)
         self.plotter.remove_actor(("contact", "load"), render=False)
         if len(closed):
             nodes = self.fields.pair_nodes[:, closed]
             middle = nodes.T @ (self.fields.mesh.points + displacement) / nodes.sum(axis=0)[:, None]
             self.plotter.add_points(
-                np.pad(middle, ((0, 0), (0, 1)), constant_values=2e-3 * self.fields.mesh.size),
+                np.pad(middle, ((0, 0), (0, 1)), constant_values=2.0 * self.height),
                 color=INK["contact"], point_size=16, render_points_as_spheres=True, lighting=False,
                 name="contact", reset_camera=False, render=False,
             )  # fmt: skip
-
-        start, arrow = load_arrow(self.fields, frame)
+        start, arrow = _load_arrow(self.fields, frame)
         if np.any(arrow):
             head = pyvista.Arrow(
-                start=(*start, 2e-3 * self.fields.mesh.size), direction=(*arrow, 0.0), scale="auto",
+                start=(*start, 2.0 * self.height), direction=(*arrow, 0.0), scale="auto",
                 tip_length=0.45, tip_radius=0.16, shaft_radius=0.055,
             )  # fmt: skip
             self.plotter.add_mesh(
@@ -194,23 +193,12 @@ class _Plate:
             )  # fmt: skip
 
     def _surface(self, frame: int) -> Any:
-        grid = self.fields.grid(frame)
+        grid = self.fields.mesh.grid(self.fields.magnification * self.fields.displacement[frame])
         grid["shown"] = self.colours.factor * self.fields.colour_values[frame]
         return grid.extract_surface(algorithm=None)
 
-    def _positions(self, edges: np.ndarray, displacement: np.ndarray | float) -> np.ndarray:
-        """Of the nodes of edges, a little nearer to the eye than the plate."""
-        points = (self.fields.mesh.points + displacement)[edges.ravel()]
-        height = 1e-3 * self.fields.mesh.size
-        return np.pad(points, ((0, 0), (0, 1)), constant_values=height)
 
-    def _lines(self, edges: np.ndarray, displacement: np.ndarray | float) -> Any:
-        count, nodes = edges.shape
-        cells = np.column_stack([np.full(count, nodes), np.arange(edges.size).reshape(count, -1)])
-        return pyvista.PolyData(self._positions(edges, displacement), lines=cells.ravel())
-
-
-def load_arrow(fields: PeriodFields, frame: int) -> tuple[np.ndarray, np.ndarray]:
+def _load_arrow(fields: PeriodFields, frame: int) -> tuple[np.ndarray, np.ndarray]:
     """Where the load acts on the magnified plate and an arrow along it, both (2,) [m].
 
     The arrow is an eighth of the plate long where the load is largest in the period.
@@ -278,8 +266,9 @@ def _with_slider(plotter: Any, solution: PeriodicSolution, fields: PeriodFields)
 
 def _caption(solution: PeriodicSolution, fields: PeriodFields) -> str:
     hertz = solution.omega / (2.0 * np.pi)
+    moves = "load" if np.any(fields.load) else "motion"
     return (
-        f"load at {solution.omega:.5g} rad/s ({hertz:.4g} Hz), "
+        f"{moves} at {solution.omega:.5g} rad/s ({hertz:.4g} Hz), "
         f"displacement × {float(f'{fields.magnification:.3g}'):.10g}"
     )
 
@@ -332,9 +321,11 @@ def _palette(colours: _Colours) -> Image.Image:
 def _look_at_all(plotter: Any, fields: PeriodFields, room: float = 1.03) -> None:
     """Set the camera so that the plate stays in the picture for the whole period, with room."""
     moved = fields.mesh.points + fields.magnification * fields.displacement
-    arrows = [np.sum(load_arrow(fields, frame), axis=0) for frame in range(len(fields.time))]
-    every = np.concatenate([moved.reshape(-1, 2), fields.mesh.points, arrows])
-    low, high = every.min(axis=0), every.max(axis=0)
+    every = [fields.mesh.points, *moved]
+    if np.any(fields.load):
+        frames = range(len(fields.time))
+        every.append(np.array([np.sum(_load_arrow(fields, frame), axis=0) for frame in frames]))
+    low, high = np.min(np.concatenate(every), axis=0), np.max(np.concatenate(every), axis=0)
     width, height = plotter.window_size
     half = 0.5 * max(high[1] - low[1], (high[0] - low[0]) * height / width)
     middle = 0.5 * (low + high)
@@ -405,7 +396,7 @@ class _Page:
         )  # fmt: skip
 
     def _wave(self, solution: PeriodicSolution, fields: PeriodFields) -> None:
-        axes = self.figure.add_axes((0.13, 0.085, 0.84, 0.16))
+        axes = self.figure.add_axes((0.15, 0.085, 0.82, 0.16))
         time = np.linspace(0.0, solution.period, 401)
         loads = time * solution.omega / (2.0 * np.pi)
         if len(fields.areas):
@@ -430,4 +421,5 @@ class _Page:
         axes.margins(y=0.12)
         axes.set_xlabel("time / load period", fontsize=12)
         axes.set_ylabel(f"{quantity} [{unit}]", fontsize=12)
+        axes.yaxis.set_label_coords(-0.09, 0.5)
         axes.tick_params(labelsize=11)

@@ -112,7 +112,9 @@ def _parser() -> argparse.ArgumentParser:
         prog="fenics-crack",
         description="Periodic vibration of a plate with a crack that opens and closes.",
         epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=lambda prog: argparse.RawDescriptionHelpFormatter(
+            prog, max_help_position=28
+        ),
     )
     parser.add_argument("--version", action="version", version=f"fenics-crack {VERSION}")
     group = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")

@@ -78,9 +78,18 @@ class NodalMesh:
         cells = np.column_stack([np.full(count, nodes), self.cells]).ravel()
         return pyvista.UnstructuredGrid(cells, np.full(count, self._vtk_type), points)
 
+    def lines(
+        self, edges: np.ndarray, displacement: np.ndarray | float = 0.0, height: float = 0.0
+    ) -> pyvista.PolyData:
+        """Edges displaced by nodal vectors, and lifted towards the eye [m]."""
+        count, nodes = edges.shape
+        points = (self.points + displacement)[edges.ravel()]
+        cells = np.column_stack([np.full(count, nodes), np.arange(edges.size).reshape(count, -1)])
+        lifted = np.pad(points, ((0, 0), (0, 1)), constant_values=height)
+        return pyvista.PolyData(lifted, lines=cells.ravel())
+
     @cached_property
-    def boundary(self) -> np.ndarray:
-        """Edges that belong to one cell only: (n_edges, 2 or 3) nodes, a middle one in between."""
+    def _edges_and_uses(self) -> tuple[np.ndarray, np.ndarray]:
         count = self.cells.shape[1]
         corners = 3 if count in (3, 6) else 4
         steps = np.arange(corners)
@@ -89,8 +98,19 @@ class NodalMesh:
             turns = np.insert(turns, 1, corners + steps, axis=1)
         edges = self.cells[:, turns].reshape(-1, turns.shape[1])
         ends = np.sort(edges[:, [0, -1]], axis=1)
-        _, first, times = np.unique(ends, axis=0, return_index=True, return_counts=True)
-        return np.asarray(edges[first[times == 1]])
+        _, first, uses = np.unique(ends, axis=0, return_index=True, return_counts=True)
+        return edges[first], uses
+
+    @property
+    def edges(self) -> np.ndarray:
+        """Edges of the cells: (n_edges, 2 or 3) nodes, a middle one in between."""
+        return self._edges_and_uses[0]
+
+    @cached_property
+    def boundary(self) -> np.ndarray:
+        """Edges that belong to one cell only, likewise."""
+        edges, uses = self._edges_and_uses
+        return np.asarray(edges[uses == 1])
 
     @cached_property
     def lips(self) -> np.ndarray:
@@ -207,7 +227,7 @@ class PeriodFields:
         """That field, of vectors their lengths: (n, n_nodes)."""
         if self.material is None:
             return np.linalg.norm(self.displacement, axis=2)
-        return np.array([von_mises(self.stress(frame)) for frame in range(len(self.time))])
+        return von_mises(self.stress)
 
     @property
     def colour_end(self) -> float:
@@ -220,10 +240,11 @@ class PeriodFields:
         end = largest.max() if self.material is None else np.quantile(largest, 0.98)
         return float(end) if end > 0.0 else 1.0
 
-    def stress(self, frame: int) -> np.ndarray:
-        """Stresses xx, yy, xy of a frame: (n_nodes, 3) [Pa]."""
+    @cached_property
+    def stress(self) -> np.ndarray:
+        """Stresses xx, yy, xy: (n, n_nodes, 3) [Pa]."""
         assert self.material is not None
-        return nodal_stress(self.mesh, self.displacement[frame], self.material)
+        return np.array([nodal_stress(self.mesh, u, self.material) for u in self.displacement])
 
     def grid(self, frame: int) -> pyvista.UnstructuredGrid:
         """The magnified mesh of a frame with its point fields, see :func:`write_period`."""
@@ -235,11 +256,11 @@ class PeriodFields:
         grid["contact force"] = self.pair_nodes @ force
         grid["contact pressure"] = self.pair_nodes @ (force / self.areas)
         if self.material is not None:
-            grid["stress"] = self.stress(frame)
+            grid["stress"] = self.stress[frame]
             array = grid.GetPointData().GetAbstractArray("stress")
             for component, name in enumerate(("xx", "yy", "xy")):
                 array.SetComponentName(component, name)
-            grid["von Mises stress"] = von_mises(grid["stress"])
+            grid["von Mises stress"] = von_mises(self.stress[frame])
         grid.field_data["magnification"] = [self.magnification]
         return grid
 
@@ -273,9 +294,9 @@ def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) 
 
 
 def von_mises(stress: np.ndarray) -> np.ndarray:
-    """Von Mises stress of plane stresses xx, yy, xy (n, 3): (n,) [Pa]."""
-    xx, yy, xy = stress.T
-    return np.sqrt(xx**2 - xx * yy + yy**2 + 3.0 * xy**2)
+    """Von Mises stress of plane stresses xx, yy, xy (..., 3): (...) [Pa]."""
+    xx, yy, xy = np.moveaxis(stress, -1, 0)
+    return np.asarray(np.sqrt(xx**2 - xx * yy + yy**2 + 3.0 * xy**2))
 
 
 def write_period(

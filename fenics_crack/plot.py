@@ -411,26 +411,22 @@ def draw_modes(
 
     def draw() -> None:
         plotter = off_screen_plotter(shape=(rows, columns), window_size=(1200, 840))
-        outline = mesh.grid(np.zeros_like(mesh.points)).extract_surface(algorithm=None)
         for number, shape in enumerate(shapes):
             plotter.subplot(number // columns, number % columns)
             amplitude = np.linalg.norm(shape, axis=1)
-            grid = mesh.grid(0.12 * mesh.size / amplitude.max() * shape)
-            grid["amplitude"] = amplitude / amplitude.max()
+            moved = 0.12 * mesh.size / amplitude.max() * shape
+            grid = mesh.grid(moved)
+            grid["amplitude"] = amplitude
             plotter.add_mesh(
-                grid, scalars="amplitude", cmap="viridis", show_edges=True,
-                edge_color="#777777", show_scalar_bar=False,
-            )  # fmt: skip
-            plotter.add_mesh(
-                outline.extract_feature_edges(
-                    boundary_edges=True,
-                    non_manifold_edges=False,
-                    feature_edges=False,
-                    manifold_edges=False,
-                ),
-                color="black",
-                line_width=1,
+                grid, scalars="amplitude", cmap="viridis", lighting=False, show_scalar_bar=False
             )
+            for edges, displacement, colour, width in (
+                (mesh.edges, moved, "#777777", 0.5),
+                (mesh.boundary, 0.0, COLOURS["grey"], 1),
+                (mesh.boundary, moved, "black", 2),
+            ):
+                lines = mesh.lines(edges, displacement, height=1e-3 * width * mesh.size)
+                plotter.add_mesh(lines, color=colour, line_width=width, lighting=False)
             plotter.add_text(
                 f"mode {number + 1}: {modes.omega[number]:.1f} rad/s", font_size=11, color="black"
             )

@@ -10,9 +10,8 @@ from matplotlib.axes import Axes
 from fenics_crack.errors import InputError
 from fenics_crack.figure import COLOURS, new_figure, readable, save
 from fenics_crack.fourier import evaluate
-from fenics_crack.parallel import gather_rows, on_root
+from fenics_crack.parallel import on_root
 from fenics_crack.solution import PeriodicSolution
-from fenics_crack.structure import Structure
 
 __all__ = ["draw_orbits", "draw_spectrum"]
 
@@ -53,7 +52,7 @@ def draw_spectrum(
         name = "gap at the mouth" if pair == 0 else f"gap of pair {pair + 1} from the mouth"
         lengths[name] = _amplitudes(solution.gap_coefficients[:, pair])
     if dof is not None:
-        lengths[dof_name(solution.structure, dof)] = _amplitudes(
+        lengths[solution.structure.dof_name(dof)] = _amplitudes(
             solution.coefficients_at([dof])[:, 0]
         )
     if not lengths:
@@ -71,19 +70,10 @@ def draw_spectrum(
             _stems(panel, series, quantity, unit, solution.subharmonic)
         axes[-1, 0].set_xlabel("order of the harmonic, in load frequencies (0: mean)")
         axes[0, 0].set_title(title)
+        figure.align_ylabels()
         save(figure, path)
 
     on_root(solution.structure.comm, draw)
-
-
-def dof_name(structure: Structure, dof: int) -> str:
-    """What a dof is, for people (collective): "x displacement at (0.1, 0.1) m"."""
-    nodes = structure.whole.nodes
-    if nodes is None:
-        return f"displacement of dof {dof}"
-    node, component = np.argwhere(gather_rows(structure.comm, nodes.dofs) == dof)[0]
-    x, y = gather_rows(structure.comm, nodes.points)[node]
-    return f"{'xy'[component]} displacement at ({x:.4g}, {y:.4g}) m"
 
 
 def _amplitudes(column: np.ndarray) -> np.ndarray:
@@ -101,13 +91,16 @@ def _stems(
     seen = scale * np.concatenate(list(series.values()))
     lowest = np.min(seen, where=seen > 10.0**-DECADES * top, initial=0.1 * top)
     bottom = 10.0 ** np.floor(np.log10(0.5 * lowest))
+    highest = max(map(len, series.values())) - 1
+    size = 4.5 if highest < 25 else 3.0
     styles = zip(series.items(), COLOURS.values(), "os", strict=False)
     for number, ((label, values), colour, marker) in enumerate(styles):
-        shift = 0.12 * (number - 0.5 * (len(series) - 1)) / subharmonic
-        order = np.arange(len(values)) / subharmonic + shift
-        shown = np.where(scale * values >= bottom, scale * values, np.nan)
+        shift = 0.25 * (number - 0.5 * (len(series) - 1)) / subharmonic
+        kept = np.flatnonzero(scale * values >= bottom)
+        order, shown = kept / subharmonic + shift, scale * values[kept]
         axes.vlines(order, bottom, shown, color=colour, lw=1.2)
-        axes.plot(order, shown, marker, color=colour, ms=4.5, label=label)
+        axes.plot(order, shown, marker, color=colour, ms=size, label=label)
+    axes.set_xlim(-0.5, highest / subharmonic + 0.5)
     axes.set_yscale("log")
     axes.set_ylim(bottom, top * (top / bottom) ** 0.25)  # room for the legend
     axes.xaxis.get_major_locator().set_params(integer=True)
@@ -149,7 +142,7 @@ def draw_orbits(
         panels.append((mouth, closed[:, 0], "closing of the mouth", "mouth closed"))
     if dof is not None:
         column = solution.coefficients_at([dof])
-        name = dof_name(solution.structure, dof)
+        name = solution.structure.dof_name(dof)
         panels.append((column, closed.any(axis=1), name, "lips touch somewhere"))
     if not panels:
         raise InputError("dof", None, "given where there is no contact pair")

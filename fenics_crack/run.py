@@ -79,13 +79,8 @@ class Run:
 
     @property
     def watched_name(self) -> str:
-        """Its name, for people: "x at (100, 100) mm" (collective)."""
-        whole = self.structure.whole
-        assert whole.nodes is not None
-        dofs = gather_rows(whole.comm, whole.nodes.dofs)
-        node, component = np.argwhere(dofs == self.watched_dof)[0]
-        x, y = 1e3 * gather_rows(whole.comm, whole.nodes.points)[node]
-        return f"{'xy'[component]} at ({x:.4g}, {y:.4g}) mm"
+        """Its name, for people (collective)."""
+        return self.structure.dof_name(self.watched_dof)
 
 
 # --- structures -----------------------------------------------------------------------------------

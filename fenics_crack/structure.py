@@ -274,6 +274,15 @@ class Structure:
             )
         return dof
 
+    def dof_name(self, dof: int) -> str:
+        """What a dof is, for people: "x displacement at (0.1, 0.1) m" (collective)."""
+        if self.nodes is None:
+            return f"displacement of dof {dof}"
+        comm = self.whole.comm
+        node, component = np.argwhere(gather_rows(comm, self.nodes.dofs) == dof)[0]
+        x, y = gather_rows(comm, self.nodes.points)[node]
+        return f"{'xy'[component]} displacement at ({x:.4g}, {y:.4g}) m"
+
     @property
     def couplings(self) -> np.ndarray:
         """What pairs and load see of each dof: (n_pairs + 3, n_local)."""
