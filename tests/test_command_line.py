@@ -37,37 +37,6 @@ def table(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-QUICK = ("--set", "mesh.size=0.03", "--set", "harmonic_balance.harmonics=5",
-         "--set", "curve.start=2400.0", "--set", "curve.stop=2800.0")  # fmt: skip
-
-
-@pytest.mark.slow
-@pytest.mark.mpi
-def test_newcomers_path(tmp_path: Path) -> None:
-    """New, check, modes, solve, curve, plot; the same on two ranks gives the same files."""
-    made = run(tmp_path, "new", "plate.toml")
-    assert made.returncode == 0 and (tmp_path / "plate.toml").exists(), made.stderr
-    for ranks, output in ((1, "one"), (2, "two")):
-        for command in ("check", "modes", "solve", "curve", "integrate"):
-            where = () if command == "check" else ("--output", output)
-            done = run(tmp_path, command, "plate.toml", *QUICK, *where, ranks=ranks)
-            assert done.returncode == 0, (command, ranks, done.stderr)
-            assert done.stdout.count("\n---") == 1, done.stdout  # one table, from one rank
-    folder = tmp_path / "one"
-    for name in ("modes", "solution", "curve", "integration"):
-        done = run(tmp_path, "plot", f"one/{name}.h5")
-        assert done.returncode == 0, done.stderr
-        for picture in done.stderr.split():
-            assert (tmp_path / picture).stat().st_size > 100, picture
-        for ending in ("h5", "csv", "json"):
-            assert (folder / f"{name}.{ending}").exists()
-        json.loads((folder / f"{name}.json").read_text())
-        one, two = (table(tmp_path / f / f"{name}.csv") for f in ("one", "two"))
-        assert len(one) == len(two)
-    done = run(tmp_path, "plot", "two/modes.h5", "--output", "pictures", ranks=2)
-    assert done.returncode == 0 and (tmp_path / "pictures" / "modes.png").exists(), done.stderr
-
-
 @pytest.mark.slow
 def test_numbers_are_those_of_the_library(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     """What the program prints, stores and reads back is what a script gets."""

@@ -1,10 +1,24 @@
 """The documentation's code runs, and its lists are whole."""
 
+import dataclasses
+import json
+import os
 import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
 
 import pytest
 from helpers import ROOT
 
+import fenics_crack as fc
+import fenics_crack.scene
+
+MPIRUN = "mpirun --oversubscribe"
+
+SHELL = re.compile(r"```sh\n(.*?)```", re.S)
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 BLOCKS = [
     pytest.param(code, id=f"{page.name} {number}")
@@ -18,6 +32,48 @@ def test_python_block_runs(code: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each block is a whole program, run in the project's folder."""
     monkeypatch.chdir(ROOT)
     exec(compile(code, "documentation", "exec"), {"__name__": "documentation"})
+
+
+@pytest.mark.slow
+@pytest.mark.mpi
+def test_shell_blocks_run(tmp_path: Path) -> None:
+    """The page about the program, line by line in one folder: a newcomer's path."""
+    lines = "\n".join(SHELL.findall((ROOT / "docs" / "program.md").read_text())).splitlines()
+    program = f"{sys.executable} -m fenics_crack"
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+    environment |= {name: "1" for name in ("OMPI_ALLOW_RUN_AS_ROOT",
+                                           "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM")}  # fmt: skip
+    assert any(line.startswith("mpirun") for line in lines)
+    for line in lines:
+        words = shlex.split(line.replace("fenics-crack", program).replace("mpirun", MPIRUN))
+        done = subprocess.run(
+            words, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300
+        )
+        assert done.returncode == 0, (line, done.stderr)
+        if " plot " not in line and " new " not in line and "json" not in line:
+            assert done.stdout.count("\n---") == 1, (line, done.stdout)  # one table, from one rank
+        if " plot " in line:
+            for picture in done.stderr.split():
+                assert (tmp_path / picture).stat().st_size > 100, picture
+    for name in ("modes", "solution", "curve", "integration", "sweep"):
+        for ending in ("h5", "csv", "json"):
+            assert (tmp_path / "output" / "plate" / f"{name}.{ending}").exists(), name
+    one, two = (tmp_path / "output" / folder / "solution.json" for folder in ("plate", "two"))
+    for here, there in zip(*[json.loads(file.read_text()) for file in (one, two)], strict=True):
+        assert here["quantity"] == there["quantity"]
+        if isinstance(here["value"], float) and "residual" not in here["quantity"]:
+            assert there["value"] == pytest.approx(here["value"], rel=1e-5), here
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_toml_blocks_are_tables_of_scenes(page: Path) -> None:
+    """Blocks of TOML parse, and their keys are known; what is missing is another matter."""
+    for block in re.findall(r"```toml\n(.*?)```", page.read_text(), re.S):
+        for name, table in tomllib.loads(block).items():
+            known = {field.name: field for field in dataclasses.fields(fc.Scene)}
+            assert name in known
+            kind = getattr(fc.scene, "".join(part.capitalize() for part in name.split("_")))
+            assert isinstance(kind.from_mapping(table), kind)
 
 
 def test_links_lead_somewhere() -> None:
