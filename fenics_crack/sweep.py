@@ -30,7 +30,6 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -200,14 +199,20 @@ def _no_garbage_in_threads() -> Iterator[None]:
     """
     enabled = gc.isenabled()
     gc.disable()
+    gc.freeze()  # what is there already need not be looked at after every job
     try:
         yield
     finally:
+        gc.unfreeze()
         if enabled:
             gc.enable()
 
 
 # --- the plan -------------------------------------------------------------------------------------
+
+
+Index = tuple[Any, ...]
+"""Of whole numbers, and a slice on one axis."""
 
 
 @dataclass(frozen=True)
@@ -216,13 +221,13 @@ class _Chunk:
 
     Attributes
     ----------
-    index : tuple of int and slice
+    index : Index
         Where they are in the table.
     cases : tuple of Scene or str
         What to solve, or why it cannot be.
     """
 
-    index: tuple[Any, ...]
+    index: Index
     cases: tuple[Scene | str, ...]
 
 
@@ -294,27 +299,29 @@ class _Plan:
         except InputError as error:
             return str(error)
 
-    def chunks(self, geometry: tuple[int | None, ...], state: np.ndarray) -> list[_Chunk]:
-        """The chunks of a geometry that are not complete."""
+    def pending(self, geometry: tuple[int | None, ...], state: np.ndarray) -> list[Index]:
+        """Where the chunks of a geometry are that are not complete."""
         found = []
+        along = len(self.shape) - 1 if self._along is None else self._along
         for inner in itertools.product(*(range(self.shape[number]) for number in self._inner)):
-            start: list[Any] = list(geometry)
+            place: list[Any] = list(geometry)
             for number, at in zip(self._inner, inner, strict=True):
-                start[number] = at
-            along, length = self._along, 1
-            if along is None:  # one case; a slice of one along the last axis
-                along = len(start) - 1
-                first = int(start[along])
-            else:
-                first, length = 0, self.shape[along]
+                place[number] = at
+            first, length = 0, self.shape[along]
+            if self._along is None:  # a chunk is one case
+                first, length = place[along], 1
             pieces = -(-length // CHUNK)
             for piece in range(pieces):
                 low, high = (first + (length * n) // pieces for n in (piece, piece + 1))
-                places = [(*start[:along], at, *start[along + 1 :]) for at in range(low, high)]
-                index = (*start[:along], slice(low, high), *start[along + 1 :])
+                index = (*place[:along], slice(low, high), *place[along + 1 :])
                 if np.any(state[index] == PENDING):
-                    found.append(_Chunk(index, tuple(map(self.case, places))))
+                    found.append(index)
         return found
+
+    def chunk(self, index: Index) -> _Chunk:
+        """The chunk at a place."""
+        ranges = (range(at.start, at.stop) if isinstance(at, slice) else (at,) for at in index)
+        return _Chunk(index, tuple(map(self.case, itertools.product(*ranges))))
 
 
 def _most_pairs(scene: Scene) -> int:
@@ -719,17 +726,18 @@ class _Manager:
         self._groups, self._ranks = groups, ranks
         self._news = threading.Condition()
         self._executor: Any = None
-        self._in_flight = 0
+        self._given: dict[Any, _Job] = {}
+        """Jobs with the executor, by their futures."""
         self._stopped = False
-        self._waiting: dict[int, deque[_Chunk]] = {}
-        """Chunks of geometries that are built or being built."""
+        self._waiting: dict[int, deque[Index]] = {}
+        """Places of the chunks of geometries that are built or being built."""
         self._built: dict[int, _Arrays] = {}
         self._unbuilt = deque(
             number
             for number, geometry in enumerate(plan.geometries)
             if np.any(file.state[_everywhere(geometry)] == PENDING)
         )
-        self._chunks_left = sum(len(self._chunks(number)) for number in self._unbuilt)
+        self._chunks_left = sum(len(self._pending(number)) for number in self._unbuilt)
         self._seconds, self._chunks_done, self._recorded = 0.0, 0, 0
         self._bar = tqdm(
             total=file.state.size,
@@ -756,9 +764,9 @@ class _Manager:
                 self._stopped = self._stopped or stop.asked(MPI.COMM_SELF)
                 self._submit()
                 if takes_part:
-                    job = self._next_job()
+                    job = self._next_job() or self._take_back()
                 if job is None:
-                    if self._in_flight == 0:
+                    if not self._given:
                         return
                     self._news.wait(0.1)
                     continue
@@ -785,17 +793,28 @@ class _Manager:
         """Keep one more job with the executor than it has workers."""
         if self._executor is None:
             return
-        while self._in_flight < self._groups:
+        while len(self._given) < self._groups:
             job = self._next_job()
             if job is None:
                 return
-            self._in_flight += 1
-            self._executor.submit(_lead, job).add_done_callback(partial(self._arrived, job))
+            future = self._executor.submit(_lead, job)
+            self._given[future] = job
+            future.add_done_callback(self._arrived)
 
-    def _arrived(self, job: _Job, future: Any) -> None:
+    def _take_back(self) -> _Job | None:
+        """A job that the executor has not begun, for rank 0, which has no other; at the end none."""
+        ending = self._stopped or self.error is not None
+        for future, job in list(self._given.items()):
+            if future.cancel() and not ending:
+                return job
+        return None
+
+    def _arrived(self, future: Any) -> None:
         """Record what a worker has done, and send it more: in the executor's thread."""
         with self._news:
-            self._in_flight -= 1
+            job = self._given.pop(future)
+            if future.cancelled():
+                return
             try:
                 self._record(job, future.result())
                 self._submit()
@@ -819,27 +838,28 @@ class _Manager:
                 return _Job(number, None, arrays, self._plan.unit_loads, False, chunks)
         while self._unbuilt:
             number = self._unbuilt.popleft()
-            self._waiting[number] = deque(self._chunks(number))
-            cases = (case for chunk in self._waiting[number] for case in chunk.cases)
+            self._waiting[number] = deque(self._pending(number))
+            every = map(self._plan.chunk, self._waiting[number])
+            cases = (case for chunk in every for case in chunk.cases)
             scene = next((case for case in cases if not isinstance(case, str)), None)
             if scene is None:
                 self._refuse(number, self._pop(number), "")
                 continue
             # The others have something to do meanwhile.
             alone = self._groups == 1 or len(self._unbuilt) >= self._groups
-            chunks = self._pop(number, share if alone else 0)
+            first = self._pop(number, share if alone else 0)
             wanted = bool(self._waiting[number])
-            return _Job(number, scene, None, self._plan.unit_loads, wanted, chunks)
+            return _Job(number, scene, None, self._plan.unit_loads, wanted, first)
         return None
 
-    def _chunks(self, number: int) -> list[_Chunk]:
-        return self._plan.chunks(self._plan.geometries[number], self._file.state)
+    def _pending(self, number: int) -> list[Index]:
+        return self._plan.pending(self._plan.geometries[number], self._file.state)
 
     def _pop(self, number: int, count: int | None = None) -> tuple[_Chunk, ...]:
         waiting = self._waiting[number]
         count = len(waiting) if count is None else min(count, len(waiting))
         self._chunks_left -= count
-        return tuple(waiting.popleft() for _ in range(count))
+        return tuple(self._plan.chunk(waiting.popleft()) for _ in range(count))
 
     def _record(self, job: _Job, answer: _Answer) -> None:
         """Write what a job has found."""
