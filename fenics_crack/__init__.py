@@ -3,6 +3,8 @@
 Start with ``demos/paper_plate.py``; the equations and conventions are in ``docs/theory.md``.
 """
 
+from mpi4py import MPI  # noqa: F401  (before petsc4py, which would start MPI for one thread)
+
 from fenics_crack.backbone import Backbone, follow_backbone
 from fenics_crack.contact import (
     SmoothedPenalty,
