@@ -84,6 +84,7 @@ def _run(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
         "solve": commands.solution,
         "curve": commands.curve,
         "integrate": commands.integration,
+        "sweep": commands.sweep,
     }[command]
     return work(scene, folder, console, comm)
 

@@ -24,7 +24,7 @@ from fenics_crack.integration import TimeHistory
 from fenics_crack.modes import Modes
 from fenics_crack.modes_file import save_modes
 from fenics_crack.parallel import on_root
-from fenics_crack.pictures import draw_run
+from fenics_crack.pictures import draw_run, draw_sweep
 from fenics_crack.report import Table
 from fenics_crack.run import (
     Run,
@@ -38,8 +38,10 @@ from fenics_crack.run import (
 )
 from fenics_crack.scene import Integration, Scene
 from fenics_crack.solution import PeriodicSolution
-from fenics_crack.store import make_folder
+from fenics_crack.store import kind_of, make_folder
 from fenics_crack.structure import Structure
+from fenics_crack.sweep import SweepResult, run_sweep
+from fenics_crack.sweep_file import KIND as SWEEP
 
 __all__ = [
     "DONE",
@@ -52,12 +54,15 @@ __all__ = [
     "new",
     "plot",
     "solution",
+    "sweep",
 ]
 
 DONE, NOT_CONVERGED = 0, 3
 """Exit codes."""
 LARGE_ERROR = 0.05
 """Estimated error of the gap beyond which a solution is not shown without a warning."""
+SHOWN_FAILURES = 10
+"""Of a sweep; all are in its table."""
 UNITS = {"omega": "rad/s", "load": "-", "stiffness": "-", "damping": "-", "clearance": "m"}
 """Of the parameters of curves."""
 
@@ -301,12 +306,19 @@ def integration(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) ->
 
 
 def _finish(
-    folder: Path, name: str, shown: Table, stored: Table, console: Console, comm: MPI.Comm
+    folder: Path,
+    name: str,
+    shown: Table,
+    stored: Table,
+    console: Console,
+    comm: MPI.Comm,
+    *,
+    summary: Table | None = None,
 ) -> int:
-    """Print one table, store both, and say where everything is."""
+    """Print a table, store it (or another summary) as JSON and one as CSV, and say where."""
 
     def write() -> None:
-        shown.save(folder / f"{name}.json")
+        (summary or shown).save(folder / f"{name}.json")
         stored.save(folder / f"{name}.csv")
 
     on_root(comm, write)
@@ -316,10 +328,40 @@ def _finish(
     return DONE
 
 
+def sweep(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) -> int:
+    """All cases of a sweep, or those that an earlier run has left."""
+    result = folder / "sweep.h5"
+    with console.stage("sweep"):
+        found = run_sweep(scene, result, comm, progress=console.progress)
+    table = Table(*found.table())
+    shown = table.of_columns(_shown_of_sweep(found)) if console.form == "text" else table
+    code = _finish(folder, "sweep", shown, table, console, comm, summary=table)
+    for index, reason in found.failed[:SHOWN_FAILURES]:
+        values = [axis.values[at] for axis, at in zip(found.axes, index, strict=True)]
+        console.warn(f"{', '.join(map(str, values))}: {reason}")
+    if len(found.failed) > SHOWN_FAILURES:
+        console.warn(f"and {len(found.failed) - SHOWN_FAILURES} more cases have failed")
+    if not found.complete:
+        console.warn("the sweep was stopped; the same command goes on with it")
+    return NOT_CONVERGED if found.failed or not found.complete else code
+
+
+def _shown_of_sweep(found: SweepResult) -> list[int]:
+    """Columns for the screen: the swept values and what was found in short."""
+    first = len(found.axes)
+    wanted = ("state", "response [m]", "opening [m]", "multiplier", "verdict", "truncation_error")
+    return [*range(first), *(found.table()[0].index(name, first) for name in wanted)]
+
+
 def plot(result: Path, folder: Path, show: bool, console: Console, comm: MPI.Comm) -> int:
     """Pictures of a result, and files for ParaView."""
     with console.stage("pictures"):
-        files = draw_run(load_run(result, comm), folder, show=show)
+        if kind_of(result) == SWEEP:
+            if show:
+                raise InputError("--show", "sweep", "used with a periodic solution")
+            files = on_root(comm, lambda: draw_sweep(SweepResult.load(result), folder))
+        else:
+            files = draw_run(load_run(result, comm), folder, show=show)
     for file in files:
         console.note(str(file))
     return DONE

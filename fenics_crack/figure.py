@@ -11,6 +11,7 @@ import pyvista
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 from fenics_crack.store import make_folder
 
@@ -48,6 +49,9 @@ def finish(figure: Figure, axes: Axes, title: str, path: str | Path) -> None:
     """Give a figure of one axes its title, grid and legend, and save it."""
     axes.set_title(title)
     axes.grid(alpha=0.3)
+    if axes.get_yscale() == "log":  # numbers within a decade, too, where there are few decades
+        axes.yaxis.set_major_formatter(LogFormatter())
+        axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2.0, 0.8)))
     axes.legend(loc="best", fontsize=8, framealpha=0.9)
     save(figure, path)
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,15 +20,18 @@ from fenics_crack.plot import (
     draw_contact_map,
     draw_content,
     draw_curve,
+    draw_map,
     draw_modes,
     draw_multipliers,
+    draw_response,
     draw_waves,
 )
 from fenics_crack.plot_motion import draw_orbits, draw_spectrum
 from fenics_crack.run import Run
 from fenics_crack.solution import PeriodicSolution
+from fenics_crack.sweep import SweepResult, axis_name
 
-__all__ = ["draw_run"]
+__all__ = ["draw_run", "draw_sweep"]
 
 
 def draw_run(run: Run, folder: Path, *, show: bool = False) -> list[Path]:
@@ -126,3 +131,93 @@ def _history(run: Run, found: TimeHistory, folder: Path) -> list[Path]:
         files[0], lines, title=title, quantity="displacement", period=period, zero="lips touch"
     )
     return files
+
+
+# --- sweeps ---------------------------------------------------------------------------------------
+
+
+def draw_sweep(found: SweepResult, folder: Path) -> list[Path]:
+    """Draw the response and the opening over the swept numbers.
+
+    The frequency, else the longest axis, goes to the right. With few values on the axis next in
+    length there is a line for each of them, with many a map. All others get pictures of their own,
+    up to a limit.
+
+    Raises
+    ------
+    InputError
+        No axis has two or more numbers, or no case has converged.
+    """
+    numbers = [
+        place
+        for place, axis in enumerate(found.axes)
+        if len(axis.values) > 1 and all(isinstance(value, float | int) for value in axis.values)
+    ]
+    if not numbers:
+        raise InputError("sweep.over", [a.key for a in found.axes], "over numbers, to be drawn")
+    if not np.any(found.converged):
+        raise InputError("path", str(found.path), "a sweep with a case that converged")
+    length = {place: len(found.axes[place].values) for place in numbers}
+    keys = [found.axes[place].key for place in numbers]
+    if OMEGA in keys:
+        length[numbers[keys.index(OMEGA)]] = MOST_PICTURES**9
+    right, *more = sorted(numbers, key=lambda place: -length[place])
+    up = more[0] if more else None
+    others = [place for place in range(len(found.axes)) if place not in (right, up)]
+    files = []
+    places = itertools.product(*(range(found.shape[place]) for place in others))
+    for number, fixed in enumerate(itertools.islice(places, MOST_PICTURES)):
+        index: list[Any] = [slice(None)] * len(found.axes)
+        for place, at in zip(others, fixed, strict=True):
+            index[place] = at
+        words = [f"{found.axes[p].key} = {found.axes[p].values[index[p]]}" for p in others]
+        ending = f"_{number + 1}" if others else ""
+        for name, quantity in QUANTITIES.items():
+            values = np.where(found.converged, found[name], np.nan)[tuple(index)]
+            if up is not None and up < right:
+                values = values.T  # (right, up)
+            if not np.any(np.isfinite(values)):
+                continue
+            files.append(folder / f"sweep_{name}{ending}.png")
+            title = ", ".join(words) or f"Sweep of {found.axes[right].key}"
+            _sweep_picture(files[-1], found, right, up, values, title, quantity)
+    return files
+
+
+OMEGA = "excitation.omega"
+QUANTITIES = {
+    "response": "half peak-to-peak at the load's point",
+    "opening": "largest opening of the crack",
+}
+FEW_LINES, MOST_PICTURES = 6, 12
+
+
+def _sweep_picture(
+    file: Path,
+    found: SweepResult,
+    right: int,
+    up: int | None,
+    values: np.ndarray,
+    title: str,
+    quantity: str,
+) -> None:
+    x = np.array(found.axes[right].values, dtype=float)
+    order = np.argsort(x)
+    over = axis_name(found.axes[right])
+    if up is None:
+        draw_response(
+            file, x[order], {quantity: values[order]}, title=title, quantity=quantity, over=over
+        )
+        return
+    y = np.array(found.axes[up].values, dtype=float)
+    if len(y) <= FEW_LINES:
+        name = found.axes[up].key
+        lines = {f"{name} = {at:g}": values[order, n] for n, at in enumerate(y)}
+        draw_response(file, x[order], lines, title=title, quantity=quantity, over=over)
+        return
+    rising = np.argsort(y)
+    draw_map(
+        file, x[order], y[rising], values[np.ix_(order, rising)].T, title=title, x_label=over,
+        y_label=axis_name(found.axes[up]), value_label=f"{quantity} [m]",
+        missing="not converged",
+    )  # fmt: skip

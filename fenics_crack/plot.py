@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -122,6 +123,9 @@ def draw_laws(path: str | Path, laws: Mapping[str, ContactLaw], closing: np.ndar
 def draw_contact_map(path: str | Path, solution: PeriodicSolution, *, instants: int = 400) -> None:
     """Draw where along the crack and when in the period the lips touch, and how hard.
 
+    Colours are the pressure on the lips where the contact stiffness is one per area, else the force
+    of a pair.
+
     Raises
     ------
     InputError
@@ -132,15 +136,20 @@ def draw_contact_map(path: str | Path, solution: PeriodicSolution, *, instants: 
         raise InputError(
             "pairs", None if points is None else len(points), "two or more, with a mesh"
         )
+    structure = solution.structure
     time = np.linspace(0.0, solution.period, instants + 1)
-    force = solution.contact_force(time)
+    values, label, unit = solution.contact_force(time), "contact force of a pair", "N"
+    if structure.pair_areas is not None and np.ndim(getattr(solution.contact, "stiffness", 0.0)):
+        values, label, unit = values / structure.pair_areas, "contact pressure", "Pa"
+    scale, unit = readable(float(values.max()), unit)
     depth = 1e3 * np.linalg.norm(points - points[0], axis=1)
     figure, axes = new_figure()
-    shown = np.ma.masked_less_equal(force.T, 0.0)
+    shown = np.ma.masked_less_equal(scale * values.T, 0.0)
     axes.set_facecolor("#e8e8e8")
     loads = time * solution.omega / (2.0 * np.pi)
     image = axes.pcolormesh(loads, depth, shown, cmap="viridis", shading="nearest")
-    figure.colorbar(image, ax=axes, label="contact force of a pair [N]")
+    axes.set_ylim(bottom=0.0)
+    figure.colorbar(image, ax=axes, label=f"{label} [{unit}]")
     axes.set_xlabel("time / load period")
     axes.set_ylabel("distance from the crack's mouth [mm]")
     axes.set_title("Where and when the crack is closed (grey: open)")
@@ -149,20 +158,25 @@ def draw_contact_map(path: str | Path, solution: PeriodicSolution, *, instants: 
 
 def draw_response(
     path: str | Path,
-    omega: np.ndarray,
+    values: np.ndarray,
     curves: Mapping[str, np.ndarray],
     *,
     title: str,
     quantity: str,
+    over: str = "load frequency [rad/s]",
 ) -> None:
-    """Draw amplitudes [m] over the load's frequency [rad/s], logarithmically; gaps where nan."""
+    """Draw amplitudes [m] over the load's frequency [rad/s] or something else; gaps where nan.
+
+    The amplitudes are drawn logarithmically.
+    """
     figure, axes = new_figure()
-    for (label, values), colour, style in zip(
-        curves.items(), COLOURS.values(), (".-", "--", ":", "-."), strict=False
-    ):
-        axes.semilogy(omega, 1e6 * values, style, color=colour, label=label, lw=1.4, ms=4)
-    axes.set_xlabel("load frequency [rad/s]")
-    axes.set_ylabel(f"{quantity} [µm]")
+    finite = [found[np.isfinite(found)] for found in curves.values()]
+    scale, unit = readable(max((float(f.max()) for f in finite if len(f)), default=1.0), "m")
+    styles = itertools.product((".-", ".--", ".:"), COLOURS.values())
+    for (label, found), (style, colour) in zip(curves.items(), styles, strict=False):
+        axes.semilogy(values, scale * found, style, color=colour, label=label, lw=1.4, ms=4)
+    axes.set_xlabel(over)
+    axes.set_ylabel(f"{quantity} [{unit}]")
     finish(figure, axes, title, path)
 
 

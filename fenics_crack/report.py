@@ -38,6 +38,11 @@ class Table:
     columns: Sequence[str]
     rows: Sequence[Sequence[Any]]
 
+    def of_columns(self, places: Sequence[int]) -> Table:
+        """Some of the columns."""
+        columns = [self.columns[place] for place in places]
+        return Table(columns, [[row[place] for place in places] for row in self.rows])
+
     def formatted(self, how: str) -> str:
         """The table as "text" (the first rows of a long one), "csv" or "json"."""
         return {"text": self._text, "csv": self._csv, "json": self._json}[how]()

@@ -68,7 +68,7 @@ from fenics_crack.sweep_file import (
 )
 from fenics_crack.table import Axis
 
-__all__ = ["SweepResult", "run_sweep"]
+__all__ = ["SweepResult", "axis_name", "run_sweep"]
 
 CHUNK = 12
 """Cases of a chunk at most."""
@@ -802,7 +802,7 @@ class _Manager:
             future.add_done_callback(self._arrived)
 
     def _take_back(self) -> _Job | None:
-        """A job that the executor has not begun, for rank 0, which has no other; at the end none."""
+        """A job that the executor has not begun, for rank 0, which has no other; in the end none."""
         ending = self._stopped or self.error is not None
         for future, job in list(self._given.items()):
             if future.cancel() and not ending:
@@ -975,7 +975,7 @@ class SweepResult:
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
         """Names with units, and a row for every case in their order: for a CSV file."""
-        names = [_with_unit(axis.key, UNITS.get(axis.key, "")) for axis in self.axes]
+        names = [axis_name(axis) for axis in self.axes]
         names += ["state", *(_with_unit(name, unit) for name, (unit, _) in COLUMNS.items())]
         words = np.array(["pending", "converged", "failed"])[self["state"]]
         flat = [words.ravel().tolist(), *(self[name].ravel().tolist() for name in COLUMNS)]
@@ -1055,6 +1055,11 @@ class SweepResult:
         if not solved:
             raise InputError("index", index, f"that of a case that converged, of {self.shape}")
         return tuple(at % size for at, size in zip(place, self.shape, strict=True))
+
+
+def axis_name(axis: Axis) -> str:
+    """Its key, with the unit."""
+    return _with_unit(axis.key, UNITS.get(axis.key, ""))
 
 
 def _with_unit(name: str, unit: str) -> str:
