@@ -802,7 +802,7 @@ class _Manager:
             future.add_done_callback(self._arrived)
 
     def _take_back(self) -> _Job | None:
-        """A job that the executor has not begun, for rank 0, which has no other; in the end none."""
+        """A job that the executor has not begun, for rank 0, which has none; at the end None."""
         ending = self._stopped or self.error is not None
         for future, job in list(self._given.items()):
             if future.cancel() and not ending:

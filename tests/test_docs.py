@@ -38,7 +38,7 @@ def test_python_block_runs(code: str, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.mpi
 def test_shell_blocks_run(tmp_path: Path) -> None:
     """The page about the program, line by line in one folder: a newcomer's path."""
-    lines = "\n".join(SHELL.findall((ROOT / "docs" / "program.md").read_text())).splitlines()
+    lines = "".join(SHELL.findall((ROOT / "docs" / "program.md").read_text())).splitlines()
     program = f"{sys.executable} -m fenics_crack"
     environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
     environment |= {name: "1" for name in ("OMPI_ALLOW_RUN_AS_ROOT",
