@@ -14,6 +14,8 @@ from __future__ import annotations
 
 import argparse
 import csv
+import ctypes
+import gc
 import os
 import platform
 import time
@@ -101,6 +103,36 @@ def alternate(
 def ratio(times: Mapping[str, np.ndarray], above: str, below: str) -> float:
     """Median over the turns of the quotient of two times."""
     return float(np.median(times[above] / times[below]))
+
+
+# --- memory ---------------------------------------------------------------------------------------
+
+
+class PeakMemory:
+    """Most memory the process has used since this was made, above what it used then (Linux).
+
+    Memory that is free but kept is given back first, so that its use counts again; then the kernel
+    is told to forget the peak so far. Where it refuses, the figure is nan.
+    """
+
+    def __init__(self) -> None:
+        gc.collect()
+        try:
+            ctypes.CDLL(None).malloc_trim(0)
+            Path("/proc/self/clear_refs").write_text("5")
+            self._start = _status("VmRSS")
+        except (OSError, AttributeError):
+            self._start = float("nan")
+
+    def mib(self) -> float:
+        """The figure [MiB]."""
+        return self._start if np.isnan(self._start) else _status("VmHWM") - self._start
+
+
+def _status(key: str) -> float:
+    """An entry of /proc/self/status [MiB]."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return float(next(line for line in lines if line.startswith(key)).split()[1]) / 1024.0
 
 
 # --- results --------------------------------------------------------------------------------------

@@ -14,6 +14,8 @@ and judged by its own error report, whose total is `estimate`:
     open        it converged, and the other method found nothing to compare it with
     WRONG       none of these: a wrong answer that claims to be right
 
+Printed after the table: the counts by group, and every case that is not right, with its reason.
+
 Groups: penalty stiffness from 1e6 to 1e14 N/m; damping from none to 10 %; load exactly on a natural
 frequency and on its fractions; grazing; preload and cracks that hardly open; crack lengths from 1 %
 to 95 % of the width; 1 to 200 pairs; 1 to 200 harmonics; smoothed contact from soft to sharp; the
@@ -68,9 +70,31 @@ def main() -> None:
 def cases(arguments: common.Arguments) -> None:
     """All of them."""
     rows = [judge(case) for case in collect(arguments.quick)]
-    common.save_table(arguments.folder / "hard_cases.csv", "Hard cases", COLUMNS, rows)
-    counts = {key: sum(row[-1] == key for row in rows) for key in (RIGHT, SAYS_SO, OPEN, WRONG)}
+    common.write_csv(arguments.folder / "hard_cases.csv", COLUMNS, rows)
+    shortened = [(*row[:3], row[3][:20], *row[4:]) for row in rows]
+    common.print_table("Hard cases", COLUMNS, shortened)
+    keys = (RIGHT, SAYS_SO, OPEN, WRONG)
+    by_group = {group: [row[-1] for row in rows if row[0] == group] for group, *_ in rows}
+    common.print_table(
+        "By group",
+        ("group", "cases", *keys),
+        [(group, len(found), *map(found.count, keys)) for group, found in by_group.items()],
+    )
+    counts = {key: sum(row[-1] == key for row in rows) for key in keys}
     print(f"\n{len(rows)} cases: " + ", ".join(f"{n} {key}" for key, n in counts.items()))
+    print("\nNot right:")
+    for row in rows:
+        if row[-1] != RIGHT:
+            print(f"  {row[0]}, {row[1]}: {what_failed(row)}")
+
+
+def what_failed(row: tuple[Any, ...]) -> str:
+    """In words, what kept a case from being right."""
+    *_, converged, way, _, _, _, estimate, _, against, difference, judgement = row
+    if not converged:
+        return str(way)
+    found = f"{100 * difference:.3g} % off" if np.isfinite(difference) else "nothing found"
+    return f"{judgement}: estimates an error of {100 * estimate:.3g} %; {against}: {found}"
 
 
 def collect(quick: bool) -> Iterator[Case]:
@@ -95,10 +119,12 @@ def judge(case: Case) -> tuple[Any, ...]:
         )  # fmt: skip
     except (fc.InputError, fc.ConvergenceError) as error:
         ms = 1e3 * (time.process_time() - started)
-        reason = str(error)[:60]
-        return (*head, False, reason, 0, ms, *[float("nan")] * 2, "-", "-", float("nan"), SAYS_SO)
+        none = float("nan")
+        return (*head, False, str(error), 0, ms, none, none, "-", "-", none, SAYS_SO)
     ms = 1e3 * (time.process_time() - started)
-    way = "plain" if "path" not in solution.status else "path"
+    way = "path" if "path" in solution.status else "plain"
+    if not solution.converged:
+        way = solution.status
     report = solution.report
     verdict, difference = "-", float("nan")
     if solution.converged:

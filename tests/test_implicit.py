@@ -11,6 +11,7 @@ from helpers import (
     DAMPINGS,
     chain,
     chain_stiffness,
+    dense_matrices,
     heavy_mass,
     log_slope,
     oscillator,
@@ -183,6 +184,29 @@ def test_lost_energy_vanishes_like_the_step_squared() -> None:
         )
         lost.append(-history.created_energy)
     assert min(lost) > 0.0 and log_slope(counts, lost) < -1.9
+
+
+@both_schemes
+@pytest.mark.parametrize("damping", ["none", "modal", "matrix"])
+def test_energy_balance_closes_to_second_order(
+    scheme: Callable[..., fc.TimeHistory], damping: str
+) -> None:
+    """Energy of masses, springs and contact less work and losses, from the motion alone."""
+    structure, law, omega = chain(damping), fc.UnilateralPenalty(4.0), 0.8
+    mass, dashpots, stiffness = dense_matrices(structure)
+    counts, errors = (128, 256, 512, 1024, 2048), []
+    for steps in counts:
+        history = scheme(structure, omega, law, periods=2, steps_per_period=steps)
+        u, time, step = history.displacement(range(structure.n_dofs)), history.time, history.time[1]
+        v, u, time, gap = (u[2:] - u[:-2]) / (2.0 * step), u[1:-1], time[1:-1], history.gap[1:-1]
+        waves = np.column_stack([np.ones_like(time), np.cos(omega * time), np.sin(omega * time)])
+        power = np.sum(v * (waves @ structure.force - v @ dashpots), axis=1)
+        energy = 0.5 * np.sum(u * (u @ stiffness) + v * (v @ mass), axis=1)
+        energy += 2.0 * np.sum(np.maximum(gap, 0.0) ** 2, axis=1)
+        work = np.concatenate([[0.0], np.cumsum(0.5 * step * (power[1:] + power[:-1]))])
+        errors.append(np.abs(energy - energy[0] - work).max() / energy.max())
+    assert log_slope(counts, errors) == pytest.approx(-2.0, abs=0.1)
+    assert errors[-1] < 1e-5
 
 
 # --- without penetration --------------------------------------------------------------------------

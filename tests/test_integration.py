@@ -205,6 +205,27 @@ def test_created_energy_vanishes_with_the_step() -> None:
     assert created[0] < 0.05
 
 
+def test_created_energy_is_of_second_order() -> None:
+    """Like dt^2, in the mean over steps that meet the contact at other phases."""
+    chained, law = chain("none"), fc.UnilateralPenalty(4.0)
+    counts: list[int] = [200, 400, 800, 1600, 3200]
+    created = []
+    for steps in counts:
+        near = range(steps, steps + 56, 7)
+        histories = [
+            [release(count) for count in near],
+            [
+                fc.integrate_central_difference(
+                    chained, 0.8, law, periods=2, steps_per_period=count, dofs=()
+                )
+                for count in near
+            ],
+        ]
+        created.append([np.mean([h.created_energy**2 for h in row]) ** 0.5 for row in histories])
+    for sizes in np.transpose(created):
+        assert log_slope(counts, sizes) == pytest.approx(-2.0, abs=0.2)
+
+
 def test_lumped_mass(soft_plate: fc.Structure) -> None:
     """The lumped plate is the central-difference solution of its own structure, which is close."""
     lumped = soft_plate.lumped()
@@ -292,6 +313,42 @@ def test_reduced_structure_speaks_of_the_dofs_of_the_whole(soft_plate: fc.Struct
         history = fc.integrate_central_difference(reduced, 2000.0, LAW, dofs=dofs, **options)  # type: ignore[arg-type]
         difference = history.displacement([corner]) - whole.displacement([corner])
         assert np.abs(difference).max() < 1e-6 * np.abs(whole.displacement([corner])).max()
+
+
+@pytest.mark.parametrize("method", ["free_interface", "craig_bampton"])
+def test_reduced_structure_moves_as_the_whole(wide_plate: fc.Structure, method: str) -> None:
+    """Few coordinates against all dofs of a plate with four pairs, step by step."""
+    reduced = fc.reduce_structure(wide_plate, modes=60, method=method)
+    assert reduced.n_dofs < 0.6 * wide_plate.n_dofs
+    corner = wide_plate.find_dof((0.1, 0.1), "x")
+    whole, small = (
+        fc.integrate_central_difference(
+            structure, 2000.0, LAW, periods=2, steps_per_period=1024, dofs=[corner]
+        )
+        for structure in (wide_plate, reduced)
+    )
+    assert np.any(whole.gap > 0.0, axis=0).all()
+    assert relative(small.displacement([corner]), whole.displacement([corner])) < 4e-3
+    assert relative(small.gap, whole.gap) < 8e-3
+
+
+@pytest.mark.parametrize("modes", [20, 40])
+@pytest.mark.parametrize("method", ["free_interface", "craig_bampton"])
+def test_reduced_structure_against_the_exact_flow(method: str, modes: int) -> None:
+    """Order 2 against its own exact flow; with all modes, against that of the whole chain."""
+    whole, law = chain("modal", n=40), fc.UnilateralPenalty(4.0)
+    reduced = fc.reduce_structure(whole, modes=modes, method=method)
+    exact = fc.integrate_events(
+        whole if modes == whole.n_dofs else reduced, 0.8, law, periods=2, steps_per_period=64
+    )
+    counts, errors = (128, 256, 512, 1024), []
+    for steps in counts:
+        history = fc.integrate_central_difference(
+            reduced, 0.8, law, periods=2, steps_per_period=steps
+        )
+        errors.append(relative(history.gap[:: steps // 64], exact.gap))
+    assert log_slope(counts, errors) == pytest.approx(-2.0, abs=0.1)
+    assert errors[-1] < 1e-4
 
 
 def test_only_a_contact_law_is_accepted(soft_plate: fc.Structure) -> None:
