@@ -261,13 +261,21 @@ def curve(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) -> int:
         time_ = np.linspace(0.0, point.solution.period, 257)
         motion = point.solution.displacement(time_, [run.watched_dof])
         rows.append((point.kind.replace("_", " "), point.value, np.ptp(motion) / 2.0))
-    if found.multipliers is not None:
-        for index in np.flatnonzero(np.diff(found.stable)):
-            what = "stability lost after" if found.stable[index] else "stability gained after"
-            rows.append((what, found.values[index], amplitude[index]))
+    changes = [] if found.multipliers is None else np.flatnonzero(np.diff(found.stable))
+    for index in changes:
+        what = "stability lost after" if found.stable[index] else "stability gained after"
+        rows.append((what, found.values[index], amplitude[index]))
     rows.append(("end", found.values[-1], amplitude[-1]))
     special = Table(("point", columns[0], f"half peak-to-peak, {columns[1]}"), rows)
     code = _finish(folder, "curve", special, points, console, comm)
+    special_values = [point.value for point in found.bifurcations]
+    for index in changes:
+        low, high = sorted(found.values[index : index + 2])
+        if not any(low <= value <= high for value in special_values):
+            console.warn(
+                f"stability changes between {low:g} and {high:g} without a bifurcation of the "
+                "balanced equations: they need more harmonics (harmonic_balance.harmonics) there"
+            )
     if not found.complete:
         console.warn(f"the curve ended early: {found.status}")
         return NOT_CONVERGED
