@@ -261,7 +261,9 @@ def curve(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) -> int:
         time_ = np.linspace(0.0, point.solution.period, 257)
         motion = point.solution.displacement(time_, [run.watched_dof])
         rows.append((point.kind.replace("_", " "), point.value, np.ptp(motion) / 2.0))
-    changes = [] if found.multipliers is None else np.flatnonzero(np.diff(found.stable))
+    changes: list[int] = []
+    if found.multipliers is not None:
+        changes = np.flatnonzero(np.diff(found.stable)).tolist()
     for index in changes:
         what = "stability lost after" if found.stable[index] else "stability gained after"
         rows.append((what, found.values[index], amplitude[index]))
