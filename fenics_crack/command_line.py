@@ -20,7 +20,7 @@ from fenics_crack.report import FORMATS
 from fenics_crack.scene import Scene
 from fenics_crack.version import VERSION
 
-__all__ = ["main"]
+__all__ = ["main", "parser"]
 
 BAD_INPUT, BROKEN, INTERRUPTED = 2, 1, 130
 EPILOG = """\
@@ -45,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if comm.rank > 0:  # only rank 0 speaks; faults of the program go to the true standard error
         sys.stdout = sys.stderr = open(os.devnull, "w")
     try:
-        return _run(_parser().parse_args(arguments), comm)
+        return _run(parser().parse_args(arguments), comm)
     except InputError as error:
         print(f"fenics-crack: {error}", file=sys.stderr)
         return BAD_INPUT
@@ -108,17 +108,16 @@ def _changes(given: Sequence[str]) -> dict[str, Any]:
 # --- arguments ------------------------------------------------------------------------------------
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+def parser() -> argparse.ArgumentParser:
+    """The arguments of all commands."""
+    whole = argparse.ArgumentParser(
         prog="fenics-crack",
         description="Periodic vibration of a plate with a crack that opens and closes.",
         epilog=EPILOG,
-        formatter_class=lambda prog: argparse.RawDescriptionHelpFormatter(
-            prog, max_help_position=28
-        ),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action="version", version=f"fenics-crack {VERSION}")
-    group = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    whole.add_argument("--version", action="version", version=f"fenics-crack {VERSION}")
+    group = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
     add = _Adder(group)
     add("new", "write a commented scene to start from", _scene_to_write)
     add("check", "mesh and assemble a scene without solving it", _scene)
@@ -128,7 +127,7 @@ def _parser() -> argparse.ArgumentParser:
     add("integrate", "motion in time by the table [integration]", _scene, _output)
     add("sweep", "all cases of the table [sweep.over]; goes on where it stopped", _scene, _output)
     add("plot", "pictures of a result, and files for ParaView", _result, _output)
-    return parser
+    return whole
 
 
 class _Adder:

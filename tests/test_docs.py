@@ -15,6 +15,7 @@ from helpers import ROOT
 
 import fenics_crack as fc
 import fenics_crack.scene
+from fenics_crack.command_line import parser
 
 MPIRUN = "mpirun --oversubscribe"
 
@@ -74,6 +75,19 @@ def test_toml_blocks_are_tables_of_scenes(page: Path) -> None:
             assert name in known
             kind = getattr(fc.scene, "".join(part.capitalize() for part in name.split("_")))
             assert isinstance(kind.from_mapping(table), kind)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_exist(page: Path) -> None:
+    """Commands that are shown without being run: their arguments and their scripts exist."""
+    text = page.read_text()
+    for line in re.findall(r"^    (?:mpirun -n \d+ )?fenics-crack (.*)$", text, re.M):
+        assert parser().parse_args(shlex.split(line, comments=True)).command
+    for script, words in re.findall(r"python ((?:demos|benchmarks)/\w+\.py)(.*)$", text, re.M):
+        source = (ROOT / script).read_text()
+        for option in re.findall(r"--(\w+)", words):
+            common = script.startswith("benchmarks") and option in ("only", "quick")
+            assert common or option in source, (script, option)
 
 
 def test_links_lead_somewhere() -> None:
