@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import gc
 import itertools
+import signal
 import threading
 import time
 import traceback
@@ -206,6 +207,17 @@ def _no_garbage_in_threads() -> Iterator[None]:
         gc.unfreeze()
         if enabled:
             gc.enable()
+
+
+@contextmanager
+def _kept_handler() -> Iterator[None]:
+    """What Ctrl-C does is as before: gmsh sets it and does not always set it back."""
+    handler = signal.getsignal(signal.SIGINT)
+    try:
+        yield
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, handler)
 
 
 # --- the plan -------------------------------------------------------------------------------------
@@ -675,7 +687,8 @@ class _Worker:
         arrays = job.arrays
         try:
             if job.scene is not None:
-                structure, length = _build(job.scene, self._group, job.unit_loads)
+                with _kept_handler():
+                    structure, length = _build(job.scene, self._group, job.unit_loads)
                 arrays = _Arrays.of(structure, length)
                 answer.arrays = arrays if job.wanted else None
         except REFUSALS as error:
@@ -802,7 +815,7 @@ class _Manager:
             future.add_done_callback(self._arrived)
 
     def _take_back(self) -> _Job | None:
-        """A job that the executor has not begun, for rank 0, which has no other; at the end none."""
+        """A job that the executor has not begun, for rank 0, which has none; at the end none."""
         ending = self._stopped or self.error is not None
         for future, job in list(self._given.items()):
             if future.cancel() and not ending:
