@@ -708,10 +708,10 @@ class _Worker:
                     answer.solved.append((chunk, _solve_chunk(geometry, chunk)))
         except Exception:
             error_text = traceback.format_exc()
-        for solved, text in self._group.gather((answer.solved, error_text)) or ():
-            if solved is not answer.solved:
-                answer.solved = answer.solved + solved
-            answer.error = answer.error or text
+        parts = self._group.gather((answer.solved, error_text))
+        if parts is not None:
+            answer.solved = [item for solved, _ in parts for item in solved]
+            answer.error = next((text for _, text in parts if text is not None), None)
         answer.seconds = time.perf_counter() - started
         return answer
 

@@ -299,8 +299,13 @@ def test_a_complete_sweep_is_not_computed_again(
     chunks = []
     whole = sweep._solve_chunk
     monkeypatch.setattr(sweep, "_solve_chunk", lambda *given: chunks.append(given) or whole(*given))
+    written = []
+    write = sweep.SweepFile.write
+    monkeypatch.setattr(
+        sweep.SweepFile, "write", lambda *given: written.append(given[1]) or write(*given)
+    )
     assert_same(run_sweep(scene, path), first)
-    assert len(chunks) == 1
+    assert len(chunks) == 1 and written == [(slice(0, 2), 1)]
     monkeypatch.setattr(sweep, "prepare", None)
     assert_same(run_sweep(scene, path, progress=True), first)
 
