@@ -263,6 +263,8 @@ class _Plan:
         self._base = scene.replace({"sweep": None})
         self._axes = scene.sweep.over
         keys = [axis.key for axis in self._axes]
+        if scene.sweep.ranks > 1 and scene.reduction is None:  # on one rank too
+            self._base = self._base.replace({"reduction.method": "free_interface"})
         self.shape = shape_of(scene)
         self.unit_loads = any(f"excitation.{name}" in keys for name in FORCES)
         self.reduction_swept = "reduction.method" in keys
@@ -294,7 +296,9 @@ class _Plan:
                 case = self.case(index)
                 if not isinstance(case, str):
                     found = True
-                    key = case.mesh, case.crack and case.crack.length, case.geometry.width
+                    pairs = case.contact and case.contact.pairs
+                    length = case.crack and case.crack.length
+                    key = case.mesh, pairs, length, case.geometry.width
                     if key not in bounds:
                         bounds[key] = _most_pairs(case)
                     break

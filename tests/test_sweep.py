@@ -197,14 +197,14 @@ def test_crack_length_found_and_pairs_of_several_geometries(
     paper_scene: fc.Scene, tmp_path: Path
 ) -> None:
     """The waves of every geometry have its own pairs; a length follows from a frequency."""
-    over = {"mesh.lip_elements": [2, 4], "contact.pairs": ["all", "mouth"]}
+    over = {"mesh.lip_elements": [2, 4], "contact.pairs": ["mouth", "all"]}
     changes = GRADED | {"crack.length": None, "crack.first_omega": 2400.0}
     result = run_sweep(swept(paper_scene, over, changes), tmp_path / "sweep.h5")
     assert result.converged.all()
     pairs = [result.gap(number).shape[1] for number in range(4)]
-    assert pairs == [2, 1, 4, 1]
+    assert pairs == [1, 2, 1, 4]
     assert np.all((result["crack_length"] > 0.03) & (result["crack_length"] < 0.06))
-    solution = result.solution((1, 0))
+    solution = result.solution((1, 1))
     assert fc.solve_modes(solution.structure.whole, 1).omega[0] == pytest.approx(2400.0, rel=1e-3)
 
 
@@ -370,11 +370,12 @@ try:
     sweep.run_sweep(fc.Scene.load({str(tmp_path / "b.toml")!r}), {str(path)!r})
 except fc.InputError as error:
     print("refused", error.key, flush=True)
-whole = sweep._solve
-def broken(structure, case, last):
-    if comm.rank == 1 and case.excitation.omega > 2000.0:
+whole, calls = sweep._solve, []
+def broken(*given):
+    calls.append(given)
+    if comm.rank == 1 and len(calls) > 10:  # after its first chunk
         raise KeyError("unforeseen")
-    return whole(structure, case, last)
+    return whole(*given)
 sweep._solve = broken
 try:
     sweep.run_sweep(fc.Scene.load({str(tmp_path / "a.toml")!r}), {str(path)!r})
