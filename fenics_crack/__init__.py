@@ -33,12 +33,14 @@ from fenics_crack.integration import (
     stable_steps_per_period,
 )
 from fenics_crack.modes import Modes, solve_modes
+from fenics_crack.preparation import prepare
 from fenics_crack.reduction import ReducedStructure, reduce_structure
 from fenics_crack.refinement import refine_bifurcation
 from fenics_crack.scene import Scene
 from fenics_crack.solution import PeriodicSolution, Stability
 from fenics_crack.stability import floquet
 from fenics_crack.structure import ModalDamping, Structure
+from fenics_crack.sweep import SweepResult, run_sweep
 from fenics_crack.version import VERSION
 
 __all__ = [
@@ -59,6 +61,7 @@ __all__ = [
     "SmoothedPenalty",
     "Stability",
     "Structure",
+    "SweepResult",
     "TimeHistory",
     "UnilateralConstraint",
     "UnilateralPenalty",
@@ -74,8 +77,10 @@ __all__ = [
     "integrate_central_difference",
     "integrate_events",
     "integrate_implicit",
+    "prepare",
     "reduce_structure",
     "refine_bifurcation",
+    "run_sweep",
     "shoot",
     "solve_harmonic_balance",
     "solve_linear",

@@ -25,16 +25,15 @@ from fenics_crack.modes import Modes
 from fenics_crack.modes_file import save_modes
 from fenics_crack.parallel import on_root
 from fenics_crack.pictures import draw_run, draw_sweep
+from fenics_crack.preparation import law_of, with_crack_length
 from fenics_crack.report import Table
 from fenics_crack.run import (
     Run,
     find_modes,
     follow_curve,
     integrate,
-    law_of,
     load_run,
     solve,
-    with_crack_length,
 )
 from fenics_crack.scene import Integration, Scene
 from fenics_crack.solution import PeriodicSolution

@@ -10,12 +10,12 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.compliance import is_small
-from fenics_crack.contact import ContactLaw, UnilateralConstraint, contact_law
+from fenics_crack.contact import ContactLaw, UnilateralConstraint
 from fenics_crack.continuation import continue_frequency, continue_parameter
 from fenics_crack.curve import ResponseCurve
 from fenics_crack.errors import InputError
 from fenics_crack.events import integrate_events
-from fenics_crack.finite_elements import build_structure, find_crack_length
+from fenics_crack.finite_elements import build_structure
 from fenics_crack.harmonic_balance import solve_harmonic_balance, solve_linear
 from fenics_crack.implicit import integrate_implicit
 from fenics_crack.integration import (
@@ -26,7 +26,7 @@ from fenics_crack.integration import (
 from fenics_crack.modes import Modes, solve_modes
 from fenics_crack.modes_file import load_modes
 from fenics_crack.parallel import gather_rows
-from fenics_crack.reduction import reduce_structure
+from fenics_crack.preparation import law_of, prepare, with_crack_length
 from fenics_crack.scene import Integration, Scene
 from fenics_crack.solution import PeriodicSolution
 from fenics_crack.stability import floquet
@@ -38,11 +38,8 @@ __all__ = [
     "find_modes",
     "follow_curve",
     "integrate",
-    "law_of",
     "load_run",
-    "prepare",
     "solve",
-    "with_crack_length",
 ]
 
 RECORDED_PERIODS = 4
@@ -81,43 +78,6 @@ class Run:
     def watched_name(self) -> str:
         """Its name, for people (collective)."""
         return self.structure.dof_name(self.watched_dof)
-
-
-# --- structures -----------------------------------------------------------------------------------
-
-
-def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
-    """Return the scene with the length found from ``crack.first_omega``, if that is given."""
-    if scene.crack is None or scene.crack.first_omega is None:
-        return scene
-    length = find_crack_length(scene, comm)
-    return scene.replace({"crack.length": length, "crack.first_omega": None})
-
-
-def prepare(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
-    """Build the structure of a scene and reduce it as its table ``[reduction]`` says (collective).
-
-    Without the table a small structure on one rank is left as it is, any other is reduced.
-
-    Raises
-    ------
-    InputError
-        As :func:`build_structure` and :func:`reduce_structure`.
-    """
-    structure = build_structure(scene, comm)
-    table = scene.reduction
-    if table is None:
-        return structure if is_small(structure) else reduce_structure(structure)
-    if table.method == "none":
-        return structure
-    return reduce_structure(structure, modes=table.modes, method=table.method)
-
-
-def law_of(scene: Scene, structure: Structure) -> ContactLaw | UnilateralConstraint | None:
-    """The contact law of a scene's pairs; None where there are none."""
-    if structure.n_pairs == 0 or scene.contact is None:
-        return None
-    return contact_law(scene.contact, structure)
 
 
 def _needed_law(scene: Scene, structure: Structure) -> ContactLaw | UnilateralConstraint:

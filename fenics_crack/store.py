@@ -25,7 +25,15 @@ from fenics_crack.parallel import on_root
 from fenics_crack.scene import Scene
 from fenics_crack.version import VERSION
 
-__all__ = ["kind_of", "make_folder", "read_scene", "reading", "write", "write_header"]
+__all__ = [
+    "kind_of",
+    "make_folder",
+    "read_scene",
+    "reading",
+    "scene_text",
+    "write",
+    "write_header",
+]
 
 PROGRAM = "fenics_crack"
 
@@ -87,9 +95,14 @@ def write_header(file: h5py.File, kind: str, scene: Scene | None) -> None:
         f"SLEPc {SLEPc.Sys.getVersion()}, NumPy {np.__version__}"
     )
     if scene is not None:
-        if scene.mesh.file is not None:
-            scene = scene.replace({"mesh.file": str(Path(scene.mesh.file).absolute())})
-        file.attrs["scene"] = scene.as_toml()
+        file.attrs["scene"] = scene_text(scene)
+
+
+def scene_text(scene: Scene) -> str:
+    """The scene as it stands in a file: TOML, with the full path of its mesh."""
+    if scene.mesh.file is not None:
+        scene = scene.replace({"mesh.file": str(Path(scene.mesh.file).absolute())})
+    return scene.as_toml()
 
 
 @contextlib.contextmanager

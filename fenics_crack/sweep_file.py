@@ -178,16 +178,9 @@ def _make(path: Path, scene: Scene, harmonics: int, pairs: int) -> None:
 def _check(path: Path, scene: Scene) -> None:
     """Raise InputError unless a file is the sweep of a scene."""
     with _opened(path) as file:
-        same = file.attrs.get("scene") == _text(scene)
+        same = file.attrs.get("scene") == store.scene_text(scene)
     if not same:
         raise InputError("path", str(path), "the file of the same scene, or a new name")
-
-
-def _text(scene: Scene) -> str:
-    """The scene as :func:`fenics_crack.store.write_header` writes it."""
-    if scene.mesh.file is not None:
-        scene = scene.replace({"mesh.file": str(Path(scene.mesh.file).absolute())})
-    return scene.as_toml()
 
 
 def _opened(path: Path) -> h5py.File:

@@ -74,24 +74,34 @@ def test_breathing_plate(tmp_path: Path) -> None:
 @pytest.mark.mpi
 @pytest.mark.slow
 def test_sweep_over_two_ranks(mpirun: Callable[..., str], tmp_path: Path) -> None:
-    """Ranks share the frequencies; the table is whole, sorted, and right at 2000 rad/s."""
+    """Ranks share the cases; the table is whole and sorted, and a second run only draws."""
+    over = {"crack.length": [0.03, 0.05], "excitation.omega": [1600.0, 1800.0, 2000.0]}
     program = f"""
 import sys
 sys.path.insert(0, {str(DEMOS)!r})
+import dataclasses
 from pathlib import Path
-import numpy as np
+import fenics_crack as fc
 import sweep
-sweep.main(Path({str(tmp_path)!r}), np.arange(1800.0, 2201.0, 100.0))
+from fenics_crack.scene import Sweep
+scene = dataclasses.replace(
+    fc.Scene.load(sweep.SCENE), sweep=Sweep.from_mapping({{"over": {over!r}}})
+)
+sweep.main(Path({str(tmp_path)!r}), scene)
 """
-    mpirun(program, 2)
+    assert "6 of 6 cases converged" in mpirun(program, 2)
     with open(tmp_path / "table.csv", newline="") as file:
         table = list(csv.DictReader(file))
-    assert [float(row["omega_rad_per_s"]) for row in table] == [1800, 1900, 2000, 2100, 2200]
-    assert all(row["converged"] == "True" for row in table)
-    assert float(table[2]["opening_m"]) == pytest.approx(1.4347e-6, rel=1e-3)  # VERIFICATION I
-    assert (tmp_path / "response.png").exists()
-    amplitudes = np.array([float(row["corner_m"]) for row in table])
-    assert np.all(np.diff(amplitudes) > 0.0)  # towards the resonance
+    assert [float(row["excitation.omega [rad/s]"]) for row in table] == 2 * [1600, 1800, 2000]
+    response = np.array([float(row["response [m]"]) for row in table]).reshape(2, 3)
+    assert np.all(np.diff(response, axis=0) > 0.0)  # a longer crack is softer
+    assert np.all(np.diff(response, axis=1) > 0.0)  # towards the resonance
+    for name in ("response.png", "map.png"):
+        assert (tmp_path / name).stat().st_size > 10_000
+        (tmp_path / name).unlink()
+    before = (tmp_path / "table.csv").read_bytes()
+    mpirun(program, 2)
+    assert (tmp_path / "table.csv").read_bytes() == before and (tmp_path / "map.png").exists()
 
 
 @pytest.mark.slow
