@@ -35,6 +35,8 @@ from fenics_crack.scene import Scene
 
 __all__ = ["PlateMesh", "build_mesh", "write_msh"]
 
+MOST_CELLS = 5_000_000
+"""Of a plate; a mesh file may have any number."""
 _GROUPS = {"plate": 1, "clamp": 2, "lower_lip": 3, "upper_lip": 4, "load": 5}
 
 
@@ -96,6 +98,7 @@ def _gmsh_on_root(comm: MPI.Comm) -> Iterator[None]:
     if started:
         gmsh.initialize(readConfigFiles=False)
     gmsh.option.setNumber("General.Terminal", 0)
+    gmsh.option.setNumber("General.ExpertMode", 1)  # it must not ask, nobody may be there
     gmsh.model.add("fenics_crack")
     try:
         yield
@@ -129,6 +132,11 @@ def _draw(scene: Scene) -> None:
         rows = [(0.0, height, *_division(scene, height, scene.mesh.rows))]
     else:
         columns, rows = _crack_divisions(scene)
+    cells = math.prod(sum(interval[2] for interval in side) for side in (columns, rows))
+    if cells > MOST_CELLS:
+        key = "columns" if scene.mesh.layout == "grid" else "size"
+        allowed = f"so that there are fewer cells: {cells:.2g} are more than {MOST_CELLS:.0e}"
+        raise InputError(f"mesh.{key}", getattr(scene.mesh, key), allowed)
     mirrored = crack is not None and crack.edge == "right"
 
     def position(x: float, y: float) -> tuple[float, float]:

@@ -96,7 +96,7 @@ def floquet(
     largest = float(np.abs(multipliers[0]))
     wider = flow.multipliers(_wider(structure, solution, contact), solution.base_omega)
     hill = _hill(structure, solution, contact, multipliers[0])
-    known = np.array([largest, abs(wider[0]), abs(hill)])
+    known = np.abs(np.array([largest, wider[0], hill]))
     verdict = "undecided"
     if np.all(known < 1.0 - 1e-9):
         verdict = "stable"

@@ -18,6 +18,7 @@ import numpy as np
 from fenics_crack.errors import InputError
 
 __all__ = [
+    "OR_ZERO",
     "Axis",
     "Table",
     "Vector",
@@ -36,6 +37,10 @@ __all__ = [
 ]
 
 Vector = tuple[float, float]
+SMALLEST, LARGEST = 1e-30, 1e30
+"""Sizes of the numbers of a scene: their products and squares must not leave floating point."""
+SIZES = f"{SMALLEST:g} to {LARGEST:g}"
+OR_ZERO = f"(0, or of size {SIZES})"
 
 
 # --- what a key may hold --------------------------------------------------------------------------
@@ -49,9 +54,11 @@ def boolean(value: object) -> bool:
 
 
 def real(value: object) -> float:
-    """A finite number."""
+    """A number that is zero or of a size that can be computed with."""
     if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
         raise TypeError
+    if value != 0 and not SMALLEST <= abs(value) <= LARGEST:
+        raise OverflowError
     return float(value)
 
 
@@ -73,7 +80,7 @@ def text(value: object) -> str:
 
 
 def vector(value: object) -> Vector:
-    """Two finite numbers."""
+    """Two numbers."""
     if not isinstance(value, list | tuple) or len(value) != 2:
         raise TypeError
     return real(value[0]), real(value[1])
@@ -157,7 +164,7 @@ def holds(
 
 def positive(default: Any = MISSING) -> Any:
     """Field of a number > 0."""
-    return holds(real, "a finite number > 0", lambda value: value > 0, default)
+    return holds(real, f"a finite number > 0 ({SIZES})", lambda value: value > 0, default)
 
 
 def at_least_one(default: Any = MISSING) -> Any:
