@@ -98,7 +98,7 @@ def _changes(given: Sequence[str]) -> dict[str, Any]:
         value = value.strip()
         try:
             parsed = tomllib.loads(f"value = {value}")["value"]
-        except tomllib.TOMLDecodeError:
+        except (ValueError, RecursionError):
             parsed = None if value == "none" else value
         changes[key.strip()] = parsed
     return changes

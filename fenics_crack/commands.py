@@ -195,7 +195,7 @@ def solution(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) -> in
     if not found.converged:
         console.warn(f"not converged: {found.status}")
         return NOT_CONVERGED
-    if found.report.total > LARGE_ERROR:
+    if not found.report.total <= LARGE_ERROR:
         console.warn(
             f"the estimated error is {found.report.total:.2g} of the gap: more harmonics "
             "(harmonic_balance.harmonics) or more modes (reduction.modes) are needed"

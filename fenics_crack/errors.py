@@ -8,9 +8,12 @@ from numbers import Integral, Real
 
 __all__ = ["ConvergenceError", "InputError", "check_count", "check_number", "check_omega"]
 
+LONGEST_VALUE = 1000
+"""Characters of a value that are shown."""
+
 
 class InputError(ValueError):
-    """A value that cannot be used: names the key, the value and what is allowed.
+    """A value that cannot be used: names the key, the value and what is allowed, in one line.
 
     Attributes
     ----------
@@ -29,7 +32,15 @@ class InputError(ValueError):
         self.allowed = allowed
 
     def __str__(self) -> str:
-        return f"{self.key} = {self.value!r}: must be {self.allowed}"
+        key = self.key if self.key.isprintable() else repr(self.key)
+        try:
+            value = repr(self.value)
+        except (ValueError, RecursionError):  # a number of thousands of digits, or such a nest
+            value = f"({type(self.value).__name__} too long to be shown)"
+        if len(value) > LONGEST_VALUE:
+            value = f"{value[:LONGEST_VALUE]}..."
+        text = f"{key} = {value}: must be {self.allowed}"
+        return text if text.isprintable() else " ".join(text.split())
 
 
 class ConvergenceError(RuntimeError):

@@ -17,7 +17,10 @@ and makes the uniform grid of the paper a special case. gmsh runs on rank 0 only
 
 from __future__ import annotations
 
+import faulthandler
 import math
+import os
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -37,6 +40,14 @@ __all__ = ["PlateMesh", "build_mesh", "write_msh"]
 
 MOST_CELLS = 5_000_000
 """Of a plate; a mesh file may have any number."""
+SMALLEST_CELL = 1e-7
+"""Relative to the plate; gmsh and the elements' matrices need it."""
+FARTHEST = 1e6
+"""A node of a mesh file [m]."""
+LONGEST_READING = 300
+"""Of a mesh file by gmsh [s]."""
+_EDGES = {2: 1, 3: 1, 9: 8, 10: 8, 21: 26, 36: 26}
+"""gmsh's kinds of cells that DOLFINx reads, and of their edges, order by order."""
 _GROUPS = {"plate": 1, "clamp": 2, "lower_lip": 3, "upper_lip": 4, "load": 5}
 
 
@@ -223,6 +234,9 @@ def _crack_divisions(scene: Scene) -> tuple[list[Interval], list[Interval]]:
         ratio = mesh.grading ** (-1.0 / max(mesh.lip_elements - 1, 1))
         shares = ratio ** np.arange(mesh.lip_elements)
         tip_size = length * shares[-1] / shares.sum()
+        if tip_size < SMALLEST_CELL * max(width, height):
+            allowed = f"smaller, for this crack: the element at its tip is only {tip_size:.1g} m"
+            raise InputError("mesh.grading", mesh.grading, allowed)
         lip = mesh.lip_elements, ratio
         ligament = _graded(width - length, tip_size, mesh.size)
         count, growth = _graded(level, tip_size, mesh.size)
@@ -257,23 +271,76 @@ def _read(path: Path) -> None:
     """Merge a mesh file into the current model and check that it is one of ours."""
     if not path.is_file():
         raise InputError("mesh.file", str(path), "an existing gmsh mesh file")
-    try:
-        gmsh.merge(str(path))
-    except Exception as error:  # gmsh raises nothing more specific
-        raise InputError("mesh.file", str(path), f"readable by gmsh ({error})") from None
-    if len(set(gmsh.model.mesh.getNodes()[1][2::3])) > 1:
-        raise InputError("mesh.file", str(path), "a plane mesh, z the same at every node")
-    kinds = set()
-    for _, group in gmsh.model.getPhysicalGroups(2):
-        for entity in gmsh.model.getEntitiesForPhysicalGroup(2, group):
-            kinds |= set(gmsh.model.mesh.getElementTypes(2, entity))
-    if len(kinds) != 1:
+    problem = _trouble_with(path)
+    if problem:
+        raise InputError("mesh.file", str(path), f"readable by gmsh ({problem})")
+    gmsh.merge(str(path))
+    positions = gmsh.model.mesh.getNodes()[1]
+    flat = len(positions) > 0 and np.ptp(positions[2::3]) == 0.0
+    if not flat or not np.all(np.abs(positions) < FARTHEST):
+        allowed = f"a plane mesh, z the same at every node, within {FARTHEST:g} m of the origin"
+        raise InputError("mesh.file", str(path), allowed)
+    kinds, nodes = _elements(2)
+    if len(kinds) != 1 or not kinds <= set(_EDGES):
         raise InputError(
             "mesh.file",
             str(path),
             "a mesh whose physical surfaces hold one kind of cells, triangles or quadrilaterals"
             f" (it holds {len(kinds)} kinds)",
         )
+    edge_kinds, edge_nodes = _elements(1)
+    if edge_kinds - {_EDGES[kinds.pop()]} or edge_nodes - nodes or gmsh.model.getPhysicalGroups(3):
+        allowed = "a mesh whose physical curves hold edges of its cells, without physical volumes"
+        raise InputError("mesh.file", str(path), allowed)
+    if 3 * len(nodes) != len(positions):  # DOLFINx would crash
+        allowed = f"a mesh whose nodes all belong to its physical surfaces ({len(nodes)} do)"
+        raise InputError("mesh.file", str(path), allowed)
+
+
+def _elements(dimension: int) -> tuple[set[int], set[int]]:
+    """gmsh's numbers for the kinds of elements in the physical groups, and their nodes.
+
+    An entity without elements is of kind -1.
+    """
+    kinds: set[int] = set()
+    nodes: set[int] = set()
+    for _, group in gmsh.model.getPhysicalGroups(dimension):
+        for entity in gmsh.model.getEntitiesForPhysicalGroup(dimension, group):
+            found, _, at = gmsh.model.mesh.getElements(dimension, entity)
+            kinds |= set(map(int, found)) or {-1}
+            nodes = nodes.union(*map(np.ndarray.tolist, at))
+    return kinds, nodes
+
+
+def _trouble_with(path: Path) -> str:
+    """What gmsh says against a file, which a child process asks: a damaged one may crash it."""
+    answer, question = os.pipe()
+    child = os.fork()
+    if child:
+        os.close(question)
+        with os.fdopen(answer, "rb") as pipe:
+            text = pipe.read().decode(errors="replace")
+        status = os.waitpid(child, 0)[1]
+        return text or ("it crashes or does not end" if status else "")
+    try:
+        faulthandler.disable()
+        for number in (signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGABRT):
+            signal.signal(number, signal.SIG_DFL)  # PETSc's would end all ranks
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(LONGEST_READING)
+        silent = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(silent, 1)
+        os.dup2(silent, 2)
+        gmsh.merge(str(path))
+        gmsh.model.mesh.renumberNodes()
+        for dimension, tag in gmsh.model.getPhysicalGroups():
+            gmsh.model.getPhysicalName(dimension, tag)
+        gmsh.finalize()
+        os._exit(0)
+    except Exception as error:  # gmsh raises nothing more specific
+        os.write(question, str(error).encode() or b"no reason given")
+    finally:
+        os._exit(1)
 
 
 def _named_groups(file: str) -> tuple[dict[str, int], tuple[float, float] | None]:

@@ -451,7 +451,7 @@ class Scene:
             text = Path(path).read_text(encoding="utf-8")
         except OSError as error:
             raise InputError("scene", str(path), f"a readable file ({error.strerror})") from None
-        except UnicodeDecodeError as error:
+        except ValueError as error:
             raise InputError("scene", str(path), f"a TOML file ({error})") from None
         return cls.from_text(text, str(path), Path(path).parent)
 
@@ -460,7 +460,7 @@ class Scene:
         """Make a scene from the text of a TOML file, which errors call ``name``."""
         try:
             tables = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
+        except (ValueError, RecursionError) as error:  # a nest too deep, a number too long
             raise InputError("scene", name, f"a TOML file ({error})") from None
         return cls.from_mapping(tables, folder)
 

@@ -57,9 +57,10 @@ def real(value: object) -> float:
     """A number that is zero or of a size that can be computed with."""
     if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
         raise TypeError
-    if value != 0 and not SMALLEST <= abs(value) <= LARGEST:
+    number = float(value)
+    if value != 0 and not SMALLEST <= abs(number) <= LARGEST:
         raise OverflowError
-    return float(value)
+    return number
 
 
 def integer(value: object) -> int:
@@ -73,8 +74,8 @@ def integer(value: object) -> int:
 
 
 def text(value: object) -> str:
-    """A string."""
-    if not isinstance(value, str):
+    """A string that a file can hold."""
+    if not isinstance(value, str) or any("\ud800" <= c <= "\udfff" for c in value):
         raise TypeError
     return value
 
@@ -177,6 +178,11 @@ def choice(*words: str, default: Any = MISSING) -> Any:
     return holds(text, "one of " + ", ".join(map(repr, words)), lambda v: v in words, default)
 
 
+def _as_toml(value: object) -> str:
+    """What JSON and TOML write alike; neither DEL nor half a character may stand in TOML."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
 class Table:
     """A table of the scene: checks each of its keys when it is made."""
 
@@ -222,9 +228,9 @@ class Table:
             value = getattr(self, name)
             if isinstance(value, tuple) and value and isinstance(value[0], Axis):
                 after = ["", f"[{self.name_of(name)}]"]
-                after += [f"{json.dumps(a.key)} = {json.dumps(a.values)}" for a in value]
+                after += [f"{_as_toml(a.key)} = {_as_toml(a.values)}" for a in value]
             elif value != item.default:
-                lines.append(f"{name} = {json.dumps(value)}")
+                lines.append(f"{name} = {_as_toml(value)}")
         return "\n".join([*lines, *after, ""])
 
     def require(self, condition: bool, key: str, allowed: str) -> None:
