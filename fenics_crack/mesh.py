@@ -20,6 +20,7 @@ from __future__ import annotations
 import faulthandler
 import math
 import os
+import pickle
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -46,8 +47,9 @@ FARTHEST = 1e6
 """A node of a mesh file [m]."""
 LONGEST_READING = 300
 """Of a mesh file by gmsh [s]."""
+_POINT = 15
 _EDGES = {2: 1, 3: 1, 9: 8, 10: 8, 21: 26, 36: 26}
-"""gmsh's kinds of cells that DOLFINx reads, and of their edges, order by order."""
+"""gmsh's kinds of cells that DOLFINx reads, and of their edges, order by order; and of points."""
 _GROUPS = {"plate": 1, "clamp": 2, "lower_lip": 3, "upper_lip": 4, "load": 5}
 
 
@@ -268,19 +270,18 @@ def _curve(start: int, end: int, elements: int, progression: float) -> int:
 
 
 def _read(path: Path) -> None:
-    """Merge a mesh file into the current model and check that it is one of ours."""
+    """Fill the current model with what a mesh file holds, if it is one of ours."""
     if not path.is_file():
         raise InputError("mesh.file", str(path), "an existing gmsh mesh file")
-    problem = _trouble_with(path)
-    if problem:
-        raise InputError("mesh.file", str(path), f"readable by gmsh ({problem})")
-    gmsh.merge(str(path))
-    positions = gmsh.model.mesh.getNodes()[1]
-    flat = len(positions) > 0 and np.ptp(positions[2::3]) == 0.0
+    found = _read_by_child(path)
+    if isinstance(found, str):
+        raise InputError("mesh.file", str(path), f"readable by gmsh ({found})")
+    numbers, positions, groups = found
+    flat = len(positions) > 0 and np.ptp(positions[:, 2]) == 0.0
     if not flat or not np.all(np.abs(positions) < FARTHEST):
         allowed = f"a plane mesh, z the same at every node, within {FARTHEST:g} m of the origin"
         raise InputError("mesh.file", str(path), allowed)
-    kinds, nodes = _elements(2)
+    kinds = {kind for dimension, _, _, kind, _ in groups if dimension == 2}
     if len(kinds) != 1 or not kinds <= set(_EDGES):
         raise InputError(
             "mesh.file",
@@ -288,40 +289,53 @@ def _read(path: Path) -> None:
             "a mesh whose physical surfaces hold one kind of cells, triangles or quadrilaterals"
             f" (it holds {len(kinds)} kinds)",
         )
-    edge_kinds, edge_nodes = _elements(1)
-    if edge_kinds - {_EDGES[kinds.pop()]} or edge_nodes - nodes or gmsh.model.getPhysicalGroups(3):
-        allowed = "a mesh whose physical curves hold edges of its cells, without physical volumes"
+    cells = np.concatenate([nodes for dimension, *_, nodes in groups if dimension == 2])
+    used = np.isin(numbers, cells)
+    known = np.isin(cells, numbers).all()
+    expected = {0: _POINT, 1: _EDGES[kinds.pop()]}
+    for dimension, _, _, kind, nodes in groups:
+        if dimension != 2:
+            known &= kind == expected.get(dimension) and np.isin(nodes, cells).all()
+    if not known or len(np.unique(numbers)) != len(numbers):
+        allowed = "a mesh whose physical curves and points hold edges and corners of its cells"
         raise InputError("mesh.file", str(path), allowed)
-    if 3 * len(nodes) != len(positions):  # DOLFINx would crash
-        allowed = f"a mesh whose nodes all belong to its physical surfaces ({len(nodes)} do)"
-        raise InputError("mesh.file", str(path), allowed)
+    _fill(numbers[used], positions[used], groups)
 
 
-def _elements(dimension: int) -> tuple[set[int], set[int]]:
-    """gmsh's numbers for the kinds of elements in the physical groups, and their nodes.
+_Group = tuple[int, int, str, int, np.ndarray]
+"""Dimension, tag and name, and elements of one kind: gmsh's number of it and the nodes."""
 
-    An entity without elements is of kind -1.
+
+def _fill(numbers: np.ndarray, positions: np.ndarray, groups: list[_Group]) -> None:
+    """Put nodes and the elements of physical groups into the current model."""
+    model = gmsh.model
+    holder = model.addDiscreteEntity(2)
+    model.mesh.addNodes(2, holder, numbers, positions.ravel())
+    entities: dict[tuple[int, int], list[int]] = {}
+    names = {}
+    for dimension, tag, name, kind, nodes in groups:
+        entity = model.addDiscreteEntity(dimension)
+        model.mesh.addElementsByType(entity, kind, [], nodes)
+        entities.setdefault((dimension, tag), []).append(entity)
+        names[dimension, tag] = name
+    for (dimension, tag), tags in entities.items():
+        model.addPhysicalGroup(dimension, tags, tag)
+        model.setPhysicalName(dimension, tag, names[dimension, tag])
+
+
+def _read_by_child(path: Path) -> tuple[np.ndarray, np.ndarray, list[_Group]] | str:
+    """Numbers and positions of a file's nodes and its groups, or what gmsh says against it.
+
+    A child process reads it: a damaged file may crash gmsh, or spoil the memory it works in.
     """
-    kinds: set[int] = set()
-    nodes: set[int] = set()
-    for _, group in gmsh.model.getPhysicalGroups(dimension):
-        for entity in gmsh.model.getEntitiesForPhysicalGroup(dimension, group):
-            found, _, at = gmsh.model.mesh.getElements(dimension, entity)
-            kinds |= set(map(int, found)) or {-1}
-            nodes = nodes.union(*map(np.ndarray.tolist, at))
-    return kinds, nodes
-
-
-def _trouble_with(path: Path) -> str:
-    """What gmsh says against a file, which a child process asks: a damaged one may crash it."""
-    answer, question = os.pipe()
+    out, into = os.pipe()
     child = os.fork()
     if child:
-        os.close(question)
-        with os.fdopen(answer, "rb") as pipe:
-            text = pipe.read().decode(errors="replace")
-        status = os.waitpid(child, 0)[1]
-        return text or ("it crashes or does not end" if status else "")
+        os.close(into)
+        with os.fdopen(out, "rb") as pipe:
+            answer = pipe.read()
+        crashed = os.waitpid(child, 0)[1] != 0
+        return "it crashes or does not end" if crashed else pickle.loads(answer)
     try:
         faulthandler.disable()
         for number in (signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGABRT):
@@ -331,30 +345,45 @@ def _trouble_with(path: Path) -> str:
         silent = os.open(os.devnull, os.O_WRONLY)
         os.dup2(silent, 1)
         os.dup2(silent, 2)
-        gmsh.merge(str(path))
-        gmsh.model.mesh.renumberNodes()
-        for dimension, tag in gmsh.model.getPhysicalGroups():
-            gmsh.model.getPhysicalName(dimension, tag)
-        gmsh.finalize()
+        found: Any = None
+        try:
+            gmsh.merge(str(path))
+            numbers, positions, _ = gmsh.model.mesh.getNodes()
+            found = numbers, positions.reshape(-1, 3), list(_groups())
+        except Exception as error:  # gmsh raises nothing more specific
+            found = str(error) or "no reason given"
+        with os.fdopen(into, "wb") as pipe:
+            pipe.write(pickle.dumps(found))
         os._exit(0)
-    except Exception as error:  # gmsh raises nothing more specific
-        os.write(question, str(error).encode() or b"no reason given")
     finally:
         os._exit(1)
 
 
+def _groups() -> Iterator[_Group]:
+    """The physical groups of the current model."""
+    for dimension, tag in gmsh.model.getPhysicalGroups():
+        name = gmsh.model.getPhysicalName(dimension, tag)
+        for entity in gmsh.model.getEntitiesForPhysicalGroup(dimension, tag):
+            kinds, _, nodes = gmsh.model.mesh.getElements(dimension, entity)
+            for kind, own in zip(kinds, nodes, strict=True):
+                yield dimension, tag, name, int(kind), own
+
+
 def _named_groups(file: str) -> tuple[dict[str, int], tuple[float, float] | None]:
     """Facet tags by name, and the position of the physical point ``load``."""
-    groups, load_point = {}, None
+    groups: dict[str, int] = {}
+    load_point = None
     for dimension, tag in gmsh.model.getPhysicalGroups():
         name = gmsh.model.getPhysicalName(dimension, tag)
         if dimension == 1 and name in _GROUPS:
             groups[name] = tag
         elif dimension == 0 and name == "load":
-            points = gmsh.model.mesh.getNodesForPhysicalGroup(0, tag)[1].reshape(-1, 3)
-            if len(points) != 1:
+            entities = gmsh.model.getEntitiesForPhysicalGroup(0, tag)
+            nodes = [n for entity in entities for n in gmsh.model.mesh.getElements(0, entity)[2][0]]
+            if len(nodes) != 1:
                 raise InputError("mesh.file", file, "a mesh with one point in the group 'load'")
-            load_point = (float(points[0, 0]), float(points[0, 1]))
+            x, y, _ = gmsh.model.mesh.getNode(nodes[0])[0]
+            load_point = (float(x), float(y))
     if "clamp" not in groups:
         raise InputError("mesh.file", file, "a mesh with a physical curve named 'clamp'")
     if ("lower_lip" in groups) != ("upper_lip" in groups):

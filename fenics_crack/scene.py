@@ -51,6 +51,7 @@ __all__ = [
     "Sweep",
 ]
 
+MOST_SAMPLES = 2**20
 EXTENT = "a number from 1e-6 to 1e6"
 FORCE = f"[fx, fy], two finite numbers {OR_ZERO}"
 STEEPEST, THINNEST = 1e6, 1e4
@@ -186,9 +187,9 @@ class HarmonicBalance(Table):
         super().__post_init__()
         least = 4 * self.harmonics + 1
         self.require(
-            self.samples is None or self.samples >= least,
+            self.samples is None or least <= self.samples <= MOST_SAMPLES,
             "samples",
-            f"a whole number >= {least} (4 harmonics + 1) or left out",
+            f"a whole number from {least} (4 harmonics + 1) to {MOST_SAMPLES}, or left out",
         )
 
 
