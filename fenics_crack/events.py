@@ -305,6 +305,8 @@ class EventFlow:
                     continue
                 own_gap, own_slope = partial(gap, pair), partial(slope, pair)
                 if not crosses[pair, cell]:
+                    if not own_slope(low) > 0.0 > own_slope(high):
+                        continue  # but for rounding
                     high = scipy.optimize.brentq(own_slope, low, high)
                     if own_gap(high) <= rounding[pair]:
                         continue
@@ -325,6 +327,8 @@ def _root(gap: Callable[[float], float], low: float, high: float) -> float:
     """Root of a gap that is inside at ``low`` and outside at ``high``."""
     if gap(low) >= 0.0:
         return low
+    if gap(high) <= 0.0:  # but for rounding
+        return high
     return float(scipy.optimize.brentq(gap, low, high, xtol=1e-18, rtol=1e-14))
 
 

@@ -47,7 +47,7 @@ FARTHEST = 1e6
 """A node of a mesh file [m]."""
 LONGEST_READING = 300
 """Of a mesh file by gmsh [s]."""
-_POINT = 15
+_POINT, _TRIANGLES = 15, (2, 9, 21)
 _EDGES = {2: 1, 3: 1, 9: 8, 10: 8, 21: 26, 36: 26}
 """gmsh's kinds of cells that DOLFINx reads, and of their edges, order by order; and of points."""
 _GROUPS = {"plate": 1, "clamp": 2, "lower_lip": 3, "upper_lip": 4, "load": 5}
@@ -289,17 +289,36 @@ def _read(path: Path) -> None:
             "a mesh whose physical surfaces hold one kind of cells, triangles or quadrilaterals"
             f" (it holds {len(kinds)} kinds)",
         )
-    cells = np.concatenate([nodes for dimension, *_, nodes in groups if dimension == 2])
-    used = np.isin(numbers, cells)
-    known = np.isin(cells, numbers).all()
-    expected = {0: _POINT, 1: _EDGES[kinds.pop()]}
-    for dimension, _, _, kind, nodes in groups:
-        if dimension != 2:
-            known &= kind == expected.get(dimension) and np.isin(nodes, cells).all()
-    if not known or len(np.unique(numbers)) != len(numbers):
+    kind = kinds.pop()
+    cells = _cells(kind, [nodes for dimension, *_, nodes in groups if dimension == 2])
+    if not _is_sound(kind, cells) or not np.isin(cells, numbers).all():
+        allowed = "a mesh whose cells have different corners, and at most two of them an edge"
+        raise InputError("mesh.file", str(path), allowed)
+    expected = {0: _POINT, 1: _EDGES[kind]}
+    parts = [group for group in groups if group[0] != 2]
+    if not all(k == expected.get(d) and np.isin(nodes, cells).all() for d, *_, k, nodes in parts):
         allowed = "a mesh whose physical curves and points hold edges and corners of its cells"
         raise InputError("mesh.file", str(path), allowed)
-    _fill(numbers[used], positions[used], groups)
+    numbers, first = np.unique(numbers, return_index=True)
+    used = np.isin(numbers, cells)
+    plate = (2, 1, "plate", kind, cells.ravel())
+    _fill(numbers[used], positions[first[used]], [plate, *parts])
+
+
+def _cells(kind: int, nodes: list[np.ndarray]) -> np.ndarray:
+    """Cells and their nodes, each cell once: a surface may be in several groups."""
+    cells = np.concatenate(nodes).reshape(-1, gmsh.model.mesh.getElementProperties(kind)[3])
+    return cells[np.sort(np.unique(np.sort(cells, axis=1), axis=0, return_index=True)[1])]
+
+
+def _is_sound(kind: int, cells: np.ndarray) -> bool:
+    """Whether no cell has a node twice, and no edge belongs to three cells."""
+    ordered = np.sort(cells, axis=1)
+    if np.any(ordered[:, 1:] == ordered[:, :-1]):
+        return False
+    corners = cells[:, : 3 if kind in _TRIANGLES else 4]
+    edges = np.stack([corners, np.roll(corners, 1, axis=1)], axis=2).reshape(-1, 2)
+    return int(np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)[1].max()) <= 2
 
 
 _Group = tuple[int, int, str, int, np.ndarray]
