@@ -240,6 +240,7 @@ def wild_scene(rng: random.Random) -> dict[str, Any]:
         cell = max(width, height) * rng.choice([0.3, 0.5, 1.0, 10.0])
         layout = {"layout": "graded", "size": cell, "lip_elements": rng.randint(1, 3)}
         layout["grading"] = rng.choice([1.0, 3.0, 3.0, 1e6])
+        tables["damping"]["modes"] = rng.choice([1, 3, 100_000])  # there may be many cells
         length = rng.choice([0.4, rng.random(), 1e-9, 1e-4, 1.0 - 1e-4, 0.999])
         level = rng.choice([0.5, rng.random(), 1e-9, 1e-4, 1.0 - 1e-4])
     cells = rng.choice(["triangle", "quadrilateral"])
