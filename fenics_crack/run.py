@@ -10,7 +10,13 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.compliance import is_small
-from fenics_crack.contact import ContactLaw, SmoothedPenalty, UnilateralConstraint, contact_law
+from fenics_crack.contact import (
+    ContactLaw,
+    SmoothedPenalty,
+    UnilateralConstraint,
+    UnilateralPenalty,
+    contact_law,
+)
 from fenics_crack.continuation import continue_frequency, continue_parameter
 from fenics_crack.curve import ResponseCurve
 from fenics_crack.errors import InputError
@@ -208,8 +214,9 @@ def integrate(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: bool =
     }
     steps = table.steps_per_period
     if table.method == "events":
-        if isinstance(law, UnilateralConstraint):
-            raise InputError("contact.law", "constraint", "'penalty' with that integration.method")
+        if not isinstance(law, UnilateralPenalty):
+            name = scene.contact and scene.contact.law
+            raise InputError("contact.law", name, "'penalty' with integration.method = 'events'")
         history = integrate_events(structure, omega, law, steps_per_period=steps or 256, **options)
     elif table.method == "implicit":
         history = integrate_implicit(
