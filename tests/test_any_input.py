@@ -143,7 +143,7 @@ def loads_or_refuses(text: str) -> None:
     assert Scene.from_text(scene.as_toml()) == scene
 
 
-@examples(5000)
+@examples(8000)
 @given(SEEDS)
 def test_changed_scene_text(seed: int) -> None:
     """Mutated scene files load, and survive being written, or are refused."""
@@ -389,7 +389,7 @@ def test_changed_mesh_files(tmp_path: Path) -> None:
     write_msh(Scene.from_mapping(TINY), tmp_path / "good.msh")
     program = (
         "from pathlib import Path\nfrom test_any_input import solve_changed_meshes\n"
-        f"solve_changed_meshes(Path({str(tmp_path)!r}), 0, 150)\n"
+        f"solve_changed_meshes(Path({str(tmp_path)!r}), 0, 300)\n"
     )
     search = os.pathsep.join([str(ROOT / "tests"), str(ROOT), os.environ.get("PYTHONPATH", "")])
     done = subprocess.run(
@@ -398,7 +398,7 @@ def test_changed_mesh_files(tmp_path: Path) -> None:
     )  # fmt: skip
     seeds = done.stdout.split()
     assert done.returncode == 0, f"seed {seeds[-1:]}\n{done.stderr[-3000:]}"
-    assert len(seeds) == 150
+    assert len(seeds) == 300
 
 
 def test_a_surface_in_two_groups(tmp_path: Path) -> None:
@@ -591,7 +591,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-@examples(100)
+@examples(200)
 @given(SEEDS)
 def test_wild_scenes_through_the_program(folder: Path, seed: int) -> None:
     """The same scenes as files."""
