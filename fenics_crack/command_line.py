@@ -23,6 +23,22 @@ from fenics_crack.version import VERSION
 __all__ = ["main", "parser"]
 
 BAD_INPUT, BROKEN, INTERRUPTED = 2, 1, 130
+KEYS = {
+    "contact stiffness": "contact.stiffness",
+    "count": "--count",
+    "damping modes": "damping.modes",
+    "damping ratio": "damping.ratio",
+    "harmonics": "harmonic_balance.harmonics",
+    "modes": "reduction.modes",
+    "omega": "excitation.omega",
+    "parameter": "curve.parameter",
+    "end": "curve.stop",
+    "samples": "harmonic_balance.samples",
+    "start": "curve.start",
+    "start, end": "curve.start, curve.stop",
+    "steps_per_period": "integration.steps_per_period",
+}
+"""Arguments of the library as they are called in a scene."""
 EPILOG = """\
 Start with:
 
@@ -47,7 +63,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return _run(parser().parse_args(arguments), comm)
     except InputError as error:
-        print(f"fenics-crack: {error}", file=sys.stderr)
+        named = InputError(KEYS.get(error.key, error.key), error.value, error.allowed)
+        print(f"fenics-crack: {named}", file=sys.stderr)
         return BAD_INPUT
     except ConvergenceError as error:
         print(f"fenics-crack: did not converge: {error}", file=sys.stderr)
@@ -99,7 +116,7 @@ def _changes(given: Sequence[str]) -> dict[str, Any]:
         value = value.strip()
         try:
             parsed = tomllib.loads(f"value = {value}")["value"]
-        except tomllib.TOMLDecodeError:
+        except (ValueError, RecursionError):
             parsed = None if value == "none" else value
         changes[key.strip()] = parsed
     return changes

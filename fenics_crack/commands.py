@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.compliance import is_small
 from fenics_crack.contact import UnilateralConstraint
 from fenics_crack.curve import ResponseCurve
 from fenics_crack.errors import InputError
@@ -25,7 +24,7 @@ from fenics_crack.modes import Modes
 from fenics_crack.modes_file import save_modes
 from fenics_crack.parallel import on_root
 from fenics_crack.pictures import draw_run, draw_sweep
-from fenics_crack.preparation import law_of, with_crack_length
+from fenics_crack.preparation import law_of, reduction_of, with_crack_length
 from fenics_crack.report import Table
 from fenics_crack.run import (
     Run,
@@ -157,12 +156,10 @@ def check(scene: Scene, console: Console, comm: MPI.Comm) -> int:
 
 
 def _how_solved(scene: Scene, whole: Structure) -> str:
-    table = scene.reduction
+    table = reduction_of(scene, whole)
     if table is None:
-        return "as it is" if is_small(whole) else "reduced, by default"
-    if table.method == "none":
         return "as it is"
-    return f"reduced, {table.method}" + (f", {table.modes} modes" if table.modes else "")
+    return f"reduced, {table.method}, {table.modes or scene.damping.modes} modes"
 
 
 # --- results --------------------------------------------------------------------------------------
@@ -199,7 +196,7 @@ def solution(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) -> in
     if not found.converged:
         console.warn(f"not converged: {found.status}")
         return NOT_CONVERGED
-    if found.report.total > LARGE_ERROR:
+    if not found.report.total <= LARGE_ERROR:
         console.warn(
             f"the estimated error is {found.report.total:.2g} of the gap: more harmonics "
             "(harmonic_balance.harmonics) or more modes (reduction.modes) are needed"

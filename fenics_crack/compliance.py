@@ -357,5 +357,7 @@ def _known_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarr
             elif structure.damping_matrix is not None:
                 damping = times(structure.damping_matrix, shapes)
                 rate = structure.sum_over_ranks((shapes * damping).sum(axis=0))
-        _KNOWN_MODES[structure] = omega, rate, structure.closing(shapes.T)
+        found = omega > 0.0  # the lowest may have drowned in rounding
+        pairs = structure.closing(shapes.T)[found]
+        _KNOWN_MODES[structure] = omega[found], rate[found], pairs
     return _KNOWN_MODES[structure]

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 from numbers import Integral, Real
 
 __all__ = ["ConvergenceError", "InputError", "check_count", "check_number", "check_omega"]
 
+LONGEST_VALUE = 1000
+"""Characters of a value that are shown."""
+LARGEST_COUNT = 10**9
+
 
 class InputError(ValueError):
-    """A value that cannot be used: names the key, the value and what is allowed.
+    """A value that cannot be used: names the key, the value and what is allowed, in one line.
 
     Attributes
     ----------
@@ -29,7 +34,15 @@ class InputError(ValueError):
         self.allowed = allowed
 
     def __str__(self) -> str:
-        return f"{self.key} = {self.value!r}: must be {self.allowed}"
+        key = self.key if self.key.isprintable() else repr(self.key)
+        try:
+            value = repr(self.value)
+        except (ValueError, RecursionError):  # a number of thousands of digits, or such a nest
+            value = f"({type(self.value).__name__} too long to be shown)"
+        if len(value) > LONGEST_VALUE:
+            value = f"{value[:LONGEST_VALUE]}..."
+        text = f"{key} = {value}: must be {self.allowed}"
+        return text if text.isprintable() else " ".join(text.split())
 
 
 class ConvergenceError(RuntimeError):
@@ -48,10 +61,12 @@ class ConvergenceError(RuntimeError):
 
 def check_number(key: str, value: object, least: float = -math.inf, *, above: bool = False) -> None:
     """Raise InputError unless a value is a finite number >= ``least`` (or > with ``above``)."""
-    number = isinstance(value, Real) and not isinstance(value, bool)
-    if number and math.isfinite(float(value)):  # type: ignore[arg-type]
-        if float(value) > least or (float(value) == least and not above):  # type: ignore[arg-type]
-            return
+    number = math.nan
+    if isinstance(value, Real) and not isinstance(value, bool):
+        with contextlib.suppress(OverflowError):
+            number = float(value)
+    if math.isfinite(number) and (number > least or (number == least and not above)):
+        return
     bound = f" {'>' if above else '>='} {least:g}" if math.isfinite(least) else ""
     raise InputError(key, value, f"a finite number{bound}")
 
@@ -62,6 +77,8 @@ def check_omega(value: object, key: str = "omega") -> None:
 
 
 def check_count(key: str, value: object, least: int) -> None:
-    """Raise InputError unless a value is a whole number >= ``least``."""
+    """Raise InputError unless a value is a whole number >= ``least`` that can be counted to."""
     if isinstance(value, bool) or not isinstance(value, Integral) or int(value) < least:
         raise InputError(key, value, f"a whole number >= {least}")
+    if int(value) > LARGEST_COUNT:
+        raise InputError(key, value, f"at most {LARGEST_COUNT:.0e}")

@@ -47,6 +47,8 @@ MOST_PAIRS = 12
 MOST_EVENTS = 100_000
 """In one period of the load; more are a sign that pairs chatter without end."""
 BLOCK = 64
+MOST_STEPS = 3e5
+"""Twelfths of the period of the highest mode in one flow, about half a second of work."""
 PATIENCE = 6
 """Newton steps of shooting that may together fail to halve the residual."""
 
@@ -165,6 +167,8 @@ class EventFlow:
         now, events, pair = start, 0, -1
         while True:
             regime = self._regime(closed)
+            if not (end - now) / regime.step < MOST_STEPS:
+                raise ConvergenceError("events: the highest modes are too fast for that long")
             weights = regime.inverse @ (state - self._steady(regime, now))
             pair, length = self._next_event(regime, closed, weights, now, end - now, pair)
             chosen = (instants >= now) & ((instants < now + length) | (pair < 0))
@@ -228,11 +232,16 @@ class EventFlow:
         mean = self.structure.force[0] @ modes.shapes
         mean = mean + modes.pairs @ (closed * self._stiffness * self.structure.clearance)
         static = np.linalg.lstsq(-self.scale * matrix[count:, :count], mean, rcond=None)[0]
-        step = 2.0 * np.pi / np.abs(values.imag).max() / 12.0
+        fastest = np.abs(values.imag).max() or np.abs(values).max()
+        step = 2.0 * np.pi / fastest / 12.0
+        try:
+            inverse = np.linalg.inv(vectors)
+        except np.linalg.LinAlgError:
+            raise ConvergenceError("events: a mode with exactly critical damping") from None
         return _FreeMotion(
             values,
             vectors.astype(complex),
-            np.linalg.inv(vectors).astype(complex),
+            inverse.astype(complex),
             static,
             step,
             np.exp(np.outer(values, step * np.arange(BLOCK + 1))),
@@ -296,6 +305,8 @@ class EventFlow:
                     continue
                 own_gap, own_slope = partial(gap, pair), partial(slope, pair)
                 if not crosses[pair, cell]:
+                    if not own_slope(low) > 0.0 > own_slope(high):
+                        continue  # but for rounding
                     high = scipy.optimize.brentq(own_slope, low, high)
                     if own_gap(high) <= rounding[pair]:
                         continue
@@ -316,6 +327,8 @@ def _root(gap: Callable[[float], float], low: float, high: float) -> float:
     """Root of a gap that is inside at ``low`` and outside at ``high``."""
     if gap(low) >= 0.0:
         return low
+    if gap(high) <= 0.0:  # but for rounding
+        return high
     return float(scipy.optimize.brentq(gap, low, high, xtol=1e-18, rtol=1e-14))
 
 
@@ -497,7 +510,10 @@ def shoot(
         assert monodromy is not None
         if before <= tolerance:
             return describe_orbit(flow, state, period, monodromy, before, iteration, events)
-        change = np.linalg.solve(np.eye(size) - monodromy, moved - state)
+        try:
+            change = np.linalg.solve(np.eye(size) - monodromy, moved - state)
+        except np.linalg.LinAlgError:
+            break
         damping = 1.0
         while True:
             trial = state + damping * change

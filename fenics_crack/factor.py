@@ -63,6 +63,8 @@ class Factor:
         """Solve for real right-hand sides (m, n_local), one a row (collective)."""
         rows = np.atleast_2d(rhs)
         count, local = rows.shape
+        if count == 0:  # MUMPS refuses to solve nothing
+            return np.zeros(np.shape(rhs))
         total = self._matrix.size[0]
         sizes = ((local, total), (PETSc.DECIDE, count))
         columns = np.asfortranarray(rows.T, dtype=float)

@@ -56,6 +56,8 @@ def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     space = compat.function_space(plate.mesh, scene.mesh.order)
     dofs = _Dofs(plate, space)
     stiffness, mass = _assemble(scene, space)
+    if not all(np.isfinite(matrix.norm()) for matrix in (stiffness, mass)):
+        raise InputError("mesh", "cells of no area", "one whose cells all have an area")
     lips = _pair_lips(scene, plate, space, dofs)
     damping = ModalDamping(
         scene.damping.ratio, None if scene.damping.modes == "all" else int(scene.damping.modes)

@@ -56,7 +56,7 @@ from fenics_crack.structure import Structure
 __all__ = ["check_memory", "solve_harmonic_balance", "solve_linear"]
 
 MOST_HARMONICS, MOST_SAMPLES = 300, 2**20
-"""Beyond these the choice by a tolerance gives up."""
+"""Beyond these the choice by a tolerance gives up; no more samples can be asked for either."""
 MATRICES = 4
 """Dense matrices of the size of the Jacobian that are held at a time."""
 
@@ -171,12 +171,14 @@ def solve_harmonic_balance(
             raise InputError("tolerance", tolerance, "left out where harmonics are given")
         if samples is not None:
             check_count("samples", samples, 4 * harmonics + 1)
+            if samples > MOST_SAMPLES:
+                raise InputError("samples", samples, f"at most {MOST_SAMPLES}")
     if tolerance is not None:
         check_number("tolerance", tolerance, 0.0, above=True)
         if samples is not None:
             raise InputError("samples", samples, "left out where a tolerance is given")
     check_number("residual_tolerance", residual_tolerance, 0.0, above=True)
-    if form not in ("condensed", "full"):
+    if not isinstance(form, str) or form not in ("condensed", "full"):
         raise InputError("form", form, "'condensed' or 'full'")
     if balance == "collocation":
         assert harmonics is not None
@@ -437,7 +439,7 @@ def _check_balance(
     tolerance: float | None,
     balance: str,
 ) -> None:
-    if balance not in ("galerkin", "collocation"):
+    if not isinstance(balance, str) or balance not in ("galerkin", "collocation"):
         raise InputError("balance", balance, "'galerkin' or 'collocation'")
     if balance == "galerkin":
         return

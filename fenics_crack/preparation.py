@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from mpi4py import MPI
 
-from fenics_crack.compliance import is_small
 from fenics_crack.contact import ContactLaw, UnilateralConstraint, contact_law
 from fenics_crack.finite_elements import build_structure, find_crack_length
 from fenics_crack.reduction import reduce_structure
-from fenics_crack.scene import Scene
+from fenics_crack.scene import Reduction, Scene
 from fenics_crack.structure import Structure
 
-__all__ = ["law_of", "prepare", "with_crack_length"]
+__all__ = ["law_of", "prepare", "reduction_of", "with_crack_length"]
+
+FEW_DOFS = 100
+"""So many need no reduction."""
+MODES = 50
 
 
 def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
@@ -23,9 +28,7 @@ def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
 
 
 def prepare(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
-    """Build the structure of a scene and reduce it as its table ``[reduction]`` says (collective).
-
-    Without the table a small structure on one rank is left as it is, any other is reduced.
+    """Build the structure of a scene and reduce it as :func:`reduction_of` says (collective).
 
     Raises
     ------
@@ -33,12 +36,28 @@ def prepare(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
         As :func:`build_structure` and :func:`reduce_structure`.
     """
     structure = build_structure(scene, comm)
-    table = scene.reduction
+    table = reduction_of(scene, structure)
     if table is None:
-        return structure if is_small(structure) else reduce_structure(structure)
-    if table.method == "none":
         return structure
     return reduce_structure(structure, modes=table.modes, method=table.method)
+
+
+def reduction_of(scene: Scene, structure: Structure) -> Reduction | None:
+    """How the structure of a scene is reduced; None: not at all.
+
+    Without the table ``[reduction]`` a structure of up to 100 dofs on one rank is left as it is.
+    Where all modes are damped and no number of modes is given, 50 are kept.
+    """
+    table = scene.reduction
+    if table is None:
+        if structure.comm.size == 1 and structure.n_dofs <= FEW_DOFS:
+            return None
+        table = Reduction()
+    if table.method == "none":
+        return None
+    if table.modes is None and scene.damping.modes == "all":
+        table = replace(table, modes=min(MODES, structure.n_dofs))
+    return table
 
 
 def law_of(scene: Scene, structure: Structure) -> ContactLaw | UnilateralConstraint | None:

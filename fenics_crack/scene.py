@@ -17,6 +17,7 @@ from typing import Any
 
 from fenics_crack.errors import InputError
 from fenics_crack.table import (
+    OR_ZERO,
     Axis,
     Table,
     Vector,
@@ -50,6 +51,14 @@ __all__ = [
     "Sweep",
 ]
 
+MOST_SAMPLES = 2**20
+EXTENT = "a number from 1e-6 to 1e6"
+FORCE = f"[fx, fy], two finite numbers {OR_ZERO}"
+STEEPEST, THINNEST = 1e6, 1e4
+"""Largest ``mesh.grading``, and largest ratio of the plate's sides."""
+NEAREST = 1e-4
+"""Of the plate's side: the least from the crack, or its tip, to an edge."""
+
 # --- the tables -----------------------------------------------------------------------------------
 
 
@@ -59,9 +68,9 @@ class Geometry(Table):
 
     thickness: float = positive()
     """[m]"""
-    width: float | None = positive(None)
+    width: float | None = holds(real, EXTENT, lambda value: 1e-6 <= value <= 1e6, None)
     """[m]"""
-    height: float | None = positive(None)
+    height: float | None = holds(real, EXTENT, lambda value: 1e-6 <= value <= 1e6, None)
     """[m]"""
 
 
@@ -77,7 +86,7 @@ class Crack(Table):
     """[m]; or let ``first_omega`` determine it."""
     first_omega: float | None = positive(None)
     """First natural frequency with the open crack [rad/s], from which to find the length."""
-    clearance: float = holds(real, "a finite number", default=0.0)
+    clearance: float = holds(real, f"a finite number {OR_ZERO}", default=0.0)
     """g0 >= 0: opening that must close before the lips touch; < 0: preload [m]."""
 
 
@@ -101,7 +110,7 @@ class Damping(Table):
 
     ratio: float | tuple[float, ...] = holds(
         ratio,
-        "a finite number >= 0, or a list of them, one per mode",
+        f"a finite number >= 0 {OR_ZERO}, or a list of them, one per mode",
         lambda value: min(value, default=-1.0) >= 0 if isinstance(value, tuple) else value >= 0,
     )
     modes: int | str = holds(
@@ -125,13 +134,13 @@ class Excitation(Table):
 
     omega: float = positive()
     """Angular frequency [rad/s]."""
-    point: Vector | None = holds(vector, "[x, y], two finite numbers", default=None)
+    point: Vector | None = holds(vector, f"[x, y], two finite numbers {OR_ZERO}", default=None)
     """[m]; a mesh file may give it instead by a physical point named ``load``."""
-    force_sin: Vector = holds(vector, "[fx, fy], two finite numbers", default=(0.0, 0.0))
+    force_sin: Vector = holds(vector, FORCE, default=(0.0, 0.0))
     """[N]"""
-    force_cos: Vector = holds(vector, "[fx, fy], two finite numbers", default=(0.0, 0.0))
+    force_cos: Vector = holds(vector, FORCE, default=(0.0, 0.0))
     """[N]"""
-    force_mean: Vector = holds(vector, "[fx, fy], two finite numbers", default=(0.0, 0.0))
+    force_mean: Vector = holds(vector, FORCE, default=(0.0, 0.0))
     """[N]"""
 
 
@@ -178,9 +187,9 @@ class HarmonicBalance(Table):
         super().__post_init__()
         least = 4 * self.harmonics + 1
         self.require(
-            self.samples is None or self.samples >= least,
+            self.samples is None or least <= self.samples <= MOST_SAMPLES,
             "samples",
-            f"a whole number >= {least} (4 harmonics + 1) or left out",
+            f"a whole number from {least} (4 harmonics + 1) to {MOST_SAMPLES}, or left out",
         )
 
 
@@ -205,7 +214,9 @@ class Mesh(Table):
     size: float | None = positive(None)
     """[m]"""
     lip_elements: int | None = at_least_one(None)
-    grading: float = holds(real, "a finite number >= 1", lambda value: value >= 1, default=4.0)
+    grading: float = holds(
+        real, f"a number from 1 to {STEEPEST:g}", lambda value: 1 <= value <= STEEPEST, default=4.0
+    )
     file: str | None = holds(text, "the path of a .msh file", default=None)
 
     def __post_init__(self) -> None:
@@ -228,21 +239,21 @@ class Mesh(Table):
 class Reduction(Table):
     """How the structure is reduced before it is solved (``reduce_structure``).
 
-    Without this table a small structure is solved as it is, and a large one is reduced with the
-    default basis.
+    Without this table a structure of up to 100 dofs is solved as it is, and a larger one is reduced
+    with the default basis.
     """
 
     method: str = choice("free_interface", "craig_bampton", "none", default="free_interface")
     modes: int | None = at_least_one(None)
-    """Lowest modes to keep; default: those that are damped, else 20."""
+    """Lowest modes to keep; default: those that are damped, but 50 where all are."""
 
 
 @dataclass(frozen=True)
 class Curve(Table):
     """A response curve, followed through its folds by continuation."""
 
-    start: float = holds(real, "a finite number")
-    stop: float = holds(real, "a finite number")
+    start: float = holds(real, f"a finite number {OR_ZERO}")
+    stop: float = holds(real, f"a finite number {OR_ZERO}")
     """Of the parameter: load frequencies [rad/s], factors of load, stiffness or damping, or
     clearances added [m]."""
     parameter: str = choice("omega", "load", "stiffness", "damping", "clearance", default="omega")
@@ -254,7 +265,7 @@ class Curve(Table):
         self.require(self.start != self.stop, "stop", f"other than curve.start = {self.start:g}")
         if self.parameter in ("omega", "stiffness"):
             for name in ("start", "stop"):
-                allowed = f"a finite number > 0 with parameter = {self.parameter!r}"
+                allowed = f"a number > 0 with curve.parameter = {self.parameter!r}"
                 self.require(getattr(self, name) > 0.0, name, allowed)
 
 
@@ -330,9 +341,14 @@ class Scene:
 
     def _check_plate(self) -> None:
         geometry, crack, excitation = self.geometry, self.crack, self.excitation
-        geometry.require(geometry.width is not None, "width", "a finite number > 0")
-        geometry.require(geometry.height is not None, "height", "a finite number > 0")
+        for key in ("width", "height"):
+            geometry.require(getattr(geometry, key) is not None, key, f"given: {EXTENT}")
         assert geometry.width is not None and geometry.height is not None
+        geometry.require(
+            geometry.height / THINNEST <= geometry.width <= geometry.height * THINNEST,
+            "width",
+            f"within a factor {THINNEST:g} of geometry.height = {geometry.height:g}",
+        )
         excitation.require(excitation.point is not None, "point", "given: [x, y] on the plate")
         assert excitation.point is not None
         on_plate = (
@@ -346,9 +362,10 @@ class Scene:
             return
         crack.require(crack.edge is not None, "edge", "given: 'left' or 'right'")
         crack.require(
-            crack.height is not None and crack.height < geometry.height,
+            crack.height is not None and _inside(crack.height, geometry.height),
             "height",
-            f"inside the plate: between 0 and geometry.height = {geometry.height:g}",
+            f"inside the plate: between 0 and geometry.height = {geometry.height:g}, at least "
+            f"{NEAREST:g} of that from both",
         )
         crack.require(
             (crack.length is None) != (crack.first_omega is None),
@@ -356,9 +373,10 @@ class Scene:
             "given, or left out where crack.first_omega determines it",
         )
         crack.require(
-            crack.length is None or crack.length < geometry.width,
+            crack.length is None or _inside(crack.length, geometry.width),
             "length",
-            f"shorter than the plate: less than geometry.width = {geometry.width:g}",
+            f"shorter than the plate: between 0 and geometry.width = {geometry.width:g}, at least "
+            f"{NEAREST:g} of that from both",
         )
         if self.contact is None:
             raise InputError("contact", None, "given where there is a crack: a table")
@@ -434,7 +452,7 @@ class Scene:
             text = Path(path).read_text(encoding="utf-8")
         except OSError as error:
             raise InputError("scene", str(path), f"a readable file ({error.strerror})") from None
-        except UnicodeDecodeError as error:
+        except ValueError as error:
             raise InputError("scene", str(path), f"a TOML file ({error})") from None
         return cls.from_text(text, str(path), Path(path).parent)
 
@@ -443,7 +461,7 @@ class Scene:
         """Make a scene from the text of a TOML file, which errors call ``name``."""
         try:
             tables = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
+        except (ValueError, RecursionError) as error:  # a nest too deep, a number too long
             raise InputError("scene", name, f"a TOML file ({error})") from None
         return cls.from_mapping(tables, folder)
 
@@ -475,6 +493,11 @@ class Scene:
         """The scene as a file that :meth:`load` reads; paths as they are."""
         made = (getattr(self, name) for name in _TABLES)
         return "\n".join(table.as_toml() for table in made if table is not None)
+
+
+def _inside(place: float, extent: float) -> bool:
+    """Whether a place is between 0 and an extent, and not too near to either."""
+    return NEAREST * extent <= place <= (1.0 - NEAREST) * extent
 
 
 _TABLES: dict[str, type[Table]] = {

@@ -45,6 +45,8 @@ __all__ = ["LeadingMultiplier", "PiecewiseFlow", "Stability", "doubling_test", "
 
 SMOOTH_INTERVALS = 512
 """In a period, for laws that are not linear in contact."""
+LONGEST_PERIOD = 1e12
+"""Times the highest natural frequency, beyond which rounding leaves nothing of the motion."""
 FEW_PAIRS = 4
 """Up to so many, shooting takes seconds at most; many pairs switch too often."""
 MOST_CHANGES = 256
@@ -96,7 +98,7 @@ def floquet(
     largest = float(np.abs(multipliers[0]))
     wider = flow.multipliers(_wider(structure, solution, contact), solution.base_omega)
     hill = _hill(structure, solution, contact, multipliers[0])
-    known = np.array([largest, abs(wider[0]), abs(hill)])
+    known = np.abs(np.array([largest, wider[0], hill]))
     verdict = "undecided"
     if np.all(known < 1.0 - 1e-9):
         verdict = "stable"
@@ -166,12 +168,17 @@ class PiecewiseFlow:
         self._changes: dict[tuple[bytes, bytes], np.ndarray] = {}
 
     def multipliers(self, gap: np.ndarray, base_omega: float) -> np.ndarray:
-        """Eigenvalues of the monodromy matrix, largest modulus first: (2n,) complex.
+        """Eigenvalues of the monodromy matrix, largest modulus first: (2n,) complex; or nan.
 
         ``gap`` are the coefficients of the orbit, (2H+1, n_pairs) [m]; ``base_omega`` [rad/s] is
         its frequency.
         """
-        found = np.linalg.eigvals(self._product(gap, base_omega)[0])
+        product: np.ndarray = np.full((2 * len(self._modes.squares),) * 2, np.nan)
+        if self._scale * 2.0 * np.pi / base_omega < LONGEST_PERIOD:
+            product = self._product(gap, base_omega)[0]
+        if not np.all(np.isfinite(product)):
+            return product[0] + 0j * np.nan
+        found = np.linalg.eigvals(product)
         return found[np.argsort(-np.abs(found), kind="stable")]
 
     def leading(self, gap: np.ndarray, base_omega: float) -> LeadingMultiplier:
@@ -381,8 +388,12 @@ def _hill(
     exponent = complex(np.log(complex(multiplier)) / solution.period)
     step = 1e-7 * omega
     for _ in range(6):
+        if not np.isfinite(exponent):
+            break
         here = matrix(exponent)
         slope = (matrix(exponent + step) - matrix(exponent - step)) / (2.0 * step)
+        if not (np.all(np.isfinite(here)) and np.all(np.isfinite(slope))):
+            break
         # Newton on the generalised eigenproblem D + ds D' = 0: ds closest to zero.
         shifts = scipy.linalg.eigvals(here, -slope)
         shift = shifts[np.argmin(np.where(np.isfinite(shifts), np.abs(shifts), np.inf))]

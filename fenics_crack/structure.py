@@ -10,6 +10,8 @@ one rank are all.
 
 from __future__ import annotations
 
+import bz2
+import gzip
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -519,7 +521,7 @@ def _petsc_matrix(name: str, given: Any, comm: MPI.Comm, n: int | None = None) -
     if isinstance(given, PETSc.Mat):
         shape = tuple(given.size)
     else:
-        whole = sparse.csr_matrix(_read_matrix(name, given))
+        whole = sparse.csr_matrix(_read_matrix(name, given, n))
         shape = whole.shape
     if (
         len(shape) != 2
@@ -541,12 +543,13 @@ def _petsc_matrix(name: str, given: Any, comm: MPI.Comm, n: int | None = None) -
     return matrix
 
 
-def _read_matrix(name: str, given: Any) -> Any:
+def _read_matrix(name: str, given: Any, rows: int | None) -> Any:
     """Read a Matrix Market file, or pass on what is a matrix already."""
     if isinstance(given, str | Path):
         try:
+            _check_size(Path(given), rows)
             given = scipy.io.mmread(str(given))
-        except (OSError, ValueError) as error:
+        except Exception as error:  # what SciPy raises depends on its version
             raise InputError(name, str(given), f"a Matrix Market file ({error})") from None
     if sparse.issparse(given):
         if np.iscomplexobj(given):
@@ -557,11 +560,32 @@ def _read_matrix(name: str, given: Any) -> Any:
         if np.iscomplexobj(array):
             raise InputError(name, array.dtype, "real")
         array = array.astype(float)
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, OverflowError):
         raise InputError(name, type(given).__name__, "a real matrix") from None
     if array.ndim > 2:
         raise InputError(name, array.shape, "a matrix, two-dimensional")
     return array
+
+
+def _check_size(path: Path, rows: int | None) -> None:
+    """Raise ValueError where a Matrix Market file cannot hold what it announces.
+
+    SciPy believes it, and does not end where the announcement is missing.
+    """
+    opened = {".gz": gzip.open, ".bz2": bz2.open}.get(path.suffix, open)
+    with opened(path, "rb") as file:  # type: ignore[operator]
+        header = file.readline().lower().split()
+        line = next((line for line in file if line.strip() and not line.startswith(b"%")), b"")
+        sizes = [int(word) for word in line.split()]
+        sparse_file = header[2:3] == [b"coordinate"]
+        if len(sizes) != (3 if sparse_file else 2) or min(sizes) < 0:
+            raise ValueError("the line with its size is missing or wrong")
+        if rows is not None and sizes[0] != rows:
+            raise ValueError(f"it has {sizes[0]} rows instead of {rows}")
+        entries = sizes[2] if sparse_file else sizes[0] * (sizes[1] - 1) // 2
+        lines = sum(1 for _ in file)
+        if entries > lines or max(sizes[:2]) > max(lines, rows or 1):
+            raise ValueError("it ends before all entries")
 
 
 def _whole_rows(name: str, given: Any, n: int) -> Any:
@@ -572,7 +596,7 @@ def _whole_rows(name: str, given: Any, n: int) -> Any:
         first, last = given.owner_range
         local = given.getValues(range(first, last), range(given.size[1]))
         given = gather_rows(given.comm.tompi4py(), np.atleast_2d(local))
-    matrix = _read_matrix(name, given)
+    matrix = _read_matrix(name, given, n)
     if matrix.ndim == 0 or matrix.shape[0] != n:
         raise InputError(name, matrix.shape, f"with {n} rows")
     if name == "gap":

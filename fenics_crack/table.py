@@ -18,6 +18,7 @@ import numpy as np
 from fenics_crack.errors import InputError
 
 __all__ = [
+    "OR_ZERO",
     "Axis",
     "Table",
     "Vector",
@@ -36,6 +37,10 @@ __all__ = [
 ]
 
 Vector = tuple[float, float]
+SMALLEST, LARGEST = 1e-30, 1e30
+"""Sizes of the numbers of a scene: their products and squares must not leave floating point."""
+SIZES = f"{SMALLEST:g} to {LARGEST:g}"
+OR_ZERO = f"(0, or of size {SIZES})"
 
 
 # --- what a key may hold --------------------------------------------------------------------------
@@ -49,10 +54,13 @@ def boolean(value: object) -> bool:
 
 
 def real(value: object) -> float:
-    """A finite number."""
+    """A number that is zero or of a size that can be computed with."""
     if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
         raise TypeError
-    return float(value)
+    number = float(value)
+    if value != 0 and not SMALLEST <= abs(number) <= LARGEST:
+        raise OverflowError
+    return number
 
 
 def integer(value: object) -> int:
@@ -66,14 +74,14 @@ def integer(value: object) -> int:
 
 
 def text(value: object) -> str:
-    """A string."""
-    if not isinstance(value, str):
+    """A string that a file can hold."""
+    if not isinstance(value, str) or any("\ud800" <= c <= "\udfff" for c in value):
         raise TypeError
     return value
 
 
 def vector(value: object) -> Vector:
-    """Two finite numbers."""
+    """Two numbers."""
     if not isinstance(value, list | tuple) or len(value) != 2:
         raise TypeError
     return real(value[0]), real(value[1])
@@ -157,7 +165,7 @@ def holds(
 
 def positive(default: Any = MISSING) -> Any:
     """Field of a number > 0."""
-    return holds(real, "a finite number > 0", lambda value: value > 0, default)
+    return holds(real, f"a finite number > 0 ({SIZES})", lambda value: value > 0, default)
 
 
 def at_least_one(default: Any = MISSING) -> Any:
@@ -168,6 +176,11 @@ def at_least_one(default: Any = MISSING) -> Any:
 def choice(*words: str, default: Any = MISSING) -> Any:
     """Field of one of some words."""
     return holds(text, "one of " + ", ".join(map(repr, words)), lambda v: v in words, default)
+
+
+def _as_toml(value: object) -> str:
+    """What JSON and TOML write alike; neither DEL nor half a character may stand in TOML."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 class Table:
@@ -215,9 +228,9 @@ class Table:
             value = getattr(self, name)
             if isinstance(value, tuple) and value and isinstance(value[0], Axis):
                 after = ["", f"[{self.name_of(name)}]"]
-                after += [f"{json.dumps(a.key)} = {json.dumps(a.values)}" for a in value]
+                after += [f"{_as_toml(a.key)} = {_as_toml(a.values)}" for a in value]
             elif value != item.default:
-                lines.append(f"{name} = {json.dumps(value)}")
+                lines.append(f"{name} = {_as_toml(value)}")
         return "\n".join([*lines, *after, ""])
 
     def require(self, condition: bool, key: str, allowed: str) -> None:

@@ -1,0 +1,660 @@
+"""Whatever is given, there is a clear error or a result: random and mutated input of every kind.
+
+The mutations follow from the seeds that hypothesis draws, the same in every run.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import random
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+import scipy.sparse as sparse
+from helpers import DEMOS, ROOT
+from hypothesis import HealthCheck, Phase, example, given, settings
+from hypothesis import strategies as st
+
+import fenics_crack as fc
+from fenics_crack import ConvergenceError, InputError, Scene
+from fenics_crack.command_line import main
+from fenics_crack.mesh import write_msh
+from fenics_crack.run import Run, find_modes, solve
+
+SEEDS = st.integers(0, 10**6)
+LONGEST = 20
+"""Seconds for one input; none takes more than a few on an idle machine."""
+
+TINY = {
+    "geometry": {"width": 0.1, "height": 0.1, "thickness": 0.01},
+    "crack": {"edge": "left", "height": 0.05, "length": 0.05},
+    "material": {"young": 2e9, "poisson": 0.3, "density": 7800.0},
+    "damping": {"ratio": 0.02},
+    "excitation": {"omega": 2000.0, "point": [0.1, 0.1], "force_sin": [1.0, 0.0]},
+    "contact": {"stiffness": 1e7},
+    "mesh": {"layout": "grid", "columns": 2, "rows": 2},
+    "harmonic_balance": {"harmonics": 3},
+}
+
+
+def examples(most: int) -> Callable[[Any], Any]:
+    """Settings for a number of examples."""
+    return settings(
+        max_examples=most, deadline=None, derandomize=True, database=None,
+        phases=(Phase.explicit, Phase.generate), suppress_health_check=list(HealthCheck),
+    )  # fmt: skip
+
+
+@contextlib.contextmanager
+def time_limit(seconds: int = LONGEST) -> Iterator[None]:
+    """Fail where something hangs, as far as Python can notice; else the process is ended."""
+
+    def too_long(number: int, frame: object) -> None:
+        raise AssertionError(f"not done after {seconds} s")
+
+    before = signal.signal(signal.SIGALRM, too_long)
+    signal.alarm(seconds)
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def check_error(error: InputError) -> None:
+    """An error is one line that says what may stand where."""
+    text = str(error)
+    assert error.key and error.allowed and "\n" not in text and len(text) < 3000
+
+
+# --- the text of scenes ---------------------------------------------------------------------------
+
+TEXTS = [
+    path.read_text(encoding="utf-8")
+    for path in [*sorted(DEMOS.glob("*.toml")), ROOT / "fenics_crack" / "new_scene.toml"]
+]
+VALUES = [
+    "0", "-1", "1", "2", "1e300", "-1e300", "1e-300", "1e30", "1e-30", "nan", "-nan", "inf",
+    "-inf", "1e400", str(10**400), "9" * 5000, "0x" + "f" * 5000, str(2**31), str(-(2**31) - 1),
+    str(2**63), '"x"', "''", '"\\u0000"', '"\\U0001F600"', '"\\u007f"', '"\\n"', '"all"', '"file"',
+    "[]", "[1, 2]", "[nan, 1]", "[1e400, 1]", "[true, 1]", "[['a', 1]]", "[[[1]]]",
+    "[" * 3000 + "]" * 3000, "{}", "{a = 1}", "[{a = 1}]", "true", "false", "1979-05-27",
+    "1979-05-27T07:32:00Z", "07:32:00", "24:00:00", "99999-01-01", "2000-13-01", "0x", "1_000_",
+    "{start = 1, stop = 2, count = 3}", "{start = 1, stop = 1e308, count = 3}",
+    "{start = 1e-30, stop = 1e30, count = 3, spacing = 'logarithmic'}",
+    "{start = 1, stop = 2, count = 1000000000000}", "{start = 1, stop = 2, count = [1]}",
+    "{start = 1, stop = 2, count = 3, spacing = []}", "[1, 1.0]",
+]  # fmt: skip
+NAMES = [
+    "a", "crack", "length", "young", "over", "file", "a.b", "''", '"a\\nb"', '"\\u0000"',
+    '"\\u007f"', '"excitation.omega"', "'mesh.file'", "'crack.edge'", "[mesh]", "[[crack]]",
+]  # fmt: skip
+LETTERS = [*"[]{}=\"'\\#.,\n\r\t\0 0-+e_\x7f\x80\u2028", "\U0001f600", '"""']
+
+
+def changed_text(text: str, rng: random.Random) -> str:
+    """Text with a few mutations of its letters, lines, keys and values."""
+    for _ in range(rng.choice([1, 1, 1, 2, 3, 8])):
+        lines, at = text.split("\n"), rng.randrange(len(text) + 1)
+        given_keys = [i for i, line in enumerate(lines) if "=" in line and line[0] != "#"]
+        remarks = [i for i, line in enumerate(lines) if line[:2] == "# " and "=" in line]
+        kind = rng.randrange(8)
+        if kind == 0:
+            text = text[:at] + text[at + rng.randint(1, 3) :]
+        elif kind == 1:
+            text = text[:at] + rng.choice(LETTERS) + text[at:]
+        elif kind == 2:
+            text = text[:at] + text[at : at + 2][::-1] + text[at + 2 :]
+        elif kind == 3:
+            lines.pop(rng.randrange(len(lines)))
+            text = "\n".join(lines)
+        elif kind == 4:
+            lines.insert(rng.randrange(len(lines)), rng.choice(lines))
+            text = "\n".join(lines)
+        elif kind == 5 and remarks:
+            line = rng.choice(remarks)
+            lines[line] = lines[line][2:]
+            text = "\n".join(lines)
+        elif kind > 5 and given_keys:
+            line = rng.choice(given_keys)
+            key, _, value = lines[line].partition("=")
+            pair = (rng.choice(NAMES), value) if kind == 6 else (key, rng.choice(VALUES))
+            lines[line] = " = ".join(pair)
+            text = "\n".join(lines)
+    return text
+
+
+def loads_or_refuses(text: str) -> None:
+    """A text is a scene that is written as it is, or an InputError."""
+    try:
+        scene = Scene.from_text(text)
+    except InputError as error:
+        check_error(error)
+        return
+    assert Scene.from_text(scene.as_toml()) == scene
+
+
+@examples(8000)
+@given(SEEDS)
+def test_changed_scene_text(seed: int) -> None:
+    """Mutated scene files load, and survive being written, or are refused."""
+    rng = random.Random(seed)
+    loads_or_refuses(changed_text(rng.choice(TEXTS), rng))
+
+
+PLATE = "[geometry]\nwidth = 0.1\nheight = 0.1\nthickness = "
+FROM_FILE = (DEMOS / "inclined_crack.toml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        pytest.param(PLATE + "9" * 5000, id="a number of 5000 digits"),
+        pytest.param(PLATE + "0x" + "f" * 5000, id="one in base 16, too long to be shown"),
+        pytest.param(PLATE + "[" * 3000 + "]" * 3000, id="lists in lists"),
+        pytest.param(PLATE + '1\n"a\\nb" = 1', id="a key of two lines"),
+        pytest.param(FROM_FILE.replace(".msh", "\\U0001F600.msh"), id="a character of 32 bits"),
+        pytest.param(FROM_FILE.replace(".msh", "\\u007f.msh"), id="DEL in a file name"),
+    ],
+)
+def test_scene_text_that_failed(text: str) -> None:
+    """Found by mutations."""
+    loads_or_refuses(text)
+
+
+@examples(300)
+@given(SEEDS)
+def test_changed_scene_bytes(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
+    """Bytes that are no text are no scene."""
+    rng = random.Random(seed)
+    content = bytearray(rng.choice(TEXTS), "utf-8")
+    for _ in range(rng.randint(1, 3)):
+        content[rng.randrange(len(content))] = rng.randrange(256)
+    path = tmp_path_factory.getbasetemp() / "changed.toml"
+    path.write_bytes(content)
+    try:
+        assert isinstance(Scene.load(path), Scene)
+    except InputError as error:
+        check_error(error)
+
+
+def test_a_path_that_cannot_be() -> None:
+    """A name that no file can have is refused like a missing file."""
+    with pytest.raises(InputError, match="scene"):
+        Scene.load("a\0b")
+
+
+# --- scenes of any numbers ------------------------------------------------------------------------
+
+
+def wild_scene(rng: random.Random) -> dict[str, Any]:
+    """Tables with few cells and few harmonics; all other numbers may be anything."""
+
+    def size(usual: float) -> float:
+        exponent = rng.choice([0.0] * 8 + [rng.uniform(-3.0, 3.0), rng.uniform(-12.0, 12.0)])
+        return rng.choice([usual * 10.0**exponent] * 12 + [1e-30, 1e30])
+
+    def signed(usual: float) -> float:
+        return rng.choice([-1.0, 0.0, 1.0, 1.0]) * size(usual)
+
+    width = rng.choice([0.1, 0.1, 10.0 ** rng.uniform(-6.0, 6.0)])
+    height = width * rng.choice([1.0, 1.0, 0.1, 10.0, 1e-4, 1e4])
+    tables: dict[str, Any] = {
+        "geometry": {"width": width, "height": height, "thickness": size(0.01)},
+        "material": {
+            "young": size(2e9),
+            "poisson": rng.choice([0.3, 0.3, 0.0, 0.49, 0.499999999, -0.99999999]),
+            "density": size(7800.0),
+        },
+        "damping": {
+            "ratio": rng.choice([0.01, 0.01, 0.0, 1.0, 1e3, 1e-12, 1e30, [0.1, 0.2, 0.3]]),
+            "modes": rng.choice(["all", "all", 1, 3, 100_000]),
+        },
+        "excitation": {
+            "omega": size(2000.0),
+            "point": [
+                width * rng.choice([0.0, 1.0, 1.0, rng.random()]),
+                height * rng.choice([0.0, 1.0, 1.0, 1.0, rng.random()]),
+            ],
+            "force_sin": rng.choice([[signed(1.0), signed(1.0)], [0, 0]]),
+            "force_mean": rng.choice([[signed(1.0), signed(1.0)], [0, 0]]),
+        },
+        "harmonic_balance": {"harmonics": rng.randint(1, 7)},
+    }
+    if rng.random() < 0.2:
+        tables["harmonic_balance"]["samples"] = rng.choice([29, 64, 100])
+    columns, rows = rng.randint(2, 4), rng.randint(2, 4)
+    if rng.random() < 0.5:
+        layout = {"layout": "grid", "columns": columns, "rows": rows}
+        length, level = rng.randint(1, columns - 1) / columns, rng.randint(1, rows - 1) / rows
+    else:
+        cell = max(width, height) * rng.choice([0.3, 0.5, 1.0, 10.0])
+        layout = {"layout": "graded", "size": cell, "lip_elements": rng.randint(1, 3)}
+        layout["grading"] = rng.choice([1.0, 3.0, 3.0, 1e6])
+        tables["damping"]["modes"] = rng.choice([1, 3, 100_000])  # there may be many cells
+        length = rng.choice([0.4, rng.random(), 1e-9, 1e-4, 1.0 - 1e-4, 0.999])
+        level = rng.choice([0.5, rng.random(), 1e-9, 1e-4, 1.0 - 1e-4])
+    cells = rng.choice(["triangle", "quadrilateral"])
+    tables["mesh"] = layout | {"cells": cells, "order": rng.choice([1, 1, 2])}
+    if rng.random() < 0.4:
+        tables["reduction"] = {"method": rng.choice(["free_interface", "craig_bampton", "none"])}
+        if rng.random() < 0.7:
+            tables["reduction"]["modes"] = rng.choice([1, 2, 5, 1000])
+    if rng.random() < 0.1:
+        return tables
+    tables["crack"] = {
+        "edge": rng.choice(["left", "right"]),
+        "height": height * level,
+        "length": width * length,
+        "clearance": rng.choice([0.0, 0.0, signed(1e-6)]),
+    }
+    law = rng.choice(["penalty", "penalty", "smoothed", "constraint"])
+    tables["contact"] = {"law": law, "pairs": rng.choice(["all", "mouth"])}
+    if law != "constraint":
+        tables["contact"][rng.choice(["stiffness", "stiffness_per_area"])] = size(1e9)
+    if law == "smoothed":
+        tables["contact"]["sharpness"] = size(1e6)
+    return tables
+
+
+def check_run(run: Run) -> None:
+    """What has converged is made of finite numbers."""
+    found = run.result
+    if isinstance(found, fc.Modes):
+        assert np.all(np.isfinite(found.omega)) and np.all(np.isfinite(found.shapes))
+    elif found.converged:
+        for part in (found.displacement_coefficients, found.gap_coefficients):
+            assert np.all(np.isfinite(part))
+        assert np.all(np.isfinite(found.force_coefficients))
+        assert np.isfinite(found.report.total)
+
+
+@pytest.mark.slow
+@examples(200)
+@given(SEEDS)
+def test_wild_scenes(seed: int) -> None:
+    """A scene of any numbers is refused, solved, or not solved and said so."""
+    rng = random.Random(seed)
+    tables = wild_scene(rng)
+    with time_limit(), np.errstate(all="ignore"):
+        try:
+            scene = Scene.from_mapping(tables)
+            check_run(
+                find_modes(scene, rng.choice([1, 3, 1000])) if seed % 7 == 0 else solve(scene)
+            )
+        except InputError as error:
+            check_error(error)
+        except ConvergenceError as error:
+            assert str(error)
+
+
+FAILED = {
+    "a plate that gmsh would ask about": {"geometry.width": 1e30, "geometry.height": 1e29},
+    "too many cells": {"mesh.columns": 200_000, "mesh.rows": 200_000},
+    "numbers whose products overflow": {"material.young": 1e300, "geometry.thickness": 1e300},
+    "a load far too slow for the highest mode": {"excitation.omega": 1e-30},
+    "the same with the smoothed law": {
+        "excitation.omega": 1e-30, "contact.law": "smoothed", "contact.sharpness": 1e6,
+    },
+    "overdamped": {"damping.ratio": 1e3, "crack.clearance": 1e-9},
+    "critically damped": {"damping.ratio": 1.0, "contact.pairs": "mouth"},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("changes", FAILED.values(), ids=FAILED.keys())
+def test_scenes_that_failed(changes: dict[str, Any]) -> None:
+    """Found by wild scenes."""
+    with time_limit(), np.errstate(all="ignore"):
+        try:
+            check_run(solve(Scene.from_mapping(TINY).replace(changes)))
+        except InputError as error:
+            check_error(error)
+
+
+def test_a_crack_tip_too_fine() -> None:
+    """The element at the tip has a size that gmsh can mesh and the matrices can hold."""
+    graded = {"layout": "graded", "cells": "triangle", "size": 0.1, "lip_elements": 3}
+    scene = Scene.from_mapping(TINY | {"mesh": graded | {"grading": 1e6}})
+    with pytest.raises(InputError, match=r"mesh\.grading"):
+        solve(scene.replace({"crack.length": 1e-4}))
+
+
+# --- mesh files -----------------------------------------------------------------------------------
+
+WORDS = [
+    b"0", b"-1", b"1", b"2", b"3", b"7", b"99", b"-5", b"15", b"16", b"100", b"1000000000000",
+    b"2147483648", b"nan", b"inf", b"1e300", b"x", b'"load"', b'"clamp"', b"$EndNodes",
+]  # fmt: skip
+
+
+def changed_file(content: bytes, rng: random.Random) -> bytes:
+    """A file with a few mutations of its bytes, lines and words."""
+    for _ in range(rng.choice([1, 1, 1, 2, 4])):
+        lines, at = content.split(b"\n"), rng.randrange(len(content) + 1)
+        line, kind = rng.randrange(len(lines)), rng.randrange(7)
+        if kind == 0:
+            content = content[:at] + content[at + rng.randint(1, 4) :]
+        elif kind == 1:
+            content = content[:at] + bytes([rng.randrange(256)]) + content[at + rng.randrange(2) :]
+        elif kind == 2 and rng.random() < 0.2:
+            content = content[:at]
+        else:
+            words = lines[line].split()
+            if kind == 3:
+                lines.pop(line)
+            elif kind == 4:
+                lines.insert(rng.randrange(len(lines)), lines[line])
+            elif words:
+                words[rng.randrange(len(words))] = rng.choice(WORDS)
+                lines[line] = b" ".join(words)
+            content = b"\n".join(lines)
+    return content
+
+
+def scene_of_file(path: Path) -> Scene:
+    """The tiny plate with its mesh from a file."""
+    tables: dict[str, Any] = {name: dict(table) for name, table in TINY.items()}
+    tables |= {"geometry": {"thickness": 0.01}, "crack": {}}
+    return Scene.from_mapping(tables | {"mesh": {"layout": "file", "file": str(path)}})
+
+
+def solve_changed_meshes(folder: Path, first: int, last: int) -> None:
+    """Solve on damaged mesh files; the program that the next test runs."""
+    good, path = (folder / "good.msh").read_bytes(), folder / "changed.msh"
+    scene = scene_of_file(path)
+    for seed in range(first, last):
+        path.write_bytes(changed_file(good, random.Random(seed)))
+        print(seed, flush=True)
+        with np.errstate(all="ignore"):
+            try:
+                check_run(solve(scene))
+            except InputError as error:
+                check_error(error)
+            except ConvergenceError:
+                pass
+
+
+@pytest.mark.slow
+def test_changed_mesh_files(tmp_path: Path) -> None:
+    """A damaged mesh file is refused or solved, and does not crash gmsh, DOLFINx or PETSc."""
+    write_msh(Scene.from_mapping(TINY), tmp_path / "good.msh")
+    program = (
+        "from pathlib import Path\nfrom test_any_input import solve_changed_meshes\n"
+        f"solve_changed_meshes(Path({str(tmp_path)!r}), 0, 300)\n"
+    )
+    search = os.pathsep.join([str(ROOT / "tests"), str(ROOT), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=os.environ | {"PYTHONPATH": search},
+        capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    seeds = done.stdout.split()
+    assert done.returncode == 0, f"seed {seeds[-1:]}\n{done.stderr[-3000:]}"
+    assert len(seeds) == 300
+
+
+def test_a_surface_in_two_groups(tmp_path: Path) -> None:
+    """Its cells count once: twice the same cells crash DOLFINx."""
+    path, double = tmp_path / "good.msh", tmp_path / "double.msh"
+    write_msh(Scene.from_mapping(TINY), path)
+    text = path.read_text()
+    double.write_text(
+        text.replace("$PhysicalNames\n5\n", '$PhysicalNames\n6\n2 7 "left"\n').replace(
+            "1 0 0 0 0.05 0.05 0 1 1 4", "1 0 0 0 0.05 0.05 0 2 1 7 4"
+        )
+    )
+    assert double.read_text().count(" 2 1 7 ") == 1
+    once, twice = (solve(scene_of_file(p)).result for p in (path, double))
+    assert isinstance(once, fc.PeriodicSolution) and isinstance(twice, fc.PeriodicSolution)
+    np.testing.assert_allclose(once.gap_coefficients, twice.gap_coefficients, rtol=1e-9)
+
+
+# --- matrices -------------------------------------------------------------------------------------
+
+MATRICES = {
+    "mass": "coordinate real symmetric\n% kg\n3 3 3\n1 1 1.0\n2 2 2.0\n3 3 1.0\n",
+    "stiffness": "coordinate real general\n3 3 7\n1 1 2.0\n1 2 -1.0\n2 1 -1.0\n2 2 2.0\n"
+    "2 3 -1.0\n3 2 -1.0\n3 3 2.0\n",
+    "gap": "array real general\n3 1\n1.0\n0.0\n-1.0\n",
+    "damping": "array real symmetric\n3 3\n0.1\n0\n0\n0.1\n0\n0.1\n",
+    "force_sin": "array real general\n3 1\n1.0\n0.0\n0.0\n",
+}
+MARKET_WORDS = [
+    b"0", b"-1", b"1", b"2", b"4", b"1000000000000", b"9223372036854775808", b"9" * 23, b"nan",
+    b"inf", b"-inf", b"1e400", b"1e300", b"1e-300", b"x", b"1.5", b"complex", b"pattern",
+    b"hermitian", b"skew-symmetric", b"integer", b"array", b"coordinate", b"vector", b"symmetric",
+    b"general", b"%%MatrixMarket", b"unsigned-integer",
+]  # fmt: skip
+
+
+def balance_or_refuse(arguments: dict[str, Any], options: dict[str, Any]) -> None:
+    """A structure of any matrices, solved with any options."""
+    options = {"omega": 1.1, "contact": fc.UnilateralPenalty(1.0), "harmonics": 3} | options
+    if "tolerance" in options:
+        del options["harmonics"]
+    with time_limit(20), np.errstate(all="ignore"):
+        try:
+            structure = fc.Structure.from_matrices(**arguments)
+            found = fc.solve_harmonic_balance(structure, **options)
+        except InputError as error:
+            check_error(error)
+        except ConvergenceError:
+            pass
+        else:
+            assert np.all(np.isfinite(found.displacement_coefficients))
+            assert np.all(np.isfinite(found.gap_coefficients))
+
+
+def market_files(folder: Path, changes: dict[str, bytes]) -> dict[str, Any]:
+    """Matrix Market files, some of them replaced."""
+    arguments = {}
+    for name, text in MATRICES.items():
+        path = folder / f"{name}.mtx"
+        path.write_bytes(changes.get(name, f"%%MatrixMarket matrix {text}".encode()))
+        arguments[name] = str(path)
+    return arguments
+
+
+@examples(1500)
+@given(SEEDS)
+def test_changed_matrix_files(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
+    """Mutated Matrix Market files make a structure that is solved, or are refused."""
+    rng = random.Random(seed)
+    changes = {}
+    for name in rng.sample(sorted(MATRICES), rng.choice([1, 1, 2])):
+        content = f"%%MatrixMarket matrix {MATRICES[name]}".encode()
+        for _ in range(rng.choice([1, 1, 2, 4])):
+            lines = content.split(b"\n")
+            words = lines[line := rng.randrange(len(lines)) * rng.randrange(2)].split()
+            if words and rng.random() < 0.6:
+                words[rng.randrange(len(words))] = rng.choice(MARKET_WORDS)
+                lines[line] = b" ".join(words)
+                content = b"\n".join(lines)
+            else:
+                content = changed_file(content, rng)
+        changes[name] = content
+    balance_or_refuse(market_files(tmp_path_factory.getbasetemp(), changes), {})
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("force_sin", "array real general"),  # SciPy reads on for ever
+        ("gap", "array real general\n1000000000000 1\n1.0\n"),
+        ("stiffness", "coordinate real general\n1000000000000 1000000000000 1\n1 1 1.0\n"),
+        ("mass", "coordinate real general\n1000000 1000000 1\n1 1 1.0\n"),
+        ("stiffness", "coordinate real general\n3 3 2\n1 1 2.0\n4 4 1.0\n"),
+        ("damping", "coordinate real general\n3 3 99999999999999999999999\n1 1 2.0\n"),
+        ("mass", "coordinate complex hermitian\n1 1 1\n1 1 1.0 0.0\n"),
+    ],
+)
+def test_matrix_files_that_failed(name: str, text: str, tmp_path: Path) -> None:
+    """Found by mutations."""
+    changes = {name: f"%%MatrixMarket matrix {text}".encode()}
+    with time_limit(10), pytest.raises(InputError) as caught:
+        fc.Structure.from_matrices(**market_files(tmp_path, changes))
+    assert caught.value.key == name
+    check_error(caught.value)
+
+
+ODD = [
+    None, "", "x", b"x", [], [[]], {}, {"a": 1}, object(), len, int, range(3), True, 0.0, -1.0, 1,
+    1j, 7, 1000, 2**31, 2**63, 10**400, 1e-30, 1e30, float("nan"), "1e5", Path("missing"), "/",
+    [1, 2, 3], [1, None, 3], ["1", "2", "3"], [[1], [2], [3]], np.array([object()]),
+    np.array(["a", "b"]), np.array("x"), np.datetime64("2020"), np.ones(3), np.ones((3, 2)),
+    np.eye(2), np.eye(3) * 1j, np.eye(3, dtype=int), np.eye(3, dtype=bool),
+    np.eye(3, dtype=np.float16), np.eye(3) * 1e300, np.eye(3) * 1e-300, -np.eye(3),
+    np.zeros((3, 3)), np.zeros((3, 3, 3)), np.zeros((0, 0)), np.full((3, 3), np.nan),
+    np.full((3, 3), np.inf), np.array([[1, 2], [3]], dtype=object), sparse.eye(3),
+    sparse.eye(3, format="lil"), sparse.eye(3) * 1j, sparse.csr_matrix((3, 3)),
+    sparse.csr_matrix((0, 0)), fc.ModalDamping(0.1), fc.UnilateralConstraint(),
+    fc.SmoothedPenalty(1.0, 1e3),
+]  # fmt: skip
+PARTS = (*MATRICES, "force_cos", "force_mean", "clearance")
+OPTIONS = (
+    "omega", "contact", "harmonics", "samples", "subharmonic", "tolerance", "initial", "form",
+    "balance", "residual_tolerance",
+)  # fmt: skip
+
+
+@examples(1500)
+@given(SEEDS)
+@example(1642)
+def test_odd_arguments(seed: int) -> None:
+    """Arguments of wrong kinds, shapes and sizes."""
+    rng = random.Random(seed)
+    arguments: dict[str, Any] = {
+        "mass": np.diag([1.0, 2.0, 1.0]),
+        "stiffness": np.array([[2.0, -1.0, 0.0], [-1.0, 2.0, -1.0], [0.0, -1.0, 2.0]]),
+        "gap": np.array([1.0, 0.0, -1.0]),
+        "damping": 0.1 * np.eye(3),
+        "force_sin": [1.0, 0.0, 0.0],
+    }
+    options: dict[str, Any] = {}
+    for name in rng.sample((*PARTS, *OPTIONS), rng.choice([1, 1, 2])):
+        (arguments if name in PARTS else options)[name] = rng.choice(ODD)
+    balance_or_refuse(arguments, options)
+
+
+# --- the program ----------------------------------------------------------------------------------
+
+
+def called(arguments: list[str]) -> tuple[int, str]:
+    """Exit code and standard error of the program."""
+    errors = io.StringIO()
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(errors):
+        try:
+            code = main(arguments)
+        except SystemExit as ending:  # argparse
+            code = int(ending.code or 0)
+    return code, errors.getvalue()
+
+
+def check_call(arguments: list[str]) -> int:
+    """Call the program; it ends with 0, 2 or 3, and with one line about an error."""
+    with time_limit(), np.errstate(all="ignore"):
+        code, errors = called(arguments)
+    assert code in (0, 2, 3), f"{code}: {errors}"
+    assert "Traceback" not in errors
+    if code == 2 and "usage: " not in errors:
+        assert errors.startswith("fenics-crack: ") and errors.count("\n") == 1
+    return code
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with scenes, results and files that are neither."""
+    folder = tmp_path_factory.mktemp("files")
+    scene = Scene.from_mapping(TINY)
+    (folder / "tiny.toml").write_text(scene.as_toml())
+    more = {"curve.start": 2000.0, "curve.stop": 2100.0, "integration.periods": 2}
+    (folder / "more.toml").write_text(scene.replace(more).as_toml())
+    (folder / "empty.toml").touch()
+    (folder / "folder").mkdir()
+    assert check_call(["solve", str(folder / "tiny.toml"), "--output", str(folder)]) == 0
+    (folder / "text.h5").write_text("no HDF5")
+    (folder / "empty.h5").touch()
+    with h5py.File(folder / "other.h5", "w") as file:
+        file["numbers"] = [1, 2, 3]
+    content = (folder / "solution.h5").read_bytes()
+    (folder / "cut.h5").write_bytes(content[: len(content) // 2])
+    (folder / "head.h5").write_bytes(content[:100])
+    return folder
+
+
+@pytest.mark.slow
+@examples(200)
+@given(SEEDS)
+def test_wild_scenes_through_the_program(folder: Path, seed: int) -> None:
+    """The same scenes as files."""
+    rng = random.Random(seed + 10**7)
+    path = folder / "wild.toml"
+    lines = []
+    for table, keys in wild_scene(rng).items():
+        lines += [f"[{table}]", *(f"{key} = {value!r}" for key, value in keys.items())]
+    path.write_text("\n".join(lines).replace("'", '"'))
+    command = rng.choice(["solve", "solve", "check", "modes"])
+    check_call(
+        [command, str(path), "--output", str(folder / "wild")][: 2 if command == "check" else 4]
+    )
+
+
+SETTINGS = [
+    "", "=", "a", "a=", "=1", "a=1", "crack=none", "contact=none", "crack=1", "mesh.columns=4",
+    "mesh.columns=1e9", "mesh.rows=3", "mesh.rows=[", "crack.length=0.03", "crack.length=nan",
+    "crack.length='", "crack.edge=right", "crack.edge=top", "material.young=" + "9" * 5000,
+    "material.young=" + "[" * 2000, "material.poisson=0.4999999", "damping.ratio=[0.1,0.2]",
+    "damping.ratio=0", "damping.modes=2", "damping.modes=1000", "excitation.omega=-1",
+    "excitation.omega=3000", "excitation.point=[0,0]", "excitation.force_sin=[0,0]",
+    "contact.law=constraint", "contact.stiffness=none", "contact.stiffness=1e30",
+    "contact.stiffness_per_area=1e9", "contact.sharpness=1e6", "contact.law=smoothed",
+    "contact.pairs=mouth", "harmonic_balance.harmonics=1", "harmonic_balance.harmonics=100000000",
+    "harmonic_balance.samples=13", "harmonic_balance.samples=2000000000", "reduction.modes=2",
+    "reduction.modes=100", "reduction.method=none", "reduction.method=craig_bampton", "curve=none",
+    "curve.parameter=load", "curve.parameter=clearance", "curve.parameter=damping",
+    "curve.start=0", "curve.stop=0", "curve.stop=2000", "curve.stability=false",
+    "integration.method=events", "integration.method=implicit", "integration.method=euler",
+    "integration.steps_per_period=1", "integration.steps_per_period=100", "integration.settle=none",
+    "sweep.over={}", "sweep.over={'crack.length'=[1]}", "mesh.file=a.msh", "mesh.layout=file",
+    "crack.first_omega=2000", "crack.clearance=1e-6", "crack.clearance=-1e-6", "\ud800=1",
+    "mesh.file=\udcff", "crack.edge=a\nb", "geometry.width=1e-7", "geometry.thickness=none",
+]  # fmt: skip
+
+
+@pytest.mark.slow
+@examples(400)
+@given(SEEDS)
+def test_command_lines(folder: Path, seed: int) -> None:
+    """Any arguments in any order."""
+    rng = random.Random(seed)
+    command = rng.choice(["check", "modes", "solve", "curve", "integrate", "new", "plot"])
+    places = ["more.toml"] * 12 + ["tiny.toml", "missing.toml", "folder", "empty.toml", "text.h5"]
+    place = folder / rng.choice(places if command != "plot" else ["cut.h5", "other.h5", "folder"])
+    arguments = [[str(place if command != "new" else folder / f"new{seed}.toml")]]
+    arguments += [["--set", rng.choice(SETTINGS)] for _ in range(rng.choice([0, 1, 1, 2, 3]))]
+    others = [
+        ["--output", str(folder / rng.choice(["out", "text.h5", "missing/of/all"]))],
+        ["--count", rng.choice(["0", "-1", "2", "x", "1e3", "1000", "1" * 30])],
+        ["--format", rng.choice(["text", "json", "csv", "xml"])],
+        ["--quiet"], ["--verbose"], ["--show"], ["--wrong"], [""], ["--help"], ["--version"],
+    ]  # fmt: skip
+    arguments += rng.sample(others, rng.choice([0, 0, 0, 1, 2]))
+    rng.shuffle(arguments)
+    line = [word for argument in arguments for word in argument]
+    check_call([command, *line] if rng.random() < 0.95 else line)
+
+
+@pytest.mark.parametrize(
+    "name", ["missing.h5", "folder", "text.h5", "empty.h5", "other.h5", "cut.h5", "head.h5"]
+)
+def test_plot_of_no_result(folder: Path, name: str) -> None:
+    """What is no whole result file of this program is refused."""
+    assert check_call(["plot", str(folder / name), "--output", str(folder / "pictures")]) == 2

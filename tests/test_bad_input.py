@@ -1,0 +1,213 @@
+"""Every bad input that a scene or a command can meet, and the one line that the program answers.
+
+Messages that end with a machine's or a library's own words are given up to these.
+"""
+
+# ruff: noqa: E501
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+from helpers import ROOT
+from test_any_input import TINY
+
+from fenics_crack import Scene
+from fenics_crack.command_line import main
+
+# fmt: off
+TABLE = [
+    # command, scene or file and arguments (key=value stands for --set key=value), message
+    ("check missing.toml", "scene = 'missing.toml': must be a readable file (No such file or directory)"),
+    ("check folder", "scene = 'folder': must be a readable file (Is a directory)"),
+    ("check bad.toml", "scene = 'bad.toml': must be a TOML file ("),
+    ("check empty.toml", "geometry = None: must be given: a table"),
+    ("check extra.toml", "x = 1: must be left out; known tables: geometry, material, damping, excitation, mesh, contact, crack, harmonic_balance, reduction, curve, integration, sweep"),
+    ("check word.toml", "mesh.colour = 1: must be left out; known keys: layout, cells, order, columns, rows, size, lip_elements, grading, file"),
+    ("check flat.toml", "mesh = 1: must be a table with the keys layout, cells, order, columns, rows, size, lip_elements, grading, file"),
+    ("check less.toml", "material.young = None: must be given: a finite number > 0 (1e-30 to 1e+30)"),
+    ("new scene.toml", "scene = 'scene.toml': must be a new file; there is one already"),
+    ("new scene.toml/x.toml", "scene = 'scene.toml/x.toml': must be a new file; there is one already"),
+    ("modes scene.toml --count 0", "--count = 0: must be a whole number >= 1"),
+    ("modes scene.toml --count 1000", "--count = 1000: must be a whole number from 1 to n_dofs = 14"),
+    ("modes scene.toml --count 9999999999", "--count = 9999999999: must be at most 1e+09"),
+    ("solve scene.toml --output scene.toml", "path = 'scene.toml/solution.h5': must be a file that can be written ("),
+    ("plot missing.h5", "path = 'missing.h5': must be a file that exists"),
+    ("plot text.h5", "path = 'text.h5': must be a readable result file ("),
+    ("plot folder", "path = 'folder': must be a readable result file ("),
+    ("solve scene.toml crack.length", "--set = 'crack.length': must be key=value, for example contact.stiffness=1e9"),
+    ("solve scene.toml crack=1", "crack = 1: must be left out; known keys: edge, height, length, first_omega, clearance"),
+    ("solve scene.toml colour=1", "colour = 1: must be left out; known tables: geometry, material, damping, excitation, mesh, contact, crack, harmonic_balance, reduction, curve, integration, sweep"),
+    ("solve scene.toml mesh.colour=1", "mesh.colour = 1: must be left out; known keys: layout, cells, order, columns, rows, size, lip_elements, grading, file"),
+    ("solve scene.toml mesh=none", "mesh = None: must be left out; known keys: layout, cells, order, columns, rows, size, lip_elements, grading, file"),
+    ("solve scene.toml geometry.thickness=0", "geometry.thickness = 0: must be a finite number > 0 (1e-30 to 1e+30)"),
+    ("solve scene.toml geometry.thickness=1e31", "geometry.thickness = 1e+31: must be a finite number > 0 (1e-30 to 1e+30)"),
+    ("solve scene.toml geometry.width=1e-7", "geometry.width = 1e-07: must be a number from 1e-6 to 1e6"),
+    ("solve scene.toml geometry.width=none", "geometry.width = None: must be given: a number from 1e-6 to 1e6"),
+    ("solve scene.toml geometry.height=none", "geometry.height = None: must be given: a number from 1e-6 to 1e6"),
+    ("solve scene.toml geometry.width=2e3", "geometry.width = 2000.0: must be within a factor 10000 of geometry.height = 0.1"),
+    ("solve scene.toml crack.edge=top", "crack.edge = 'top': must be one of 'left', 'right'"),
+    ("solve scene.toml crack.edge=none", "crack.edge = None: must be given: 'left' or 'right'"),
+    ("solve scene.toml crack.height=0.1", "crack.height = 0.1: must be inside the plate: between 0 and geometry.height = 0.1, at least 0.0001 of that from both"),
+    ("solve scene.toml crack.height=0.04", "crack.height = 0.04: must be a whole number of grid cells of 0.05 m, at least one from each end"),
+    ("solve scene.toml crack.length=0.1", "crack.length = 0.1: must be shorter than the plate: between 0 and geometry.width = 0.1, at least 0.0001 of that from both"),
+    ("solve scene.toml crack.length=0.03", "crack.length = 0.03: must be a whole number of grid cells of 0.05 m, at least one from each end"),
+    ("solve scene.toml crack.length=none", "crack.length = None: must be given, or left out where crack.first_omega determines it"),
+    ("solve scene.toml crack.first_omega=2000", "crack.length = 0.05: must be given, or left out where crack.first_omega determines it"),
+    ("solve scene.toml crack.first_omega=0", "crack.first_omega = 0: must be a finite number > 0 (1e-30 to 1e+30)"),
+    ("solve scene.toml crack.clearance=nan", "crack.clearance = nan: must be a finite number (0, or of size 1e-30 to 1e+30)"),
+    ("solve scene.toml contact=none", "contact = None: must be given where there is a crack: a table"),
+    ("solve scene.toml material.young=-1", "material.young = -1: must be a finite number > 0 (1e-30 to 1e+30)"),
+    ("solve scene.toml material.poisson=0.5", "material.poisson = 0.5: must be a finite number with -1 < nu < 0.5"),
+    ("solve scene.toml material.density=0", "material.density = 0: must be a finite number > 0 (1e-30 to 1e+30)"),
+    ("solve scene.toml damping.ratio=-1", "damping.ratio = -1: must be a finite number >= 0 (0, or of size 1e-30 to 1e+30), or a list of them, one per mode"),
+    ("solve scene.toml damping.modes=0", "damping.modes = 0: must be 'all' or a whole number >= 1"),
+    ("solve scene.toml damping.modes=1000", "damping.modes = 1000: must be at most n_dofs = 14"),
+    ("solve scene.toml excitation.omega=0", "excitation.omega = 0: must be a finite number > 0 (1e-30 to 1e+30)"),
+    ("solve scene.toml excitation.point=1", "excitation.point = 1: must be [x, y], two finite numbers (0, or of size 1e-30 to 1e+30)"),
+    ("solve scene.toml excitation.point=none", "excitation.point = None: must be given: [x, y] on the plate"),
+    ("solve scene.toml excitation.point=[1,1]", "excitation.point = (1.0, 1.0): must be on the plate: [0..0.1, 0..0.1]"),
+    ("solve scene.toml excitation.point=[0,0]", "excitation.point = (0.0, 0.0): must be where the plate is free to move"),
+    ("solve scene.toml excitation.force_sin=1", "excitation.force_sin = 1: must be [fx, fy], two finite numbers (0, or of size 1e-30 to 1e+30)"),
+    ("solve scene.toml excitation.force_cos=[1]", "excitation.force_cos = [1]: must be [fx, fy], two finite numbers (0, or of size 1e-30 to 1e+30)"),
+    ("solve scene.toml excitation.force_mean=['a',1]", "excitation.force_mean = ['a', 1]: must be [fx, fy], two finite numbers (0, or of size 1e-30 to 1e+30)"),
+    ("solve scene.toml contact.stiffness=none", "contact.stiffness = None: must be given, or contact.stiffness_per_area, with law = 'penalty'"),
+    ("solve scene.toml contact.stiffness=0", "contact.stiffness = 0: must be a finite number > 0 (1e-30 to 1e+30)"),
+    ("solve scene.toml contact.stiffness=1e30", "contact.stiffness = 1e+30: must be at most "),
+    ("solve scene.toml contact.stiffness_per_area=1e9", "contact.stiffness = 10000000.0: must be given, or contact.stiffness_per_area, with law = 'penalty'"),
+    ("solve scene.toml contact.stiffness_per_area=0", "contact.stiffness_per_area = 0: must be a finite number > 0 (1e-30 to 1e+30)"),
+    ("solve scene.toml contact.law=glue", "contact.law = 'glue': must be one of 'penalty', 'smoothed', 'constraint'"),
+    ("solve scene.toml contact.law=constraint", "contact.stiffness = 10000000.0: must be left out with law = 'constraint'"),
+    ("solve scene.toml contact.sharpness=1", "contact.sharpness = 1.0: must be left out with law = 'penalty'"),
+    ("solve scene.toml contact.law=smoothed", "contact.sharpness = None: must be given with law = 'smoothed'"),
+    ("solve scene.toml contact.sharpness=0", "contact.sharpness = 0: must be a finite number > 0 (1e-30 to 1e+30)"),
+    ("solve scene.toml contact.pairs=none", "contact.pairs = None: must be one of 'all', 'mouth'"),
+    ("solve scene.toml harmonic_balance.harmonics=0", "harmonic_balance.harmonics = 0: must be a whole number >= 1"),
+    ("solve scene.toml harmonic_balance.harmonics=100000", "harmonic_balance.harmonics = 100000: must be at most "),
+    ("solve scene.toml harmonic_balance.samples=5", "harmonic_balance.samples = 5: must be a whole number from 13 (4 harmonics + 1) to 1048576, or left out"),
+    ("solve scene.toml harmonic_balance.samples=0", "harmonic_balance.samples = 0: must be a whole number >= 1"),
+    ("solve scene.toml mesh.layout=a", "mesh.layout = 'a': must be one of 'grid', 'graded', 'file'"),
+    ("solve scene.toml mesh.cells=a", "mesh.cells = 'a': must be one of 'triangle', 'quadrilateral'"),
+    ("solve scene.toml mesh.order=3", "mesh.order = 3: must be 1 or 2"),
+    ("solve scene.toml mesh.columns=0", "mesh.columns = 0: must be a whole number >= 1"),
+    ("solve scene.toml mesh.columns=none", "mesh.columns = None: must be given with layout = 'grid'"),
+    ("solve scene.toml mesh.rows=3000000", "mesh.columns = 2: must be so that there are fewer cells: 6e+06 are more than 5e+06"),
+    ("solve scene.toml mesh.size=0.1", "mesh.size = 0.1: must be left out with layout = 'grid'"),
+    ("solve scene.toml mesh.lip_elements=2", "mesh.lip_elements = 2: must be left out with layout = 'grid'"),
+    ("solve scene.toml mesh.grading=0", "mesh.grading = 0: must be a number from 1 to 1e+06"),
+    ("solve scene.toml mesh.file=a", "mesh.file = 'a': must be left out with layout = 'grid'"),
+    ("solve scene.toml mesh.file=1", "mesh.file = 1: must be the path of a .msh file"),
+    ("solve scene.toml mesh.layout=file", "mesh.columns = 2: must be left out with layout = 'file'"),
+    ("solve scene.toml reduction.method=a", "reduction.method = 'a': must be one of 'free_interface', 'craig_bampton', 'none'"),
+    ("solve scene.toml reduction.modes=0", "reduction.modes = 0: must be a whole number >= 1"),
+    ("solve scene.toml reduction.modes=1000", "reduction.modes = 1000: must be a whole number from 1 to n_dofs = 14"),
+    ("solve scene.toml curve.parameter=a", "curve.parameter = 'a': must be one of 'omega', 'load', 'stiffness', 'damping', 'clearance'"),
+    ("solve scene.toml curve.start=none", "curve.start = None: must be a finite number (0, or of size 1e-30 to 1e+30)"),
+    ("solve scene.toml curve.start=a", "curve.start = 'a': must be a finite number (0, or of size 1e-30 to 1e+30)"),
+    ("solve scene.toml curve.start=-1", "curve.start = -1.0: must be a number > 0 with curve.parameter = 'omega'"),
+    ("solve scene.toml curve.stop=2000", "curve.stop = 2000.0: must be other than curve.start = 2000"),
+    ("solve scene.toml curve.stability=1", "curve.stability = 1: must be true or false"),
+    ("solve scene.toml integration.method=a", "integration.method = 'a': must be one of 'central_difference', 'implicit', 'events'"),
+    ("solve scene.toml integration.periods=0", "integration.periods = 0: must be a whole number >= 1"),
+    ("solve scene.toml integration.settle=0", "integration.settle = 0: must be a finite number > 0 (1e-30 to 1e+30)"),
+    ("solve scene.toml integration.steps_per_period=0", "integration.steps_per_period = 0: must be a whole number >= 1"),
+    ("solve scene.toml sweep.over=1", "sweep.over = 1: must be a table of keys of the scene and the values that they take"),
+    ("solve scene.toml sweep.over={}", "sweep.over = {}: must be a table of keys of the scene and the values that they take"),
+    ("solve scene.toml sweep.over={a=[1]}", "sweep.over = 'a': must be a table.key of the scene, with a table of geometry, material, damping, excitation, mesh, contact, crack, harmonic_balance, reduction"),
+    ("solve scene.toml sweep.over={'crack.length'=[]}", "sweep.over.\"crack.length\" = []: must be a list of values, or a table of start, stop, count (>= 2) and, if wanted, spacing = 'linear' or 'logarithmic'"),
+    ("solve scene.toml sweep.over={'crack.length'=1}", "sweep.over.\"crack.length\" = 1: must be a list of values, or a table of start, stop, count (>= 2) and, if wanted, spacing = 'linear' or 'logarithmic'"),
+    ("solve scene.toml sweep.over={'crack.length'={start=0.01,stop=0.02,count=1}}", "sweep.over.\"crack.length\" = {'start': 0.01, 'stop': 0.02, 'count': 1}: must be a list of values, or a table of start, stop, count (>= 2) and, if wanted, spacing = 'linear' or 'logarithmic'"),
+    ("solve scene.toml sweep.over={'crack.clearance'={start=-1,stop=1,count=3,spacing='logarithmic'}}", "sweep.over.\"crack.clearance\" = {'start': -1, 'stop': 1, 'count': 3, 'spacing': 'logarithmic'}: must be of one sign from start to stop with that spacing"),
+    ("solve scene.toml sweep.over={'crack.length'=[-1]}", "crack.length = -1: must be a finite number > 0 (1e-30 to 1e+30)"),
+    ("solve scene.toml sweep.over={'crack.length'=[0.1,0.1]}", 'sweep.over."crack.length" = [0.1, 0.1]: must be given once each'),
+    ("solve scene.toml sweep.ranks=0", "sweep.over = None: must be given: a table of keys of the scene and the values that they take"),
+    ("solve scene.toml damping.ratio=[0.1,0.2] damping.modes=3", "damping.ratio = (0.1, 0.2): must be a list of damping.modes = 3"),
+    ("solve scene.toml damping.ratio=[0.1,0.2]", "damping.ratio = '2 ratios': must be one or 14, one per mode"),
+    ("solve scene.toml contact.law=constraint contact.stiffness=none contact.sharpness=1", "contact.sharpness = 1.0: must be left out with law = 'constraint'"),
+    ("solve scene.toml contact.law=constraint contact.stiffness=none harmonic_balance.samples=64", "harmonic_balance.samples = 64: must be left out with UnilateralConstraint"),
+    ("solve scene.toml contact.stiffness=none contact.law=constraint contact.stiffness_per_area=1", "contact.stiffness_per_area = 1.0: must be left out with law = 'constraint'"),
+    ("solve scene.toml mesh.columns=none mesh.rows=none mesh.layout=graded mesh.size=0.05 mesh.lip_elements=2 mesh.size=none", "mesh.size = None: must be given with layout = 'graded'"),
+    ("solve scene.toml mesh.columns=none mesh.rows=none mesh.layout=graded mesh.size=0.05 mesh.lip_elements=2 mesh.lip_elements=none", "mesh.lip_elements = None: must be given where there is a crack"),
+    ("solve scene.toml mesh.columns=none mesh.rows=none mesh.layout=graded mesh.size=0.05 mesh.lip_elements=2 mesh.size=1e-5", "mesh.size = 1e-05: must be so that there are fewer cells: 5e+07 are more than 5e+06"),
+    ("solve scene.toml mesh.columns=none mesh.rows=none mesh.layout=graded mesh.size=0.05 mesh.lip_elements=2 mesh.grading=1e6 crack.length=1e-4", "mesh.grading = 1000000.0: must be smaller, for this crack: the element at its tip is only "),
+    ("solve scene.toml mesh.columns=none mesh.rows=none mesh.layout=graded mesh.size=0.05 mesh.lip_elements=2 crack.length=none crack.first_omega=1", "crack.first_omega = 1.0: must be between "),
+    ("solve scene.toml mesh.columns=none mesh.rows=none mesh.layout=file mesh.file=missing.msh geometry.width=none geometry.height=none crack.edge=none crack.height=none crack.length=none", "mesh.file = 'missing.msh': must be an existing gmsh mesh file"),
+    ("solve scene.toml mesh.columns=none mesh.rows=none mesh.layout=file mesh.file=text.h5 geometry.width=none geometry.height=none crack.edge=none crack.height=none crack.length=none", "mesh.file = 'text.h5': must be readable by gmsh ("),
+    ("solve scene.toml crack.length=none crack.first_omega=2000", "crack.length = None: must be given with mesh.layout = 'grid'"),
+    ("solve scene.toml geometry.thickness=none", "geometry.thickness = None: must be a finite number > 0 (1e-30 to 1e+30)"),
+    ("solve scene.toml mesh.columns=none mesh.rows=none mesh.layout=file mesh.file=missing.msh geometry.width=none geometry.height=none", "crack.edge = 'left': must be left out with mesh.layout = 'file'"),
+    ("curve scene.toml curve=none", "curve = None: must be given for this command: a table with start and stop"),
+    ("curve scene.toml crack=none", "crack = None: must be given for this command: a table"),
+    ("curve scene.toml contact.law=constraint contact.stiffness=none", "contact.law = 'constraint': must be 'penalty' or 'smoothed' for a curve"),
+    ("curve scene.toml curve.parameter=load curve.start=-1 curve.stop=1", "curve.start, curve.stop = (-1.0, 1.0): must be both of one sign: without clearance nothing is left of the motion at 0"),
+    ("curve scene.toml curve.parameter=damping curve.start=-1", "curve.start = -1.0: must be a finite number >= 0"),
+    ("curve scene.toml curve.parameter=stiffness curve.start=0", "curve.start = 0.0: must be a number > 0 with curve.parameter = 'stiffness'"),
+    ("integrate scene.toml crack=none", "crack = None: must be given for this command: a table"),
+    ("integrate scene.toml integration.method=events contact.law=constraint contact.stiffness=none", "contact.law = 'constraint': must be 'penalty' with integration.method = 'events'"),
+    ("integrate scene.toml integration.method=events contact.law=smoothed contact.sharpness=1e6", "contact.law = 'smoothed': must be 'penalty' with integration.method = 'events'"),
+    ("integrate scene.toml integration.steps_per_period=1", "integration.steps_per_period = 1: must be >= "),
+    ("integrate scene.toml integration.steps_per_period=2000000000", "integration.steps_per_period = 2000000000: must be at most 1e+09"),
+]
+# fmt: on
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working folder, with a scene that can be used and files that cannot."""
+    monkeypatch.chdir(tmp_path)
+    more = {"curve.start": 2000.0, "curve.stop": 2100.0, "integration.periods": 2}
+    text = Scene.from_mapping(TINY).replace(more).as_toml()
+    contents = {
+        "scene.toml": text,
+        "bad.toml": "[geometry",
+        "empty.toml": "",
+        "extra.toml": "x = 1",
+        "word.toml": text.replace("[mesh]", "[mesh]\ncolour = 1"),
+        "flat.toml": "mesh = 1\n" + text.split("[mesh]")[0],
+        "less.toml": text.replace("young", "#"),
+        "text.h5": "no",
+    }
+    for name, content in contents.items():
+        (tmp_path / name).write_text(content)
+    (tmp_path / "folder").mkdir()
+    return tmp_path
+
+
+@pytest.mark.parametrize(("line", "message"), TABLE, ids=[line[:60] for line, _ in TABLE])
+def test_bad_input_is_one_line(
+    line: str, message: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit code 2, and what was found and what may stand there on standard error."""
+    arguments: list[str] = []
+    for word in line.split():
+        arguments += ["--set", word] if "=" in word or word in SETTINGS else [word]
+    assert main(arguments) == 2
+    answer = capsys.readouterr().err
+    assert answer.count("\n") == 1 and answer.startswith(f"fenics-crack: {message}")
+
+
+SETTINGS = ("crack.length",)
+"""Words of the table that are settings without a value."""
+
+
+@pytest.mark.parametrize("name", ["scene.py", "table.py"])
+def test_every_message_of_the_scene_is_in_the_table(name: str) -> None:
+    """A check that is added to the scene needs a line above."""
+    shown = "\n".join(message for _, message in TABLE)
+    tree = ast.parse((ROOT / "fenics_crack" / name).read_text(encoding="utf-8"))
+    missing = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and node.args:
+            called = getattr(node.func, "attr", getattr(node.func, "id", ""))
+            if called in ("InputError", "require", "holds"):
+                words = [
+                    part.value
+                    for part in ast.walk(node.args[1 if called == "holds" else -1])
+                    if isinstance(part, ast.Constant) and isinstance(part.value, str)
+                ]
+                longest = max(words, key=len, default="")
+                if longest.strip("' ") not in shown and longest not in ("allowed", "a "):
+                    missing.append(longest)
+    assert not missing
