@@ -7,6 +7,10 @@ No other module looks at a version.
 
 from __future__ import annotations
 
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import basix
@@ -28,11 +32,27 @@ __all__ = [
     "function_space",
     "geometry_dofmap",
     "gmsh_is_running",
+    "kept_interrupts",
     "model_to_mesh",
     "vtk_cells",
 ]
 
 _JIT = {"timeout": 300}  # [s] while another process compiles the same form
+
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # by importing gmsh 4.8
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@contextmanager
+def kept_interrupts() -> Iterator[None]:
+    """What Ctrl-C does is as before: gmsh sets it, and 4.8 does not set it back."""
+    handler = signal.getsignal(signal.SIGINT)
+    try:
+        yield
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, handler)
 
 
 def gmsh_is_running() -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import signal
 import threading
 import time
 import traceback
@@ -86,8 +85,7 @@ class Worker:
         arrays = job.arrays
         try:
             if job.scene is not None:
-                with _kept_handler():
-                    structure, length = build(job.scene, self._group, job.unit_loads)
+                structure, length = build(job.scene, self._group, job.unit_loads)
                 arrays = Arrays.of(structure, length)
                 answer.arrays = arrays if job.wanted else None
         except REFUSALS as error:
@@ -327,14 +325,3 @@ def no_garbage_in_threads() -> Iterator[None]:
         gc.unfreeze()
         if enabled:
             gc.enable()
-
-
-@contextmanager
-def _kept_handler() -> Iterator[None]:
-    """What Ctrl-C does is as before: gmsh sets it and does not always set it back."""
-    handler = signal.getsignal(signal.SIGINT)
-    try:
-        yield
-    finally:
-        if threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGINT, handler)
