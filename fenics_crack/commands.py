@@ -182,7 +182,7 @@ def solution(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) -> in
         run = solve(scene, comm)
     found = run.result
     assert isinstance(found, PeriodicSolution)
-    found.save(folder / "solution.h5", run.scene)
+    _save(found, folder / "solution.h5", run, comm)
     table = Table(("quantity", "value", "unit"), _quantities(run, found))
     time_ = np.linspace(0.0, found.period, 401)
     waves = [time_, found.displacement(time_, [run.watched_dof])[:, 0]]
@@ -242,7 +242,7 @@ def curve(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) -> int:
         run = follow_curve(scene, comm, progress=console.progress)
     found = run.result
     assert isinstance(found, ResponseCurve)
-    on_root(comm, lambda: found.save(folder / "curve.h5", run.scene))
+    _save(found, folder / "curve.h5", run, comm)
     amplitude = found.amplitude(run.watched_dof)
     columns = [f"{found.parameter} [{UNITS[found.parameter]}]", f"{run.watched_name} [m]"]
     values = [found.values, amplitude, found.iterations]
@@ -286,7 +286,7 @@ def integration(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) ->
         run = integrate(scene, comm, progress=console.progress)
     found = run.result
     assert isinstance(found, TimeHistory)
-    on_root(comm, lambda: found.save(folder / "integration.h5", run.scene))
+    _save(found, folder / "integration.h5", run, comm)
     motion = found.displacement([run.watched_dof])[:, 0]
     rows = [
         ("periods", found.periods, "-"),
@@ -309,6 +309,16 @@ def integration(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) ->
         console.warn(f"the motion has not settled: a period changes it by {found.settled:.2g}")
         return NOT_CONVERGED
     return code
+
+
+def _save(
+    found: PeriodicSolution | ResponseCurve | TimeHistory, path: Path, run: Run, comm: MPI.Comm
+) -> None:
+    """Write a result: together where its structure is spread over the ranks, else on rank 0."""
+    if run.structure.comm.size > 1:
+        found.save(path, run.scene)
+    else:
+        on_root(comm, lambda: found.save(path, run.scene))
 
 
 def _finish(

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import csv
+import importlib
 import json
 import os
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -119,6 +121,13 @@ def test_help_and_version(capsys: pytest.CaptureFixture) -> None:
     assert capsys.readouterr().out.strip() == f"fenics-crack {fc.__version__}"
 
 
+def test_is_installed_as_a_program() -> None:
+    """pyproject.toml names the function that the tests call."""
+    scripts = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
+    module, function = scripts["fenics-crack"].split(":")
+    assert getattr(importlib.import_module(module), function) is main
+
+
 @pytest.mark.mpi
 def test_bad_input_on_two_ranks(tmp_path: Path) -> None:
     """One line, from one rank, and both ranks end."""
@@ -129,7 +138,7 @@ def test_bad_input_on_two_ranks(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
-def test_loaded_on_other_ranks(tmp_path: Path) -> None:
+def test_a_failed_run_leaves_older_results(tmp_path: Path) -> None:
     """A file is replaced only when the new one is complete."""
     words = ["modes", str(ROOT / "demos" / "paper_plate.toml"), "--output", str(tmp_path)]
     assert main([*words, "--quiet"]) == 0
