@@ -488,6 +488,9 @@ def test_changed_matrix_files(tmp_path_factory: pytest.TempPathFactory, seed: in
     ("name", "text"),
     [
         ("force_sin", "array real general"),  # SciPy reads on for ever
+        ("gap", "array real general\n3 1\n1.0\n0.0\n-1.0\n4.0\n5.0\n"),
+        ("damping", "array real symmetric\n3 3\n0.1\n0\n0\n0.1\n0\n0.1\n1.0\n"),
+        ("stiffness", "coordinate real symmetric\n3 3 4\n1 1 2\n2 2 2\n3 3 2\n1 2 -1\n"),
         ("gap", "array real general\n1000000000000 1\n1.0\n"),
         ("stiffness", "coordinate real general\n1000000000000 1000000000000 1\n1 1 1.0\n"),
         ("mass", "coordinate real general\n1000000 1000000 1\n1 1 1.0\n"),
