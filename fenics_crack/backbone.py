@@ -44,7 +44,7 @@ from tqdm import tqdm
 from fenics_crack.arclength import follow_path
 from fenics_crack.compliance import AllModes, ModalCompliance, all_modes, is_small
 from fenics_crack.condensed import CondensedSystem, determinant_sign
-from fenics_crack.contact import ContactLaw, check_law
+from fenics_crack.contact import ContactLaw, check_law, check_law_parts, law_parts
 from fenics_crack.contact_integrals import ContactIntegrals, apply_to_pairs, contact_integrals
 from fenics_crack.error_report import ErrorReport, mean_square
 from fenics_crack.errors import ConvergenceError, InputError, check_count, check_number
@@ -199,7 +199,7 @@ class Backbone:
         """Write the curve to an HDF5 file, with the scene that it belongs to if there is one."""
         parts = {name: getattr(self, name) for name in _STORED}
         parts |= {"samples": self.samples or 0, "couplings": self.structure.couplings}
-        write(path, self.KIND, parts, scene)
+        write(path, self.KIND, parts | law_parts(self.contact), scene)
 
     @classmethod
     def load(cls, path: str | Path, structure: Structure, contact: ContactLaw) -> Backbone:
@@ -218,6 +218,7 @@ class Backbone:
             The file is not one of :meth:`save`, or the structure has other dofs.
         """
         with reading(path, cls.KIND) as parts:
+            check_law_parts(parts, contact)
             signs = structure.signs_since(parts["couplings"])
             return cls(
                 structure,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import os
+import signal
 import sys
 import tomllib
 import traceback
@@ -14,15 +16,16 @@ from typing import Any
 from mpi4py import MPI
 
 from fenics_crack import commands
-from fenics_crack.commands import DONE, NOT_CONVERGED, Console
+from fenics_crack.commands import NOT_CONVERGED, Console
 from fenics_crack.errors import ConvergenceError, InputError, check_count
+from fenics_crack.parallel import on_root
 from fenics_crack.report import FORMATS
 from fenics_crack.scene import Scene
 from fenics_crack.version import VERSION
 
 __all__ = ["main", "parser"]
 
-BAD_INPUT, BROKEN, INTERRUPTED = 2, 1, 130
+BAD_INPUT, BROKEN, INTERRUPTED, READER_GONE = 2, 1, 130, 141
 KEYS = {
     "contact stiffness": "contact.stiffness",
     "count": "--count",
@@ -50,14 +53,16 @@ Start with:
 Any key can be changed for one run: --set contact.stiffness=1e9 --set crack.length=0.03
 On several processors: mpirun -n 4 fenics-crack sweep plate.toml
 
-Exit code: 0 done; 2 bad input; 3 something did not converge (what was found is in the files);
-130 stopped by Ctrl-C; 1 a fault of the program.
+Exit code: 0 done; 2 bad input; 3 something did not converge, or Ctrl-C has ended it early (what was
+found, if anything, is in the files); 130 stopped by Ctrl-C; 1 a fault of the program.
 """
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return the exit code; the same on every rank."""
     comm = MPI.COMM_WORLD
+    logging.disable(logging.INFO)  # what compilers of forms say
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # else PETSc ends the program when a reader goes
     if comm.rank > 0:  # only rank 0 speaks; faults of the program go to the true standard error
         sys.stdout = sys.stderr = open(os.devnull, "w")
     try:
@@ -74,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
     except BrokenPipeError:  # the reader of our output has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return DONE
+        return READER_GONE
     except Exception:
         traceback.print_exc(file=sys.__stderr__)
         if comm.size > 1:  # the others wait for this rank
@@ -89,11 +94,14 @@ def _run(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
         return commands.new(arguments.scene, console, comm)
     if command == "plot":
         folder = arguments.output or arguments.result.parent
+        commands.make_writable(folder, comm)
         return commands.plot(arguments.result, folder, arguments.show, console, comm)
-    scene = Scene.load(arguments.scene).replace(_changes(arguments.set))
+    changes = _changes(arguments.set)
+    scene = on_root(comm, lambda: Scene.load(arguments.scene).replace(changes))
     if command == "check":
         return commands.check(scene, console, comm)
     folder = arguments.output or Path("output") / arguments.scene.stem
+    commands.make_writable(folder, comm)
     if command == "modes":
         check_count("--count", arguments.count, 1)
         return commands.modes(scene, arguments.count, folder, console, comm)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,8 +24,9 @@ from fenics_crack.harmonic_balance import check_memory
 from fenics_crack.integration import TimeHistory
 from fenics_crack.modes import Modes
 from fenics_crack.modes_file import save_modes
-from fenics_crack.parallel import on_root
+from fenics_crack.parallel import gather_rows, on_root
 from fenics_crack.pictures import draw_run, draw_sweep
+from fenics_crack.plot import PARAMETERS
 from fenics_crack.preparation import law_of, reduction_of, with_crack_length
 from fenics_crack.report import Table
 from fenics_crack.run import (
@@ -40,6 +43,7 @@ from fenics_crack.store import kind_of, make_folder
 from fenics_crack.structure import Structure
 from fenics_crack.sweep import SweepResult, run_sweep
 from fenics_crack.sweep_file import KIND as SWEEP
+from fenics_crack.sweep_plan import Plan
 
 __all__ = [
     "DONE",
@@ -48,6 +52,7 @@ __all__ = [
     "check",
     "curve",
     "integration",
+    "make_writable",
     "modes",
     "new",
     "plot",
@@ -57,12 +62,16 @@ __all__ = [
 
 DONE, NOT_CONVERGED = 0, 3
 """Exit codes."""
+IN_SHORT = ("state", "response [m]", "opening [m]", "multiplier", "verdict", "truncation_error")
+"""Columns of a sweep that are shown as text, beside the swept values."""
 LARGE_ERROR = 0.05
 """Estimated error of the gap beyond which a solution is not shown without a warning."""
+UNDECIDED = "; more harmonics may decide it, or damping of all modes (damping.modes = 'all')"
+SHARE = "of the lips' motion"
+MOST_CHECKED = 10_000
+"""Cases of a sweep that are looked at before it is run."""
 SHOWN_FAILURES = 10
 """Of a sweep; all are in its table."""
-UNITS = {"omega": "rad/s", "load": "-", "stiffness": "-", "damping": "-", "clearance": "m"}
-"""Of the parameters of curves."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +85,7 @@ class Console:
     @property
     def progress(self) -> bool:
         """Whether long work shows a bar."""
-        return not self.quiet and sys.stderr.isatty()
+        return not self.quiet and (self.verbose or sys.stderr.isatty())
 
     def table(self, table: Table) -> None:
         """Print a table."""
@@ -98,6 +107,21 @@ class Console:
         yield
         if self.verbose:
             print(f"{name}: {time.perf_counter() - started:.2f} s", file=sys.stderr, flush=True)
+
+
+def make_writable(folder: Path, comm: MPI.Comm) -> None:
+    """Make a folder for results; InputError unless a file can be written there."""
+
+    def work() -> None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                pass
+        except OSError as error:
+            allowed = f"a folder that can be written ({error.strerror})"
+            raise InputError("--output", str(folder), allowed) from None
+
+    on_root(comm, work)
 
 
 # --- scenes ---------------------------------------------------------------------------------------
@@ -129,7 +153,10 @@ def check(scene: Scene, console: Console, comm: MPI.Comm) -> int:
     whole = build_structure(found, comm)
     balance = scene.harmonic_balance
     check_memory(whole, balance.harmonics)
+    assert whole.nodes is not None
+    points = gather_rows(comm, whole.nodes.points)
     rows: list[tuple[str, object]] = [
+        ("width x height [m]", "{:g} x {:g}".format(*np.ptp(points, axis=0))),
         ("degrees of freedom", whole.n_dofs),
         ("contact pairs", whole.n_pairs),
         ("harmonics", balance.harmonics),
@@ -151,8 +178,18 @@ def check(scene: Scene, console: Console, comm: MPI.Comm) -> int:
     if scene.sweep is not None:
         axes = " x ".join(f"{len(axis.values)} {axis.key}" for axis in scene.sweep.over)
         rows += [("sweep", axes), ("cases of the sweep", scene.sweep.n_cases)]
+        rows.append(("of them impossible", on_root(comm, lambda: _impossible(scene))))
     console.table(Table(("what", "value"), rows))
     return DONE
+
+
+def _impossible(scene: Scene) -> str:
+    """How many cases of a sweep are no scenes, and why the first one is not."""
+    plan = Plan(scene)
+    places = itertools.islice(np.ndindex(*plan.shape), MOST_CHECKED)
+    reasons = [case for case in map(plan.case, places) if isinstance(case, str)]
+    more = f" of the first {MOST_CHECKED}" if np.prod(plan.shape) > MOST_CHECKED else ""
+    return f"{len(reasons)}{more}" + (f": {reasons[0]}" if reasons else "")
 
 
 def _how_solved(scene: Scene, whole: Structure) -> str:
@@ -202,7 +239,10 @@ def solution(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) -> in
             "(harmonic_balance.harmonics) or more modes (reduction.modes) are needed"
         )
     if found.stability is not None and found.stability.verdict != "stable":
-        console.warn(f"the orbit is {found.stability.verdict}: it may not be what is seen in time")
+        console.warn(
+            f"the orbit is {found.stability.verdict}: it may not be what is seen in time"
+            + (UNDECIDED if found.stability.verdict == "undecided" else "")
+        )
     return code
 
 
@@ -212,6 +252,7 @@ def _quantities(run: Run, found: PeriodicSolution) -> list[tuple[str, object, st
     motion = found.displacement(time_, [run.watched_dof])
     rows: list[tuple[str, object, str]] = [
         ("omega", found.omega, "rad/s"),
+        ("frequency", found.omega / (2.0 * np.pi), "Hz"),
         (f"half peak-to-peak, {run.watched_name}", float(np.ptp(motion) / 2.0), "m"),
     ]
     if found.gap_coefficients.size:
@@ -228,11 +269,14 @@ def _quantities(run: Run, found: PeriodicSolution) -> list[tuple[str, object, st
             ("largest multiplier", float(np.abs(found.stability.multipliers[0])), "-"),
         ]
     rows += [("converged", found.converged, "-"), ("iterations", found.iterations, "-")]
-    rows += [
-        (f"estimated error: {name}", value, "of the gap")
-        for name, value in dataclasses.asdict(found.report).items()
-        if name != "penetration"
-    ]
+    if found.gap_coefficients.size:
+        errors = dataclasses.asdict(found.report)
+        penetration = errors.pop("penetration")
+        rows += [(f"estimated error: {name}", value, SHARE) for name, value in errors.items()]
+        rows += [
+            ("estimated error: total", found.report.total, SHARE),
+            ("penetration", penetration, SHARE),
+        ]
     return rows
 
 
@@ -244,7 +288,7 @@ def curve(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) -> int:
     assert isinstance(found, ResponseCurve)
     _save(found, folder / "curve.h5", run, comm)
     amplitude = found.amplitude(run.watched_dof)
-    columns = [f"{found.parameter} [{UNITS[found.parameter]}]", f"{run.watched_name} [m]"]
+    columns = [PARAMETERS[found.parameter], f"{run.watched_name} [m]"]
     values = [found.values, amplitude, found.iterations]
     columns.append("iterations")
     if found.multipliers is not None:
@@ -252,7 +296,11 @@ def curve(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) -> int:
         columns.append("largest multiplier")
     points = Table(columns, list(zip(*[v.tolist() for v in values], strict=True)))
     peak = int(np.argmax(amplitude))
-    rows = [("start", found.values[0], amplitude[0]), ("peak", found.values[peak], amplitude[peak])]
+    rows = [
+        ("start", found.values[0], amplitude[0]),
+        ("end", found.values[-1], amplitude[-1]),
+        ("largest", found.values[peak], amplitude[peak]),
+    ]
     for point in found.bifurcations:
         time_ = np.linspace(0.0, point.solution.period, 257)
         motion = point.solution.displacement(time_, [run.watched_dof])
@@ -263,9 +311,17 @@ def curve(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) -> int:
     for index in changes:
         what = "stability lost after" if found.stable[index] else "stability gained after"
         rows.append((what, found.values[index], amplitude[index]))
-    rows.append(("end", found.values[-1], amplitude[-1]))
     special = Table(("point", columns[0], f"half peak-to-peak, {columns[1]}"), rows)
     code = _finish(folder, "curve", special, points, console, comm)
+    looked_at = {peak, *np.linspace(0, len(found) - 1, 8).astype(int).tolist()}
+    errors = {index: found.solution(index).report.total for index in sorted(looked_at)}
+    worst = max(errors, key=errors.__getitem__)
+    console.note(f"estimated error at {len(errors)} of the points: at most {errors[worst]:.2g}")
+    if not errors[worst] <= LARGE_ERROR:
+        console.warn(
+            f"the estimated error is {errors[worst]:.2g} at {found.values[worst]:g}: more "
+            "harmonics (harmonic_balance.harmonics) or modes (reduction.modes) are needed there"
+        )
     special_values = [point.value for point in found.bifurcations]
     for index in changes:
         low, high = sorted(found.values[index : index + 2])
@@ -304,18 +360,31 @@ def integration(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) ->
         "contact force, all pairs [N]",
     )  # fmt: skip
     code = _finish(folder, "integration", table, Table(columns, waves.tolist()), console, comm)
-    wanted = (run.scene.integration or Integration()).settle
-    if wanted is not None and not found.settled <= wanted:
-        console.warn(f"the motion has not settled: a period changes it by {found.settled:.2g}")
+    table_ = run.scene.integration or Integration()
+    if not found.settled <= table_.settle:
+        console.warn(
+            f"the motion has not settled after {found.periods} of {table_.periods} periods: "
+            f"a period changes it by {found.settled:.2g}{_longer_period(found)}"
+        )
         return NOT_CONVERGED
     return code
+
+
+def _longer_period(found: TimeHistory) -> str:
+    """A hint where the motion repeats after two or three load periods."""
+    waves = found.by_period(found.gap)
+    for count in range(2, len(waves)):
+        change = np.linalg.norm(waves[-1] - waves[-1 - count]) / np.linalg.norm(waves[-1])
+        if change < 0.1 * found.settled:
+            return f", {count} periods only by {change:.2g}: its period is {count} times the load's"
+    return "; it may need more of them (integration.periods), or be irregular"
 
 
 def _save(
     found: PeriodicSolution | ResponseCurve | TimeHistory, path: Path, run: Run, comm: MPI.Comm
 ) -> None:
     """Write a result: together where its structure is spread over the ranks, else on rank 0."""
-    if run.structure.comm.size > 1:
+    if run.structure.comm.size > 1 and isinstance(found, PeriodicSolution):
         found.save(path, run.scene)
     else:
         on_root(comm, lambda: found.save(path, run.scene))
@@ -350,34 +419,38 @@ def sweep(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) -> int:
     with console.stage("sweep"):
         found = run_sweep(scene, result, comm, progress=console.progress)
     table = Table(*found.table())
-    shown = table.of_columns(_shown_of_sweep(found)) if console.form == "text" else table
+    short = [*range(len(found.axes)), *(table.columns.index(name) for name in IN_SHORT)]
+    shown = table.of_columns(short) if console.form == "text" else table
     code = _finish(folder, "sweep", shown, table, console, comm, summary=table)
+    counts = {"converged": int(found.converged.sum()), "failed": len(found.failed)}
+    counts["pending"] = found.converged.size - sum(counts.values())
+    console.note("cases: " + ", ".join(f"{count} {name}" for name, count in counts.items()))
     for index, reason in found.failed[:SHOWN_FAILURES]:
         values = [axis.values[at] for axis, at in zip(found.axes, index, strict=True)]
         console.warn(f"{', '.join(map(str, values))}: {reason}")
     if len(found.failed) > SHOWN_FAILURES:
         console.warn(f"and {len(found.failed) - SHOWN_FAILURES} more cases have failed")
+    if large := int(np.sum(found["truncation_error"] > LARGE_ERROR)):
+        console.warn(f"{large} cases estimate an error above {LARGE_ERROR:.0%}: more harmonics")
+    if doubtful := int(np.sum(np.isin(found["verdict"], ("unstable", "undecided")))):
+        console.warn(f"{doubtful} cases are unstable or undecided")
     if not found.complete:
         console.warn("the sweep was stopped; the same command goes on with it")
     return NOT_CONVERGED if found.failed or not found.complete else code
 
 
-def _shown_of_sweep(found: SweepResult) -> list[int]:
-    """Columns for the screen: the swept values and what was found in short."""
-    first = len(found.axes)
-    wanted = ("state", "response [m]", "opening [m]", "multiplier", "verdict", "truncation_error")
-    return [*range(first), *(found.table()[0].index(name, first) for name in wanted)]
+def _draw(result: Path, folder: Path, show: bool) -> list[Path]:
+    if kind_of(result) != SWEEP:
+        return draw_run(load_run(result, MPI.COMM_SELF), folder, show=show)
+    if show:
+        raise InputError("--show", "sweep", "used with a periodic solution")
+    return draw_sweep(SweepResult.load(result), folder)
 
 
 def plot(result: Path, folder: Path, show: bool, console: Console, comm: MPI.Comm) -> int:
-    """Pictures of a result, and files for ParaView."""
+    """Pictures of a result, and files for ParaView: by rank 0."""
     with console.stage("pictures"):
-        if kind_of(result) == SWEEP:
-            if show:
-                raise InputError("--show", "sweep", "used with a periodic solution")
-            files = on_root(comm, lambda: draw_sweep(SweepResult.load(result), folder))
-        else:
-            files = draw_run(load_run(result, comm), folder, show=show)
+        files = on_root(comm, lambda: _draw(result, folder, show))
     for file in files:
         console.note(str(file))
     return DONE

@@ -19,11 +19,16 @@ import dolfinx.fem.petsc
 import dolfinx.geometry
 import dolfinx.io
 import dolfinx.plot
-import gmsh
 import numpy as np
 import ufl
 from mpi4py import MPI
 from petsc4py import PETSc
+
+_interrupt = signal.getsignal(signal.SIGINT)
+import gmsh  # noqa: E402  (4.8 takes Ctrl-C for itself when it is imported)
+
+if threading.current_thread() is threading.main_thread():
+    signal.signal(signal.SIGINT, _interrupt)
 
 __all__ = [
     "assembled_matrix",
@@ -31,6 +36,7 @@ __all__ = [
     "basis_at",
     "function_space",
     "geometry_dofmap",
+    "gmsh",
     "gmsh_is_running",
     "kept_interrupts",
     "model_to_mesh",
@@ -38,10 +44,6 @@ __all__ = [
 ]
 
 _JIT = {"timeout": 300}  # [s] while another process compiles the same form
-
-
-if signal.getsignal(signal.SIGINT) is signal.SIG_DFL:  # by importing gmsh 4.8
-    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @contextmanager

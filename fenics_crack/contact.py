@@ -7,8 +7,9 @@ write a class with the three members of :class:`ContactLaw`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -212,3 +213,28 @@ def _positive(key: str, value: object, *, each_pair: bool = False) -> float | np
     if not right or not np.all(np.isfinite(numbers)) or np.any(numbers <= 0.0):
         raise InputError(key, value, allowed)
     return float(numbers) if numbers.ndim == 0 else numbers
+
+
+# --- on disk --------------------------------------------------------------------------------------
+
+
+def law_parts(contact: ContactLaw | UnilateralConstraint | None) -> dict[str, Any]:
+    """By which a file knows the law: its name, stiffness and sharpness."""
+    parts = {"law": type(contact).__name__}
+    for name in ("stiffness", "sharpness"):
+        if getattr(contact, name, None) is not None:
+            parts[f"law_{name}"] = getattr(contact, name)
+    return parts
+
+
+def check_law_parts(
+    parts: Mapping[str, Any], contact: ContactLaw | UnilateralConstraint | None
+) -> None:
+    """Raise InputError unless a law is the one of a file (:func:`law_parts`)."""
+    now = law_parts(contact)
+    then = {
+        name: parts[name] for name in ("law", "law_stiffness", "law_sharpness") if name in parts
+    }
+    same = now.keys() == then.keys() and now["law"] == then["law"]
+    if not same or not all(np.allclose(now[n], then[n], rtol=1e-9) for n in now if n != "law"):
+        raise InputError("contact", now, f"the law of the file: {then}")

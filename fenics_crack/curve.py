@@ -11,7 +11,7 @@ import numpy as np
 
 from fenics_crack.compliance import all_modes, dynamic_compliance, is_small
 from fenics_crack.condensed import CondensedSystem
-from fenics_crack.contact import ContactLaw
+from fenics_crack.contact import ContactLaw, check_law_parts, law_parts
 from fenics_crack.contact_integrals import contact_integrals
 from fenics_crack.error_report import estimate_errors
 from fenics_crack.errors import InputError
@@ -19,7 +19,7 @@ from fenics_crack.family import FAMILIES, Family
 from fenics_crack.fourier import evaluate
 from fenics_crack.reduction import reduce_structure
 from fenics_crack.scene import Scene
-from fenics_crack.solution import PeriodicSolution
+from fenics_crack.solution import PeriodicSolution, check_gap
 from fenics_crack.store import reading, write
 from fenics_crack.structure import Structure
 
@@ -197,7 +197,7 @@ class ResponseCurve:
         parts["bifurcation_values"] = [b.value for b in self.bifurcations]
         for number, bifurcation in enumerate(self.bifurcations):
             parts[f"bifurcation_{number}"] = bifurcation.gap_coefficients
-        write(path, self.KIND, parts, scene)
+        write(path, self.KIND, parts | law_parts(self.contact), scene)
 
     @classmethod
     def load(cls, path: str | Path, structure: Structure, contact: ContactLaw) -> ResponseCurve:
@@ -219,6 +219,7 @@ class ResponseCurve:
         if not is_small(structure):
             structure = reduce_structure(structure)
         with reading(path, cls.KIND) as parts:
+            check_law_parts(parts, contact)
             curve = cls(
                 structure,
                 contact,
@@ -251,6 +252,8 @@ class ResponseCurve:
             raise InputError(
                 "structure", f"{structure.n_pairs} pairs", f"one with {gaps.shape[2]} pairs"
             )
+        first = curve.solution(0)
+        check_gap(first.structure, first.displacement_coefficients, curve.gap(0), 1e-4)
         return replace(curve, bifurcations=curve.expand_bifurcations(special))
 
     def expand_bifurcations(

@@ -50,10 +50,18 @@ def finish(figure: Figure, axes: Axes, title: str, path: str | Path) -> None:
     axes.set_title(title)
     axes.grid(alpha=0.3)
     if axes.get_yscale() == "log":  # numbers within a decade, too, where there are few decades
-        axes.yaxis.set_major_formatter(LogFormatter())
-        axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2.0, 0.8)))
+        axes.yaxis.set_major_formatter(_Plain())
+        axes.yaxis.set_minor_formatter(_Plain(minor_thresholds=(2.0, 0.8)))
     axes.legend(loc="best", fontsize=8, framealpha=0.9)
     save(figure, path)
+
+
+class _Plain(LogFormatter):
+    """Numbers as they are written: 0.1, 1, 10."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        """The label, or none."""
+        return f"{x:g}" if super().__call__(x, pos) else ""
 
 
 def save(figure: Figure, path: str | Path) -> None:

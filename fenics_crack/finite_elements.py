@@ -53,6 +53,9 @@ def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
             {"crack.length": find_crack_length(scene, comm), "crack.first_omega": None}
         )
     plate = build_mesh(scene, comm)
+    if not plate.cracked and scene.mesh.layout == "file" and (scene.contact or scene.crack):
+        allowed = "a mesh with curves named 'lower_lip' and 'upper_lip', as the scene has contact"
+        raise InputError("mesh.file", scene.mesh.file, allowed)
     space = compat.function_space(plate.mesh, scene.mesh.order)
     dofs = _Dofs(plate, space)
     stiffness, mass = _assemble(scene, space)

@@ -24,11 +24,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import gmsh
 import numpy as np
 from mpi4py import MPI
 
 from fenics_crack import compat
+from fenics_crack.compat import gmsh
 from fenics_crack.errors import InputError
 from fenics_crack.mesh_file import read_file
 from fenics_crack.parallel import on_root

@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import gmsh
 import numpy as np
 
+from fenics_crack.compat import gmsh
 from fenics_crack.errors import InputError
 
 __all__ = ["read_file"]

@@ -81,6 +81,12 @@ def _modes(run: Run, found: Modes, folder: Path) -> list[Path]:
 
 def _solution(run: Run, found: PeriodicSolution, folder: Path) -> list[Path]:
     title = f"{found.omega:.6g} rad/s, H = {found.harmonics}"
+    if found.gap_coefficients.size:
+        title += f", estimated error {found.report.total:.1%}"
+    if found.stability is not None:
+        title += f", {found.stability.verdict}"
+    if not found.converged:
+        title += ", NOT CONVERGED"
     dof, material = run.watched_dof, run.scene.material
     names = ["waves.png", "spectrum.png", "orbits.png", "period.pvd", "breathing_crack.gif"]
     waves, spectrum, orbits, period, animation = (folder / f"solution_{name}" for name in names)
@@ -180,7 +186,10 @@ def draw_sweep(found: SweepResult, folder: Path) -> list[Path]:
                 continue
             files.append(folder / f"sweep_{name}{ending}.png")
             title = ", ".join(words) or f"Sweep of {found.axes[right].key}"
-            _sweep_picture(files[-1], found, right, up, values, title, quantity)
+            doubtful = _doubtful(found)[tuple(index)]
+            if up is not None and up < right:
+                doubtful = doubtful.T
+            _sweep_picture(files[-1], found, right, up, values, doubtful, title, quantity)
     return files
 
 
@@ -189,7 +198,14 @@ QUANTITIES = {
     "response": "half peak-to-peak at the load's point",
     "opening": "largest opening of the crack",
 }
+LARGE_ERROR = 0.05
 FEW_LINES, MOST_PICTURES = 6, 12
+
+
+def _doubtful(found: SweepResult) -> np.ndarray:
+    """Which cases converged, but to what may not be seen."""
+    unstable = np.isin(found["verdict"], ("unstable", "undecided"))
+    return found.converged & (unstable | (found["truncation_error"] > LARGE_ERROR))
 
 
 def _sweep_picture(
@@ -198,6 +214,7 @@ def _sweep_picture(
     right: int,
     up: int | None,
     values: np.ndarray,
+    doubtful: np.ndarray,
     title: str,
     quantity: str,
 ) -> None:
@@ -206,14 +223,18 @@ def _sweep_picture(
     over = axis_name(found.axes[right])
     if up is None:
         draw_response(
-            file, x[order], {quantity: values[order]}, title=title, quantity=quantity, over=over
-        )
+            file, x[order], {quantity: values[order]}, title=title, quantity=quantity, over=over,
+            doubtful={quantity: doubtful[order]},
+        )  # fmt: skip
         return
     y = np.array(found.axes[up].values, dtype=float)
     if len(y) <= FEW_LINES:
-        name = found.axes[up].key
-        lines = {f"{name} = {at:g}": values[order, n] for n, at in enumerate(y)}
-        draw_response(file, x[order], lines, title=title, quantity=quantity, over=over)
+        name = axis_name(found.axes[up])
+        names = [f"{name} = {at:g}" for at in y]
+        lines, rings = (dict(zip(names, rows[order].T, strict=True)) for rows in (values, doubtful))
+        draw_response(
+            file, x[order], lines, title=title, quantity=quantity, over=over, doubtful=rings
+        )
         return
     rising = np.argsort(y)
     draw_map(

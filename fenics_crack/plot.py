@@ -164,10 +164,11 @@ def draw_response(
     title: str,
     quantity: str,
     over: str = "load frequency [rad/s]",
+    doubtful: Mapping[str, np.ndarray] | None = None,
 ) -> None:
     """Draw amplitudes [m] over the load's frequency [rad/s] or something else; gaps where nan.
 
-    The amplitudes are drawn logarithmically.
+    The amplitudes are drawn logarithmically; those of curves that are doubtful (bool) have a ring.
     """
     figure, axes = new_figure()
     finite = [found[np.isfinite(found)] for found in curves.values()]
@@ -175,6 +176,12 @@ def draw_response(
     styles = itertools.product((".-", ".--", ".:"), COLOURS.values())
     for (label, found), (style, colour) in zip(curves.items(), styles, strict=False):
         axes.semilogy(values, scale * found, style, color=colour, label=label, lw=1.4, ms=4)
+    ringed = [
+        (values[mask], scale * curves[label][mask]) for label, mask in (doubtful or {}).items()
+    ]
+    if any(len(x) for x, _ in ringed):
+        x, y = np.concatenate(ringed, axis=1)
+        axes.semilogy(x, y, "o", color=COLOURS["grey"], mfc="none", ms=8, label=DOUBTFUL)
     axes.set_xlabel(over)
     axes.set_ylabel(f"{quantity} [{unit}]")
     finish(figure, axes, title, path)
@@ -239,6 +246,9 @@ def draw_map(
     save(figure, path)
 
 
+DOUBTFUL = "not stable, or estimated error above 5 %"
+FARTHEST = 2.0
+"""Modulus of the largest multiplier shown."""
 MISSING = "#b5b5b5"
 """Grey of cells without a value."""
 
@@ -288,14 +298,17 @@ def draw_curve(
         Other curves, and single points, by their labels: values of the parameter, amplitudes [m].
     """
     figure, axes = new_figure()
+    if curve.parameter == "omega":
+        axes.set_yscale("log")
     amplitude = curve.amplitude(dof)
+    marker_size = 4.0 if len(curve.bifurcations) <= 20 else 2.0
     scale, unit = readable(float(amplitude.max()), "m")
     for (label, (values, others)), colour in zip(
         (behind or {}).items(), ("#9a9a9a", "#c8a2b8", "#a9c7bb"), strict=False
     ):
-        axes.semilogy(values, scale * others, color=colour, lw=1.2, label=label)
+        axes.plot(values, scale * others, color=colour, lw=1.2, label=label)
     for style, label, shown in _by_stability(curve, scale * amplitude):
-        axes.semilogy(curve.values, shown, style, color=COLOURS["blue"], lw=1.4, label=label)
+        axes.plot(curve.values, shown, style, color=COLOURS["blue"], lw=1.4, label=label)
     for kind, (marker, label) in MARKERS.items():
         at = [b for b in curve.bifurcations if b.kind == kind]
         if at:
@@ -303,11 +316,16 @@ def draw_curve(
                 0.5 * scale * np.ptp(b.solution.displacement(_instants(b.solution.period), [dof]))
                 for b in at
             ]
-            axes.semilogy(
-                [b.value for b in at], heights, marker, color=COLOURS["orange"], ms=4, label=label
+            axes.plot(
+                [b.value for b in at],
+                heights,
+                marker,
+                color=COLOURS["orange"],
+                ms=marker_size,
+                label=label,
             )
     for (label, (values, others)), marker in zip((points or {}).items(), "^v", strict=False):
-        axes.semilogy(
+        axes.plot(
             values, scale * others, marker, color=COLOURS["green"], ms=4.5, mfc="none", label=label
         )
     if curve.parameter == "omega":
@@ -406,6 +424,11 @@ def draw_multipliers(
     angle = np.linspace(0.0, 2.0 * np.pi, 361)
     axes.plot(np.cos(angle), np.sin(angle), color=COLOURS["orange"], lw=1.2, label="unit circle")
     axes.set_aspect("equal")
+    far = int(np.sum(np.abs(multipliers) > FARTHEST))
+    if far:  # else the unit circle would be a dot
+        axes.set_xlim(-FARTHEST, FARTHEST)
+        axes.set_ylim(-FARTHEST, FARTHEST)
+        title += f" ({far} of {multipliers.size} lie outside)"
     axes.set_xlabel("real part of the multiplier [-]")
     axes.set_ylabel("imaginary part [-]")
     figure.colorbar(shown, ax=axes, label="load frequency [rad/s]")
@@ -442,7 +465,9 @@ def draw_modes(
                 lines = mesh.lines(edges, displacement, height=1e-3 * width * mesh.size)
                 plotter.add_mesh(lines, color=colour, line_width=width, lighting=False)
             plotter.add_text(
-                f"mode {number + 1}: {modes.omega[number]:.1f} rad/s", font_size=11, color="black"
+                f"mode {number + 1}: {modes.omega[number] / (2.0 * np.pi):.1f} Hz",
+                font_size=11,
+                color="black",
             )
             plotter.view_xy()
             plotter.camera.zoom(1.1)

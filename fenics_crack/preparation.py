@@ -10,7 +10,7 @@ from fenics_crack.contact import ContactLaw, UnilateralConstraint, contact_law
 from fenics_crack.finite_elements import build_structure, find_crack_length
 from fenics_crack.reduction import reduce_structure
 from fenics_crack.scene import Reduction, Scene
-from fenics_crack.structure import Structure
+from fenics_crack.structure import ModalDamping, Structure
 
 __all__ = ["law_of", "prepare", "reduction_of", "with_crack_length"]
 
@@ -39,6 +39,11 @@ def prepare(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     table = reduction_of(scene, structure)
     if table is None:
         return structure
+    if scene.damping.modes == "all" and isinstance(scene.damping.ratio, float):
+        # All that are kept: those of a large structure cannot be computed.
+        undamped = structure.damped(None)
+        reduced = reduce_structure(undamped, modes=table.modes, method=table.method)
+        return reduced.damped(ModalDamping(scene.damping.ratio))
     return reduce_structure(structure, modes=table.modes, method=table.method)
 
 
@@ -53,7 +58,7 @@ def reduction_of(scene: Scene, structure: Structure) -> Reduction | None:
         if structure.comm.size == 1 and structure.n_dofs <= FEW_DOFS:
             return None
         table = Reduction()
-    if table.method == "none":
+    if table.method == "off":
         return None
     if table.modes is None and scene.damping.modes == "all":
         table = replace(table, modes=min(MODES, structure.n_dofs))

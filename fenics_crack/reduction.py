@@ -116,6 +116,13 @@ class ReducedStructure(Structure):
             other.reference = reference
         return other
 
+    def damped(self, damping: ModalDamping | None) -> ReducedStructure:
+        """Return this structure with a modal damping of its own coordinates, or none."""
+        if damping is not None and not isinstance(damping, ModalDamping):
+            raise InputError("damping", damping, "a ModalDamping or None")
+        reference = None if self.reference is None else self.reference.damped(damping)
+        return ReducedStructure(self._whole, self.basis, self.omega**2, damping, reference)
+
     def _changed(self, **changes: Any) -> Structure:
         # A plain structure of the coordinates: it does not know where they are.
         return super()._changed(**({"nodes": None} | changes))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from fenics_crack.contact import (
 from fenics_crack.continuation import continue_frequency, continue_parameter
 from fenics_crack.curve import ResponseCurve
 from fenics_crack.errors import InputError
-from fenics_crack.events import integrate_events
+from fenics_crack.events import MOST_PAIRS, integrate_events
 from fenics_crack.finite_elements import build_structure
 from fenics_crack.harmonic_balance import solve_harmonic_balance, solve_linear
 from fenics_crack.implicit import integrate_implicit
@@ -31,7 +31,7 @@ from fenics_crack.integration import (
 from fenics_crack.modes import Modes, solve_modes
 from fenics_crack.modes_file import load_modes
 from fenics_crack.parallel import gather_rows
-from fenics_crack.preparation import law_of, prepare, with_crack_length
+from fenics_crack.preparation import law_of, prepare, reduction_of, with_crack_length
 from fenics_crack.scene import Integration, Scene
 from fenics_crack.solution import PeriodicSolution
 from fenics_crack.stability import floquet
@@ -113,7 +113,8 @@ def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run:
     structure = prepare(scene, comm)
     law, table, omega = law_of(scene, structure), scene.harmonic_balance, scene.excitation.omega
     if law is None:
-        return Run(scene, structure, None, solve_linear(structure, omega, harmonics=1))
+        linear = solve_linear(structure, omega, harmonics=table.harmonics)
+        return Run(_settled(scene, structure), structure, None, linear)
     solution = solve_harmonic_balance(
         structure, omega, law, harmonics=table.harmonics, samples=table.samples, throw=False
     )
@@ -122,7 +123,7 @@ def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run:
         judged &= structure.n_dofs <= FEW_DOFS
     if judged and not isinstance(law, UnilateralConstraint):
         solution = replace(solution, stability=floquet(structure, solution))
-    return Run(scene, structure, law, solution)
+    return Run(_settled(scene, structure), structure, law, solution)
 
 
 def follow_curve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: bool = False) -> Run:
@@ -149,16 +150,19 @@ def follow_curve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: boo
         curve = continue_parameter(
             structure, omega, law, table.parameter, table.start, table.stop, **options
         )
-    return Run(scene, structure, law, curve)
+    return Run(_settled(scene, structure), structure, law, curve)
 
 
 def integrate(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: bool = False) -> Run:
     """Motion in time from rest by the table ``[integration]`` (collective)."""
     table = scene.integration or Integration()
-    if comm.size > 1 and scene.reduction is not None and scene.reduction.method == "none":
-        raise InputError("reduction.method", "none", "a reduction, or one rank, for this command")
+    if comm.size > 1 and scene.reduction is not None and scene.reduction.method == "off":
+        raise InputError("reduction.method", "off", "a reduction, or one rank, for this command")
     scene = with_crack_length(scene, comm)
     structure = prepare(scene, comm)
+    if table.method == "events" and structure.n_pairs > MOST_PAIRS:
+        allowed = f"another with {structure.n_pairs} contact pairs: it takes {MOST_PAIRS} at most"
+        raise InputError("integration.method", "events", allowed)
     law, omega = _needed_law(scene, structure), scene.excitation.omega
     options: dict[str, Any] = {
         "periods": table.periods,
@@ -181,7 +185,19 @@ def integrate(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: bool =
         history = integrate_central_difference(
             structure, omega, law, steps_per_period=steps, **options
         )
-    return Run(scene, structure, law, history)
+    return Run(_settled(scene, structure), structure, law, history)
+
+
+def _settled(scene: Scene, structure: Structure) -> Scene:
+    """The scene with the reduction that was chosen, so that it is the same on any ranks."""
+    table = reduction_of(scene, structure.whole)
+    return (
+        scene
+        if table is None
+        else scene.replace({"reduction": None}).replace(
+            {f"reduction.{name}": value for name, value in asdict(table).items()}
+        )
+    )
 
 
 def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run:

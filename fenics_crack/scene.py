@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -106,12 +106,19 @@ class Material(Table):
 
 @dataclass(frozen=True)
 class Damping(Table):
-    """Modal damping: ratio xi_j of critical for each of the lowest modes."""
+    """Modal damping: ratio xi_j of critical for each of the lowest modes.
+
+    With ``modes = "all"`` and one ratio, all coordinates of a reduced structure are damped.
+    """
 
     ratio: float | tuple[float, ...] = holds(
         ratio,
-        f"a finite number >= 0 {OR_ZERO}, or a list of them, one per mode",
-        lambda value: min(value, default=-1.0) >= 0 if isinstance(value, tuple) else value >= 0,
+        "a number from 0 to 1 (0.02 for 2 %), or a list of them, one per mode",
+        lambda value: (
+            0 <= min(value, default=-1.0) and max(value) <= 1
+            if isinstance(value, tuple)
+            else 0 <= value <= 1
+        ),
     )
     modes: int | str = holds(
         count_or_all,
@@ -243,7 +250,7 @@ class Reduction(Table):
     with the default basis.
     """
 
-    method: str = choice("free_interface", "craig_bampton", "none", default="free_interface")
+    method: str = choice("free_interface", "craig_bampton", "off", default="free_interface")
     modes: int | None = at_least_one(None)
     """Lowest modes to keep; default: those that are damped, but 50 where all are."""
 
@@ -277,7 +284,7 @@ class Integration(Table):
     """"events": exact from one switching instant to the next, for few pairs."""
     periods: int = at_least_one(400)
     """Load periods at most."""
-    settle: float | None = positive(1e-3)
+    settle: float = positive(1e-3)
     """Relative change of the gaps from one period to the next at which to stop."""
     steps_per_period: int | None = at_least_one(None)
     """Default: twice what is stable (central differences), 512 (implicit)."""
@@ -337,7 +344,7 @@ class Scene:
         else:
             self._check_plate()
         if self.sweep is not None:
-            self._check_sweep(self.sweep)
+            object.__setattr__(self, "sweep", self._checked_sweep(self.sweep))
 
     def _check_plate(self) -> None:
         geometry, crack, excitation = self.geometry, self.crack, self.excitation
@@ -414,16 +421,22 @@ class Scene:
                     getattr(self.crack, key) is None, key, "left out with mesh.layout = 'file'"
                 )
 
-    def _check_sweep(self, sweep: Sweep) -> None:
-        """Every value can stand in its key; combinations are checked where they are made."""
+    def _checked_sweep(self, sweep: Sweep) -> Sweep:
+        """The sweep with values as their keys hold them; combinations are checked in time."""
+        axes, seen = [], set()
         for axis in sweep.over:
             table, _, key = axis.key.partition(".")
-            if table not in _SWEPT or key not in _TABLES[table].keys():
-                allowed = f"a table.key of the scene, with a table of {', '.join(_SWEPT)}"
+            if table not in _SWEPT or key not in _TABLES[table].keys() or axis.key in seen:
+                allowed = (
+                    f"a table.key of the scene, given once, with a table of {', '.join(_SWEPT)}"
+                )
                 raise InputError("sweep.over", axis.key, allowed)
-            values = [_TABLES[table].checked(key, value) for value in axis.values]
-            if len(set(values)) != len(values):
-                raise InputError(f'sweep.over."{axis.key}"', values, "given once each")
+            seen.add(axis.key)
+            values = tuple(_TABLES[table].checked(key, value) for value in axis.values)
+            if len(set(values)) != len(values) or not values:
+                raise InputError(f'sweep.over."{axis.key}"', values, "values, each given once")
+            axes.append(Axis(axis.key, values))
+        return dataclasses.replace(sweep, over=tuple(axes))
 
     @classmethod
     def from_mapping(cls, tables: Mapping[str, object], folder: Path = Path()) -> Scene:
@@ -435,9 +448,7 @@ class Scene:
             if item.name not in tables and item.name not in (*_OPTIONAL, "harmonic_balance"):
                 raise InputError(item.name, None, "given: a table")
         made = {name: _TABLES[name].from_mapping(value) for name, value in tables.items()}
-        if made["mesh"].file is not None:
-            made["mesh"] = dataclasses.replace(made["mesh"], file=str(folder / made["mesh"].file))
-        return cls(**made)
+        return cls(**made).with_mesh_files(lambda path: str(folder / path))
 
     @classmethod
     def load(cls, path: str | Path) -> Scene:
@@ -465,6 +476,28 @@ class Scene:
             raise InputError("scene", name, f"a TOML file ({error})") from None
         return cls.from_mapping(tables, folder)
 
+    @property
+    def mesh_files(self) -> list[str]:
+        """The mesh files of the scene and its sweep."""
+        found = [] if self.mesh.file is None else [self.mesh.file]
+        for axis in self.sweep.over if self.sweep is not None else ():
+            if axis.key == "mesh.file":
+                found += axis.values
+        return found
+
+    def with_mesh_files(self, change: Callable[[str], str]) -> Scene:
+        """Return the scene with the paths of its mesh files changed."""
+        if not self.mesh_files:
+            return self
+        file = None if self.mesh.file is None else change(self.mesh.file)
+        changes: dict[str, object] = {"mesh.file": file}
+        if self.sweep is not None:
+            changes["sweep.over"] = tuple(
+                Axis(axis.key, tuple(map(change, axis.values))) if axis.key == "mesh.file" else axis
+                for axis in self.sweep.over
+            )
+        return self.replace(changes)
+
     def replace(self, values: Mapping[str, object]) -> Scene:
         """Return a scene with some keys changed: ``scene.replace({"contact.stiffness": 1e9})``.
 
@@ -477,6 +510,9 @@ class Scene:
             known = _TABLES[table].keys() if table in _TABLES else {}
             if not key and value is None and table in _OPTIONAL:
                 tables[table] = None
+            elif not key and table in _TABLES:
+                allowed = f"changed key by key; only {', '.join(_OPTIONAL)} can be removed, by none"
+                raise InputError(name, value, allowed)
             elif key not in known:
                 keys = f"keys: {', '.join(known)}" if known else f"tables: {', '.join(_TABLES)}"
                 raise InputError(name, value, f"left out; known {keys}")

@@ -10,7 +10,12 @@ from typing import ClassVar
 import numpy as np
 
 from fenics_crack.compliance import dynamic_compliance
-from fenics_crack.contact import ContactLaw, UnilateralConstraint
+from fenics_crack.contact import (
+    ContactLaw,
+    UnilateralConstraint,
+    check_law_parts,
+    law_parts,
+)
 from fenics_crack.error_report import ErrorReport
 from fenics_crack.errors import InputError
 from fenics_crack.fourier import evaluate
@@ -156,6 +161,7 @@ class PeriodicSolution:
             "status": self.status,
             "iterations": self.iterations,
             **{f"error_{name}": value for name, value in asdict(self.report).items()},
+            **law_parts(self.contact),
         }
         if isinstance(self.contact, UnilateralConstraint):
             parts["weight"] = self.contact.weight
@@ -191,6 +197,7 @@ class PeriodicSolution:
             if gap.shape[1] != structure.n_pairs:
                 pairs = f"{structure.n_pairs} pairs"
                 raise InputError("structure", pairs, f"one with {gap.shape[1]} pairs")
+            check_law_parts(parts, contact)
             if isinstance(contact, UnilateralConstraint):
                 contact = UnilateralConstraint(float(parts["weight"]))
             omega, subharmonic = float(parts["omega"]), int(parts["subharmonic"])
@@ -204,20 +211,35 @@ class PeriodicSolution:
                 )
             names = [field.name for field in fields(ErrorReport)]
             report = ErrorReport(*[float(parts[f"error_{name}"]) for name in names])
-            compliance = dynamic_compliance(
-                structure, omega / subharmonic, len(gap) // 2, subharmonic
-            )
-            return cls(
-                structure,
-                omega,
-                contact,
-                compliance.displacement(force),
-                gap,
-                force,
-                subharmonic=subharmonic,
-                converged=bool(parts["converged"]),
-                status=parts["status"],
-                iterations=int(parts["iterations"]),
-                report=report,
-                stability=stability,
-            )
+            converged, status = bool(parts["converged"]), parts["status"]
+            iterations = int(parts["iterations"])
+        compliance = dynamic_compliance(structure, omega / subharmonic, len(gap) // 2, subharmonic)
+        displacement = compliance.displacement(force)
+        compliance.destroy()
+        if converged:
+            check_gap(structure, displacement, gap, max(1e-6, 10.0 * report.residual))
+        return cls(
+            structure,
+            omega,
+            contact,
+            displacement,
+            gap,
+            force,
+            subharmonic=subharmonic,
+            converged=converged,
+            status=status,
+            iterations=iterations,
+            report=report,
+            stability=stability,
+        )
+
+
+def check_gap(
+    structure: Structure, displacement: np.ndarray, gap: np.ndarray, tolerance: float
+) -> None:
+    """Raise InputError unless coefficients of displacement and gap belong together (collective)."""
+    closing = structure.closing(displacement)
+    size = np.linalg.norm(closing)
+    closing[0] -= structure.clearance
+    if np.linalg.norm(closing - gap) > tolerance * size:
+        raise InputError("structure", "another load, mesh or material", "that of the file")

@@ -8,6 +8,7 @@ numbers and words. Nothing in it is pickled, and nothing of it is ever executed.
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -26,8 +27,10 @@ from fenics_crack.scene import Scene
 from fenics_crack.version import VERSION
 
 __all__ = [
+    "check_meshes",
     "kind_of",
     "make_folder",
+    "opened",
     "read_scene",
     "reading",
     "scene_text",
@@ -78,9 +81,10 @@ def write(
                         file.create_dataset(name, data=value, **packed)
             partial.replace(target)
         except OSError as error:
+            raise InputError("path", str(path), f"a file that can be written ({error})") from None
+        finally:
             with contextlib.suppress(OSError):
                 partial.unlink()
-            raise InputError("path", str(path), f"a file that can be written ({error})") from None
 
     on_root(comm, work)
 
@@ -96,13 +100,29 @@ def write_header(file: h5py.File, kind: str, scene: Scene | None) -> None:
     )
     if scene is not None:
         file.attrs["scene"] = scene_text(scene)
+        file.attrs["meshes"] = "\n".join(map(_digest, scene.mesh_files))
 
 
 def scene_text(scene: Scene) -> str:
-    """The scene as it stands in a file: TOML, with the full path of its mesh."""
-    if scene.mesh.file is not None:
-        scene = scene.replace({"mesh.file": str(Path(scene.mesh.file).absolute())})
-    return scene.as_toml()
+    """The scene as it stands in a file: TOML, with the full paths of its meshes."""
+    return scene.with_mesh_files(lambda path: str(Path(path).absolute())).as_toml()
+
+
+def check_meshes(file: h5py.File, scene: Scene) -> None:
+    """Raise InputError where a mesh file of the scene is no more what it was."""
+    digests = str(file.attrs.get("meshes", "")).split()
+    for path, digest in zip(scene.mesh_files, digests, strict=False):
+        if _digest(path) != digest:
+            allowed = f"the file with which {file.filename} was computed; it has changed or gone"
+            raise InputError("mesh.file", path, allowed)
+
+
+def _digest(path: str) -> str:
+    """SHA-256 of a file; a word where there is none."""
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError:
+        return "missing"
 
 
 @contextlib.contextmanager
@@ -118,7 +138,7 @@ def reading(path: str | Path, kind: str) -> Iterator[dict[str, Any]]:
     found = kind_of(path)
     if found != kind:
         raise InputError("path", str(path), f"a file with a {kind}; in this one is a {found}")
-    with _opened(path) as file:
+    with opened(path) as file:
         parts = {n: _value(item) for n, item in file.items() if isinstance(item, h5py.Dataset)}
     try:
         yield parts
@@ -136,7 +156,7 @@ def kind_of(path: str | Path) -> str:
     InputError
         The file cannot be read, or is not one of this program.
     """
-    with _opened(path) as file:
+    with opened(path) as file:
         return str(file.attrs["kind"])
 
 
@@ -146,17 +166,28 @@ def read_scene(path: str | Path) -> Scene | None:
     Raises
     ------
     InputError
-        The file cannot be read, is not one of this program, or its scene cannot be used.
+        The file cannot be read, is not one of this program, its scene cannot be used, or a mesh
+        file of it has changed.
     """
-    with _opened(path) as file:
-        text = file.attrs.get("scene")
-    return None if text is None else Scene.from_text(str(text), str(path))
+    with opened(path) as file:
+        if "scene" not in file.attrs:
+            return None
+        scene = Scene.from_text(str(file.attrs["scene"]), str(path))
+        check_meshes(file, scene)
+    return scene
 
 
 @contextlib.contextmanager
-def _opened(path: str | Path) -> Iterator[h5py.File]:
+def opened(path: str | Path) -> Iterator[h5py.File]:
+    """A result file for reading, without a lock: a sweep may be written meanwhile.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is not one of this program, or lacks what is asked of it.
+    """
     try:
-        with h5py.File(path, "r") as file:
+        with h5py.File(path, "r", locking=False) as file:
             if file.attrs.get("program") != PROGRAM or "kind" not in file.attrs:
                 raise InputError("path", str(path), f"a result file of {PROGRAM}")
             yield file

@@ -281,7 +281,8 @@ class Structure:
             return f"displacement of dof {dof}"
         comm = self.whole.comm
         node, component = np.argwhere(gather_rows(comm, self.nodes.dofs) == dof)[0]
-        x, y = gather_rows(comm, self.nodes.points)[node]
+        points = gather_rows(comm, self.nodes.points)
+        x, y = np.round(points[node], 12) + 0.0  # no -1e-19
         return f"{'xy'[component]} displacement at ({x:.4g}, {y:.4g}) m"
 
     @property

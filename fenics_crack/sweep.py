@@ -22,6 +22,7 @@ together, and shares its chunks.
 from __future__ import annotations
 
 import itertools
+import operator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,11 +33,12 @@ from mpi4py.futures import MPICommExecutor
 
 from fenics_crack.compliance import dynamic_compliance
 from fenics_crack.condensed import default_weight
-from fenics_crack.contact import UnilateralConstraint, contact_law
+from fenics_crack.contact import UnilateralConstraint
 from fenics_crack.error_report import ErrorReport
 from fenics_crack.errors import InputError
 from fenics_crack.harmonic_balance import solve_linear
 from fenics_crack.parallel import StopRequest, on_root
+from fenics_crack.preparation import law_of
 from fenics_crack.scene import Scene
 from fenics_crack.solution import PeriodicSolution
 from fenics_crack.sweep_case import Geometry, build
@@ -106,8 +108,8 @@ def run_sweep(
     ranks = scene.sweep.ranks
     if comm.size % ranks:
         raise InputError("sweep.ranks", ranks, f"a divisor of the number of ranks, {comm.size}")
-    if ranks > 1 and scene.reduction is not None and scene.reduction.method == "none":
-        raise InputError("reduction.method", "none", "a reduction where sweep.ranks > 1")
+    if ranks > 1 and scene.reduction is not None and scene.reduction.method == "off":
+        raise InputError("reduction.method", "off", "a reduction where sweep.ranks > 1")
     manager: Manager | None = None
 
     def start() -> None:
@@ -275,11 +277,12 @@ class SweepResult:
         structure, length = build(case, MPI.COMM_SELF, plan.unit_loads)
         Geometry(structure, length, plan.unit_loads).set_case(case)
         omega = case.excitation.omega
-        if structure.n_pairs == 0:
+        law = law_of(case, structure)
+        if law is None:
             return solve_linear(structure, omega, harmonics=case.harmonic_balance.harmonics)
-        assert case.contact is not None
-        law = contact_law(case.contact, structure)
         gap, force = read_waves(self.path, place)
+        if gap.shape[1] != structure.n_pairs:
+            raise InputError("structure", f"{structure.n_pairs} pairs", f"{gap.shape[1]} pairs")
         compliance = dynamic_compliance(structure, omega, len(gap) // 2)
         if isinstance(law, UnilateralConstraint):
             law = UnilateralConstraint(default_weight(compliance))
@@ -308,13 +311,14 @@ class SweepResult:
         """The place of a case that converged."""
         try:
             given = index if isinstance(index, tuple) else np.unravel_index(index, self.shape)
-            place = tuple(int(at) for at in given)
-            solved = len(place) == len(self.shape) and bool(self.converged[place])
+            place = tuple(map(operator.index, given))
+            solved = len(place) == len(self.shape) and min(place) >= 0
+            solved = solved and bool(self.converged[place])
         except (IndexError, ValueError, TypeError):
             solved = False
         if not solved:
             raise InputError("index", index, f"that of a case that converged, of {self.shape}")
-        return tuple(at % size for at, size in zip(place, self.shape, strict=True))
+        return place
 
 
 def axis_name(axis: Axis) -> str:

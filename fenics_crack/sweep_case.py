@@ -12,11 +12,11 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.compliance import is_small
-from fenics_crack.contact import ContactLaw, UnilateralConstraint, contact_law
+from fenics_crack.contact import ContactLaw, UnilateralConstraint
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.fourier import evaluate
 from fenics_crack.harmonic_balance import solve_harmonic_balance, solve_linear
-from fenics_crack.preparation import prepare, with_crack_length
+from fenics_crack.preparation import law_of, prepare, with_crack_length
 from fenics_crack.reduction import ReducedStructure
 from fenics_crack.scene import Scene
 from fenics_crack.solution import PeriodicSolution
@@ -27,6 +27,8 @@ from fenics_crack.sweep_plan import FORCES, Chunk
 
 __all__ = ["REFUSALS", "Arrays", "Geometry", "Solved", "all_failed", "build", "solve_chunk"]
 
+UNSURE = 0.05
+"""By which, and by the truncation error, a multiplier must differ from 1 to be judged by itself."""
 INSTANTS = 1024
 """Of a period, at which gaps and forces are looked at."""
 REFUSALS = (InputError, ConvergenceError, np.linalg.LinAlgError)
@@ -102,7 +104,7 @@ def build(scene: Scene, comm: MPI.Comm, unit_loads: bool) -> tuple[Structure, fl
         scene = scene.replace({f"excitation.{name}": value for name, value in units.items()})
     structure = prepare(scene, comm)
     if not is_small(structure):
-        method = "none" if scene.reduction is None else scene.reduction.method
+        method = "off" if scene.reduction is None else scene.reduction.method
         raise InputError(
             "reduction.method", method, f"one that leaves fewer than {structure.n_dofs} coordinates"
         )
@@ -197,10 +199,9 @@ def solve_chunk(geometry: Geometry, chunk: Chunk) -> Solved:
 def _solve(structure: Structure, case: Scene, last: PeriodicSolution | None) -> PeriodicSolution:
     """Solve a case from its neighbour, or where that fails from the linear solution."""
     omega, table = case.excitation.omega, case.harmonic_balance
-    if structure.n_pairs == 0:
+    law = law_of(case, structure)
+    if law is None:
         return solve_linear(structure, omega, harmonics=table.harmonics)
-    assert case.contact is not None
-    law = contact_law(case.contact, structure)
     for initial in (last, None):
         try:
             return solve_harmonic_balance(
@@ -269,7 +270,8 @@ class Flow:
 
     Up to four pairs the verdict is that of :func:`fenics_crack.floquet`, which compares three
     estimates. That takes 0.5 s with 18 pairs, many times as long as the solution; with more than
-    four pairs the leading multiplier of the solution decides, as along response curves.
+    four pairs the leading multiplier of the solution decides, as along response curves, unless it
+    is near the unit circle.
     """
 
     def __init__(self, structure: Structure) -> None:
@@ -291,8 +293,11 @@ class Flow:
             leading = self._flow.leading(solution.gap_coefficients, solution.base_omega)
         except REFUSALS:
             return {"verdict": "undecided"}
-        verdict = "stable" if leading.stable else "unstable"
-        return {"verdict": verdict, "multiplier": abs(leading.value)}
+        size = abs(leading.value)
+        verdict = "stable" if size < 1.0 else "unstable"
+        if abs(size - 1.0) <= UNSURE + solution.report.truncation:
+            verdict = "undecided"
+        return {"verdict": verdict, "multiplier": size}
 
 
 def _equal(one: ContactLaw, other: ContactLaw | None) -> bool:

@@ -17,7 +17,8 @@ read while it is being written. A lock keeps a second sweep from writing to it.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ import numpy as np
 from fenics_crack import store
 from fenics_crack.errors import InputError
 from fenics_crack.scene import Scene
+from fenics_crack.version import VERSION
 
 __all__ = [
     "COLUMNS",
@@ -95,8 +97,11 @@ class SweepFile:
         try:
             self.made = not path.exists()
             if self.made:
-                _make(path, scene, harmonics, pairs)
-            else:
+                try:
+                    _make(path, scene, harmonics, pairs)
+                except FileExistsError:
+                    self.made = False
+            if not self.made:
                 _check(path, scene)
             self._file = h5py.File(path, "r+", libver="earliest")
         except OSError as error:
@@ -169,39 +174,33 @@ def _make(path: Path, scene: Scene, harmonics: int, pairs: int) -> None:
                 kept = h5py.h5t.py_create(np.dtype(kind))
                 h5py.h5d.create(file.id, name.encode(), kept, space, plan)
                 file[name].attrs["unit"] = unit
-        partial.rename(path)
-    except OSError:
+        os.link(partial, path)  # fails where another program has been quicker
+    finally:
         partial.unlink(missing_ok=True)
-        raise
 
 
 def _check(path: Path, scene: Scene) -> None:
-    """Raise InputError unless a file is the sweep of a scene."""
-    with _opened(path) as file:
+    """Raise InputError unless a file is the sweep of a scene, by this version of the program."""
+    with _reading(path) as file:
         same = file.attrs.get("scene") == store.scene_text(scene)
+        version = str(file.attrs.get("version"))
+        store.check_meshes(file, scene)
     if not same:
-        raise InputError("path", str(path), "the file of the same scene, or a new name")
+        raise InputError(
+            "path", str(path), "the file of the same scene; for another one choose a new folder"
+        )
+    if version != VERSION:
+        allowed = f"a new name: it was begun by version {version}, this is {VERSION}"
+        raise InputError("path", str(path), allowed)
 
 
-def _opened(path: Path) -> h5py.File:
-    """A sweep's file for reading, without a lock: it may be written meanwhile.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, or is not a sweep.
-    """
-    try:
-        file = h5py.File(path, "r", locking=False)
-    except FileNotFoundError:
-        raise InputError("path", str(path), "a file that exists") from None
-    except OSError as error:
-        raise InputError("path", str(path), f"a readable sweep ({error})") from None
-    found = file.attrs.get("program"), file.attrs.get("kind")
-    if found != (store.PROGRAM, KIND):
-        file.close()
-        raise InputError("path", str(path), f"a sweep, not {found[1] or 'another file'}")
-    return file
+@contextmanager
+def _reading(path: Path) -> Iterator[h5py.File]:
+    """A sweep's file; InputError where it is not one."""
+    with store.opened(path) as file:
+        if file.attrs["kind"] != KIND:
+            raise InputError("path", str(path), f"a sweep, not a {file.attrs['kind']}")
+        yield file
 
 
 def read_columns(path: Path) -> tuple[Scene, dict[str, np.ndarray]]:
@@ -209,8 +208,10 @@ def read_columns(path: Path) -> tuple[Scene, dict[str, np.ndarray]]:
 
     Numbers of pending cases are nan (0 where they are whole numbers), words are empty.
     """
-    with _opened(path) as file:
+    with _reading(path) as file:
         scene = Scene.from_text(str(file.attrs["scene"]), str(path))
+        if any(file[name].shape != shape_of(scene) for name in ("state", *COLUMNS)):
+            raise InputError("path", str(path), "a whole sweep")
         found = {"state": file["state"][()]}  # first: what is written later counts as pending
         for name in COLUMNS:
             values = file[name][()]
@@ -227,7 +228,7 @@ def read_columns(path: Path) -> tuple[Scene, dict[str, np.ndarray]]:
 
 def read_waves(path: Path, index: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Gap [m] and force [N] coefficients of a case that converged: (2H+1, n_pairs) each."""
-    with _opened(path) as file:
+    with _reading(path) as file:
         if "gap" not in file:
             empty = np.zeros((2 * int(file["harmonics"][index]) + 1, 0))
             return empty, empty

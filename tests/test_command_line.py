@@ -6,20 +6,25 @@ import csv
 import importlib
 import json
 import os
+import re
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from helpers import ROOT
 
 import fenics_crack as fc
 from fenics_crack.command_line import main
+from fenics_crack.mesh import write_msh
 from fenics_crack.run import load_run
 
 ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+PAPER = ROOT / "demos" / "paper_plate.toml"
 PROGRAM = [sys.executable, "-m", "fenics_crack"]
 
 
@@ -138,13 +143,85 @@ def test_bad_input_on_two_ranks(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
-def test_a_failed_run_leaves_older_results(tmp_path: Path) -> None:
+def test_a_failed_run_leaves_older_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A file is replaced only when the new one is complete."""
-    words = ["modes", str(ROOT / "demos" / "paper_plate.toml"), "--output", str(tmp_path)]
-    assert main([*words, "--quiet"]) == 0
+    words = ["modes", str(PAPER), "--output", str(tmp_path), "--quiet"]
+    assert main(words) == 0
     before = (tmp_path / "modes.h5").read_bytes()
-    assert main([*words, "--quiet", "--count", "1000"]) == 2
+    made = h5py.File.create_dataset
+    monkeypatch.setattr(h5py.File, "create_dataset", lambda self, name, **rest: (
+        made(self, name, **rest) if name != "shapes" else make_error()))  # fmt: skip
+
+    def make_error() -> None:
+        raise OSError("the disk is full")
+
+    assert main([*words, "--count", "3"]) == 2
     assert (tmp_path / "modes.h5").read_bytes() == before
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "modes.csv", "modes.h5", "modes.json",
     ]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A solution and a curve of the paper's plate."""
+    folder = tmp_path_factory.mktemp("results")
+    for command in ("solve", "curve", "integrate"):
+        words = [command, str(PAPER), "--quiet", "--output", str(folder)]
+        changes = ["contact.stiffness=1e9", "damping.ratio=0.02", "curve.start=1500.0",
+                   "curve.stop=1600.0", "integration.method=events"]  # fmt: skip
+        assert main([*words, *(word for change in changes for word in ("--set", change))]) == 0
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"), [(fc.PeriodicSolution, "solution"), (fc.ResponseCurve, "curve")]
+)
+def test_file_with_another_law_or_structure(results: Path, kind: Any, name: str) -> None:
+    """Read with what they were not found with, results would be wrong: they are refused."""
+    run = load_run(results / f"{name}.h5")
+    for law in (fc.UnilateralPenalty(1e8), fc.SmoothedPenalty(1e9, 1e8)):
+        with pytest.raises(fc.InputError, match="contact"):
+            kind.load(results / f"{name}.h5", run.structure, law)
+    heavier = fc.prepare(run.scene.replace({"material.density": 8000.0}))
+    with pytest.raises(fc.InputError, match="structure"):
+        kind.load(results / f"{name}.h5", heavier, run.contact)
+
+
+def test_file_of_a_mesh_that_has_changed(tmp_path: Path) -> None:
+    """The mesh file belongs to the result."""
+    mesh = tmp_path / "plate.msh"
+    drawn = fc.Scene.load(PAPER).replace({"contact.stiffness": 1e9, "damping.ratio": 0.02})
+    write_msh(drawn, mesh)
+    scene = tmp_path / "scene.toml"
+    scene.write_text(
+        PAPER.read_text().replace('layout = "grid"', 'layout = "file"\nfile = "plate.msh"')
+    )
+    text = scene.read_text()
+    for key in ("columns", "rows", "width", "height", "edge", "length"):
+        text = re.sub(rf"^{key} = .*$", "", text, flags=re.M)
+    scene.write_text(text.replace("stiffness = 1e11", "stiffness = 1e9"))
+    words = ["solve", str(scene), "--quiet", "--output", str(tmp_path)]
+    assert main(words) == 0
+    assert isinstance(load_run(tmp_path / "solution.h5").result, fc.PeriodicSolution)
+    write_msh(drawn.replace({"crack.height": 0.0625}), mesh)
+    with pytest.raises(fc.InputError, match="it has changed or gone"):
+        load_run(tmp_path / "solution.h5")
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("name", ["curve", "integration"])
+def test_plot_on_two_ranks(results: Path, tmp_path: Path, name: str) -> None:
+    """Drawn by one of them, while the other waits."""
+    done = run(tmp_path, "plot", str(results / f"{name}.h5"), "--output", ".", ranks=2)
+    assert done.returncode == 0 and list(tmp_path.glob("*.png")), done.stderr
+
+
+def test_reader_that_goes_away(tmp_path: Path) -> None:
+    """No message of PETSc's, no traceback."""
+    command = " ".join([*PROGRAM, "modes", str(PAPER), "--output", str(tmp_path)])
+    done = subprocess.run(
+        f"{command} --verbose | true", shell=True, env=ENVIRONMENT, capture_output=True, text=True
+    )
+    assert "PETSC" not in done.stderr and "Traceback" not in done.stderr
+    assert (tmp_path / "modes.h5").exists()

@@ -387,8 +387,11 @@ def test_load_point_of_the_file(msh: Callable[..., Path]) -> None:
 
 
 def test_file_without_lips_is_an_uncracked_plate(msh: Callable[..., Path]) -> None:
-    """A mesh without lips has no pairs."""
-    assert build_structure(file_plate(msh(names=("clamp", "load")))).n_pairs == 0
+    """A mesh without lips has no pairs; where the scene has contact, a name is misspelt."""
+    scene = file_plate(msh(names=("clamp", "load")))
+    assert build_structure(scene.replace({"contact": None, "crack": None})).n_pairs == 0
+    with pytest.raises(InputError, match="lower_lip"):
+        build_structure(scene)
 
 
 @pytest.mark.parametrize(

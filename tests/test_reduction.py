@@ -293,10 +293,24 @@ def test_reduced_once_more(wide_plate: fc.Structure) -> None:
     assert relative(found.displacement_field(t), exact.displacement_field(t)) < 1e-3
 
 
+def test_damped_reduction(wide_plate: fc.Structure) -> None:
+    """Other damping of its own coordinates; it still speaks of the plate's dofs."""
+    reduced = fc.reduce_structure(wide_plate.damped(None), modes=5)
+    damped = reduced.damped(fc.ModalDamping(0.02))
+    assert damped.whole is reduced.whole and damped.reference is not None
+    assert damped.damping == damped.reference.damping == fc.ModalDamping(0.02)
+    modes = fc.solve_modes(damped, 3)
+    solution = fc.solve_linear(damped, 1.01 * modes.omega[0], harmonics=1)
+    expected = fc.solve_linear(wide_plate.damped(fc.ModalDamping(0.02)), solution.omega)
+    dof = [wide_plate.n_dofs - 1]
+    np.testing.assert_allclose(
+        solution.coefficients_at(dof)[:3], expected.coefficients_at(dof)[:3], rtol=1e-4, atol=1e-12
+    )
+
+
 def test_changed_reduction_has_no_positions(wide_plate: fc.Structure) -> None:
     """Its coordinates are no longer dofs of the plate, and it says so."""
-    changed = fc.reduce_structure(wide_plate, modes=5).damped(None)
-    assert changed.damping is None
+    changed = fc.reduce_structure(wide_plate, modes=5).tied(1.0)
     with pytest.raises(fc.InputError, match="point"):
         changed.find_dof((0.1, 0.1), "x")
 

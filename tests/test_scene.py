@@ -16,6 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fenics_crack import InputError, Scene
+from fenics_crack.table import Axis
 
 GONE = object()
 """Stands for a key or a table that is left out."""
@@ -409,7 +410,7 @@ def test_axes_of_a_sweep() -> None:
     omega, stiffness, force, edge = sweep.over
     assert omega.values == (1000.0, 2000.0, 3000.0)
     assert stiffness.values == pytest.approx((1e8, 1e9, 1e10), rel=1e-12)
-    assert force.values == ([100, 0], [0.0, 50.0]) and edge.values == ("left", "right")
+    assert force.values == ((100.0, 0.0), (0.0, 50.0)) and edge.values == ("left", "right")
 
 
 @pytest.mark.parametrize(
@@ -438,6 +439,30 @@ def test_bad_axes_are_named(over: object, key: str) -> None:
     with pytest.raises(InputError) as caught:
         Scene.from_mapping(GOOD | {"sweep": {"over": over}})
     assert caught.value.key == key
+
+
+def test_axes_made_in_python() -> None:
+    """Values of NumPy's kinds are taken as numbers; empty and repeated axes are refused."""
+    scene = Scene.from_mapping(GOOD)
+    axis = Axis("crack.length", np.array([0.04, 0.05]))  # type: ignore[arg-type]
+    count = Axis("harmonic_balance.harmonics", tuple(np.arange(2, 4)))
+    swept = scene.replace({"sweep.over": (axis, count)})
+    assert swept.sweep is not None and swept.sweep.over[1].values == (2, 3)
+    assert Scene.from_text(swept.as_toml()) == swept
+    for wrong in ((axis, axis), (Axis("crack.length", ()),)):
+        with pytest.raises(InputError, match=r"sweep\.over"):
+            scene.replace({"sweep.over": wrong})
+
+
+def test_swept_mesh_files_lie_beside_the_scene(tmp_path: Path) -> None:
+    """As ``mesh.file`` does."""
+    made = {key: GOOD[key] for key in ("material", "damping", "excitation", "contact")}
+    made |= {"geometry": {"thickness": 1.0}, "mesh": {"layout": "file", "file": "a.msh"}}
+    made["sweep"] = {"over": {"mesh.file": ["a.msh", "b.msh"]}}
+    scene = Scene.from_mapping(made, tmp_path)
+    files = [str(tmp_path / name) for name in ("a.msh", "a.msh", "b.msh")]
+    assert scene.mesh_files == files and scene.sweep is not None
+    assert list(scene.sweep.over[0].values) == files[1:]
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "demos").glob("*.toml")), ids=lambda p: p.stem)

@@ -24,7 +24,7 @@ from fenics_crack import sweep, sweep_case, sweep_jobs
 from fenics_crack.preparation import prepare
 from fenics_crack.scene import Sweep
 from fenics_crack.sweep import SweepResult, run_sweep
-from fenics_crack.sweep_file import COLUMNS
+from fenics_crack.sweep_file import COLUMNS, SweepFile
 
 Over = Mapping[str, Any]
 SOFT = {"damping.ratio": 0.01, "contact.stiffness": 1e9}
@@ -240,7 +240,7 @@ def test_refused(paper_scene: fc.Scene, tmp_path: Path) -> None:
         run_sweep(swept(paper_scene, FAST, ranks=2), tmp_path / "a.h5")
     with pytest.raises(fc.InputError, match="grid cells"):
         run_sweep(swept(paper_scene, {"crack.length": [0.03, 0.04]}), tmp_path / "a.h5")
-    fine = SOFT | {"mesh.columns": 16, "mesh.rows": 24, "reduction.method": "none"}
+    fine = SOFT | {"mesh.columns": 16, "mesh.rows": 24, "reduction.method": "off"}
     with pytest.raises(fc.InputError, match=r"reduction\.method"):
         run_sweep(swept(paper_scene, FAST, fine), tmp_path / "a.h5")
     assert list(tmp_path.iterdir()) == []
@@ -251,7 +251,7 @@ def test_files_that_cannot_be_used(paper_scene: fc.Scene, tmp_path: Path) -> Non
     scene, path = swept(paper_scene, FAST), tmp_path / "sweep.h5"
     run_sweep(scene, path)
     content = path.read_bytes()
-    with pytest.raises(fc.InputError, match="same scene, or a new name"):
+    with pytest.raises(fc.InputError, match="same scene; for another one"):
         run_sweep(swept(paper_scene, FAST | {"excitation.omega": [1900.0]}), path)
     with h5py.File(path, "r+"), pytest.raises(fc.InputError, match="path"):
         run_sweep(scene, path)
@@ -266,8 +266,37 @@ def test_files_that_cannot_be_used(paper_scene: fc.Scene, tmp_path: Path) -> Non
             SweepResult.load(wrong)
     with h5py.File(other, "w") as file:
         file.attrs["kind"] = "response curve"
-    with pytest.raises(fc.InputError, match="a sweep, not response curve"):
+    with pytest.raises(fc.InputError, match="result file"):
         SweepResult.load(other)
+    with h5py.File(path, "r+") as file:
+        file.attrs["version"] = "0.0.1"
+    with pytest.raises(fc.InputError, match=r"begun by version 0\.0\.1"):
+        run_sweep(scene, path)
+    with h5py.File(path, "r+") as file:
+        del file["status"]
+    with pytest.raises(fc.InputError, match="path"):
+        SweepResult.load(path)
+
+
+def test_two_programs_that_begin_at_once(
+    paper_scene: fc.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file of the quicker one stays, and the other is refused by its lock."""
+    scene, path = swept(paper_scene, FAST), tmp_path / "sweep.h5"
+    with SweepFile(path, scene, 5, 1)._file:
+        monkeypatch.setattr(Path, "exists", lambda self: False)  # as it was a moment before
+        with pytest.raises(fc.InputError, match="path"):
+            SweepFile(path, scene, 5, 1)
+    assert [file.name for file in tmp_path.iterdir()] == ["sweep.h5"]
+
+
+def test_cases_are_named_by_whole_numbers(paper_scene: fc.Scene, tmp_path: Path) -> None:
+    """Nothing is cut off, and nothing is counted from the end."""
+    result = run_sweep(swept(paper_scene, FAST), tmp_path / "sweep.h5")
+    np.testing.assert_array_equal(result.gap(1), result.gap((0, 1)))
+    for wrong in ((0.9, 1.2), (-1, -1), -1, (0,), (0, 99), "a"):
+        with pytest.raises(fc.InputError, match="index"):
+            result.gap(wrong)  # type: ignore[arg-type]
 
 
 def test_file_holds_numbers_and_words_only(paper_scene: fc.Scene, tmp_path: Path) -> None:
