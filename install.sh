@@ -128,7 +128,7 @@ fi
 write_pins() {
     .venv/bin/python -c '
 from importlib.metadata import version
-for name in ("numpy", "scipy", "matplotlib", "h5py", "mpi4py", "pillow", "tqdm"):
+for name in ("numpy", "scipy", "matplotlib", "mpi4py", "pillow", "tqdm"):
     print(f"{name}=={version(name)}")
 ' >.venv/debian-pins.txt
 }
