@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import pyvista
 import scipy.linalg
-from helpers import DAMPINGS, chain, log_slope, relative, true_error
+from helpers import DAMPINGS, ROOT, chain, log_slope, relative, true_error
 from matplotlib.image import imread
 from mpi4py import MPI
 
@@ -391,3 +391,21 @@ def test_same_reduction_on_two_ranks(paper_scene: fc.Scene, on_ranks: Callable[.
     parallel = on_ranks(reductions, scene)
     for two, one in zip(parallel, reductions(scene, MPI.COMM_SELF), strict=True):
         assert relative(two, one) < 1e-7
+
+
+def test_all_modes_damped_whatever_the_mesh() -> None:
+    """A scene with all modes damped: the reduced structure's own, at no more than its error."""
+    scene = fc.Scene.load(ROOT / "fenics_crack" / "new_scene.toml").replace(
+        {"mesh.size": 0.03, "mesh.order": 1, "mesh.lip_elements": 3, "reduction.modes": 10}
+    )
+    assert scene.contact is not None and scene.damping.modes == "all"
+    solutions = []
+    for structure in (fc.prepare(scene), fc.prepare(scene.replace({"reduction.method": "off"}))):
+        law = fc.contact_law(scene.contact, structure)
+        solutions.append(fc.solve_harmonic_balance(structure, 2000.0, law, harmonics=9))
+    reduced, whole = (solution.gap_coefficients for solution in solutions)
+    difference = np.linalg.norm(reduced - whole) / np.linalg.norm(whole)
+    assert solutions[0].structure.n_dofs < solutions[1].structure.n_dofs == 86
+    assert difference < 3.0 * solutions[0].report.reduction < 1e-3
+    fine = fc.prepare(scene.replace({"mesh.size": 0.004, "mesh.order": 2}))  # else minutes
+    assert fine.whole.n_dofs > 4000 and fine.n_dofs < 50
