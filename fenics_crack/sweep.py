@@ -9,7 +9,8 @@ and is then a small structure in plain arrays that any rank can solve.
 *Chunks.* The cases of a geometry are cut into chunks of up to 12 along the frequency (or, where it
 is not swept, along the last axis that leaves the geometry alone). The first case of a chunk starts
 from the linear solution, each further one from its neighbour. Chunks depend on the scene alone: so
-do the results, whatever the number of ranks (that share the cases, not a mesh) and interruptions.
+do the results, whatever the number of ranks (that share the cases, not a mesh) and interruptions;
+to the bit, if the number of BLAS threads is the same.
 
 *Jobs.* Rank 0 hands jobs to the other ranks by mpi4py.futures and takes jobs itself: some chunks of
 a geometry that is built, or a geometry to be built. Jobs shrink towards the end, so that all ranks

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy: results to the bit need one number
+
 import pickle
 import shutil
 import subprocess
