@@ -307,7 +307,7 @@ def curve(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) -> int:
         rows.append((point.kind.replace("_", " "), point.value, np.ptp(motion) / 2.0))
     changes: list[int] = []
     if found.multipliers is not None:
-        changes = np.flatnonzero(np.diff(found.stable)).tolist()
+        changes = [int(index) for index in np.flatnonzero(np.diff(found.stable))]
     for index in changes:
         what = "stability lost after" if found.stable[index] else "stability gained after"
         rows.append((what, found.values[index], amplitude[index]))
@@ -360,10 +360,10 @@ def integration(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) ->
         "contact force, all pairs [N]",
     )  # fmt: skip
     code = _finish(folder, "integration", table, Table(columns, waves.tolist()), console, comm)
-    table_ = run.scene.integration or Integration()
-    if not found.settled <= table_.settle:
+    asked = run.scene.integration or Integration()
+    if not found.settled <= asked.settle:
         console.warn(
-            f"the motion has not settled after {found.periods} of {table_.periods} periods: "
+            f"the motion has not settled after {found.periods} of {asked.periods} periods: "
             f"a period changes it by {found.settled:.2g}{_longer_period(found)}"
         )
         return NOT_CONVERGED

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import faulthandler
-import os
 import pickle
-import signal
-from collections.abc import Iterator
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -106,46 +104,11 @@ def _fill(numbers: np.ndarray, positions: np.ndarray, groups: list[_Group]) -> N
 
 
 def _read_by_child(path: Path) -> tuple[np.ndarray, np.ndarray, list[_Group]] | str:
-    """Numbers and positions of a file's nodes and its groups, or what gmsh says against it.
-
-    A child process reads it: a damaged file may crash gmsh, or spoil the memory it works in.
-    """
-    out, into = os.pipe()
-    child = os.fork()
-    if child:
-        os.close(into)
-        with os.fdopen(out, "rb") as pipe:
-            answer = pipe.read()
-        crashed = os.waitpid(child, 0)[1] != 0
-        return "it crashes or does not end" if crashed else pickle.loads(answer)
+    """Numbers and positions of a file's nodes and its groups, or what gmsh says against it."""
+    reader = [sys.executable, "-I", str(Path(__file__).with_name("mesh_reader.py")), str(path)]
     try:
-        faulthandler.disable()
-        for number in (signal.SIGSEGV, signal.SIGBUS, signal.SIGFPE, signal.SIGABRT):
-            signal.signal(number, signal.SIG_DFL)  # PETSc's would end all ranks
-        signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.alarm(LONGEST_READING)
-        silent = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(silent, 1)
-        os.dup2(silent, 2)
-        found: Any = None
-        try:
-            gmsh.merge(str(path))
-            numbers, positions, _ = gmsh.model.mesh.getNodes()
-            found = numbers, positions.reshape(-1, 3), list(_groups())
-        except Exception as error:  # gmsh raises nothing more specific
-            found = str(error) or "no reason given"
-        with os.fdopen(into, "wb") as pipe:
-            pipe.write(pickle.dumps(found))
-        os._exit(0)
-    finally:
-        os._exit(1)
-
-
-def _groups() -> Iterator[_Group]:
-    """The physical groups of the current model."""
-    for dimension, tag in gmsh.model.getPhysicalGroups():
-        name = gmsh.model.getPhysicalName(dimension, tag)
-        for entity in gmsh.model.getEntitiesForPhysicalGroup(dimension, tag):
-            kinds, _, nodes = gmsh.model.mesh.getElements(dimension, entity)
-            for kind, own in zip(kinds, nodes, strict=True):
-                yield dimension, tag, name, int(kind), own
+        done = subprocess.run(reader, capture_output=True, timeout=LONGEST_READING)
+    except subprocess.TimeoutExpired:
+        return "it does not end"
+    found: Any = pickle.loads(done.stdout) if done.returncode == 0 else "it crashes"
+    return found  # type: ignore[no-any-return]

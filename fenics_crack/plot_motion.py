@@ -136,14 +136,14 @@ def draw_orbits(
         There is neither a pair nor a dof.
     """
     closed = solution.contact_force(np.linspace(0.0, solution.period, instants + 1)) > 0.0
-    panels = []
+    panels: list[tuple[np.ndarray, np.ndarray, str, str]] = []
     if solution.structure.n_pairs:
         mouth = solution.gap_coefficients[:, :1]
         panels.append((mouth, closed[:, 0], "closing of the mouth", "mouth closed"))
     if dof is not None:
         column = solution.coefficients_at([dof])
         name = solution.structure.dof_name(dof)
-        panels.append((column, closed.any(axis=1), name, "lips touch somewhere"))
+        panels.append((column, np.any(closed, axis=1), name, "lips touch somewhere"))
     if not panels:
         raise InputError("dof", None, "given where there is no contact pair")
 

@@ -145,10 +145,10 @@ def _values(name: str, given: object) -> tuple[Any, ...]:
     if not known or spacing not in ("linear", "logarithmic") or not 2 <= count <= MOST_VALUES:
         raise InputError(full_name, given, allowed)
     if spacing == "linear":
-        return tuple(np.linspace(start, stop, count).tolist())
+        return tuple(map(float, np.linspace(start, stop, count)))
     if start * stop <= 0.0:
         raise InputError(full_name, given, "of one sign from start to stop with that spacing")
-    return tuple((np.sign(start) * np.geomspace(abs(start), abs(stop), count)).tolist())
+    return tuple(map(float, np.sign(start) * np.geomspace(abs(start), abs(stop), count)))
 
 
 def holds(
