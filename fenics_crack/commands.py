@@ -18,6 +18,7 @@ from mpi4py import MPI
 
 from fenics_crack.contact import UnilateralConstraint
 from fenics_crack.curve import ResponseCurve
+from fenics_crack.error_report import LARGE_ERROR
 from fenics_crack.errors import InputError
 from fenics_crack.finite_elements import build_structure
 from fenics_crack.harmonic_balance import check_memory
@@ -64,8 +65,6 @@ DONE, NOT_CONVERGED = 0, 3
 """Exit codes."""
 IN_SHORT = ("state", "response [m]", "opening [m]", "multiplier", "verdict", "truncation_error")
 """Columns of a sweep that are shown as text, beside the swept values."""
-LARGE_ERROR = 0.05
-"""Estimated error of the gap beyond which a solution is not shown without a warning."""
 UNDECIDED = "; more harmonics may decide it, or damping of all modes (damping.modes = 'all')"
 SHARE = "of the lips' motion"
 MOST_CHECKED = 10_000
@@ -158,20 +157,22 @@ def check(scene: Scene, console: Console, comm: MPI.Comm) -> int:
     rows: list[tuple[str, object]] = [
         ("width x height [m]", "{:g} x {:g}".format(*np.ptp(points, axis=0))),
         ("degrees of freedom", whole.n_dofs),
+    ]
+    law = law_of(scene, whole)
+    if law is not None:
+        rows.append(("contact law", scene.contact.law))  # type: ignore[union-attr]
+    if law is not None and not isinstance(law, UnilateralConstraint):
+        stiffness = np.broadcast_to(law.stiffness, whole.n_pairs)
+        rows.append(("softest pair [N/m]", float(stiffness.min())))
+        rows.append(("stiffest pair [N/m]", float(stiffness.max())))
+    if found.crack is not None and found.crack.length is not None:
+        rows.append(("crack length [m]", found.crack.length))
+    rows += [
         ("contact pairs", whole.n_pairs),
         ("harmonics", balance.harmonics),
         ("unknowns of harmonic balance", (2 * balance.harmonics + 1) * whole.n_pairs),
         ("solved", _how_solved(scene, whole)),
     ]
-    if found.crack is not None and found.crack.length is not None:
-        rows.insert(2, ("crack length [m]", found.crack.length))
-    law = law_of(scene, whole)
-    if law is not None:
-        rows.insert(2, ("contact law", scene.contact.law))  # type: ignore[union-attr]
-    if law is not None and not isinstance(law, UnilateralConstraint):
-        stiffness = np.broadcast_to(law.stiffness, whole.n_pairs)
-        rows.insert(3, ("softest pair [N/m]", float(stiffness.min())))
-        rows.insert(4, ("stiffest pair [N/m]", float(stiffness.max())))
     if scene.curve is not None:
         span = f"{scene.curve.parameter} from {scene.curve.start:g} to {scene.curve.stop:g}"
         rows.append(("curve", span))
@@ -253,13 +254,11 @@ def _quantities(run: Run, found: PeriodicSolution) -> list[tuple[str, object, st
     rows: list[tuple[str, object, str]] = [
         ("omega", found.omega, "rad/s"),
         ("frequency", found.omega / (2.0 * np.pi), "Hz"),
-        (f"half peak-to-peak, {run.watched_name}", float(np.ptp(motion) / 2.0), "m"),
+        *_extremes(run, motion, found.gap(time_)),
     ]
     if found.gap_coefficients.size:
-        gap, force = found.gap(time_), found.contact_force(time_)
+        force = found.contact_force(time_)
         rows += [
-            ("largest opening", float(-gap.min()), "m"),
-            ("largest penetration", float(max(gap.max(), 0.0)), "m"),
             ("largest contact force of a pair", float(force.max()), "N"),
             ("share of the period closed, mean over pairs", float((force > 0.0).mean()), "-"),
         ]
@@ -277,6 +276,15 @@ def _quantities(run: Run, found: PeriodicSolution) -> list[tuple[str, object, st
             ("estimated error: total", found.report.total, SHARE),
             ("penetration", penetration, SHARE),
         ]
+    return rows
+
+
+def _extremes(run: Run, motion: np.ndarray, gap: np.ndarray) -> list[tuple[str, float, str]]:
+    """How far the load's dof moves, and of the pairs, if there are any, how far they do."""
+    rows = [(f"half peak-to-peak, {run.watched_name}", float(np.ptp(motion) / 2.0), "m")]
+    if gap.size:
+        rows.append(("largest opening", float(-gap.min()), "m"))
+        rows.append(("largest penetration", float(max(gap.max(), 0.0)), "m"))
     return rows
 
 
@@ -349,9 +357,7 @@ def integration(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) ->
         ("steps in a period", found.steps_per_period, "-"),
         ("change over the last period", found.settled, "-"),
         ("energy created", found.created_energy, "-"),
-        (f"half peak-to-peak, {run.watched_name}", float(np.ptp(motion) / 2.0), "m"),
-        ("largest opening", float(-found.gap.min()), "m"),
-        ("largest penetration", float(max(found.gap.max(), 0.0)), "m"),
+        *_extremes(run, motion, found.gap),
     ]
     table = Table(("quantity", "value", "unit"), rows)
     waves = np.column_stack([found.time, motion, found.gap[:, 0], found.contact_force.sum(axis=1)])
@@ -430,10 +436,10 @@ def sweep(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) -> int:
         console.warn(f"{', '.join(map(str, values))}: {reason}")
     if len(found.failed) > SHOWN_FAILURES:
         console.warn(f"and {len(found.failed) - SHOWN_FAILURES} more cases have failed")
-    if large := int(np.sum(found["truncation_error"] > LARGE_ERROR)):
+    if large := int(np.sum(found.inexact)):
         console.warn(f"{large} cases estimate an error above {LARGE_ERROR:.0%}: more harmonics")
-    if doubtful := int(np.sum(np.isin(found["verdict"], ("unstable", "undecided")))):
-        console.warn(f"{doubtful} cases are unstable or undecided")
+    if not_stable := int(np.sum(found.not_stable)):
+        console.warn(f"{not_stable} cases are unstable or undecided")
     if not found.complete:
         console.warn("the sweep was stopped; the same command goes on with it")
     return NOT_CONVERGED if found.failed or not found.complete else code

@@ -19,7 +19,7 @@ from fenics_crack.family import FAMILIES, Family
 from fenics_crack.fourier import evaluate
 from fenics_crack.reduction import reduce_structure
 from fenics_crack.scene import Scene
-from fenics_crack.solution import PeriodicSolution, check_gap
+from fenics_crack.solution import PeriodicSolution, check_gap, check_pairs
 from fenics_crack.store import reading, write
 from fenics_crack.structure import Structure
 
@@ -248,10 +248,7 @@ class ResponseCurve:
         sizes = {len(part) for part in (curve.values, curve.omega, gaps, curve.harmonics)}
         if curve.parameter not in FAMILIES or gaps.ndim != 3 or len(sizes) != 1:
             raise InputError("path", str(path), "a curve written by save")
-        if gaps.shape[2] != structure.n_pairs:
-            raise InputError(
-                "structure", f"{structure.n_pairs} pairs", f"one with {gaps.shape[2]} pairs"
-            )
+        check_pairs(structure, gaps)
         first = curve.solution(0)
         check_gap(first.structure, first.displacement_coefficients, curve.gap(0), 1e-4)
         return replace(curve, bifurcations=curve.expand_bifurcations(special))

@@ -32,7 +32,10 @@ from fenics_crack.fourier import resized
 from fenics_crack.reduction import ReducedStructure
 from fenics_crack.structure import Structure
 
-__all__ = ["ErrorReport", "beyond_truncation", "estimate_errors", "mean_square"]
+__all__ = ["LARGE_ERROR", "ErrorReport", "beyond_truncation", "estimate_errors", "mean_square"]
+
+LARGE_ERROR = 0.05
+"""Estimated error beyond which a solution is not shown without a warning."""
 
 MANY = 600
 """Unknowns beyond which the truncation is judged with twice instead of four times the harmonics."""

@@ -49,14 +49,15 @@ from fenics_crack.errors import (
 from fenics_crack.family import FrequencyFamily
 from fenics_crack.fourier import from_complex, resized, stretched, to_complex
 from fenics_crack.reduction import ReducedStructure, reduce_structure
+from fenics_crack.scene import MOST_SAMPLES
 from fenics_crack.search import Search
 from fenics_crack.solution import PeriodicSolution
 from fenics_crack.structure import Structure
 
 __all__ = ["check_memory", "solve_harmonic_balance", "solve_linear"]
 
-MOST_HARMONICS, MOST_SAMPLES = 300, 2**20
-"""Beyond these the choice by a tolerance gives up; no more samples can be asked for either."""
+MOST_HARMONICS = 300
+"""Beyond these, or MOST_SAMPLES, the choice by a tolerance gives up."""
 MATRICES = 4
 """Dense matrices of the size of the Jacobian that are held at a time."""
 

@@ -14,7 +14,6 @@ from fenics_crack.errors import InputError
 from fenics_crack.integration import TimeHistory
 from fenics_crack.modes import Modes
 from fenics_crack.output import write_modes, write_period
-from fenics_crack.parallel import on_root
 from fenics_crack.plot import (
     Wave,
     draw_contact_map,
@@ -35,7 +34,7 @@ __all__ = ["draw_run", "draw_sweep"]
 
 
 def draw_run(run: Run, folder: Path, *, show: bool = False) -> list[Path]:
-    """Draw everything that fits a result (collective).
+    """Draw everything that fits a result, which one rank has loaded.
 
     Parameters
     ----------
@@ -66,8 +65,8 @@ def draw_run(run: Run, folder: Path, *, show: bool = False) -> list[Path]:
             show_period(found, material=run.scene.material)
         return _solution(run, found, folder)
     if isinstance(found, ResponseCurve):
-        return on_root(run.structure.whole.comm, lambda: _curve(run, found, folder))
-    return on_root(run.structure.whole.comm, lambda: _history(run, found, folder))
+        return _curve(run, found, folder)
+    return _history(run, found, folder)
 
 
 def _modes(run: Run, found: Modes, folder: Path) -> list[Path]:
@@ -101,14 +100,11 @@ def _solution(run: Run, found: PeriodicSolution, folder: Path) -> list[Path]:
         mouth = found.gap(time)[:, 0]
         lines.append(Wave("closing of the lips at the mouth", time, mouth, "orange", "--"))
     zero = "lips touch" if len(lines) > 1 else None
-    if run.structure.whole.comm.rank == 0:
-        draw_waves(
-            waves, lines, title=title, quantity="displacement", period=found.period, zero=zero
-        )
+    draw_waves(waves, lines, title=title, quantity="displacement", period=found.period, zero=zero)
     files.insert(0, waves)
     if found.gap_coefficients.shape[1] > 1:
         files.insert(3, folder / "solution_contact_map.png")
-        on_root(run.structure.whole.comm, lambda: draw_contact_map(files[3], found))
+        draw_contact_map(files[3], found)
     return files
 
 
@@ -171,6 +167,7 @@ def draw_sweep(found: SweepResult, folder: Path) -> list[Path]:
     up = more[0] if more else None
     others = [place for place in range(len(found.axes)) if place not in (right, up)]
     files = []
+    all_doubtful = found.converged & (found.not_stable | found.inexact)
     places = itertools.product(*(range(found.shape[place]) for place in others))
     for number, fixed in enumerate(itertools.islice(places, MOST_PICTURES)):
         index: list[Any] = [slice(None)] * len(found.axes)
@@ -186,7 +183,7 @@ def draw_sweep(found: SweepResult, folder: Path) -> list[Path]:
                 continue
             files.append(folder / f"sweep_{name}{ending}.png")
             title = ", ".join(words) or f"Sweep of {found.axes[right].key}"
-            doubtful = _doubtful(found)[tuple(index)]
+            doubtful = all_doubtful[tuple(index)]
             if up is not None and up < right:
                 doubtful = doubtful.T
             _sweep_picture(files[-1], found, right, up, values, doubtful, title, quantity)
@@ -198,14 +195,7 @@ QUANTITIES = {
     "response": "half peak-to-peak at the load's point",
     "opening": "largest opening of the crack",
 }
-LARGE_ERROR = 0.05
 FEW_LINES, MOST_PICTURES = 6, 12
-
-
-def _doubtful(found: SweepResult) -> np.ndarray:
-    """Which cases converged, but to what may not be seen."""
-    unstable = np.isin(found["verdict"], ("unstable", "undecided"))
-    return found.converged & (unstable | (found["truncation_error"] > LARGE_ERROR))
 
 
 def _sweep_picture(

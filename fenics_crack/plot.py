@@ -13,6 +13,7 @@ from scipy.signal import find_peaks
 
 from fenics_crack.contact import ContactLaw
 from fenics_crack.curve import ResponseCurve
+from fenics_crack.error_report import LARGE_ERROR
 from fenics_crack.errors import InputError
 from fenics_crack.figure import COLOURS, finish, new_figure, off_screen_plotter, readable, save
 from fenics_crack.modes import Modes
@@ -246,7 +247,7 @@ def draw_map(
     save(figure, path)
 
 
-DOUBTFUL = "not stable, or estimated error above 5 %"
+DOUBTFUL = f"not stable, or estimated error above {100 * LARGE_ERROR:g} %"
 FARTHEST = 2.0
 """Modulus of the largest multiplier shown."""
 MISSING = "#b5b5b5"

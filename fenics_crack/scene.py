@@ -52,6 +52,7 @@ __all__ = [
 ]
 
 MOST_SAMPLES = 2**20
+"""Instants of a period at which contact may be asked to be evaluated."""
 EXTENT = "a number from 1e-6 to 1e6"
 FORCE = f"[fx, fy], two finite numbers {OR_ZERO}"
 STEEPEST, THINNEST = 1e6, 1e4

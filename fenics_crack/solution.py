@@ -194,9 +194,7 @@ class PeriodicSolution:
             gap, force = parts["gap_coefficients"], parts["force_coefficients"]
             if gap.ndim != 2 or gap.shape != force.shape or not len(gap) % 2:
                 raise ValueError("coefficients do not fit")
-            if gap.shape[1] != structure.n_pairs:
-                pairs = f"{structure.n_pairs} pairs"
-                raise InputError("structure", pairs, f"one with {gap.shape[1]} pairs")
+            check_pairs(structure, gap)
             check_law_parts(parts, contact)
             if isinstance(contact, UnilateralConstraint):
                 contact = UnilateralConstraint(float(parts["weight"]))
@@ -232,6 +230,13 @@ class PeriodicSolution:
             report=report,
             stability=stability,
         )
+
+
+def check_pairs(structure: Structure, gaps: np.ndarray) -> None:
+    """Raise InputError unless a structure has as many pairs as gaps (..., n_pairs)."""
+    if gaps.shape[-1] != structure.n_pairs:
+        allowed = f"one with {gaps.shape[-1]} pairs"
+        raise InputError("structure", f"{structure.n_pairs} pairs", allowed)
 
 
 def check_gap(

@@ -135,10 +135,7 @@ def reading(path: str | Path, kind: str) -> Iterator[dict[str, Any]]:
         The file cannot be read, something else is in it, or a dataset that is used within the
         ``with`` block is missing or not of the kind expected there.
     """
-    found = kind_of(path)
-    if found != kind:
-        raise InputError("path", str(path), f"a file with a {kind}; in this one is a {found}")
-    with opened(path) as file:
+    with opened(path, kind) as file:
         parts = {n: _value(item) for n, item in file.items() if isinstance(item, h5py.Dataset)}
     try:
         yield parts
@@ -178,8 +175,8 @@ def read_scene(path: str | Path) -> Scene | None:
 
 
 @contextlib.contextmanager
-def opened(path: str | Path) -> Iterator[h5py.File]:
-    """A result file for reading, without a lock: a sweep may be written meanwhile.
+def opened(path: str | Path, kind: str | None = None) -> Iterator[h5py.File]:
+    """A result file for reading, of any kind or one, without a lock: it may be being written.
 
     Raises
     ------
@@ -190,6 +187,10 @@ def opened(path: str | Path) -> Iterator[h5py.File]:
         with h5py.File(path, "r", locking=False) as file:
             if file.attrs.get("program") != PROGRAM or "kind" not in file.attrs:
                 raise InputError("path", str(path), f"a result file of {PROGRAM}")
+            found = file.attrs["kind"]
+            if kind not in (None, found):
+                allowed = f"a file with a {kind}; in this one is a {found}"
+                raise InputError("path", str(path), allowed)
             yield file
     except FileNotFoundError:
         raise InputError("path", str(path), "a file that exists") from None

@@ -35,13 +35,13 @@ from mpi4py.futures import MPICommExecutor
 from fenics_crack.compliance import dynamic_compliance
 from fenics_crack.condensed import default_weight
 from fenics_crack.contact import UnilateralConstraint
-from fenics_crack.error_report import ErrorReport
+from fenics_crack.error_report import LARGE_ERROR, ErrorReport
 from fenics_crack.errors import InputError
 from fenics_crack.harmonic_balance import solve_linear
 from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.preparation import law_of
 from fenics_crack.scene import Scene
-from fenics_crack.solution import PeriodicSolution
+from fenics_crack.solution import PeriodicSolution, check_pairs
 from fenics_crack.sweep_case import Geometry, build
 from fenics_crack.sweep_file import (
     COLUMNS,
@@ -231,6 +231,16 @@ class SweepResult:
         return self["state"] == CONVERGED
 
     @property
+    def inexact(self) -> np.ndarray:
+        """Which cases estimate a large error of the harmonics left out, likewise."""
+        return np.asarray(self["truncation_error"] > LARGE_ERROR)
+
+    @property
+    def not_stable(self) -> np.ndarray:
+        """Which cases are unstable or undecided, likewise."""
+        return np.isin(self["verdict"], ("unstable", "undecided"))
+
+    @property
     def failed(self) -> list[tuple[tuple[int, ...], str]]:
         """Index and reason of every case that could not be solved."""
         places = np.argwhere(self["state"] == FAILED)
@@ -282,8 +292,7 @@ class SweepResult:
         if law is None:
             return solve_linear(structure, omega, harmonics=case.harmonic_balance.harmonics)
         gap, force = read_waves(self.path, place)
-        if gap.shape[1] != structure.n_pairs:
-            raise InputError("structure", f"{structure.n_pairs} pairs", f"{gap.shape[1]} pairs")
+        check_pairs(structure, gap)
         compliance = dynamic_compliance(structure, omega, len(gap) // 2)
         if isinstance(law, UnilateralConstraint):
             law = UnilateralConstraint(default_weight(compliance))

@@ -17,8 +17,7 @@ read while it is being written. A lock keeps a second sweep from writing to it.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -181,7 +180,7 @@ def _make(path: Path, scene: Scene, harmonics: int, pairs: int) -> None:
 
 def _check(path: Path, scene: Scene) -> None:
     """Raise InputError unless a file is the sweep of a scene, by this version of the program."""
-    with _reading(path) as file:
+    with store.opened(path, KIND) as file:
         same = file.attrs.get("scene") == store.scene_text(scene)
         version = str(file.attrs.get("version"))
         store.check_meshes(file, scene)
@@ -194,21 +193,12 @@ def _check(path: Path, scene: Scene) -> None:
         raise InputError("path", str(path), allowed)
 
 
-@contextmanager
-def _reading(path: Path) -> Iterator[h5py.File]:
-    """A sweep's file; InputError where it is not one."""
-    with store.opened(path) as file:
-        if file.attrs["kind"] != KIND:
-            raise InputError("path", str(path), f"a sweep, not a {file.attrs['kind']}")
-        yield file
-
-
 def read_columns(path: Path) -> tuple[Scene, dict[str, np.ndarray]]:
     """The scene, and ``state`` and the columns in the shape of the axes.
 
     Numbers of pending cases are nan (0 where they are whole numbers), words are empty.
     """
-    with _reading(path) as file:
+    with store.opened(path, KIND) as file:
         scene = Scene.from_text(str(file.attrs["scene"]), str(path))
         if any(file[name].shape != shape_of(scene) for name in ("state", *COLUMNS)):
             raise InputError("path", str(path), "a whole sweep")
@@ -228,7 +218,7 @@ def read_columns(path: Path) -> tuple[Scene, dict[str, np.ndarray]]:
 
 def read_waves(path: Path, index: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Gap [m] and force [N] coefficients of a case that converged: (2H+1, n_pairs) each."""
-    with _reading(path) as file:
+    with store.opened(path, KIND) as file:
         if "gap" not in file:
             empty = np.zeros((2 * int(file["harmonics"][index]) + 1, 0))
             return empty, empty
