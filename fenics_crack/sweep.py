@@ -41,7 +41,8 @@ from fenics_crack.harmonic_balance import solve_linear
 from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.preparation import law_of
 from fenics_crack.scene import Scene
-from fenics_crack.solution import PeriodicSolution, check_pairs
+from fenics_crack.solution import PeriodicSolution, check_gap, check_pairs
+from fenics_crack.store import read_scene
 from fenics_crack.sweep_case import Geometry, build
 from fenics_crack.sweep_file import (
     COLUMNS,
@@ -276,9 +277,10 @@ class SweepResult:
         Raises
         ------
         InputError
-            As :meth:`gap`.
+            As :meth:`gap`; or a mesh file is no more what it was.
         """
         place = self._place(index)
+        read_scene(self.path)  # checks the mesh files
         plan = Plan(self.scene)
         case = plan.case(place)
         assert isinstance(case, Scene)
@@ -297,11 +299,13 @@ class SweepResult:
         if isinstance(law, UnilateralConstraint):
             law = UnilateralConstraint(default_weight(compliance))
         found = {name: float(self[name][place]) for name in COLUMNS if self[name].dtype.kind == "f"}
+        displacement = compliance.displacement(force)
+        check_gap(structure, displacement, gap, max(1e-6, 10.0 * found["residual_error"]))
         solution = PeriodicSolution(
             structure,
             omega,
             law,
-            compliance.displacement(force),
+            displacement,
             gap,
             force,
             status=str(self["status"][place]),

@@ -204,9 +204,16 @@ def test_file_of_a_mesh_that_has_changed(tmp_path: Path) -> None:
     words = ["solve", str(scene), "--quiet", "--output", str(tmp_path)]
     assert main(words) == 0
     assert isinstance(load_run(tmp_path / "solution.h5").result, fc.PeriodicSolution)
+    words = ["sweep", *words[1:], "--set", "sweep.over={'excitation.omega'=[1900.0, 2000.0]}"]
+    assert main(words) == 0
+    swept = fc.SweepResult.load(tmp_path / "sweep.h5")
+    assert swept.solution(0).converged
     write_msh(drawn.replace({"crack.height": 0.0625}), mesh)
     with pytest.raises(fc.InputError, match="it has changed or gone"):
         load_run(tmp_path / "solution.h5")
+    with pytest.raises(fc.InputError, match="it has changed or gone"):
+        swept.solution(0)
+    assert main(words) == 2  # neither does the sweep go on
 
 
 @pytest.mark.mpi
