@@ -32,7 +32,7 @@ import common
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.plot import COLOURS
+from fenics_crack.draw.figure import COLOURS
 
 PLAIN, PATH, FAILED = "plain Newton", "stiffness path", "failed"
 WEIGHTS = (0.1, 10.0, 100.0)

@@ -29,8 +29,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import fenics_crack as fc
-from fenics_crack.error_report import mean_square
-from fenics_crack.fourier import resized
+from fenics_crack.balance.error_report import mean_square
+from fenics_crack.balance.fourier import resized
 
 DEMOS = Path(__file__).parents[1] / "demos"
 FOLDER = Path("output/benchmarks")

@@ -39,10 +39,10 @@ import numpy as np
 import scipy.linalg
 
 import fenics_crack as fc
-from fenics_crack.compliance import dynamic_compliance
-from fenics_crack.condensed import CondensedSystem
-from fenics_crack.contact_integrals import contact_integrals
-from fenics_crack.plot import COLOURS
+from fenics_crack.balance.compliance import dynamic_compliance
+from fenics_crack.balance.condensed import CondensedSystem
+from fenics_crack.balance.contact_integrals import contact_integrals
+from fenics_crack.draw.figure import COLOURS
 
 CONTINUED = "this, continued, exact"
 FILLED = "this, continued and filled"

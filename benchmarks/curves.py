@@ -24,7 +24,7 @@ import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
 
 import fenics_crack as fc
-from fenics_crack.plot import COLOURS
+from fenics_crack.draw.figure import COLOURS
 
 COLUMNS = (
     "case", "k", "xi", "H", "unknowns", "complete", "points", "folds", "iterations",

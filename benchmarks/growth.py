@@ -27,7 +27,8 @@ import common
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.plot import COLOURS
+from fenics_crack.draw.figure import COLOURS
+from fenics_crack.model.modes import damped_modes
 
 MODES = 30
 PER_AREA = 4.2e11  # N/m^3
@@ -116,7 +117,7 @@ def measure(size: float, lip_elements: int, grading: float) -> dict[str, Any]:
     tiny = {"mesh.size": 0.03, "mesh.lip_elements": 2, "damping.modes": 3}
     fc.build_structure(scene.replace(tiny))  # compiles the forms, once for all meshes
     plate = stage(STAGES[0], lambda: fc.build_structure(scene))
-    stage(STAGES[1], lambda: fc.modes.damped_modes(plate))
+    stage(STAGES[1], lambda: damped_modes(plate))
     reduced = stage(STAGES[2], lambda: fc.reduce_structure(plate, modes=MODES))
     assert plate.pair_areas is not None
     law = fc.UnilateralPenalty(PER_AREA * plate.pair_areas)

@@ -23,7 +23,7 @@ import common
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.plot import COLOURS
+from fenics_crack.draw.figure import COLOURS
 
 OMEGA = 2000.0
 FACTORS = (1.0, 10.0, 100.0, 0.1)

@@ -25,9 +25,9 @@ import numpy as np
 from common import DEMOS, Arguments, run, save_table
 
 import fenics_crack as fc
-from fenics_crack.preparation import prepare
-from fenics_crack.scene import Sweep
-from fenics_crack.sweep import run_sweep
+from fenics_crack.scene.scene import Sweep
+from fenics_crack.study.prepare import prepare
+from fenics_crack.sweep.result import run_sweep
 
 RANKS = (1, 2, 4)
 ENVIRONMENT = {

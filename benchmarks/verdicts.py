@@ -30,9 +30,9 @@ import numpy as np
 
 import fenics_crack as fc
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.events import EventFlow
-from fenics_crack.integration import initial_state
-from fenics_crack.stability import PiecewiseFlow
+from fenics_crack.stability.floquet import PiecewiseFlow
+from fenics_crack.time.events import EventFlow
+from fenics_crack.time.march import initial_state
 
 OMEGAS = (1300.0, 2000.0, 3300.0, 5200.0, 8700.0)
 STIFFNESSES = (1e8, 1e9, 1e10, 1e11)

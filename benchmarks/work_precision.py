@@ -40,9 +40,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import fenics_crack as fc
-from fenics_crack.events import EventFlow
-from fenics_crack.modes import damped_modes
-from fenics_crack.plot import COLOURS
+from fenics_crack.draw.figure import COLOURS
+from fenics_crack.model.modes import damped_modes
+from fenics_crack.time.events import EventFlow
 
 COLUMNS = ("scene", "method", "setting", "error", "CPU ms", "MiB", "periods", "note")
 LOOKS = {

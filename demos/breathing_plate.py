@@ -20,16 +20,10 @@ import numpy as np
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.animation import animate_period
-from fenics_crack.output import write_modes, write_period
-from fenics_crack.plot import (
-    Wave,
-    draw_contact_map,
-    draw_modes,
-    draw_orbits,
-    draw_spectrum,
-    draw_waves,
-)
+from fenics_crack.draw.animation import animate_period
+from fenics_crack.draw.paraview import write_modes, write_period
+from fenics_crack.draw.plot import Wave, draw_contact_map, draw_modes, draw_waves
+from fenics_crack.draw.plot_motion import draw_orbits, draw_spectrum
 
 SCENE = Path(__file__).with_suffix(".toml")
 MAGNIFICATION = 12000.0

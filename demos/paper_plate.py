@@ -25,8 +25,8 @@ from typing import Any
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.output import write_modes, write_period
-from fenics_crack.plot import Wave, draw_laws, draw_modes, draw_waves
+from fenics_crack.draw.paraview import write_modes, write_period
+from fenics_crack.draw.plot import Wave, draw_laws, draw_modes, draw_waves
 
 SCENE = Path(__file__).with_suffix(".toml")
 CORNER = (0.1, 0.1)  # m, where the force acts

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.plot import draw_content, draw_curve, draw_multipliers
+from fenics_crack.draw.plot import draw_content, draw_curve, draw_multipliers
 
 FOLDER = Path(__file__).parent
 RANGE = (1000.0, 9500.0)  # rad/s; the open plate's third natural frequency is 8579
@@ -41,10 +41,10 @@ def main(output: Path = Path("output/resonances"), *, again: bool = False) -> fc
         structure = plate if name == "paper_plate" else fc.reduce_structure(plate)
         file = output / f"{name}.h5"
         if again:
-            curve = fc.ResponseCurve.load(file, structure, law)
+            curve = fc.load(file, structure, law)
         else:
             curve = follow(structure, law, harmonics, name)
-            curve.save(file)
+            fc.save(curve, file)
         curves[name] = curve
         assert scene.geometry.width is not None and scene.geometry.height is not None
         corner = (scene.geometry.width, scene.geometry.height)

@@ -15,7 +15,7 @@ import numpy as np
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.plot import draw_map, draw_response
+from fenics_crack.draw.plot import draw_map, draw_response
 
 SCENE = Path(__file__).with_name("sweep.toml")
 

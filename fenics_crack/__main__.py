@@ -2,6 +2,6 @@
 
 import sys
 
-from fenics_crack.command_line import main
+from fenics_crack.cli.command_line import main
 
 sys.exit(main())

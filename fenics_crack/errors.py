@@ -7,11 +7,20 @@ import math
 from collections.abc import Sequence
 from numbers import Integral, Real
 
-__all__ = ["ConvergenceError", "InputError", "check_count", "check_number", "check_omega"]
+__all__ = [
+    "MOST_SAMPLES",
+    "ConvergenceError",
+    "InputError",
+    "check_count",
+    "check_number",
+    "check_omega",
+]
 
 LONGEST_VALUE = 1000
 """Characters of a value that are shown."""
 LARGEST_COUNT = 10**9
+MOST_SAMPLES = 2**20
+"""Instants of a period at which contact may be asked to be evaluated."""
 
 
 class InputError(ValueError):

@@ -13,8 +13,8 @@ import numpy as np
 import scipy.linalg
 
 import fenics_crack as fc
-from fenics_crack.error_report import mean_square
-from fenics_crack.fourier import resized
+from fenics_crack.balance.error_report import mean_square
+from fenics_crack.balance.fourier import resized
 
 ROOT = Path(__file__).parents[1]
 DEMOS = ROOT / "demos"
@@ -103,6 +103,25 @@ def random_stiffness(rng: np.random.Generator, n: int) -> np.ndarray:
     """A full matrix, symmetric and positive definite."""
     root = rng.normal(size=(n, n))
     return root @ root.T + n * np.eye(n)
+
+
+class Cubic:
+    """lambda = c g^3: a smooth law, whose coefficients samples give exactly."""
+
+    def __init__(self, stiffness: float) -> None:
+        self.stiffness = stiffness
+
+    def force(self, gap: np.ndarray) -> np.ndarray:
+        """c g^3."""
+        return self.stiffness * gap**3
+
+    def tangent(self, gap: np.ndarray) -> np.ndarray:
+        """3 c g^2."""
+        return 3.0 * self.stiffness * gap**2
+
+    def scaled(self, factor: float) -> Cubic:
+        """The same with another c."""
+        return Cubic(factor * self.stiffness)
 
 
 # --- dense matrices -------------------------------------------------------------------------------

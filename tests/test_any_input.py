@@ -26,9 +26,9 @@ from hypothesis import strategies as st
 
 import fenics_crack as fc
 from fenics_crack import ConvergenceError, InputError, Scene
-from fenics_crack.command_line import main
-from fenics_crack.mesh import write_msh
-from fenics_crack.run import Run, find_modes, solve
+from fenics_crack.cli.command_line import main
+from fenics_crack.fem.plate import write_msh
+from fenics_crack.study.run import Run, find_modes, solve
 
 SEEDS = st.integers(0, 10**6)
 LONGEST = 20
@@ -80,7 +80,7 @@ def check_error(error: InputError) -> None:
 
 TEXTS = [
     path.read_text(encoding="utf-8")
-    for path in [*sorted(DEMOS.glob("*.toml")), ROOT / "fenics_crack" / "new_scene.toml"]
+    for path in [*sorted(DEMOS.glob("*.toml")), ROOT / "fenics_crack" / "cli" / "new_scene.toml"]
 ]
 VALUES = [
     "0", "-1", "1", "2", "1e300", "-1e300", "1e-300", "1e30", "1e-30", "nan", "-nan", "inf",

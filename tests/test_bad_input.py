@@ -15,7 +15,7 @@ from helpers import ROOT
 from test_any_input import TINY
 
 from fenics_crack import Scene
-from fenics_crack.command_line import main
+from fenics_crack.cli.command_line import main
 
 # fmt: off
 TABLE = [
@@ -192,11 +192,11 @@ SETTINGS = ("crack.length",)
 """Words of the table that are settings without a value."""
 
 
-@pytest.mark.parametrize("name", ["scene.py", "table.py"])
+@pytest.mark.parametrize("name", ["scene.py", "fields.py"])
 def test_every_message_of_the_scene_is_in_the_table(name: str) -> None:
     """A check that is added to the scene needs a line above."""
     shown = "\n".join(message for _, message in TABLE)
-    tree = ast.parse((ROOT / "fenics_crack" / name).read_text(encoding="utf-8"))
+    tree = ast.parse((ROOT / "fenics_crack" / "scene" / name).read_text(encoding="utf-8"))
     missing = []
     for node in ast.walk(tree):
         if isinstance(node, ast.Call) and node.args:

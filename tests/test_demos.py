@@ -83,7 +83,7 @@ import dataclasses
 from pathlib import Path
 import fenics_crack as fc
 import sweep
-from fenics_crack.scene import Sweep
+from fenics_crack.scene.scene import Sweep
 scene = dataclasses.replace(
     fc.Scene.load(sweep.SCENE), sweep=Sweep.from_mapping({{"over": {over!r}}})
 )

@@ -14,8 +14,8 @@ import pytest
 from helpers import ROOT
 
 import fenics_crack as fc
-import fenics_crack.scene
-from fenics_crack.command_line import parser
+import fenics_crack.scene.scene
+from fenics_crack.cli.command_line import parser
 
 MPIRUN = "mpirun --oversubscribe"
 
@@ -73,7 +73,9 @@ def test_toml_blocks_are_tables_of_scenes(page: Path) -> None:
         for name, table in tomllib.loads(block).items():
             known = {field.name: field for field in dataclasses.fields(fc.Scene)}
             assert name in known
-            kind = getattr(fc.scene, "".join(part.capitalize() for part in name.split("_")))
+            kind = getattr(
+                fenics_crack.scene.scene, "".join(part.capitalize() for part in name.split("_"))
+            )
             assert isinstance(kind.from_mapping(table), kind)
 
 

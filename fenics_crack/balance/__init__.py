@@ -1,0 +1,1 @@
+"""Harmonic balance of contact."""

@@ -1,0 +1,278 @@
+"""Dynamic compliance: all that contact pairs see of a structure.
+
+A force lambda_k exp(i k w t) on the pairs moves their gaps by -R_k lambda_k, and the load alone
+opens them by the linear gap,
+
+    R_k = B^T Z_k^-1 B,        g_lin = B^T Z^-1 f - g0,        Z_k = K - (k w)^2 M + i k w C,
+
+so that the gap's harmonics solve g + R lambda(g) = g_lin exactly, whatever lies behind R. Small
+structures, reduced ones among them, answer in closed form from all of their modes; large ones by
+one sparse factorisation for each harmonic. Both give the displacement anywhere once lambda is
+known.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from typing import Protocol
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from fenics_crack.balance.dynamic_stiffness import DynamicStiffness
+from fenics_crack.balance.fourier import from_complex, resized, to_complex
+from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.model.modal import all_modes, is_small
+from fenics_crack.model.modes import damped_modes, solve_modes, times
+from fenics_crack.model.structure import Structure
+from fenics_crack.parallel import collect_garbage
+
+__all__ = [
+    "Compliance",
+    "FactoredCompliance",
+    "ModalCompliance",
+    "WidenedCompliance",
+    "dynamic_compliance",
+    "load_coefficients",
+]
+
+
+class Compliance(Protocol):
+    """Compliance of a structure at the multiples 0 to H of a base frequency.
+
+    Attributes
+    ----------
+    matrices : (H+1, n_pairs, n_pairs) complex [m/N]
+        R_k, symmetric.
+    linear_gap : (2H+1, n_pairs) [m]
+        Gap without contact, less the clearance.
+    """
+
+    matrices: np.ndarray
+    linear_gap: np.ndarray
+
+    def beyond(self, highest: int) -> np.ndarray:
+        """R_k for k = H+1 to a higher harmonic, to the accuracy of an error estimate."""
+
+    def displacement(self, force: np.ndarray) -> np.ndarray:
+        """u = A^-1 (c - B lambda) of contact forces (2H+1, n_pairs): (2H+1, n_local)."""
+
+    def destroy(self) -> None:
+        """Free what is held (collective)."""
+
+
+def dynamic_compliance(
+    structure: Structure, base_omega: float, harmonics: int, subharmonic: int = 1
+) -> Compliance:
+    """Compliance at the multiples of ``base_omega`` (collective).
+
+    The load sits on harmonic ``subharmonic``.
+
+    Raises
+    ------
+    ConvergenceError
+        The structure has no damping and is met in resonance, or is loose.
+    """
+    load = load_coefficients(structure, harmonics, subharmonic)
+    if is_small(structure) and not all_modes(structure).spread:
+        return ModalCompliance(structure, base_omega, load)
+    return FactoredCompliance(structure, base_omega, load)
+
+
+def load_coefficients(structure: Structure, harmonics: int, subharmonic: int) -> np.ndarray:
+    """c: coefficients of the load, (2H+1, n_local) [N]."""
+    load = np.zeros((2 * harmonics + 1, structure.n_local))
+    load[0] = structure.force[0]
+    load[2 * subharmonic - 1 : 2 * subharmonic + 1] = structure.force[1:]
+    return load
+
+
+class ModalCompliance:
+    """Closed form from all modes of a small structure, exact with any damping.
+
+    With modal coordinates q, u = Phi q, the impedance is omega_j^2 - w^2 + i w c_j, or with damping
+    that couples modes a full matrix of the same size.
+    """
+
+    def __init__(self, structure: Structure, base_omega: float, load: np.ndarray) -> None:
+        if not is_small(structure):
+            raise InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
+        self._clearance = structure.clearance
+        self._modes = all_modes(structure)
+        self._order = np.arange(len(load) // 2 + 1.0)
+        self._unit_load = to_complex(load @ self._modes.shapes)
+        self._set(base_omega, 1.0, 1.0, 0.0)
+
+    def _set(self, base_omega: float, load: float, damping: float, clearance: float) -> None:
+        self._base, self._damping = base_omega, damping
+        self._receptance = self._modes.receptance(base_omega * self._order, damping)
+        self.matrices = self._seen_by_pairs(self._receptance)
+        self._modal_load = load * self._unit_load
+        free = _respond(self._receptance, self._modal_load)
+        self.linear_gap = from_complex(free @ self._modes.pairs)
+        self.linear_gap[0] -= self._clearance + clearance
+
+    def at(
+        self,
+        base_omega: float,
+        *,
+        load: float = 1.0,
+        damping: float = 1.0,
+        clearance: float = 0.0,
+    ) -> ModalCompliance:
+        """The same at another frequency, and of a varied structure (:meth:`Structure.varied`)."""
+        other = copy(self)
+        other._set(base_omega, load, damping, clearance)
+        return other
+
+    def beyond(self, highest: int) -> np.ndarray:
+        """R_k for k = H+1 to ``highest``."""
+        order = np.arange(len(self.matrices), highest + 1)
+        return self._seen_by_pairs(self._modes.receptance(self._base * order, self._damping))
+
+    def displacement(self, force: np.ndarray) -> np.ndarray:
+        """u = A^-1 (c - B lambda)."""
+        return self.seen_through(self._modes.shapes, force)
+
+    def seen_through(self, shapes: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """The displacement of some dofs, from their rows of all modes (m, n_modes): (2H+1, m)."""
+        drive = self._modal_load - to_complex(force) @ self._modes.pairs.T
+        return from_complex(_respond(self._receptance, drive) @ shapes.T)
+
+    # Derivatives of R lambda - g_lin for fixed forces (2H+1, n_pairs): (2H+1, n_pairs).
+
+    def frequency_derivative(self, force: np.ndarray) -> np.ndarray:
+        """By base_omega: with H = Z^-1, dH = -H dZ H, dZ_k = -2 k^2 w + i k c."""
+        order, moved = self._order[:, None], self._moved(force)
+        damped = self._damping * self._damped(moved)
+        change = order * (1j * damped - (2.0 * self._base * order) * moved)
+        return from_complex(-_respond(self._receptance, change) @ self._modes.pairs)
+
+    def damping_derivative(self, force: np.ndarray) -> np.ndarray:
+        """By the factor of the damping: dZ_k = i k w c."""
+        change = (1j * self._base) * self._order[:, None] * self._damped(self._moved(force))
+        return from_complex(-_respond(self._receptance, change) @ self._modes.pairs)
+
+    def load_derivative(self) -> np.ndarray:
+        """By the factor of the load."""
+        return from_complex(-_respond(self._receptance, self._unit_load) @ self._modes.pairs)
+
+    def _moved(self, force: np.ndarray) -> np.ndarray:
+        """Modal response to the contact forces and the load reversed."""
+        drive = to_complex(force) @ self._modes.pairs.T - self._modal_load
+        return _respond(self._receptance, drive)
+
+    def _damped(self, modal: np.ndarray) -> np.ndarray:
+        rate = self._modes.damping
+        product: np.ndarray = rate * modal if rate.ndim == 1 else modal @ rate.T
+        return product
+
+    def destroy(self) -> None:
+        """Nothing is held."""
+
+    def _seen_by_pairs(self, receptance: np.ndarray) -> np.ndarray:
+        pairs = self._modes.pairs
+        if receptance.ndim == 2:
+            return np.matmul(pairs.T * receptance[:, None, :], pairs)
+        return pairs.T @ receptance @ pairs
+
+
+def _respond(receptance: np.ndarray, drive: np.ndarray) -> np.ndarray:
+    """Modal response to modal forces, both (H+1, n_modes)."""
+    if receptance.ndim == 2:
+        return receptance * drive
+    return np.matmul(receptance, drive[:, :, None])[:, :, 0]
+
+
+class FactoredCompliance:
+    """Exact, from one sparse factorisation for each harmonic; the factors are kept.
+
+    Attributes
+    ----------
+    structure : Structure
+        Whose compliance it is.
+    load : (2H+1, n_local) [N]
+        c, coefficients of the load.
+    """
+
+    def __init__(self, structure: Structure, base_omega: float, load: np.ndarray) -> None:
+        self.structure = structure
+        self.load = load
+        self._base = base_omega
+        self._blocks = [
+            DynamicStiffness(structure, k * base_omega) for k in range(len(load) // 2 + 1)
+        ]
+        matrices = np.array([block.compliance() for block in self._blocks], dtype=complex)
+        linear_gap = structure.closing(self.solve_blocks(load))
+        linear_gap[0] -= structure.clearance
+        # Every rank goes on by itself with these: they must not differ even by rounding.
+        self.matrices, self.linear_gap = structure.comm.bcast((matrices, linear_gap))
+        if not (np.all(np.isfinite(self.matrices)) and np.all(np.isfinite(self.linear_gap))):
+            self.destroy()
+            raise ConvergenceError("dynamic compliance: the structure is singular")
+
+    def beyond(self, highest: int) -> np.ndarray:
+        """R_k for k = H+1 to ``highest``: modes known, and what they leave of the static R_0."""
+        omega, rate, pairs = _known_modes(self.structure)
+        static = self.matrices[0].real - (pairs.T / omega**2) @ pairs
+        frequency = self._base * np.arange(len(self.matrices), highest + 1)[:, None]
+        receptance = 1.0 / (omega**2 - frequency**2 + 1j * frequency * rate)
+        return static + np.matmul(pairs.T * receptance[:, None, :], pairs)
+
+    def displacement(self, force: np.ndarray) -> np.ndarray:
+        """u = A^-1 (c - B lambda)."""
+        return self.solve_blocks(self.load - self.structure.spread(force))
+
+    def solve_blocks(self, force: np.ndarray) -> np.ndarray:
+        """A^-1 f of coefficients (2H+1, n_local)."""
+        rows = [
+            block.solve(row.real[None] if k == 0 else row[None])[0]
+            for k, (block, row) in enumerate(zip(self._blocks, to_complex(force), strict=True))
+        ]
+        return from_complex(np.array(rows, dtype=complex))
+
+    def destroy(self) -> None:
+        """Free the factors (collective)."""
+        for block in self._blocks:
+            block.destroy()
+        collect_garbage(self.structure.comm)
+
+
+class WidenedCompliance:
+    """A compliance with more harmonics, the new ones to the accuracy of an error estimate."""
+
+    def __init__(self, compliance: Compliance, harmonics: int) -> None:
+        self.matrices = np.concatenate([compliance.matrices, compliance.beyond(harmonics)])
+        self.linear_gap = resized(compliance.linear_gap, harmonics)
+        self.beyond = compliance.beyond
+        self.displacement = compliance.displacement
+        self.destroy = compliance.destroy
+
+
+_KNOWN_MODES: WeakKeyDictionary[Structure, tuple[np.ndarray, np.ndarray, np.ndarray]] = (
+    WeakKeyDictionary()
+)
+
+
+def _known_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """omega, damping rate and B^T phi of the damped modes, or of the 20 lowest if these are more.
+
+    They are computed once for a structure.
+    """
+    if structure not in _KNOWN_MODES:
+        known, count = damped_modes(structure), min(20, structure.n_dofs)
+        if known is not None and len(known.omega) >= count:
+            omega, rate, shapes = known.omega, known.rate, known.shapes
+        else:
+            modes = solve_modes(structure, count)
+            omega, shapes = modes.omega, modes.shapes
+            rate = np.zeros(count)
+            if known is not None:
+                rate[: len(known.rate)] = known.rate
+            elif structure.damping_matrix is not None:
+                damping = times(structure.damping_matrix, shapes)
+                rate = structure.sum_over_ranks((shapes * damping).sum(axis=0))
+        found = omega > 0.0  # the lowest may have drowned in rounding
+        pairs = structure.closing(shapes.T)[found]
+        _KNOWN_MODES[structure] = omega[found], rate[found], pairs
+    return _KNOWN_MODES[structure]

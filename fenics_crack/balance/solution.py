@@ -1,0 +1,140 @@
+"""A periodic solution: Fourier coefficients, and what can be asked of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from fenics_crack.balance.error_report import ErrorReport
+from fenics_crack.balance.fourier import evaluate
+from fenics_crack.model.contact import (
+    ContactLaw,
+    UnilateralConstraint,
+)
+from fenics_crack.model.structure import Structure
+
+__all__ = ["PeriodicSolution", "Stability"]
+
+
+@dataclass(frozen=True)
+class Stability:
+    """Floquet multipliers and what follows from them.
+
+    Attributes
+    ----------
+    multipliers : (2n,) complex
+        Largest modulus first.
+    verdict : "stable", "unstable" or "undecided"
+        Undecided where the largest modulus lies on different sides of 1 with the switching
+        instants of the solution, with those of a wave with more harmonics, and by Hill's
+        determinant.
+    uncertainty : float
+        Largest difference between these three; nan where Hill's determinant has no root nearby.
+    refined : bool
+        Whether these are the multipliers of the exact orbit, found by shooting.
+    """
+
+    multipliers: np.ndarray
+    verdict: str
+    uncertainty: float
+    refined: bool = False
+
+
+@dataclass(frozen=True)
+class PeriodicSolution:
+    """Steady vibration u(t) = a0 + sum_k a_k cos(k w t) + b_k sin(k w t), w = omega / subharmonic.
+
+    Attributes
+    ----------
+    structure : Structure
+        What vibrates.
+    omega : float
+        Angular frequency of the load [rad/s].
+    contact : ContactLaw, UnilateralConstraint or None
+        Law between the lips; None for the linear solution with lips that pass through each other.
+    displacement_coefficients : (2H+1, n_local) [m]
+        Rows a0, a1, b1, ..., aH, bH; the columns of the dofs that this rank owns.
+    gap_coefficients : (2H+1, n_pairs) [m]
+        Closing of the pairs, g = B^T u - g0, in the same order, on every rank.
+    force_coefficients : (2H+1, n_pairs) [N]
+        Contact force, likewise.
+    subharmonic : int
+        The response has this many times the load's period; rows count multiples of
+        omega/subharmonic.
+    converged : bool
+        Whether the residual met the tolerance.
+    status : str
+        What was tried and how it ended, for people.
+    iterations : int
+        Newton iterations, all attempts together.
+    report : ErrorReport
+        Estimated errors, relative to the gap's amplitude.
+    stability : Stability or None
+        Where it has been judged (:func:`fenics_crack.floquet`).
+    """
+
+    structure: Structure
+    omega: float
+    contact: ContactLaw | UnilateralConstraint | None
+    displacement_coefficients: np.ndarray
+    gap_coefficients: np.ndarray
+    force_coefficients: np.ndarray
+    subharmonic: int = 1
+    converged: bool = True
+    status: str = "linear"
+    iterations: int = 0
+    report: ErrorReport = ErrorReport(0.0, 0.0, 0.0, 0.0, 0.0)
+    stability: Stability | None = None
+
+    KIND: ClassVar[str] = "periodic solution"
+
+    @property
+    def harmonics(self) -> int:
+        """H, the highest harmonic kept."""
+        return (len(self.gap_coefficients) - 1) // 2
+
+    @property
+    def base_omega(self) -> float:
+        """Angular frequency of the response [rad/s]."""
+        return self.omega / self.subharmonic
+
+    @property
+    def period(self) -> float:
+        """Period of the response [s]."""
+        return float(2.0 * np.pi / self.base_omega)
+
+    def gap(self, time: np.ndarray) -> np.ndarray:
+        """Closing of the pairs at times [s]: (len(time), n_pairs) [m]; negative: open."""
+        return evaluate(self.gap_coefficients, self.base_omega, time)
+
+    def contact_force(self, time: np.ndarray) -> np.ndarray:
+        """Contact force lambda(g(t)) at times [s]: (len(time), n_pairs) [N].
+
+        Without a law that gives it from the gap: eps max(0, g + lambda / eps) of the waves.
+        """
+        gap = self.gap(time)
+        if self.contact is None:
+            return np.zeros_like(gap)
+        if isinstance(self.contact, UnilateralConstraint):
+            force = evaluate(self.force_coefficients, self.base_omega, time)
+            assert self.contact.weight is not None
+            return np.maximum(0.0, self.contact.weight * gap + force)
+        return self.contact.force(gap)
+
+    def displacement(self, time: np.ndarray, dofs: Sequence[int]) -> np.ndarray:
+        """Displacement of dofs at times [s]: (len(time), len(dofs)) [m] (collective)."""
+        return evaluate(self.coefficients_at(dofs), self.base_omega, time)
+
+    def coefficients_at(self, dofs: Sequence[int]) -> np.ndarray:
+        """Coefficients of the displacement of dofs: (2H+1, len(dofs)) [m] (collective)."""
+        return self.structure.values_at(self.displacement_coefficients, dofs)
+
+    def displacement_field(self, time: np.ndarray) -> np.ndarray:
+        """Displacement of the whole structure's dofs on this rank: (len(time), n_local) [m]."""
+        rows = self.structure.expand(self.displacement_coefficients)
+        return evaluate(rows, self.base_omega, time)
+
+    # --- on disk ----------------------------------------------------------------------------------

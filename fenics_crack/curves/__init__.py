@@ -1,0 +1,1 @@
+"""Solutions followed along a parameter."""

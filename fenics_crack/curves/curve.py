@@ -1,0 +1,238 @@
+"""Response curves: solutions along a parameter, and where they bifurcate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from fenics_crack.balance.compliance import dynamic_compliance
+from fenics_crack.balance.condensed import CondensedSystem
+from fenics_crack.balance.contact_integrals import contact_integrals
+from fenics_crack.balance.error_report import estimate_errors
+from fenics_crack.balance.family import FAMILIES, Family
+from fenics_crack.balance.fourier import evaluate
+from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.errors import InputError
+from fenics_crack.model.contact import ContactLaw
+from fenics_crack.model.modal import all_modes
+from fenics_crack.model.structure import Structure
+
+__all__ = ["Bifurcation", "ResponseCurve", "expand_gap"]
+
+
+@dataclass(frozen=True)
+class Bifurcation:
+    """A special point of a curve.
+
+    Attributes
+    ----------
+    kind : str
+        "fold": the curve turns back; "branch_point": another branch crosses; "period_doubling": a
+        multiplier leaves the unit circle through -1; "neimark_sacker": a pair of them leaves it
+        anywhere else. The last two only with ``stability=True``.
+    value : float
+        Of the curve's parameter.
+    gap_coefficients : (2H+1, n_pairs) [m]
+        The solution there.
+    solution : PeriodicSolution
+        The same, with its displacement and error report.
+    """
+
+    kind: str
+    value: float
+    gap_coefficients: np.ndarray
+    solution: PeriodicSolution
+
+    @property
+    def omega(self) -> float:
+        """Load frequency [rad/s]."""
+        return self.solution.omega
+
+
+@dataclass(frozen=True)
+class ResponseCurve:
+    """Solutions along a curve, in the order in which it was followed.
+
+    Attributes
+    ----------
+    structure : Structure
+        Whose solutions they are: small or reduced; as given, not as the parameter varies it.
+    contact : ContactLaw
+        Law of all pairs, likewise.
+    parameter : str
+        "omega", "load", "stiffness", "damping" or "clearance".
+    values : (n,)
+        Of the parameter: load frequencies [rad/s], factors, or clearances added [m].
+    omega : (n,) [rad/s]
+        Load frequencies.
+    gap_coefficients : (n, 2H+1, n_pairs) [m]
+        Closing of the pairs; zeros above a point's own harmonics.
+    harmonics : (n,) int
+        H of each point.
+    iterations : (n,) int
+        Newton iterations of each point.
+    truncation : (n,)
+        Estimated error of the harmonics left out, where it was estimated; else nan.
+    bifurcations : tuple of Bifurcation
+        Special points, in order along the curve.
+    complete : bool
+        Whether the curve reached the end that was asked for, or closed.
+    status : str
+        How it ended.
+    samples, subharmonic : int or None, int
+        As given when it was followed.
+    multipliers : (n,) complex or None
+        Floquet multiplier of largest modulus at each point, of a pair the one with positive
+        imaginary part; with ``stability=True``.
+    branch : bool
+        Whether :func:`follow_branch` has followed it.
+    """
+
+    structure: Structure
+    contact: ContactLaw
+    parameter: str
+    values: np.ndarray
+    omega: np.ndarray
+    gap_coefficients: np.ndarray
+    harmonics: np.ndarray
+    iterations: np.ndarray
+    truncation: np.ndarray
+    bifurcations: tuple[Bifurcation, ...]
+    complete: bool
+    status: str
+    samples: int | None
+    subharmonic: int
+    multipliers: np.ndarray | None = None
+    branch: bool = False
+
+    KIND: ClassVar[str] = "response curve"
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    @property
+    def stable(self) -> np.ndarray:
+        """Whether the largest multiplier lies within the unit circle: (n,) bool.
+
+        Raises
+        ------
+        InputError
+            The curve was followed without ``stability=True``.
+        """
+        if self.multipliers is None:
+            raise InputError("stability", False, "True when the curve is followed")
+        return np.abs(self.multipliers) < 1.0
+
+    def gap(self, index: int) -> np.ndarray:
+        """Gap coefficients of a point with its own harmonics: (2H+1, n_pairs) [m]."""
+        return self.gap_coefficients[index, : 2 * self.harmonics[index] + 1]
+
+    def solution(self, index: int) -> PeriodicSolution:
+        """The solution at a point, with its displacement and error report."""
+        return expand_gap(
+            self.structure,
+            self.contact,
+            self.parameter,
+            float(self.values[index]),
+            float(self.omega[index]),
+            self.gap(index),
+            self.samples,
+            self.subharmonic,
+        )
+
+    @property
+    def solutions(self) -> list[PeriodicSolution]:
+        """The solutions at all points."""
+        return [self.solution(index) for index in range(len(self))]
+
+    def coefficients_at(self, dof: int) -> np.ndarray:
+        """Coefficients of the displacement of a dof at every point: (n, 2H+1) [m]."""
+        rows = self.structure.values_at(all_modes(self.structure).shapes.T, [dof]).T
+        found = np.zeros(self.gap_coefficients.shape[:2])
+        for count in np.unique(self.harmonics):
+            family = self._family(int(count))
+            for index in np.flatnonzero(self.harmonics == count):
+                family.set_value(float(self.values[index]))
+                force = family.system.gap_and_force(self.gap(index))[1]
+                seen = family.compliance(float(self.values[index])).seen_through(rows, force)
+                found[index, : len(seen)] = seen[:, 0]
+        return found
+
+    def amplitude(self, dof: int) -> np.ndarray:
+        """Half the peak-to-peak displacement of a dof at every point: (n,) [m], of 256 instants."""
+        time = 2.0 * np.pi * np.arange(256) / 256
+        wave = evaluate(self.coefficients_at(dof).T, 1.0, time)
+        return np.asarray(np.ptp(wave, axis=0) / 2.0)
+
+    def _family(self, harmonics: int) -> Family:
+        return FAMILIES[self.parameter](
+            self.structure,
+            float(self.omega[0]),
+            self.contact,
+            float(self.values[0]),
+            float(self.values[-1]),
+            harmonics,
+            self.samples,
+            self.subharmonic,
+        )
+
+    # --- on disk ----------------------------------------------------------------------------------
+
+    def expand_bifurcations(
+        self, special: list[tuple[str, float, np.ndarray]]
+    ) -> tuple[Bifurcation, ...]:
+        """Bifurcations of this curve from their kinds, parameters and gaps."""
+        omega_at: Callable[[float], float] = self._family(int(self.harmonics[0])).omega
+        return tuple(
+            Bifurcation(
+                kind,
+                value,
+                gap,
+                expand_gap(
+                    self.structure,
+                    self.contact,
+                    self.parameter,
+                    value,
+                    omega_at(value),
+                    gap,
+                    self.samples,
+                    self.subharmonic,
+                ),
+            )
+            for kind, value, gap in special
+        )
+
+
+def expand_gap(
+    structure: Structure,
+    contact: ContactLaw,
+    parameter: str,
+    value: float,
+    omega: float,
+    gap: np.ndarray,
+    samples: int | None,
+    subharmonic: int,
+) -> PeriodicSolution:
+    """Expand a gap to the solution that it belongs to."""
+    structure, contact = FAMILIES[parameter].vary(structure, contact, value)
+    harmonics = len(gap) // 2
+    integrals = contact_integrals(contact, harmonics, samples, subharmonic)
+    base = omega / subharmonic
+    compliance = dynamic_compliance(structure, base, harmonics, subharmonic)
+    system = CondensedSystem(compliance, integrals)
+    force = integrals.force(gap)
+    displacement = compliance.displacement(force)
+    return PeriodicSolution(
+        structure,
+        omega,
+        contact,
+        displacement,
+        gap,
+        force,
+        subharmonic=subharmonic,
+        status="point of a curve",
+        report=estimate_errors(system, gap, structure, displacement, base, subharmonic),
+    )

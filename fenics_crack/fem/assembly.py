@@ -1,0 +1,308 @@
+"""Finite elements by DOLFINx: plane-stress matrices, point load and contact pairs of a scene.
+
+    sigma = E / (1 - nu^2) ((1 - nu) eps + nu tr(eps) I),    eps = sym(grad u)
+    u^T K v = t int sigma(u) : eps(v) dx,                     u^T M v = t rho int u . v dx
+
+with thickness t. Clamped dofs are left out, so that no spurious mode stands for them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import dolfinx
+import numpy as np
+import scipy.optimize
+import scipy.sparse as sparse
+import ufl
+from mpi4py import MPI
+from petsc4py import PETSc
+from scipy.spatial import cKDTree
+
+from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.fem import compat
+from fenics_crack.fem.plate import PlateMesh, build_mesh
+from fenics_crack.model.modes import solve_modes
+from fenics_crack.model.structure import ModalDamping, Nodes, Structure
+from fenics_crack.parallel import collect_garbage, gather_rows
+from fenics_crack.scene.scene import Scene
+
+__all__ = ["build_structure", "find_crack_length"]
+
+
+def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
+    """Mesh a scene and assemble its structure (collective).
+
+    A crack that is given by ``first_omega`` gets the length found by :func:`find_crack_length`.
+
+    Parameters
+    ----------
+    scene : Scene
+        What to build.
+    comm : MPI.Comm
+        Ranks that share the mesh.
+
+    Raises
+    ------
+    InputError
+        The mesh file is unusable, the load is off the mesh or clamped, or the lips do not match.
+    """
+    if scene.crack is not None and scene.crack.first_omega is not None:
+        scene = scene.replace(
+            {"crack.length": find_crack_length(scene, comm), "crack.first_omega": None}
+        )
+    plate = build_mesh(scene, comm)
+    if not plate.cracked and scene.mesh.layout == "file" and (scene.contact or scene.crack):
+        allowed = "a mesh with curves named 'lower_lip' and 'upper_lip', as the scene has contact"
+        raise InputError("mesh.file", scene.mesh.file, allowed)
+    space = compat.function_space(plate.mesh, scene.mesh.order)
+    dofs = _Dofs(plate, space)
+    stiffness, mass = _assemble(scene, space)
+    if not all(np.isfinite(matrix.norm()) for matrix in (stiffness, mass)):
+        raise InputError("mesh", "cells of no area", "one whose cells all have an area")
+    lips = _pair_lips(scene, plate, space, dofs)
+    damping = ModalDamping(
+        scene.damping.ratio, None if scene.damping.modes == "all" else int(scene.damping.modes)
+    )
+    structure = Structure(
+        dofs.free_block(mass),
+        dofs.free_block(stiffness),
+        lips.gap,
+        force=_load(scene, plate, space, dofs),
+        clearance=np.full(lips.gap.shape[1], scene.crack.clearance if scene.crack else 0.0),
+        damping=damping,
+        nodes=dofs.nodes(),
+        pair_points=lips.points,
+        pair_areas=lips.areas,
+    )
+    mass.destroy()
+    stiffness.destroy()
+    collect_garbage(comm)
+    return structure
+
+
+def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
+    """Find the crack length [m] at which the first natural frequency is ``crack.first_omega``.
+
+    The frequency of the open crack falls with its length; Brent's method over re-meshed plates, to
+    1e-5 of the width.
+
+    Raises
+    ------
+    InputError
+        No length between 1 % and 95 % of the width gives that frequency.
+    """
+    crack, width = scene.crack, scene.geometry.width
+    if crack is None or crack.first_omega is None or width is None:
+        raise InputError("crack.first_omega", None, "given: a finite number > 0")
+    target = crack.first_omega
+
+    def excess(length: float) -> float:
+        cut = scene.replace({"crack.length": length, "crack.first_omega": None})
+        return float(solve_modes(build_structure(cut, comm), 1).omega[0]) - target
+
+    shortest, longest = 0.01 * width, 0.95 * width
+    highest, lowest = target + excess(shortest), target + excess(longest)
+    if not lowest <= target <= highest:
+        raise InputError(
+            "crack.first_omega",
+            target,
+            f"between {lowest:.1f} and {highest:.1f} rad/s: cracks of 95 % and 1 % of the width",
+        )
+    length, result = scipy.optimize.brentq(
+        excess, shortest, longest, xtol=1e-5 * width, full_output=True
+    )
+    if not result.converged:
+        raise ConvergenceError(f"crack length: {result.flag}")
+    return float(length)
+
+
+# --- numbering ------------------------------------------------------------------------------------
+
+
+class _Dofs:
+    """Which dofs of the function space are free, and their numbers in the structure."""
+
+    def __init__(self, plate: PlateMesh, space: Any) -> None:
+        self.comm: MPI.Comm = plate.mesh.comm
+        self.space = space
+        self.n_nodes = space.dofmap.index_map.size_local
+        self.first_node = space.dofmap.index_map.local_range[0]
+        clamped = nodes_on(plate, space, "clamp")
+        free = np.ones((self.n_nodes, 2), dtype=bool)
+        free[clamped[clamped < self.n_nodes]] = False
+        self.free = np.flatnonzero(free.ravel())
+        """Owned free dofs, local numbers of the function space."""
+        first = self.comm.exscan(len(self.free)) or 0
+        self.numbers = np.full(2 * self.n_nodes, -1)
+        """Number in the structure of each owned dof of the space, -1 where clamped."""
+        self.numbers[self.free] = first + np.arange(len(self.free))
+
+    def free_block(self, matrix: Any) -> Any:
+        """Leave the clamped rows and columns out of a matrix."""
+        rows = PETSc.IS().createGeneral(
+            (2 * self.first_node + self.free).astype(PETSc.IntType), comm=self.comm
+        )
+        block = matrix.createSubMatrix(rows, rows)
+        rows.destroy()
+        return block
+
+    def nodes(self) -> Nodes:
+        """Positions, numbers and cells for look-ups and pictures."""
+        cells, vtk_type = compat.vtk_cells(self.space)
+        numbers = self.space.dofmap.index_map.local_to_global(cells.ravel().astype(np.int32))
+        return Nodes(
+            points=self.space.tabulate_dof_coordinates()[: self.n_nodes, :2].copy(),
+            dofs=self.numbers.reshape(-1, 2),
+            cells=np.asarray(numbers).reshape(cells.shape),
+            vtk_type=max(self.comm.allgather(vtk_type)),
+        )
+
+
+def nodes_on(plate: PlateMesh, space: Any, group: str) -> np.ndarray:
+    """Local numbers, ghosts included, of the nodes in a facet group."""
+    facets = plate.facet_tags.find(plate.groups[group])
+    dimension = plate.mesh.topology.dim - 1
+    plate.mesh.topology.create_connectivity(dimension, dimension + 1)
+    return np.sort(dolfinx.fem.locate_dofs_topological(space, dimension, facets))
+
+
+# --- matrices and load ----------------------------------------------------------------------------
+
+
+def _assemble(scene: Scene, space: Any) -> tuple[Any, Any]:
+    """Stiffness and mass matrix of all dofs, clamped ones included."""
+    mesh = space.mesh
+    scalar = PETSc.ScalarType
+    young, poisson, density, thickness = (
+        dolfinx.fem.Constant(mesh, scalar(value))
+        for value in (
+            scene.material.young,
+            scene.material.poisson,
+            scene.material.density,
+            scene.geometry.thickness,
+        )
+    )
+    u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
+    strain = ufl.sym(ufl.grad(u))
+    stress = (
+        young
+        / (1.0 - poisson**2)
+        * ((1.0 - poisson) * strain + poisson * ufl.tr(strain) * ufl.Identity(2))
+    )
+    stiffness = thickness * ufl.inner(stress, ufl.sym(ufl.grad(v))) * ufl.dx
+    mass = thickness * density * ufl.inner(u, v) * ufl.dx
+    return compat.assembled_matrix(stiffness), compat.assembled_matrix(mass)
+
+
+def _load(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> np.ndarray:
+    """Point force as consistent nodal forces: (3, n_local), mean, cosine and sine part.
+
+    A force F at x does the work F . sum_i N_i(x) u_i, so node i gets N_i(x) F.
+    """
+    excitation = scene.excitation
+    point = excitation.point if excitation.point is not None else plate.load_point
+    if point is None:
+        raise InputError(
+            "excitation.point", None, "given, or a physical point 'load' in the mesh file"
+        )
+    nodes, values = compat.basis_at(space, scene.mesh.order, np.array(point))
+    values = np.where(np.abs(values) < 1e-12, 0.0, values)  # rounding
+    hits = dofs.comm.allgather(len(nodes) > 0)
+    if not any(hits):
+        raise InputError("excitation.point", tuple(point), "on the mesh")
+    if dofs.comm.rank != hits.index(True):
+        nodes, values = nodes[:0], values[:0]
+
+    # The cell may touch nodes of other ranks: hand every node's share to its owner.
+    numbers = dofs.space.dofmap.index_map.local_to_global(nodes.astype(np.int32))
+    numbers = gather_rows(dofs.comm, np.asarray(numbers, dtype=np.int64))
+    shares = gather_rows(dofs.comm, values)
+    mine = (numbers >= dofs.first_node) & (numbers < dofs.first_node + dofs.n_nodes)
+    share = np.zeros(dofs.n_nodes)
+    np.add.at(share, numbers[mine] - dofs.first_node, shares[mine])
+    parts = (excitation.force_mean, excitation.force_cos, excitation.force_sin)
+    force = np.array([np.outer(share, part).ravel()[dofs.free] for part in parts])
+    if any(map(any, parts)) and not np.any(gather_rows(dofs.comm, force.ravel())):
+        raise InputError("excitation.point", tuple(point), "where the plate is free to move")
+    return force
+
+
+# --- the crack ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Lips:
+    gap: sparse.csr_matrix
+    """(n_local, n_pairs)"""
+    points: np.ndarray
+    """(n_pairs, 2) [m]"""
+    areas: np.ndarray
+    """(n_pairs,) [m^2]: thickness times the integral of the node's basis function over the lip"""
+
+
+def _pair_lips(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> _Lips:
+    """Pair the nodes of the lips' groups that lie in the same place, from the mouth to the tip.
+
+    The normal at a node is the lower lip's outward normal, averaged with the node's basis function
+    over the lip: the load vector of a unit pressure points along it.
+    """
+    if not plate.cracked:
+        return _Lips(sparse.csr_matrix((len(dofs.free), 0)), np.zeros((0, 2)), np.zeros(0))
+    comm = dofs.comm
+    normal = ufl.FacetNormal(plate.mesh)
+    lip = ufl.ds(domain=plate.mesh, subdomain_data=plate.facet_tags)(plate.groups["lower_lip"])
+    pressure = compat.assembled_vector(ufl.inner(normal, ufl.TestFunction(space)) * lip)
+    pressure = pressure.reshape(-1, 2)
+
+    coordinates = space.tabulate_dof_coordinates()[:, :2]
+    sides = []
+    for group in ("lower_lip", "upper_lip"):
+        local = nodes_on(plate, space, group)
+        local = local[local < dofs.n_nodes]
+        sides.append(
+            gather_rows(
+                comm,
+                np.column_stack([local + dofs.first_node, coordinates[local], pressure[local]]),
+            )
+        )
+    lower, upper = sides
+    shared = np.intersect1d(lower[:, 0], upper[:, 0])
+    tip = lower[np.isin(lower[:, 0], shared), 1:3]
+    lower, upper = (side[~np.isin(side[:, 0], shared)] for side in (lower, upper))
+    matched = len(lower) == len(upper) > 0
+    if matched:
+        size = np.ptp(np.concatenate([lower[:, 1:3], tip]), axis=0).max()
+        distance, partner = cKDTree(upper[:, 1:3]).query(lower[:, 1:3])
+        matched = distance.max() <= 1e-6 * size and len(set(partner)) == len(partner)
+    if not matched:
+        raise InputError(
+            "lips",
+            f"{len(lower)} lower and {len(upper)} upper nodes",
+            "meshed identically, so that the nodes of the two lips pair one to one",
+        )
+    upper = upper[partner]
+    order = _from_mouth(lower[:, 1:3], tip[0] if len(tip) else None)
+    if scene.contact is not None and scene.contact.pairs == "mouth":
+        order = order[:1]
+    lower, upper = lower[order], upper[order]
+    lengths = np.linalg.norm(lower[:, 3:5], axis=1)
+    normals = lower[:, 3:5] / lengths[:, None]
+
+    n_pairs = len(lower)
+    gap = sparse.lil_matrix((2 * dofs.n_nodes, n_pairs))
+    for side, sign in ((lower, 1.0), (upper, -1.0)):
+        node = side[:, 0].astype(int) - dofs.first_node
+        mine = np.flatnonzero((node >= 0) & (node < dofs.n_nodes))
+        for component in (0, 1):
+            gap[2 * node[mine] + component, mine] = sign * normals[mine, component]
+    areas = scene.geometry.thickness * lengths
+    return _Lips(sparse.csr_matrix(gap)[dofs.free], lower[:, 1:3], areas)
+
+
+def _from_mouth(points: np.ndarray, tip: np.ndarray | None) -> np.ndarray:
+    """Order of the points with the farthest from the tip first; without a tip, as they are."""
+    if tip is None:
+        return np.lexsort(points.T)
+    return np.argsort(-np.linalg.norm(points - tip, axis=1), kind="stable")

@@ -1,0 +1,99 @@
+"""The whole mesh of a structure, gathered: for files and pictures."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import pyvista
+from scipy.spatial import cKDTree
+
+from fenics_crack.errors import InputError
+from fenics_crack.model.structure import Structure
+from fenics_crack.parallel import gather_rows
+
+__all__ = ["NodalMesh"]
+
+
+class NodalMesh:
+    """The whole mesh of a structure on every rank (collective to make).
+
+    Attributes
+    ----------
+    points : (n_nodes, 2) [m]
+        Node positions.
+    cells : (n_cells, k) int
+        Their nodes in VTK's order.
+    size : float [m]
+        Largest extent.
+    clamped : (n_nodes,) bool
+        Where neither component can move.
+    """
+
+    def __init__(self, structure: Structure) -> None:
+        if structure.nodes is None:
+            raise InputError("structure", "made from matrices", "made from a mesh, to be drawn")
+        whole = structure.whole
+        nodes, comm = structure.nodes, whole.comm
+        self.structure = whole
+        self.points = gather_rows(comm, nodes.points)
+        self.size = float(np.ptp(self.points, axis=0).max())
+        self._dofs = gather_rows(comm, nodes.dofs)
+        self.clamped = np.all(self._dofs < 0, axis=1)
+        self.cells = np.concatenate([c for c in comm.allgather(nodes.cells) if len(c)])
+        self._vtk_type = nodes.vtk_type
+
+    def field(self, rows: np.ndarray) -> np.ndarray:
+        """Nodal vectors (m, n_nodes, 2) of dof values (m, n_local); zero where clamped."""
+        comm = self.structure.comm
+        whole = np.concatenate(comm.allgather(rows), axis=1)
+        return np.where(self._dofs >= 0, whole[:, np.maximum(self._dofs, 0)], 0.0)
+
+    def grid(self, displacement: np.ndarray) -> pyvista.UnstructuredGrid:
+        """The mesh displaced by nodal vectors (n_nodes, 2) [m]."""
+        points = np.zeros((len(self.points), 3))
+        points[:, :2] = self.points + displacement
+        count, nodes = self.cells.shape
+        cells = np.column_stack([np.full(count, nodes), self.cells]).ravel()
+        return pyvista.UnstructuredGrid(cells, np.full(count, self._vtk_type), points)
+
+    def lines(
+        self, edges: np.ndarray, displacement: np.ndarray | float = 0.0, height: float = 0.0
+    ) -> pyvista.PolyData:
+        """Edges displaced by nodal vectors, and lifted towards the eye [m]."""
+        count, nodes = edges.shape
+        points = (self.points + displacement)[edges.ravel()]
+        cells = np.column_stack([np.full(count, nodes), np.arange(edges.size).reshape(count, -1)])
+        lifted = np.pad(points, ((0, 0), (0, 1)), constant_values=height)
+        return pyvista.PolyData(lifted, lines=cells.ravel())
+
+    @cached_property
+    def _edges_and_uses(self) -> tuple[np.ndarray, np.ndarray]:
+        count = self.cells.shape[1]
+        corners = 3 if count in (3, 6) else 4
+        steps = np.arange(corners)
+        turns = np.stack([steps, (steps + 1) % corners], axis=1)
+        if count > corners:
+            turns = np.insert(turns, 1, corners + steps, axis=1)
+        edges = self.cells[:, turns].reshape(-1, turns.shape[1])
+        ends = np.sort(edges[:, [0, -1]], axis=1)
+        _, first, uses = np.unique(ends, axis=0, return_index=True, return_counts=True)
+        return edges[first], uses
+
+    @property
+    def edges(self) -> np.ndarray:
+        """Edges of the cells: (n_edges, 2 or 3) nodes, a middle one in between."""
+        return self._edges_and_uses[0]
+
+    @cached_property
+    def boundary(self) -> np.ndarray:
+        """Edges that belong to one cell only, likewise."""
+        edges, uses = self._edges_and_uses
+        return np.asarray(edges[uses == 1])
+
+    @cached_property
+    def lips(self) -> np.ndarray:
+        """Edges of the boundary that lie two in one place, likewise."""
+        middle = self.points[self.boundary[:, [0, -1]]].mean(axis=1)
+        pairs = cKDTree(middle).query_pairs(1e-6 * self.size, output_type="ndarray")
+        return np.asarray(self.boundary[np.unique(pairs)])

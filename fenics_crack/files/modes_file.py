@@ -1,0 +1,56 @@
+"""Modes on disk, node by node, so that a file does not depend on how ranks number the dofs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from fenics_crack.errors import InputError
+from fenics_crack.fem.nodal_mesh import NodalMesh
+from fenics_crack.model.modes import Modes
+from fenics_crack.model.structure import Structure
+
+__all__ = ["pack_modes", "unpack_modes"]
+
+
+def pack_modes(modes: Modes) -> dict[str, Any]:
+    """What a file holds of the modes of a meshed structure (collective)."""
+    mesh = NodalMesh(modes.structure)
+    shapes = mesh.field(modes.structure.expand(modes.shapes.T))
+    return {"omega": modes.omega, "nodes": _marks(mesh), "shapes": shapes}
+
+
+def unpack_modes(parts: dict[str, Any], structure: Structure, contact: object = None) -> Modes:
+    """Modes of the same mesh, on any number of ranks.
+
+    Raises
+    ------
+    InputError
+        The nodes are not those of the structure.
+    """
+    mesh, whole = NodalMesh(structure), structure.whole
+    assert whole.nodes is not None
+    marks = _marks(mesh)
+    omega, shapes, then = parts["omega"], parts["shapes"], parts["nodes"]
+    distance, place = cKDTree(then).query(marks)
+    same = then.shape == marks.shape and len(set(place)) == len(place)
+    if not same or distance.max() > 1e-6 * mesh.size:
+        raise InputError("structure", f"{len(marks)} nodes", f"that of the file, {len(then)}")
+    first = whole.comm.exscan(len(whole.nodes.points)) or 0
+    mine = shapes[:, place[first : first + len(whole.nodes.points)]]
+    free = whole.nodes.dofs >= 0
+    rows = np.zeros((len(omega), whole.n_local))
+    rows[:, whole.nodes.dofs[free] - whole.first_dof] = mine[:, free]
+    return Modes(omega, rows.T, whole)
+
+
+def _marks(mesh: NodalMesh) -> np.ndarray:
+    """Where a node is, and the middle of its cells, which tells the two lips apart: (n, 4)."""
+    sums, counts = np.zeros((len(mesh.points), 2)), np.zeros((len(mesh.points), 1))
+    middles = mesh.points[mesh.cells].mean(axis=1)
+    for nodes in mesh.cells.T:
+        np.add.at(sums, nodes, middles)
+        np.add.at(counts, nodes, 1.0)
+    return np.hstack([mesh.points, sums / counts])

@@ -1,0 +1,210 @@
+"""Results on disk: HDF5 files that describe themselves.
+
+A file has the attributes ``kind`` (what is in it), ``program`` and ``version``, ``versions`` of
+what it was computed with, and, where there is one, the ``scene`` as TOML text; its datasets are
+numbers and words. Nothing in it is pickled, and nothing of it is ever executed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import dolfinx
+import h5py
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+from slepc4py import SLEPc
+
+from fenics_crack.errors import InputError
+from fenics_crack.parallel import on_root
+from fenics_crack.scene.scene import Scene
+from fenics_crack.version import VERSION
+
+__all__ = [
+    "check_meshes",
+    "kind_of",
+    "make_folder",
+    "opened",
+    "read_scene",
+    "reading",
+    "scene_text",
+    "write",
+    "write_header",
+]
+
+PROGRAM = "fenics_crack"
+
+
+def write(
+    path: str | Path,
+    kind: str,
+    parts: Mapping[str, Any],
+    scene: Scene | None = None,
+    comm: MPI.Comm = MPI.COMM_SELF,
+) -> None:
+    """Write a file, whole or not at all (collective; rank 0 writes).
+
+    Parameters
+    ----------
+    path : path
+        Its name; an older file is replaced when the new one is complete.
+    kind : str
+        What is in it, for example "response curve".
+    parts : mapping
+        Datasets by their names: arrays of numbers, numbers, words, lists of words; None is left
+        out.
+    scene : Scene, optional
+        What was computed.
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+    """
+
+    def work() -> None:
+        target = Path(path)
+        partial = target.with_name(f".{target.name}.{os.getpid()}")
+        try:
+            make_folder(target)
+            with h5py.File(partial, "w") as file:
+                write_header(file, kind, scene)
+                for name, value in parts.items():
+                    if value is not None:
+                        packed = {"compression": "gzip"} if np.size(value) > 1000 else {}
+                        file.create_dataset(name, data=value, **packed)
+            partial.replace(target)
+        except OSError as error:
+            raise InputError("path", str(path), f"a file that can be written ({error})") from None
+        finally:
+            with contextlib.suppress(OSError):
+                partial.unlink()
+
+    on_root(comm, work)
+
+
+def write_header(file: h5py.File, kind: str, scene: Scene | None) -> None:
+    """Say what a file is, what made it, and from which scene."""
+    file.attrs["kind"] = kind
+    file.attrs["program"] = PROGRAM
+    file.attrs["version"] = VERSION
+    file.attrs["versions"] = (
+        f"DOLFINx {dolfinx.__version__}, PETSc {PETSc.Sys.getVersion()}, "
+        f"SLEPc {SLEPc.Sys.getVersion()}, NumPy {np.__version__}"
+    )
+    if scene is not None:
+        file.attrs["scene"] = scene_text(scene)
+        file.attrs["meshes"] = "\n".join(map(_digest, scene.mesh_files))
+
+
+def scene_text(scene: Scene) -> str:
+    """The scene as it stands in a file: TOML, with the full paths of its meshes."""
+    return scene.with_mesh_files(lambda path: str(Path(path).absolute())).as_toml()
+
+
+def check_meshes(file: h5py.File, scene: Scene) -> None:
+    """Raise InputError where a mesh file of the scene is no more what it was."""
+    digests = str(file.attrs.get("meshes", "")).split()
+    for path, digest in zip(scene.mesh_files, digests, strict=False):
+        if _digest(path) != digest:
+            allowed = f"the file with which {file.filename} was computed; it has changed or gone"
+            raise InputError("mesh.file", path, allowed)
+
+
+def _digest(path: str) -> str:
+    """SHA-256 of a file; a word where there is none."""
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError:
+        return "missing"
+
+
+@contextlib.contextmanager
+def reading(path: str | Path, kind: str) -> Iterator[dict[str, Any]]:
+    """Datasets of a file by their names: arrays, numbers (0-dimensional arrays) and words.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, something else is in it, or a dataset that is used within the
+        ``with`` block is missing or not of the kind expected there.
+    """
+    with opened(path, kind) as file:
+        parts = {n: _value(item) for n, item in file.items() if isinstance(item, h5py.Dataset)}
+    try:
+        yield parts
+    except InputError:
+        raise
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise InputError("path", str(path), f"a {kind} written by save ({error})") from None
+
+
+def kind_of(path: str | Path) -> str:
+    """What a file holds.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or is not one of this program.
+    """
+    with opened(path) as file:
+        return str(file.attrs["kind"])
+
+
+def read_scene(path: str | Path) -> Scene | None:
+    """The scene in a file, or None.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is not one of this program, its scene cannot be used, or a mesh
+        file of it has changed.
+    """
+    with opened(path) as file:
+        if "scene" not in file.attrs:
+            return None
+        scene = Scene.from_text(str(file.attrs["scene"]), str(path))
+        check_meshes(file, scene)
+    return scene
+
+
+@contextlib.contextmanager
+def opened(path: str | Path, kind: str | None = None) -> Iterator[h5py.File]:
+    """A result file for reading, of any kind or one, without a lock: it may be being written.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is not one of this program, or lacks what is asked of it.
+    """
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            if file.attrs.get("program") != PROGRAM or "kind" not in file.attrs:
+                raise InputError("path", str(path), f"a result file of {PROGRAM}")
+            found = file.attrs["kind"]
+            if kind not in (None, found):
+                allowed = f"a file with a {kind}; in this one is a {found}"
+                raise InputError("path", str(path), allowed)
+            yield file
+    except FileNotFoundError:
+        raise InputError("path", str(path), "a file that exists") from None
+    except (OSError, KeyError, RuntimeError) as error:
+        raise InputError("path", str(path), f"a readable result file ({error})") from None
+
+
+def _value(item: h5py.Dataset) -> Any:
+    if h5py.check_string_dtype(item.dtype) is None:
+        return item[()]
+    words = item.asstr()[()]
+    return words if isinstance(words, str) else [str(word) for word in words]
+
+
+def make_folder(path: str | Path) -> None:
+    """Make the folder in which a file is to be written."""
+    Path(path).parent.mkdir(parents=True, exist_ok=True)

@@ -1,0 +1,1 @@
+"""Structures, their modes, reductions and contact laws."""

@@ -1,0 +1,179 @@
+"""Contact laws: force on a pair of lip nodes from its closing g (g > 0: penetration).
+
+A law is a function of the gap alone, pair by pair; the force enters the equation of motion on the
+left, M u'' + C u' + K u + B lambda(g) = f, so lambda >= 0 pushes the lips apart. To add a law,
+write a class with the three members of :class:`ContactLaw`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol, TypeVar
+
+import numpy as np
+
+from fenics_crack.errors import InputError
+from fenics_crack.model.structure import Structure
+
+__all__ = [
+    "ContactLaw",
+    "SmoothedPenalty",
+    "UnilateralConstraint",
+    "UnilateralPenalty",
+    "check_law",
+]
+
+Law = TypeVar("Law", bound="ContactLaw")
+
+
+class ContactLaw(Protocol):
+    """What every contact law has."""
+
+    @property
+    def stiffness(self) -> float | np.ndarray:
+        """Largest tangent, of a firmly closed pair: one for all pairs or (n_pairs,) [N/m]."""
+
+    def force(self, gap: np.ndarray) -> np.ndarray:
+        """lambda(g) for gaps (..., n_pairs) [m]: the same shape [N]."""
+
+    def tangent(self, gap: np.ndarray) -> np.ndarray:
+        """d lambda / d g for gaps (..., n_pairs) [m]: the same shape [N/m]."""
+
+    def scaled(self: Law, factor: float) -> Law:
+        """Return the same law with its stiffness multiplied by a factor."""
+
+
+@dataclass(frozen=True)
+class UnilateralPenalty:
+    """Penalty law: lambda = k g for g > 0, else 0 (paper, eq. 11).
+
+    The tangent jumps from 0 to k where the pair closes; at g = 0 itself it is 0.
+
+    Attributes
+    ----------
+    stiffness : float or (n_pairs,) [N/m]
+        k, for all pairs or pair by pair.
+
+    Raises
+    ------
+    InputError
+        The stiffness is not positive and finite.
+    """
+
+    stiffness: float | np.ndarray
+
+    def __post_init__(self) -> None:
+        stiffness = _positive("contact stiffness", self.stiffness, each_pair=True)
+        object.__setattr__(self, "stiffness", stiffness)
+
+    def force(self, gap: np.ndarray) -> np.ndarray:
+        """lambda(g) [N]."""
+        return self.stiffness * np.maximum(gap, 0.0)
+
+    def tangent(self, gap: np.ndarray) -> np.ndarray:
+        """d lambda / d g [N/m]."""
+        return self.stiffness * (gap > 0.0)
+
+    def scaled(self, factor: float) -> UnilateralPenalty:
+        """The same law with factor * k."""
+        return replace(self, stiffness=np.multiply(factor, self.stiffness))
+
+
+@dataclass(frozen=True)
+class SmoothedPenalty:
+    """Smoothed penalty: lambda = k g (1/2 + arctan(s g) / pi) (paper, eq. 12, sign corrected).
+
+    It tends to the penalty law as s grows, but not faster than 1/s: an open crack keeps feeling a
+    pull of k / (pi s), and at the same distance into contact k / (pi s) is missing. Choose s so
+    that this is small against the contact force.
+
+    Attributes
+    ----------
+    stiffness : float or (n_pairs,) [N/m]
+        k.
+    sharpness : float [1/m]
+        s.
+
+    Raises
+    ------
+    InputError
+        The stiffness or the sharpness is not positive and finite.
+    """
+
+    stiffness: float | np.ndarray
+    sharpness: float
+
+    def __post_init__(self) -> None:
+        stiffness = _positive("contact stiffness", self.stiffness, each_pair=True)
+        object.__setattr__(self, "stiffness", stiffness)
+        object.__setattr__(self, "sharpness", _positive("contact sharpness", self.sharpness))
+
+    def force(self, gap: np.ndarray) -> np.ndarray:
+        """lambda(g) [N]."""
+        return self.stiffness * gap * (0.5 + np.arctan(self.sharpness * gap) / np.pi)
+
+    def tangent(self, gap: np.ndarray) -> np.ndarray:
+        """d lambda / d g = k (1/2 + arctan(s g)/pi + s g / (pi (1 + (s g)^2))) [N/m]."""
+        x = self.sharpness * gap
+        return self.stiffness * (0.5 + (np.arctan(x) + x / (1.0 + x * x)) / np.pi)
+
+    def scaled(self, factor: float) -> SmoothedPenalty:
+        """The same law with factor * k."""
+        return replace(self, stiffness=np.multiply(factor, self.stiffness))
+
+
+@dataclass(frozen=True)
+class UnilateralConstraint:
+    """No penetration at all: g <= 0, lambda >= 0, lambda g = 0 (Signorini).
+
+    The limit of the penalty law for k to infinity, balanced in frequency: with the truncated waves
+    of gap and force, lambda = eps max(0, g + lambda / eps). Not a law that gives the force from
+    the gap.
+
+    Attributes
+    ----------
+    weight : float or None [N/m]
+        eps > 0; the truncated solution depends on it a little, and less the more harmonics there
+        are. None: the inverse of the static compliance that the pairs see.
+    """
+
+    weight: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.weight is not None:
+            object.__setattr__(self, "weight", _positive("contact weight", self.weight))
+
+
+def check_law(structure: Structure, contact: object) -> None:
+    """Raise InputError unless an object is a contact law for a structure's pairs."""
+    members = ("stiffness", "force", "tangent", "scaled")
+    if isinstance(contact, type) or not all(hasattr(contact, name) for name in members):
+        raise InputError("contact", contact, "a contact law such as UnilateralPenalty(1e9)")
+    stiffness = np.asarray(getattr(contact, "stiffness"), dtype=np.float64)  # noqa: B009
+    if stiffness.ndim > 0 and stiffness.shape != (structure.n_pairs,):
+        raise InputError(
+            "contact stiffness", stiffness.shape, f"one number or {structure.n_pairs}, one per pair"
+        )
+    if not np.all(np.isfinite(stiffness)):
+        raise InputError("contact stiffness", contact, "finite")
+
+
+def _positive(key: str, value: object, *, each_pair: bool = False) -> float | np.ndarray:
+    """A positive number, or an array of them, one per pair.
+
+    Raises
+    ------
+    InputError
+        It is neither.
+    """
+    allowed = "a finite number > 0" + (", or one per pair" if each_pair else "")
+    if isinstance(value, str | bool):
+        raise InputError(key, value, allowed)
+    try:
+        numbers = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(key, value, allowed) from None
+    right = numbers.ndim <= (1 if each_pair else 0) and numbers.size > 0
+    if not right or not np.all(np.isfinite(numbers)) or np.any(numbers <= 0.0):
+        raise InputError(key, value, allowed)
+    return float(numbers) if numbers.ndim == 0 else numbers

@@ -1,0 +1,170 @@
+"""Matrices and vectors from elsewhere, read and checked: NumPy, SciPy, PETSc, Matrix Market."""
+
+from __future__ import annotations
+
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sparse
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from fenics_crack.errors import InputError
+from fenics_crack.model.factor import Factor
+from fenics_crack.model.matrix_market import read_matrix_market
+from fenics_crack.parallel import gather_rows, raise_together
+
+__all__ = [
+    "check_positive_definite",
+    "check_symmetric",
+    "diagonal_rows",
+    "distributed",
+    "numbers",
+    "per_pair",
+    "petsc_matrix",
+    "whole_rows",
+]
+
+
+SYMMETRY_TOLERANCE = 1e-10
+
+
+def distributed(rows: Any, comm: MPI.Comm) -> Any:
+    """Square PETSc matrix whose rows on this rank are given: (n_local, n)."""
+    rows = sparse.csr_matrix(rows, copy=True)
+    rows.sum_duplicates()  # PETSc would keep the last of them
+    local, total = rows.shape
+    sizes = ((local, total), (local, total))
+    matrix = PETSc.Mat().createAIJ(sizes, csr=(rows.indptr, rows.indices, rows.data), comm=comm)
+    matrix.assemble()
+    return matrix
+
+
+def numbers(given: Any) -> np.ndarray:
+    """What was given as an array of floats; nan if it is something else."""
+    try:
+        return np.asarray(np.nan if np.iscomplexobj(given) else given, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        return np.asarray(np.nan)
+
+
+def per_pair(name: str, given: Any, pairs: int) -> np.ndarray:
+    """One finite number for each pair, of one for all or of as many: (pairs,)."""
+    values = numbers(given)
+    if values.shape not in ((), (pairs,)) or not np.all(np.isfinite(values)):
+        raise InputError(name, given, f"one finite number, or {pairs}")
+    return np.broadcast_to(values, (pairs,)).copy()
+
+
+def diagonal_rows(vector: Any) -> sparse.csr_matrix:
+    """The rows of a distributed diagonal matrix that this rank owns."""
+    first, last = vector.owner_range
+    local = np.arange(last - first)
+    return sparse.csr_matrix(
+        (vector.array_r.copy(), (local, first + local)), shape=(last - first, vector.size)
+    )
+
+
+def petsc_matrix(name: str, given: Any, comm: MPI.Comm, n: int | None = None) -> Any:
+    """Make a square PETSc matrix of what was given; check shape and entries."""
+    if isinstance(given, PETSc.Mat):
+        shape = tuple(given.size)
+    else:
+        whole = sparse.csr_matrix(_read_matrix(name, given, n))
+        shape = whole.shape
+    if (
+        len(shape) != 2
+        or shape[0] != shape[1]
+        or shape[0] == 0
+        or (n is not None and shape[0] != n)
+    ):
+        raise InputError(name, shape, "of shape (n, n)" if n is None else f"of shape ({n}, {n})")
+    if isinstance(given, PETSc.Mat):
+        matrix = given.convert("aij", PETSc.Mat())
+        finite = np.all(np.isfinite(matrix.getValuesCSR()[2]))
+        error = None if finite else InputError(name, "nan or inf", "finite in every entry")
+        raise_together(given.comm.tompi4py(), error)
+    else:
+        _check_finite(name, whole.data)
+        size = shape[0]
+        start, stop = (size * comm.rank) // comm.size, (size * (comm.rank + 1)) // comm.size
+        matrix = distributed(whole[start:stop], comm)
+    return matrix
+
+
+def _read_matrix(name: str, given: Any, rows: int | None) -> Any:
+    """Read a Matrix Market file, or pass on what is a matrix already."""
+    if isinstance(given, str | Path):
+        try:
+            given = read_matrix_market(Path(given), rows)
+        except (OSError, EOFError, ValueError, OverflowError, zlib.error) as error:
+            raise InputError(name, str(given), f"a Matrix Market file ({error})") from None
+    if sparse.issparse(given):
+        if np.iscomplexobj(given):
+            raise InputError(name, given.dtype, "real")
+        return given.astype(float)
+    try:
+        array = np.asarray(given)
+        if np.iscomplexobj(array):
+            raise InputError(name, array.dtype, "real")
+        array = array.astype(float)
+    except (ValueError, TypeError, OverflowError):
+        raise InputError(name, type(given).__name__, "a real matrix") from None
+    if array.ndim > 2:
+        raise InputError(name, array.shape, "a matrix, two-dimensional")
+    return array
+
+
+def whole_rows(name: str, given: Any, n: int) -> Any:
+    """A vector or a matrix with n rows: a 1-d array for forces, a CSR matrix for the gap."""
+    if isinstance(given, PETSc.Vec):
+        given = gather_rows(given.comm.tompi4py(), given.array_r)
+    elif isinstance(given, PETSc.Mat):
+        first, last = given.owner_range
+        local = given.getValues(range(first, last), range(given.size[1]))
+        given = gather_rows(given.comm.tompi4py(), np.atleast_2d(local))
+    matrix = _read_matrix(name, given, n)
+    if matrix.ndim == 0 or matrix.shape[0] != n:
+        raise InputError(name, matrix.shape, f"with {n} rows")
+    if name == "gap":
+        matrix = sparse.csr_matrix(matrix.reshape(n, -1))
+        _check_finite(name, matrix.data)
+    else:
+        dense = matrix.toarray() if sparse.issparse(matrix) else matrix
+        matrix = dense.ravel() if dense.size == n else dense
+        _check_finite(name, matrix)
+    return matrix
+
+
+def _check_finite(name: str, values: np.ndarray) -> None:
+    if not np.all(np.isfinite(values)):
+        bad = values[~np.isfinite(values)]
+        raise InputError(name, float(bad.ravel()[0]), "finite in every entry")
+
+
+def check_symmetric(name: str, matrix: Any) -> None:
+    size = matrix.norm(PETSc.NormType.INFINITY)
+    raise_together(
+        matrix.comm.tompi4py(),
+        None if np.isfinite(size) else InputError(name, size, "finite in every entry"),
+    )
+    difference = matrix.transpose(PETSc.Mat())
+    difference.axpy(-1.0, matrix, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
+    asymmetry = difference.norm(PETSc.NormType.INFINITY)
+    difference.destroy()
+    if asymmetry > SYMMETRY_TOLERANCE * size:
+        raise InputError(name, f"asymmetric by {asymmetry / size:.1e}", "symmetric")
+
+
+def check_positive_definite(name: str, matrix: Any) -> None:
+    smallest = matrix.getDiagonal().min()[1]
+    if smallest <= 0.0:  # MUMPS finds no null pivot in a matrix without entries
+        raise InputError(name, f"{smallest:.3g} on the diagonal", "positive definite")
+    with Factor(matrix, symmetric=True) as factor:
+        negative, null = factor.negative_pivots, factor.null_pivots
+    if negative or null:
+        raise InputError(
+            name, f"{negative} negative and {null} zero eigenvalues", "positive definite"
+        )

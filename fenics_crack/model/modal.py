@@ -1,0 +1,108 @@
+"""All modes of a small structure: it is taken apart into them once."""
+
+from __future__ import annotations
+
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import scipy.linalg
+
+from fenics_crack.errors import ConvergenceError
+from fenics_crack.model.factor import Factor
+from fenics_crack.model.modes import damped_modes
+from fenics_crack.model.structure import Structure
+
+__all__ = ["AllModes", "all_modes", "flow_matrix", "is_small"]
+
+
+SMALL = 600
+"""Structures with at most so many dofs are taken apart into all of their modes."""
+
+
+def is_small(structure: Structure) -> bool:
+    """Whether a structure can be taken apart into all of its modes: few dofs, on one rank."""
+    return structure.comm.size == 1 and structure.n_dofs <= SMALL
+
+
+class AllModes:
+    """All modes of a small structure, its pairs and its damping in modal coordinates."""
+
+    def __init__(self, structure: Structure) -> None:
+        known = damped_modes(structure)
+        if known is not None and len(known.omega) == structure.n_dofs:
+            self.squares, self.shapes = known.omega**2, known.shapes
+            self.damping: np.ndarray = known.rate
+        else:
+            mass, stiffness = (
+                matrix.getValues(range(structure.n_dofs), range(structure.n_dofs))
+                for matrix in (structure.mass, structure.stiffness)
+            )
+            self.squares, self.shapes = scipy.linalg.eigh(stiffness, mass)
+            if structure.damping_matrix is not None:
+                everywhere = range(structure.n_dofs)
+                matrix = structure.damping_matrix.getValues(everywhere, everywhere)
+                coupled = self.shapes.T @ matrix @ self.shapes
+            elif known is not None:  # of the lowest modes alone
+                projected = self.shapes.T @ known.mass_shapes
+                coupled = (projected * known.rate) @ projected.T
+            else:
+                coupled = np.zeros((structure.n_dofs, structure.n_dofs))
+            rate = np.diag(coupled).copy()
+            coupling = np.abs(coupled - np.diag(rate)).max()
+            self.damping = rate if coupling <= 1e-14 * np.abs(rate).max() else coupled
+        self.pairs = (structure.gap.T @ self.shapes).T
+        """(n_modes, n_pairs)"""
+        # Loose: it can move as a rigid body.
+        with Factor(structure.stiffness, symmetric=True) as factor:
+            self._loose = factor.null_pivots > 0
+        # The lowest modes may have drowned in the rounding of the highest ones.
+        self.spread = not self._loose and bool(self.squares[0] < 1e-12 * self.squares[-1])
+
+    def receptance(self, omega: np.ndarray, factor: float = 1.0) -> np.ndarray:
+        """Inverse impedance at frequencies (m,): (m, n_modes), or with coupling (m, n, n).
+
+        ``factor`` multiplies the damping.
+        """
+        square = (omega * omega)[:, None]
+        stiffness = self.squares - square
+        diagonal = self.damping.ndim == 1
+        singular = self._loose & (omega == 0.0)
+        if diagonal:
+            impedance = stiffness + (1j * factor * omega)[:, None] * self.damping
+            tiny = np.abs(impedance) <= 1e-15 * (np.abs(self.squares) + square)
+            singular |= tiny.any(axis=1)
+        else:
+            impedance = 1j * factor * omega[:, None, None] * self.damping
+            place = np.arange(len(self.squares))
+            impedance[:, place, place] += stiffness
+            # Only a mode that the damping leaves alone can make this singular.
+            free = np.abs(self.damping).sum(axis=1) == 0.0
+            singular |= np.any(stiffness[:, free] == 0.0, axis=1)
+        if singular.any():
+            at = omega[np.argmax(singular)]
+            cause = "it can move as a rigid body" if at == 0.0 else "an undamped resonance"
+            raise ConvergenceError(
+                f"dynamic compliance at {at:g} rad/s: the structure is singular ({cause})"
+            )
+        return 1.0 / impedance if diagonal else np.linalg.inv(impedance)
+
+
+_ALL_MODES: WeakKeyDictionary[Structure, AllModes] = WeakKeyDictionary()
+
+
+def all_modes(structure: Structure) -> AllModes:
+    """All modes of a small structure, computed once."""
+    if structure not in _ALL_MODES:
+        _ALL_MODES[structure] = AllModes(structure)
+    return _ALL_MODES[structure]
+
+
+def flow_matrix(modes: AllModes, stiffness: np.ndarray, scale: float) -> np.ndarray:
+    """A of z' = A z, z = (s q, q'), with contact springs (n_pairs,) on the pairs: (2n, 2n)."""
+    count = len(modes.squares)
+    matrix = np.zeros((2 * count, 2 * count))
+    matrix[:count, count:] = scale * np.eye(count)
+    contact = (modes.pairs * stiffness) @ modes.pairs.T
+    matrix[count:, :count] = -(np.diag(modes.squares) + contact) / scale
+    matrix[count:, count:] = -(np.diag(modes.damping) if modes.damping.ndim == 1 else modes.damping)
+    return matrix

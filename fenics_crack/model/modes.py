@@ -1,0 +1,266 @@
+"""Natural modes by SLEPc, and modal damping on them.
+
+    K phi_j = omega_j^2 M phi_j,     phi_i^T M phi_j = delta_ij
+
+Shift-and-invert with a factorisation by MUMPS; the shift lies slightly below zero, so that
+rigid-body modes are found too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from numbers import Integral
+from typing import Any, ClassVar
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from slepc4py import SLEPc
+
+from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.model.factor import Factor, weighted_sum
+from fenics_crack.model.structure import ModalDamping, Structure
+from fenics_crack.parallel import gather_rows
+
+__all__ = ["DampedModes", "Modes", "by_columns", "damped_modes", "largest_frequency", "solve_modes"]
+
+_CACHE: WeakKeyDictionary[Structure, DampedModes] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Natural frequencies and mode shapes.
+
+    Attributes
+    ----------
+    omega : (count,) [rad/s]
+        Natural angular frequencies, ascending.
+    shapes : (n_local, count) [kg^-1/2]
+        Mass-normalised; the largest component is positive (of several as large, the first by
+        position).
+    structure : Structure
+        Whose modes they are.
+    """
+
+    omega: np.ndarray
+    shapes: np.ndarray
+    structure: Structure
+
+    KIND: ClassVar[str] = "set of modes"
+
+
+def solve_modes(structure: Structure, count: int) -> Modes:
+    """Find the lowest natural modes of the structure with its cracks open (collective).
+
+    Parameters
+    ----------
+    structure : Structure
+        Where M and K come from.
+    count : int
+        How many modes.
+
+    Raises
+    ------
+    InputError
+        count is not between 1 and n_dofs, or the stiffness has a negative eigenvalue.
+    ConvergenceError
+        SLEPc found fewer modes than asked for.
+    """
+    whole = isinstance(count, Integral) and not isinstance(count, bool)
+    if not (whole and 1 <= count <= structure.n_dofs):
+        raise InputError("count", count, f"a whole number from 1 to n_dofs = {structure.n_dofs}")
+    count = int(count)
+    scale = _rayleigh_scale(structure)
+    asked = count
+    while True:
+        squares, shapes = _nearest_zero(structure, asked, scale)
+        if squares[0] < -1e-8 * scale:
+            worst = f"{squares[0]:.3g} = omega^2 of a mode"
+            raise InputError("stiffness", worst, "positive semidefinite")
+        # A Krylov space holds one mode of a multiple frequency until rounding brings in the
+        # others. So count the frequencies below the highest one; where some are missing, ask for
+        # more.
+        bound = squares[count - 1] - 1e-6 * max(squares[count - 1], 0.01 * scale)
+        if asked == structure.n_dofs or _count_below(structure, bound) <= np.sum(squares < bound):
+            break
+        asked = min(2 * asked + 2, structure.n_dofs)
+    omega = np.sqrt(np.maximum(squares[:count], 0.0))
+    shapes = _mass_normalised(structure, shapes[:, :count])
+    return Modes(omega, shapes * _signs(structure, shapes), structure)
+
+
+def _nearest_zero(structure: Structure, count: int, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues omega^2, ascending, and shapes of the modes closest to zero."""
+    solver = SLEPc.EPS().create(structure.comm)
+    solver.setOptionsPrefix("crack_modes_")
+    solver.setOperators(structure.stiffness, structure.mass)
+    solver.setProblemType(SLEPc.EPS.ProblemType.GHEP)
+    # A few more Krylov vectors than SLEPc's default keep large counts in one sweep.
+    solver.setDimensions(count, min(structure.n_dofs, max(2 * count, count + 15)))
+    solver.setTolerances(1e-12, 500)
+    solver.setPurify(False)  # only a singular mass needs it, and it costs orthogonality
+    solver.setTarget(-1e-6 * scale)
+    solver.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
+    transform = solver.getST()
+    transform.setType(SLEPc.ST.Type.SINVERT)
+    inner = transform.getKSP()
+    inner.setType("preonly")
+    inner.getPC().setType("cholesky")
+    inner.getPC().setFactorSolverType("mumps")
+    solver.setFromOptions()
+    solver.solve()
+    if solver.getConverged() < count:
+        found = solver.getConverged()
+        solver.destroy()
+        raise ConvergenceError(f"modes: only {found} of {count} converged")
+    vector = structure.mass.createVecRight()
+    squares, shapes = np.empty(count), np.empty((structure.n_local, count))
+    for index in range(count):
+        squares[index] = solver.getEigenpair(index, vector).real
+        shapes[:, index] = vector.array_r
+    solver.destroy()
+    order = np.argsort(squares)
+    return squares[order], shapes[:, order]
+
+
+def _count_below(structure: Structure, square: float) -> int:
+    """Number of modes with omega^2 < square: the negative pivots of K - square M (Sylvester)."""
+    shifted = weighted_sum(structure.stiffness, -square, structure.mass)
+    with Factor(shifted, symmetric=True) as factor:
+        count = factor.negative_pivots
+    shifted.destroy()
+    return count
+
+
+def largest_frequency(structure: Structure) -> float:
+    """Largest natural angular frequency [rad/s] (collective)."""
+    solver = SLEPc.EPS().create(structure.comm)
+    solver.setOptionsPrefix("crack_largest_")
+    solver.setOperators(structure.stiffness, structure.mass)
+    solver.setProblemType(SLEPc.EPS.ProblemType.GHEP)
+    solver.setDimensions(1, min(structure.n_dofs, 30))
+    solver.setTolerances(1e-6, 1000)
+    solver.setWhichEigenpairs(SLEPc.EPS.Which.LARGEST_REAL)
+    inner = solver.getST().getKSP()
+    inner.setType("preonly")
+    inner.getPC().setType("cholesky")
+    inner.getPC().setFactorSolverType("mumps")
+    solver.setFromOptions()
+    solver.solve()
+    if solver.getConverged() < 1:
+        solver.destroy()
+        raise ConvergenceError("modes: the largest natural frequency did not converge")
+    square = solver.getEigenvalue(0).real
+    solver.destroy()
+    return float(np.sqrt(square))
+
+
+def _rayleigh_scale(structure: Structure) -> float:
+    """Smallest Rayleigh quotient K_ii / M_ii [rad^2/s^2]; one where K vanishes."""
+    quotients = structure.stiffness.getDiagonal().array_r / structure.mass.getDiagonal().array_r
+    smallest = float(np.min(gather_rows(structure.comm, quotients)))
+    return smallest if smallest > 0.0 else 1.0
+
+
+def times(matrix: Any, columns: np.ndarray) -> np.ndarray:
+    """A X for a PETSc matrix and the columns of X (n_local, m) (collective)."""
+    return by_columns(matrix.mult, matrix, columns)
+
+
+def by_columns(apply: Callable[[Any, Any], None], matrix: Any, columns: np.ndarray) -> np.ndarray:
+    """Apply what PETSc does to one vector of a matrix's layout to columns (n_local, m)."""
+    source, target = matrix.createVecs()
+    found = np.empty_like(columns)
+    for column in range(columns.shape[1]):
+        source.array_w[:] = columns[:, column]
+        apply(source, target)
+        found[:, column] = target.array_r
+    source.destroy()
+    target.destroy()
+    return found
+
+
+def mass_times(structure: Structure, shapes: np.ndarray) -> np.ndarray:
+    """M X for the columns of X (n_local, m) (collective)."""
+    return times(structure.mass, shapes)
+
+
+def _mass_normalised(structure: Structure, shapes: np.ndarray) -> np.ndarray:
+    """Scale the shapes so that phi^T M phi = 1."""
+    squares = structure.sum_over_ranks((shapes * mass_times(structure, shapes)).sum(axis=0))
+    return shapes / np.sqrt(squares)
+
+
+def _signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
+    """Sign that makes the largest component positive; ties go to the first by position, then dof.
+
+    A symmetric structure has equally large components; which of them rounding makes the largest
+    must not decide, nor may the numbering, which depends on the number of ranks.
+    """
+    first = structure.first_dof
+    keys = np.zeros((structure.n_local, 3))
+    if structure.nodes is None or structure.whole is not structure:
+        keys[:, 0] = np.arange(first, first + structure.n_local)
+    else:
+        nodes, components = np.nonzero(structure.nodes.dofs >= 0)
+        rows = structure.nodes.dofs[nodes, components] - first
+        keys[rows] = np.column_stack([structure.nodes.points[nodes], components])
+    size = np.abs(shapes)
+    peaks = np.max(gather_rows(structure.comm, size.max(axis=0, initial=0.0)[None]), axis=0)
+    signs = np.empty(shapes.shape[1])
+    for mode, peak in enumerate(peaks):
+        large = np.flatnonzero(size[:, mode] >= (1.0 - 1e-6) * peak)
+        candidates = np.column_stack([keys[large].round(12), np.sign(shapes[large, mode])])
+        every = gather_rows(structure.comm, candidates)
+        signs[mode] = every[np.lexsort(every[:, 2::-1].T)[0], 3]
+    return signs
+
+
+@dataclass(frozen=True)
+class DampedModes:
+    """Modal damping ready for use: C = M Phi diag(rate) Phi^T M.
+
+    Attributes
+    ----------
+    omega : (m,) [rad/s]
+        Natural frequencies of the damped modes.
+    rate : (m,) [1/s]
+        2 xi_j omega_j.
+    shapes, mass_shapes : (n_local, m)
+        Phi and M Phi.
+    """
+
+    omega: np.ndarray
+    rate: np.ndarray
+    shapes: np.ndarray
+    mass_shapes: np.ndarray
+
+
+def damped_modes(structure: Structure) -> DampedModes | None:
+    """Modes that carry the structure's modal damping; None without modal damping (collective).
+
+    They are computed once for a structure.
+
+    Raises
+    ------
+    InputError
+        The number of ratios or of modes does not fit the structure.
+    """
+    damping = structure.damping
+    if not isinstance(damping, ModalDamping):
+        return None
+    if structure not in _CACHE:
+        count = structure.n_dofs if damping.modes is None else damping.modes
+        if count > structure.n_dofs:
+            raise InputError("damping modes", count, f"at most n_dofs = {structure.n_dofs}")
+        ratio = np.asarray(damping.ratio, dtype=float)
+        if ratio.ndim == 1 and len(ratio) != count:
+            raise InputError(
+                "damping ratio", f"{len(ratio)} ratios", f"one or {count}, one per mode"
+            )
+        modes = solve_modes(structure, count)
+        rate = 2.0 * ratio * modes.omega
+        _CACHE[structure] = DampedModes(
+            modes.omega, rate, modes.shapes, mass_times(structure, modes.shapes)
+        )
+    return _CACHE[structure]

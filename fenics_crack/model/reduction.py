@@ -1,0 +1,271 @@
+"""Reduced structures: few coordinates that carry the same contact pairs, load and damping.
+
+The displacement is sought in the span of a basis T, u = T q. Three bases:
+
+- ``free_interface`` (the default; MacNeal, Rubin): the lowest modes Phi with free lips, and for
+  every pair and load the *residual attachment vector*, what the modes leave out of the static
+  response,
+
+      Psi = (K^-1 - Phi Lambda^-1 Phi^T) [B, f];
+
+  the compliance seen by the pairs is then exact at w = 0 together with its derivative by w^2;
+- ``craig_bampton``: the static shapes of unit gaps and of the load, and the lowest modes with every
+  pair tied;
+- ``truncation``: the lowest modes alone, which leaves out the static compliance of all others: a
+  contact pair then looks far too stiff.
+
+T is made M-orthonormal and K-diagonal: the reduced structure is diagonal. Its *reference* has in
+addition the static response to the inertia of Psi, K^-1 M Psi, the next term of the expansion in
+w^2; the difference between both is the estimate of the reduction error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sparse
+
+from fenics_crack.errors import InputError
+from fenics_crack.model.factor import Factor, weighted_sum
+from fenics_crack.model.modes import damped_modes, mass_times, solve_modes, times
+from fenics_crack.model.structure import ModalDamping, Structure
+
+__all__ = ["ReducedStructure", "reduce_structure"]
+
+METHODS = ("free_interface", "craig_bampton", "truncation")
+
+
+class ReducedStructure(Structure):
+    """A structure in the coordinates q of a basis, u = T q; the same on every rank.
+
+    It answers as the structure that it stands for: ``find_dof`` and ``values_at`` speak of the
+    dofs of the whole one, and so does everything drawn or written of its solutions.
+
+    Attributes
+    ----------
+    whole : Structure
+        What was reduced.
+    basis : (whole.n_local, n_dofs)
+        T, M-orthonormal; its columns are modes of the reduced structure.
+    omega : (n_dofs,) [rad/s]
+        Their frequencies.
+    reference : ReducedStructure or None
+        The same with a larger basis, against which the reduction error is estimated.
+    """
+
+    def __init__(
+        self,
+        whole: Structure,
+        basis: np.ndarray,
+        squares: np.ndarray,
+        damping: ModalDamping | np.ndarray | None,
+        reference: ReducedStructure | None = None,
+    ) -> None:
+        small = Structure.from_matrices(
+            sparse.identity(len(squares)),
+            sparse.diags(squares),
+            whole.closing(basis.T),
+            clearance=whole.clearance,
+            damping=damping,
+        )
+        super().__init__(
+            small.mass,
+            small.stiffness,
+            small.gap,
+            force=whole.sum_over_ranks(whole.force @ basis),
+            clearance=whole.clearance,
+            damping=small.damping,
+            nodes=whole.nodes,
+            pair_points=whole.pair_points,
+            pair_areas=whole.pair_areas,
+        )
+        self.basis = basis
+        self.omega = np.sqrt(np.maximum(squares, 0.0))
+        self.reference = reference
+        self._whole = whole
+
+    @property
+    def whole(self) -> Structure:
+        """The structure that was reduced, in the first place."""
+        return self._whole.whole
+
+    def expand(self, displacement: np.ndarray) -> np.ndarray:
+        """u = T q of coordinates (m, n_dofs): (m, whole.n_local)."""
+        return self._whole.expand(displacement @ self.basis.T)
+
+    def values_at(self, displacement: np.ndarray, dofs: Sequence[int]) -> np.ndarray:
+        """Displacement of dofs of the whole structure from coordinates (m, n_dofs) (collective)."""
+        return displacement @ self._whole.values_at(self.basis.T, dofs)
+
+    def find_dof(self, point: Sequence[float], component: int | str) -> int:
+        """Return a dof of the whole structure (collective)."""
+        return self._whole.find_dof(point, component)
+
+    def varied(
+        self, *, load: float = 1.0, damping: float = 1.0, clearance: float = 0.0
+    ) -> Structure:
+        """Return this structure with its load and damping multiplied, and a clearance added."""
+        other = super().varied(load=load, damping=damping, clearance=clearance)
+        assert isinstance(other, ReducedStructure)
+        if self.reference is not None:
+            reference = self.reference.varied(load=load, damping=damping, clearance=clearance)
+            assert isinstance(reference, ReducedStructure)
+            other.reference = reference
+        return other
+
+    def damped(self, damping: ModalDamping | None) -> ReducedStructure:
+        """Return this structure with a modal damping of its own coordinates, or none."""
+        if damping is not None and not isinstance(damping, ModalDamping):
+            raise InputError("damping", damping, "a ModalDamping or None")
+        reference = None if self.reference is None else self.reference.damped(damping)
+        return ReducedStructure(self._whole, self.basis, self.omega**2, damping, reference)
+
+    def _changed(self, **changes: Any) -> Structure:
+        # A plain structure of the coordinates: it does not know where they are.
+        return super()._changed(**({"nodes": None} | changes))
+
+
+def reduce_structure(
+    structure: Structure, *, modes: int | None = None, method: str = "free_interface"
+) -> ReducedStructure:
+    """Reduce a structure to a few coordinates (collective).
+
+    Parameters
+    ----------
+    structure : Structure
+        What to reduce.
+    modes : int, optional
+        Lowest modes to keep; default: those that are damped, else 20.
+    method : "free_interface", "craig_bampton" or "truncation"
+        The basis, see the module's text.
+
+    Raises
+    ------
+    InputError
+        The method is unknown, or there are fewer modes than asked for.
+
+    Source: Craig and Kurdila, Fundamentals of Structural Dynamics, chapter 17.
+    """
+    if method not in METHODS:
+        raise InputError("method", method, "one of " + ", ".join(map(repr, METHODS)))
+    damped = damped_modes(structure)
+    if modes is None:
+        modes = min(20, structure.n_dofs) if damped is None else len(damped.omega)
+    whole = isinstance(modes, int | np.integer) and not isinstance(modes, bool)
+    if not (whole and 1 <= modes <= structure.n_dofs):
+        raise InputError("modes", modes, f"a whole number from 1 to n_dofs = {structure.n_dofs}")
+
+    attachments = _sources(structure)
+    with _StaticSolver(structure) as static:
+        kept: np.ndarray = np.zeros((structure.n_local, 0))
+        squares: np.ndarray = np.zeros(0)
+        if method == "craig_bampton":
+            response = static.solve(attachments)
+            compliance = structure.closing(response[:, : structure.n_pairs].T)
+            scale = 1e3 / np.abs(compliance).max(initial=1e-300)
+            tied = solve_modes(structure.tied(scale), modes).shapes
+            extra = np.hstack([response, tied])
+        else:
+            if damped is not None and len(damped.omega) >= modes:
+                kept, squares = damped.shapes[:, :modes], damped.omega[:modes] ** 2
+            else:
+                found = solve_modes(structure, modes)
+                kept, squares = found.shapes, found.omega**2
+            response = static.solve(attachments)
+            extra = response if method == "free_interface" else response[:, :0]
+        following = [extra, response, static.solve(mass_times(structure, response))]
+        if structure.damping_matrix is not None:
+            damping = times(structure.damping_matrix, np.hstack([kept, extra, response]))
+            following.append(static.solve(damping))
+    reference = _reduced(structure, kept, squares, np.hstack(following), None)
+    return _reduced(structure, kept, squares, extra, reference)
+
+
+def _sources(structure: Structure) -> np.ndarray:
+    """B and the parts of the load that are there, as columns (n_local, m)."""
+    norms = structure.sum_over_ranks((structure.force**2).sum(axis=1))
+    loads = structure.force[norms > 0.0].T
+    return np.hstack([structure.gap.toarray(), loads])
+
+
+class _StaticSolver:
+    """K^-1; where the structure is loose, (K + s M)^-1 with s the size of its smallest quotient."""
+
+    def __init__(self, structure: Structure) -> None:
+        self._structure = structure
+        self._matrix: Any = None
+        self._factor = Factor(structure.stiffness, symmetric=True)
+        if self._factor.null_pivots:
+            self._factor.destroy()
+            count = min(structure.n_dofs, 10)
+            elastic = solve_modes(structure, count).omega[-1] ** 2
+            self._matrix = weighted_sum(structure.stiffness, elastic or 1.0, structure.mass)
+            self._factor = Factor(self._matrix, symmetric=True)
+
+    def solve(self, columns: np.ndarray) -> np.ndarray:
+        """K^-1 X of columns (n_local, m)."""
+        return self._factor.solve(columns.T).T
+
+    def __enter__(self) -> _StaticSolver:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._factor.destroy()
+        if self._matrix is not None:
+            self._matrix.destroy()
+
+
+def _reduced(
+    structure: Structure,
+    kept: np.ndarray,
+    squares: np.ndarray,
+    extra: np.ndarray,
+    reference: ReducedStructure | None,
+) -> ReducedStructure:
+    """Reduce to modes already known and the rest of other vectors, orthonormal and diagonal."""
+    whole_size = _norms(structure, extra)
+    for _ in range(2):  # once more against rounding
+        extra = extra - kept @ structure.sum_over_ranks(kept.T @ mass_times(structure, extra))
+    size = _norms(structure, extra)
+    extra = extra[:, size > 1e-8 * whole_size] / size[size > 1e-8 * whole_size]
+    gram = structure.sum_over_ranks(extra.T @ mass_times(structure, extra))
+    weights, vectors = np.linalg.eigh(gram)
+    independent = weights > 1e-12 * weights.max(initial=0.0)
+    extra = extra @ (vectors[:, independent] / np.sqrt(weights[independent]))
+    elastic = structure.sum_over_ranks(extra.T @ times(structure.stiffness, extra))
+    mass = structure.sum_over_ranks(extra.T @ mass_times(structure, extra))
+    more, rotation = scipy.linalg.eigh(elastic, mass) if len(mass) else (np.zeros(0), mass)
+    extra = extra @ rotation
+    basis = np.hstack([kept, extra])
+    squares = np.concatenate([squares, more])
+    damping = _damping(structure, basis, squares)
+    return ReducedStructure(structure, basis, squares, damping, reference)
+
+
+def _norms(structure: Structure, columns: np.ndarray) -> np.ndarray:
+    """sqrt(x^T M x) of columns."""
+    squares = (columns * mass_times(structure, columns)).sum(axis=0)
+    return np.sqrt(np.maximum(structure.sum_over_ranks(squares), 1e-300))
+
+
+def _damping(
+    structure: Structure, basis: np.ndarray, squares: np.ndarray
+) -> ModalDamping | np.ndarray | None:
+    """T^T C T: modal where it is diagonal, else a matrix."""
+    damped = damped_modes(structure)
+    if damped is not None:
+        projected = structure.sum_over_ranks(damped.mass_shapes.T @ basis)
+        matrix = (projected.T * damped.rate) @ projected
+    elif structure.damping_matrix is not None:
+        matrix = structure.sum_over_ranks(basis.T @ times(structure.damping_matrix, basis))
+    else:
+        return None
+    rate = np.diag(matrix)
+    if np.abs(matrix - np.diag(rate)).max() > 1e-9 * rate.max(initial=0.0):
+        return matrix
+    omega = np.sqrt(np.maximum(squares, 0.0))
+    ratio = np.divide(rate, 2.0 * omega, out=np.zeros_like(rate), where=omega > 0.0)
+    return ModalDamping(tuple(np.maximum(ratio, 0.0)))

@@ -1,0 +1,481 @@
+"""The structure: mass, stiffness, damping, load, and the gaps between the lips of the crack.
+
+    M u'' + C u' + K u + B lambda(g) = f(t),     g = B^T u - g0
+
+``g > 0`` is penetration, ``g < 0`` an open crack. Column j of B is +1 on the normal displacement
+of the lower lip's node and -1 on the upper lip's. Matrices are PETSc's and distributed by rows;
+every array that stands for a displacement holds the rows that this rank owns ("n_local"), which on
+one rank are all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from numbers import Integral
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sparse
+from mpi4py import MPI
+
+from fenics_crack.errors import InputError
+from fenics_crack.model.factor import weighted_sum
+from fenics_crack.model.matrices import (
+    check_positive_definite,
+    check_symmetric,
+    diagonal_rows,
+    distributed,
+    numbers,
+    per_pair,
+    petsc_matrix,
+    whole_rows,
+)
+from fenics_crack.parallel import gather_rows
+
+__all__ = ["ModalDamping", "Nodes", "Structure"]
+
+
+@dataclass(frozen=True)
+class ModalDamping:
+    """Damping C = M Phi diag(2 xi_j omega_j) Phi^T M over mass-normalised modes; never formed.
+
+    Attributes
+    ----------
+    ratio : float or sequence of float
+        xi_j of critical damping: one for all, or one per mode.
+    modes : int or None
+        The lowest so many modes; None: all.
+    """
+
+    ratio: float | Sequence[float]
+    modes: int | None = None
+
+    def __post_init__(self) -> None:
+        ratio = numbers(self.ratio)
+        if ratio.ndim > 1 or not ratio.size or not np.all(np.isfinite(ratio)) or ratio.min() < 0.0:
+            raise InputError("damping ratio", self.ratio, "finite and >= 0, one or one per mode")
+        whole = isinstance(self.modes, Integral) and not isinstance(self.modes, bool)
+        if self.modes is not None and not (whole and self.modes >= 1):
+            raise InputError("damping modes", self.modes, "None (all) or a whole number >= 1")
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Where the dofs of a meshed structure are: the nodes that this rank owns.
+
+    Attributes
+    ----------
+    points : (m, 2) [m]
+        Positions.
+    dofs : (m, 2) int
+        Number of the x and the y displacement in the structure; -1 where it is clamped.
+    cells : (n_cells, k) int
+        This rank's cells in VTK's node order; nodes are numbered through all ranks.
+    vtk_type : int
+        VTK's number for the kind of cells.
+    """
+
+    points: np.ndarray
+    dofs: np.ndarray
+    cells: np.ndarray
+    vtk_type: int
+
+
+class Structure:
+    """A linear structure with contact pairs.
+
+    Made by :func:`fenics_crack.build_structure` from a scene or by :meth:`from_matrices`.
+
+    Attributes
+    ----------
+    comm : MPI.Comm
+        The ranks that share the structure.
+    mass, stiffness : PETSc.Mat
+        (n, n), symmetric; [kg], [N/m].
+    gap : scipy.sparse.csr_matrix
+        B, the rows owned by this rank: (n_local, n_pairs).
+    force : (3, n_local) [N]
+        Mean, cosine and sine part of the load on the first harmonic.
+    clearance : (n_pairs,) [m]
+        g0 of every pair; positive: a gap to close first, negative: preload.
+    damping : ModalDamping, PETSc.Mat or None
+        Modal damping, a damping matrix C [N s/m], or none.
+    nodes : Nodes or None
+        Positions of the dofs where there is a mesh.
+    pair_points : (n_pairs, 2) [m] or None
+        Positions of the contact pairs where there is a mesh.
+    pair_areas : (n_pairs,) [m^2] or None
+        Area of the lip that belongs to each pair, where there is a mesh.
+    """
+
+    def __init__(
+        self,
+        mass: Any,
+        stiffness: Any,
+        gap: sparse.spmatrix,
+        *,
+        force: np.ndarray,
+        clearance: np.ndarray,
+        damping: ModalDamping | Any | None = None,
+        nodes: Nodes | None = None,
+        pair_points: np.ndarray | None = None,
+        pair_areas: np.ndarray | None = None,
+    ) -> None:
+        self.comm: MPI.Comm = mass.comm.tompi4py()
+        self._mass = mass
+        self._stiffness = stiffness
+        self._gap = sparse.csr_matrix(gap)
+        self._gap_transposed = sparse.csr_matrix(self._gap.T)
+        self.force = force
+        self.clearance = clearance
+        self._damping = damping
+        self.nodes = nodes
+        self.pair_points = pair_points
+        self.pair_areas = pair_areas
+
+    # What modes and compliances have been computed from may not change under them.
+
+    @property
+    def mass(self) -> Any:
+        """M, PETSc (n, n) [kg]."""
+        return self._mass
+
+    @property
+    def stiffness(self) -> Any:
+        """K, PETSc (n, n) [N/m]."""
+        return self._stiffness
+
+    @property
+    def gap(self) -> sparse.csr_matrix:
+        """B, the rows owned by this rank: (n_local, n_pairs)."""
+        return self._gap
+
+    @property
+    def damping(self) -> Any:
+        """ModalDamping, the matrix C [N s/m], or None."""
+        return self._damping
+
+    @property
+    def n_dofs(self) -> int:
+        """Number of degrees of freedom, clamped ones left out."""
+        return int(self.mass.size[0])
+
+    @property
+    def n_local(self) -> int:
+        """Number of degrees of freedom that this rank owns."""
+        return int(self.mass.local_size[0])
+
+    @property
+    def first_dof(self) -> int:
+        """Number of the first degree of freedom that this rank owns."""
+        return int(self.mass.owner_range[0])
+
+    @property
+    def n_pairs(self) -> int:
+        """Number of contact pairs."""
+        return int(self.gap.shape[1])
+
+    @property
+    def damping_matrix(self) -> Any:
+        """C where damping is a matrix, else None."""
+        return None if isinstance(self.damping, ModalDamping) else self.damping
+
+    @property
+    def whole(self) -> Structure:
+        """The structure whose dofs and nodes this one speaks of: itself, unless it is reduced."""
+        return self
+
+    def expand(self, displacement: np.ndarray) -> np.ndarray:
+        """Displacements (m, n_local) as those of the whole structure."""
+        return displacement
+
+    # --- displacement and gap ---------------------------------------------------------------------
+
+    def closing(self, displacement: np.ndarray) -> np.ndarray:
+        """B^T u of displacements (m, n_local): (m, n_pairs) on every rank (collective)."""
+        return self.sum_over_ranks((self._gap_transposed @ displacement.T).T)
+
+    def spread(self, pair_force: np.ndarray) -> np.ndarray:
+        """B lambda of forces on the pairs (m, n_pairs): (m, n_local)."""
+        return (self.gap @ pair_force.T).T
+
+    def sum_over_ranks(self, values: np.ndarray) -> np.ndarray:
+        """Add up the arrays of all ranks (collective); the same array on one rank."""
+        if self.comm.size == 1:
+            return values
+        values = np.ascontiguousarray(values)
+        total = np.empty_like(values)
+        self.comm.Allreduce(values, total)
+        return total
+
+    def values_at(self, displacement: np.ndarray, dofs: Sequence[int]) -> np.ndarray:
+        """Pick dofs from displacements (m, n_local): (m, len(dofs)) on every rank (collective).
+
+        Raises
+        ------
+        InputError
+            A dof is not between 0 and n_dofs - 1.
+        """
+        wanted = self.check_dofs(dofs)
+        mine = (wanted >= self.first_dof) & (wanted < self.first_dof + self.n_local)
+        picked = np.zeros((len(displacement), len(wanted)), dtype=displacement.dtype)
+        picked[:, mine] = displacement[:, wanted[mine] - self.first_dof]
+        return self.sum_over_ranks(picked)
+
+    def check_dofs(self, dofs: Sequence[int]) -> np.ndarray:
+        """Dofs as an array of whole numbers.
+
+        Raises
+        ------
+        InputError
+            A dof is not a whole number between 0 and n_dofs - 1.
+        """
+        wanted = np.atleast_1d(numbers(dofs)).ravel()
+        if not np.all((wanted >= 0) & (wanted < self.n_dofs) & (wanted == np.round(wanted))):
+            raise InputError("dofs", dofs, f"whole numbers between 0 and {self.n_dofs - 1}")
+        return wanted.astype(int)
+
+    def find_dof(self, point: Sequence[float], component: int | str) -> int:
+        """Return the dof of a displacement component at the node at a point (collective).
+
+        Parameters
+        ----------
+        point : (2,) [m]
+            Position of the node; up to 1e-6 of the structure's size may be missing.
+        component : 0, 1, "x" or "y"
+            Direction.
+
+        Raises
+        ------
+        InputError
+            There is no node there, or two (on the lips), or the dof is clamped, or the structure
+            was made from matrices and knows no positions.
+        """
+        names: dict[int | str, int] = {0: 0, 1: 1, "x": 0, "y": 1}
+        if component not in list(names):
+            raise InputError("component", component, "0, 1, 'x' or 'y'")
+        if self.nodes is None:
+            raise InputError("point", point, "given only for a structure made from a mesh")
+        target = numbers(point)
+        if target.shape != (2,) or not np.all(np.isfinite(target)):
+            raise InputError("point", point, "[x, y], two finite numbers")
+        points = gather_rows(self.comm, self.nodes.points)
+        distance = np.linalg.norm(points - target, axis=1)
+        found = np.flatnonzero(distance <= 1e-6 * np.ptp(points, axis=0).max())
+        if len(found) != 1:
+            nearest = points[np.argmin(distance)]
+            raise InputError(
+                "point",
+                tuple(target),
+                f"at a node that exists once ({len(found)} found there; the nearest node is at "
+                f"({nearest[0]:g}, {nearest[1]:g}))",
+            )
+        dof = int(gather_rows(self.comm, self.nodes.dofs)[found[0], names[component]])
+        if dof < 0:
+            raise InputError(
+                "point", tuple(target), f"free in component {component!r}, not clamped"
+            )
+        return dof
+
+    def dof_name(self, dof: int) -> str:
+        """What a dof is, for people: "x displacement at (0.1, 0.1) m" (collective)."""
+        if self.nodes is None:
+            return f"displacement of dof {dof}"
+        comm = self.whole.comm
+        node, component = np.argwhere(gather_rows(comm, self.nodes.dofs) == dof)[0]
+        points = gather_rows(comm, self.nodes.points)
+        x, y = np.round(points[node], 12) + 0.0  # no -1e-19
+        return f"{'xy'[component]} displacement at ({x:.4g}, {y:.4g}) m"
+
+    @property
+    def couplings(self) -> np.ndarray:
+        """What pairs and load see of each dof: (n_pairs + 3, n_local)."""
+        return np.vstack([self.gap.toarray().T, self.force])
+
+    def signs_since(self, couplings: np.ndarray) -> np.ndarray:
+        """Signs (n_local,) that the dofs have changed since the structure had these couplings.
+
+        The coordinates of a reduction may come out with other signs when it is made anew.
+
+        Raises
+        ------
+        InputError
+            They are those of another structure.
+        """
+        now = self.couplings
+        if couplings.shape != now.shape:
+            raise InputError(
+                "structure",
+                f"{self.n_local} dofs, {self.n_pairs} pairs",
+                f"one with {couplings.shape[1]} dofs and {len(couplings) - 3} pairs",
+            )
+        signs = np.where((couplings * now).sum(axis=0) < 0.0, -1.0, 1.0)
+        largest = np.abs(couplings).max(axis=1, initial=0.0, keepdims=True)
+        if np.any(np.abs(couplings - now * signs) > 1e-6 * largest):
+            raise InputError("structure", "other load or pairs", "that of the file")
+        return signs
+
+    # --- related structures -----------------------------------------------------------------------
+
+    def lumped(self) -> Structure:
+        """Return this structure with the diagonal mass of the row sums of M.
+
+        Modal damping then follows the modes with that mass.
+
+        Raises
+        ------
+        InputError
+            A row sum is not positive, as for six-node triangles.
+        """
+        ones, sums = self.mass.createVecs()
+        ones.set(1.0)
+        self.mass.mult(ones, sums)
+        smallest = sums.min()[1]
+        if smallest <= 1e-10 * sums.max()[1]:  # zero but for rounding at a triangle's corners
+            raise InputError(
+                "mass", f"row sum {smallest:.3g}", "lumped only where every row sum is positive"
+            )
+        return self._changed(mass=distributed(diagonal_rows(sums), self.comm))
+
+    def tied(self, stiffness: float | np.ndarray) -> Structure:
+        """Return this structure with every pair tied by a spring that both pulls and pushes.
+
+        Its stiffness is K + B diag(k) B^T, its pairs are gone; modal damping follows the tied
+        modes.
+
+        Parameters
+        ----------
+        stiffness : float or (n_pairs,) [N/m]
+            k.
+        """
+        whole = sparse.vstack(self.comm.allgather(self.gap), format="csr")
+        diagonal = sparse.diags(per_pair("stiffness", stiffness, self.n_pairs))
+        springs = distributed(self.gap @ diagonal @ whole.T, self.comm)
+        matrix = weighted_sum(self.stiffness, 1.0, springs)
+        springs.destroy()
+        return self._changed(
+            stiffness=matrix,
+            gap=sparse.csr_matrix((self.n_local, 0)),
+            clearance=np.zeros(0),
+            pair_points=np.zeros((0, 2)),
+            pair_areas=np.zeros(0),
+        )
+
+    def damped(self, damping: ModalDamping | None) -> Structure:
+        """Return this structure with another modal damping, or none."""
+        if damping is not None and not isinstance(damping, ModalDamping):
+            raise InputError("damping", damping, "a ModalDamping or None")
+        return self._changed(damping=damping)
+
+    def varied(
+        self, *, load: float = 1.0, damping: float = 1.0, clearance: float = 0.0
+    ) -> Structure:
+        """Return this structure with its load and damping multiplied, and a clearance added.
+
+        Parameters
+        ----------
+        load, damping : float
+            Factors; damping >= 0.
+        clearance : float [m]
+            Added to that of every pair.
+        """
+        other = copy(self)
+        other.force = load * self.force
+        other.clearance = self.clearance + clearance
+        if isinstance(self.damping, ModalDamping):
+            given = self.damping.ratio
+            if np.ndim(given):
+                ratio: float | tuple[float, ...] = tuple(damping * np.asarray(given, dtype=float))
+            else:
+                ratio = damping * float(given)  # type: ignore[arg-type]
+            other._damping = replace(self.damping, ratio=ratio)
+        elif self.damping is not None and damping != 1.0:
+            matrix = self.damping.copy()
+            matrix.scale(damping)
+            other._damping = matrix
+        return other
+
+    def _changed(self, **changes: Any) -> Structure:
+        parts = {
+            name: getattr(self, name)
+            for name in (
+                "mass",
+                "stiffness",
+                "gap",
+                "force",
+                "clearance",
+                "damping",
+                "nodes",
+                "pair_points",
+                "pair_areas",
+            )
+        }
+        return Structure(**(parts | changes))
+
+    @classmethod
+    def from_matrices(
+        cls,
+        mass: Any,
+        stiffness: Any,
+        gap: Any,
+        *,
+        force_sin: Any = None,
+        force_cos: Any = None,
+        force_mean: Any = None,
+        clearance: Any = 0.0,
+        damping: Any = None,
+        comm: MPI.Comm = MPI.COMM_SELF,
+    ) -> Structure:
+        """Make a structure from its matrices.
+
+        Parameters
+        ----------
+        mass, stiffness : (n, n)
+            NumPy, SciPy sparse, PETSc, or the path of a Matrix Market file; symmetric, the mass
+            positive definite; [kg], [N/m].
+        gap : (n, n_pairs) or (n,)
+            B: the closing of the pairs is g = B^T u - clearance; None: no pairs.
+        force_sin, force_cos, force_mean : (n,) [N] or None
+            Load on the first harmonic, and its mean.
+        clearance : float or (n_pairs,) [m]
+            Initial gap g0; negative for preload.
+        damping : ModalDamping, (n, n) matrix or None
+            Modal damping, or C [N s/m] in any of the forms above.
+        comm : MPI.Comm
+            Ranks over which to spread matrices that are given whole on every rank; PETSc matrices
+            keep their own.
+
+        Raises
+        ------
+        InputError
+            A shape does not fit, an entry is not finite, mass or stiffness is not symmetric, or
+            the mass is not positive definite.
+        """
+        mass = petsc_matrix("mass", mass, comm)
+        comm = mass.comm.tompi4py()
+        n, n_local = mass.size[0], mass.local_size[0]
+        first = mass.owner_range[0]
+        stiffness = petsc_matrix("stiffness", stiffness, comm, n)
+        if damping is not None and not isinstance(damping, ModalDamping):
+            damping = petsc_matrix("damping", damping, comm, n)
+        for name, matrix in (("mass", mass), ("stiffness", stiffness)):
+            check_symmetric(name, matrix)
+        check_positive_definite("mass", mass)
+
+        gap = sparse.csr_matrix((n, 0)) if gap is None else whole_rows("gap", gap, n)
+        parts = []
+        for name, part in (("mean", force_mean), ("cos", force_cos), ("sin", force_sin)):
+            whole = np.zeros(n) if part is None else whole_rows(f"force_{name}", part, n)
+            if whole.shape != (n,):
+                raise InputError(f"force_{name}", whole.shape, f"of shape ({n},)")
+            parts.append(whole[first : first + n_local])
+        return cls(
+            mass,
+            stiffness,
+            gap[first : first + n_local],
+            force=np.array(parts),
+            clearance=per_pair("clearance", clearance, gap.shape[1]),
+            damping=damping,
+        )

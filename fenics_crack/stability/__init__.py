@@ -1,0 +1,1 @@
+"""Stability of periodic motions, and exact periodic orbits."""

@@ -1,0 +1,112 @@
+"""The structure that a scene asks for: crack length found, reduced as it says; and its law."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from mpi4py import MPI
+
+from fenics_crack.errors import InputError
+from fenics_crack.fem.assembly import build_structure, find_crack_length
+from fenics_crack.model.contact import (
+    ContactLaw,
+    SmoothedPenalty,
+    UnilateralConstraint,
+    UnilateralPenalty,
+)
+from fenics_crack.model.reduction import reduce_structure
+from fenics_crack.model.structure import ModalDamping, Structure
+from fenics_crack.scene.scene import Contact, Reduction, Scene
+
+__all__ = ["contact_law", "law_of", "prepare", "reduction_of", "with_crack_length"]
+
+FEW_DOFS = 100
+"""So many need no reduction."""
+MODES = 50
+
+
+def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
+    """Return the scene with the length found from ``crack.first_omega``, if that is given."""
+    if scene.crack is None or scene.crack.first_omega is None:
+        return scene
+    length = find_crack_length(scene, comm)
+    return scene.replace({"crack.length": length, "crack.first_omega": None})
+
+
+def prepare(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
+    """Build the structure of a scene and reduce it as :func:`reduction_of` says (collective).
+
+    Raises
+    ------
+    InputError
+        As :func:`build_structure` and :func:`reduce_structure`.
+    """
+    structure = build_structure(scene, comm)
+    table = reduction_of(scene, structure)
+    if table is None:
+        return structure
+    if scene.damping.modes == "all" and isinstance(scene.damping.ratio, float):
+        # All that are kept: those of a large structure cannot be computed.
+        undamped = structure.damped(None)
+        reduced = reduce_structure(undamped, modes=table.modes, method=table.method)
+        return reduced.damped(ModalDamping(scene.damping.ratio))
+    return reduce_structure(structure, modes=table.modes, method=table.method)
+
+
+def reduction_of(scene: Scene, structure: Structure) -> Reduction | None:
+    """How the structure of a scene is reduced; None: not at all.
+
+    Without the table ``[reduction]`` a structure of up to 100 dofs on one rank is left as it is.
+    Where all modes are damped and no number of modes is given, 50 are kept.
+    """
+    table = scene.reduction
+    if table is None:
+        if structure.comm.size == 1 and structure.n_dofs <= FEW_DOFS:
+            return None
+        table = Reduction()
+    if table.method == "off":
+        return None
+    if table.modes is None and scene.damping.modes == "all":
+        table = replace(table, modes=min(MODES, structure.n_dofs))
+    return table
+
+
+def law_of(scene: Scene, structure: Structure) -> ContactLaw | UnilateralConstraint | None:
+    """The contact law of a scene's pairs; None where there are none."""
+    if structure.n_pairs == 0 or scene.contact is None:
+        return None
+    return contact_law(scene.contact, structure)
+
+
+def contact_law(
+    contact: Contact, structure: Structure | None = None
+) -> UnilateralPenalty | SmoothedPenalty | UnilateralConstraint:
+    """The law that a scene's contact table describes.
+
+    A stiffness per area [N/m^3] becomes that of each pair [N/m] by the structure's ``pair_areas``,
+    so that refining the mesh does not change the physics.
+
+    Raises
+    ------
+    InputError
+        There is a stiffness per area, and no structure with areas.
+    """
+    if not isinstance(contact, Contact):
+        raise InputError("contact", contact, "the contact table of a scene")
+    if contact.law == "constraint":
+        return UnilateralConstraint()
+    stiffness: float | np.ndarray | None = contact.stiffness
+    if contact.stiffness_per_area is not None:
+        if structure is None or structure.pair_areas is None:
+            raise InputError(
+                "contact.stiffness_per_area",
+                contact.stiffness_per_area,
+                "used with the structure, made from a mesh: contact_law(scene.contact, structure)",
+            )
+        stiffness = contact.stiffness_per_area * structure.pair_areas
+    assert stiffness is not None
+    if contact.law == "smoothed":
+        assert contact.sharpness is not None
+        return SmoothedPenalty(stiffness, contact.sharpness)
+    return UnilateralPenalty(stiffness)

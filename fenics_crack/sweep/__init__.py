@@ -1,0 +1,1 @@
+"""Many cases of a scene, spread over ranks."""

@@ -1,0 +1,327 @@
+"""The jobs of a sweep: what a group of ranks does, and who hands out what."""
+
+from __future__ import annotations
+
+import gc
+import threading
+import time
+import traceback
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from tqdm import tqdm
+
+from fenics_crack.errors import InputError
+from fenics_crack.parallel import StopRequest
+from fenics_crack.scene.scene import Scene
+from fenics_crack.sweep.case import (
+    REFUSALS,
+    Arrays,
+    Geometry,
+    Solved,
+    all_failed,
+    build,
+    solve_chunk,
+)
+from fenics_crack.sweep.file import COLUMNS, PENDING, SweepFile
+from fenics_crack.sweep.plan import Chunk, Index, Plan, everywhere
+
+__all__ = ["Manager", "Worker", "no_garbage_in_threads"]
+
+LONGEST = 2.0
+"""Duration of a job [s] that is aimed at: what a kill can lose."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """Some chunks of a geometry, which is to be built if there is a scene of it."""
+
+    geometry: int
+    scene: Scene | None
+    arrays: Arrays | None
+    unit_loads: bool
+    wanted: bool
+    """Whether other jobs need the arrays."""
+    chunks: tuple[Chunk, ...]
+
+
+@dataclass
+class Answer:
+    """What became of a job."""
+
+    arrays: Arrays | None = None
+    refusal: Exception | None = None
+    """Why the geometry cannot be built."""
+    solved: list[tuple[Chunk, Solved]] = field(default_factory=list)
+    seconds: float = 0.0
+    """Spent on the chunks."""
+    error: str | None = None
+    """A traceback: something that should not happen."""
+
+
+class Worker:
+    """A group of ranks, or one, that does jobs."""
+
+    current: Worker | None = None
+    """This rank's."""
+
+    def __init__(self, group: MPI.Comm) -> None:
+        self._group = group
+        self._known: dict[int, Geometry] = {}
+
+    def lead(self, job: Job) -> Answer:
+        """Do a job with the whole group; called by its leader."""
+        self._group.bcast(job)
+        return self.work(job)
+
+    def work(self, job: Job) -> Answer:
+        """Do a job (collective on the group)."""
+        answer = Answer()
+        arrays = job.arrays
+        try:
+            if job.scene is not None:
+                structure, length = build(job.scene, self._group, job.unit_loads)
+                arrays = Arrays.of(structure, length)
+                answer.arrays = arrays if job.wanted else None
+        except REFUSALS as error:
+            answer.refusal = error
+            return answer
+        except Exception:
+            if self._group.size > 1:  # the others may wait for this rank
+                traceback.print_exc()
+                self._group.Abort(1)
+            answer.error = traceback.format_exc()
+            return answer
+        started, error_text = time.perf_counter(), None
+        try:
+            if job.chunks:
+                geometry = self._geometry(job, self._group.bcast(arrays))
+                for chunk in job.chunks[self._group.rank :: self._group.size]:
+                    answer.solved.append((chunk, solve_chunk(geometry, chunk)))
+        except Exception:
+            error_text = traceback.format_exc()
+        parts = self._group.gather((answer.solved, error_text))
+        if parts is not None:
+            answer.solved = [item for solved, _ in parts for item in solved]
+            answer.error = next((text for _, text in parts if text is not None), None)
+        answer.seconds = time.perf_counter() - started
+        return answer
+
+    def _geometry(self, job: Job, arrays: Arrays) -> Geometry:
+        if job.geometry not in self._known:
+            geometry = Geometry(arrays.structure(), arrays.crack_length, job.unit_loads)
+            self._known = {job.geometry: geometry}
+        return self._known[job.geometry]
+
+
+def lead(job: Job) -> Answer:
+    """What the executor calls on a leader."""
+    assert Worker.current is not None
+    return Worker.current.lead(job)
+
+
+class Manager:
+    """Rank 0's queue of jobs, and the file; its methods may be called from two threads."""
+
+    def __init__(
+        self, plan: Plan, file: SweepFile, groups: int, ranks: int, progress: bool
+    ) -> None:
+        self.error: BaseException | None = None
+        self._plan, self._file = plan, file
+        self._groups, self._ranks = groups, ranks
+        self._news = threading.Condition()
+        self._executor: Any = None
+        self._given: dict[Any, Job] = {}
+        """Jobs with the executor, by their futures."""
+        self._stopped = False
+        self._waiting: dict[int, deque[Index]] = {}
+        """Places of the chunks of geometries that are built or being built."""
+        self._built: dict[int, Arrays] = {}
+        self._unbuilt = deque(
+            number
+            for number, geometry in enumerate(plan.geometries)
+            if np.any(file.state[everywhere(geometry)] == PENDING)
+        )
+        self._chunks_left = sum(len(self._pending(number)) for number in self._unbuilt)
+        self._seconds, self._chunks_done, self._recorded = 0.0, 0, 0
+        self._bar = tqdm(
+            total=file.state.size,
+            initial=int(np.count_nonzero(file.state != PENDING)),
+            desc="sweep",
+            unit="case",
+            disable=not progress,
+        )
+
+    @property
+    def error_for_others(self) -> BaseException | None:
+        """The error as ranks that did not meet it raise it."""
+        if self.error is None or isinstance(self.error, InputError | KeyboardInterrupt):
+            return self.error
+        return RuntimeError(f"the sweep ended on rank 0: {self.error}")
+
+    def run(self, executor: Any, stop: StopRequest) -> None:
+        """Have all jobs done."""
+        self._executor = executor
+        takes_part = executor is None or MPI.Query_thread() >= MPI.THREAD_MULTIPLE
+        while True:
+            job = None
+            with self._news:
+                self._stopped = self._stopped or stop.asked(MPI.COMM_SELF)
+                self._submit()
+                if takes_part:
+                    job = self._next_job() or self._take_back()
+                if job is None:
+                    if not self._given:
+                        return
+                    self._news.wait(0.1)
+                    continue
+            answer = lead(job)
+            with self._news:
+                self._record(job, answer)
+            if executor is not None:
+                del answer
+                gc.collect()
+
+    def fail(self, error: BaseException) -> None:
+        """End the sweep with an error; the first one counts."""
+        with self._news:
+            self.error = self.error or error
+            self._news.notify()
+
+    def close(self) -> None:
+        """Close the file; one that is new and has nothing in it is removed after an error."""
+        self._bar.close()
+        useless = self._file.made and self._recorded == 0 and self.error is not None
+        self._file.close(remove=useless)
+
+    def _submit(self) -> None:
+        """Keep one more job with the executor than it has workers."""
+        if self._executor is None:
+            return
+        while len(self._given) < self._groups:
+            job = self._next_job()
+            if job is None:
+                return
+            future = self._executor.submit(lead, job)
+            self._given[future] = job
+            future.add_done_callback(self._arrived)
+
+    def _take_back(self) -> Job | None:
+        """A job that the executor has not begun, for rank 0, which has none; at the end None."""
+        ending = self._stopped or self.error is not None
+        for future, job in list(self._given.items()):
+            if future.cancel() and not ending:
+                return job
+        return None
+
+    def _arrived(self, future: Any) -> None:
+        """Record what a worker has done, and send it more: in the executor's thread."""
+        with self._news:
+            job = self._given.pop(future)
+            if future.cancelled():
+                return
+            try:
+                self._record(job, future.result())
+                self._submit()
+            except BaseException as error:
+                self.fail(error)
+            self._news.notify()
+
+    def _next_job(self) -> Job | None:
+        """Chunks of a built geometry, or a geometry to build, or nothing for now."""
+        if self._stopped or self.error is not None:
+            return None
+        in_time = LONGEST * self._chunks_done / max(self._seconds, 1e-9)  # none known: one
+        share = max(1, int(min(in_time, self._chunks_left // (3 * self._groups))))
+        share = -(-share // self._ranks) * self._ranks
+        while self._built:
+            number, arrays = next(iter(self._built.items()))
+            chunks = self._pop(number, share)
+            if not self._waiting[number]:
+                del self._built[number], self._waiting[number]
+            if chunks:
+                return Job(number, None, arrays, self._plan.unit_loads, False, chunks)
+        while self._unbuilt:
+            number = self._unbuilt.popleft()
+            self._waiting[number] = deque(self._pending(number))
+            every = map(self._plan.chunk, self._waiting[number])
+            cases = (case for chunk in every for case in chunk.cases)
+            scene = next((case for case in cases if not isinstance(case, str)), None)
+            if scene is None:
+                self._refuse(number, self._pop(number), "")
+                continue
+            # The others have something to do meanwhile.
+            alone = self._groups == 1 or len(self._unbuilt) >= self._groups
+            first = self._pop(number, share if alone else 0)
+            wanted = bool(self._waiting[number])
+            return Job(number, scene, None, self._plan.unit_loads, wanted, first)
+        return None
+
+    def _pending(self, number: int) -> list[Index]:
+        return self._plan.pending(self._plan.geometries[number], self._file.state)
+
+    def _pop(self, number: int, count: int | None = None) -> tuple[Chunk, ...]:
+        waiting = self._waiting[number]
+        count = len(waiting) if count is None else min(count, len(waiting))
+        self._chunks_left -= count
+        return tuple(self._plan.chunk(waiting.popleft()) for _ in range(count))
+
+    def _record(self, job: Job, answer: Answer) -> None:
+        """Write what a job has found."""
+        for chunk, solved in answer.solved:
+            self._write(chunk, solved)
+        self._seconds += answer.seconds * self._ranks
+        self._chunks_done += len(answer.solved)
+        if answer.error is not None:
+            raise RuntimeError(f"a job of the sweep ended with\n{answer.error}")
+        if answer.refusal is not None:
+            refusal = answer.refusal
+            hopeless = isinstance(refusal, InputError) and refusal.key == "reduction.method"
+            if hopeless and not self._plan.reduction_swept:
+                raise refusal
+            rest = self._pop(job.geometry)
+            self._refuse(job.geometry, job.chunks + rest, str(refusal))
+        elif answer.arrays is not None:
+            self._built[job.geometry] = answer.arrays
+        elif job.scene is not None:
+            del self._waiting[job.geometry]
+        self._news.notify()
+
+    def _refuse(self, number: int, chunks: tuple[Chunk, ...], reason: str) -> None:
+        for chunk in chunks:
+            self._write(chunk, all_failed(chunk, reason))
+        del self._waiting[number]
+
+    def _write(self, chunk: Chunk, solved: Solved) -> None:
+        columns = {
+            name: np.array(values, dtype=COLUMNS[name][1])
+            for name, values in solved.columns.items()
+        }
+        self._file.write(chunk.index, np.array(solved.state), columns, solved.waves)
+        self._recorded += 1
+        self._bar.update(len(chunk.cases))
+
+
+# --- around the work ------------------------------------------------------------------------------
+
+
+@contextmanager
+def no_garbage_in_threads() -> Iterator[None]:
+    """Python's cyclic garbage is collected where it is safe to destroy PETSc's objects.
+
+    Else it could be in the executor's thread, while the main one is in PETSc.
+    """
+    enabled = gc.isenabled()
+    gc.disable()
+    gc.freeze()  # what is there already need not be looked at after every job
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        if enabled:
+            gc.enable()

@@ -1,0 +1,345 @@
+"""Sweeps: many cases of a scene, spread over ranks, in a file from which a killed run goes on.
+
+The cases are the product of the axes in ``[sweep.over]``, numbered with the last axis fastest.
+
+*Geometries.* What changes mesh, matrices, modes, damping or the place of the load makes another
+geometry; frequency, force, contact law, clearance and truncation do not. A geometry is built once,
+and is then a small structure in plain arrays that any rank can solve.
+
+*Chunks.* The cases of a geometry are cut into chunks of up to 12 along the frequency (or, where it
+is not swept, along the last axis that leaves the geometry alone). The first case of a chunk starts
+from the linear solution, each further one from its neighbour. Chunks depend on the scene alone: so
+do the results, whatever the number of ranks (that share the cases, not a mesh) and interruptions;
+to the bit, if the number of BLAS threads is the same.
+
+*Jobs.* Rank 0 hands jobs to the other ranks by mpi4py.futures and takes jobs itself: some chunks of
+a geometry that is built, or a geometry to be built. Jobs shrink towards the end, so that all ranks
+finish together. Finished jobs arrive in the executor's own thread, which writes them and sends the
+next one, also while rank 0 computes; MPI must allow this (``THREAD_MULTIPLE``), else rank 0 only
+hands out jobs. With ``sweep.ranks = s`` the ranks form groups of s: a group builds a geometry
+together, and shares its chunks.
+"""
+
+from __future__ import annotations
+
+import itertools
+import operator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+from mpi4py.futures import MPICommExecutor
+
+from fenics_crack.balance.compliance import dynamic_compliance
+from fenics_crack.balance.condensed import default_weight
+from fenics_crack.balance.error_report import LARGE_ERROR, ErrorReport
+from fenics_crack.balance.harmonic_balance import solve_linear
+from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.errors import InputError
+from fenics_crack.files.results import check_gap, check_pairs
+from fenics_crack.files.store import read_scene
+from fenics_crack.model.contact import UnilateralConstraint
+from fenics_crack.parallel import StopRequest, on_root
+from fenics_crack.scene.fields import Axis
+from fenics_crack.scene.scene import Scene
+from fenics_crack.study.prepare import law_of
+from fenics_crack.sweep.case import Geometry, build
+from fenics_crack.sweep.file import (
+    COLUMNS,
+    CONVERGED,
+    FAILED,
+    PENDING,
+    SweepFile,
+    read_columns,
+    read_waves,
+    shape_of,
+)
+from fenics_crack.sweep.jobs import Manager, Worker, no_garbage_in_threads
+from fenics_crack.sweep.plan import Plan
+
+__all__ = ["SweepResult", "axis_name", "run_sweep"]
+
+UNITS = {
+    "geometry.thickness": "m", "geometry.width": "m", "geometry.height": "m", "crack.height": "m",
+    "crack.length": "m", "crack.first_omega": "rad/s", "crack.clearance": "m",
+    "material.young": "Pa", "material.density": "kg/m^3", "excitation.omega": "rad/s",
+    "excitation.point": "m", "excitation.force_sin": "N", "excitation.force_cos": "N",
+    "excitation.force_mean": "N", "contact.stiffness": "N/m",
+    "contact.stiffness_per_area": "N/m^3", "contact.sharpness": "1/m", "mesh.size": "m",
+}  # fmt: skip
+
+
+def run_sweep(
+    scene: Scene,
+    path: str | Path,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    *,
+    progress: bool = False,
+) -> SweepResult:
+    """Solve all cases of a scene's sweep by harmonic balance (collective).
+
+    A case that cannot be solved is recorded with its reason. Ctrl-C stops after the jobs at hand;
+    the same call goes on with what is missing.
+
+    Parameters
+    ----------
+    scene : Scene
+        With its table ``[sweep]``.
+    path : path
+        The file for the results. If it exists and is of the same scene, what it has is kept,
+        failed cases too; a mesh file is taken to be the same.
+    comm : MPI.Comm
+        The ranks; with ``sweep.ranks = s`` a multiple of s.
+    progress : bool
+        Show a bar.
+
+    Returns
+    -------
+    SweepResult
+        On every rank; not complete after Ctrl-C.
+
+    Raises
+    ------
+    InputError
+        The scene has no sweep, no combination of its values is a scene, the number of ranks does
+        not fit, a structure is not to be reduced and too large, or the file cannot be used.
+    """
+    if scene.sweep is None:
+        raise InputError("sweep", None, "given: what to vary")
+    ranks = scene.sweep.ranks
+    if comm.size % ranks:
+        raise InputError("sweep.ranks", ranks, f"a divisor of the number of ranks, {comm.size}")
+    if ranks > 1 and scene.reduction is not None and scene.reduction.method == "off":
+        raise InputError("reduction.method", "off", "a reduction where sweep.ranks > 1")
+    manager: Manager | None = None
+
+    def start() -> None:
+        nonlocal manager
+        plan = Plan(scene)
+        file = SweepFile(Path(path), scene, plan.harmonics, plan.pairs)
+        manager = Manager(plan, file, comm.size // ranks, ranks, progress)
+
+    on_root(comm, start)
+    group = comm.Split(comm.rank // ranks, comm.rank)
+    leaders = comm.Split(0 if group.rank == 0 else MPI.UNDEFINED, comm.rank)
+    Worker.current = Worker(group)
+    try:
+        with StopRequest() as stop:
+            if manager is not None:
+                manage(manager, leaders, stop)
+            elif leaders != MPI.COMM_NULL:
+                with MPICommExecutor(leaders, root=0):
+                    pass  # serves
+            if group.rank == 0:
+                group.bcast(None)
+            else:
+                while (job := group.bcast(None)) is not None:
+                    Worker.current.work(job)
+        error = comm.bcast(None if manager is None else manager.error_for_others)
+    finally:
+        Worker.current = None
+    if leaders != MPI.COMM_NULL:
+        leaders.Free()
+    group.Free()
+    if manager is not None and manager.error is not None:
+        raise manager.error
+    if error is not None:
+        raise error
+    return on_root(comm, lambda: SweepResult.load(path))
+
+
+def manage(manager: Manager, leaders: MPI.Comm, stop: StopRequest) -> None:
+    """Run all jobs from rank 0; whatever happens is kept as the manager's error."""
+    try:
+        if leaders.size == 1:
+            manager.run(None, stop)
+            return
+        with MPICommExecutor(leaders, root=0) as executor, no_garbage_in_threads():
+            try:
+                manager.run(executor, stop)
+            except BaseException as error:
+                manager.fail(error)
+    except BaseException as error:
+        manager.fail(error)
+    finally:
+        manager.close()
+
+
+# --- the result -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class SweepResult:
+    """The table of a sweep; the waves are read from its file when they are asked for.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    scene : Scene
+        What was swept.
+    columns : dict of str to array
+        Numbers and words by their names, in the shape of the axes; nan where there is none:
+        ``response``, half the peak-to-peak displacement of the load's point in the load's direction
+        [m]; ``opening`` and ``penetration``, the largest of any pair [m]; ``contact_force``, the
+        largest on a pair [N]; ``closed_share`` of the period, mean over the pairs; ``multiplier``,
+        largest modulus, and the ``verdict`` that follows, empty where there is no contact law;
+        ``residual_error`` to ``reduction_error`` and ``penetration_share`` as in
+        :class:`ErrorReport`; ``harmonics``; Newton ``iterations``; ``crack_length``, given or found
+        [m]; ``seconds`` on the clock; ``status``, how it was solved or why not; ``state``: 0
+        pending, 1 converged, 2 failed.
+    """
+
+    path: Path
+    scene: Scene
+    columns: dict[str, np.ndarray]
+
+    @classmethod
+    def load(cls, path: str | Path) -> SweepResult:
+        """Read the table of a sweep, also while it runs; nothing is computed.
+
+        Raises
+        ------
+        InputError
+            The file cannot be read, or is not one of a sweep.
+        """
+        scene, columns = read_columns(Path(path))
+        return cls(Path(path), scene, columns)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self.columns[name]
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        """The axes of the table."""
+        assert self.scene.sweep is not None
+        return self.scene.sweep.over
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """How many values each axis has."""
+        return shape_of(self.scene)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every case was tried."""
+        return not np.any(self["state"] == PENDING)
+
+    @property
+    def converged(self) -> np.ndarray:
+        """Which cases were solved, bool in the shape of the axes."""
+        return self["state"] == CONVERGED
+
+    @property
+    def inexact(self) -> np.ndarray:
+        """Which cases estimate a large error of the harmonics left out, likewise."""
+        return np.asarray(self["truncation_error"] > LARGE_ERROR)
+
+    @property
+    def not_stable(self) -> np.ndarray:
+        """Which cases are unstable or undecided, likewise."""
+        return np.isin(self["verdict"], ("unstable", "undecided"))
+
+    @property
+    def failed(self) -> list[tuple[tuple[int, ...], str]]:
+        """Index and reason of every case that could not be solved."""
+        places = np.argwhere(self["state"] == FAILED)
+        return [(tuple(map(int, at)), str(self["status"][tuple(at)])) for at in places]
+
+    def table(self) -> tuple[list[str], list[list[Any]]]:
+        """Names with units, and a row for every case in their order: for a CSV file."""
+        names = [axis_name(axis) for axis in self.axes]
+        names += ["state", *(_with_unit(name, unit) for name, (unit, _) in COLUMNS.items())]
+        words = np.array(["pending", "converged", "failed"])[self["state"]]
+        flat = [words.ravel().tolist(), *(self[name].ravel().tolist() for name in COLUMNS)]
+        values = itertools.product(*(axis.values for axis in self.axes))
+        return names, [[*at, *row] for at, row in zip(values, zip(*flat, strict=True), strict=True)]
+
+    def gap(self, index: tuple[int, ...] | int) -> np.ndarray:
+        """Gap coefficients of a case that converged: (2H+1, n_pairs) [m].
+
+        Parameters
+        ----------
+        index : tuple of int, or int
+            Its place on each axis, or its number.
+
+        Raises
+        ------
+        InputError
+            There is no such case, or it was not solved.
+        """
+        return read_waves(self.path, self._place(index))[0]
+
+    def solution(self, index: tuple[int, ...] | int) -> PeriodicSolution:
+        """The solution of a case that converged; its structure is built again.
+
+        Raises
+        ------
+        InputError
+            As :meth:`gap`; or a mesh file is no more what it was.
+        """
+        place = self._place(index)
+        read_scene(self.path)  # checks the mesh files
+        plan = Plan(self.scene)
+        case = plan.case(place)
+        assert isinstance(case, Scene)
+        length = float(self["crack_length"][place])
+        if case.crack is not None and case.crack.first_omega is not None:
+            case = case.replace({"crack.length": length, "crack.first_omega": None})
+        structure, length = build(case, MPI.COMM_SELF, plan.unit_loads)
+        Geometry(structure, length, plan.unit_loads).set_case(case)
+        omega = case.excitation.omega
+        law = law_of(case, structure)
+        if law is None:
+            return solve_linear(structure, omega, harmonics=case.harmonic_balance.harmonics)
+        gap, force = read_waves(self.path, place)
+        check_pairs(structure, gap)
+        compliance = dynamic_compliance(structure, omega, len(gap) // 2)
+        if isinstance(law, UnilateralConstraint):
+            law = UnilateralConstraint(default_weight(compliance))
+        found = {name: float(self[name][place]) for name in COLUMNS if self[name].dtype.kind == "f"}
+        displacement = compliance.displacement(force)
+        check_gap(structure, displacement, gap, max(1e-6, 10.0 * found["residual_error"]))
+        solution = PeriodicSolution(
+            structure,
+            omega,
+            law,
+            displacement,
+            gap,
+            force,
+            status=str(self["status"][place]),
+            iterations=int(self["iterations"][place]),
+            report=ErrorReport(
+                residual=found["residual_error"],
+                truncation=found["truncation_error"],
+                sampling=found["sampling_error"],
+                reduction=found["reduction_error"],
+                penetration=found["penetration_share"],
+            ),
+        )
+        compliance.destroy()
+        return solution
+
+    def _place(self, index: tuple[int, ...] | int) -> tuple[int, ...]:
+        """The place of a case that converged."""
+        try:
+            given = index if isinstance(index, tuple) else np.unravel_index(index, self.shape)
+            place = tuple(map(operator.index, given))
+            solved = len(place) == len(self.shape) and min(place) >= 0
+            solved = solved and bool(self.converged[place])
+        except (IndexError, ValueError, TypeError):
+            solved = False
+        if not solved:
+            raise InputError("index", index, f"that of a case that converged, of {self.shape}")
+        return place
+
+
+def axis_name(axis: Axis) -> str:
+    """Its key, with the unit."""
+    return _with_unit(axis.key, UNITS.get(axis.key, ""))
+
+
+def _with_unit(name: str, unit: str) -> str:
+    return f"{name} [{unit}]" if unit not in ("", "1") else name

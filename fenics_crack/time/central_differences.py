@@ -1,0 +1,383 @@
+"""Direct integration in time by central differences: the yardstick of the harmonic balance.
+
+    M u'' + C u' + K u + B lambda(g) = f(t)
+
+The paper's scheme, with the contact force that its printed form leaves out,
+
+    (2 M + dt C) u_{n+1} = 2 dt^2 (f - K u - B lambda)_n + 4 M u_n - 2 M u_{n-1} + dt C u_{n-1},
+
+marched in increments d_n = u_n - u_{n-1} with r = f - K u - B lambda:
+
+    (2 M + dt C) d_{n+1} = 2 dt^2 r_n + (2 M - dt C) d_n.
+
+Modal damping C = M Phi diag(c) Phi^T M is inverted exactly: with s = dt c / (2 + dt c),
+
+    d_{n+1} = d_n + dt^2 M^-1 r_n - Phi s (dt^2 Phi^T r_n + 2 q_n),     q_n = Phi^T M d_n,
+
+where q is carried along, so that one step costs a product with K, a solution with M and two
+products with Phi. The scheme is second order. Steps beyond dt = 2 / omega_max, omega_max the
+largest natural frequency with every pair closed, are unstable and refused. Below that the scheme
+conserves energy as long as no pair changes its state; a contact from step a to step b creates
+
+    1/2 k (g_b |g_{b+1}| - g_a |g_{a-1}|),
+
+of either sign, which close to the limit can outgrow the damping. So the energy that contact creates
+is booked, reported, and an error where it outweighs what the load has put in.
+
+Without penetration (:class:`UnilateralConstraint`) the forces of instant n are those that keep the
+gaps of the next from penetrating, with d* the increment without them and A^-1 as above,
+
+    B^T (u_n + d* - dt^2 A^-1 B lambda_n) - g0 <= 0,    lambda_n >= 0,   complementary,
+
+the forward increment Lagrange multiplier method (Carpenter, Taylor and Katona, International
+Journal for Numerical Methods in Engineering 32, 1991). An impact is then without rebound: the pair
+stays closed, and the kinetic energy of its closing, with the mass (B^T M^-1 B)^-1, is lost. The
+penalty law, which loses nothing, tends to another motion; the difference vanishes with the mass of
+the lips, when the mesh is refined.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from petsc4py import PETSc
+
+from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.errors import ConvergenceError, InputError, check_omega
+from fenics_crack.model.contact import ContactLaw, UnilateralConstraint, check_law
+from fenics_crack.model.factor import weighted_sum
+from fenics_crack.model.modes import damped_modes, largest_frequency
+from fenics_crack.model.structure import Structure
+from fenics_crack.parallel import collect_garbage
+from fenics_crack.time.complementarity import solve_complementarity
+from fenics_crack.time.march import (
+    Recorder,
+    TimeHistory,
+    check_march,
+    dofs_to_record,
+    gap_block,
+    initial_state,
+    inverse_of,
+    linear_energy,
+    load_waves,
+    march,
+    moved_apart,
+    solve_columns,
+)
+
+__all__ = ["integrate_central_difference", "stable_steps_per_period"]
+
+
+def stable_steps_per_period(
+    structure: Structure,
+    omega: float,
+    contact: ContactLaw | UnilateralConstraint,
+    *,
+    mass: str = "consistent",
+) -> int:
+    """Smallest number of steps per load period that is stable (collective).
+
+    dt <= 2 / omega_max with every pair closed by its spring; with a constraint, which lowers the
+    largest frequency, with every pair open.
+    """
+    check_omega(omega)
+    marched = _with_mass(structure, mass)
+    if not isinstance(contact, UnilateralConstraint):
+        check_law(structure, contact)
+        marched = marched.tied(contact.stiffness)
+    highest = largest_frequency(marched)
+    collect_garbage(structure.comm)
+    return int(np.floor(np.pi * highest * (1.0 + 1e-6) / omega)) + 1
+
+
+def integrate_central_difference(
+    structure: Structure,
+    omega: float,
+    contact: ContactLaw | UnilateralConstraint,
+    *,
+    periods: int,
+    steps_per_period: int,
+    initial: PeriodicSolution | tuple[np.ndarray, np.ndarray] | None = None,
+    mass: str = "consistent",
+    settle: float = 0.0,
+    record_periods: int | None = None,
+    dofs: Sequence[int] | None = None,
+    progress: bool = False,
+) -> TimeHistory:
+    """March the equation of motion under the structure's load (collective).
+
+    Parameters
+    ----------
+    structure : Structure
+        What vibrates.
+    omega : float
+        Angular frequency of the load [rad/s].
+    contact : ContactLaw or UnilateralConstraint
+        Law of all pairs.
+    periods : int
+        Load periods to march.
+    steps_per_period : int
+        Steps in one load period; at least :func:`stable_steps_per_period`.
+    initial : PeriodicSolution, (displacement, velocity) or None
+        State at time 0: a solution's, two arrays (n_local,) [m], [m/s], or rest. With a constraint,
+        pairs that penetrate are moved apart by the least change in the norm of M.
+    mass : "consistent" or "lumped"
+        M itself, or the diagonal matrix of its row sums.
+    settle : float
+        Stop early when the relative change over a period is below this.
+    record_periods : int, optional
+        Keep only the last so many periods; default: all.
+    dofs : sequence of int, optional
+        Record only these displacements; default: all. A reduced structure records all.
+    progress : bool
+        Show a progress bar.
+
+    Raises
+    ------
+    InputError
+        An argument cannot be used, the step is beyond the stable one, or the history would not fit
+        in memory.
+    ConvergenceError
+        The motion grows without bound, or contact creates more energy than the load puts in: the
+        steps are too long. Or no contact forces keep the lips from penetrating.
+
+    Notes
+    -----
+    A motion that does not settle is a result, not an error: look at ``settled``.
+
+    Source: the paper, section 2, with the contact force added; the module's text for constraints.
+    """
+    check_march(periods, steps_per_period, record_periods, settle)
+    least = stable_steps_per_period(structure, omega, contact, mass=mass)
+    if steps_per_period < least:
+        raise InputError(
+            "steps_per_period", steps_per_period, f">= {least}, the stable limit of the scheme"
+        )
+    marched = _with_mass(structure, mass)
+    displacement, velocity = initial_state(structure, initial)
+    recorder = Recorder(
+        structure,
+        dofs_to_record(structure, dofs, "dofs"),
+        periods,
+        record_periods,
+        steps_per_period,
+    )
+    scheme = _CentralDifferences(marched, omega, contact, steps_per_period)
+    scheme.start(displacement, velocity)
+    return march(recorder, scheme, omega, settle, "central differences", hidden=not progress)
+
+
+class _CentralDifferences:
+    """State and one step of the scheme; everything that does not change is prepared once."""
+
+    def __init__(
+        self,
+        structure: Structure,
+        omega: float,
+        contact: ContactLaw | UnilateralConstraint,
+        steps_per_period: int,
+    ) -> None:
+        self.structure, self.contact = structure, contact
+        self.step_size = dt = 2.0 * np.pi / omega / steps_per_period
+        local = np.zeros(structure.n_local)
+        self.displacement, self.increment = local.copy(), local.copy()
+        self.before = local.copy()
+        """Displacement at the instant that :meth:`advance` has measured."""
+        self.rhs, self.solved = local.copy(), local.copy()
+        comm, size = structure.comm, (structure.n_local, structure.n_dofs)
+        self._u, self._r, self._a, self._d = (
+            PETSc.Vec().createWithArray(array, size, comm=comm)
+            for array in (self.displacement, self.rhs, self.solved, self.increment)
+        )
+        # Only few rows of B and of the load are not zero.
+        self._gap_rows, self._gap_block = gap_block(structure)
+        self.load_rows, self.load = load_waves(structure, steps_per_period)
+        self.force = np.zeros(structure.n_pairs)
+
+        self._modes = damped_modes(structure)
+        self._damping = structure.damping_matrix
+        self._mixed: Any = None
+        matrix = structure.mass
+        if self._modes is not None:
+            growth = dt * self._modes.rate
+            self._share = growth / (2.0 + growth)
+        elif self._damping is not None:
+            matrix = weighted_sum(structure.mass, 0.5 * dt, self._damping)
+            self._mixed = weighted_sum(structure.mass, -0.5 * dt, self._damping)
+        self._inverse = inverse_of(matrix, symmetric=self._mixed is None)
+        self._push: np.ndarray | None = None
+        if isinstance(contact, UnilateralConstraint):
+            self._push, self._modal_push = self._response()
+            self._compliance = structure.closing(self._push.T).T
+
+    def _response(self) -> tuple[np.ndarray, np.ndarray]:
+        """What unit forces on the pairs take from the increment (n_local, n_pairs), and from q."""
+        dt2 = self.step_size**2
+        push = dt2 * solve_columns(self._inverse, self.structure.mass, self.structure.gap.toarray())
+        if self._modes is None:
+            return push, np.zeros((0, self.structure.n_pairs))
+        pushed = dt2 * self.structure.closing(self._modes.shapes.T)
+        push -= self._modes.shapes @ (self._share[:, None] * pushed)
+        return push, (1.0 - self._share)[:, None] * pushed
+
+    def start(self, displacement: np.ndarray, velocity: np.ndarray) -> None:
+        """Set the state at time 0; the step before follows from u_{-1} = u - dt v + dt^2 a / 2."""
+        dt = self.step_size
+        if self._push is not None:
+            displacement = moved_apart(self.structure, displacement)
+        self.displacement[:] = displacement
+        acceleration = self._acceleration(velocity)
+        self.increment[:] = dt * velocity - 0.5 * dt**2 * acceleration
+        self._book = _EnergyBook(self, displacement, velocity)
+        if self._modes is not None:
+            self._modal = self.structure.sum_over_ranks(self.increment @ self._modes.mass_shapes)
+
+    def state(self) -> tuple[np.ndarray, np.ndarray]:
+        """Displacement and velocity, after whole periods, from which :meth:`start` goes on."""
+        backwards = self.increment / self.step_size
+        velocity = backwards.copy()
+        for _ in range(3):  # the acceleration depends on the velocity a little
+            velocity = backwards + 0.5 * self.step_size * self._acceleration(velocity)
+        self.increment[:] = self.step_size * backwards
+        return self.displacement.copy(), velocity
+
+    def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
+        """M^-1 (f - K u - B lambda - C v) at phase zero of the load; spoils the increment.
+
+        The forces of a constraint, which belong to the next increment, are left out.
+        """
+        self._measure()
+        self._unbalance(0)
+        modes, structure = self._modes, self.structure
+        if self._mixed is None:
+            self._inverse.apply(self._r, self._a)
+        else:
+            self._d.array_w[:] = velocity
+            self._damping.mult(self._d, self._a)
+            self.rhs -= self.solved
+            inverse = inverse_of(structure.mass, symmetric=True)
+            inverse.apply(self._r, self._a)
+            inverse.destroy()
+        acceleration = self.solved.copy()
+        if modes is not None:
+            modal = structure.sum_over_ranks(velocity @ modes.mass_shapes)
+            acceleration -= modes.shapes @ (modes.rate * modal)
+        return acceleration
+
+    def advance(self, step: int) -> None:
+        """Measure the gap at this instant, ``step`` of the period, and march to the next."""
+        dt2 = self.step_size**2
+        self._measure()
+        self._unbalance(step)
+        if self._modes is not None:
+            shapes = self._modes.shapes
+            pushed = dt2 * self.structure.sum_over_ranks(self.rhs @ shapes)
+            lost = self._share * (pushed + 2.0 * self._modal)
+            self._modal += pushed - lost
+            self._inverse.apply(self._r, self._a)
+            self.increment += dt2 * self.solved
+            self.increment -= shapes @ lost
+        elif self._mixed is not None:
+            self._mixed.mult(self._d, self._a)
+            self.rhs *= dt2
+            self.rhs += self.solved
+            self._inverse.apply(self._r, self._d)
+        else:
+            self._inverse.apply(self._r, self._a)
+            self.increment += dt2 * self.solved
+        if self._push is not None:
+            self._push_apart()
+        self.before[:] = self.displacement
+        self.displacement += self.increment
+
+    def _push_apart(self) -> None:
+        """Find the forces of a constraint and take their part from the increment."""
+        assert self._push is not None
+        closing = self.increment[self._gap_rows] @ self._gap_block
+        reached = self.gap + self.structure.sum_over_ranks(closing)
+        self.force = solve_complementarity(self._compliance, reached, self.force > 0.0)
+        self.increment -= self._push @ self.force
+        if self._modes is not None:
+            self._modal -= self._modal_push @ self.force
+
+    def _measure(self) -> None:
+        """Gap at the current displacement."""
+        closing = self.displacement[self._gap_rows] @ self._gap_block
+        self.gap = self.structure.sum_over_ranks(closing) - self.structure.clearance
+
+    def _unbalance(self, step: int) -> None:
+        """r = f - K u - B lambda."""
+        self.structure.stiffness.mult(self._u, self._r)
+        np.negative(self.rhs, out=self.rhs)
+        self.rhs[self.load_rows] += self.load[step]
+        if not isinstance(self.contact, UnilateralConstraint):
+            self.force = self.contact.force(self.gap)
+            self.rhs[self._gap_rows] -= self._gap_block @ self.force
+
+    def close_period(self, gap: np.ndarray, force: np.ndarray, load_motion: np.ndarray) -> None:
+        """Book a period."""
+        self._book.close_period(gap, force, load_motion)
+
+    @property
+    def created_share(self) -> float:
+        """Energy created by contact relative to the energy put in."""
+        return self._book.created_share
+
+    def free(self) -> None:
+        """Free PETSc's objects (collective)."""
+        for item in (self._u, self._r, self._a, self._d, self._inverse):
+            item.destroy()
+
+
+class _EnergyBook:
+    """Energy put in by the load, and created by contact, period by period.
+
+    Work over a step is force times half the displacement from the step before to the step after,
+    for which the scheme balances kinetic and elastic energy exactly.
+    """
+
+    def __init__(
+        self, scheme: _CentralDifferences, displacement: np.ndarray, velocity: np.ndarray
+    ) -> None:
+        self._scheme = scheme
+        self._put_in = linear_energy(scheme.structure, displacement, velocity)
+        self._created = 0.0
+        self._tail: tuple[np.ndarray, ...] | None = None
+
+    def close_period(self, gap: np.ndarray, force: np.ndarray, load_motion: np.ndarray) -> None:
+        """Book a period from gaps and forces (N, n_pairs) and the motion of the loaded dofs."""
+        scheme = self._scheme
+        loads = scheme.load
+        tail = (gap[-2:].copy(), force[-2:].copy(), load_motion[-2:].copy())
+        if self._tail is not None:
+            gap, force, load_motion = (
+                np.vstack(both) for both in zip(self._tail, (gap, force, load_motion), strict=True)
+            )
+            loads = np.vstack([scheme.load[-2:], scheme.load])
+        self._tail = tail
+        stored = 0.0
+        if not isinstance(scheme.contact, UnilateralConstraint):
+            potential = 0.25 * (gap * force).sum(axis=1)
+            stored = potential[-1] + potential[-2] - potential[0] - potential[1]
+        self._created += stored - 0.5 * float(np.sum(force[1:-1] * (gap[2:] - gap[:-2])))
+        work = 0.5 * (loads[1:-1] * (load_motion[2:] - load_motion[:-2])).sum(axis=1)
+        total = scheme.structure.sum_over_ranks(np.array([work.sum()]))
+        self._put_in += abs(float(total[0]))
+        if not np.isfinite(self._created) or self._created > 2.0 * self._put_in > 0.0:
+            raise ConvergenceError(
+                "central differences: the steps are too long for this contact, which creates "
+                f"{self.created_share:.3g} times the energy put in; take more steps per period"
+            )
+
+    @property
+    def created_share(self) -> float:
+        """Energy created by contact relative to the energy put in."""
+        return self._created / self._put_in if self._put_in > 0.0 else 0.0
+
+
+def _with_mass(structure: Structure, mass: str) -> Structure:
+    if mass not in ("consistent", "lumped"):
+        raise InputError("mass", mass, "'consistent' or 'lumped'")
+    return structure if mass == "consistent" else structure.lumped()

@@ -1,0 +1,252 @@
+"""Solutions from a cold start, and the paths that lead to them."""
+
+from collections.abc import Callable
+from itertools import islice
+
+import numpy as np
+import pytest
+from helpers import oscillator
+
+import fenics_crack as fc
+from fenics_crack.balance.arclength import PathPoint, follow_path
+from fenics_crack.balance.condensed import CondensedSystem
+from fenics_crack.balance.search import Search
+
+FREQUENCIES = np.linspace(0.3, 2.0, 300)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("harmonics", [5, 10, 20])
+@pytest.mark.parametrize("stiffness", [1.0, 10.0, 100.0, 1000.0])
+def test_bilinear_oscillator(stiffness: float, harmonics: int) -> None:
+    """Every 10th of 300 frequencies, another ten for each case: no failure, residuals < 1e-9.
+
+    The solution also satisfies the balance of the oscillator's own equation, harmonic by harmonic.
+    """
+    structure = oscillator(0.02, 0.1)
+    law = fc.UnilateralPenalty(stiffness)
+    first = (3 * round(np.log10(stiffness)) + [5, 10, 20].index(harmonics)) % 10
+    order = np.arange(harmonics + 1)
+    for omega in FREQUENCIES[first::10]:
+        solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=harmonics)
+        assert solution.converged and solution.report.residual < 1e-9
+        rows, force = solution.gap_coefficients[:, 0], solution.force_coefficients[:, 0]
+        wave = np.concatenate([rows[:1], rows[1::2] - 1j * rows[2::2]])
+        contact = np.concatenate([force[:1], force[1::2] - 1j * force[2::2]])
+        unbalance = (1.0 - (order * omega) ** 2 + 0.02j * order * omega) * wave + contact
+        unbalance[1] -= 0.1
+        # The residual is that of the gap, so that of the forces is larger by the stiffnesses.
+        assert (
+            np.abs(unbalance).max() < 1e-8 * (1.0 + (harmonics * omega) ** 2) * np.abs(wave).max()
+        )
+
+
+@pytest.mark.slow
+def test_breathing_plate(breathing_plate: fc.Structure) -> None:
+    """18 pairs on the reduced structure, soft and stiff, H = 5 and 10, 1000 to 3000 rad/s."""
+    reduced = fc.reduce_structure(breathing_plate)
+    assert reduced.n_pairs == 18
+    pressed = np.zeros(18, dtype=bool)
+    for stiffness in (1e9, 1e11):
+        law = fc.UnilateralPenalty(stiffness)
+        for harmonics in (5, 10):
+            for omega in np.arange(1000.0, 3001.0, 500.0):
+                solution = fc.solve_harmonic_balance(reduced, omega, law, harmonics=harmonics)
+                assert solution.converged and solution.report.residual < 1e-9
+                t = np.linspace(0.0, solution.period, 400)
+                pressed |= solution.contact_force(t).max(axis=0) > 0.0
+    assert np.all(pressed)
+
+
+@pytest.mark.parametrize("stiffness", [1e12, 1e14])
+def test_contact_stiffer_than_rounding_resolves(
+    stiffness: float, breathing_plate: fc.Structure
+) -> None:
+    """k R up to 1e8: solved to what rounding allows, and the report says how far that is."""
+    reduced = fc.reduce_structure(breathing_plate)
+    law = fc.UnilateralPenalty(stiffness)
+    for omega in (1500.0, 2000.0):
+        solution = fc.solve_harmonic_balance(reduced, omega, law, harmonics=10)
+        assert solution.converged and solution.iterations < 500
+        assert solution.report.residual < 1e-21 * stiffness
+        assert solution.report.penetration < 1e9 / stiffness
+
+
+def test_stiffness_beyond_all_rounding_is_refused() -> None:
+    """k R of 1e16: no digit would be left; the constraint is not loosened by its penalties."""
+    structure = oscillator(0.02, 0.1)
+    with pytest.raises(fc.InputError, match=r"contact stiffness.*UnilateralConstraint"):
+        fc.solve_harmonic_balance(structure, 0.9, fc.UnilateralPenalty(1e16))
+    rigid = fc.UnilateralConstraint(weight=1e6)
+    found = fc.solve_harmonic_balance(structure, 0.9, rigid, harmonics=5, throw=False)
+    assert not found.converged or found.report.residual < 1e-8
+
+
+def test_status_tells_the_attempts() -> None:
+    """Full steps first; where they fail, the path in the stiffness, both on record."""
+    structure = oscillator(0.02, 0.1)
+    easy = fc.solve_harmonic_balance(structure, 0.9, fc.UnilateralPenalty(1.0))
+    assert easy.status.startswith("full Newton steps: converged")
+    hard = fc.solve_harmonic_balance(structure, 0.9, fc.UnilateralPenalty(1000.0))
+    assert hard.status.startswith("full Newton steps: failed")
+    assert "path in the contact stiffness: converged" in hard.status
+    assert hard.iterations > 20
+
+
+@pytest.mark.parametrize("harmonics", [10, 20])
+def test_lands_where_the_path_bends_at_its_end(harmonics: int) -> None:
+    """Landing from the chord fails here, and the path does not come back: from its last point."""
+    structure = oscillator(0.02, 0.1)
+    omega = FREQUENCIES[82]
+    law = fc.UnilateralPenalty(10.0)
+    solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=harmonics)
+    assert solution.converged and solution.iterations < 500
+
+
+@pytest.mark.parametrize("omega", [0.54, 0.68, 1.03])
+def test_path_in_frequency(omega: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the path in the stiffness is blocked, one in the frequency reaches the same orbit."""
+    structure = oscillator(force=0.1)
+    law = fc.UnilateralPenalty(10.0)
+    usual = fc.solve_harmonic_balance(structure, omega, law, harmonics=10)
+    assert "path in the contact stiffness: converged" in usual.status
+
+    def blocked(search: Search, system: CondensedSystem) -> np.ndarray:
+        search.converged = False
+        return system.linear
+
+    monkeypatch.setattr(Search, "_stiffness_path", blocked)
+    found = fc.solve_harmonic_balance(structure, omega, law, harmonics=10)
+    assert "of the frequency: converged" in found.status
+    np.testing.assert_allclose(found.gap_coefficients, usual.gap_coefficients, atol=1e-8)
+
+
+# --- arc-length -----------------------------------------------------------------------------------
+
+Function = Callable[[float, float], float]
+
+
+class Plane:
+    """f(x, p) = 0 in a plane, beside y = 2, which keeps the norm of (x, y) from vanishing."""
+
+    def __init__(self, f: Function, by_x: Function, by_p: Function) -> None:
+        self.f, self.by_x, self.by_p = f, by_x, by_p
+        self.p = 0.0
+        self.jacobian = np.eye(2)
+
+    def set_parameter(self, parameter: float) -> None:
+        """Set p."""
+        self.p = parameter
+
+    def residual(self, unknown: np.ndarray) -> np.ndarray:
+        """(f, y - 2)."""
+        return np.array([self.f(unknown[0], self.p), unknown[1] - 2.0])
+
+    def linearise(self, unknown: np.ndarray) -> None:
+        """J is diagonal."""
+        self.jacobian = np.diag([self.by_x(unknown[0], self.p), 1.0])
+
+    def solve_jacobian(self, residual: np.ndarray) -> np.ndarray:
+        """J^-1 r."""
+        return np.linalg.solve(self.jacobian, residual)
+
+    def parameter_derivative(self, unknown: np.ndarray) -> np.ndarray:
+        """dF/dp."""
+        return np.array([self.by_p(unknown[0], self.p), 0.0])
+
+    def determinant_sign(self) -> float:
+        """Sign of det J."""
+        return float(np.sign(np.linalg.det(self.jacobian)))
+
+    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
+        """Inner product."""
+        return float(first @ second)
+
+
+def follow(
+    plane: Plane, x: float, p: float, end: float, longest: float
+) -> tuple[np.ndarray, np.ndarray, list[PathPoint]]:
+    """x and p along the path up to p = end; every point lies on the curve."""
+    points = []
+    start = np.array([x, 2.0])
+    for point in islice(follow_path(plane, start, p, step=0.05, longest_step=longest), 500):
+        points.append(point)
+        if point.parameter > end:
+            break
+    xs = np.array([point.unknown[0] for point in points])
+    ps = np.array([point.parameter for point in points])
+    assert max(abs(plane.f(*pair)) for pair in zip(xs, ps, strict=True)) < 1e-7
+    return xs, ps, points
+
+
+@pytest.mark.parametrize("longest", [0.05, 0.2, 1.0])
+def test_path_goes_round_a_circle(longest: float) -> None:
+    """x^2 + p^2 = 1 from (1, 0): always on in the same sense, over both folds, again and again."""
+    plane = Plane(lambda x, p: x * x + p * p - 1.0, lambda x, p: 2.0 * x, lambda x, p: 2.0 * p)
+    path = follow_path(
+        plane, np.array([1.0, 2.0]), 0.0, step=0.05, longest_step=longest, most_steps=150
+    )
+    points = list(path)
+    assert len(points) == 150
+    x = np.array([1.0, *(point.unknown[0] for point in points)])
+    p = np.array([0.0, *(point.parameter for point in points)])
+    assert np.abs(x**2 + p**2 - 1.0).max() < 1e-7
+    angle = np.unwrap(np.arctan2(p, x))
+    assert np.all(np.diff(angle) > 0.01) and np.all(np.diff(angle) < 0.5 * np.pi)
+    assert angle[-1] > 2.0 * np.pi
+    # Upwards on the right, downwards on the left: the tangent knows on which side of a fold it is.
+    assert all((point.tangent.p > 0.0) == (point.unknown[0] > 0.0) for point in points)
+
+
+@pytest.mark.parametrize("longest", [0.05, 0.2, 1.0])
+def test_path_passes_both_folds_of_a_cubic(longest: float) -> None:
+    """x^3 - x = p: p grows to 0.385 at x = -0.577, falls to -0.385 at 0.577, and grows again."""
+    plane = Plane(lambda x, p: x**3 - x - p, lambda x, p: 3.0 * x * x - 1.0, lambda x, p: -1.0)
+    x, p, _ = follow(plane, -1.5, -1.875, 1.875, longest)
+    assert np.all(np.diff(x) > 0.0)
+    assert p[-1] > 1.875
+    growing = np.diff(p) > 0.0
+    first, second = np.flatnonzero(growing[1:] != growing[:-1]) + 1
+    fold = 1.0 / np.sqrt(3.0)
+    assert growing[0] and not growing[first] and growing[second]
+    assert abs(x[first] + fold) < 0.35 and abs(x[second] - fold) < 0.35
+    assert p.max() > 0.0 and 0.2 < p[first] <= 2.0 / 3.0 * fold
+    assert -2.0 / 3.0 * fold <= p[second] < -0.2
+
+
+@pytest.mark.parametrize("longest", [0.2, 1.0])
+@pytest.mark.parametrize("distance", [0.1, 0.01, 0.001])
+def test_path_stays_on_its_branch_where_another_comes_near(distance: float, longest: float) -> None:
+    """x^2 - p^2 = d^2: at p = 0 the branch turns sharply, the other one lies straight ahead."""
+    plane = Plane(
+        lambda x, p: x * x - p * p - distance**2, lambda x, p: 2.0 * x, lambda x, p: -2.0 * p
+    )
+    x, p, points = follow(plane, float(np.hypot(1.0, distance)), -1.0, 1.0, longest)
+    assert p[-1] > 1.0 and np.all(np.diff(p) > 0.0)
+    assert np.all(x >= 0.99 * distance)
+    assert not any(point.crosses_branch for point in points)
+
+
+@pytest.mark.parametrize("distance", [0.1, 0.01, 0.001])
+def test_path_stays_beside_a_parallel_branch(distance: float) -> None:
+    """x = sin p and x = sin p + d: never from one to the other, over a whole wave."""
+
+    def off(x: float, p: float) -> float:
+        return x - np.sin(p)
+
+    plane = Plane(
+        lambda x, p: off(x, p) * (off(x, p) - distance) / distance,
+        lambda x, p: (2.0 * off(x, p) - distance) / distance,
+        lambda x, p: -np.cos(p) * (2.0 * off(x, p) - distance) / distance,
+    )
+    x, p, _ = follow(plane, 0.0, 0.0, 6.0, 1.0)
+    assert p[-1] > 6.0 and np.all(np.diff(p) > 0.0)
+    assert np.abs(x - np.sin(p)).max() < 1e-4 * distance
+
+
+def test_path_ends_where_there_is_no_more() -> None:
+    """x = -p as far as p = 0, where the function ends: so does the path, by itself, close to it."""
+    plane = Plane(lambda x, p: x + p if p < 0.0 else np.nan, lambda x, p: 1.0, lambda x, p: 1.0)
+    points = list(follow_path(plane, np.array([1.0, 2.0]), -1.0, step=0.05, most_steps=500))
+    assert 3 < len(points) < 500
+    assert -1e-3 < points[-1].parameter < 0.0

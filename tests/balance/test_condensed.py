@@ -1,0 +1,460 @@
+"""Harmonic balance condensed onto the pairs: equal to the full block system, and to published
+orbits."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.linalg
+from helpers import (
+    DAMPINGS,
+    OMEGA_0,
+    VERIFICATION_A,
+    amplitudes,
+    chain,
+    dense_matrices,
+    log_slope,
+    oscillator,
+    period_two_orbit,
+    relative,
+    two_masses,
+)
+from mpi4py import MPI
+
+import fenics_crack as fc
+from fenics_crack.balance.compliance import (
+    FactoredCompliance,
+    ModalCompliance,
+    dynamic_compliance,
+    load_coefficients,
+)
+from fenics_crack.balance.condensed import CondensedSystem, ConstraintSystem, determinant_sign
+from fenics_crack.balance.contact_integrals import contact_integrals
+from fenics_crack.balance.fourier import to_complex
+
+# --- condensed and full ---------------------------------------------------------------------------
+
+LAWS = {
+    "exact": (fc.UnilateralPenalty(4.0), None),
+    "per pair": (fc.UnilateralPenalty(np.array([1.0, 20.0, 5.0])), None),
+    "sampled": (fc.UnilateralPenalty(4.0), 128),
+    "smoothed": (fc.SmoothedPenalty(4.0, 30.0), None),
+}
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("damping", DAMPINGS)
+@pytest.mark.parametrize("subharmonic", [1, 2])
+def test_condensed_is_the_full_block_on_chains(law: str, damping: str, subharmonic: int) -> None:
+    """Gaps, forces and all displacements agree to 1e-9; every pair opens and closes or presses."""
+    structure = chain(damping)
+    contact, samples = LAWS[law]
+    pressed = np.zeros(3, dtype=bool)
+    for omega in (0.37, 1.05):
+        condensed, full = (
+            fc.solve_harmonic_balance(
+                structure,
+                omega,
+                contact,
+                harmonics=7,
+                samples=samples,
+                subharmonic=subharmonic,
+                form=form,
+                residual_tolerance=1e-12,
+            )
+            for form in ("condensed", "full")
+        )
+        assert relative(condensed.gap_coefficients, full.gap_coefficients) < 1e-9
+        assert relative(condensed.force_coefficients, full.force_coefficients) < 1e-9
+        assert relative(condensed.displacement_coefficients, full.displacement_coefficients) < 1e-9
+        pressed |= condensed.gap(np.linspace(0.0, condensed.period, 500)).max(axis=0) > 0.0
+    assert np.all(pressed)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_condensed_is_the_full_block_on_the_plate(wide_plate: fc.Structure, law: str) -> None:
+    """Four pairs, all modes damped: agreement to 1e-9."""
+    contact = {
+        "exact": fc.UnilateralPenalty(1e9),
+        "per pair": fc.UnilateralPenalty(np.array([1e8, 2e9, 1e9, 5e8])),
+        "sampled": fc.UnilateralPenalty(1e9),
+        "smoothed": fc.SmoothedPenalty(1e9, 1e9),
+    }[law]
+    condensed, full = (
+        fc.solve_harmonic_balance(
+            wide_plate,
+            2000.0,
+            contact,
+            harmonics=6,
+            samples=LAWS[law][1],
+            form=form,
+            residual_tolerance=1e-12,
+        )
+        for form in ("condensed", "full")
+    )
+    assert relative(condensed.gap_coefficients, full.gap_coefficients) < 1e-9
+    assert relative(condensed.displacement_coefficients, full.displacement_coefficients) < 1e-9
+    assert condensed.contact_force(np.linspace(0.0, condensed.period, 200)).max() > 1.0
+
+
+# --- the two compliances --------------------------------------------------------------------------
+
+
+def both(
+    structure: fc.Structure, base: float, harmonics: int, subharmonic: int = 1
+) -> tuple[ModalCompliance, FactoredCompliance]:
+    """The compliance from all modes, and from factorisations."""
+    load = load_coefficients(structure, harmonics, subharmonic)
+    return ModalCompliance(structure, base, load), FactoredCompliance(structure, base, load)
+
+
+@pytest.mark.parametrize("structure", [*DAMPINGS, "plate"])
+def test_modal_compliance_is_the_factored_one(structure: str, wide_plate: fc.Structure) -> None:
+    """Matrices, linear gap and displacement to 1e-9, on and off natural frequencies."""
+    plate = structure == "plate"
+    made = wide_plate if plate else chain(structure)
+    first = fc.solve_modes(made, 1).omega[0]
+    rng = np.random.default_rng(3)
+    for base in (0.41 * first, first / 3.0) if structure != "none" else (0.41 * first,):
+        for subharmonic in (1, 2):
+            modal, factored = both(made, base, 6, subharmonic)
+            assert relative(modal.matrices, factored.matrices) < 1e-9
+            assert relative(modal.linear_gap, factored.linear_gap) < 1e-9
+            force = (100.0 if plate else 1.0) * rng.normal(size=(13, made.n_pairs))
+            assert relative(modal.displacement(force), factored.displacement(force)) < 1e-9
+            factored.destroy()
+
+
+@pytest.mark.parametrize("damping", ["modal", "matrix", "few modes"])
+def test_compliance_by_dense_arithmetic(damping: str) -> None:
+    """R_k = B^T Z_k^-1 B and the linear gap with M, C, K as dense arrays, C by its definition."""
+    structure, base = chain(damping), 0.31
+    mass, dashpots, stiffness = dense_matrices(structure)
+    gap = structure.gap.toarray()
+    modal, factored = both(structure, base, 5)
+    for k in range(6):
+        impedance = stiffness - (k * base) ** 2 * mass + 1j * k * base * dashpots
+        matrix = gap.T @ np.linalg.solve(impedance, gap)
+        force = [structure.force[0], structure.force[1] - 1j * structure.force[2]]
+        free = gap.T @ np.linalg.solve(impedance, force[k]) if k < 2 else np.zeros(3)
+        free = free - structure.clearance if k == 0 else free
+        for compliance in (modal, factored):
+            assert np.allclose(compliance.matrices[k], matrix, rtol=0.0, atol=1e-10)
+            linear = to_complex(compliance.linear_gap)[k]
+            assert np.allclose(linear, free, rtol=0.0, atol=1e-9)
+    factored.destroy()
+
+
+@pytest.mark.parametrize("damping", DAMPINGS)
+def test_compliance_beyond_the_harmonics(damping: str) -> None:
+    """R_k for k > H: exact from all modes; from the 20 lowest to 5 % below a third of the 21st."""
+    structure = chain(damping, n=40)
+    base = 0.3 / 16.0 * fc.solve_modes(structure, 21).omega[-1]
+    exact = dynamic_compliance(structure, base, 16).matrices[6:]
+    modal, factored = both(structure, base, 5)
+    assert relative(modal.beyond(16), exact) < 1e-10
+    errors = np.linalg.norm(factored.beyond(16) - exact, axis=(1, 2))
+    near = 1e-9 if damping == "modal" else 0.05  # all modes are damped, and so known
+    assert np.all(errors < near * np.linalg.norm(exact, axis=(1, 2)))
+    factored.destroy()
+
+
+# --- derivatives ----------------------------------------------------------------------------------
+
+
+def systems() -> dict[str, tuple[Callable[..., object], float]]:
+    """Condensed systems of one chain, made by functions, and their unknown's scale."""
+    structure = chain("few modes")
+    compliance = dynamic_compliance(structure, 0.52, 4)
+    penalty = fc.UnilateralPenalty(np.array([2.0, 8.0, 3.0]))
+    smoothed = fc.SmoothedPenalty(3.0, 5.0)
+    return {
+        "exact": lambda: CondensedSystem(compliance, contact_integrals(penalty, 4)),
+        "sampled": lambda: CondensedSystem(compliance, contact_integrals(penalty, 4, 64)),
+        "smoothed": lambda: CondensedSystem(compliance, contact_integrals(smoothed, 4)),
+        "constraint": lambda: ConstraintSystem(compliance, 4, 2.0),
+        "weighted": lambda: ConstraintSystem(compliance, 4, 7.0),
+    }
+
+
+@pytest.mark.parametrize("kind", ["exact", "sampled", "smoothed", "constraint", "weighted"])
+def test_jacobian_against_finite_differences(kind: str) -> None:
+    """J to 1e-6, its inverse, the form that is not assembled, and the sign of its determinant."""
+    system = systems()[kind]()
+    rng = np.random.default_rng(8)
+    for _ in range(5):
+        unknown = rng.normal(size=system.shape)
+        slopes, step = [], 1e-6
+        for column in range(unknown.size):
+            change = np.zeros(unknown.size)
+            change[column] = step
+            change = change.reshape(system.shape)
+            slopes.append(system.residual(unknown + change) - system.residual(unknown - change))
+        jacobian = np.array([slope.ravel() for slope in slopes]).T / (2.0 * step)
+        system.linearise(unknown)
+        assert relative(system.jacobian, jacobian) < 1e-6
+        assert np.linalg.norm(jacobian - np.eye(len(jacobian))) > 0.1
+        direction = rng.normal(size=system.shape)
+        product = (system.jacobian @ direction.ravel()).reshape(system.shape)
+        assert relative(system.apply_jacobian(direction), product) < 1e-14
+        assert relative(system.solve_jacobian(product), direction) < 1e-9
+        assert system.determinant_sign() == np.linalg.slogdet(jacobian)[0]
+
+
+@pytest.mark.parametrize("kind", ["exact", "sampled", "smoothed"])
+def test_stiffness_derivative_against_finite_differences(kind: str) -> None:
+    """dF / d ln k, by laws a little stiffer and softer."""
+    system = systems()[kind]()
+    gap = np.random.default_rng(9).normal(size=system.shape)
+    law, residuals = system.integrals.law, []
+    for sign in (1.0, -1.0):
+        system.with_law(law.scaled(np.exp(sign * 1e-5)))
+        residuals.append(system.residual(gap))
+    system.with_law(law)
+    slope = (residuals[0] - residuals[1]) / 2e-5
+    assert relative(system.stiffness_derivative(gap), slope) < 1e-8
+
+
+def newton(system: CondensedSystem | ConstraintSystem, start: np.ndarray) -> np.ndarray:
+    """Plain Newton steps to rounding, from close by."""
+    unknown = start.copy()
+    for _ in range(12):
+        residual = system.residual(unknown)
+        system.linearise(unknown)
+        unknown = unknown - system.solve_jacobian(residual)
+    assert np.linalg.norm(system.residual(unknown)) < 1e-12 * np.linalg.norm(unknown)
+    return unknown
+
+
+@pytest.mark.parametrize("kind", ["exact", "smoothed", "constraint"])
+def test_sensitivity_of_the_gap(kind: str) -> None:
+    """How a solution's gap follows another free gap: by solving again, to 1e-5."""
+    system = systems()[kind]()
+    start = system.linear if kind != "constraint" else np.zeros(system.shape)
+    solution = newton(system, start)
+    gap = system.gap_and_force(solution)[0].copy()
+    change = np.random.default_rng(10).normal(size=system.shape)
+    system.residual(solution)
+    system.linearise(solution)
+    predicted = system.gap_change_of_free_gap(change)
+    linear, gaps = system.linear, []
+    for sign in (1.0, -1.0):
+        system.linear = linear + sign * 1e-6 * change
+        system._at = None
+        gaps.append(system.gap_and_force(newton(system, solution))[0].copy())
+    assert relative(predicted, (gaps[0] - gaps[1]) / 2e-6) < 1e-5
+    assert np.linalg.norm(gaps[0] - gap) > 1e-8
+
+
+def test_determinant_sign_against_numpy() -> None:
+    """200 random matrices of order 1 to 20, both signs."""
+    rng = np.random.default_rng(4)
+    signs = []
+    for order in np.tile(np.arange(1, 21), 10):
+        matrix = rng.normal(size=(order, order))
+        signs.append(np.linalg.slogdet(matrix)[0])
+        assert determinant_sign(scipy.linalg.lu_factor(matrix)) == signs[-1]
+    assert 60 < signs.count(1.0) < 140
+
+
+# --- published orbits -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", ["condensed", "full"])
+@pytest.mark.parametrize("omega", VERIFICATION_A, ids=["w0/2", "1"])
+def test_verification_a(omega: float, form: str) -> None:
+    """Bilinear oscillator, event-driven reference values, H = 20, to 1e-5."""
+    mean, harmonics, largest, smallest = VERIFICATION_A[omega]
+    law = fc.UnilateralPenalty(1.0)
+    solution = fc.solve_harmonic_balance(oscillator(), omega, law, harmonics=20, form=form)
+    rows = solution.gap_coefficients[:, 0]
+    assert rows[0] == pytest.approx(mean, rel=1e-5)
+    assert amplitudes(rows)[:3] == pytest.approx(harmonics, rel=1e-5)
+    wave = solution.gap(np.linspace(0.0, solution.period, 100001))
+    assert wave.max() == pytest.approx(largest, rel=1e-5)
+    assert wave.min() == pytest.approx(smallest, rel=1e-5)
+
+
+@pytest.mark.parametrize("samples", [None, 8192])
+def test_verification_a_error_falls_with_the_harmonics(samples: int | None) -> None:
+    """Relative L2 errors 3.1e-4, 3.7e-5, 4.0e-6, 3.9e-7 at H = 5, 10, 20, 40: order 3.2."""
+    law, t = fc.UnilateralPenalty(1.0), np.linspace(0.0, 2.0 * np.pi, 4001)
+    counts = (5, 10, 20, 40)
+    *waves, reference = (
+        fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=h, samples=samples).gap(t)
+        for h in (*counts, 300)
+    )
+    errors = [relative(wave, reference) for wave in waves]
+    assert errors == pytest.approx([3.1e-4, 3.7e-5, 4.0e-6, 3.9e-7], rel=0.1)
+    assert log_slope(counts, errors) == pytest.approx(-3.2, abs=0.2)
+
+
+def test_verification_b_period_doubled_orbit() -> None:
+    """W = 2 w0: |X1| = 0.2419996 of period 1; |X_1/2| = 0.7790634, X0 = -0.1735445 of period 2."""
+    law, omega = fc.UnilateralPenalty(1.0), 2.0 * OMEGA_0
+    once = fc.solve_harmonic_balance(oscillator(), omega, law, harmonics=20)
+    assert amplitudes(once.gap_coefficients[:, 0])[0] == pytest.approx(0.2419996, abs=1e-6)
+    same = fc.solve_harmonic_balance(oscillator(), omega, law, harmonics=20, subharmonic=2)
+    half, whole = amplitudes(same.gap_coefficients[:, 0])[:2]
+    assert half < 1e-10 and whole == pytest.approx(0.2419996, rel=1e-4)
+    # Ten harmonics of the one are twenty of the other, of which every second one is zero.
+    ten = fc.solve_harmonic_balance(oscillator(), omega, law, harmonics=10)
+    again = fc.solve_harmonic_balance(
+        oscillator(), omega, law, harmonics=20, subharmonic=2, initial=ten
+    )
+    assert again.iterations <= 1
+    assert relative(again.gap_coefficients, same.gap_coefficients) < 1e-8
+    for harmonics, near in ((20, 1e-4), (40, 1.2e-5)):
+        rows = period_two_orbit(harmonics).gap_coefficients[:, 0]
+        assert amplitudes(rows)[0] == pytest.approx(0.7790634, rel=near)
+        assert rows[0] == pytest.approx(-0.1735445, rel=near)
+
+
+def test_verification_c_two_orbits_coexist() -> None:
+    """At W = 0.70: 0.22134025 without contact, 0.77839461 with it, followed from 4 times the load.
+
+    H = 21 has 0.77922, within 1e-3; H = 200 agrees to 1e-7.
+    """
+    law = fc.UnilateralPenalty(100.0)
+    apart = fc.solve_harmonic_balance(two_masses(), 0.70, law, harmonics=21)
+    assert amplitudes(apart.coefficients_at([1])[:, 0])[0] == pytest.approx(0.22134025, rel=1e-6)
+    assert apart.gap(np.linspace(0.0, apart.period, 400)).max() < 0.0
+    hitting = fc.solve_harmonic_balance(two_masses(0.4), 0.70, law, harmonics=21)
+    for force in (0.3, 0.2, 0.15, 0.12, 0.1):
+        hitting = fc.solve_harmonic_balance(
+            two_masses(force), 0.70, law, harmonics=21, initial=hitting
+        )
+    assert amplitudes(hitting.coefficients_at([1])[:, 0])[0] == pytest.approx(0.77839461, abs=1e-3)
+    fine = fc.solve_harmonic_balance(two_masses(), 0.70, law, harmonics=200, initial=hitting)
+    assert amplitudes(fine.coefficients_at([1])[:, 0])[0] == pytest.approx(0.77839461, rel=1e-7)
+    assert fine.gap(np.linspace(0.0, fine.period, 400)).max() > 0.0
+
+
+# --- ranks ----------------------------------------------------------------------------------------
+
+
+def solutions(scene: fc.Scene, comm: MPI.Comm) -> dict[str, Any]:
+    """Gaps, motion of the loaded corner, and errors, by law and structure (collective)."""
+    plate = fc.build_structure(scene, comm)
+    reduced = fc.reduce_structure(plate, modes=12)
+    corner = plate.find_dof((0.1, 0.1), "x")
+    penalty, smoothed = fc.UnilateralPenalty(1e9), fc.SmoothedPenalty(1e9, 1e9)
+    found: dict[str, Any] = {}
+    for name, structure, law in (
+        ("whole", plate, penalty),
+        ("smoothed", plate, smoothed),
+        ("reduced", reduced, penalty),
+        ("constraint", plate, fc.UnilateralConstraint()),
+    ):
+        solution = fc.solve_harmonic_balance(structure, 2000.0, law, harmonics=7)
+        report = solution.report
+        motion = solution.coefficients_at([corner])
+        found[name] = solution.gap_coefficients, motion, [report.truncation, report.reduction]
+    return found
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize(
+    ("mesh", "pairs"),
+    [({"mesh.order": 2, "mesh.columns": 8, "mesh.rows": 10}, 8), ({}, 4)],
+    ids=["factored", "small"],
+)
+def test_same_solution_on_one_and_two_ranks(
+    paper_scene: fc.Scene, on_ranks: Callable[..., Any], mesh: dict[str, Any], pairs: int
+) -> None:
+    """A plate so large that one rank factors it too, and a small one: to 1e-8."""
+    changes = {"mesh.columns": 8, "mesh.rows": 8, "damping.ratio": 0.01, "damping.modes": 12} | mesh
+    scene = paper_scene.replace(changes)
+    plate = fc.build_structure(scene)
+    assert isinstance(dynamic_compliance(plate, 2000.0, 1), FactoredCompliance) == (pairs == 8)
+    parallel = on_ranks(solutions, scene)
+    for name, (gap, motion, errors) in solutions(scene, MPI.COMM_SELF).items():
+        assert gap.shape == (15, pairs)
+        assert relative(parallel[name][0], gap) < 1e-8
+        assert relative(parallel[name][1], motion) < 1e-8
+        if pairs == 8 or name == "reduced":  # else one rank knows R beyond H from all modes
+            assert relative(np.array(parallel[name][2]), np.array(errors)) < 1e-6
+
+
+# --- refusals -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", ["condensed", "full"])
+@pytest.mark.parametrize("omega", [1.0, 1.0 / 3.0])
+def test_undamped_resonance_is_an_error(form: str, omega: float) -> None:
+    """W or 3 W at the natural frequency of a structure without damping: no number is right."""
+    law = fc.UnilateralPenalty(1.0)
+    with pytest.raises(fc.ConvergenceError, match="resonance"):
+        fc.solve_harmonic_balance(oscillator(damping=None), omega, law, form=form)
+
+
+@pytest.mark.parametrize("damping", [None, 0.1 * np.eye(2), fc.ModalDamping(0.01)])
+def test_loose_structure_is_an_error(damping: object) -> None:
+    """Nothing holds the masses: the mean of the contact force moves them away."""
+    loose = fc.Structure.from_matrices(
+        np.eye(2), [[1.0, -1.0], [-1.0, 1.0]], [1.0, 0.0], force_cos=[1.0, 0.0], damping=damping
+    )
+    for form in ("condensed", "full"):
+        with pytest.raises(fc.ConvergenceError, match="rigid body"):
+            fc.solve_harmonic_balance(loose, 0.5, fc.UnilateralPenalty(1.0), form=form)
+
+
+def test_without_any_stiffness_is_an_error() -> None:
+    """K = 0: no pivot to be found null, but nothing to stand on either."""
+    free = fc.Structure.from_matrices(np.eye(1), np.zeros((1, 1)), [1.0], force_cos=[1.0])
+    for form in ("condensed", "full"):
+        with pytest.raises(fc.ConvergenceError, match="singular"):
+            fc.solve_harmonic_balance(free, 0.5, fc.UnilateralPenalty(1.0), form=form)
+
+
+@pytest.mark.parametrize("form", ["condensed", "full"])
+def test_close_to_an_undamped_resonance(form: str) -> None:
+    """Resonance met but for rounding: the solution that a little damping gives, or an error."""
+    whole = chain("none", n=8, pairs=1)
+    law = fc.UnilateralPenalty(1.0)
+    omega = fc.solve_modes(whole, 1).omega[0]
+    damped = fc.Structure.from_matrices(
+        whole.mass,
+        whole.stiffness,
+        whole.gap,
+        force_mean=whole.force[0],
+        force_cos=whole.force[1],
+        force_sin=whole.force[2],
+        clearance=whole.clearance,
+        damping=1e-7 * np.eye(8),
+    )
+    expected = fc.solve_harmonic_balance(damped, omega, law, harmonics=3).gap_coefficients
+    for off in (0.0, 1e-14, 1e-8):
+        try:
+            found = fc.solve_harmonic_balance(
+                whole, omega * (1.0 + off), law, harmonics=3, form=form
+            )
+        except fc.ConvergenceError:
+            assert off < 1e-8
+        else:
+            error = relative(found.gap_coefficients, expected)
+            assert error < max(1e-4, 10.0 * found.report.residual)
+
+
+def test_structure_without_pairs_is_refused() -> None:
+    """Without lips there is nothing to condense onto."""
+    one = np.ones((1, 1))
+    free = fc.Structure.from_matrices(one, one, None, force_cos=[1.0], damping=0.1 * one)
+    for contact in (fc.UnilateralPenalty(1.0), fc.UnilateralConstraint()):
+        with pytest.raises(fc.InputError, match="structure = '0 pairs'"):
+            fc.solve_harmonic_balance(free, 1.0, contact)
+
+
+def test_without_load_nothing_moves() -> None:
+    """The zero solution is found for every law and form, and its report is zero."""
+    still = oscillator(force=0.0)
+    for contact, form in (
+        (fc.UnilateralPenalty(3.0), "condensed"),
+        (fc.UnilateralPenalty(3.0), "full"),
+        (fc.SmoothedPenalty(3.0, 10.0), "condensed"),
+        (fc.UnilateralConstraint(), "condensed"),
+    ):
+        solution = fc.solve_harmonic_balance(still, 1.0, contact, form=form)
+        assert solution.converged and not np.any(solution.gap_coefficients)
+        assert not np.any(solution.force_coefficients) and solution.report.total == 0.0

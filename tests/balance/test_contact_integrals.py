@@ -1,0 +1,278 @@
+"""Contact forces by exact integrals between switching instants, and by samples."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from helpers import OMEGA_0, log_slope, oscillator, relative
+from scipy.integrate import quad
+
+import fenics_crack as fc
+from fenics_crack.balance.contact_integrals import (
+    ContactIntegrals,
+    ExactIntegrals,
+    SampledIntegrals,
+    contact_integrals,
+    default_samples,
+)
+from fenics_crack.balance.fourier import evaluate, resized, to_complex
+from fenics_crack.balance.switching import switching_instants
+from fenics_crack.model.contact import ContactLaw, SmoothedPenalty, UnilateralPenalty
+
+STIFFNESS = np.array([2.0, 30.0, 0.5, 7.0])
+
+
+def random_gaps(harmonics: int, pairs: int, seed: int = 1) -> np.ndarray:
+    """Coefficients (2H+1, pairs) that fall like 1/k, so that all pairs switch a few times."""
+    gap = np.random.default_rng(seed).normal(size=(2 * harmonics + 1, pairs))
+    gap[1:] /= np.repeat(np.arange(1, harmonics + 1), 2)[:, None]
+    gap[0] *= 0.3
+    return gap
+
+
+def grazing_gaps(depth: np.ndarray, harmonics: int = 4) -> np.ndarray:
+    """Gaps whose largest value, at a phase of their own, is the depth."""
+    gap = random_gaps(harmonics, len(depth), seed=2)
+    phase = 2.0 * np.pi * np.arange(1 << 12) / (1 << 12)
+    for pair in range(len(depth)):
+        theta = np.array([phase[np.argmax(evaluate(gap[:, pair], 1.0, phase))]])
+        order = np.arange(harmonics + 1)
+        for _ in range(8):  # Newton's method for g' = 0
+            wave = to_complex(gap[:, pair]) * np.exp(1j * order * theta[0])
+            theta += np.sum(order * wave.imag) / -np.sum(order**2 * wave.real)
+        gap[0, pair] += depth[pair] - evaluate(gap[:, pair], 1.0, theta)[0]
+    return gap
+
+
+def finite_differences(
+    integrals: ContactIntegrals, gap: np.ndarray, step: np.ndarray
+) -> np.ndarray:
+    """Central differences (n_pairs, rows, columns) of the force, with a step for each pair."""
+    columns = []
+    for column in range(len(gap)):
+        change = np.zeros_like(gap)
+        change[column] = step
+        force = integrals.force(gap + change) - integrals.force(gap - change)
+        columns.append((force / (2.0 * step)).T)
+    return np.stack(columns, axis=2)
+
+
+def test_exact_force_against_adaptive_quadrature() -> None:
+    """Eq. 7 by QUADPACK with the switching instants as break points, to 1e-11."""
+    harmonics = 5
+    gap = random_gaps(harmonics, 4)
+    found = ExactIntegrals(UnilateralPenalty(STIFFNESS), harmonics).force(gap)
+    switching = switching_instants(to_complex(gap))
+    for pair in range(4):
+        instants = np.sort(switching.theta[switching.pair == pair])
+        assert len(instants) >= 2
+
+        def force(t: float, pair: int = pair) -> float:
+            return float(STIFFNESS[pair] * max(evaluate(gap[:, pair], 1.0, np.array([t]))[0], 0.0))
+
+        for row in range(2 * harmonics + 1):
+            order = (row + 1) // 2
+            wave = np.cos if row % 2 or row == 0 else np.sin
+            integral, _ = quad(
+                lambda t, w=wave, k=order, f=force: f(t) * w(k * t),
+                0.0,
+                2.0 * np.pi,
+                points=instants,
+                limit=200,
+                epsabs=1e-12,
+                epsrel=1e-12,
+            )
+            expected = integral / np.pi * (0.5 if row == 0 else 1.0)
+            assert found[row, pair] == pytest.approx(expected, abs=1e-11 * STIFFNESS[pair])
+
+
+def test_samples_approach_the_exact_force_with_second_order() -> None:
+    """Root mean square over 200 gaps: N^-2 from 64 to 16384 samples, down to 1e-8."""
+    harmonics = 6
+    gap, law = random_gaps(harmonics, 200), UnilateralPenalty(1.0)
+    exact = ExactIntegrals(law, harmonics).linearise(gap)
+    counts = 2 ** np.arange(6, 15)
+    errors = [
+        relative(SampledIntegrals(law, harmonics, int(n)).force(gap), exact[0]) for n in counts
+    ]
+    assert log_slope(counts, errors) == pytest.approx(-2.0, abs=0.1)
+    assert errors[-1] < 1e-7
+    tangent = SampledIntegrals(law, harmonics, 1 << 16).linearise(gap)[1]
+    assert np.abs(tangent - exact[1]).max() < 1e-3  # first order only: the tangent jumps
+
+
+def test_smoothed_force_by_samples_against_quadrature() -> None:
+    """A smooth law needs no break points: the trapezoidal rule is exact to 1e-10."""
+    law, gap = SmoothedPenalty(3.0, 4.0), random_gaps(3, 1)
+    found = SampledIntegrals(law, 3, 1024).force(gap)[:, 0]
+
+    def force(t: float) -> float:
+        return float(law.force(evaluate(gap[:, 0], 1.0, np.array([t])))[0])
+
+    weights = [lambda t: 0.5, np.cos, np.sin, lambda t: np.cos(2 * t), lambda t: np.sin(2 * t)]
+    for row, weight in enumerate(weights):
+        integral, _ = quad(
+            lambda t, w=weight: force(t) * w(t), 0.0, 2.0 * np.pi, epsabs=1e-12, limit=200
+        )
+        assert found[row] == pytest.approx(integral / np.pi, abs=1e-10)
+
+
+@pytest.mark.parametrize("harmonics", [1, 4, 12])
+@pytest.mark.parametrize("kind", ["exact", "sampled", "smoothed"])
+def test_tangent_against_finite_differences(kind: str, harmonics: int) -> None:
+    """All couplings of the harmonics of 4 pairs, to 1e-6 of the stiffness."""
+    penalty, smoothed = UnilateralPenalty(STIFFNESS), SmoothedPenalty(STIFFNESS, 5.0)
+    integrals = {
+        "exact": ExactIntegrals(penalty, harmonics),
+        "sampled": SampledIntegrals(penalty, harmonics, 64),
+        "smoothed": SampledIntegrals(smoothed, harmonics, 64),
+    }[kind]
+    gap = random_gaps(harmonics, 4, seed=harmonics)
+    force, tangent = integrals.linearise(gap)
+    assert np.array_equal(force, integrals.force(gap))
+    slopes = finite_differences(integrals, gap, np.full(4, 1e-6))
+    assert np.abs((tangent - slopes) / STIFFNESS[:, None, None]).max() < 1e-6
+    if harmonics > 1:  # the nonlinearity does couple harmonics
+        assert np.linalg.norm(tangent[:, 1:3, 3:5], axis=(1, 2)).min() > 1e-3
+
+
+def test_exact_tangent_at_grazing() -> None:
+    """Peaks 1e-3 to 1e-6 above or below zero, and of -g: to 1e-6 with steps short of grazing."""
+    depth = np.array([1e-3, -1e-3, 1e-4, -1e-4, 1e-5, -1e-5, 1e-6, -1e-6])
+    gap = grazing_gaps(depth)
+    for sign in (1.0, -1.0):
+        integrals = ExactIntegrals(UnilateralPenalty(1.0), 4)
+        tangent = integrals.linearise(sign * gap)[1]
+        slopes = finite_differences(integrals, sign * gap, 1e-3 * np.abs(depth))
+        assert np.abs(tangent - slopes).max() < 1e-6
+        closed_part = np.abs(tangent - (0.0 if sign > 0.0 else 1.0) * np.eye(9)).max(axis=(1, 2))
+        assert np.all((closed_part > 1e-5) == (depth > 0.0))  # the short contact is there, or not
+
+
+def quotients(integrals: ContactIntegrals, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """One-sided difference quotients of the mean force of m - 1 + cos(theta) at m = 0."""
+    gap = np.array([[-1.0], [1.0], [0.0]])
+    rows = []
+    for sign in (1.0, -1.0):
+        moved = [gap + np.array([[sign * h], [0.0], [0.0]]) for h in steps]
+        start = integrals.force(gap)[0, 0]
+        forces = np.array([integrals.force(g)[0, 0] for g in moved])
+        rows.append((forces - start) / (sign * steps))
+    return rows[0], rows[1]
+
+
+def test_exact_force_is_smooth_across_grazing_and_the_sampled_one_is_not() -> None:
+    """Right of grazing the quotient falls to the left one, 0, like 2 sqrt(2 h) / (3 pi).
+
+    int max(h - theta^2 / 2, 0) / (2 pi) = (2 h)^(3/2) / (3 pi). Sampled, it stays at 1/N: one
+    sample switches.
+    """
+    law, steps = UnilateralPenalty(1.0), 10.0 ** -np.arange(4.0, 9.0)
+    right, left = quotients(ExactIntegrals(law, 1), steps)
+    assert np.allclose(right, 2.0 * np.sqrt(2.0 * steps) / (3.0 * np.pi), rtol=1e-3)
+    assert not np.any(left)
+    right, left = quotients(SampledIntegrals(law, 1, 64), steps)
+    assert np.allclose(right, 1.0 / 64.0, rtol=1e-3)
+    assert not np.any(left)
+
+
+def test_exact_tangent_is_continuous_across_grazing() -> None:
+    """On both sides of grazing, h away, the tangents differ like sqrt(h) in every entry's norm."""
+    integrals = ExactIntegrals(UnilateralPenalty(1.0), 4)
+    depths = 10.0 ** -np.arange(4.0, 11.0)
+    jumps = []
+    for depth in depths:
+        above, below = (
+            integrals.linearise(grazing_gaps(np.full(5, side * depth)))[1] for side in (1.0, -1.0)
+        )
+        jumps.append(np.linalg.norm(above - below))
+    assert log_slope(depths, jumps) == pytest.approx(0.5, abs=0.02)
+
+
+def test_always_closed_and_always_open() -> None:
+    """lambda = k g and the tangent k on all rows where the pair never opens; else both vanish."""
+    gap = random_gaps(3, 4)
+    gap[0] = [50.0, -50.0, 50.0, -50.0]
+    force, tangent = ExactIntegrals(UnilateralPenalty(STIFFNESS), 3).linearise(gap)
+    closed = np.array([1.0, 0.0, 1.0, 0.0])
+    assert np.allclose(force, closed * STIFFNESS * gap, rtol=0.0, atol=1e-11)
+    expected = (closed * STIFFNESS)[:, None, None] * np.eye(7)
+    assert np.allclose(tangent, expected, rtol=0.0, atol=1e-13)
+
+
+def test_parts_above_and_below_zero_make_up_the_whole() -> None:
+    """max(g, 0) - max(-g, 0) = g, and the tangents of both add up to k."""
+    gap = random_gaps(8, 4)
+    integrals = ExactIntegrals(UnilateralPenalty(STIFFNESS), 8)
+    (force, tangent), (mirrored, other) = (integrals.linearise(s * gap) for s in (1.0, -1.0))
+    assert np.allclose(force - mirrored, STIFFNESS * gap, rtol=0.0, atol=1e-11)
+    assert np.allclose(tangent + other, STIFFNESS[:, None, None] * np.eye(17), atol=1e-11)
+    assert np.abs(force).min(axis=0).max() > 0.0
+
+
+@pytest.mark.parametrize("samples", [None, 64])
+def test_scaling(samples: int | None) -> None:
+    """L times the gap: L times the force, the same tangent; L times the stiffness: L times both."""
+    gap = random_gaps(5, 4)
+    force, tangent = contact_integrals(UnilateralPenalty(STIFFNESS), 5, samples).linearise(gap)
+    larger = contact_integrals(UnilateralPenalty(STIFFNESS), 5, samples).linearise(1e6 * gap)
+    assert np.allclose(larger[0], 1e6 * force, rtol=1e-9, atol=1e-6)
+    assert np.allclose(larger[1], tangent, rtol=0.0, atol=1e-9)
+    law = UnilateralPenalty(STIFFNESS).scaled(1e3)
+    stiffer = contact_integrals(law, 5, samples).linearise(gap)
+    assert np.allclose(stiffer[0], 1e3 * force) and np.allclose(stiffer[1], 1e3 * tangent)
+
+
+@pytest.mark.parametrize(
+    ("law", "samples"),
+    [(UnilateralPenalty, None), (UnilateralPenalty, 64), (lambda k: SmoothedPenalty(k, 5.0), 64)],
+    ids=["exact", "sampled", "smoothed"],
+)
+def test_stiffness_of_each_pair(law: Callable[..., ContactLaw], samples: int | None) -> None:
+    """Pairs with stiffnesses of their own give what each gives alone."""
+    gap = random_gaps(5, 4)
+    force, tangent = contact_integrals(law(STIFFNESS), 5, samples).linearise(gap)
+    for pair, stiffness in enumerate(STIFFNESS):
+        alone = contact_integrals(law(float(stiffness)), 5, samples)
+        one_force, one_tangent = alone.linearise(gap[:, pair : pair + 1])
+        assert np.allclose(force[:, pair], one_force[:, 0], rtol=0.0, atol=1e-12)
+        assert np.allclose(tangent[pair], one_tangent[0], rtol=0.0, atol=1e-10)
+
+
+def test_widened_integrals_see_the_same_wave() -> None:
+    """With more harmonics the lower rows stay; the samples suffice for the higher ones."""
+    gap, law = random_gaps(4, 4), UnilateralPenalty(STIFFNESS)
+    padded = resized(gap, 16)
+    exact = ExactIntegrals(law, 4)
+    wide = exact.widened(16)
+    force = wide.force(padded)
+    assert wide.harmonics == 16 and force.shape == (33, 4)
+    assert np.allclose(force[:9], exact.force(gap), rtol=0.0, atol=1e-12)
+    sampled = SampledIntegrals(law, 4, 4096).widened(16)
+    assert sampled.samples == 4096
+    assert np.allclose(sampled.force(padded), force, rtol=0.0, atol=1e-4)
+    few = SampledIntegrals(law, 4, 32).widened(100)
+    assert few.harmonics == 100 and few.samples > 400
+
+
+def test_choice_of_integrals() -> None:
+    """Exact for the penalty law unless samples are given; the default samples grow with H."""
+    penalty, smoothed = UnilateralPenalty(1.0), SmoothedPenalty(1.0, 1.0)
+    assert isinstance(contact_integrals(penalty, 5), ExactIntegrals)
+    chosen = contact_integrals(penalty, 5, 64)
+    assert isinstance(chosen, SampledIntegrals) and chosen.samples == 64
+    chosen = contact_integrals(smoothed, 5, periods=3)
+    assert isinstance(chosen, SampledIntegrals) and chosen.samples == 3 * 1024
+    assert default_samples(5) == default_samples(32) == 1024
+    assert default_samples(33) == 2048
+
+
+def test_sampling_error_of_verification_a() -> None:
+    """Bilinear oscillator at W = w0/2, H = 5: 6e-3, 5e-4, 7e-6 with 64, 256, 1024 samples."""
+    structure, law, omega = oscillator(), UnilateralPenalty(1.0), 0.5 * OMEGA_0
+    exact = fc.solve_harmonic_balance(structure, omega, law, harmonics=5)
+    t = np.linspace(0.0, exact.period, 4001)
+    wave = exact.gap(t)
+    for samples, published in ((64, 6e-3), (256, 5e-4), (1024, 7e-6)):
+        found = fc.solve_harmonic_balance(structure, omega, law, harmonics=5, samples=samples)
+        assert relative(found.gap(t), wave) == pytest.approx(published, rel=0.15)

@@ -1,0 +1,267 @@
+"""Estimated errors against true ones, and solutions to a tolerance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers import OMEGA_0, chain, oscillator, true_error
+
+import fenics_crack as fc
+from fenics_crack.balance.compliance import dynamic_compliance
+from fenics_crack.balance.condensed import respond
+from fenics_crack.balance.contact_integrals import ExactIntegrals
+from fenics_crack.balance.error_report import mean_square
+from fenics_crack.balance.fourier import resized
+
+Contact = fc.UnilateralPenalty | fc.SmoothedPenalty | fc.UnilateralConstraint
+
+
+@pytest.fixture(scope="module")
+def large_plate(paper_scene: fc.Scene) -> fc.Structure:
+    """The same of quadratic elements: 696 dofs, 8 pairs."""
+    scene = {"damping.ratio": 0.01, "mesh.order": 2, "mesh.columns": 8, "mesh.rows": 10}
+    return fc.build_structure(paper_scene.replace(scene))
+
+
+def assert_estimated(
+    found: fc.PeriodicSolution,
+    exact: fc.PeriodicSolution,
+    part: str = "truncation",
+    least: float = 0.0,
+) -> None:
+    """That part of the report is the true error within a factor 3, and above the least."""
+    error = true_error(found, exact)
+    assert error > least
+    assert error / 3.0 < getattr(found.report, part) < 3.0 * error
+
+
+# --- truncation -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("omega", [0.5 * OMEGA_0, 1.0, 2.0 * OMEGA_0], ids=["w0/2", "1", "2 w0"])
+def test_truncation_on_verification_a(omega: float) -> None:
+    """H = 5, 10, 20, 40 against H = 300: within a factor 3 (it is 1 %)."""
+    law = fc.UnilateralPenalty(1.0)
+    exact = fc.solve_harmonic_balance(oscillator(), omega, law, harmonics=300)
+    for harmonics in (5, 10, 20, 40):
+        found = fc.solve_harmonic_balance(oscillator(), omega, law, harmonics=harmonics)
+        assert_estimated(found, exact, least=1e-9)
+
+
+@pytest.mark.parametrize(
+    "contact", [fc.UnilateralPenalty(1e9), fc.UnilateralConstraint()], ids=["1e9", "constraint"]
+)
+def test_truncation_on_the_paper_plate(soft_plate: fc.Structure, contact: Contact) -> None:
+    """k = 1e9 and no penetration, H = 5, 10, 20, 40 against H = 160: within a factor 3."""
+    exact = fc.solve_harmonic_balance(soft_plate, 2000.0, contact, harmonics=160)
+    for harmonics in (5, 10, 20, 40):
+        found = fc.solve_harmonic_balance(soft_plate, 2000.0, contact, harmonics=harmonics)
+        assert_estimated(found, exact, least=1e-4)
+
+
+def test_truncation_on_a_chain_with_three_pairs() -> None:
+    """Clearance, preload, several pairs, and more unknowns than are solved directly: factor 3."""
+    structure, law = chain(n=12), fc.UnilateralPenalty(np.array([4.0, 1.0, 8.0]))
+    for omega in (0.3, 0.7):
+        exact = fc.solve_harmonic_balance(structure, omega, law, harmonics=120)
+        for harmonics in (4, 8, 16, 32):
+            found = fc.solve_harmonic_balance(structure, omega, law, harmonics=harmonics)
+            assert_estimated(found, exact)
+
+
+# --- sampling -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("harmonics", [5, 10])
+@pytest.mark.parametrize("structure", ["w0/2", "1", "plate"])
+def test_sampling_of_the_penalty_law(
+    structure: str, harmonics: int, soft_plate: fc.Structure
+) -> None:
+    """64, 256 and 1024 samples against exact integrals with the same H: within a factor 3."""
+    made, omega, law = {
+        "w0/2": (oscillator(), 0.5 * OMEGA_0, fc.UnilateralPenalty(1.0)),
+        "1": (oscillator(), 1.0, fc.UnilateralPenalty(1.0)),
+        "plate": (soft_plate, 2000.0, fc.UnilateralPenalty(1e9)),
+    }[structure]
+    exact = fc.solve_harmonic_balance(made, omega, law, harmonics=harmonics)
+    assert exact.report.sampling == 0.0
+    for samples in (64, 256, 1024):
+        found = fc.solve_harmonic_balance(made, omega, law, harmonics=harmonics, samples=samples)
+        assert_estimated(found, exact, "sampling")
+
+
+def test_sampling_of_the_smoothed_law() -> None:
+    """Too few samples for a sharp law are reported, within a factor 3; enough are as well."""
+    law = fc.SmoothedPenalty(1.0, 100.0)
+    exact = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=5, samples=1 << 16)
+    assert exact.report.sampling < 1e-12
+    for samples in (32, 64, 128, 256):
+        found = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=5, samples=samples)
+        assert_estimated(found, exact, "sampling", least=1e-8)
+    gentle = fc.SmoothedPenalty(1.0, 3.0)
+    assert fc.solve_harmonic_balance(oscillator(), 1.0, gentle).report.sampling < 1e-10
+
+
+# --- residual and penetration ---------------------------------------------------------------------
+
+
+def test_residual_is_that_of_the_equations() -> None:
+    """Stopped early, by its definition: |g - g_lin + R b(g)| over |B^T u|, and as asked for."""
+    structure, law, harmonics, omega = chain(n=12), fc.UnilateralPenalty(4.0), 6, 0.3
+    compliance = dynamic_compliance(structure, omega, harmonics)
+    seen = set()
+    for tolerance in (1e-2, 1e-6, 1e-10):
+        solution = fc.solve_harmonic_balance(
+            structure, omega, law, harmonics=harmonics, residual_tolerance=tolerance
+        )
+        gap = solution.gap_coefficients
+        force = ExactIntegrals(law, harmonics).force(gap)
+        unbalance = gap - compliance.linear_gap + respond(compliance.matrices, force)
+        closing = gap.copy()
+        closing[0] += structure.clearance
+        expected = np.sqrt(mean_square(unbalance) / mean_square(closing))
+        assert solution.report.residual == pytest.approx(expected, rel=0.1, abs=1e-14)
+        assert solution.report.residual < 3.0 * tolerance
+        seen.add(solution.iterations)
+    assert len(seen) > 1 and expected < 1e-10
+
+
+@pytest.mark.parametrize(
+    "contact",
+    [
+        fc.UnilateralPenalty(np.array([4.0, 1.0, 8.0])),
+        fc.SmoothedPenalty(4.0, 20.0),
+        fc.UnilateralConstraint(),
+    ],
+    ids=["penalty", "smoothed", "constraint"],
+)
+def test_penetration_by_sampling_time(contact: Contact) -> None:
+    """Root mean square of max(g, 0) over time and pairs, relative to that of B^T u."""
+    structure = chain(n=12)
+    solution = fc.solve_harmonic_balance(structure, 0.3, contact, harmonics=8)
+    gap = solution.gap(np.arange(200000) * solution.period / 200000)
+    expected = np.linalg.norm(np.maximum(gap, 0.0)) / np.linalg.norm(gap + structure.clearance)
+    assert expected > 1e-4
+    # Laws that are sampled have their penetration sampled too, more coarsely than here.
+    assert solution.report.penetration == pytest.approx(expected, rel=1e-2)
+    if isinstance(contact, fc.UnilateralPenalty):
+        assert solution.report.penetration == pytest.approx(expected, rel=1e-6)
+
+
+def test_total_is_the_sum_of_the_errors() -> None:
+    """The penetration is the law's, no error of its solution."""
+    assert fc.ErrorReport(1.0, 20.0, 300.0, 4000.0, 5e6).total == 4321.0
+    linear = fc.solve_linear(oscillator(), 1.0).report
+    assert linear == fc.ErrorReport(0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+# --- to a tolerance -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("omega", [0.5 * OMEGA_0, 1.0], ids=["w0/2", "1"])
+def test_tolerance_on_verification_a(omega: float) -> None:
+    """1e-2 to 1e-6: the true error is below; looser takes fewer harmonics; the status says it."""
+    law = fc.UnilateralPenalty(1.0)
+    exact = fc.solve_harmonic_balance(oscillator(), omega, law, harmonics=300)
+    counts = []
+    for tolerance in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6):
+        found = fc.solve_harmonic_balance(oscillator(), omega, law, tolerance=tolerance)
+        assert true_error(found, exact) < tolerance
+        assert found.report.total < tolerance
+        assert f"chosen for an error of {tolerance:g}: H = {found.harmonics}" in found.status
+        # Not many more than needed: with half of them the tolerance would be missed.
+        half = fc.solve_harmonic_balance(
+            oscillator(), omega, law, harmonics=max(1, found.harmonics // 2)
+        )
+        assert found.harmonics < 10 or true_error(half, exact) > tolerance
+        counts.append(found.harmonics)
+    assert counts == sorted(counts) and counts[0] <= 8 and counts[-1] > 4 * counts[0]
+
+
+def test_tolerance_on_the_paper_plate(soft_plate: fc.Structure) -> None:
+    """k = 1e9, 1e-2 and 1e-3 against H = 160; nothing is reduced."""
+    law = fc.UnilateralPenalty(1e9)
+    exact = fc.solve_harmonic_balance(soft_plate, 2000.0, law, harmonics=160)
+    counts = []
+    for tolerance in (1e-2, 1e-3):
+        found = fc.solve_harmonic_balance(soft_plate, 2000.0, law, tolerance=tolerance)
+        assert true_error(found, exact) < tolerance
+        assert f"H = {found.harmonics}" in found.status and "modes" not in found.status
+        assert found.structure is soft_plate
+        counts.append(found.harmonics)
+    assert counts[0] < counts[1]
+
+
+def test_tolerance_with_stiff_contact(soft_plate: fc.Structure) -> None:
+    """Where a Newton step says little, the change from H to the next H shows the error."""
+    law = fc.UnilateralPenalty(1e11)
+    found = fc.solve_harmonic_balance(soft_plate, 1000.0, law, tolerance=1e-2)
+    exact = fc.solve_harmonic_balance(soft_plate, 1000.0, law, harmonics=140, initial=found)
+    assert true_error(found, exact) < 1e-2
+    assert 10 < found.harmonics < 70
+
+
+def test_tolerance_out_of_reach(soft_plate: fc.Structure, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The best solution is not lost, and does not claim to be good enough."""
+    monkeypatch.setattr("fenics_crack.balance.harmonic_balance.MOST_HARMONICS", 40)
+    law = fc.UnilateralPenalty(1e11)
+    with pytest.raises(fc.ConvergenceError, match=r"with H = 40, stays above 1e-05.*truncation"):
+        fc.solve_harmonic_balance(soft_plate, 1000.0, law, tolerance=1e-5)
+    best = fc.solve_harmonic_balance(soft_plate, 1000.0, law, tolerance=1e-5, throw=False)
+    assert not best.converged and best.harmonics == 40
+    assert best.report.total > 1e-5 and "above the tolerance: truncation" in best.status
+
+
+def test_tolerance_on_a_large_structure(large_plate: fc.Structure) -> None:
+    """8 pairs, k = 1e8: harmonics and modes are chosen; error against the whole with H = 80."""
+    assert large_plate.n_dofs > 600 and large_plate.n_pairs == 8
+    law = fc.UnilateralPenalty(1e8)
+    exact = fc.solve_harmonic_balance(large_plate, 2000.0, law, harmonics=80)
+    assert not isinstance(exact.structure, fc.ReducedStructure)
+    corner = large_plate.find_dof((0.1, 0.1), "x")
+    sizes = []
+    for tolerance in (3e-2, 1e-2, 1e-3):
+        found = fc.solve_harmonic_balance(large_plate, 2000.0, law, tolerance=tolerance)
+        assert true_error(found, exact) < tolerance
+        assert found.report.total < tolerance and found.report.reduction < tolerance
+        assert isinstance(found.structure, fc.ReducedStructure)
+        assert found.structure.n_dofs < 0.1 * large_plate.n_dofs
+        assert f"H = {found.harmonics}, " in found.status
+        assert f"modes ({found.structure.n_dofs} coordinates)" in found.status
+        motion = found.coefficients_at([corner]), exact.coefficients_at([corner])
+        rows = resized(motion[0], 80) - motion[1]
+        assert np.linalg.norm(rows) < tolerance * np.linalg.norm(motion[1])
+        sizes.append((found.harmonics, found.structure.n_dofs))
+    assert sizes[0][0] < sizes[1][0] < sizes[2][0]
+    assert sizes[0][1] <= sizes[1][1] <= sizes[2][1] and sizes[0][1] < sizes[2][1]
+
+
+def test_tolerance_chooses_the_samples_of_a_smoothed_law() -> None:
+    """A sharp law needs more than the default number of them, and gets it; true error below."""
+    law = fc.SmoothedPenalty(1.0, 1e3)
+    exact = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=150, samples=1 << 17)
+    samples = []
+    for tolerance in (1e-3, 1e-6, 1e-7):
+        found = fc.solve_harmonic_balance(oscillator(), 1.0, law, tolerance=tolerance)
+        assert true_error(found, exact) < tolerance
+        assert found.report.sampling < tolerance
+        words = found.status.split()
+        samples.append(int(words[words.index("samples") - 1]) if "samples" in words else 1024)
+    assert samples[0] == 1024 < samples[1] < samples[2]
+
+
+@pytest.mark.parametrize("contact", [fc.UnilateralPenalty(1e9), fc.UnilateralConstraint()])
+def test_tolerance_with_several_stiff_pairs(
+    large_plate: fc.Structure, contact: fc.UnilateralPenalty | fc.UnilateralConstraint
+) -> None:
+    """8 pairs, stiffer than the plate by far, 2e-2: also then the true error is below."""
+    reduced = fc.reduce_structure(large_plate, modes=60)
+    found = fc.solve_harmonic_balance(reduced, 2000.0, contact, tolerance=2e-2)
+    exact = fc.solve_harmonic_balance(reduced, 2000.0, contact, harmonics=60, initial=found)
+    assert 1e-4 < true_error(found, exact) < 2e-2
+
+
+def test_tolerance_out_of_reach_is_an_error() -> None:
+    """Better than rounding is impossible: an error, not a solution that claims it."""
+    with pytest.raises(fc.ConvergenceError, match="estimated error"):
+        fc.solve_harmonic_balance(oscillator(), 1.0, fc.UnilateralPenalty(1.0), tolerance=1e-18)

@@ -1,0 +1,331 @@
+"""Harmonic balance of the full block system."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import (
+    amplitudes,
+    chain,
+    dense_matrices,
+    oscillator,
+    relative,
+    two_masses,
+)
+
+import fenics_crack as fc
+from fenics_crack.balance.block import BlockSystem
+from fenics_crack.balance.compliance import FactoredCompliance, load_coefficients
+from fenics_crack.balance.contact_integrals import contact_integrals
+from fenics_crack.model.contact import ContactLaw
+
+NAN, INF = float("nan"), float("inf")
+
+
+@contextmanager
+def block_system(
+    structure: fc.Structure, omega: float, law: ContactLaw, harmonics: int, samples: int
+) -> Iterator[BlockSystem]:
+    """The full block system with sampled contact."""
+    load = load_coefficients(structure, harmonics, 1)
+    compliance = FactoredCompliance(structure, omega, load)
+    yield BlockSystem(compliance, contact_integrals(law, harmonics, samples))
+    compliance.destroy()
+
+
+def test_harmonics_of_a_kink_fall_like_the_fourth_power() -> None:
+    """VERIFICATION A: |X_k| k^4 reaches 1.63 to 1.69 in every octave of k = 8 to 128.
+
+    The two kinks of a period interfere, so that single harmonics lie below that envelope.
+    """
+    solution = fc.solve_harmonic_balance(
+        oscillator(), 1.0, fc.UnilateralPenalty(1.0), harmonics=130, samples=32768
+    )
+    rows = solution.gap_coefficients[:, 0]
+    order = np.arange(1, 131)
+    scaled = amplitudes(rows) * order**4
+    peaks = [scaled[(order >= k) & (order < 2 * k)].max() for k in (8, 16, 32, 64)]
+    assert 1.63 < min(peaks) and max(peaks) < 1.69
+
+
+def test_response_scales_with_the_load() -> None:
+    """Without clearance the penalty law is homogeneous: L times the load, L times the response."""
+    law = fc.UnilateralPenalty(1.0)
+    one = fc.solve_harmonic_balance(oscillator(), 0.8, law, harmonics=7)
+    many = fc.solve_harmonic_balance(oscillator(force=1e4), 0.8, law, harmonics=7)
+    assert np.allclose(many.gap_coefficients, 1e4 * one.gap_coefficients, rtol=1e-8)
+
+
+def test_paper_plate_soft_contact(soft_plate: fc.Structure) -> None:
+    """VERIFICATION I: event-driven modal integration; H = 5 to 40 and the loaded corner."""
+    corner = soft_plate.find_dof((0.1, 0.1), "x")
+    law = fc.UnilateralPenalty(1e9)
+    openings = {}
+    for harmonics in (5, 10, 20, 40):
+        solution = fc.solve_harmonic_balance(soft_plate, 2000.0, law, harmonics=harmonics)
+        t = np.linspace(0.0, solution.period, 4001)
+        openings[harmonics] = -solution.gap(t).min()
+        if harmonics == 20:
+            rows = solution.gap_coefficients[:, 0]
+            first, second = amplitudes(rows)[:2]
+            assert rows[0] == pytest.approx(-4.317675e-7, rel=1e-3)
+            assert first == pytest.approx(7.418206e-7, rel=1e-3)
+            assert second == pytest.approx(2.357526e-7, rel=2e-3)
+            assert openings[20] == pytest.approx(1.451955e-6, rel=2e-3)
+            motion = solution.coefficients_at([corner])[:, 0]
+            assert motion[0] == pytest.approx(1.860995e-7, rel=1e-3)
+            assert amplitudes(motion)[:2] == pytest.approx([1.145796e-6, 1.775296e-7], rel=1e-3)
+            wave = solution.displacement(t, [corner])[:, 0]
+            assert wave.min() == pytest.approx(-1.152750e-6, rel=2e-3)
+            assert wave.max() == pytest.approx(1.156557e-6, rel=1e-3)
+    published = {5: 1.3898e-6, 10: 1.4347e-6, 20: 1.4515e-6, 40: 1.4519e-6}
+    for harmonics, opening in published.items():
+        assert openings[harmonics] == pytest.approx(opening, rel=1e-3)
+
+
+def test_linear_solution_is_the_complex_frequency_response(paper_structure: fc.Structure) -> None:
+    """Z^-1 f by dense complex arithmetic, to 1e-10; also for a random chain with a mean load."""
+    for structure, omega in ((paper_structure, 2000.0), (chain(n=6, pairs=2, seed=3), 1.1)):
+        mass, damping, stiffness = dense_matrices(structure)
+        impedance = stiffness - omega**2 * mass + 1j * omega * damping
+        mean, cosine, sine = structure.force
+        response = np.linalg.solve(impedance, cosine - 1j * sine)
+        found = fc.solve_linear(structure, omega, harmonics=3).displacement_coefficients
+        expected = np.zeros_like(found)
+        expected[0] = np.linalg.solve(stiffness, mean)
+        expected[1], expected[2] = response.real, -response.imag
+        assert relative(found, expected) < 1e-10
+
+
+@pytest.mark.parametrize(
+    "law",
+    [fc.UnilateralPenalty(np.array([5.0, 8.0])), fc.SmoothedPenalty(5.0, 20.0)],
+    ids=["penalty", "smoothed"],
+)
+def test_jacobian_against_finite_differences(
+    law: fc.UnilateralPenalty | fc.SmoothedPenalty,
+) -> None:
+    """Both laws, all couplings, to 1e-6; and the inverse inverts."""
+    structure = chain(n=6, pairs=2, seed=3)
+    rng = np.random.default_rng(5)
+    with block_system(structure, 0.9, law, 4, 128) as system:
+        amplitude = rng.normal(size=system.shape)
+        system.linearise(amplitude)
+        for _ in range(4):
+            direction = rng.normal(size=system.shape)
+            step = 1e-6
+            slope = (
+                system.residual(amplitude + step * direction)
+                - system.residual(amplitude - step * direction)
+            ) / (2.0 * step)
+            product = system.apply_jacobian(direction)
+            assert relative(slope, product) < 1e-6
+            assert relative(product, direction) > 0.1
+            assert np.allclose(system.solve_jacobian(product), direction, atol=1e-10)
+
+
+def test_correction_is_the_residual_of_the_paper_divided_by_a() -> None:
+    """A F(u) = R(u) = A u + b - c (eq. 13) with R formed by dense arithmetic and samples."""
+    structure, law = chain(n=6, pairs=2, seed=3), fc.UnilateralPenalty(5.0)
+    omega, harmonics, samples = 0.9, 3, 64
+    mass, damping, stiffness = dense_matrices(structure)
+    amplitude = np.random.default_rng(7).normal(size=(2 * harmonics + 1, 6))
+
+    def apply(rows: np.ndarray) -> np.ndarray:
+        """A u."""
+        product = np.zeros_like(rows)
+        product[0] = stiffness @ rows[0]
+        for k in range(1, harmonics + 1):
+            a, b = rows[2 * k - 1], rows[2 * k]
+            block, coupling = stiffness - (k * omega) ** 2 * mass, k * omega * damping
+            product[2 * k - 1], product[2 * k] = block @ a + coupling @ b, block @ b - coupling @ a
+        return product
+
+    residual = apply(amplitude)
+    residual[:3] -= structure.force
+    phase = 2.0 * np.pi * np.arange(samples) / samples
+    basis = np.ones((samples, 2 * harmonics + 1))
+    for k in range(1, harmonics + 1):
+        basis[:, 2 * k - 1], basis[:, 2 * k] = np.cos(k * phase), np.sin(k * phase)
+    gap_matrix = structure.gap.toarray()
+    gap = basis @ amplitude @ gap_matrix - structure.clearance
+    force = law.force(gap) @ gap_matrix.T
+    weights = np.full(2 * harmonics + 1, 2.0 / samples)
+    weights[0] = 1.0 / samples
+    residual += weights[:, None] * (basis.T @ force)
+    with block_system(structure, omega, law, harmonics, samples) as system:
+        assert np.allclose(apply(system.residual(amplitude)), residual, atol=1e-9)
+
+
+@pytest.mark.parametrize("omega", [0.3, 0.55, 0.9, 1.3, 1.8])
+def test_solution_satisfies_the_equation_of_motion_in_the_mean(omega: float) -> None:
+    """The projected residual of M u'' + C u' + K u + B lambda - f vanishes by fine quadrature."""
+    structure, law, harmonics = chain(n=6, pairs=2, seed=3), fc.UnilateralPenalty(4.0), 9
+    solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=harmonics, samples=4096)
+    assert solution.converged and solution.report.residual < 1e-10
+    mass, damping, stiffness = dense_matrices(structure)
+    count = 65536
+    t = np.arange(count) * solution.period / count
+    u = solution.displacement(t, range(6))
+    spectrum = np.fft.fft(u, axis=0)
+    rate = 2j * np.pi * np.fft.fftfreq(count, solution.period / count)[:, None]
+    velocity = np.fft.ifft(rate * spectrum, axis=0).real
+    acceleration = np.fft.ifft(rate**2 * spectrum, axis=0).real
+    load = structure.force[0] + np.outer(np.cos(omega * t), structure.force[1])
+    load += np.outer(np.sin(omega * t), structure.force[2])
+    contact = solution.contact_force(t) @ structure.gap.toarray().T
+    unbalance = acceleration @ mass + velocity @ damping.T + u @ stiffness + contact - load
+    projected = np.fft.fft(unbalance, axis=0)[: harmonics + 1] / count
+    assert np.abs(projected).max() < 1e-5 * np.abs(load).max()
+
+
+def test_clearance_and_preload() -> None:
+    """An unreachable stop leaves the linear solution; preload that never opens stiffens it."""
+    law = fc.UnilateralPenalty(2.0)
+    far = oscillator(clearance=100.0)
+    solution = fc.solve_harmonic_balance(far, 0.5, law)
+    linear = fc.solve_linear(far, 0.5)
+    difference = solution.displacement_coefficients - linear.displacement_coefficients
+    assert np.abs(difference).max() < 1e-12
+    closed = fc.solve_harmonic_balance(oscillator(clearance=-100.0), 0.5, law)
+    # x + 2 (x + 100) + x'' + 0.1 x' = cos(t/2): mean -200/3, stiffness 3
+    response = 1.0 / (3.0 - 0.25 + 0.05j)
+    expected = [-200.0 / 3.0, response.real, -response.imag]
+    assert np.allclose(closed.displacement_coefficients[:3, 0], expected, rtol=1e-10)
+    assert not np.any(np.abs(closed.displacement_coefficients[3:]) > 1e-9)
+
+
+@pytest.mark.slow
+def test_cold_start_on_soft_contact_of_all_pairs(breathing_plate: fc.Structure) -> None:
+    """breathing_plate, 18 pairs, k = 1e7 to 1e9, from the linear solution."""
+    assert breathing_plate.n_pairs == 18
+    assert 3500 < breathing_plate.n_dofs < 4500
+    assert fc.solve_modes(breathing_plate, 1).omega[0] == pytest.approx(2300.0, abs=0.1)
+    for stiffness in (1e7, 1e8, 1e9):
+        solution = fc.solve_harmonic_balance(
+            breathing_plate, 2000.0, fc.UnilateralPenalty(stiffness)
+        )
+        assert solution.converged and solution.report.residual < 1e-10
+        assert solution.gap(np.linspace(0.0, solution.period, 200)).max() > 0.0
+
+
+@pytest.mark.parametrize("stiffness", [1e9, 1e10, 1e11])
+@pytest.mark.parametrize("ratio", [0.001, 0.01])
+def test_cold_start_on_the_paper_plate(
+    paper_scene: fc.Scene, stiffness: float, ratio: float
+) -> None:
+    """H = 5, both laws, the paper's stiffness among others, from the linear solution."""
+    plate = fc.build_structure(paper_scene.replace({"damping.ratio": ratio}))
+    hard = fc.solve_harmonic_balance(plate, 2000.0, fc.UnilateralPenalty(stiffness))
+    smooth = fc.solve_harmonic_balance(plate, 2000.0, fc.SmoothedPenalty(stiffness, 1e11))
+    assert hard.report.residual < 1e-10 and smooth.report.residual < 1e-10
+    t = np.linspace(0.0, hard.period, 400)
+    penetration = hard.gap(t).max()
+    assert 0.0 < penetration
+    assert hard.contact_force(t).max() == pytest.approx(stiffness * penetration)
+    assert np.all(hard.contact_force(t) >= 0.0)
+
+
+def test_continues_from_a_given_solution() -> None:
+    """From the converged solution itself there is nothing to do; harmonics may differ."""
+    law = fc.UnilateralPenalty(1.0)
+    first = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=6)
+    again = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=6, initial=first)
+    assert again.iterations == 0
+    finer = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=9, initial=first)
+    assert finer.harmonics == 9 and finer.iterations <= first.iterations
+
+
+def test_subharmonic_base_holds_the_periodic_solution() -> None:
+    """The period-1 orbit is a solution of twice that period, from a cold start and from itself."""
+    law = fc.UnilateralPenalty(1.0)
+    once = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=6)
+    t = np.linspace(0.0, 2.0 * once.period, 101)
+    for initial, near in ((None, 1e-8), (once, 1e-12)):
+        twice = fc.solve_harmonic_balance(
+            oscillator(), 1.0, law, harmonics=12, subharmonic=2, initial=initial
+        )
+        assert twice.period == pytest.approx(2.0 * once.period)
+        assert np.allclose(twice.gap(t), once.gap(t), atol=near)
+    assert twice.iterations == 0
+
+
+def test_failure_is_an_error_with_its_history() -> None:
+    """A tolerance below rounding cannot be met: an error, or a solution marked as not converged."""
+    law = fc.UnilateralPenalty(1.0)
+    with pytest.raises(fc.ConvergenceError, match="full Newton steps: failed") as caught:
+        fc.solve_harmonic_balance(oscillator(), 0.7, law, residual_tolerance=1e-25)
+    assert len(caught.value.history) > 3
+    solution = fc.solve_harmonic_balance(
+        oscillator(), 0.7, law, residual_tolerance=1e-25, throw=False
+    )
+    assert not solution.converged
+    assert "failed" in solution.status
+
+
+@pytest.mark.parametrize(
+    ("key", "arguments"),
+    [
+        ("omega", {"omega": 0.0}),
+        ("omega", {"omega": -1.0}),
+        ("omega", {"omega": NAN}),
+        ("omega", {"omega": "fast"}),
+        ("harmonics", {"harmonics": 0}),
+        ("harmonics", {"harmonics": 2.5}),
+        ("harmonics", {"harmonics": 2, "subharmonic": 3}),
+        ("subharmonic", {"subharmonic": 0}),
+        ("samples", {"samples": 20}),
+        ("samples", {"samples": 64, "contact": fc.UnilateralConstraint()}),
+        ("samples", {"samples": 64, "tolerance": 1e-3}),
+        *(("residual_tolerance", {"residual_tolerance": given}) for given in (0.0, -1.0, "small")),
+        *(("tolerance", {"tolerance": given}) for given in (0.0, -1e-3, NAN, INF, "small")),
+        ("tolerance", {"tolerance": 1e-3, "harmonics": 5}),
+        ("contact stiffness", {"contact": fc.UnilateralPenalty(np.ones(2))}),
+        ("contact", {"contact": None}),
+        ("contact", {"contact": 5.0}),
+        ("contact", {"contact": fc.UnilateralPenalty}),
+        *(("form", {"form": given}) for given in ("incremental", "dense", None)),
+        ("form", {"form": "full", "contact": fc.UnilateralConstraint()}),
+        *(("initial", {"initial": given}) for given in ("solution", np.zeros((11, 1)), 1.0)),
+    ],
+    ids=str,
+)
+def test_bad_arguments_are_named(key: str, arguments: dict[str, object]) -> None:
+    """One error with key, value and what is allowed."""
+    given: dict[str, object] = {"omega": 1.0, "contact": fc.UnilateralPenalty(1.0)} | arguments
+    with pytest.raises(fc.InputError, match=f"^{key} = ") as caught:
+        fc.solve_harmonic_balance(oscillator(), **given)  # type: ignore[arg-type]
+    assert caught.value.key == key and caught.value.allowed
+
+
+def test_initial_of_another_structure_is_refused() -> None:
+    """The number of dofs and of pairs must fit, and the subharmonic."""
+    law = fc.UnilateralPenalty(1.0)
+    linear = [fc.solve_linear(made, 1.0) for made in (oscillator(), two_masses(), chain())]
+    for other, subharmonic in (
+        (linear[1], 1),  # two dofs, one pair
+        (linear[2], 1),  # ten dofs, three pairs
+        (replace(linear[0], subharmonic=2), 1),
+        (replace(linear[0], subharmonic=2), 3),
+    ):
+        with pytest.raises(fc.InputError, match=r"^initial = "):
+            fc.solve_harmonic_balance(
+                oscillator(), 1.0, law, initial=other, subharmonic=subharmonic
+            )
+
+
+def test_petsc_options_reach_snes(mpirun: Callable[..., str]) -> None:
+    """-crack_hb_snes_monitor prints SNES's residuals; -crack_hb_snes_max_it is SNES's own."""
+    script = """
+import sys, petsc4py
+petsc4py.init(["x", "-crack_hb_snes_monitor", "-crack_hb_ksp_type", "gmres"])
+import fenics_crack as fc
+from helpers import oscillator
+solution = fc.solve_harmonic_balance(oscillator(), 1.0, fc.UnilateralPenalty(1.0))
+print("iterations", solution.iterations)
+"""
+    output = mpirun(script, 1)
+    assert "SNES Function norm" in output
+    assert "iterations 4" in output

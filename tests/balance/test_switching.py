@@ -1,0 +1,235 @@
+"""Switching instants of random and grazing trigonometric polynomials, against a fine scan."""
+
+import numpy as np
+import pytest
+
+from fenics_crack.balance.switching import Switching, switching_instants
+
+HARMONICS = range(1, 61)
+DECAYS = (0.0, 1.0, 2.0, 4.0)
+"""|G_k| ~ k^-decay."""
+SCAN = 1 << 14
+"""Points of the fine scan, 270 for each wave of the highest harmonic."""
+CLEAR = 1e-12
+"""Values below this part of the largest have no certain sign."""
+
+
+def random_harmonics(count: int, pairs: int, rng: np.random.Generator) -> np.ndarray:
+    """Complex harmonics (H+1, pairs) with the decays in turn."""
+    table = rng.normal(size=(count + 1, pairs)) + 1j * rng.normal(size=(count + 1, pairs))
+    decay = np.array(DECAYS)[np.arange(pairs) % len(DECAYS)]
+    table[1:] *= np.arange(1, count + 1)[:, None] ** -decay
+    table[0] = table[0].real
+    return table
+
+
+def scan(table: np.ndarray, points: int = SCAN) -> np.ndarray:
+    """Values (points, pairs) on an equally spaced grid."""
+    spectrum = 0.5 * points * table
+    spectrum[0] = points * table[0].real
+    return np.fft.irfft(spectrum, n=points, axis=0)
+
+
+def values_at(table: np.ndarray, pair: np.ndarray, theta: np.ndarray, order: int = 0) -> np.ndarray:
+    """Derivatives of the polynomials of some pairs at one phase each."""
+    rate = 1j * np.arange(len(table))
+    waves = np.exp(np.multiply.outer(theta, rate)) * rate**order
+    return (table.T[pair] * waves).real.sum(axis=1)
+
+
+def states(found: Switching, pair: int, theta: np.ndarray) -> np.ndarray:
+    """Whether the pair is closed at phases, by counting its sign changes from the start."""
+    instants = np.sort(found.theta[found.pair == pair])
+    before = np.searchsorted(instants, theta)
+    return found.closed_at_start[pair] ^ (before % 2 == 1)
+
+
+def assert_certified(table: np.ndarray, found: Switching) -> None:
+    """Nothing is missed that the scan sees, signs alternate, and every root is one."""
+    values = scan(table)
+    largest = np.abs(values).max(axis=0)
+    assert np.all((found.theta >= 0.0) & (found.theta <= 2.0 * np.pi))
+    assert np.all(np.abs(values_at(table, found.pair, found.theta)) <= 1e-12 * largest[found.pair])
+    grid = 2.0 * np.pi * np.arange(SCAN) / SCAN
+    for pair in range(table.shape[1]):
+        clear = np.abs(values[:, pair]) > CLEAR * largest[pair]
+        closed = states(found, pair, grid)
+        assert np.array_equal(closed[clear], values[clear, pair] > 0.0)
+        mine = found.pair == pair
+        closing = found.closing[mine][np.argsort(found.theta[mine], kind="stable")]
+        assert len(closing) % 2 == 0
+        assert np.all(closing[1:] == -closing[:-1])
+        if len(closing):
+            assert closing[0] == (-1.0 if found.closed_at_start[pair] else 1.0)
+        if clear[0]:
+            assert found.closed_at_start[pair] == (values[0, pair] > 0.0)
+
+
+def test_random_polynomials() -> None:
+    """3600 polynomials, H = 1 to 60: the scan finds no sign change that was missed."""
+    rng = np.random.default_rng(11)
+    changes = 0
+    for count in HARMONICS:
+        table = random_harmonics(count, 60, rng)
+        found = switching_instants(table)
+        assert_certified(table, found)
+        changes += len(found.theta)
+    assert changes > 60 * 60 * 4
+
+
+def test_grazing_polynomials() -> None:
+    """3600 polynomials with an extremum 1e-2 to 1e-10 of the amplitude above or below zero.
+
+    Its excursion is shorter than the scan's cells, so the state is checked at the extremum itself.
+    """
+    rng = np.random.default_rng(12)
+    excursions = 0
+    for count in HARMONICS:
+        table = random_harmonics(count, 60, rng)
+        every = np.arange(60)
+        values = scan(table)
+        extremal = (values - np.roll(values, 1, axis=0)) * (np.roll(values, -1, axis=0) - values)
+        near = np.array([rng.choice(np.flatnonzero(extremal[:, pair] < 0.0)) for pair in every])
+        theta = 2.0 * np.pi * near / SCAN
+        for _ in range(6):  # Newton's method for g' = 0; at an extremum g' and g'' say all
+            slope, curvature = (values_at(table, every, theta, order) for order in (1, 2))
+            theta = theta - slope / curvature
+        depth = 10.0 ** -rng.uniform(2.0, 10.0, 60) * rng.choice([-1.0, 1.0], 60)
+        amplitude = np.abs(values - table[0].real).max(axis=0)
+        table[0] += depth * amplitude - values_at(table, every, theta)
+        assert np.all(np.abs(values_at(table, every, theta, 1)) < 1e-9 * count**2 * amplitude)
+        found = switching_instants(table)
+        assert_certified(table, found)
+        curvature = values_at(table, every, theta, 2)
+        for pair in every:
+            assert states(found, pair, theta[pair] % (2.0 * np.pi)) == (depth[pair] > 0.0)
+            if depth[pair] * curvature[pair] < 0.0:  # an excursion through zero, not a near miss
+                instants = found.theta[found.pair == pair]
+                half = np.sqrt(-2.0 * depth[pair] * amplitude[pair] / curvature[pair])
+                distance = (instants - theta[pair] + np.pi) % (2.0 * np.pi) - np.pi
+                if half < 0.02 / count:  # short enough for the parabola
+                    excursions += 1
+                    assert distance[distance > 0.0].min() == pytest.approx(half, rel=0.05)
+                    assert -distance[distance < 0.0].max() == pytest.approx(half, rel=0.05)
+    assert excursions > 900
+
+
+def test_known_roots_of_one_harmonic() -> None:
+    """m + cos(theta - p) is zero at p +- arccos(-m), rising and falling as the cosine does."""
+    mean = np.array([0.0, 0.3, -0.3, 0.999999, -0.999999, -1e-9])
+    phase = np.array([0.7, 2.0, 3.0, 1.0, 5.0, 0.1])
+    found = switching_instants(np.array([mean + 0j, np.exp(-1j * phase)]))
+    for pair, (m, p) in enumerate(zip(mean, phase, strict=True)):
+        mine = found.pair == pair
+        half = np.arccos(-m)
+        opening = found.theta[mine & (found.closing < 0.0)]
+        closing = found.theta[mine & (found.closing > 0.0)]
+        assert opening == pytest.approx([(p + half) % (2.0 * np.pi)], abs=1e-9)
+        assert closing == pytest.approx([(p - half) % (2.0 * np.pi)], abs=1e-9)
+        assert found.closed_at_start[pair] == (m + np.cos(p) > 0.0)
+
+
+def test_many_known_roots() -> None:
+    """cos(H theta - 1): 2 H equidistant roots, a falling one first."""
+    for count in HARMONICS:
+        table = np.zeros((count + 1, 1), dtype=complex)
+        table[count] = np.exp(-1j)
+        found = switching_instants(table)
+        theta = np.sort(found.theta)
+        expected = (0.5 * np.pi + 1.0 + np.pi * np.arange(2 * count)) / count
+        assert np.allclose(theta, np.sort(expected % (2.0 * np.pi)), atol=1e-12)
+        assert found.closed_at_start.tolist() == [True]
+
+
+@pytest.mark.parametrize("distance", [1e-1, 1e-2, 1e-3])
+def test_three_roots_close_together(distance: float) -> None:
+    """sin^3 x - sin^2(d) sin x, x = m theta - p: roots at multiples of pi and d beside them.
+
+    = (3/4 - sin^2 d) sin x - 1/4 sin 3 x. Between them the sign changes once or three times.
+    """
+    rng = np.random.default_rng(15)
+    for multiple in (1, 4, 20):
+        for phase in rng.uniform(0.1, 3.0, 10):
+            table = np.zeros((3 * multiple + 1, 1), dtype=complex)
+            table[multiple] = -1j * (0.75 - np.sin(distance) ** 2) * np.exp(-1j * phase)
+            table[3 * multiple] = 0.25j * np.exp(-3j * phase)
+            found = switching_instants(table)
+            x = np.sort((multiple * found.theta - phase) % np.pi)
+            expected = np.repeat([0.0, distance, np.pi - distance], 2 * multiple)
+            wrapped = np.sort((x + 0.5 * np.pi) % np.pi)
+            expected = np.sort((expected + 0.5 * np.pi) % np.pi)
+            assert wrapped == pytest.approx(expected, abs=1e-2 * distance)
+            assert_certified(table, found)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_without_sign_change(sign: float) -> None:
+    """A mean larger than all waves together, or alone: always closed, or always open."""
+    rng = np.random.default_rng(13)
+    for count in (1, 7, 60):
+        table = random_harmonics(count, 20, rng)
+        table[0] = sign * (1.0 + 1e-9) * np.abs(table[1:]).sum(axis=0)
+        table[1:, 0] = 0.0
+        found = switching_instants(table)
+        assert len(found.theta) == len(found.pair) == len(found.closing) == 0
+        assert np.all(found.closed_at_start == (sign > 0.0))
+
+
+def test_zero_polynomial() -> None:
+    """Lips that just touch all the time are open and never switch, also beside others."""
+    for pairs in (1, 3):
+        table = np.zeros((6, pairs), dtype=complex)
+        table[1, 1:] = 1.0
+        found = switching_instants(table)
+        assert np.array_equal(np.unique(found.pair), np.arange(1, pairs))
+        assert not found.closed_at_start[0]
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e308])
+def test_an_iterate_gone_astray_comes_to_an_end(value: float) -> None:
+    """What is not finite, or overflows, has no roots; its neighbours keep theirs."""
+    table = np.zeros((6, 3), dtype=complex)
+    table[1] = 1.0
+    table[5, 1] = value
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = switching_instants(table)
+    assert np.array_equal(np.unique(found.pair), [0, 2])
+    assert np.allclose(np.sort(found.theta), np.repeat([0.5 * np.pi, 1.5 * np.pi], 2))
+
+
+@pytest.mark.parametrize("angle", [0.0, np.pi, 0.5 * np.pi, 1.0, 6.0])
+@pytest.mark.parametrize("count", [1, 2, 9, 40])
+def test_double_roots_exactly_at_zero(angle: float, count: int) -> None:
+    """+-(1 - cos(H theta - p)) touches zero H times: always closed (open) but for rounding.
+
+    Whether a pair of sign changes is found there is up to rounding; if so, it is a pair.
+    """
+    table = np.zeros((count + 1, 2), dtype=complex)
+    table[0] = 1.0, -1.0
+    table[count] = -np.exp(-1j * angle), np.exp(-1j * angle)
+    found = switching_instants(table)
+    for pair, closed in ((0, 1.0), (1, 0.0)):
+        mine = found.pair == pair
+        theta, closing = found.theta[mine], found.closing[mine]
+        assert len(theta) % 2 == 0 and closing.sum() == 0.0
+        assert np.all(np.abs(values_at(table, found.pair[mine], theta)) <= 1e-12)
+        share = found.closed_at_start[pair] - float(closing @ theta) / (2.0 * np.pi)
+        assert share == pytest.approx(closed, abs=1e-5)
+
+
+def test_pairs_do_not_disturb_each_other() -> None:
+    """Many pairs at once give what one pair at a time gives, to 1e-10."""
+    rng = np.random.default_rng(14)
+    for count in (1, 5, 20, 60):
+        table = random_harmonics(count, 25, rng)
+        together = switching_instants(table)
+        for pair in range(25):
+            alone = switching_instants(table[:, pair : pair + 1])
+            mine = together.pair == pair
+            order, alone_order = np.argsort(together.theta[mine]), np.argsort(alone.theta)
+            assert np.allclose(
+                together.theta[mine][order], alone.theta[alone_order], rtol=0.0, atol=1e-10
+            )
+            assert np.array_equal(together.closing[mine][order], alone.closing[alone_order])
+            assert together.closed_at_start[pair] == alone.closed_at_start[0]
+            assert not np.any(alone.pair)

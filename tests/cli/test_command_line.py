@@ -1,0 +1,231 @@
+"""The program: a newcomer's path, its files, its exit codes."""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from helpers import ROOT
+
+import fenics_crack as fc
+from fenics_crack.cli.command_line import main
+from fenics_crack.fem.plate import write_msh
+from fenics_crack.study.run import load_run
+
+ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+PAPER = ROOT / "demos" / "paper_plate.toml"
+PROGRAM = [sys.executable, "-m", "fenics_crack"]
+
+
+def run(folder: Path, *words: str, ranks: int = 1) -> subprocess.CompletedProcess[str]:
+    """The program in a folder, on one rank or more."""
+    launcher = [] if ranks == 1 else ["mpirun", "--allow-run-as-root", "--oversubscribe", "-n"]
+    start = [*launcher, str(ranks)] if launcher else []
+    return subprocess.run(
+        [*start, *PROGRAM, *words], cwd=folder, env=ENVIRONMENT, capture_output=True, text=True,
+        timeout=300,
+    )  # fmt: skip
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    """Rows of a CSV file."""
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.mark.slow
+def test_numbers_are_those_of_the_library(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    """What the program prints, stores and reads back is what a script gets."""
+    scene = fc.Scene.load(ROOT / "demos" / "paper_plate.toml").replace(
+        {"contact.stiffness": 1e9, "damping.ratio": 0.01}
+    )
+    plate = fc.build_structure(scene)
+    expected = fc.solve_harmonic_balance(plate, 2000.0, fc.UnilateralPenalty(1e9), harmonics=5)
+    words = ["solve", str(ROOT / "demos" / "paper_plate.toml"), "--output", str(tmp_path),
+             "--set", "contact.stiffness=1e9", "--set", "damping.ratio=0.01",
+             "--format", "json"]  # fmt: skip
+    assert main(words) == 0
+    shown = {row["quantity"]: row["value"] for row in json.loads(capsys.readouterr().out)}
+    time = np.linspace(0.0, expected.period, 1024, endpoint=False)
+    assert shown["largest opening"] == pytest.approx(-expected.gap(time).min(), rel=1e-12)
+    assert shown["verdict"] == fc.floquet(plate, expected).verdict
+    read = load_run(tmp_path / "solution.h5")
+    assert read.scene == scene and isinstance(read.result, fc.PeriodicSolution)
+    assert read.result.report == expected.report
+    for name in ("gap_coefficients", "force_coefficients", "displacement_coefficients"):
+        one, other = getattr(read.result, name), getattr(expected, name)
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12 * np.abs(other).max())
+    rows = table(tmp_path / "solution.csv")
+    time = np.array([float(row["time [s]"]) for row in rows])
+    corner = [float(row["x displacement at (0.1, 0.1) m [m]"]) for row in rows]
+    dof = plate.find_dof((0.1, 0.1), "x")
+    wanted = expected.displacement(time, [dof])[:, 0]
+    np.testing.assert_allclose(corner, wanted, atol=1e-12 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("law", ["constraint", "smoothed"])
+def test_other_laws_read_back(tmp_path: Path, law: str) -> None:
+    """The constraint and the smoothed law, too."""
+    words = ["solve", str(ROOT / "demos" / "paper_plate.toml"), "--quiet",
+             "--output", str(tmp_path), "--set", f"contact.law={law}"]  # fmt: skip
+    if law == "constraint":
+        words += ["--set", "contact.stiffness=none"]
+    else:
+        words += ["--set", "contact.sharpness=1e8", "--set", "contact.stiffness=1e9"]
+    assert main(words) == 0
+    read = load_run(tmp_path / "solution.h5")
+    assert isinstance(read.result, fc.PeriodicSolution) and read.result.converged
+    time = np.linspace(0.0, read.result.period, 200)
+    assert read.result.contact_force(time).max() > 1.0
+
+
+def test_uncracked_plate(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    """Solved linearly, with no word about contact; a curve of it is refused."""
+    scene = str(ROOT / "demos" / "paper_plate.toml")
+    whole = ["--set", "crack=none", "--set", "contact=none", "--output", str(tmp_path)]
+    assert main(["solve", scene, *whole]) == 0
+    assert "opening" not in capsys.readouterr().out
+    assert main(["plot", str(tmp_path / "solution.h5")]) == 0
+    assert main(["integrate", scene, *whole]) == 2
+    assert "crack" in capsys.readouterr().err
+
+
+def test_not_converged_says_so(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    """Exit code 3 where a motion has not settled; the files are there."""
+    words = ["integrate", str(ROOT / "demos" / "paper_plate.toml"), "--output", str(tmp_path),
+             "--set", "integration.periods=2", "--set", "integration.method=events"]  # fmt: skip
+    assert main(words) == 3
+    assert "not settled" in capsys.readouterr().err
+    assert (tmp_path / "integration.h5").exists()
+
+
+def test_help_and_version(capsys: pytest.CaptureFixture) -> None:
+    """Every command is listed and explained."""
+    with pytest.raises(SystemExit) as left:
+        main(["--help"])
+    text = capsys.readouterr().out
+    assert left.value.code == 0
+    for command in ("new", "check", "modes", "solve", "curve", "integrate", "sweep", "plot"):
+        assert f"\n    {command}" in text
+        with pytest.raises(SystemExit):
+            main([command, "--help"])
+        assert "usage: fenics-crack" in capsys.readouterr().out
+    with pytest.raises(SystemExit):
+        main(["--version"])
+    assert capsys.readouterr().out.strip() == f"fenics-crack {fc.__version__}"
+
+
+def test_is_installed_as_a_program() -> None:
+    """pyproject.toml names the function that the tests call."""
+    scripts = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"]
+    module, function = scripts["fenics-crack"].split(":")
+    assert getattr(importlib.import_module(module), function) is main
+
+
+@pytest.mark.mpi
+def test_bad_input_on_two_ranks(tmp_path: Path) -> None:
+    """One line, from one rank, and both ranks end."""
+    (tmp_path / "scene.toml").write_text((ROOT / "demos" / "paper_plate.toml").read_text())
+    done = run(tmp_path, "solve", "scene.toml", "--set", "crack.length=-1.0", ranks=2)
+    assert done.returncode == 2
+    assert done.stderr.count("crack.length = -1.0: must be a finite number > 0") == 1
+    assert "Traceback" not in done.stderr
+
+
+def test_a_failed_run_leaves_older_results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file is replaced only when the new one is complete."""
+    words = ["modes", str(PAPER), "--output", str(tmp_path), "--quiet"]
+    assert main(words) == 0
+    before = (tmp_path / "modes.h5").read_bytes()
+    made = h5py.File.create_dataset
+    monkeypatch.setattr(h5py.File, "create_dataset", lambda self, name, **rest: (
+        made(self, name, **rest) if name != "shapes" else make_error()))  # fmt: skip
+
+    def make_error() -> None:
+        raise OSError("the disk is full")
+
+    assert main([*words, "--count", "3"]) == 2
+    assert (tmp_path / "modes.h5").read_bytes() == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "modes.csv", "modes.h5", "modes.json",
+    ]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A solution and a curve of the paper's plate."""
+    folder = tmp_path_factory.mktemp("results")
+    for command in ("solve", "curve", "integrate"):
+        words = [command, str(PAPER), "--quiet", "--output", str(folder)]
+        changes = ["contact.stiffness=1e9", "damping.ratio=0.02", "curve.start=1500.0",
+                   "curve.stop=1600.0", "integration.method=events"]  # fmt: skip
+        assert main([*words, *(word for change in changes for word in ("--set", change))]) == 0
+    return folder
+
+
+@pytest.mark.parametrize("name", ["solution", "curve"])
+def test_file_with_another_law_or_structure(results: Path, name: str) -> None:
+    """Read with what they were not found with, results would be wrong: they are refused."""
+    run = load_run(results / f"{name}.h5")
+    for law in (fc.UnilateralPenalty(1e8), fc.SmoothedPenalty(1e9, 1e8)):
+        with pytest.raises(fc.InputError, match="contact"):
+            fc.load(results / f"{name}.h5", run.structure, law)
+    heavier = fc.prepare(run.scene.replace({"material.density": 8000.0}))
+    with pytest.raises(fc.InputError, match="structure"):
+        fc.load(results / f"{name}.h5", heavier, run.contact)
+
+
+def test_file_of_a_mesh_that_has_changed(tmp_path: Path) -> None:
+    """The mesh file belongs to the result."""
+    mesh = tmp_path / "plate.msh"
+    drawn = fc.Scene.load(PAPER).replace({"contact.stiffness": 1e9, "damping.ratio": 0.02})
+    write_msh(drawn, mesh)
+    scene = tmp_path / "scene.toml"
+    scene.write_text(
+        PAPER.read_text().replace('layout = "grid"', 'layout = "file"\nfile = "plate.msh"')
+    )
+    text = scene.read_text()
+    for key in ("columns", "rows", "width", "height", "edge", "length"):
+        text = re.sub(rf"^{key} = .*$", "", text, flags=re.M)
+    scene.write_text(text.replace("stiffness = 1e11", "stiffness = 1e9"))
+    words = ["solve", str(scene), "--quiet", "--output", str(tmp_path)]
+    assert main(words) == 0
+    assert isinstance(load_run(tmp_path / "solution.h5").result, fc.PeriodicSolution)
+    words = ["sweep", *words[1:], "--set", "sweep.over={'excitation.omega'=[1900.0, 2000.0]}"]
+    assert main(words) == 0
+    swept = fc.SweepResult.load(tmp_path / "sweep.h5")
+    assert swept.solution(0).converged
+    write_msh(drawn.replace({"crack.height": 0.0625}), mesh)
+    with pytest.raises(fc.InputError, match="it has changed or gone"):
+        load_run(tmp_path / "solution.h5")
+    with pytest.raises(fc.InputError, match="it has changed or gone"):
+        swept.solution(0)
+    assert main(words) == 2  # neither does the sweep go on
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("name", ["curve", "integration"])
+def test_plot_on_two_ranks(results: Path, tmp_path: Path, name: str) -> None:
+    """Drawn by one of them, while the other waits."""
+    done = run(tmp_path, "plot", str(results / f"{name}.h5"), "--output", ".", ranks=2)
+    assert done.returncode == 0 and list(tmp_path.glob("*.png")), done.stderr
+
+
+def test_reader_that_goes_away(tmp_path: Path) -> None:
+    """No message of PETSc's, no traceback."""
+    command = " ".join([*PROGRAM, "modes", str(PAPER), "--output", str(tmp_path)])
+    done = subprocess.run(
+        f"{command} --verbose | true", shell=True, env=ENVIRONMENT, capture_output=True, text=True
+    )
+    assert "PETSC" not in done.stderr and "Traceback" not in done.stderr
+    assert (tmp_path / "modes.h5").exists()

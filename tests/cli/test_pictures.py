@@ -1,0 +1,271 @@
+"""Pictures of one vibration: its animation, harmonics and orbit; maps; and several ranks."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import pyvista
+from helpers import DEMOS, period_two_orbit
+from mpi4py import MPI
+from PIL import Image
+from scipy.spatial import cKDTree
+
+import fenics_crack as fc
+from fenics_crack.draw import animation
+from fenics_crack.draw.animation import animate_period, show_period
+from fenics_crack.draw.figure import COLOURS, off_screen_plotter, readable
+from fenics_crack.draw.paraview import PeriodFields, write_period
+from fenics_crack.draw.plot import draw_map
+from fenics_crack.draw.plot_motion import draw_orbits, draw_spectrum
+
+ORANGE = tuple(int(COLOURS["orange"][i : i + 2], 16) for i in (1, 3, 5))
+PLATE = (slice(110, 530), slice(0, 530))
+"""Rows and columns of the plate in the animation."""
+
+
+@pytest.fixture(scope="module")
+def small_scene(paper_scene: fc.Scene) -> fc.Scene:
+    """Quadratic elements on a coarse grid."""
+    return paper_scene.replace({"mesh.order": 2, "mesh.columns": 4, "mesh.rows": 4})
+
+
+@pytest.fixture(scope="module")
+def breathing(small_scene: fc.Scene) -> fc.PeriodicSolution:
+    """Its vibration with contact, on one rank."""
+    return vibration(small_scene, MPI.COMM_SELF)
+
+
+def vibration(scene: fc.Scene, comm: Any) -> fc.PeriodicSolution:
+    """The vibration of a scene's plate with a soft contact."""
+    plate = fc.build_structure(scene, comm)
+    return fc.solve_harmonic_balance(plate, 2000.0, fc.UnilateralPenalty(1e9))
+
+
+def pixels(path: Path, frame: int = 0) -> np.ndarray:
+    """A picture's colours, (rows, columns, 3)."""
+    with Image.open(path) as picture:
+        picture.seek(frame)
+        return np.asarray(picture.convert("RGB"))
+
+
+def share(picture: np.ndarray, colour: tuple[int, ...]) -> float:
+    """How much of a picture has exactly a colour."""
+    return float(np.all(picture == colour, axis=2).mean())
+
+
+def assert_drawn(path: Path, size: tuple[int, int]) -> None:
+    """The picture has its size (width, height) and is neither blank nor noise."""
+    picture = pixels(path)
+    assert picture.shape == (size[1], size[0], 3)
+    assert picture.std() > 10.0
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 20
+    assert share(picture, (255, 255, 255)) > 0.1 or "map" in path.name
+
+
+# --- the animation --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("with_stress", [True, False])
+def test_animation(
+    small_scene: fc.Scene, breathing: fc.PeriodicSolution, tmp_path: Path, with_stress: bool
+) -> None:
+    """All frames, small; open and closed frames differ, and only closed ones mark contact."""
+    path = tmp_path / "new" / "crack.gif"
+    material = small_scene.material if with_stress else None
+    magnification = animate_period(breathing, path, frames=10, material=material)
+    fields = PeriodFields.of(breathing, 10)
+    assert magnification == pytest.approx(fields.magnification)
+    with Image.open(path) as picture:
+        assert picture.n_frames == 10 and picture.size == (640, 740)
+        assert picture.info["loop"] == 0 and picture.info["duration"] == 300
+    assert path.stat().st_size < 1e6
+    gap = breathing.gap(fields.time)[:, 0]
+    apart, touching = int(gap.argmin()), int(gap.argmax())
+    assert gap[apart] < 0.0 < gap[touching]
+    shown = [pixels(path, frame)[PLATE] for frame in (apart, touching)]
+    assert np.mean(np.any(shown[0] != shown[1], axis=2)) > 0.05
+    assert share(shown[0], ORANGE) == 0.0 < share(shown[1], ORANGE)
+    for picture in shown:
+        assert 0.05 < share(picture, (255, 255, 255)) < 0.8
+    assert len(np.unique(shown[0].reshape(-1, 3), axis=0)) > 20
+
+
+def test_animation_of_twice_the_period_without_a_crack(
+    small_scene: fc.Scene, tmp_path: Path
+) -> None:
+    """A plate without lips and pairs is drawn too, and a reduced structure as the whole one."""
+    plate = fc.build_structure(small_scene.replace({"crack": None, "contact": None}))
+    animate_period(fc.solve_linear(plate, 2000.0), tmp_path / "plain.gif", frames=2)
+    cracked = fc.reduce_structure(fc.build_structure(small_scene))
+    twice = fc.solve_harmonic_balance(
+        cracked, 2000.0, fc.UnilateralPenalty(1e9), harmonics=6, subharmonic=2
+    )
+    animate_period(twice, tmp_path / "twice.gif", frames=2)
+    for name in ("plain", "twice"):
+        assert_drawn(tmp_path / f"{name}.gif", (640, 740))
+
+
+def test_window(breathing: fc.PeriodicSolution, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its slider moves the plate; without a screen there is none."""
+    fields = PeriodFields.of(breathing, 10)
+    plotter = off_screen_plotter(window_size=(600, 600))
+    slider = animation._with_slider(plotter, breathing, fields)
+    pictures = []
+    for frame in (2, 7):
+        slider.GetRepresentation().SetValue(frame / 10)
+        slider.InvokeEvent("InteractionEvent")
+        plotter.render()
+        pictures.append(plotter.screenshot(None, return_img=True))
+    plotter.close()
+    assert np.mean(np.any(pictures[0] != pictures[1], axis=2)) > 0.05
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(fc.InputError, match="screen"):
+        show_period(breathing)
+
+
+def test_animation_refuses(breathing: fc.PeriodicSolution, tmp_path: Path) -> None:
+    """Other files than GIF, and what has no mesh."""
+    for name in ("crack.mp4", "crack"):
+        with pytest.raises(fc.InputError, match=r"path.*\.gif"):
+            animate_period(breathing, tmp_path / name)
+    for key, value in (("frames", 1.5), ("magnification", 0.0), ("material", 2e9)):
+        with pytest.raises(fc.InputError, match=key):
+            animate_period(breathing, tmp_path / "crack.gif", **{key: value})  # type: ignore[arg-type]
+    with pytest.raises(fc.InputError, match="structure"):
+        animate_period(period_two_orbit(3), tmp_path / "crack.gif")
+    assert not list(tmp_path.iterdir())
+
+
+def test_picture_of_the_readme() -> None:
+    """It is an animation, small enough for a page."""
+    path = DEMOS.parent / "docs" / "pictures" / "breathing_crack.gif"
+    assert path.stat().st_size < 1.5e6
+    with Image.open(path) as picture:
+        assert picture.n_frames == 50
+
+
+# --- harmonics and orbits -------------------------------------------------------------------------
+
+
+def test_spectrum_and_orbits(breathing: fc.PeriodicSolution, tmp_path: Path) -> None:
+    """With one panel or two, of plates and of matrices, with twice the load's period or without."""
+    dof = breathing.structure.find_dof((0.1, 0.1), "x")
+    orbit = period_two_orbit(6)
+    free = fc.solve_linear(fc.Structure.from_matrices(np.eye(1), np.eye(1), None), 0.5)
+    sizes = {"gap": (1050, 1020), "dof": (1050, 1020), "two": (1050, 1020), "free": (1050, 690)}
+    for (name, size), solution, given in zip(
+        sizes.items(), (breathing, breathing, orbit, free), (None, dof, 0, 0), strict=True
+    ):
+        draw_spectrum(tmp_path / f"{name}.png", solution, given, title="Harmonics")
+        assert_drawn(tmp_path / f"{name}.png", size)
+        draw_orbits(tmp_path / f"{name} orbit.png", solution, given, title="Phase plane")
+        panels = 2 if name in ("dof", "two") else 1
+        assert_drawn(tmp_path / f"{name} orbit.png", (150 + 630 * panels, 660))
+    contact = pixels(tmp_path / "dof orbit.png")
+    assert share(contact, ORANGE) > 10.0 * share(pixels(tmp_path / "free orbit.png"), ORANGE)
+    for draw in (draw_spectrum, draw_orbits):
+        with pytest.raises(fc.InputError, match="dof"):
+            draw(tmp_path / "none.png", free, title="t")
+
+
+def test_units_that_read_well() -> None:
+    """Three digits before the point at most."""
+    for largest, unit, factor, found in (
+        (2e-7, "m", 1e9, "nm"), (1.7e-6, "m", 1e6, "µm"), (0.0, "m", 1.0, "m"),
+        (3.3e4, "Pa", 1e-3, "kPa"), (5e-14, "m", 1e15, "10^-15 m"),
+    ):  # fmt: skip
+        assert readable(largest, unit) == (pytest.approx(factor), found)
+
+
+# --- maps -----------------------------------------------------------------------------------------
+
+
+def test_map(tmp_path: Path) -> None:
+    """Cells without a value are grey; the colours are logarithmic where that helps."""
+    x, y = np.linspace(1500.0, 4000.0, 8), np.linspace(0.02, 0.06, 5)
+    words = {"title": "t", "x_label": "x", "y_label": "y", "value_label": "v [m]"}
+    rising = np.outer(np.ones(5), np.arange(1.0, 9.0))
+    steep, holes = 10.0**rising, rising.copy()
+    holes[1:3, 2] = np.nan
+    for name, values in (("map", rising), ("map holes", holes), ("map steep", steep)):
+        draw_map(tmp_path / f"{name}.png", x, y, values, **words)
+        assert_drawn(tmp_path / f"{name}.png", (1050, 630))
+    grey = (0xB5, 0xB5, 0xB5)
+    plain, pierced, logarithmic = (
+        pixels(tmp_path / f"{name}.png") for name in ("map", "map holes", "map steep")
+    )
+    assert share(plain, grey) < 0.001
+    assert share(pierced, grey) > 0.01
+    # On a linear scale seven of the eight columns would be darkest.
+    assert share(logarithmic, (68, 1, 84)) < 0.15
+
+
+@pytest.mark.parametrize(
+    ("key", "change"),
+    [
+        ("x", {"x": np.array([1.0, 1.0, 2.0])}),
+        ("y", {"y": np.array([1.0])}),
+        ("values", {"values": np.ones((3, 2))}),
+        ("values", {"values": np.full((2, 3), np.nan)}),
+    ],
+)
+def test_map_refuses(tmp_path: Path, key: str, change: dict[str, np.ndarray]) -> None:
+    """Axes that do not rise, other shapes, and nothing but nan."""
+    given = {"x": np.arange(3.0), "y": np.arange(2.0), "values": np.ones((2, 3))} | change
+    with pytest.raises(fc.InputError, match=key):
+        draw_map(
+            tmp_path / "map.png", **given, title="t", x_label="x", y_label="y", value_label="v"
+        )
+
+
+# --- several ranks --------------------------------------------------------------------------------
+
+
+def write_on_ranks(scene: fc.Scene, folder: str, comm: Any) -> float:
+    """Write the period and every picture."""
+    solution = vibration(scene, comm)
+    target = Path(folder)
+    dof = solution.structure.find_dof((0.1, 0.1), "x")
+    draw_spectrum(target / "spectrum.png", solution, dof, title="t")
+    draw_orbits(target / "orbits.png", solution, dof, title="t")
+    animate_period(solution, target / "crack.gif", frames=4, material=scene.material)
+    return write_period(solution, target / "crack.pvd", frames=4, material=scene.material)
+
+
+@pytest.mark.mpi
+def test_two_ranks_write_the_same(
+    small_scene: fc.Scene, on_ranks: Callable[..., Any], tmp_path: Path
+) -> None:
+    """Series, script, numbers of every node and pictures, though the nodes are in another order."""
+    folder = tmp_path / "crack"
+    magnification = write_on_ranks(small_scene, str(folder), MPI.COMM_SELF)
+    alone = tmp_path / "alone"
+    shutil.move(folder, alone)
+    assert on_ranks(write_on_ranks, small_scene, str(folder)) == pytest.approx(magnification)
+    assert (folder / "crack.pvd").read_text() == (alone / "crack.pvd").read_text()
+    scripts = [(place / "crack_paraview.py").read_text() for place in (folder, alone)]
+    scripts = [[line for line in text.split("\n") if "Rescale" not in line] for text in scripts]
+    assert scripts[0] == scripts[1]  # but for the rounded end of the colours
+    for frame in range(4):
+        one, two = (
+            pyvista.read(place / "crack" / f"frame_{frame:04d}.vtu") for place in (alone, folder)
+        )
+        assert one.n_points == two.n_points == 85 and one.n_cells == two.n_cells == 16
+        assert set(one.celltypes) == set(two.celltypes) == {70}  # nine nodes
+        assert set(one.point_data) == set(two.point_data)
+        # Where the lips touch, their nodes are told apart by their stresses.
+        scale = np.abs(one["stress"]).max()
+        keys = [np.column_stack([grid.points, 0.1 * grid["stress"] / scale]) for grid in (one, two)]
+        distance, partner = cKDTree(keys[1]).query(keys[0])
+        assert distance.max() < 1e-6 and len(set(partner)) == one.n_points
+        for name in one.point_data:
+            size = max(float(np.abs(one[name]).max()), 1e-300)
+            assert np.abs(one[name] - two[name][partner]).max() < 1e-6 * size, name
+    pictures = [("spectrum.png", 0), ("orbits.png", 0), *(("crack.gif", n) for n in range(4))]
+    for name, frame in pictures:
+        first, second = (pixels(place / name, frame) for place in (folder, alone))
+        assert np.mean(np.any(first != second, axis=2)) < 0.01, (name, frame)

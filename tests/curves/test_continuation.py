@@ -1,0 +1,501 @@
+"""Response curves by arc-length continuation."""
+
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import (
+    Cubic,
+    amplitudes,
+    log_slope,
+    oscillator,
+    random_stiffness,
+    true_error,
+    two_masses,
+)
+
+import fenics_crack as fc
+from fenics_crack.balance.compliance import ModalCompliance, load_coefficients
+from fenics_crack.balance.condensed import respond
+from fenics_crack.balance.family import FAMILIES
+from fenics_crack.balance.fourier import from_complex
+from fenics_crack.curves.continuation import continue_frequency
+
+
+def folds(curve: fc.ResponseCurve) -> list[float]:
+    """Frequencies of the folds, in order."""
+    return [b.omega for b in curve.bifurcations if b.kind == "fold"]
+
+
+@pytest.mark.parametrize("harmonics", [5, 10, 20])
+@pytest.mark.parametrize("stiffness", [1.0, 10.0, 100.0, 1000.0])
+def test_bilinear_oscillator_runs_through(stiffness: float, harmonics: int) -> None:
+    """From 2.0 down to 0.3 without intervention; at kc = 1 with the two true folds only."""
+    curve = continue_frequency(
+        oscillator(0.02, 0.1), 2.0, 0.3, fc.UnilateralPenalty(stiffness), harmonics=harmonics
+    )
+    assert curve.complete and curve.omega[-1] == pytest.approx(0.3)
+    assert len(folds(curve)) % 2 == 0
+    if stiffness == 1.0:
+        assert len(folds(curve)) == 2
+    amplitude = curve.amplitude(0)
+    peak = curve.omega[np.argmax(amplitude)]
+    bilinear = 2.0 * np.sqrt(1.0 + stiffness) / (1.0 + np.sqrt(1.0 + stiffness))
+    assert peak == pytest.approx(bilinear, rel=0.03)  # one mode: 2 w1 w2 / (w1 + w2)
+    if stiffness == 100.0 and harmonics >= 10:
+        assert amplitude.max() == pytest.approx(2.465, rel=3e-3)  # measured elsewhere
+        assert peak == pytest.approx(1.819, abs=2e-3)
+    sharp = [curve.solution(int(i)) for i in np.linspace(0, len(curve.omega) - 1, 20)]
+    assert max(solution.report.residual for solution in sharp) < 1e-7
+
+
+def test_points_are_solutions() -> None:
+    """Each point, solved again by SNES from itself, does not move."""
+    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(10.0)
+    curve = continue_frequency(structure, 2.0, 0.3, law, harmonics=8)
+    for index in range(0, len(curve.omega), 25):
+        solution = curve.solution(index)
+        again = fc.solve_harmonic_balance(
+            structure, float(curve.omega[index]), law, harmonics=8, initial=solution
+        )
+        difference = np.abs(again.gap_coefficients - solution.gap_coefficients).max()
+        assert difference < 1e-6 * np.abs(solution.gap_coefficients).max()
+
+
+def test_folds_are_where_the_curve_turns() -> None:
+    """The Jacobian is singular at a fold, and folds lie beyond their neighbours in frequency."""
+    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
+    curve = continue_frequency(structure, 2.0, 0.3, law, harmonics=10)
+    turning = np.flatnonzero(np.diff(np.sign(np.diff(curve.omega))) != 0) + 1
+    assert len(turning) == len(folds(curve)) == 2
+    for index, fold in zip(turning, folds(curve), strict=True):
+        assert abs(fold - curve.omega[index]) < 0.01
+        extreme = min if curve.omega[index] < curve.omega[index - 1] else max
+        assert extreme(fold, curve.omega[index]) == fold
+
+
+def test_fold_of_a_duffing_oscillator() -> None:
+    """One harmonic: a1 = amplitude obeys a cubic whose folds are roots of its discriminant."""
+    damping, force, cubic = 0.1, 0.2, 1.0
+    structure = oscillator(damping, force)
+    curve = continue_frequency(structure, 0.5, 2.5, Cubic(cubic), harmonics=1, longest_step=0.02)
+
+    def discriminant(omega: float) -> float:
+        # ((1 - w^2 + 3/4 c y)^2 + (d w)^2) y = f^2 in y = a^2
+        q = 0.75 * cubic
+        p = 1.0 - omega**2
+        roots = np.roots([q**2, 2 * p * q, p**2 + (damping * omega) ** 2, -(force**2)])
+        pairs = (roots[0] - roots[1]) * (roots[0] - roots[2]) * (roots[1] - roots[2])
+        return float((pairs**2).real)
+
+    grid = np.linspace(0.6, 2.4, 4001)
+    signs = np.sign([discriminant(omega) for omega in grid])
+    exact = grid[np.flatnonzero(np.diff(signs))]
+    assert len(exact) == 2
+    assert np.allclose(sorted(folds(curve)), exact, atol=1e-3)
+
+
+def test_both_stable_orbits_of_two_masses_and_a_stop() -> None:
+    """VERIFICATION C: three crossings of W = 0.70, the outer two as published."""
+    structure, law = two_masses(), fc.UnilateralPenalty(100.0)
+    curve = continue_frequency(structure, 0.6, 0.9, law, harmonics=21)
+    crossing = np.flatnonzero((curve.omega[:-1] - 0.7) * (curve.omega[1:] - 0.7) < 0.0)
+    found = []
+    for index in crossing:
+        near = curve.solution(int(index))
+        solution = fc.solve_harmonic_balance(structure, 0.7, law, harmonics=21, initial=near)
+        found.append(amplitudes(solution.coefficients_at([1])[:, 0])[0])
+    assert len(found) == 3
+    assert max(found) == pytest.approx(0.77839461, abs=1e-3)
+    assert min(found) == pytest.approx(0.22134025, abs=1e-6)
+
+
+def test_period_doubling_of_two_masses_and_a_stop() -> None:
+    """VERIFICATION C: at W = 0.7387830; the located points approach it like H^-3."""
+    structure, law = two_masses(), fc.UnilateralPenalty(100.0)
+    errors, counts = [], (61, 81, 121)
+    for harmonics in counts:
+        curve = continue_frequency(
+            structure, 0.72, 0.75, law, harmonics=harmonics, stability=True,
+            initial=_contact_branch(structure, law, harmonics), throw=False, most_points=60,
+        )  # fmt: skip
+        doubling = [b.omega for b in curve.bifurcations if b.kind == "period_doubling"]
+        errors.append(abs(doubling[0] - 0.7387830))
+    assert errors[-1] < 4e-4
+    assert -3.6 < log_slope(counts, errors) < -2.4
+
+
+def _contact_branch(
+    structure: fc.Structure, law: fc.UnilateralPenalty, harmonics: int
+) -> fc.PeriodicSolution:
+    """The branch with contact at W = 0.72: reached from below, where it is the only one."""
+    curve = continue_frequency(structure, 0.6, 0.72, law, harmonics=harmonics)
+    return curve.solution(len(curve.omega) - 1)
+
+
+def test_saved_curve_comes_back(tmp_path: Path) -> None:
+    """Written and read again: the same numbers, nothing solved; a wrong file gets one error."""
+    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
+    curve = continue_frequency(structure, 2.0, 0.3, law, harmonics=6, stability=True)
+    fc.save(curve, tmp_path / "curve.h5")
+    again = fc.load(tmp_path / "curve.h5", structure, law)
+    assert np.array_equal(again.omega, curve.omega)
+    assert np.array_equal(again.amplitude(0), curve.amplitude(0))
+    assert np.array_equal(again.stable, curve.stable)
+    assert [(b.kind, b.omega) for b in again.bifurcations] == [
+        (b.kind, b.omega) for b in curve.bifurcations
+    ]
+    assert (again.complete, again.status) == (curve.complete, curve.status)
+    (tmp_path / "other.h5").write_text("no curve")
+    with pytest.raises(fc.InputError, match="path"):
+        fc.load(tmp_path / "other.h5", structure, law)
+    with pytest.raises(fc.InputError, match="path"):
+        fc.load(tmp_path / "missing.h5", structure, law)
+    wide = fc.Structure.from_matrices(np.eye(2), np.eye(2), np.eye(2))
+    with pytest.raises(fc.InputError, match="pairs"):
+        fc.load(tmp_path / "curve.h5", wide, law)
+
+
+def test_frequency_derivative() -> None:
+    """d(R lambda - g_lin)/dw against central differences, with all kinds of damping."""
+    rng = np.random.default_rng(3)
+    n = 5
+    stiffness, gap = random_stiffness(rng, n), rng.normal(size=(n, 2))
+    random = rng.normal(size=(n, n))
+    for damping in (fc.ModalDamping(0.05), 0.1 * np.eye(n), 0.1 * random @ random.T, None):
+        structure = fc.Structure.from_matrices(
+            np.eye(n), stiffness, gap, force_sin=rng.normal(size=n), damping=damping
+        )
+        load = load_coefficients(structure, 3, 1)
+        force = rng.normal(size=(7, 2))
+
+        def moved(omega: float, structure=structure, load=load, force=force) -> np.ndarray:  # type: ignore[no-untyped-def]
+            compliance = ModalCompliance(structure, omega, load)
+            return respond(compliance.matrices, force) - compliance.linear_gap
+
+        step = 1e-6
+        slope = (moved(0.7 + step) - moved(0.7 - step)) / (2.0 * step)
+        exact = ModalCompliance(structure, 0.7, load).frequency_derivative(force)
+        assert np.allclose(slope, exact, rtol=1e-6, atol=1e-7 * np.abs(exact).max())
+
+
+@pytest.mark.slow
+def test_paper_plate_over_three_resonances(soft_plate: fc.Structure) -> None:
+    """k = 1e9 and 1e11, xi = 0.01, past the third natural frequency; reduced equals whole."""
+    corner = soft_plate.find_dof((0.1, 0.1), "x")
+    for stiffness in (1e9, 1e11):
+        law = fc.UnilateralPenalty(stiffness)
+        whole = continue_frequency(soft_plate, 1000.0, 9500.0, law, harmonics=5)
+        assert whole.complete
+        assert whole.omega.max() > 8579.0
+        reduced = continue_frequency(
+            fc.reduce_structure(soft_plate, modes=20), 1000.0, 9500.0, law, harmonics=5
+        )
+        peaks = [curve.amplitude(corner).max() for curve in (whole, reduced)]
+        assert peaks[1] == pytest.approx(peaks[0], rel=0.02)
+
+
+def test_bad_arguments_and_unfinished_curves() -> None:
+    """One error names the argument; a curve that is not finished says so."""
+    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
+    for key, arguments in (
+        ("omega_start", (0.0, 1.0)),
+        ("omega_end", (1.0, float("nan"))),
+        ("omega_end", (1.0, 1.0)),
+    ):
+        with pytest.raises(fc.InputError) as caught:
+            continue_frequency(structure, *arguments, law)
+        assert caught.value.key == key
+    with pytest.raises(fc.InputError, match="contact"):
+        continue_frequency(structure, 1.0, 2.0, fc.UnilateralConstraint())  # type: ignore[arg-type]
+    with pytest.raises(fc.ConvergenceError, match="10 points were not enough"):
+        continue_frequency(structure, 2.0, 0.3, law, most_points=10)
+    curve = continue_frequency(structure, 2.0, 0.3, law, most_points=10, throw=False)
+    assert not curve.complete and len(curve.omega) == 11
+    with pytest.raises(fc.InputError, match="stability"):
+        _ = curve.stable
+
+
+# --- other parameters -----------------------------------------------------------------------------
+
+RANGES = {
+    "omega": (1.3, 0.9),
+    "load": (1.0, 3.0),
+    "stiffness": (1.0, 50.0),
+    "damping": (1.0, 0.1),
+    "clearance": (-0.3, 0.5),
+}
+
+
+@pytest.mark.parametrize("name", list(RANGES))
+def test_derivative_by_each_parameter(name: str) -> None:
+    """dF/dp against central differences, along the whole range."""
+    structure, (start, end) = two_masses(), RANGES[name]
+    law = fc.UnilateralPenalty(np.array([3.0]))
+    family = FAMILIES[name](structure, 0.9, law, start, end, 4, None, 1)
+    gap = np.random.default_rng(2).normal(size=(9, 1))
+    for parameter in (0.0, 0.4, 1.0):
+        family.set_parameter(parameter)
+        exact = family.parameter_derivative(gap)
+        sides = []
+        for step in (1e-6, -1e-6):
+            family.set_parameter(parameter + step)
+            sides.append(family.residual(gap))
+        slope = (sides[0] - sides[1]) / 2e-6
+        assert np.allclose(slope, exact, rtol=1e-5, atol=1e-7 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize("name", ["load", "stiffness", "damping", "clearance"])
+def test_curve_over_another_parameter(name: str) -> None:
+    """Every point solves the structure or the law varied accordingly, and its amplitude is that."""
+    structure, (start, end) = oscillator(0.1, 1.0), RANGES[name]
+    law = fc.UnilateralPenalty(1.0)
+    curve = fc.continue_parameter(structure, 1.2, law, name, start, end, harmonics=8)
+    assert curve.complete and np.all(curve.omega == 1.2)
+    assert (curve.values[0], curve.values[-1]) == pytest.approx((start, end))
+    amplitude = curve.amplitude(0)
+    for index in (0, len(curve) // 2, len(curve) - 1):
+        varied = {"load": 1.0, "damping": 1.0, "clearance": 0.0}
+        factor = float(curve.values[index]) if name == "stiffness" else 1.0
+        if name != "stiffness":
+            varied[name] = float(curve.values[index])
+        by_hand = fc.Structure.from_matrices(
+            np.eye(1),
+            np.eye(1),
+            np.eye(1),
+            force_cos=[varied["load"]],
+            damping=0.1 * varied["damping"] * np.eye(1),
+            clearance=varied["clearance"],
+        )
+        found = fc.solve_harmonic_balance(
+            by_hand, 1.2, law.scaled(factor), harmonics=8, initial=curve.solution(index)
+        )
+        difference = found.gap_coefficients - curve.gap(index)
+        assert np.abs(difference).max() < 1e-8 * np.abs(curve.gap(index)).max()
+        wave = found.displacement(np.linspace(0.0, found.period, 257), [0])
+        assert np.ptp(wave) / 2.0 == pytest.approx(amplitude[index], rel=1e-3)
+
+
+def test_load_only_scales_without_clearance() -> None:
+    """The penalty law without clearance is homogeneous: so is the response."""
+    structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(4.0)
+    curve = fc.continue_parameter(structure, 1.2, law, "load", 1.0, 5.0, harmonics=6)
+    scaled = curve.gap_coefficients / curve.values[:, None, None]
+    assert np.allclose(scaled, scaled[0], atol=1e-8 * np.abs(scaled[0]).max())
+
+
+# --- branches, loops, resuming --------------------------------------------------------------------
+
+
+def test_doubled_branch() -> None:
+    """VERIFICATION B: from the period doubling to the stable orbit of period 2 at W = 2 w0.
+
+    The branch is stable, and joins the old one again at the other period doubling.
+    """
+    structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(1.0)
+    curve = continue_frequency(structure, 1.5, 3.0, law, harmonics=20, stability=True)
+    doublings = [b for b in curve.bifurcations if b.kind == "period_doubling"]
+    assert len(doublings) == 2
+    between = (curve.omega > doublings[0].omega) & (curve.omega < doublings[1].omega)
+    assert np.array_equal(curve.stable, ~between)
+    branch = fc.follow_branch(curve, doublings[0], stability=True)
+    assert branch.complete and branch.status == "joined the branch that it left"
+    assert branch.multipliers is not None and branch.subharmonic == 2
+    assert np.abs(branch.multipliers).max() < 1.0 + 1e-5  # 1 at both ends but for the truncation
+    ends = doublings[0].omega, doublings[1].omega
+    assert (branch.omega.min(), branch.omega.max()) == pytest.approx(ends, abs=1e-4)
+    omega = 4.0 * np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
+    near = branch.solution(int(np.argmin(np.abs(branch.omega - omega))))
+    orbit = fc.solve_harmonic_balance(
+        structure, omega, law, harmonics=40, subharmonic=2, initial=near
+    )
+    rows = orbit.coefficients_at([0])[:, 0]
+    assert amplitudes(rows)[0] == pytest.approx(0.7790634, abs=1e-6)
+    assert rows[0] == pytest.approx(-0.1735445, abs=1e-6)
+
+
+def test_closed_loop() -> None:
+    """An orbit of three periods lives on a closed curve of its own: found, and followed once."""
+    law = fc.UnilateralPenalty(10.0)
+    omega = 6.0 * np.sqrt(11.0) / (1.0 + np.sqrt(11.0))
+    structure = oscillator(0.1, 1.0)
+    rest = np.array([1.0]), np.array([2.0])
+    history = fc.integrate_events(
+        structure, omega, law, periods=300, steps_per_period=64, initial=rest, record_periods=3
+    )
+    spectrum = np.fft.rfft(history.gap, axis=0)[:25] * (2.0 / len(history.gap))
+    spectrum[0] *= 0.5
+    rows = from_complex(spectrum)
+    guess = replace(
+        fc.solve_linear(structure, omega, harmonics=24), gap_coefficients=rows, subharmonic=3
+    )
+    orbit = fc.solve_harmonic_balance(
+        structure, omega, law, harmonics=24, subharmonic=3, initial=guess
+    )
+    curve = continue_frequency(
+        structure, omega, 2.5 * omega, law, harmonics=24, subharmonic=3, initial=orbit,
+        turning_back=0.5,
+    )  # fmt: skip
+    assert curve.complete and curve.status == "closed loop"
+    assert np.array_equal(curve.gap(0), curve.gap(-1)) and len(folds(curve)) == 2
+    assert curve.omega.min() < 0.95 * omega and curve.omega.max() > 1.3 * omega
+    assert amplitudes(curve.coefficients_at(0)[0])[0] > 0.01  # a third of the load's frequency
+
+
+def test_points_come_one_by_one_and_go_on_later(tmp_path: Path) -> None:
+    """Stopped, written, read and resumed: the same curve, though not the same points."""
+    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
+    whole = continue_frequency(structure, 2.0, 0.3, law, harmonics=6, stability=True)
+    growing = fc.Continuation(
+        structure, law, "omega", 2.0, 0.3, harmonics=6, stability=True, longest_step=0.05
+    )
+    turned = whole.omega[:-1] < whole.omega[1:]  # on the way back between the folds
+    stop = int(np.argmax(turned)) + 2
+    points = list(islice(growing, stop))
+    part = growing.curve
+    assert len(points) == len(part) == stop and not part.complete
+    assert [point.omega for point in points] == list(part.omega)
+    assert np.array_equal(part.omega, whole.omega[:stop])
+    assert 0.0 < growing.progress() < 1.0
+    fc.save(part, tmp_path / "part.h5")
+    again = fc.load(tmp_path / "part.h5", structure, law)
+    resumed = continue_frequency(structure, 2.0, 0.3, law, stability=True, resume=again)
+    assert resumed.complete and np.array_equal(resumed.omega[:stop], part.omega)
+    assert folds(resumed) == pytest.approx(folds(whole), abs=1e-9)
+    assert resumed.amplitude(0).max() == pytest.approx(whole.amplitude(0).max(), rel=1e-3)
+    with pytest.raises(fc.InputError, match="resume"):
+        continue_frequency(structure, 2.0, 0.3, law, resume=whole)
+    with pytest.raises(fc.InputError, match="start"):
+        continue_frequency(structure, 1.9, 0.3, law, resume=again)
+
+
+def test_interruption_keeps_what_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C ends a curve early, but loses nothing."""
+    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
+    calls = []
+
+    def progress(self: fc.Continuation) -> float:
+        calls.append(1)
+        if len(calls) == 20:
+            raise KeyboardInterrupt
+        return 0.5
+
+    monkeypatch.setattr(fc.Continuation, "progress", progress)
+    curve = continue_frequency(structure, 2.0, 0.3, law, progress=True)
+    assert not curve.complete and curve.status == "interrupted" and len(curve) == 20
+
+
+def test_harmonics_follow_the_truncation(tmp_path: Path) -> None:
+    """More harmonics where they are needed alone; every point is as good as was asked for."""
+    structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(1.0)
+    curve = continue_frequency(structure, 0.2, 3.0, law, harmonics=4, tolerance=1e-3)
+    assert curve.complete
+    assert curve.harmonics.min() == 4 and 8 <= curve.harmonics.max() <= 40
+    assert curve.harmonics[-1] < curve.harmonics.max()
+    errors = []
+    for index in range(0, len(curve), 10):
+        rough = curve.solution(index)
+        exact = fc.solve_harmonic_balance(structure, rough.omega, law, harmonics=80, initial=rough)
+        errors.append(true_error(rough, exact))
+    assert np.median(errors) < 1e-3 and max(errors) < 1e-2
+    fc.save(curve, tmp_path / "curve.h5")
+    again = fc.load(tmp_path / "curve.h5", structure, law)
+    assert np.array_equal(again.harmonics, curve.harmonics)
+    assert np.array_equal(again.amplitude(0), curve.amplitude(0))
+
+
+@pytest.mark.parametrize(
+    ("key", "arguments"),
+    [
+        ("parameter", {"parameter": "crack"}),
+        ("start", {"start": -1.0}),
+        ("end", {"end": 0.0}),
+        ("end", {"end": 1.0}),
+        ("omega", {"omega": None}),
+        ("tolerance", {"tolerance": 0.0}),
+        ("turning_back", {"turning_back": -1.0}),
+        ("longest_step", {"longest_step": 2.0}),
+        ("samples", {"tolerance": 1e-3, "samples": 64}),
+        ("leaving", {"leaving": 3}),
+        ("harmonics", {"harmonics": 0}),
+    ],
+)
+def test_bad_arguments_of_a_continuation(key: str, arguments: dict[str, object]) -> None:
+    """One error names the argument."""
+    good = {"parameter": "stiffness", "start": 1.0, "end": 10.0, "omega": 1.2}
+    with pytest.raises(fc.InputError) as caught:
+        fc.Continuation(oscillator(0.1, 1.0), fc.UnilateralPenalty(1.0), **(good | arguments))  # type: ignore[arg-type]
+    assert caught.value.key == key
+
+
+def test_damping_that_is_not_there_cannot_vary() -> None:
+    """A factor of nothing."""
+    one = np.ones((1, 1))
+    bare = fc.Structure.from_matrices(one, one, one, force_cos=[1.0])
+    with pytest.raises(fc.InputError, match="no damping"):
+        fc.continue_parameter(bare, 1.2, fc.UnilateralPenalty(1.0), "damping", 1.0, 2.0)
+
+
+def test_branch_only_from_where_one_begins() -> None:
+    """Not from a fold, and not without room on both sides."""
+    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
+    curve = continue_frequency(structure, 2.0, 0.3, law, harmonics=6)
+    with pytest.raises(fc.InputError, match="fold"):
+        fc.follow_branch(curve, curve.bifurcations[0])
+    wrong = replace(curve.bifurcations[0], kind="period_doubling")
+    with pytest.raises(fc.InputError, match="either side"):
+        fc.follow_branch(curve, wrong, 1.9, 2.0)
+    with pytest.raises(fc.InputError, match="harmonics"):
+        fc.follow_branch(curve, wrong, harmonics=7)
+
+
+@pytest.mark.parametrize("name", ["stiffness", "damping"])
+def test_resumed_curve_keeps_its_multipliers(name: str) -> None:
+    """Those of the structure and law as the parameter varies them."""
+    structure, law = two_masses(), fc.UnilateralPenalty(2.0)
+    options = {"stability": True, "throw": False}
+    part = fc.continue_parameter(structure, 0.9, law, name, 1.0, 5.0, most_points=8, **options)
+    again = fc.continue_parameter(structure, 0.9, law, name, 1.0, 5.0, resume=part, **options)
+    assert again.complete
+    assert np.allclose(again.multipliers[: len(part)], part.multipliers)
+    with pytest.raises(fc.InputError, match="another problem"):
+        fc.continue_parameter(structure, 0.95, law, name, 1.0, 5.0, resume=part)
+    with pytest.raises(fc.InputError, match="harmonics"):
+        fc.continue_parameter(structure, 0.9, law, name, 1.0, 5.0, resume=part, harmonics=7)
+
+
+def test_iterating_again_goes_on() -> None:
+    """A few points at a time: the same curve, through its folds; at the end nothing more comes."""
+    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
+    growing = fc.Continuation(structure, law, "omega", 2.0, 0.3, harmonics=6)
+    for _ in range(2000):
+        list(islice(growing, 12))
+        if growing.complete:
+            break
+    curve = growing.curve
+    assert curve.complete and curve.status == "reached the end"
+    assert len(folds(curve)) == 2
+    assert len(list(growing)) == 1 and growing.status == "reached the end"
+
+
+@pytest.mark.parametrize("stiffness", [1e7, 1e9, 1e10])
+def test_curve_with_contact_stiffer_than_rounding_resolves(stiffness: float) -> None:
+    """Followed to what rounding allows, as single solutions are."""
+    law = fc.UnilateralPenalty(stiffness)
+    curve = continue_frequency(oscillator(0.1, 1.0), 0.8, 1.0, law, harmonics=3)
+    assert curve.complete and len(curve) < 600
+
+
+def test_load_does_not_pass_zero_without_clearance() -> None:
+    """There the motion vanishes; with a clearance it passes."""
+    law = fc.UnilateralPenalty(1.0)
+    with pytest.raises(fc.InputError, match="one sign"):
+        fc.continue_parameter(oscillator(0.1, 1.0), 1.2, law, "load", 1.0, -1.0)
+    one = np.ones((1, 1))
+    open_ = fc.Structure.from_matrices(
+        one, one, one, force_cos=[1.0], damping=0.1 * one, clearance=0.1
+    )
+    curve = fc.continue_parameter(open_, 1.2, law, "load", 1.0, -1.0)
+    assert curve.complete and len(curve) < 500

@@ -1,0 +1,316 @@
+"""Files for ParaView, and pictures."""
+
+import ast
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyvista
+from helpers import log_slope, relative
+from matplotlib.image import imread
+
+import fenics_crack as fc
+from fenics_crack.draw.paraview import nodal_stress, von_mises, write_modes, write_period
+from fenics_crack.draw.plot import (
+    Wave,
+    draw_contact_map,
+    draw_laws,
+    draw_modes,
+    draw_response,
+    draw_waves,
+)
+from fenics_crack.fem.nodal_mesh import NodalMesh
+
+
+@pytest.fixture(scope="module")
+def quadratic_plate(paper_scene: fc.Scene) -> fc.Structure:
+    """A cracked plate of quadratic elements: nodes on edges and in cells."""
+    return fc.build_structure(
+        paper_scene.replace(
+            {"mesh.order": 2, "mesh.columns": 4, "mesh.rows": 4, "contact.stiffness": 1e9}
+        )
+    )
+
+
+@pytest.fixture(scope="module")
+def breathing(quadratic_plate: fc.Structure) -> fc.PeriodicSolution:
+    """Its vibration with contact."""
+    return fc.solve_harmonic_balance(quadratic_plate, 2000.0, fc.UnilateralPenalty(1e9))
+
+
+def assert_drawn(path: Path) -> None:
+    """The picture is there, large enough and not blank."""
+    picture = imread(path)
+    assert picture.shape[0] > 400 and picture.shape[1] > 400
+    assert picture[..., :3].std() > 0.02
+
+
+def test_period_for_paraview(breathing: fc.PeriodicSolution, tmp_path: Path) -> None:
+    """All nodes, the displacement true to scale, lips apart in the magnified mesh, their state."""
+    path = tmp_path / "files" / "period.pvd"
+    magnification = write_period(breathing, path, frames=12)
+    entries = ElementTree.parse(path).getroot().findall("./Collection/DataSet")
+    assert len(entries) == 12
+    times = [float(entry.attrib["timestep"]) for entry in entries]
+    assert np.allclose(times, np.arange(12) * breathing.period / 12)
+    structure = breathing.structure
+    assert structure.nodes is not None
+    field = breathing.displacement_field(np.array(times))
+    gap, force = breathing.gap(np.array(times)), breathing.contact_force(np.array(times))
+    states = []
+    for frame, entry in enumerate(entries):
+        grid = pyvista.read(path.parent / entry.attrib["file"])
+        assert grid.n_points == len(structure.nodes.points)
+        assert set(grid.celltypes) == {70}  # VTK_LAGRANGE_QUADRILATERAL, nine nodes
+        shown = grid["displacement"]
+        free = structure.nodes.dofs >= 0
+        assert np.allclose(shown[:, :2][free], field[frame][structure.nodes.dofs[free]])
+        assert not np.any(shown[:, :2][~free])
+        assert np.allclose(
+            grid.points[:, :2] - structure.nodes.points, magnification * shown[:, :2]
+        )
+        state = grid["contact state"]
+        states.append(state)
+        assert np.count_nonzero(state >= 0.0) == 2 * structure.n_pairs
+        assert np.count_nonzero(state == 1.0) == 2 * np.count_nonzero(gap[frame] > 0.0)
+        assert grid["contact force"].sum() == pytest.approx(2.0 * force[frame].sum())
+        apart = -magnification * gap[frame].min()
+        if gap[frame].max() < 0.0:
+            assert apart > 1e-3  # more than 1 % of the plate: seen in the picture
+    assert {-1.0, 0.0, 1.0} == set(np.unique(states))
+
+
+# --- stresses and pressures -----------------------------------------------------------------------
+
+KINDS = [(cells, order) for cells in ("triangle", "quadrilateral") for order in (1, 2)]
+
+
+def graded(scene: fc.Scene, cells: str, order: int, size: float = 0.02) -> fc.Scene:
+    """The paper's plate on a graded mesh of some kind of cells."""
+    return scene.replace(
+        {
+            "mesh.layout": "graded", "mesh.columns": None, "mesh.rows": None, "mesh.size": size,
+            "mesh.lip_elements": 3, "mesh.cells": cells, "mesh.order": order,
+        }
+    )  # fmt: skip
+
+
+def hooke(scene: fc.Scene, gradient: np.ndarray) -> np.ndarray:
+    """Plane stresses xx, yy, xy of displacement gradients (..., 2, 2), by the textbook."""
+    young, poisson = scene.material.young, scene.material.poisson
+    xx, yy = gradient[..., 0, 0], gradient[..., 1, 1]
+    twice = gradient[..., 0, 1] + gradient[..., 1, 0]
+    normal = young / (1.0 - poisson**2)
+    shear = young / (2.0 * (1.0 + poisson))
+    return np.stack(
+        [normal * (xx + poisson * yy), normal * (yy + poisson * xx), shear * twice], axis=-1
+    )
+
+
+def quadratic(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A displacement of second degree, and its gradient."""
+    x, y = points.T
+    field = np.column_stack([x**2 + 3.0 * x * y - y**2, 2.0 * x**2 - x * y + y**2])
+    gradient = [[2.0 * x + 3.0 * y, 3.0 * x - 2.0 * y], [4.0 * x - y, 2.0 * y - x]]
+    return field, np.moveaxis(np.array(gradient), 2, 0)
+
+
+@pytest.mark.parametrize(("cells", "order"), KINDS)
+def test_linear_displacement_has_its_constant_stress(
+    paper_scene: fc.Scene, cells: str, order: int
+) -> None:
+    """The patch test, at every node; and the energy of the stress is that of the stiffness."""
+    scene = graded(paper_scene, cells, order)
+    structure = fc.build_structure(scene)
+    mesh = NodalMesh(structure)
+    gradient = np.array([[2.0, -3.0], [4.0, 5.0]])
+    stress = nodal_stress(mesh, mesh.points @ gradient.T + [7.0, 8.0], scene.material)
+    assert stress.shape == (len(mesh.points), 3)
+    assert np.allclose(stress, hooke(scene, gradient), rtol=1e-10, atol=0.0)
+
+    gradient[:, 0] = 0.0  # the clamped nodes stay
+    stress = nodal_stress(mesh, mesh.points @ gradient.T, scene.material)
+    strain = np.array([0.0, gradient[1, 1], gradient[0, 1]])
+    assert structure.nodes is not None
+    u, ku = structure.stiffness.createVecs()
+    free = structure.nodes.dofs >= 0
+    u.array[structure.nodes.dofs[free]] = (mesh.points @ gradient.T)[free]
+    structure.stiffness.mult(u, ku)
+    assert scene.geometry.width and scene.geometry.height
+    volume = scene.geometry.width * scene.geometry.height * scene.geometry.thickness
+    assert u.dot(ku) == pytest.approx(volume * stress[0] @ strain)
+
+
+@pytest.mark.parametrize("cells", ["triangle", "quadrilateral"])
+def test_quadratic_displacement(paper_scene: fc.Scene, cells: str) -> None:
+    """Its stress is exact with quadratic elements, and of first order with linear ones."""
+    scene = graded(paper_scene, cells, 2)
+    mesh = NodalMesh(fc.build_structure(scene))
+    field, gradient = quadratic(mesh.points)
+    exact = hooke(scene, gradient)
+    assert np.allclose(
+        nodal_stress(mesh, field, scene.material), exact, rtol=0.0, atol=1e-10 * exact.max()
+    )
+    sizes, errors = (0.02, 0.01, 0.005), []
+    for size in sizes:
+        scene = graded(paper_scene, cells, 1, size).replace(
+            {"crack": None, "contact": None, "mesh.lip_elements": None}
+        )
+        mesh = NodalMesh(fc.build_structure(scene))
+        field, gradient = quadratic(mesh.points)
+        found, exact = nodal_stress(mesh, field, scene.material), hooke(scene, gradient)
+        errors.append(np.abs(found - exact).max() / np.abs(exact).max())
+    assert errors[0] < 0.2
+    assert 0.8 < log_slope(sizes, errors) < 1.4
+
+
+def test_stress_is_not_smeared_across_the_crack(paper_scene: fc.Scene) -> None:
+    """One constant stress above the lips and another below: exact on both, though in one place."""
+    scene = graded(paper_scene, "quadrilateral", 2)
+    mesh = NodalMesh(fc.build_structure(scene))
+    centres = mesh.grid(np.zeros_like(mesh.points)).cell_centers().points
+    above = (centres[:, 0] < 0.035) & (centres[:, 1] > 0.05)
+    grid = mesh.grid(np.zeros_like(mesh.points))
+    upper = np.zeros(len(mesh.points), dtype=bool)
+    upper[np.concatenate([grid.get_cell(cell).point_ids for cell in np.flatnonzero(above)])] = True
+    one, two = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[-5.0, 6.0], [0.0, -1.0]])
+    field = np.where(upper[:, None], mesh.points @ one.T, mesh.points @ two.T)
+    stress = nodal_stress(mesh, field, scene.material)
+    lips = np.unique(mesh.lips)
+    near = lips[mesh.points[lips, 0] < 0.015]
+    assert np.count_nonzero(upper[near]) == np.count_nonzero(~upper[near]) >= 2
+    assert np.allclose(stress[near[upper[near]]], hooke(scene, one), rtol=1e-10)
+    assert np.allclose(stress[near[~upper[near]]], hooke(scene, two), rtol=1e-10)
+
+
+@pytest.mark.parametrize(("cells", "order"), KINDS)
+def test_lips_and_boundary_are_found(paper_scene: fc.Scene, cells: str, order: int) -> None:
+    """The boundary's edges are as long as the plate's sides and both lips."""
+    structure = fc.build_structure(graded(paper_scene, cells, order))
+    mesh = NodalMesh(structure)
+    for edges, length in ((mesh.boundary, 0.5), (mesh.lips, 0.1)):
+        assert edges.shape[1] == order + 1
+        ends = mesh.points[edges]
+        assert np.linalg.norm(ends[:, -1] - ends[:, 0], axis=1).sum() == pytest.approx(length)
+        assert np.allclose(ends[:, order // 2], 0.5 * (ends[:, 0] + ends[:, -1])) or order == 1
+    assert len(np.unique(mesh.lips)) == 2 * structure.n_pairs + 1  # the tip
+    assert np.array_equal(mesh.clamped, mesh.points[:, 1] < 1e-12)
+
+
+def test_von_mises() -> None:
+    """Uniaxial stress is itself, shear counts sqrt(3) times, equal biaxial stress is itself."""
+    found = von_mises(np.array([[-2.0, 0.0, 0.0], [0.0, 0.0, 2.0], [2.0, 2.0, 0.0]]))
+    assert np.allclose(found, [2.0, 2.0 * np.sqrt(3.0), 2.0])
+
+
+def test_stresses_for_paraview(
+    paper_scene: fc.Scene, breathing: fc.PeriodicSolution, tmp_path: Path
+) -> None:
+    """Stresses are those of the unmoved plate, whatever the magnification; pressures add up."""
+    frames = {}
+    for magnification in (1.0, 9000.0):
+        path = tmp_path / f"{magnification:g}.pvd"
+        found = write_period(
+            breathing, path, frames=6, magnification=magnification, material=paper_scene.material
+        )
+        assert found == magnification
+        files = sorted(path.with_suffix("").glob("*.vtu"))
+        frames[magnification] = [pyvista.read(file) for file in files]
+    structure = breathing.structure
+    mesh = NodalMesh(structure)
+    assert structure.pair_areas is not None
+    time = np.arange(6) * breathing.period / 6
+    displacement = mesh.field(breathing.displacement_field(time))
+    pressure = breathing.contact_force(time) / structure.pair_areas
+    assert pressure.max() > 0.0
+    for frame, (still, moved) in enumerate(zip(*frames.values(), strict=True)):
+        stress = nodal_stress(mesh, displacement[frame], paper_scene.material)
+        for grid in (still, moved):
+            assert relative(grid["stress"], stress) < 1e-12
+            assert relative(grid["von Mises stress"], von_mises(stress)) < 1e-12
+            array = grid.GetPointData().GetAbstractArray("stress")
+            assert [array.GetComponentName(i) for i in range(3)] == ["xx", "yy", "xy"]
+            shown = grid["contact pressure"]
+            assert shown.sum() == pytest.approx(2.0 * pressure[frame].sum())
+            assert set(np.flatnonzero(shown)) == set(np.flatnonzero(grid["contact state"] == 1.0))
+
+
+@pytest.mark.parametrize("with_stress", [True, False])
+def test_script_for_paraview(
+    paper_scene: fc.Scene, breathing: fc.PeriodicSolution, tmp_path: Path, with_stress: bool
+) -> None:
+    """It is Python, and names the series and a field that is in it."""
+    material = paper_scene.material if with_stress else None
+    write_period(breathing, tmp_path / "a period.pvd", frames=2, material=material)
+    tree = ast.parse((tmp_path / "a period_paraview.py").read_text())
+    given = {
+        node.targets[0].id: node.value.value
+        for node in tree.body
+        if isinstance(node, ast.Assign)
+        and isinstance(node.targets[0], ast.Name)
+        and isinstance(node.value, ast.Constant)
+    }
+    frame = pyvista.read(tmp_path / "a period" / "frame_0000.vtu")
+    assert given["field"] == ("von Mises stress" if with_stress else "displacement")
+    assert given["field"] in frame.point_data
+    words = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant)}
+    assert {word for word in words if str(word).endswith(".pvd")} == {"a period.pvd"}
+    assert f"{given['field']} [{'Pa' if with_stress else 'm'}]" in words
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("frames", 0), ("magnification", -1.0), ("material", "steel")]
+)
+def test_period_refuses(
+    breathing: fc.PeriodicSolution, tmp_path: Path, key: str, value: object
+) -> None:
+    """What cannot be used is named, and nothing is written."""
+    with pytest.raises(fc.InputError, match=key):
+        write_period(breathing, tmp_path / "p.pvd", **{key: value})  # type: ignore[arg-type]
+    assert not list(tmp_path.iterdir())
+
+
+# --- modes and pictures ---------------------------------------------------------------------------
+
+
+def test_modes_for_paraview(quadratic_plate: fc.Structure, tmp_path: Path) -> None:
+    """One vector field a mode, named by its frequency, a tenth of the plate large."""
+    modes = fc.solve_modes(quadratic_plate, 3)
+    write_modes(quadratic_plate, modes, tmp_path / "modes.vtu")
+    grid = pyvista.read(tmp_path / "modes.vtu")
+    assert list(grid.point_data) == [
+        f"mode {number}: {omega:.1f} rad/s" for number, omega in enumerate(modes.omega, 1)
+    ]
+    for name in grid.point_data:
+        assert np.linalg.norm(grid[name], axis=1).max() == pytest.approx(0.01)
+
+
+def test_pictures(
+    quadratic_plate: fc.Structure, breathing: fc.PeriodicSolution, tmp_path: Path
+) -> None:
+    """Every kind of picture is made, off screen."""
+    t = np.linspace(0.0, breathing.period, 100)
+    gap = breathing.gap(t)[:, 0]
+    wave = Wave("gap", t, gap, spread=0.1 * np.abs(gap))
+    draw_waves(
+        tmp_path / "waves.png", [wave], title="t", quantity="q", period=t[-1], zero="lips touch"
+    )
+    draw_laws(
+        tmp_path / "laws.png", {"penalty": fc.UnilateralPenalty(1e9)}, 1e-6 * (t / t[-1] - 0.5)
+    )
+    draw_contact_map(tmp_path / "map.png", breathing)
+    draw_response(tmp_path / "r.png", t, {"a": np.abs(gap)}, title="t", quantity="q")
+    draw_modes(quadratic_plate, fc.solve_modes(quadratic_plate, 6), tmp_path / "modes.png")
+    for name in ("waves", "laws", "map", "r", "modes"):
+        assert_drawn(tmp_path / f"{name}.png")
+
+
+def test_what_has_no_mesh_cannot_be_drawn(tmp_path: Path) -> None:
+    """A structure from matrices has no positions: one clear error."""
+    structure = fc.Structure.from_matrices(np.eye(2), np.eye(2), np.eye(2))
+    with pytest.raises(fc.InputError, match="structure"):
+        write_modes(structure, fc.solve_modes(structure, 1), tmp_path / "modes.vtu")
+    solution = fc.solve_linear(structure, 0.5)
+    with pytest.raises(fc.InputError, match="pairs"):
+        draw_contact_map(tmp_path / "map.png", solution)

@@ -1,0 +1,538 @@
+"""Meshes: the plate's area, the pairs of lip nodes, the point load, and mesh files."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import dolfinx
+import gmsh
+import numpy as np
+import pytest
+import ufl
+from helpers import gmsh_model
+from mpi4py import MPI
+
+from fenics_crack import InputError, Scene, Structure, build_structure
+from fenics_crack.fem.plate import build_mesh, write_msh
+from fenics_crack.parallel import gather_rows
+
+WIDTH, HEIGHT = 0.3, 0.2
+KINDS = [
+    (layout, cells, order)
+    for layout in ("grid", "graded")
+    for cells in ("triangle", "quadrilateral")
+    for order in (1, 2)
+]
+
+
+def plate(
+    layout: str,
+    cells: str,
+    order: int,
+    edge: str = "left",
+    length: float = 0.4,
+    height: float = 0.5,
+) -> Scene:
+    """A plate with a crack whose length and height are given as parts of the plate's."""
+    sizes = {
+        "grid": {"columns": 20, "rows": 4},
+        "graded": {"size": 0.06, "lip_elements": 5, "grading": 3.0},
+    }
+    return Scene.from_mapping(
+        {
+            "geometry": {"width": WIDTH, "height": HEIGHT, "thickness": 0.01},
+            "crack": {"edge": edge, "height": height * HEIGHT, "length": length * WIDTH},
+            "material": {"young": 2e9, "poisson": 0.3, "density": 7800.0},
+            "damping": {"ratio": 0.001},
+            "excitation": {"omega": 1.0, "point": [WIDTH, HEIGHT], "force_sin": [1.0, 0.0]},
+            "contact": {"stiffness": 1e9},
+            "mesh": {"layout": layout, "cells": cells, "order": order} | sizes[layout],
+        }
+    )
+
+
+def file_plate(path: Path, **changes: Any) -> Scene:
+    """A plate whose mesh is read from a file, with some keys changed."""
+    scene = Scene.from_mapping(
+        {
+            "geometry": {"thickness": 0.01},
+            "crack": {},
+            "material": {"young": 2e9, "poisson": 0.3, "density": 7800.0},
+            "damping": {"ratio": 0.001},
+            "excitation": {"omega": 1.0, "force_sin": [3.0, 4.0]},
+            "contact": {"stiffness": 1e9},
+            "mesh": {"layout": "file", "file": str(path)},
+        }
+    )
+    return scene.replace(changes)
+
+
+def area(scene: Scene) -> float:
+    """Area of the scene's mesh, integrated by DOLFINx."""
+    mesh = build_mesh(scene, MPI.COMM_SELF).mesh
+    one = dolfinx.fem.Constant(mesh, 1.0)
+    return float(dolfinx.fem.assemble_scalar(dolfinx.fem.form(one * ufl.dx)))
+
+
+def field(structure: Structure, values: np.ndarray) -> np.ndarray:
+    """Displacement (1, n_local) that takes the values (n_nodes, 2) at this rank's nodes."""
+    assert structure.nodes is not None
+    free = structure.nodes.dofs >= 0
+    displacement = np.zeros((1, structure.n_local))
+    displacement[0, structure.nodes.dofs[free] - structure.first_dof] = values[free]
+    return displacement
+
+
+def pair_nodes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lower node, upper node and normal of every pair, found in B: its entries are n and -n.
+
+    The lower node is the one with positive entries along y.
+    """
+    assert structure.nodes is not None
+    gap = structure.gap.toarray()
+    padded = np.concatenate([gap, np.zeros((1, gap.shape[1]))])  # clamped dofs are number -1
+    nodal = padded[structure.nodes.dofs]  # (n_nodes, 2, n_pairs)
+    lower, upper, normals = [], [], []
+    for pair in range(structure.n_pairs):
+        touched = np.flatnonzero(np.any(nodal[:, :, pair] != 0.0, axis=1))
+        assert len(touched) == 2
+        first, second = sorted(touched, key=lambda node: -nodal[node, 1, pair])
+        np.testing.assert_allclose(nodal[first, :, pair], -nodal[second, :, pair], rtol=1e-14)
+        lower.append(first)
+        upper.append(second)
+        normals.append(nodal[first, :, pair])
+    return np.array(lower), np.array(upper), np.array(normals)
+
+
+def nodes_of_side(structure: Structure, origin: Any, direction: Any) -> np.ndarray:
+    """Whether each of this rank's nodes belongs to a cell on one side of a line (collective).
+
+    The cell's centre lies from a point of the line in the direction given.
+    """
+    assert structure.nodes is not None
+    points = gather_rows(structure.comm, structure.nodes.points)
+    cells = gather_rows(structure.comm, structure.nodes.cells)
+    kept = cells[(points[cells].mean(axis=1) - origin) @ direction > 0.0]
+    n_nodes = len(structure.nodes.points)
+    first = structure.comm.exscan(n_nodes) or 0
+    return np.isin(np.arange(first, first + n_nodes), kept)
+
+
+# --- plates made by the package -------------------------------------------------------------------
+@pytest.mark.parametrize("edge", ["left", "right"])
+@pytest.mark.parametrize(("layout", "cells", "order"), KINDS)
+def test_lips_pair_one_to_one(layout: str, cells: str, order: int, edge: str) -> None:
+    """Pairs are coincident nodes of the two lips, from the mouth to the tip, without the tip."""
+    for length, height in ((0.05, 0.5), (0.4, 0.25), (0.5, 0.75), (0.95, 0.5)):
+        scene = plate(layout, cells, order, edge, length, height)
+        structure = build_structure(scene)
+        elements = round(20 * length) if layout == "grid" else 5
+        assert structure.n_pairs == elements * order
+        assert structure.nodes is not None and structure.pair_points is not None
+
+        lower, upper, normals = pair_nodes(structure)
+        assert not set(lower) & set(upper)
+        np.testing.assert_array_equal(normals[:, 0].round(12), 0.0)
+        np.testing.assert_allclose(normals[:, 1], 1.0, rtol=1e-12)
+        for side in (lower, upper):
+            np.testing.assert_allclose(
+                structure.nodes.points[side], structure.pair_points, atol=1e-12
+            )
+        below = nodes_of_side(structure, (0.0, height * HEIGHT), (0.0, -1.0))
+        above = nodes_of_side(structure, (0.0, height * HEIGHT), (0.0, 1.0))
+        assert np.all(below[lower] & ~above[lower])
+        assert np.all(above[upper] & ~below[upper])
+
+        np.testing.assert_allclose(structure.pair_points[:, 1], height * HEIGHT, rtol=1e-12)
+        from_mouth = structure.pair_points[:, 0]
+        if edge == "right":
+            from_mouth = WIDTH - from_mouth
+        assert abs(from_mouth[0]) < 1e-12
+        assert np.all(np.diff(from_mouth) > 0.0)
+        assert from_mouth[-1] < length * WIDTH * (1.0 - 1e-3)
+
+
+@pytest.mark.parametrize("edge", ["left", "right"])
+@pytest.mark.parametrize("cells", ["triangle", "quadrilateral"])
+@pytest.mark.parametrize("layout", ["grid", "graded"])
+def test_area_is_that_of_the_plate(layout: str, cells: str, edge: str) -> None:
+    """The slit takes nothing away, and no cell overlaps another: the area is width x height."""
+    for length in (0.05, 0.4, 0.95):
+        for height in (0.25, 0.5, 0.75):
+            found = area(plate(layout, cells, 1, edge, length, height))
+            np.testing.assert_allclose(found, WIDTH * HEIGHT, rtol=1e-12)
+
+
+@pytest.mark.parametrize("cells", ["triangle", "quadrilateral"])
+@pytest.mark.parametrize("length", [0.01, 0.03, 0.2, 0.77, 0.95])
+@pytest.mark.parametrize("height", [0.03, 0.5, 0.97])
+def test_graded_meshes_of_any_crack(cells: str, length: float, height: float) -> None:
+    """Cracks of 1 % to 95 % of the width, close to either end too, are meshed without overlap."""
+    scene = plate("graded", cells, 1, "left", length, height)
+    np.testing.assert_allclose(area(scene), WIDTH * HEIGHT, rtol=1e-12)
+    assert build_structure(scene).n_pairs == 5
+
+
+def test_elements_are_no_larger_than_the_size_asked_for() -> None:
+    """Even where the lips' own elements are larger than that."""
+    scene = plate("graded", "quadrilateral", 1).replace({"mesh.size": 0.005})
+    coarse_lips = scene.replace({"mesh.lip_elements": 2, "mesh.grading": 1.0})
+    above = 0.5 * HEIGHT / 0.005 * (0.6 * WIDTH / 0.005)  # beyond the tip alone, on either side
+    assert build_structure(coarse_lips).n_dofs > 2 * 2 * above
+
+
+def test_grading_shortens_the_elements_at_the_tip() -> None:
+    """The lip's element at the tip is `grading` times shorter than the one at the mouth."""
+    structure = build_structure(plate("graded", "quadrilateral", 1))
+    assert structure.pair_points is not None
+    ends = np.append(structure.pair_points[:, 0], 0.4 * WIDTH)
+    lengths = np.diff(ends)
+    np.testing.assert_allclose(lengths[0] / lengths[-1], 3.0, rtol=1e-6)
+
+
+def test_one_pair_at_the_mouth() -> None:
+    """pairs = 'mouth' keeps the pair farthest from the tip alone."""
+    for edge, mouth in (("left", 0.0), ("right", WIDTH)):
+        scene = plate("graded", "quadrilateral", 2, edge).replace({"contact.pairs": "mouth"})
+        structure = build_structure(scene)
+        assert structure.n_pairs == 1
+        np.testing.assert_allclose(structure.pair_points, [[mouth, HEIGHT / 2]], atol=1e-12)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("cells", ["triangle", "quadrilateral"])
+def test_uncracked_plate(cells: str, order: int) -> None:
+    """Without the crack the same grid has no pairs and no duplicated dofs."""
+    scene = plate("grid", cells, order)
+    cracked = build_structure(scene)
+    whole = build_structure(scene.replace({"crack": None, "contact": None}))
+    nodes = (20 * order + 1) * (4 * order)  # all rows but the clamped one
+    assert whole.n_pairs == 0
+    assert whole.n_dofs == 2 * nodes
+    assert cracked.n_dofs == whole.n_dofs + 2 * cracked.n_pairs
+    np.testing.assert_allclose(area(scene.replace({"crack": None})), WIDTH * HEIGHT, rtol=1e-12)
+
+
+def test_paper_plate(paper_structure: Structure) -> None:
+    """The paper's plate has 50 free dofs and one pair, at the mouth of the crack."""
+    assert (paper_structure.n_dofs, paper_structure.n_pairs) == (50, 1)
+    np.testing.assert_allclose(paper_structure.pair_points, [[0.0, 0.05]], atol=1e-12)
+
+
+@pytest.mark.parametrize(("layout", "cells", "order"), KINDS)
+def test_sign_of_the_closing(layout: str, cells: str, order: int) -> None:
+    """A translation closes nothing; lifting the part above the crack by 1 opens every pair by 1."""
+    scene = plate(layout, cells, order)
+    structure = build_structure(scene)
+    assert structure.nodes is not None
+    everywhere = np.ones((len(structure.nodes.points), 1))
+    for direction in ([1.0, 0.0], [0.0, 1.0], [2.0, -3.0]):
+        shift = field(structure, everywhere * direction)
+        np.testing.assert_allclose(structure.closing(shift), 0.0, atol=1e-13)
+    lifted = np.zeros((len(everywhere), 2))
+    lifted[nodes_of_side(structure, (0.0, HEIGHT / 2), (0.0, 1.0)), 1] = 1.0
+    np.testing.assert_allclose(structure.closing(field(structure, lifted)), -1.0, rtol=1e-12)
+
+
+def test_written_mesh_gives_the_same_structure(tmp_path: Path) -> None:
+    """A plate written by write_msh and read back has the same stiffness, pairs and load."""
+    scene = plate("graded", "quadrilateral", 1)
+    path = tmp_path / "plate.msh"
+    write_msh(scene, path)
+    first = build_structure(scene)
+    second = build_structure(file_plate(path, **{"excitation.force_sin": [1.0, 0.0]}))
+    np.testing.assert_allclose(second.pair_points, first.pair_points, atol=1e-12)
+    assert first.stiffness.norm() == pytest.approx(second.stiffness.norm(), rel=1e-12)
+    assert first.mass.norm() == pytest.approx(second.mass.norm(), rel=1e-12)
+    np.testing.assert_allclose(second.force.sum(axis=1), first.force.sum(axis=1), atol=1e-12)
+
+
+# --- point load -----------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    "point",
+    [(0.17, 0.133), (0.225, 0.15), (0.2, 0.15), (0.3, 0.171), (0.3, 0.2), (0.0, 0.2), (0.11, 0.1)],
+)
+@pytest.mark.parametrize(("layout", "cells", "order"), KINDS)
+def test_point_load_does_its_work(
+    layout: str, cells: str, order: int, point: tuple[float, float]
+) -> None:
+    """Inside an element, on an edge or at a node: f . u = F . u(point) for linear u, and sum F."""
+    parts = {"force_mean": (1.0, -2.0), "force_cos": (0.5, 0.0), "force_sin": (100.0, 7.0)}
+    scene = plate(layout, cells, order).replace(
+        {"excitation.point": point} | {f"excitation.{name}": part for name, part in parts.items()}
+    )
+    structure = build_structure(scene)
+    assert structure.nodes is not None
+    rng = np.random.default_rng(3)
+    for gradient in (np.zeros((2, 2)), rng.standard_normal((2, 2))):
+        offset = rng.standard_normal(2)
+        linear = field(structure, offset + structure.nodes.points @ gradient.T)
+        work = structure.force @ linear[0]
+        expected = np.array(list(parts.values())) @ (offset + gradient @ point)
+        np.testing.assert_allclose(work, expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_clamped_load_is_refused(order: int) -> None:
+    """A force on the clamped edge, on a node or between two, does nothing: refused."""
+    for x in (0.0, 0.15, 0.1234):
+        scene = plate("grid", "quadrilateral", order).replace({"excitation.point": (x, 0.0)})
+        with pytest.raises(InputError, match="free to move") as caught:
+            build_structure(scene)
+        assert caught.value.key == "excitation.point"
+
+
+# --- mesh files -----------------------------------------------------------------------------------
+MOUTH, TIP = np.array([0.0, 0.4]), np.array([0.8, 0.7])
+
+
+@pytest.fixture
+def msh(tmp_path: Path) -> Callable[..., Path]:
+    """Write a 2 x 1 plate with an inclined crack from (0, 0.4) to (0.8, 0.7) by gmsh."""
+
+    def write(
+        *,
+        names: tuple[str, ...] = ("clamp", "lower_lip", "upper_lip", "load"),
+        lip_elements: tuple[int, int] = (4, 4),
+        quadrilaterals: tuple[bool, bool] = (False, False),
+        progression: float = 1.0,
+        one_curve: bool = False,
+        raised: float = 0.0,
+        groups: bool = True,
+    ) -> Path:
+        path = tmp_path / "inclined.msh"
+        with gmsh_model() as model:
+            geo = model.geo
+            point = {
+                name: geo.addPoint(x, y, z, 0.2)
+                for name, (x, y, z) in {
+                    "sw": (0, 0, 0), "se": (2, 0, 0), "e": (2, 0.5, 0), "ne": (2, 1, raised),
+                    "nw": (0, 1, raised), "tip": (*TIP, 0), "low": (*MOUTH, 0), "up": (*MOUTH, 0),
+                }.items()
+            }  # fmt: skip
+            ring = ["sw", "se", "e", "tip", "low"], ["e", "ne", "nw", "up", "tip"]
+            line: dict[tuple[str, str], int] = {}
+            surfaces = []
+            for corners in ring:
+                loop = []
+                for ends in zip(corners, corners[1:] + corners[:1], strict=True):
+                    if ends[::-1] in line:
+                        loop.append(-line[ends[::-1]])
+                    else:
+                        line[ends] = geo.addLine(*(point[end] for end in ends))
+                        loop.append(line[ends])
+                surfaces.append(geo.addPlaneSurface([geo.addCurveLoop(loop)]))
+            lips = line["tip", "low"], line["up", "tip"]
+            for lip, elements in zip(lips, lip_elements, strict=True):
+                grading = progression if lip == lips[0] else 1.0
+                geo.mesh.setTransfiniteCurve(lip, elements + 1, "Progression", grading)
+            for surface, recombine in zip(surfaces, quadrilaterals, strict=True):
+                if recombine:
+                    geo.mesh.setRecombine(2, surface)
+            geo.synchronize()
+            named = {
+                "clamp": (1, line["sw", "se"]), "lower_lip": (1, lips[0]),
+                "upper_lip": (1, lips[0 if one_curve else 1]), "load": (0, point["ne"]),
+            }  # fmt: skip
+            if groups:
+                model.setPhysicalName(2, model.addPhysicalGroup(2, surfaces), "any")
+                for name in names:
+                    dimension, tag = named[name]
+                    group = model.addPhysicalGroup(dimension, [tag])
+                    model.setPhysicalName(dimension, group, name)
+            model.mesh.generate(2)
+            gmsh.write(str(path))
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("recombined", [False, True])
+def test_inclined_crack_from_a_file(msh: Callable[..., Path], recombined: bool, order: int) -> None:
+    """Normals stand on the crack and point from the lower to the upper lip, pairs follow it."""
+    path = msh(quadrilaterals=(recombined, recombined))
+    scene = file_plate(path, **{"mesh.order": order, "crack.clearance": 1e-6})
+    np.testing.assert_allclose(area(scene), 2.0, rtol=1e-12)
+    structure = build_structure(scene)
+    assert structure.nodes is not None and structure.pair_points is not None
+    assert structure.n_pairs == 4 * order
+    np.testing.assert_array_equal(structure.clearance, np.full(4 * order, 1e-6))
+    lower, upper, normals = pair_nodes(structure)
+    along = (TIP - MOUTH) / np.linalg.norm(TIP - MOUTH)
+    np.testing.assert_allclose(normals, np.tile([-along[1], along[0]], (4 * order, 1)), atol=1e-9)
+    parts = np.arange(4 * order)[:, None] / (4 * order)
+    expected = MOUTH + parts * (TIP - MOUTH)
+    for points in (
+        structure.pair_points, structure.nodes.points[lower], structure.nodes.points[upper]
+    ):  # fmt: skip
+        np.testing.assert_allclose(points, expected, atol=1e-9)
+    above = nodes_of_side(structure, MOUTH, (-along[1], along[0]))
+    assert np.all(above[upper])
+    assert not np.any(above[lower])
+
+
+def test_load_point_of_the_file(msh: Callable[..., Path]) -> None:
+    """The physical point `load` carries the force; excitation.point overrules it."""
+    path = msh()
+    structure = build_structure(file_plate(path))
+    for component, value in ((0, 3.0), (1, 4.0)):
+        dof = structure.find_dof((2.0, 1.0), component)
+        assert structure.force[2, dof] == pytest.approx(value, rel=1e-9)
+    moved = build_structure(file_plate(path, **{"excitation.point": (2.0, 0.5)}))
+    assert moved.force[2, moved.find_dof((2.0, 0.5), 0)] == pytest.approx(3.0, rel=1e-9)
+
+
+def test_file_without_lips_is_an_uncracked_plate(msh: Callable[..., Path]) -> None:
+    """A mesh without lips has no pairs; where the scene has contact, a name is misspelt."""
+    scene = file_plate(msh(names=("clamp", "load")))
+    assert build_structure(scene.replace({"contact": None, "crack": None})).n_pairs == 0
+    with pytest.raises(InputError, match="lower_lip"):
+        build_structure(scene)
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        ({"names": ("lower_lip", "upper_lip", "load")}, "clamp"),
+        ({"names": ("clamp", "lower_lip", "load")}, "upper_lip"),
+        ({"names": ("clamp", "upper_lip", "load")}, "lower_lip"),
+        ({"quadrilaterals": (True, False)}, "one kind of cells"),
+        ({"raised": 0.1}, "plane"),
+        ({"groups": False}, "physical surfaces"),
+    ],
+    ids=str,
+)
+def test_bad_mesh_file(msh: Callable[..., Path], how: dict[str, Any], words: str) -> None:
+    """A mesh file that lacks a group or is no plane mesh of one kind of cells is refused."""
+    with pytest.raises(InputError, match=words) as caught:
+        build_mesh(file_plate(msh(**how)), MPI.COMM_SELF)
+    assert caught.value.key == "mesh.file"
+    assert "inclined.msh" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        ({"lip_elements": (4, 5)}, "lips = '4 lower and 5 upper nodes'"),
+        ({"progression": 1.3}, "lips = '4 lower and 4 upper nodes'"),
+        ({"one_curve": True}, "lips"),
+    ],
+    ids=str,
+)
+def test_lips_that_do_not_fit(msh: Callable[..., Path], how: dict[str, Any], words: str) -> None:
+    """Lips that are not meshed alike, or are the same curve, are refused."""
+    with pytest.raises(InputError, match=words):
+        build_structure(file_plate(msh(**how)))
+
+
+@pytest.mark.parametrize("content", [None, "", "nonsense\n", "$MeshFormat\n4.1 0 8\n"])
+def test_unreadable_mesh_file(content: str | None, tmp_path: Path) -> None:
+    """A mesh file that is missing, empty, cut off or none at all is refused."""
+    path = tmp_path / "broken.msh"
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(InputError, match=r"broken\.msh") as caught:
+        build_mesh(file_plate(path), MPI.COMM_SELF)
+    assert caught.value.key == "mesh.file"
+
+
+def test_three_dimensional_mesh_file(tmp_path: Path) -> None:
+    """A mesh of a box is refused."""
+    path = tmp_path / "box.msh"
+    with gmsh_model() as model:
+        model.occ.addBox(0, 0, 0, 1, 1, 1)
+        model.occ.synchronize()
+        model.addPhysicalGroup(3, [1], 1)
+        model.mesh.generate(3)
+        gmsh.write(str(path))
+    with pytest.raises(InputError, match="plane") as caught:
+        build_mesh(file_plate(path), MPI.COMM_SELF)
+    assert caught.value.key == "mesh.file"
+
+
+def test_load_off_the_mesh_of_a_file(msh: Callable[..., Path]) -> None:
+    """A load beside the mesh is refused, and so is none at all."""
+    path = msh(names=("clamp", "lower_lip", "upper_lip"))
+    with pytest.raises(InputError, match="on the mesh") as caught:
+        build_structure(file_plate(path, **{"excitation.point": (2.1, 0.5)}))
+    assert caught.value.key == "excitation.point"
+    with pytest.raises(InputError, match="load") as caught:
+        build_structure(file_plate(path))
+    assert caught.value.key == "excitation.point"
+
+
+def test_the_package_is_usable_after_a_bad_file(tmp_path: Path) -> None:
+    """An error while reading leaves gmsh ready for the next mesh."""
+    with pytest.raises(InputError):
+        build_mesh(file_plate(tmp_path / "missing.msh"), MPI.COMM_SELF)
+    assert area(plate("grid", "triangle", 1)) == pytest.approx(WIDTH * HEIGHT)
+
+
+# --- several ranks --------------------------------------------------------------------------------
+def summary(scene: Scene, comm: MPI.Comm) -> dict[str, Any]:
+    """What must not depend on the number of ranks (collective)."""
+    structure = build_structure(scene, comm)
+    assert structure.nodes is not None and structure.pair_points is not None
+    linear = structure.nodes.points @ np.array([[0.3, 1.7], [-0.4, 0.9]]) + [0.1, 0.2]
+    linear[nodes_of_side(structure, (0.0, HEIGHT / 2), (0.0, 1.0))] *= 1.5
+    moved = field(structure, linear)
+    nodes = gather_rows(comm, structure.nodes.points)
+    return {
+        "dofs": structure.n_dofs,
+        "pairs": structure.n_pairs,
+        "nodes": nodes[np.lexsort(nodes.round(9).T)],
+        "points": structure.pair_points,
+        "closing": structure.closing(moved),
+        "load": comm.allreduce(structure.force.sum(axis=1)),
+        "work": comm.allreduce(structure.force @ moved[0]),
+        "stiffness": structure.stiffness.norm(),
+        "mass": structure.mass.norm(),
+    }
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("kind", [("grid", "quadrilateral", 1), ("graded", "triangle", 2)], ids=str)
+def test_two_ranks_build_the_same_structure(
+    on_ranks: Callable[..., Any], kind: tuple[str, str, int]
+) -> None:
+    """Dofs, nodes, pairs, closings, load and matrices are the serial ones on two ranks."""
+    scene = plate(*kind).replace({"excitation.point": (0.17, 0.133)})
+    parallel, alone = on_ranks(summary, scene), summary(scene, MPI.COMM_SELF)
+    assert parallel.keys() == alone.keys()
+    for name, value in alone.items():
+        np.testing.assert_allclose(parallel[name], value, rtol=1e-10, atol=1e-12, err_msg=name)
+
+
+def totals(scene: Scene, points: list[Any], comm: MPI.Comm) -> list[Any]:
+    """Sum of the load's nodal forces for a load at each of the points (collective)."""
+    structures = (build_structure(scene.replace({"excitation.point": p}), comm) for p in points)
+    return [comm.allreduce(structure.force[2].sum()) for structure in structures]
+
+
+@pytest.mark.mpi
+def test_load_between_two_ranks(on_ranks: Callable[..., Any]) -> None:
+    """A load on the border of two ranks' cells, wherever that runs, is applied once."""
+    points = [(i * WIDTH / 20, 0.75 * HEIGHT) for i in range(21)]
+    points += [(0.5 * WIDTH, j * HEIGHT / 4) for j in range(1, 5)]
+    found = on_ranks(totals, plate("grid", "quadrilateral", 1), points)
+    np.testing.assert_allclose(found, np.ones(len(points)), rtol=1e-9)
+
+
+@pytest.mark.mpi
+def test_errors_reach_every_rank(mpirun: Callable[..., str], tmp_path: Path) -> None:
+    """A mesh file that only rank 0 reads is refused on every rank; nobody waits for ever."""
+    scene = pickle.dumps(file_plate(tmp_path / "missing.msh"))
+    output = mpirun(
+        "import pickle\n"
+        "from fenics_crack import InputError, build_structure\n"
+        "try:\n"
+        f"    build_structure(pickle.loads({scene!r}))\n"
+        "except InputError as error:\n"
+        "    print(f'refused {error.key}\\n', end='', flush=True)\n",
+        timeout=60.0,
+    )
+    assert output.count("refused mesh.file") == 2

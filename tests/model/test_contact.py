@@ -1,0 +1,186 @@
+"""Contact laws."""
+
+import numpy as np
+import pytest
+from helpers import log_slope, oscillator
+
+from fenics_crack import (
+    InputError,
+    Scene,
+    SmoothedPenalty,
+    Structure,
+    UnilateralConstraint,
+    UnilateralPenalty,
+    build_structure,
+    contact_law,
+    reduce_structure,
+    solve_harmonic_balance,
+)
+from fenics_crack.scene.scene import Contact
+
+GRADED = {"columns": None, "rows": None, "size": 0.02, "lip_elements": 5}
+GAPS = np.linspace(-2.0, 2.0, 81)[:, None] + 0.003
+
+
+def test_penalty_acts_in_penetration_only() -> None:
+    """Eq. 11: k (g + |g|) / 2."""
+    law = UnilateralPenalty(3.0)
+    assert np.allclose(law.force(GAPS), 3.0 * (GAPS + np.abs(GAPS)) / 2.0)
+    assert np.array_equal(law.tangent(GAPS), np.where(GAPS > 0.0, 3.0, 0.0))
+
+
+@pytest.mark.parametrize("law", [UnilateralPenalty(3.0), SmoothedPenalty(3.0, 4.0)])
+def test_tangent_is_the_derivative(law: UnilateralPenalty | SmoothedPenalty) -> None:
+    """Central differences away from the kink."""
+    step = 1e-6
+    slope = (law.force(GAPS + step) - law.force(GAPS - step)) / (2.0 * step)
+    assert np.allclose(slope, law.tangent(GAPS), rtol=1e-6, atol=1e-6)
+
+
+def test_smoothed_law_tends_to_the_penalty_law_like_one_over_s() -> None:
+    """The largest difference is k / (pi s), on both sides: the pull on an open crack."""
+    sharp = np.array([10.0, 100.0, 1000.0])
+    differences = []
+    for s in sharp:
+        smooth, penalty = SmoothedPenalty(3.0, s), UnilateralPenalty(3.0)
+        far = np.array([[-50.0], [50.0]])
+        lag = penalty.force(far) - smooth.force(far)
+        assert np.allclose(lag, 3.0 / (np.pi * s), rtol=1e-3)
+        differences.append(np.abs(penalty.force(GAPS) - smooth.force(GAPS)).max())
+    assert log_slope(sharp, differences) == pytest.approx(-1.0, abs=0.05)
+    assert np.all(SmoothedPenalty(3.0, 1e3).tangent(GAPS) <= 3.0)
+
+
+def test_stiffness_may_differ_from_pair_to_pair() -> None:
+    """One stiffness per pair is broadcast over the instants."""
+    law = UnilateralPenalty(np.array([1.0, 10.0])).scaled(2.0)
+    assert np.array_equal(
+        law.force(np.array([[1.0, 1.0], [-1.0, 2.0]])), [[2.0, 20.0], [0.0, 40.0]]
+    )
+
+
+@pytest.mark.parametrize(
+    "stiffness", [0.0, -1.0, np.nan, np.inf, "soft", "1e9", True, [], [1.0, -2.0], [[1.0]]]
+)
+def test_bad_stiffness_is_named(stiffness: object) -> None:
+    """One error with key and value."""
+    with pytest.raises(InputError, match="contact stiffness"):
+        UnilateralPenalty(stiffness)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="contact stiffness"):
+        SmoothedPenalty(stiffness, 1.0)  # type: ignore[arg-type]
+
+
+def test_scene_names_its_law() -> None:
+    """The contact table becomes the law it names."""
+    assert contact_law(Contact(1e9)) == UnilateralPenalty(1e9)
+    smoothed = Contact(1e9, law="smoothed", sharpness=1e8)
+    assert contact_law(smoothed) == SmoothedPenalty(1e9, 1e8)
+    assert contact_law(Contact(law="constraint")) == UnilateralConstraint()
+
+
+@pytest.mark.parametrize("weight", [0.0, -1.0, np.nan, np.inf, "heavy", [1.0, -1.0]])
+def test_bad_weight_is_named(weight: object) -> None:
+    """One error with key and value; without a weight there is nothing to check."""
+    assert UnilateralConstraint().weight is None
+    with pytest.raises(InputError, match="contact weight"):
+        UnilateralConstraint(weight)  # type: ignore[arg-type]
+
+
+def test_stiffness_in_a_list_is_scaled_like_any_other() -> None:
+    """A list of stiffnesses, one per pair, is multiplied, not repeated."""
+    for law in (UnilateralPenalty([1.0, 10.0]), SmoothedPenalty([1.0, 10.0], 3.0)):
+        for factor in (2, 2.0):
+            assert np.array_equal(law.scaled(factor).stiffness, [2.0, 20.0])
+
+
+# --- stiffness per area ---------------------------------------------------------------------------
+
+
+def plate(scene: Scene, columns: int) -> Structure:
+    """The paper's plate of quadratic square elements, little more damped."""
+    mesh = {"mesh.order": 2, "mesh.columns": columns, "mesh.rows": columns}
+    return build_structure(scene.replace(mesh | {"damping.ratio": 0.05, "damping.modes": 20}))
+
+
+def test_stiffness_per_area_is_shared_by_the_pairs(paper_scene: Scene) -> None:
+    """k of a pair is that of its area, for both laws; fixed stiffness stays as it is."""
+    made = plate(paper_scene, 4)
+    areas = made.pair_areas
+    assert areas is not None and len(areas) == 4 and np.ptp(areas) > 0.0
+    penalty = contact_law(Contact(stiffness_per_area=1e12), made)
+    assert isinstance(penalty, UnilateralPenalty)
+    assert np.allclose(penalty.stiffness, 1e12 * areas, rtol=1e-15)
+    smoothed = contact_law(Contact(stiffness_per_area=1e12, law="smoothed", sharpness=3.0), made)
+    assert isinstance(smoothed, SmoothedPenalty) and smoothed.sharpness == 3.0
+    assert np.allclose(smoothed.stiffness, 1e12 * areas, rtol=1e-15)
+    assert contact_law(Contact(1e9), made) == UnilateralPenalty(1e9)
+    reduced = contact_law(Contact(stiffness_per_area=1e12), reduce_structure(made, modes=3))
+    assert isinstance(reduced, UnilateralPenalty)
+    assert np.array_equal(reduced.stiffness, penalty.stiffness)
+
+
+def test_stiffness_per_area_needs_areas() -> None:
+    """Matrices have no lips whose area could be known."""
+    for structure in (None, oscillator()):
+        with pytest.raises(InputError, match=r"contact\.stiffness_per_area"):
+            contact_law(Contact(stiffness_per_area=1e12), structure)
+
+
+@pytest.mark.parametrize("cells", ["quadrilateral", "triangle"])
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("layout", ["grid", "graded"])
+def test_areas_of_the_pairs(paper_scene: Scene, layout: str, order: int, cells: str) -> None:
+    """Simpson's or the trapezoidal rule along the lip: their sum is t L less the tip's share.
+
+    The tip belongs to both lips and is no pair: half of the last element, or a sixth.
+    """
+    thickness, length = 0.7, 0.05
+    mesh: dict[str, object] = {"layout": layout, "cells": cells, "order": order}
+    mesh |= {"columns": 8, "rows": 8} if layout == "grid" else GRADED
+    changes = {f"mesh.{key}": value for key, value in mesh.items()}
+    changes |= {"geometry.thickness": thickness, "damping.modes": 2}
+    scene = paper_scene.replace(changes)
+    made = build_structure(scene)
+    assert made.pair_points is not None and made.pair_areas is not None
+    position = np.append(made.pair_points[:, 0], length)
+    assert position[0] == pytest.approx(0.0, abs=1e-12) and np.all(np.diff(position) > 0.0)
+    ends = position[::order]
+    shares = np.zeros(len(position))
+    for element, size in enumerate(np.diff(ends)):
+        weights = np.array([0.5, 0.5] if order == 1 else [1.0, 4.0, 1.0])
+        first = order * element
+        shares[first : first + order + 1] += size * weights / weights.sum()
+    assert shares.sum() == pytest.approx(length)
+    assert made.pair_areas == pytest.approx(thickness * shares[:-1], rel=1e-8)
+    tip = (ends[-1] - ends[-2]) * (0.5 if order == 1 else 1.0 / 6.0)
+    assert made.pair_areas.sum() == pytest.approx(thickness * (length - tip), rel=1e-8)
+
+
+def test_refining_the_mesh_does_not_change_the_physics(paper_scene: Scene) -> None:
+    """Stiffness per area: penetration and force converge; per pair: 2/3 of it or less each time.
+
+    4, 8 and 16 quadratic elements across the plate, 300 rad/s. What is left of the change, 2.5 and
+    1.1 %, is the plate's own discretisation.
+    """
+    per_area = 1e10
+    found: dict[str, list[tuple[float, float]]] = {"area": [], "pair": []}
+    per_pair = None
+    for columns in (4, 8, 16):
+        made = plate(paper_scene, columns)
+        assert made.pair_areas is not None
+        per_pair = per_pair or per_area * float(made.pair_areas.mean())
+        reduced = reduce_structure(made)
+        for name, contact in (
+            ("area", Contact(stiffness_per_area=per_area)),
+            ("pair", Contact(per_pair)),
+        ):
+            law = contact_law(contact, made)
+            solution = solve_harmonic_balance(reduced, 300.0, law, harmonics=9)
+            t = np.linspace(0.0, solution.period, 2000)
+            found[name].append((solution.gap(t).max(), solution.force_coefficients[0].sum()))
+    area, pair = (np.array(found[name]) for name in ("area", "pair"))
+    changes = np.abs(area[1:] / area[:-1] - 1.0)
+    assert np.all(changes[0] < 0.04) and np.all(changes[1] < 0.02)
+    assert np.all(changes[1] < 0.6 * changes[0])
+    assert np.all(pair[1:, 0] < 0.7 * pair[:-1, 0])
+    assert np.all(pair[1:, 1] > 1.05 * pair[:-1, 1])

@@ -1,0 +1,383 @@
+"""Natural modes: against dense linear algebra, closed forms, published values, and on two ranks."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gmsh
+import numpy as np
+import pytest
+import scipy.linalg
+from helpers import chain_stiffness, gmsh_model, log_slope
+from mpi4py import MPI
+
+from fenics_crack import (
+    InputError,
+    ModalDamping,
+    Scene,
+    Structure,
+    build_structure,
+    find_crack_length,
+    solve_modes,
+)
+from fenics_crack.model.modes import damped_modes, largest_frequency, mass_times
+from fenics_crack.parallel import gather_rows
+
+
+def random_matrices(n: int, rigid: int = 0, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Random mass, and stiffness with a null space of some dimension."""
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((n, n))
+    mass = root @ root.T / n + np.eye(n)
+    root = rng.standard_normal((n, n - rigid)) * 10.0 ** rng.uniform(-1.0, 1.0, n - rigid)
+    return mass, root @ root.T
+
+
+def plate(columns: int, rows: int, **changes: Any) -> Scene:
+    """An uncracked unit square, E = rho = 1, on a grid; some keys changed."""
+    scene = Scene.from_mapping(
+        {
+            "geometry": {"width": 1.0, "height": 1.0, "thickness": 1.0},
+            "material": {"young": 1.0, "poisson": 0.3, "density": 1.0},
+            "damping": {"ratio": 0.001},
+            "excitation": {"omega": 1.0, "point": [0.0, 1.0]},
+            "mesh": {"layout": "grid", "columns": columns, "rows": rows},
+        }
+    )
+    return scene.replace(changes)
+
+
+# --- against dense linear algebra -----------------------------------------------------------------
+@pytest.mark.parametrize("seed", range(3))
+def test_all_modes_of_random_matrices(seed: int) -> None:
+    """K phi = omega^2 M phi, shapes M-orthonormal, frequencies those of LAPACK."""
+    n = 30
+    mass, stiffness = random_matrices(n, seed=seed)
+    modes = solve_modes(Structure.from_matrices(mass, stiffness, None), n)
+    squares = scipy.linalg.eigvalsh(stiffness, mass)
+    # LAPACK and SLEPc each know omega^2 to rounding of the largest.
+    np.testing.assert_allclose(modes.omega**2, squares, rtol=1e-10, atol=1e-12 * squares[-1])
+    residual = stiffness @ modes.shapes - mass @ modes.shapes * modes.omega**2
+    assert np.abs(residual).max() < 1e-11 * np.abs(stiffness).max()
+    np.testing.assert_allclose(modes.shapes.T @ mass @ modes.shapes, np.eye(n), atol=1e-12)
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 29])
+def test_lowest_modes_are_the_first_of_all(count: int) -> None:
+    """Few modes are the lowest ones, with the same signs as when all are computed."""
+    mass, stiffness = random_matrices(30)
+    structure = Structure.from_matrices(mass, stiffness, None)
+    few, every = solve_modes(structure, count), solve_modes(structure, 30)
+    np.testing.assert_allclose(few.omega, every.omega[:count], rtol=1e-8)
+    np.testing.assert_allclose(few.shapes, every.shapes[:, :count], atol=1e-6)
+
+
+@pytest.mark.parametrize("rigid", [1, 3])
+def test_rigid_body_modes(rigid: int) -> None:
+    """A structure that can move freely has modes of frequency zero, and the others are exact."""
+    mass, stiffness = random_matrices(30, rigid)
+    modes = solve_modes(Structure.from_matrices(mass, stiffness, None), 8)
+    squares = scipy.linalg.eigvalsh(stiffness, mass)
+    assert modes.omega[rigid - 1] < 1e-5 * modes.omega[rigid]  # the root of rounding
+    np.testing.assert_allclose(modes.omega[rigid:] ** 2, squares[rigid:8], rtol=1e-8)
+    np.testing.assert_allclose(modes.shapes.T @ mass @ modes.shapes, np.eye(8), atol=1e-12)
+    assert np.abs(stiffness @ modes.shapes[:, :rigid]).max() < 1e-9 * np.abs(stiffness).max()
+
+
+def test_free_chain() -> None:
+    """n equal masses joined by n - 1 springs: omega_j = 2 sin(j pi / 2n), j = 0, 1, ..."""
+    n, count = 200, 6
+    stiffness = chain_stiffness(np.array([0.0, *np.ones(n - 1), 0.0]))
+    modes = solve_modes(Structure.from_matrices(np.eye(n), stiffness, None), count)
+    exact = 2.0 * np.sin(np.arange(count) * np.pi / (2 * n))
+    np.testing.assert_allclose(modes.omega[1:], exact[1:], rtol=1e-10)
+    assert modes.omega[0] < 1e-4 * exact[1]
+    np.testing.assert_allclose(modes.shapes[:, 0], n**-0.5, rtol=1e-8)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 8, 20, 60])
+def test_double_frequencies_are_found_twice(count: int) -> None:
+    """A ring of n masses on springs: omega_j^2 = k0 + 4 sin^2(j pi / n), all but two double."""
+    n = 60
+    unit = np.eye(n)
+    stiffness = 2.1 * unit - np.roll(unit, 1, axis=0) - np.roll(unit, -1, axis=0)
+    modes = solve_modes(Structure.from_matrices(unit, stiffness, None), count)
+    squares = np.sort(0.1 + 4.0 * np.sin(np.arange(n) * np.pi / n) ** 2)
+    np.testing.assert_allclose(modes.omega, np.sqrt(squares[:count]), rtol=1e-10)
+    np.testing.assert_allclose(modes.shapes.T @ modes.shapes, np.eye(count), atol=1e-12)
+
+
+def test_one_dof() -> None:
+    """A mass m on a spring k: omega = sqrt(k/m), phi = m^-1/2."""
+    modes = solve_modes(Structure.from_matrices([[2.0]], [[18.0]], None), 1)
+    np.testing.assert_allclose(modes.omega, [3.0], rtol=1e-14)
+    np.testing.assert_allclose(modes.shapes, [[2.0**-0.5]], rtol=1e-14)
+
+
+@pytest.mark.parametrize("n", [9, 10, 23])
+def test_signs(n: int) -> None:
+    """A chain between walls, sin(j pi i / (n+1)): the first of its largest parts is positive."""
+    stiffness = chain_stiffness(np.ones(n + 1))
+    modes = solve_modes(Structure.from_matrices(np.eye(n), stiffness, None), n)
+    places = np.arange(1, n + 1)
+    exact = np.sin(np.outer(places, places) * np.pi / (n + 1))
+    large = np.abs(exact) > (1.0 - 1e-9) * np.abs(exact).max(axis=0)
+    exact *= np.sign(exact[large.argmax(axis=0), range(n)])
+    np.testing.assert_allclose(modes.shapes, exact / np.linalg.norm(exact, axis=0), atol=1e-10)
+
+
+def test_largest_frequency() -> None:
+    """The largest frequency is LAPACK's, and with four times the mass half of it."""
+    mass, stiffness = random_matrices(30)
+    structure = Structure.from_matrices(mass, stiffness, None)
+    expected = np.sqrt(scipy.linalg.eigvalsh(stiffness, mass)[-1])
+    assert largest_frequency(structure) == pytest.approx(expected, rel=1e-6)
+    heavy = Structure.from_matrices(4.0 * mass, stiffness, None)
+    assert largest_frequency(heavy) == pytest.approx(expected / 2.0, rel=1e-6)
+
+
+def test_a_diverging_structure_is_refused() -> None:
+    """A negative eigenvalue is no frequency; it is found even where it is not near zero."""
+    for lowest in (-1.0, -100.0):
+        stiffness = np.diag([lowest, 2.0, 3.0, 4.0, *np.arange(5.0, 40.0)])
+        structure = Structure.from_matrices(np.eye(39), stiffness, None)
+        with pytest.raises(InputError, match="positive semidefinite") as caught:
+            solve_modes(structure, 2)
+        assert caught.value.key == "stiffness"
+
+
+@pytest.mark.parametrize("count", [0, -1, 31, 2.0, True, None, "all"])
+def test_count_that_cannot_be(count: Any) -> None:
+    """The number of modes is a whole number from 1 to the number of dofs."""
+    structure = Structure.from_matrices(*random_matrices(30), None)
+    with pytest.raises(InputError) as caught:
+        solve_modes(structure, count)
+    assert caught.value.key == "count"
+
+
+# --- modal damping --------------------------------------------------------------------------------
+def test_damped_modes() -> None:
+    """The rate of mode j is 2 xi_j omega_j; M Phi is the mass times the shapes; made only once."""
+    mass, stiffness = random_matrices(10)
+    ratios = [0.01, 0.02, 0.03]
+    structure = Structure.from_matrices(mass, stiffness, None, damping=ModalDamping(ratios, 3))
+    damped = damped_modes(structure)
+    assert damped is not None
+    squares = scipy.linalg.eigvalsh(stiffness, mass)[:3]
+    np.testing.assert_allclose(damped.rate, 2.0 * np.array(ratios) * np.sqrt(squares), rtol=1e-8)
+    np.testing.assert_allclose(damped.mass_shapes, mass @ damped.shapes, rtol=1e-12, atol=1e-14)
+    assert damped_modes(structure) is damped
+    assert damped_modes(structure.damped(None)) is None
+    everywhere = damped_modes(structure.damped(ModalDamping(0.1)))
+    assert everywhere is not None and len(everywhere.omega) == 10
+
+
+@pytest.mark.parametrize(
+    ("key", "damping"),
+    [
+        ("damping ratio", ModalDamping([0.1, 0.1])),
+        ("damping ratio", ModalDamping([0.1, 0.1], 3)),
+        ("damping ratio", ModalDamping([0.1] * 11)),
+        ("damping modes", ModalDamping(0.1, 11)),
+    ],
+)
+def test_damping_that_does_not_fit(key: str, damping: ModalDamping) -> None:
+    """As many ratios as modes, and no more modes than dofs."""
+    structure = Structure.from_matrices(*random_matrices(10), None, damping=damping)
+    with pytest.raises(InputError) as caught:
+        damped_modes(structure)
+    assert caught.value.key == key
+
+
+# --- against closed forms and published values ----------------------------------------------------
+def test_paper_plate(paper_structure: Structure) -> None:
+    """omega_1 = 2302.9 rad/s with the crack open, 3324.7 with the pair tied by 1e11 N/m."""
+    open_crack = solve_modes(paper_structure, 1).omega[0]
+    tied = solve_modes(paper_structure.tied(1e11), 1).omega[0]
+    assert open_crack == pytest.approx(2302.9, abs=0.5)
+    assert tied == pytest.approx(3324.7, abs=0.5)
+
+
+@pytest.mark.parametrize(("order", "rate"), [(1, 2.0), (2, 4.0)])
+@pytest.mark.parametrize("cells", ["triangle", "quadrilateral"])
+def test_order_of_convergence(cells: str, order: int, rate: float) -> None:
+    """Axial vibration with nu = 0, u_y = sin(pi y / 2h): omega = pi/2h sqrt(E/rho), error h^2p.
+
+    The mode is smooth, so that eigenvalues converge with twice the order of the displacement, from
+    above.
+    """
+    sizes, errors = np.array([4, 8, 16]), []
+    for rows in sizes:
+        changes = {"material.poisson": 0.0, "geometry.width": 0.5}
+        scene = plate(rows // 2, rows, **changes, **{"mesh.cells": cells, "mesh.order": order})
+        structure = build_structure(scene)
+        modes = solve_modes(structure, 6)
+        assert structure.nodes is not None
+        dofs = structure.nodes.dofs[:, 1]
+        exact = np.zeros((structure.n_dofs, 1))
+        exact[dofs[dofs >= 0], 0] = np.sin(np.pi / 2 * structure.nodes.points[dofs >= 0, 1])
+        axial = np.argmax(np.abs(modes.shapes.T @ mass_times(structure, exact)))
+        errors.append(modes.omega[axial] / (np.pi / 2) - 1.0)
+    assert min(errors) > 0.0
+    assert log_slope(sizes, errors) == pytest.approx(-rate, abs=0.15)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_frequencies_fall_as_the_mesh_is_refined(order: int) -> None:
+    """Rayleigh and Ritz: on nested meshes every frequency falls, whatever the corners do."""
+    found = [
+        solve_modes(build_structure(plate(cells, cells, **{"mesh.order": order})), 6).omega
+        for cells in (2, 4, 8, 16)
+    ]
+    assert np.all(np.diff(found, axis=0) < 0.0)
+
+
+def test_square_cantilever() -> None:
+    """Square clamped on one side, nu = 0.3: published omega L sqrt(rho/E) within 0.1 %."""
+    modes = solve_modes(build_structure(plate(24, 24, **{"mesh.order": 2})), 3)
+    np.testing.assert_allclose(modes.omega, [0.65816, 1.57953, 1.77205], rtol=1e-3)
+
+
+def test_nafems_fv32(tmp_path: Path) -> None:
+    """Tapered membrane: published targets within 0.1 %, and never below those of a finer mesh.
+
+    The finer mesh (64 x 32 nine-node quadrilaterals) halves the cells of this one, so its space
+    holds this one's and its frequencies, given to 1e-3 Hz, are lower bounds.
+    """
+    target = [44.623, 130.03, 162.70, 246.05, 379.90, 391.44]
+    finer = np.array([44.617, 130.011, 162.689, 245.987, 379.719, 391.406])
+    path = tmp_path / "taper.msh"
+    with gmsh_model() as model:
+        geo = model.geo
+        corners = [(0.0, -2.5), (10.0, -0.5), (10.0, 0.5), (0.0, 2.5)]
+        points = [geo.addPoint(x, y, 0.0) for x, y in corners]
+        lines = [geo.addLine(points[i], points[(i + 1) % 4]) for i in range(4)]
+        for line, cells in zip(lines, (32, 16, 32, 16), strict=True):
+            geo.mesh.setTransfiniteCurve(line, cells + 1)
+        surface = geo.addPlaneSurface([geo.addCurveLoop(lines)])
+        geo.mesh.setTransfiniteSurface(surface)
+        geo.mesh.setRecombine(2, surface)
+        geo.synchronize()
+        for name, dimension, tag in (
+            ("membrane", 2, surface), ("clamp", 1, lines[3]), ("load", 0, points[2])
+        ):  # fmt: skip
+            group = model.addPhysicalGroup(dimension, [tag])
+            model.setPhysicalName(dimension, group, name)
+        model.mesh.generate(2)
+        gmsh.write(str(path))
+    scene = Scene.from_mapping(
+        {
+            "geometry": {"thickness": 0.05},
+            "material": {"young": 2e11, "poisson": 0.3, "density": 8000.0},
+            "damping": {"ratio": 0.0},
+            "excitation": {"omega": 1.0},
+            "mesh": {"layout": "file", "file": str(path), "order": 2},
+        }
+    )
+    structure = build_structure(scene)
+    assert structure.n_dofs == 2 * 64 * 33
+    frequencies = solve_modes(structure, 6).omega / (2.0 * np.pi)
+    np.testing.assert_allclose(frequencies, target, rtol=1e-3)
+    assert np.all(frequencies > finer - 1e-3)
+    np.testing.assert_allclose(frequencies, finer, rtol=2e-4)
+
+
+# --- the crack's length from the first frequency --------------------------------------------------
+@pytest.fixture(scope="module")
+def breathing(paper_scene: Scene) -> Scene:
+    """The paper's plate on a graded quadratic mesh, without a length of the crack."""
+    mesh = {"layout": "graded", "order": 2, "size": 0.0125, "lip_elements": 6}
+    changes = {f"mesh.{key}": value for key, value in mesh.items()}
+    changes |= {"mesh.columns": None, "mesh.rows": None}
+    return paper_scene.replace(changes | {"crack.length": None, "crack.first_omega": 2300.0})
+
+
+@pytest.mark.parametrize("target", [2000.0, 2300.0, 3000.0])
+def test_crack_length_from_the_first_frequency(breathing: Scene, target: float) -> None:
+    """A plate with crack.first_omega has that first frequency, with its crack open."""
+    scene = breathing.replace({"crack.first_omega": target})
+    length = find_crack_length(scene, MPI.COMM_SELF)
+    structure = build_structure(scene)
+    assert solve_modes(structure, 1).omega[0] == pytest.approx(target, abs=0.1)
+    same = build_structure(scene.replace({"crack.first_omega": None, "crack.length": length}))
+    np.testing.assert_allclose(structure.pair_points, same.pair_points, atol=1e-12)
+
+
+@pytest.mark.parametrize("target", [100.0, 5000.0])
+def test_unreachable_first_frequency(breathing: Scene, target: float) -> None:
+    """A frequency that no crack gives is refused; the message names those of 95 % and 1 %."""
+    with pytest.raises(InputError) as caught:
+        find_crack_length(breathing.replace({"crack.first_omega": target}), MPI.COMM_SELF)
+    assert caught.value.key == "crack.first_omega"
+    named = [float(number) for number in re.findall(r"\d+\.\d+", caught.value.allowed)]
+    for number, part in zip(named, (0.95, 0.01), strict=True):
+        cut = breathing.replace({"crack.first_omega": None, "crack.length": part * 0.1})
+        assert number == pytest.approx(solve_modes(build_structure(cut), 1).omega[0], abs=0.06)
+    assert not named[0] <= target <= named[1]
+
+
+def test_length_without_a_frequency(paper_scene: Scene) -> None:
+    """Without crack.first_omega there is nothing to find."""
+    with pytest.raises(InputError) as caught:
+        find_crack_length(paper_scene, MPI.COMM_SELF)
+    assert caught.value.key == "crack.first_omega"
+
+
+# --- several ranks --------------------------------------------------------------------------------
+def all_modes(scene: Scene, count: int, comm: MPI.Comm) -> dict[str, Any]:
+    """Frequencies, and the shapes at the nodes sorted by position (collective)."""
+    structure = build_structure(scene, comm)
+    modes = solve_modes(structure, count)
+    assert structure.nodes is not None
+    padded = np.concatenate([modes.shapes, np.zeros((1, count))])  # clamped dofs are number -1
+    local = structure.nodes.dofs - np.where(structure.nodes.dofs >= 0, structure.first_dof, 0)
+    points = gather_rows(comm, structure.nodes.points)
+    shapes = gather_rows(comm, padded[local])
+    return {
+        "omega": modes.omega,
+        "shapes": shapes[np.lexsort(points.round(9).T)],
+        "largest": largest_frequency(structure),
+    }
+
+
+@pytest.mark.mpi
+def test_two_ranks_find_the_same_modes(on_ranks: Callable[..., Any]) -> None:
+    """Frequencies to 1e-9, and shapes with the same signs, of a symmetric plate.
+
+    Its shapes have their largest component twice, as the last lines show, with the same or the
+    opposite sign.
+    """
+    scene, count = plate(5, 6), 8
+    parallel, alone = on_ranks(all_modes, scene, count), all_modes(scene, count, MPI.COMM_SELF)
+    np.testing.assert_allclose(parallel["omega"], alone["omega"], rtol=1e-9)
+    np.testing.assert_allclose(parallel["shapes"], alone["shapes"], atol=1e-6)
+    assert parallel["largest"] == pytest.approx(alone["largest"], rel=1e-6)
+    shapes = alone["shapes"]
+    largest = np.abs(shapes).max(axis=(0, 1))
+    twice = np.sum(np.abs(shapes) > (1.0 - 1e-6) * largest, axis=(0, 1))
+    assert np.all(twice >= 2)
+
+
+def spread_modes(comm: MPI.Comm) -> tuple[Any, ...]:
+    """Rows of this rank, five frequencies, first closing, and sum of the load (collective)."""
+    structure = Structure.from_matrices(
+        *random_matrices(15), np.ones(15), force_sin=np.arange(15.0), comm=comm
+    )
+    modes = solve_modes(structure, 5)
+    closing = structure.closing(np.abs(modes.shapes.T))[0, 0]
+    return structure.n_local, modes.omega, closing, comm.allreduce(structure.force[2].sum())
+
+
+@pytest.mark.mpi
+def test_matrices_spread_over_two_ranks(on_ranks: Callable[..., Any]) -> None:
+    """Matrices given whole to both ranks have the frequencies, and gaps, of one rank."""
+    local, omega, closing, force = on_ranks(spread_modes)
+    assert local == 7
+    mass, stiffness = random_matrices(15)
+    squares, shapes = scipy.linalg.eigh(stiffness, mass)
+    np.testing.assert_allclose(omega, np.sqrt(squares[:5]), rtol=1e-8)
+    assert closing == pytest.approx(np.abs(shapes[:, 0]).sum(), rel=1e-6)
+    assert force == 14 * 15 / 2

@@ -1,0 +1,411 @@
+"""Reduced structures: exact where they must be, converging, and honest about their error."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import pyvista
+import scipy.linalg
+from helpers import DAMPINGS, ROOT, chain, log_slope, relative, true_error
+from matplotlib.image import imread
+from mpi4py import MPI
+
+import fenics_crack as fc
+from fenics_crack.balance.compliance import dynamic_compliance
+from fenics_crack.balance.dynamic_stiffness import DynamicStiffness
+from fenics_crack.draw.paraview import write_modes, write_period
+from fenics_crack.draw.plot import draw_contact_map, draw_modes
+
+GOOD = ("free_interface", "craig_bampton")
+METHODS = (*GOOD, "truncation")
+
+
+def compliances(structure: fc.Structure, base: float, harmonics: int) -> tuple[np.ndarray, ...]:
+    """R_k, k = 0 to H, and the linear gap."""
+    found = dynamic_compliance(structure, base, harmonics)
+    return found.matrices, found.linear_gap
+
+
+# --- compliance -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", GOOD)
+@pytest.mark.parametrize("structure", [*DAMPINGS, "plate", "wide plate"])
+def test_static_compliance_is_exact(
+    structure: str, method: str, soft_plate: fc.Structure, wide_plate: fc.Structure
+) -> None:
+    """With three modes, to 1e-9: of the pairs, and of the mean load."""
+    whole = {"plate": soft_plate, "wide plate": wide_plate}.get(structure) or chain(structure, 60)
+    reduced = fc.reduce_structure(whole, modes=3, method=method)
+    assert reduced.n_dofs < 0.3 * whole.n_dofs
+    base = 0.3 * fc.solve_modes(whole, 1).omega[0]
+    (matrices, linear), (exact, exact_linear) = (
+        compliances(made, base, 1) for made in (reduced, whole)
+    )
+    assert relative(matrices[0], exact[0]) < 1e-9
+    assert np.allclose(linear[0], exact_linear[0], rtol=0.0, atol=1e-9 * np.abs(exact_linear).max())
+    # At the first harmonic below the first mode the error is there, and small.
+    assert 1e-15 < relative(matrices[1], exact[1]) < 1e-2
+
+
+def test_free_interface_is_exact_to_the_second_order_in_frequency() -> None:
+    """Without damping the error of R(w) near w = 0 starts with w^4; Craig-Bampton's too."""
+    whole = chain("none", 60)
+    first = fc.solve_modes(whole, 1).omega[0]
+    omega = first * np.array([0.05, 0.1, 0.2])
+    for method in GOOD:
+        reduced = fc.reduce_structure(whole, modes=2, method=method)
+        errors = [
+            np.linalg.norm(compliances(reduced, w, 1)[0][1] - compliances(whole, w, 1)[0][1])
+            for w in omega
+        ]
+        assert log_slope(omega, errors) == pytest.approx(4.0, abs=0.3)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("structure", [*DAMPINGS, "plate"])
+def test_with_all_modes_nothing_is_lost(
+    structure: str, method: str, soft_plate: fc.Structure
+) -> None:
+    """Every method spans the whole space then: R_k and the linear gap to 1e-9."""
+    whole = soft_plate if structure == "plate" else chain(structure, n=20)
+    reduced = fc.reduce_structure(whole, modes=whole.n_dofs, method=method)
+    assert reduced.n_dofs == whole.n_dofs
+    base = 0.41 * fc.solve_modes(whole, 1).omega[0]
+    matrices, linear = compliances(reduced, base, 7)
+    exact, exact_linear = compliances(whole, base, 7)
+    assert relative(matrices, exact) < 1e-9
+    assert relative(linear, exact_linear) < 1e-9
+
+
+@pytest.mark.parametrize("structure", ["modal", "none", "wide plate"])
+def test_compliance_converges_with_the_modes(structure: str, wide_plate: fc.Structure) -> None:
+    """Up to the 5th harmonic within the modes: the error falls by orders of magnitude."""
+    whole = wide_plate if structure == "wide plate" else chain(structure, 60)
+    base = 0.7 * fc.solve_modes(whole, 1).omega[0]
+    exact = compliances(whole, base, 5)[0]
+    for method in GOOD:
+        errors = [
+            relative(
+                compliances(fc.reduce_structure(whole, modes=m, method=method), base, 5)[0], exact
+            )
+            for m in (10, 20, 40)
+        ]
+        assert errors[0] < 0.05
+        assert errors[1] < 0.5 * errors[0] and errors[2] < 0.5 * errors[1]
+
+
+@pytest.mark.parametrize(
+    ("structure", "least"), [("plate", 0.04), ("wide plate", 0.1), ("chain", 0.5)]
+)
+def test_truncation_lacks_the_residual_flexibility(
+    structure: str, least: float, soft_plate: fc.Structure, wide_plate: fc.Structure
+) -> None:
+    """R(0) lacks the sum of b b^T / omega^2 over the modes left out, where others miss nothing.
+
+    With 10 modes that is 4 % of the paper plate's static compliance, 10 % of that of 4 pairs, and
+    more than half of a chain's. The solution is wrong by 10 times as much as with the others.
+    """
+    whole = {"plate": soft_plate, "wide plate": wide_plate}.get(structure) or chain(n=60)
+    squares, shapes = scipy.linalg.eigh(whole.stiffness[:, :], whole.mass[:, :])
+    base = 0.3 * np.sqrt(squares[0])
+    seen = whole.gap.toarray().T @ shapes
+    exact = compliances(whole, base, 1)[0][0]
+    assert relative(seen @ np.diag(1.0 / squares) @ seen.T, exact) < 1e-9
+    residual = seen[:, 10:] @ np.diag(1.0 / squares[10:]) @ seen[:, 10:].T
+    made = {method: fc.reduce_structure(whole, modes=10, method=method) for method in METHODS}
+    assert made["truncation"].n_dofs == 10
+    found = compliances(made["truncation"], base, 1)[0][0]
+    assert relative(exact - found, residual) < 1e-6
+    assert np.linalg.norm(residual) > least * np.linalg.norm(exact)
+    omega, stiffness = (0.05, 4.0) if structure == "chain" else (2000.0, 1e9)
+    law = fc.UnilateralPenalty(stiffness)
+    gaps = [
+        fc.solve_harmonic_balance(one, omega, law, harmonics=5).gap_coefficients
+        for one in (whole, *made.values())
+    ]
+    errors = {name: relative(gap, gaps[0]) for name, gap in zip(METHODS, gaps[1:], strict=True)}
+    assert errors["truncation"] > 10.0 * max(errors[method] for method in GOOD)
+
+
+def test_loose_chain() -> None:
+    """A chain that nothing holds: K is singular; compliance at w > 0, and the linear response."""
+    for damping in ("matrix", "none"):
+        whole = chain(damping, 60, loose=True)
+        elastic = fc.solve_modes(whole, 2).omega
+        assert elastic[0] < 1e-4 * elastic[1]
+        for method in GOOD:
+            previous = np.inf
+            for modes in (6, 12, 40):
+                reduced = fc.reduce_structure(whole, modes=modes, method=method)
+                errors = []
+                for factor in (0.5, 1.3, 2.5):
+                    omega = factor * elastic[1]
+                    with (
+                        DynamicStiffness(reduced, omega) as small,
+                        DynamicStiffness(whole, omega) as large,
+                    ):
+                        errors.append(relative(small.compliance(), large.compliance()))
+                assert max(errors) < previous
+                previous = max(errors)
+            assert previous < 1e-5
+            dofs = list(range(whole.n_dofs))
+            motions = [
+                fc.solve_linear(made, 1.3 * elastic[1]).coefficients_at(dofs)
+                for made in (reduced, whole)
+            ]
+            assert relative(*motions) < 1e-3
+
+
+# --- estimated error ------------------------------------------------------------------------------
+
+CASES: list[tuple[str, int, tuple[int, ...]]] = [
+    # Modes that reach the highest harmonic or almost: fewer leave a resonance out altogether.
+    ("plate", 5, (3, 5, 10, 20)),
+    ("plate", 10, (10, 20)),
+    ("wide plate", 5, (3, 5, 10, 20, 40, 80)),
+    ("wide plate", 10, (10, 20, 40, 80)),
+    ("modal", 7, (3, 5, 10, 20, 30)),
+    ("matrix", 7, (3, 5, 10, 20, 30)),
+    ("few modes", 7, (3, 5, 10, 20, 30)),
+    ("none", 7, (3, 5, 10, 20, 30)),
+]
+
+
+@pytest.mark.parametrize("method", GOOD)
+@pytest.mark.parametrize(("structure", "harmonics", "counts"), CASES)
+def test_estimated_error_is_the_true_one(
+    structure: str,
+    harmonics: int,
+    counts: tuple[int, ...],
+    method: str,
+    soft_plate: fc.Structure,
+    wide_plate: fc.Structure,
+) -> None:
+    """Within a factor 3 of the error against the exact compliance, from 1e-8 to 3e-2."""
+    plates = {"plate": soft_plate, "wide plate": wide_plate}
+    whole = plates.get(structure) or chain(structure, 60)
+    omega, stiffness = (2000.0, 1e9) if structure in plates else (0.05, 4.0)
+    law = fc.UnilateralPenalty(stiffness)
+
+    def solve(made: fc.Structure) -> fc.PeriodicSolution:
+        return fc.solve_harmonic_balance(
+            made, omega, law, harmonics=harmonics, residual_tolerance=1e-12
+        )
+
+    exact = solve(whole)
+    assert exact.report.reduction == 0.0
+    compared = 0
+    for modes in counts:
+        found = solve(fc.reduce_structure(whole, modes=modes, method=method))
+        error = true_error(found, exact)
+        if 1e-8 < error < 3e-2:
+            compared += 1
+            assert error / 3.0 < found.report.reduction < 3.0 * error
+    assert compared >= 2
+
+
+def test_estimate_in_a_truncated_basis_warns() -> None:
+    """Truncation's errors of 20 % and more are reported as such."""
+    whole, law = chain(n=60), fc.UnilateralPenalty(4.0)
+    exact = fc.solve_harmonic_balance(whole, 0.05, law, harmonics=7)
+    reduced = fc.reduce_structure(whole, modes=10, method="truncation")
+    found = fc.solve_harmonic_balance(reduced, 0.05, law, harmonics=7)
+    assert relative(found.gap_coefficients, exact.gap_coefficients) > 0.1
+    assert found.report.reduction > 0.1
+
+
+# --- what is asked of a reduced structure ---------------------------------------------------------
+
+
+def test_reduced_solution_speaks_of_the_whole_structure(wide_plate: fc.Structure) -> None:
+    """Dofs, displacements and pairs are those of the whole; motion agrees to 1e-4."""
+    reduced = fc.reduce_structure(wide_plate, modes=30)
+    assert isinstance(reduced, fc.ReducedStructure)
+    assert reduced.whole is wide_plate
+    for point, component in (((0.1, 0.1), "x"), ((0.05, 0.025), 1)):
+        assert reduced.find_dof(point, component) == wide_plate.find_dof(point, component)
+    assert np.array_equal(reduced.pair_points, wide_plate.pair_points)
+    assert np.array_equal(reduced.pair_areas, wide_plate.pair_areas)
+    corner, middle = reduced.find_dof((0.1, 0.1), "x"), reduced.find_dof((0.05, 0.025), "y")
+    law = fc.UnilateralPenalty(1e9)
+    small, large = (
+        fc.solve_harmonic_balance(made, 2000.0, law, harmonics=5) for made in (reduced, wide_plate)
+    )
+    t = np.linspace(0.0, small.period, 50)
+    for found, expected in (
+        (small.displacement(t, [corner, middle]), large.displacement(t, [corner, middle])),
+        (small.coefficients_at([middle, corner]), large.coefficients_at([middle, corner])),
+        (small.displacement_field(t), large.displacement_field(t)),
+        (small.gap(t), large.gap(t)),
+    ):
+        assert found.shape == expected.shape
+        assert relative(found, expected) < 1e-4
+    with pytest.raises(fc.InputError, match="dofs"):
+        small.coefficients_at([wide_plate.n_dofs])
+
+
+def test_gap_is_that_of_the_expanded_displacement(wide_plate: fc.Structure) -> None:
+    """B^T u - g0 of the whole structure's displacement, to rounding."""
+    reduced = fc.reduce_structure(wide_plate, modes=12)
+    solution = fc.solve_harmonic_balance(reduced, 2000.0, fc.UnilateralPenalty(1e9))
+    t = np.linspace(0.0, solution.period, 30)
+    closing = wide_plate.closing(solution.displacement_field(t))
+    assert relative(closing - wide_plate.clearance, solution.gap(t)) < 1e-9
+
+
+def test_basis_is_orthonormal_and_diagonal(wide_plate: fc.Structure) -> None:
+    """T^T M T = I, T^T K T = diag(omega^2): its columns are the modes of the reduced structure."""
+    mass, stiffness = wide_plate.mass[:, :], wide_plate.stiffness[:, :]
+    for method in METHODS:
+        reduced = fc.reduce_structure(wide_plate, modes=9, method=method)
+        basis = reduced.basis
+        assert np.abs(basis.T @ mass @ basis - np.eye(reduced.n_dofs)).max() < 1e-8
+        diagonal = np.diag(reduced.omega**2)
+        assert np.abs(basis.T @ stiffness @ basis - diagonal).max() < 1e-8 * diagonal.max()
+    modes = fc.solve_modes(wide_plate, 9).omega
+    assert np.allclose(fc.reduce_structure(wide_plate, modes=9).omega[:9], modes, rtol=1e-9)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_basis_does_not_depend_on_the_size_of_the_load(paper_scene: fc.Scene, method: str) -> None:
+    """A load a million times larger is the same load for the choice of a basis."""
+    omegas = []
+    for force in (1e-4, 1e2):
+        scene = paper_scene.replace({"mesh.columns": 4, "excitation.force_sin": (force, 0.0)})
+        plate = fc.build_structure(scene)
+        omegas.append(fc.reduce_structure(plate, modes=6, method=method).omega)
+    assert np.allclose(*omegas, rtol=1e-6)
+
+
+def test_reduced_once_more(wide_plate: fc.Structure) -> None:
+    """A reduction of a reduction still speaks of the first structure's dofs and nodes."""
+    once = fc.reduce_structure(wide_plate, modes=40)
+    twice = fc.reduce_structure(once, modes=25)
+    assert twice.whole is wide_plate and twice.n_dofs < once.n_dofs
+    law, corner = fc.UnilateralPenalty(1e9), wide_plate.find_dof((0.1, 0.1), "x")
+    found = fc.solve_harmonic_balance(twice, 2000.0, law)
+    exact = fc.solve_harmonic_balance(wide_plate, 2000.0, law)
+    assert relative(found.coefficients_at([corner]), exact.coefficients_at([corner])) < 1e-3
+    t = np.linspace(0.0, found.period, 10)
+    assert relative(found.displacement_field(t), exact.displacement_field(t)) < 1e-3
+
+
+def test_damped_reduction(wide_plate: fc.Structure) -> None:
+    """Other damping of its own coordinates; it still speaks of the plate's dofs."""
+    reduced = fc.reduce_structure(wide_plate.damped(None), modes=5)
+    damped = reduced.damped(fc.ModalDamping(0.02))
+    assert damped.whole is reduced.whole and damped.reference is not None
+    assert damped.damping == damped.reference.damping == fc.ModalDamping(0.02)
+    modes = fc.solve_modes(damped, 3)
+    solution = fc.solve_linear(damped, 1.01 * modes.omega[0], harmonics=1)
+    expected = fc.solve_linear(wide_plate.damped(fc.ModalDamping(0.02)), solution.omega)
+    dof = [wide_plate.n_dofs - 1]
+    np.testing.assert_allclose(
+        solution.coefficients_at(dof)[:3], expected.coefficients_at(dof)[:3], rtol=1e-4, atol=1e-12
+    )
+
+
+def test_changed_reduction_has_no_positions(wide_plate: fc.Structure) -> None:
+    """Its coordinates are no longer dofs of the plate, and it says so."""
+    changed = fc.reduce_structure(wide_plate, modes=5).tied(1.0)
+    with pytest.raises(fc.InputError, match="point"):
+        changed.find_dof((0.1, 0.1), "x")
+
+
+def test_files_and_pictures_of_a_reduced_solution(wide_plate: fc.Structure, tmp_path: Path) -> None:
+    """The period for ParaView is that of the whole structure; maps and modes are drawn."""
+    reduced = fc.reduce_structure(wide_plate, modes=30)
+    law = fc.UnilateralPenalty(1e9)
+    grids = []
+    for name, made in (("small", reduced), ("large", wide_plate)):
+        solution = fc.solve_harmonic_balance(made, 2000.0, law)
+        magnification = write_period(solution, tmp_path / f"{name}.pvd", frames=5)
+        assert magnification > 1.0
+        grids.append([pyvista.read(tmp_path / name / f"frame_{i:04d}.vtu") for i in range(5)])
+        draw_contact_map(tmp_path / f"{name}.png", solution)
+    for small, large in zip(*grids, strict=True):
+        assert small.n_points == large.n_points == len(wide_plate.nodes.points)
+        assert np.allclose(small.points, large.points, atol=1e-5)
+        assert relative(small["displacement"], large["displacement"]) < 1e-4
+        assert np.array_equal(small["contact state"], large["contact state"])
+    modes = fc.solve_modes(reduced, 3)
+    write_modes(reduced, modes, tmp_path / "small.vtu")
+    write_modes(wide_plate, fc.solve_modes(wide_plate, 3), tmp_path / "large.vtu")
+    small, large = (pyvista.read(tmp_path / f"{name}.vtu") for name in ("small", "large"))
+    assert list(small.point_data) == list(large.point_data)
+    for name in small.point_data:
+        shapes = small[name], large[name]
+        assert min(relative(shapes[0], s * shapes[1]) for s in (1.0, -1.0)) < 1e-5
+    draw_modes(reduced, modes, tmp_path / "modes.png", columns=3, rows=1)
+    for name in ("small", "modes"):
+        assert imread(tmp_path / f"{name}.png")[..., :3].std() > 0.02
+
+
+# --- arguments ------------------------------------------------------------------------------------
+
+
+def test_default_modes_are_the_damped_ones(soft_plate: fc.Structure) -> None:
+    """As many as are damped, else 20."""
+    made = [fc.reduce_structure(chain(kind, 60), method="truncation") for kind in DAMPINGS]
+    assert [reduced.n_dofs for reduced in made] == [60, 20, 3, 20]
+    assert fc.reduce_structure(soft_plate, method="truncation").n_dofs == 50
+
+
+@pytest.mark.parametrize("modes", [0, -1, 51, 2.5, True, "all", np.inf])
+def test_bad_number_of_modes_is_named(soft_plate: fc.Structure, modes: object) -> None:
+    """Between 1 and the number of dofs."""
+    with pytest.raises(fc.InputError, match=r"^modes = ") as caught:
+        fc.reduce_structure(soft_plate, modes=modes)  # type: ignore[arg-type]
+    assert caught.value.key == "modes" and "50" in caught.value.allowed
+
+
+def test_bad_method_is_named(soft_plate: fc.Structure) -> None:
+    """One of three."""
+    with pytest.raises(fc.InputError, match=r"^method = 'guyan'"):
+        fc.reduce_structure(soft_plate, method="guyan")
+
+
+def test_numpy_counts_are_counts(soft_plate: fc.Structure) -> None:
+    """As everywhere else."""
+    assert fc.reduce_structure(soft_plate, modes=np.int64(4), method="truncation").n_dofs == 4
+
+
+def reductions(scene: fc.Scene, comm: MPI.Comm) -> list[np.ndarray]:
+    """Frequencies and |R_k| of all three bases (collective)."""
+    plate = fc.build_structure(scene, comm)
+    found = []
+    for method in METHODS:
+        reduced = fc.reduce_structure(plate, modes=8, method=method)
+        found += [reduced.omega, np.abs(dynamic_compliance(reduced, 1500.0, 4).matrices)]
+    return found
+
+
+@pytest.mark.mpi
+def test_same_reduction_on_two_ranks(paper_scene: fc.Scene, on_ranks: Callable[..., Any]) -> None:
+    """Frequencies of all three bases, and R_k, agree with one rank's to 1e-7."""
+    changes = {"mesh.columns": 6, "mesh.rows": 6, "damping.ratio": 0.01, "damping.modes": 8}
+    scene = paper_scene.replace(changes)
+    parallel = on_ranks(reductions, scene)
+    for two, one in zip(parallel, reductions(scene, MPI.COMM_SELF), strict=True):
+        assert relative(two, one) < 1e-7
+
+
+def test_all_modes_damped_whatever_the_mesh() -> None:
+    """A scene with all modes damped: the reduced structure's own, at no more than its error."""
+    scene = fc.Scene.load(ROOT / "fenics_crack" / "cli" / "new_scene.toml").replace(
+        {"mesh.size": 0.03, "mesh.order": 1, "mesh.lip_elements": 3, "reduction.modes": 10}
+    )
+    assert scene.contact is not None and scene.damping.modes == "all"
+    solutions = []
+    for structure in (fc.prepare(scene), fc.prepare(scene.replace({"reduction.method": "off"}))):
+        law = fc.contact_law(scene.contact, structure)
+        solutions.append(fc.solve_harmonic_balance(structure, 2000.0, law, harmonics=9))
+    reduced, whole = (solution.gap_coefficients for solution in solutions)
+    difference = np.linalg.norm(reduced - whole) / np.linalg.norm(whole)
+    assert solutions[0].structure.n_dofs < solutions[1].structure.n_dofs == 86
+    assert difference < 3.0 * solutions[0].report.reduction < 1e-3
+    fine = fc.prepare(scene.replace({"mesh.size": 0.004, "mesh.order": 2}))  # else minutes
+    assert fine.whole.n_dofs > 4000 and fine.n_dofs < 50

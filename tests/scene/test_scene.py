@@ -1,0 +1,527 @@
+"""Scenes: what is accepted, what is refused, and with which words."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import math
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import ROOT
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fenics_crack import InputError, Scene
+from fenics_crack.scene.fields import Axis
+
+GONE = object()
+"""Stands for a key or a table that is left out."""
+
+GOOD_TOML = """
+[geometry]
+width = 0.1
+height = 0.1
+thickness = 1.0
+
+[crack]
+edge = "left"
+height = 0.05
+length = 0.05
+
+[material]
+young = 2e9
+poisson = 0.3
+density = 7800
+
+[damping]
+ratio = 0.001
+
+[excitation]
+omega = 2000
+point = [0.1, 0.1]
+force_sin = [100, 0]
+
+[contact]
+stiffness = 1e11
+
+[mesh]
+layout = "grid"
+columns = 2
+rows = 8
+
+[harmonic_balance]
+harmonics = 7
+samples = 64
+"""
+
+GOOD: dict[str, dict[str, Any]] = {
+    "geometry": {"width": 0.1, "height": 0.1, "thickness": 1.0},
+    "crack": {"edge": "left", "height": 0.05, "length": 0.05},
+    "material": {"young": 2e9, "poisson": 0.3, "density": 7800.0},
+    "damping": {"ratio": 0.001},
+    "excitation": {"omega": 2000.0, "point": [0.1, 0.1], "force_sin": [100.0, 0.0]},
+    "contact": {"stiffness": 1e11},
+    "mesh": {"layout": "grid", "columns": 2, "rows": 8},
+    "harmonic_balance": {"harmonics": 5},
+}
+
+GRADED = {"mesh": {"layout": "graded", "size": 0.01, "lip_elements": 4}}
+FILE = {
+    "mesh": {"layout": "file", "file": "plate.msh"},
+    "geometry": {"thickness": 1.0},
+    "crack": {"clearance": 0.0},
+}
+
+
+def changed(changes: dict[str, Any]) -> dict[str, Any]:
+    """The good scene with tables and table.keys changed, one after the other."""
+    tables: dict[str, Any] = copy.deepcopy(GOOD)
+    for name, value in changes.items():
+        table, _, key = name.partition(".")
+        place, last = (tables[table], key) if key else (tables, table)
+        if value is GONE:
+            del place[last]
+        else:
+            place[last] = copy.deepcopy(value)
+    return tables
+
+
+# --- accepted -------------------------------------------------------------------------------------
+def test_a_good_file_loads(tmp_path: Path) -> None:
+    """Every value of a TOML file arrives, numbers as floats, and defaults fill the rest."""
+    path = tmp_path / "plate.toml"
+    path.write_text(GOOD_TOML)
+    scene = Scene.load(path)
+    assert scene.crack is not None and scene.contact is not None
+    assert (scene.geometry.width, scene.geometry.height, scene.geometry.thickness) == (0.1, 0.1, 1)
+    assert (scene.crack.edge, scene.crack.height, scene.crack.length) == ("left", 0.05, 0.05)
+    assert scene.material == type(scene.material)(young=2e9, poisson=0.3, density=7800.0)
+    assert isinstance(scene.material.density, float)
+    assert (scene.damping.ratio, scene.damping.modes) == (0.001, "all")
+    assert scene.excitation.point == (0.1, 0.1)
+    assert scene.excitation.force_sin == (100.0, 0.0)
+    assert scene.excitation.force_cos == scene.excitation.force_mean == (0.0, 0.0)
+    assert (scene.contact.stiffness, scene.contact.law, scene.contact.pairs) == (
+        1e11,
+        "penalty",
+        "all",
+    )
+    assert (scene.mesh.cells, scene.mesh.order, scene.mesh.columns) == ("quadrilateral", 1, 2)
+    assert (scene.harmonic_balance.harmonics, scene.harmonic_balance.samples) == (7, 64)
+    assert Scene.load(str(path)) == scene
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        GRADED,
+        FILE,
+        {"crack": GONE, "contact": GONE},
+        GRADED | {"crack.length": GONE, "crack.first_omega": 2300.0},
+        {"contact.law": "smoothed", "contact.sharpness": 1e9},
+        {"contact": {"stiffness_per_area": 1e12}},
+        {"contact": {"stiffness_per_area": 1e12, "law": "smoothed", "sharpness": 1e9}},
+        {"contact": {"law": "constraint"}},
+        {"contact": {"law": "constraint", "pairs": "mouth"}},
+        {"damping": {"ratio": [0.01, 0.0], "modes": 2}},
+        {"damping": {"ratio": [0.01, 0.02]}},
+        {"material.poisson": 0},
+        {"excitation.point": [0.0, 0.1]},
+        {"crack.clearance": -1e-6},
+        {"mesh.columns": np.int64(2), "damping.ratio": np.float32(0.01)},
+        {"harmonic_balance": GONE},
+        {"harmonic_balance": {"harmonics": 5, "samples": 21}},
+    ],
+    ids=str,
+)
+def test_a_good_mapping_loads(changes: dict[str, Any]) -> None:
+    """Everything that may be left out, and the ends of what is allowed, is accepted."""
+    assert isinstance(Scene.from_mapping(changed(changes)), Scene)
+
+
+def test_a_mesh_file_is_looked_up_beside_the_scene(tmp_path: Path) -> None:
+    """A relative mesh.file is relative to the folder of the scene file; an absolute one stays."""
+    path = tmp_path / "scene.toml"
+    text = (
+        "geometry.thickness = 1\nmaterial = {young = 1, poisson = 0, density = 1}\n"
+        "damping.ratio = 0\nexcitation.omega = 1\nmesh = {layout = 'file', file = 'FILE'}\n"
+    )
+    path.write_text(text.replace("FILE", "plate.msh"))
+    assert Scene.load(path).mesh.file == str(tmp_path / "plate.msh")
+    path.write_text(text.replace("FILE", "/elsewhere/plate.msh"))
+    assert Scene.load(path).mesh.file == "/elsewhere/plate.msh"
+
+
+# --- refused --------------------------------------------------------------------------------------
+BAD: list[tuple[str, dict[str, Any]]] = [
+    # (the key that is named, what is changed)
+    ("rubbish", {"rubbish": {"a": 1}}),
+    ("geometry.lenght", {"geometry.lenght": 0.1}),
+    ("material.young", {"material.young": GONE}),
+    ("contact.stiffness", {"contact.stiffness": GONE}),
+    ("damping.ratio", {"damping.ratio": GONE}),
+    ("excitation.omega", {"excitation.omega": GONE}),
+    ("mesh.layout", {"mesh.layout": GONE}),
+    ("geometry.thickness", {"geometry.thickness": GONE}),
+    *((table, {table: GONE}) for table in GOOD if table not in ("crack", "harmonic_balance")),
+    ("material", {"material": 3.0}),
+    ("crack", {"crack": [1, 2]}),
+    # wrong types and numbers that are none
+    ("material.young", {"material.young": "2e9"}),
+    ("material.young", {"material.young": True}),
+    ("material.young", {"material.young": math.nan}),
+    ("material.young", {"material.young": math.inf}),
+    ("material.young", {"material.young": 10**400}),
+    ("material.young", {"material.young": [2e9]}),
+    ("geometry.width", {"geometry.width": -math.inf}),
+    ("mesh.columns", {"mesh.columns": 2.0}),
+    ("mesh.columns", {"mesh.columns": True}),
+    ("mesh.columns", {"mesh.columns": 0}),
+    ("mesh.columns", {"mesh.columns": 10**400}),
+    ("mesh.layout", {"mesh.layout": 1}),
+    ("mesh.layout", {"mesh.layout": "fine"}),
+    ("mesh.cells", {"mesh.cells": "hexahedron"}),
+    ("mesh.order", {"mesh.order": 3}),
+    ("mesh.order", {"mesh.order": 1.0}),
+    ("mesh.order", {"mesh.order": True}),
+    ("crack.clearance", {"crack.clearance": math.nan}),
+    ("contact.law", {"contact.law": "glue"}),
+    ("contact.pairs", {"contact.pairs": 1}),
+    ("excitation.point", {"excitation.point": 0.1}),
+    ("excitation.point", {"excitation.point": [0.1, 0.1, 0.0]}),
+    ("excitation.point", {"excitation.point": [0.1, math.nan]}),
+    ("excitation.force_sin", {"excitation.force_sin": [100.0, "0"]}),
+    ("excitation.force_cos", {"excitation.force_cos": [True, 0.0]}),
+    ("excitation.force_mean", {"excitation.force_mean": []}),
+    # out of bounds
+    ("geometry.thickness", {"geometry.thickness": -1.0}),
+    ("geometry.thickness", {"geometry.thickness": 0.0}),
+    ("geometry.width", {"geometry.width": GONE}),
+    ("geometry.height", {"geometry.height": GONE}),
+    ("material.young", {"material.young": 0.0}),
+    ("material.density", {"material.density": -7800.0}),
+    *(("material.poisson", {"material.poisson": nu}) for nu in (-1.0, 0.5, -1.5, 0.7)),
+    ("excitation.omega", {"excitation.omega": 0.0}),
+    ("excitation.omega", {"excitation.omega": -2000.0}),
+    ("excitation.point", {"excitation.point": (0.11, 0.1)}),
+    ("excitation.point", {"excitation.point": (0.1, -0.01)}),
+    ("excitation.point", {"excitation.point": GONE}),
+    ("harmonic_balance.harmonics", {"harmonic_balance.harmonics": 0}),
+    ("harmonic_balance.harmonics", {"harmonic_balance.harmonics": 5.0}),
+    ("harmonic_balance.samples", {"harmonic_balance.samples": 20}),
+    ("contact.stiffness", {"contact.stiffness": 0.0}),
+    ("contact.sharpness", {"contact.law": "smoothed"}),
+    ("contact.sharpness", {"contact.sharpness": 1e6}),
+    # exactly one stiffness, or none without penetration
+    ("contact.stiffness", {"contact.stiffness_per_area": 1e12}),
+    ("contact.stiffness", {"contact": {"law": "penalty"}}),
+    ("contact.stiffness", {"contact": {"law": "smoothed", "sharpness": 1e9}}),
+    (
+        "contact.stiffness",
+        {"contact.stiffness_per_area": 1e12, "contact.law": "smoothed", "contact.sharpness": 1e9},
+    ),
+    ("contact.stiffness", {"contact.law": "constraint"}),
+    ("contact.stiffness_per_area", {"contact": {"law": "constraint", "stiffness_per_area": 1e12}}),
+    ("contact.sharpness", {"contact": {"law": "constraint", "sharpness": 1e9}}),
+    *(
+        ("contact.stiffness_per_area", {"contact": {"stiffness_per_area": value}})
+        for value in (0.0, -1e12, math.nan, math.inf, "1e12", True, [1e12])
+    ),
+    ("damping.ratio", {"damping.ratio": -0.1}),
+    ("damping.ratio", {"damping.ratio": (0.1, -0.1)}),
+    ("damping.ratio", {"damping.ratio": ()}),
+    ("damping.ratio", {"damping.ratio": (0.1, 0.1), "damping.modes": 3}),
+    ("damping.modes", {"damping.modes": 0}),
+    ("damping.modes", {"damping.modes": "some"}),
+    ("damping.modes", {"damping.modes": 1.5}),
+    # the crack
+    ("crack.edge", {"crack.edge": "top"}),
+    ("crack.edge", {"crack.edge": GONE}),
+    ("crack.length", {"crack.length": 0.1}),
+    ("crack.length", {"crack.length": 0.2}),
+    ("crack.length", {"crack.length": -0.05}),
+    ("crack.length", {"crack.length": GONE}),
+    ("crack.length", {"crack.first_omega": 2300.0}),
+    ("crack.length", GRADED | {"crack.first_omega": 2300.0}),
+    ("crack.length", GRADED | {"crack.length": GONE}),
+    ("crack.length", {"crack.length": GONE, "crack.first_omega": 2300.0}),
+    ("crack.length", {"crack.length": 0.03}),
+    ("crack.height", {"crack.height": 0.1}),
+    ("crack.height", {"crack.height": 0.2}),
+    ("crack.height", {"crack.height": GONE}),
+    ("crack.height", {"crack.height": 0.06}),
+    ("crack.height", {"crack.height": 0.0}),
+    ("crack.first_omega", GRADED | {"crack.length": GONE, "crack.first_omega": 0.0}),
+    # the layouts of the mesh
+    ("mesh.columns", {"mesh.columns": GONE}),
+    ("mesh.rows", {"mesh.rows": GONE}),
+    ("mesh.size", {"mesh.size": 0.01}),
+    ("mesh.lip_elements", {"mesh.lip_elements": 3}),
+    ("mesh.file", {"mesh.file": "plate.msh"}),
+    ("mesh.columns", GRADED | {"mesh.columns": 2}),
+    ("mesh.rows", GRADED | {"mesh.rows": 2}),
+    ("mesh.size", GRADED | {"mesh.size": GONE}),
+    ("mesh.lip_elements", GRADED | {"mesh.lip_elements": GONE}),
+    ("mesh.grading", GRADED | {"mesh.grading": 0.5}),
+    ("mesh.file", FILE | {"mesh.file": GONE}),
+    ("mesh.size", FILE | {"mesh.size": 0.01}),
+    ("geometry.width", FILE | {"geometry.width": 0.1}),
+    ("geometry.height", FILE | {"geometry.height": 0.1}),
+    ("crack.edge", FILE | {"crack.edge": "left"}),
+    ("crack.length", FILE | {"crack.length": 0.05}),
+    ("crack.first_omega", FILE | {"crack.first_omega": 2300.0}),
+]
+
+
+@pytest.mark.parametrize(("key", "changes"), BAD, ids=[f"{k}-{i}" for i, (k, _) in enumerate(BAD)])
+def test_bad_input_is_named(key: str, changes: dict[str, Any]) -> None:
+    """A scene that cannot be used says which key, what was found there and what may stand there."""
+    with pytest.raises(InputError) as caught:
+        Scene.from_mapping(changed(changes))
+    error = caught.value
+    assert type(error) is InputError
+    assert error.key == key
+    table, _, leaf = key.partition(".")
+    given = changed(changes).get(table)
+    expected = given.get(leaf) if leaf and isinstance(given, dict) else given
+    assert repr(error.value) == repr(expected)
+    assert error.allowed
+    for part in (error.key, repr(error.value), error.allowed):
+        assert part in str(error)
+
+
+@pytest.mark.parametrize("content", [None, b"[geometry", b"\xff\xfe\x00", b"", b"x = 1"])
+def test_bad_file_is_named(content: bytes | None, tmp_path: Path) -> None:
+    """A file that is missing, not TOML, not text or empty is refused with one InputError."""
+    path = tmp_path / "scene.toml"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        Scene.load(path)
+    expected = {None: "scene", b"": "geometry", b"x = 1": "x"}.get(content, "scene")
+    assert caught.value.key == expected
+    if expected == "scene":
+        assert str(path) in str(caught.value)
+
+
+def test_a_folder_is_not_a_scene(tmp_path: Path) -> None:
+    """A path that is a folder is refused as such."""
+    with pytest.raises(InputError, match="scene = "):
+        Scene.load(tmp_path)
+
+
+# --- frozen, and changed copies -------------------------------------------------------------------
+def test_scenes_are_frozen() -> None:
+    """Neither the scene nor any key of any of its tables can be assigned."""
+    scene = Scene.from_mapping(GOOD)
+    for table in dataclasses.fields(scene):
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            setattr(scene, table.name, None)
+        part = getattr(scene, table.name)
+        for item in dataclasses.fields(part) if part is not None else ():
+            with pytest.raises(dataclasses.FrozenInstanceError):
+                setattr(part, item.name, 1.0)
+
+
+def test_replace_changes_a_copy() -> None:
+    """`replace` gives a validated copy with the named keys changed and leaves the scene alone."""
+    scene = Scene.from_mapping(GOOD)
+    other = scene.replace(
+        {"contact.stiffness": 1e9, "damping.ratio": 0.01, "mesh.columns": 4, "mesh.rows": 4}
+    )
+    assert other == Scene.from_mapping(
+        changed(
+            {"contact.stiffness": 1e9, "damping.ratio": 0.01, "mesh.columns": 4, "mesh.rows": 4}
+        )
+    )
+    assert scene == Scene.from_mapping(GOOD)
+
+
+def test_replace_changes_the_kind_of_stiffness() -> None:
+    """One stiffness takes the place of the other, or none is left, in one change."""
+    scene = Scene.from_mapping(GOOD)
+    by_area = scene.replace({"contact.stiffness": None, "contact.stiffness_per_area": 1e12})
+    assert by_area == Scene.from_mapping(changed({"contact": {"stiffness_per_area": 1e12}}))
+    rigid = scene.replace({"contact.stiffness": None, "contact.law": "constraint"})
+    assert rigid.contact is not None
+    assert (rigid.contact.stiffness, rigid.contact.stiffness_per_area) == (None, None)
+    for change in ({"contact.stiffness": None}, {"contact.stiffness_per_area": 1e12}):
+        with pytest.raises(InputError) as caught:
+            scene.replace(change)
+        assert caught.value.key == "contact.stiffness"
+
+
+def test_replace_removes_an_optional_table() -> None:
+    """Without its crack a plate needs no contact."""
+    scene = Scene.from_mapping(GOOD).replace({"crack": None, "contact": None})
+    assert scene == Scene.from_mapping(changed({"crack": GONE, "contact": GONE}))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("contact.stifness", 1e9),
+        ("contract.stiffness", 1e9),
+        ("stiffness", 1e9),
+        ("contact", {"stiffness": 1e9}),
+        ("material", None),
+        ("", 1.0),
+        ("contact.", 1.0),
+        ("contact.stiffness", -1.0),
+        ("crack.length", 0.03),
+    ],
+)
+def test_replace_refuses(key: str, value: object) -> None:
+    """`replace` refuses keys that do not exist and values that a file could not give either."""
+    with pytest.raises(InputError) as caught:
+        Scene.from_mapping(GOOD).replace({key: value})
+    assert caught.value.key == key
+
+
+def test_replace_makes_a_missing_table() -> None:
+    """A table that the scene does not have is made, with all that it needs, or refused."""
+    scene = Scene.from_mapping(changed({"crack": GONE, "contact": GONE}))
+    made = scene.replace({"curve.start": 1000.0, "curve.stop": 2000.0})
+    assert made.curve is not None and made.curve.parameter == "omega" and scene.curve is None
+    assert made.replace({"curve": None}) == scene
+    with pytest.raises(InputError) as caught:
+        scene.replace({"curve.start": 1000.0})
+    assert caught.value.key == "curve.stop"
+
+
+# --- sweeps and files -----------------------------------------------------------------------------
+
+OVER = {
+    "excitation.omega": {"start": 1000, "stop": 3000, "count": 3},
+    "contact.stiffness": {"start": 1e8, "stop": 1e10, "count": 3, "spacing": "logarithmic"},
+    "excitation.force_sin": [[100, 0], [0.0, 50.0]],
+    "crack.edge": ["left", "right"],
+}
+
+
+def test_axes_of_a_sweep() -> None:
+    """Lists stay, spans are cut evenly or by equal ratios; their product is counted."""
+    sweep = Scene.from_mapping(GOOD | {"sweep": {"over": OVER}}).sweep
+    assert sweep is not None and sweep.n_cases == 3 * 3 * 2 * 2
+    omega, stiffness, force, edge = sweep.over
+    assert omega.values == (1000.0, 2000.0, 3000.0)
+    assert stiffness.values == pytest.approx((1e8, 1e9, 1e10), rel=1e-12)
+    assert force.values == ((100.0, 0.0), (0.0, 50.0)) and edge.values == ("left", "right")
+
+
+@pytest.mark.parametrize(
+    ("over", "key"),
+    [
+        ({}, "sweep.over"),
+        (5, "sweep.over"),
+        ({"omega": [1.0]}, "sweep.over"),
+        ({"curve.start": [1.0]}, "sweep.over"),
+        ({"crack.colour": [1.0]}, "sweep.over"),
+        ({"crack.length": []}, 'sweep.over."crack.length"'),
+        ({"crack.length": 0.04}, 'sweep.over."crack.length"'),
+        ({"crack.length": {"start": 0.01, "stop": 0.02}}, 'sweep.over."crack.length"'),
+        ({"crack.length": {"start": 0.01, "stop": 0.02, "count": 1}}, 'sweep.over."crack.length"'),
+        (
+            {"crack.clearance": {"start": -1, "stop": 1, "count": 3, "spacing": "logarithmic"}},
+            'sweep.over."crack.clearance"',
+        ),
+        ({"crack.length": [0.05, -0.05]}, "crack.length"),
+        ({"crack.length": [0.05, 0.05]}, 'sweep.over."crack.length"'),
+        ({"crack.edge": ["left", "top"]}, "crack.edge"),
+    ],
+)
+def test_bad_axes_are_named(over: object, key: str) -> None:
+    """What cannot be swept is named."""
+    with pytest.raises(InputError) as caught:
+        Scene.from_mapping(GOOD | {"sweep": {"over": over}})
+    assert caught.value.key == key
+
+
+def test_axes_made_in_python() -> None:
+    """Values of NumPy's kinds are taken as numbers; empty and repeated axes are refused."""
+    scene = Scene.from_mapping(GOOD)
+    axis = Axis("crack.length", np.array([0.04, 0.05]))  # type: ignore[arg-type]
+    count = Axis("harmonic_balance.harmonics", tuple(np.arange(2, 4)))
+    swept = scene.replace({"sweep.over": (axis, count)})
+    assert swept.sweep is not None and swept.sweep.over[1].values == (2, 3)
+    assert Scene.from_text(swept.as_toml()) == swept
+    for wrong in ((axis, axis), (Axis("crack.length", ()),)):
+        with pytest.raises(InputError, match=r"sweep\.over"):
+            scene.replace({"sweep.over": wrong})
+
+
+def test_swept_mesh_files_lie_beside_the_scene(tmp_path: Path) -> None:
+    """As ``mesh.file`` does."""
+    made = {key: GOOD[key] for key in ("material", "damping", "excitation", "contact")}
+    made |= {"geometry": {"thickness": 1.0}, "mesh": {"layout": "file", "file": "a.msh"}}
+    made["sweep"] = {"over": {"mesh.file": ["a.msh", "b.msh"]}}
+    scene = Scene.from_mapping(made, tmp_path)
+    files = [str(tmp_path / name) for name in ("a.msh", "a.msh", "b.msh")]
+    assert scene.mesh_files == files and scene.sweep is not None
+    assert list(scene.sweep.over[0].values) == files[1:]
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "demos").glob("*.toml")), ids=lambda p: p.stem)
+def test_scene_as_toml_reads_back(path: Path) -> None:
+    """What is written is the same scene; with every optional table, too."""
+    scene = Scene.load(path)
+    if scene.crack is not None and scene.mesh.layout != "file":
+        scene = scene.replace(
+            {
+                "sweep.over": {key: OVER[key] for key in ("excitation.omega", "crack.edge")},
+                "curve.start": 1.5, "curve.stop": 2, "curve.stability": False,
+                "reduction.modes": 7, "integration.method": "events",
+                "damping.ratio": [0.1, 0.2], "damping.modes": 2,
+            }
+        )  # fmt: skip
+    assert Scene.from_mapping(tomllib.loads(scene.as_toml())) == scene
+
+
+# --- anything at all ------------------------------------------------------------------------------
+KEYS = [(table, key) for table, keys in GOOD.items() for key in keys] + [
+    ("crack", "first_omega"), ("crack", "clearance"), ("damping", "modes"), ("contact", "law"),
+    ("contact", "sharpness"), ("contact", "pairs"), ("contact", "stiffness_per_area"),
+    ("mesh", "cells"), ("mesh", "order"),
+    ("mesh", "size"), ("mesh", "lip_elements"), ("mesh", "grading"), ("mesh", "file"),
+    ("excitation", "force_cos"), ("excitation", "force_mean"), ("harmonic_balance", "samples"),
+]  # fmt: skip
+LEAVES = st.one_of(
+    st.booleans(),
+    st.integers(),
+    st.integers(-(10**400), 10**400),
+    st.floats(),
+    st.text(),
+    st.sampled_from(
+        ["left", "right", "all", "grid", "graded", "file", "smoothed", "constraint", "mouth"]
+    ),
+    st.datetimes(),
+    st.dates(),
+    st.times(),
+)
+VALUES = st.recursive(
+    LEAVES,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+)
+
+
+@settings(max_examples=500)
+@given(
+    leaves=st.dictionaries(st.sampled_from(KEYS), VALUES, min_size=1, max_size=3),
+    tables=st.dictionaries(st.sampled_from(sorted(GOOD)) | st.text(), VALUES, max_size=1),
+)
+def test_any_values_give_a_scene_or_an_input_error(
+    leaves: dict[tuple[str, str], Any], tables: dict[str, Any]
+) -> None:
+    """Whatever TOML can hold in whatever place, the only exception is InputError."""
+    mapping: dict[str, Any] = copy.deepcopy(GOOD)
+    for (table, key), value in leaves.items():
+        mapping[table][key] = value
+    mapping |= tables
+    try:
+        assert isinstance(Scene.from_mapping(mapping), Scene)
+    except InputError as error:
+        assert error.allowed and error.allowed in str(error)

@@ -1,0 +1,229 @@
+"""Floquet multipliers."""
+
+import numpy as np
+import pytest
+import scipy.linalg
+from helpers import (
+    OMEGA_0,
+    chain,
+    chain_stiffness,
+    dense_matrices,
+    oscillator,
+    period_two_orbit,
+    random_stiffness,
+    relative,
+)
+from scipy.integrate import solve_ivp
+
+import fenics_crack as fc
+from fenics_crack.curves.continuation import continue_frequency
+from fenics_crack.model.modal import all_modes, flow_matrix
+from fenics_crack.stability.floquet import PiecewiseFlow, floquet
+from fenics_crack.time.events import EventFlow
+
+
+def test_verification_b() -> None:
+    """W = 2 w0: multiplier -1.23694, unstable; confirmed by Hill."""
+    structure, law = oscillator(), fc.UnilateralPenalty(1.0)
+    solution = fc.solve_harmonic_balance(structure, 2.0 * OMEGA_0, law, harmonics=20)
+    found = floquet(structure, solution, law)
+    assert found.multipliers[0] == pytest.approx(-1.23694, abs=1e-4)
+    assert found.verdict == "unstable"
+    assert found.uncertainty < 1e-5
+
+
+def test_stable_orbit_of_twice_the_period() -> None:
+    """VERIFICATION B: the orbit that takes over where the other is unstable."""
+    orbit = period_two_orbit(40)
+    assert floquet(orbit.structure, orbit).verdict == "stable"
+
+
+@pytest.mark.parametrize("damping", [0.01, 0.1, 0.5])
+def test_product_of_the_multipliers(damping: float) -> None:
+    """exp(-T tr c), whatever the contact."""
+    structure = oscillator(damping)
+    solution = fc.solve_harmonic_balance(structure, 0.8, fc.UnilateralPenalty(3.0), harmonics=12)
+    product = np.prod(floquet(structure, solution).multipliers)
+    assert product == pytest.approx(np.exp(-damping * solution.period), rel=1e-9)
+
+
+def test_without_contact_the_flow_is_linear() -> None:
+    """An unreachable stop: multipliers are exp(T eigenvalues) of the linear structure."""
+    rng = np.random.default_rng(8)
+    n = 4
+    stiffness, random = random_stiffness(rng, n), rng.normal(size=(n, n))
+    damping = 0.05 * (random @ random.T)
+    structure = fc.Structure.from_matrices(
+        np.eye(n), stiffness, rng.normal(size=n), force_sin=np.ones(n), damping=damping,
+        clearance=1e6,
+    )  # fmt: skip
+    solution = fc.solve_harmonic_balance(structure, 1.3, fc.UnilateralPenalty(1.0), harmonics=3)
+    flow = np.block([[np.zeros((n, n)), np.eye(n)], [-stiffness, -damping]])
+    exact = np.linalg.eigvals(scipy.linalg.expm(solution.period * flow))
+    found = floquet(structure, solution).multipliers
+    assert np.allclose(np.sort(np.abs(found)), np.sort(np.abs(exact)), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "law", [fc.UnilateralPenalty(2.0), fc.SmoothedPenalty(2.0, 10.0)], ids=["penalty", "smoothed"]
+)
+def test_against_the_variational_equation(
+    law: fc.UnilateralPenalty | fc.SmoothedPenalty,
+) -> None:
+    """Multipliers of two masses from SciPy's integration of the linearised motion."""
+    stiffness = chain_stiffness(np.ones(3))
+    damping = 0.06 * stiffness
+    gap = np.array([1.0, -1.0])
+    structure = fc.Structure.from_matrices(
+        np.eye(2), stiffness, gap, force_cos=[0.3, -0.5], damping=damping
+    )
+    solution = fc.solve_harmonic_balance(structure, 1.1, law, harmonics=40)
+
+    def rate(t: float, state: np.ndarray) -> np.ndarray:
+        slope = law.tangent(solution.gap(np.array([t])))[0, 0]
+        z = state.reshape(4, 4)
+        force = -(stiffness + slope * np.outer(gap, gap)) @ z[:2] - damping @ z[2:]
+        return np.concatenate([z[2:], force]).ravel()
+
+    run = solve_ivp(
+        rate, (0.0, solution.period), np.eye(4).ravel(), rtol=1e-8, atol=1e-10, max_step=0.01
+    )
+    exact = np.linalg.eigvals(run.y[:, -1].reshape(4, 4))
+    found = floquet(structure, solution).multipliers
+    assert np.abs(found[0]) == pytest.approx(np.abs(exact).max(), abs=2e-4)
+
+
+def test_verdict_agrees_with_integration() -> None:
+    """Started next to the orbit, the motion returns to it, or leaves it, as the verdict says."""
+    structure, law = oscillator(), fc.UnilateralPenalty(1.0)
+    verdicts = []
+    for omega in (1.0, 1.6, 2.2, 2.0 * OMEGA_0, 2.5, 2.8):
+        orbit = fc.solve_harmonic_balance(structure, omega, law, harmonics=30)
+        found = floquet(structure, orbit)
+        verdicts.append(found.verdict)
+        start = orbit.displacement(np.zeros(1), [0])[0] * 1.001 + 1e-4
+        rate = (
+            orbit.displacement(np.array([1e-6]), [0]) - orbit.displacement(np.array([-1e-6]), [0])
+        )[0] / 2e-6
+        history = fc.integrate_central_difference(
+            structure, omega, law, periods=60, steps_per_period=2000, initial=(start, rate)
+        )
+        exact = orbit.gap(history.time[:2000])
+        distance = np.linalg.norm(history.by_period(history.gap) - exact, axis=(1, 2))
+        grows = distance[-1] > distance[0]
+        assert grows == (found.verdict == "unstable"), (omega, found)
+    assert set(verdicts) == {"stable", "unstable"}
+
+
+@pytest.mark.parametrize("ratio", [0.03, 0.01, 0.001])
+def test_verdict_agrees_with_exact_motion(paper_scene: fc.Scene, ratio: float) -> None:
+    """The paper's plate: a disturbed orbit returns or leaves as the verdict says, at the rate |mu|.
+
+    ``benchmarks/verdicts.py`` has the whole grid.
+    """
+    plate = fc.build_structure(paper_scene.replace({"damping.ratio": ratio}))
+    random = np.random.default_rng(3).normal(size=2 * plate.n_dofs)
+    verdicts = []
+    for stiffness, omega in (
+        (1e8, 2000.0), (1e8, 5200.0), (1e9, 2000.0), (1e9, 5200.0), (1e10, 5200.0),
+    ):  # fmt: skip
+        law = fc.UnilateralPenalty(stiffness)
+        harmonics = 100 if stiffness > 5e9 else 40
+        solution = fc.solve_harmonic_balance(plate, omega, law, harmonics=harmonics)
+        found = floquet(plate, solution)
+        assert found.verdict != "undecided"
+        verdicts.append(found.verdict)
+        orbit, flow = fc.shoot(plate, solution), EventFlow(plate, omega, law)
+        assert np.abs(orbit.multipliers[0]) == pytest.approx(np.abs(found.multipliers[0]), rel=0.02)
+        state, distance = orbit.state * (1.0 + 1e-6 * random), [1e-6]
+        while 1e-8 < distance[-1] < 1e-4 and len(distance) < 120:
+            state = flow.advance(state, len(distance) * solution.period, solution.period)[0]
+            distance.append(relative(state, orbit.state))
+        late = np.arange(len(distance) // 2, len(distance))
+        rate = np.exp(np.polyfit(late, np.log(np.array(distance)[late]), 1)[0])
+        assert (rate < 1.0) == (found.verdict == "stable"), (stiffness, omega, found, rate)
+        assert rate == pytest.approx(np.abs(orbit.multipliers[0]), rel=0.15)
+    assert set(verdicts) == {"stable", "unstable"}
+
+
+@pytest.mark.parametrize("damping", ["modal", "matrix", "overdamped"])
+def test_monodromy_is_a_product_of_exponentials(damping: str) -> None:
+    """Three pairs with clearances, and modes that do not oscillate at all."""
+    structure = chain("matrix" if damping == "matrix" else "modal")
+    if damping == "overdamped":
+        mass, _, stiffness = dense_matrices(structure)
+        structure = fc.Structure.from_matrices(
+            mass, stiffness, structure.gap.toarray(), force_cos=structure.force[1],
+            damping=fc.ModalDamping([1.5] * 4 + [0.1] * 6), clearance=structure.clearance,
+        )  # fmt: skip
+    law = fc.UnilateralPenalty(np.array([3.0, 5.0, 9.0]))
+    solution = fc.solve_harmonic_balance(structure, 1.1, law, harmonics=9)
+    flow = PiecewiseFlow(structure, law)
+    times = np.linspace(0.0, solution.period, 40001)
+    closed = solution.gap(0.5 * (times[1:] + times[:-1])) > 0.0
+    ends = np.flatnonzero(np.any(closed[1:] != closed[:-1], axis=1)) + 1
+    assert len(ends) >= 2
+    exact = np.eye(2 * structure.n_dofs)
+    modes, starts = all_modes(structure), [0, *ends]
+    scale = np.sqrt(modes.squares.max())
+    for start, end in zip(starts, [*ends, len(closed)], strict=True):
+        matrix = flow_matrix(modes, closed[start] * law.stiffness, scale)
+        exact = scipy.linalg.expm((times[end] - times[start]) * matrix) @ exact
+    found = flow.monodromy(solution.gap_coefficients, solution.base_omega)
+    assert relative(found, exact) < 1e-3  # of the grid's instants
+    product = np.prod(flow.multipliers(solution.gap_coefficients, solution.base_omega))
+    trace = np.trace(matrix[structure.n_dofs :, structure.n_dofs :])
+    assert product == pytest.approx(np.exp(solution.period * trace), rel=1e-9)
+
+
+@pytest.mark.parametrize("stiffness", [1e9, 1e11])
+@pytest.mark.parametrize("ratio", [0.01, 0.001])
+def test_leading_multiplier(paper_scene: fc.Scene, ratio: float, stiffness: float) -> None:
+    """Sought alone it is the first of all, over the whole range of frequencies."""
+    plate = fc.build_structure(paper_scene.replace({"damping.ratio": ratio}))
+    law = fc.UnilateralPenalty(stiffness)
+    flow, stable = PiecewiseFlow(plate, law), []
+    for omega in np.linspace(1000.0, 9500.0, 15):
+        # Not only orbits: whatever the gap, it has its monodromy matrix.
+        solution = fc.solve_harmonic_balance(plate, omega, law, harmonics=20, throw=False)
+        every = flow.multipliers(solution.gap_coefficients, omega)
+        found = flow.leading(solution.gap_coefficients, omega)
+        assert np.abs(found.value) == pytest.approx(np.abs(every[0]), rel=1e-8)
+        assert found.stable == (np.abs(every[0]) < 1.0)
+        signs = np.sign(1.0 + every[np.abs(every.imag) < 1e-12 * np.abs(every)].real)
+        assert found.doubling == np.prod(signs)
+        stable.append(found.stable)
+    assert not all(stable)
+
+
+def test_poor_truncation_is_not_decided(paper_structure: fc.Structure) -> None:
+    """The paper's data with few harmonics: the check disagrees, and the verdict says so."""
+    plate = fc.reduce_structure(paper_structure, modes=10)
+    solution = fc.solve_harmonic_balance(plate, 2000.0, fc.UnilateralPenalty(1e11), harmonics=5)
+    found = floquet(plate, solution, refine=False)
+    assert solution.report.truncation > 0.005
+    assert found.verdict != "stable"
+    assert np.abs(found.multipliers[0]) > 1.0
+
+
+def test_period_doubling_is_found_on_a_curve() -> None:
+    """Between its two period doublings the orbit is unstable, and W = 2 w0 lies there."""
+    structure, law = oscillator(), fc.UnilateralPenalty(1.0)
+    curve = continue_frequency(structure, 1.5, 3.0, law, harmonics=20, stability=True)
+    doublings = [b for b in curve.bifurcations if b.kind == "period_doubling"]
+    assert len(doublings) == 2
+    first, second = (b.omega for b in doublings)
+    assert first < 2.0 * OMEGA_0 < second
+    inside = (curve.omega > first) & (curve.omega < second)
+    assert not np.any(curve.stable[inside]) and np.all(curve.stable[~inside])
+    for doubling in doublings:
+        multipliers = floquet(structure, doubling.solution).multipliers
+        assert np.abs(multipliers + 1.0).min() < 1e-5
+
+
+def test_what_cannot_be_judged_is_refused() -> None:
+    """No law of the gap, no multipliers."""
+    structure = oscillator()
+    linear = fc.solve_linear(structure, 1.0)
+    with pytest.raises(fc.InputError, match="contact"):
+        floquet(structure, linear)

@@ -1,0 +1,133 @@
+"""Bifurcations on exact orbits."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from helpers import OMEGA_0, log_slope, oscillator, two_masses
+
+import fenics_crack as fc
+from fenics_crack.stability.refinement import refine_bifurcation
+from fenics_crack.time.events import EventFlow
+
+CURVE = {"omega_start": 0.6, "omega_end": 0.9, "contact": fc.UnilateralPenalty(100.0)}
+EXACT = {
+    "period_doubling": (0.7387830254, 0.7555861594),
+    "fold": (0.7556273526, 0.6534401345),
+    "neimark_sacker": (0.6186068743,),
+}
+"""VERIFICATION C: by kind, along the curve. Found alike from 21, 41, 81 and 121 harmonics."""
+
+
+@pytest.mark.parametrize("harmonics", [21, 61])
+def test_verification_c(harmonics: int) -> None:
+    """All special points of the contact branch, from wherever harmonic balance puts them."""
+    curve = fc.continue_frequency(two_masses(), **CURVE, harmonics=harmonics, stability=True)
+    for kind, expected in EXACT.items():
+        special = [b for b in curve.bifurcations if b.kind == kind]
+        assert len(special) == len(expected)
+        for bifurcation, exact in zip(special, expected, strict=True):
+            omega, orbit = refine_bifurcation(bifurcation)
+            assert omega == pytest.approx(exact, rel=1e-9)
+            assert orbit.residual < 1e-11
+            if kind == "neimark_sacker":
+                pair = orbit.multipliers[orbit.multipliers.imag > 0.1]
+                assert np.abs(np.abs(pair) - 1.0).min() < 1e-9
+            else:
+                critical = 1.0 if kind == "fold" else -1.0
+                assert np.abs(orbit.multipliers - critical).min() < 1e-6
+    doubling = next(b for b in curve.bifurcations if b.kind == "period_doubling")
+    assert refine_bifurcation(doubling)[0] == pytest.approx(0.7387830, rel=1e-7)
+
+
+def test_multiplier_seen_in_the_motion() -> None:
+    """At the period doubling of VERIFICATION C the critical direction alternates, undamped."""
+    structure, law = two_masses(), fc.UnilateralPenalty(100.0)
+    curve = fc.continue_frequency(structure, **CURVE, harmonics=61, stability=True)
+    doubling = next(b for b in curve.bifurcations if b.kind == "period_doubling")
+    omega, orbit = refine_bifurcation(doubling)
+    flow, period = EventFlow(structure, omega, law), 2.0 * np.pi / omega
+    monodromy = flow.advance(orbit.state, 0.0, period, monodromy=np.eye(4))[2]
+    assert monodromy is not None
+    values, vectors = np.linalg.eig(monodromy)
+    critical = vectors[:, np.argmin(np.abs(values + 1.0))].real
+    offset = 1e-6 * np.linalg.norm(orbit.state) * critical
+    state = orbit.state + offset
+    for index in range(1, 5):
+        state = flow.advance(state, index * period, period)[0]
+        assert state - orbit.state == pytest.approx((-1.0) ** index * offset, abs=1e-4 * 1e-6)
+
+
+def test_order_of_the_location_by_harmonic_balance() -> None:
+    """The error of the period doubling of VERIFICATION C falls like H^-3."""
+    harmonics, errors = (21, 41, 61, 81, 121, 161), []
+    for count in harmonics:
+        curve = fc.continue_frequency(two_masses(), **CURVE, harmonics=count, stability=True)
+        found = next(b.omega for b in curve.bifurcations if b.kind == "period_doubling")
+        errors.append(abs(found / EXACT["period_doubling"][0] - 1.0))
+    assert np.all(np.diff(errors) < 0.0)
+    assert errors[0] < 0.1 and errors[-1] < 1e-3
+    assert -3.3 < log_slope(harmonics, errors) < -2.7
+
+
+def test_doublings_of_the_oscillator() -> None:
+    """VERIFICATION B lies between them, and its orbit is unstable there."""
+    structure, law = oscillator(), fc.UnilateralPenalty(1.0)
+    found = []
+    for harmonics in (5, 20):
+        curve = fc.continue_frequency(structure, 1.5, 3.0, law, harmonics=harmonics, stability=True)
+        special = [b for b in curve.bifurcations if b.kind == "period_doubling"]
+        found.append([refine_bifurcation(b)[0] for b in special])
+    assert found[0] == pytest.approx(found[1], rel=1e-10)
+    first, second = found[1]
+    assert first < 2.0 * OMEGA_0 < second
+    for omega, unstable in ((0.999 * first, False), (1.001 * first, True), (1.001 * second, False)):
+        solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=40)
+        assert (np.abs(fc.shoot(structure, solution).multipliers[0]) > 1.0) == unstable
+
+
+@pytest.mark.slow
+def test_paper_plate(soft_plate: fc.Structure) -> None:
+    """All 50 modes, k = 1e9: 20 and 40 harmonics lead to the same points.
+
+    The folds between which 20 harmonics see two more, and the pairs that they see there crossing
+    the unit circle, are none of the exact branch: its fold is one.
+    """
+    law, found = fc.UnilateralPenalty(1e9), []
+    for harmonics in (20, 40):
+        curve = fc.continue_frequency(
+            soft_plate, 1280.0, 1340.0, law, harmonics=harmonics, stability=True
+        )
+        refined = [
+            (b.kind, *refine_bifurcation(b, reach=0.02))
+            for b in curve.bifurcations
+            if b.kind == "fold" or b.omega < 1310.0
+        ]
+        assert all(np.abs(np.abs(o.multipliers) - 1.0).min() < 1e-7 for _, _, o in refined)
+        found.append({(kind, round(omega, 4)) for kind, omega, _ in refined})
+    assert found[0] == found[1]
+    assert {kind for kind, _ in found[0]} == {"fold", "neimark_sacker"}
+    assert len(found[0]) == 4
+
+
+@dataclass(frozen=True)
+class Special:
+    """A kind and a solution."""
+
+    kind: str
+    solution: fc.PeriodicSolution
+
+
+def test_what_is_not_there_is_not_found() -> None:
+    """One error that says what was looked for, or which argument cannot be used."""
+    structure, law = oscillator(), fc.UnilateralPenalty(1.0)
+    solution = fc.solve_harmonic_balance(structure, 1.0, law, harmonics=10)
+    with pytest.raises(fc.ConvergenceError, match="no period doubling of exact orbits within 10 %"):
+        refine_bifurcation(Special("period_doubling", solution), reach=0.1)
+    with pytest.raises(fc.InputError, match=r"^kind"):
+        refine_bifurcation(Special("branch_point", solution))
+    for reach in (0.0, 0.6):
+        with pytest.raises(fc.InputError, match=r"^reach"):
+            refine_bifurcation(Special("fold", solution), reach=reach)
+    with pytest.raises(fc.InputError, match=r"^contact"):
+        refine_bifurcation(Special("fold", solution), contact=fc.SmoothedPenalty(1.0, 1.0))

@@ -1,0 +1,582 @@
+"""Sweeps: right numbers, the same on any number of ranks, nothing lost when killed."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from conftest import MPI_ENVIRONMENT
+from mpi4py import MPI
+
+import fenics_crack as fc
+from fenics_crack.scene.scene import Sweep
+from fenics_crack.study.prepare import prepare
+from fenics_crack.sweep import case as sweep_case
+from fenics_crack.sweep import jobs as sweep_jobs
+from fenics_crack.sweep import result as sweep
+from fenics_crack.sweep.file import COLUMNS, SweepFile
+from fenics_crack.sweep.result import SweepResult, run_sweep
+
+Over = Mapping[str, Any]
+SOFT = {"damping.ratio": 0.01, "contact.stiffness": 1e9}
+GRADED = SOFT | {
+    "mesh.layout": "graded", "mesh.columns": None, "mesh.rows": None, "mesh.size": 0.02,
+    "mesh.lip_elements": 3, "damping.modes": 10, "contact.stiffness": 1e9,
+    "reduction.method": "free_interface",
+}  # fmt: skip
+FAST = {"excitation.omega": [1900.0, 2000.0], "harmonic_balance.harmonics": [3, 5]}
+
+
+def swept(scene: fc.Scene, over: Over, changes: Over = SOFT, ranks: int = 1) -> fc.Scene:
+    """A scene with a sweep."""
+    if "mesh.layout" in changes:
+        mesh = {k.removeprefix("mesh."): v for k, v in changes.items() if k.startswith("mesh.")}
+        changes = {k: v for k, v in changes.items() if not k.startswith("mesh.")}
+        scene = dataclasses.replace(scene, mesh=dataclasses.replace(scene.mesh, **mesh))
+    table = Sweep.from_mapping({"over": over, "ranks": ranks})
+    return dataclasses.replace(scene.replace(dict(changes)), sweep=table)
+
+
+def by_hand(scene: fc.Scene, values: Over) -> tuple[fc.Structure, fc.PeriodicSolution]:
+    """One case on its own."""
+    case = scene.replace({"sweep": None}).replace(dict(values))
+    assert case.contact is not None
+    plate = prepare(case, MPI.COMM_SELF)
+    solution = fc.solve_harmonic_balance(
+        plate,
+        case.excitation.omega,
+        fc.contact_law(case.contact, plate),
+        harmonics=case.harmonic_balance.harmonics,
+        samples=case.harmonic_balance.samples,
+    )
+    return plate, solution
+
+
+def assert_same(one: SweepResult, other: SweepResult, tolerance: float = 0.0) -> None:
+    """All columns but the time agree, and so do the gaps: to the bit, or to a tolerance."""
+    assert one.shape == other.shape and one.complete and other.complete
+    for name in ("state", *COLUMNS):
+        if name == "seconds" or (tolerance and name == "residual_error"):  # that is rounding
+            continue
+        if tolerance and one[name].dtype.kind == "f":
+            size = np.nanmax(np.abs(one[name]), initial=0.0)
+            np.testing.assert_allclose(
+                other[name], one[name], rtol=0.0, atol=tolerance * size, err_msg=name
+            )
+        else:
+            np.testing.assert_array_equal(other[name], one[name], err_msg=name)
+    for index in map(tuple, np.argwhere(one.converged)):
+        gap = one.gap(index)
+        size = tolerance * np.abs(gap).max()
+        np.testing.assert_allclose(other.gap(index), gap, rtol=0.0, atol=size)
+
+
+# --- numbers --------------------------------------------------------------------------------------
+
+
+def test_table_is_the_product_of_the_axes(paper_scene: fc.Scene, tmp_path: Path) -> None:
+    """Numbered with the last axis fastest; values, waves and solutions as solved by hand."""
+    scene = swept(paper_scene, FAST | {"contact.stiffness": [1e9, 2e9, 4e9]})
+    result = run_sweep(scene, tmp_path / "sweep.h5")
+    assert result.shape == (2, 2, 3) and result.complete and result.failed == []
+    names, rows = result.table()
+    assert names[:5] == [
+        "excitation.omega [rad/s]", "harmonic_balance.harmonics", "contact.stiffness [N/m]",
+        "state", "response [m]",
+    ]  # fmt: skip
+    assert [row[:3] for row in rows[:4]] == [
+        [1900.0, 3, 1e9], [1900.0, 3, 2e9], [1900.0, 3, 4e9], [1900.0, 5, 1e9],
+    ]  # fmt: skip
+    assert len(rows) == 12 and rows[7][4] == result["response"][1, 0, 1]
+    for number, index in enumerate(np.ndindex(2, 2, 3)):
+        values = {axis.key: axis.values[at] for axis, at in zip(result.axes, index, strict=True)}
+        plate, solution = by_hand(scene, values)
+        time_ = solution.period * np.arange(1024) / 1024
+        corner = plate.find_dof((0.1, 0.1), "x")
+        motion, gap = solution.displacement(time_, [corner]), solution.gap(time_)
+        assert result["response"][index] == pytest.approx(np.ptp(motion) / 2.0, rel=1e-8)
+        assert result["opening"][index] == pytest.approx(-gap.min(), rel=1e-8)
+        assert result["penetration"][index] == pytest.approx(gap.max(), rel=1e-8)
+        force = solution.contact_force(time_)
+        assert result["contact_force"][index] == pytest.approx(force.max(), rel=1e-8)
+        assert result["closed_share"][index] == pytest.approx(np.mean(force > 0), abs=1.5 / 1024)
+        assert result["truncation_error"][index] == pytest.approx(
+            solution.report.truncation, rel=1e-6
+        )
+        stability = fc.floquet(plate, solution, refine=False)
+        assert result["verdict"][index] == stability.verdict
+        largest = abs(stability.multipliers[0])
+        assert result["multiplier"][index] == pytest.approx(largest, abs=1e-6)
+        for found in (result.gap(index), result.gap(number)):
+            np.testing.assert_allclose(found, solution.gap_coefficients, atol=1e-9 * gap.max())
+        again = result.solution(index)
+        np.testing.assert_allclose(again.gap_coefficients, solution.gap_coefficients, atol=1e-14)
+        np.testing.assert_allclose(
+            again.displacement(time_, [corner]), motion, atol=1e-8 * np.ptp(motion)
+        )
+        assert again.report.truncation == result["truncation_error"][index]
+
+
+def test_force_clearance_and_law_are_swept_without_a_new_geometry(
+    paper_scene: fc.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reduced with unit loads; both directions and phases, preload, and the constraint."""
+    over = {
+        "excitation.force_cos": [(0.0, 0.0), (30.0, 200.0)],
+        "crack.clearance": [0.0, -1e-7],
+        "contact.law": ["penalty", "constraint"],
+    }
+    scene = swept(paper_scene, over, GRADED | {"harmonic_balance.harmonics": 4})
+    built = []
+    whole = sweep_case.prepare
+    monkeypatch.setattr(sweep_case, "prepare", lambda *given: built.append(given) or whole(*given))
+    result = run_sweep(scene, tmp_path / "sweep.h5")
+    assert len(built) == 1
+    # A stiffness and the constraint exclude each other.
+    assert not result.converged[..., 1].any() and result.converged[..., 0].all()
+    assert "contact.stiffness" in result["status"][0, 0, 1]
+    for index in np.ndindex(2, 2):
+        values = {axis.key: axis.values[at] for axis, at in zip(result.axes, index, strict=False)}
+        plate, solution = by_hand(scene, values)
+        gap = solution.gap_coefficients
+        found = result.gap((*index, 0))
+        # The unit loads make another basis.
+        np.testing.assert_allclose(found, gap, atol=1e-4 * np.abs(gap).max())
+        time_ = solution.period * np.arange(1024) / 1024
+        components = [plate.find_dof((0.1, 0.1), component) for component in "xy"]
+        motion = solution.displacement(time_, components)
+        force = np.array([100.0, 0.0] if index[0] == 0 else [30.0, 200.0])
+        along = motion @ force / np.linalg.norm(force)
+        assert result["response"][(*index, 0)] == pytest.approx(np.ptp(along) / 2.0, rel=1e-4)
+        again = result.solution((*index, 0))
+        np.testing.assert_allclose(
+            again.displacement(time_, components), motion, atol=1e-4 * np.ptp(motion)
+        )
+        assert again.structure.clearance[0] == values["crack.clearance"]
+        assert np.abs(again.structure.closing(again.displacement_coefficients)[1:]
+                      - again.gap_coefficients[1:]).max() < 1e-9 * np.abs(gap).max()  # fmt: skip
+
+
+def test_constraint(paper_scene: fc.Scene, tmp_path: Path) -> None:
+    """No law of the gap: no verdict; the solution knows its weight."""
+    changes = {"damping.ratio": 0.01, "contact.stiffness": None, "contact.law": "constraint"}
+    scene = swept(paper_scene, {"excitation.omega": [1900.0, 2000.0]}, changes)
+    result = run_sweep(scene, tmp_path / "sweep.h5")
+    assert result.converged.all()
+    assert result["verdict"].tolist() == ["", ""] and np.isnan(result["multiplier"]).all()
+    solution = by_hand(scene, {"excitation.omega": 2000.0})[1]
+    again = result.solution(1)
+    instants = np.linspace(0.0, solution.period, 100)
+    force = solution.contact_force(instants)
+    np.testing.assert_allclose(again.contact_force(instants), force, atol=1e-7 * force.max())
+    assert result["contact_force"][1] == pytest.approx(force.max(), rel=1e-2)
+
+
+def test_without_a_crack(paper_scene: fc.Scene, tmp_path: Path) -> None:
+    """The linear plate: a response, nothing of contact."""
+    base = paper_scene.replace({"crack": None, "contact": None, "damping.ratio": 0.01})
+    scene = swept(base, {"excitation.omega": [2000.0, 3000.0]}, {})
+    result = run_sweep(scene, tmp_path / "sweep.h5")
+    plate = prepare(scene.replace({"sweep": None}))
+    row = fc.solve_linear(plate, 3000.0).coefficients_at([plate.find_dof((0.1, 0.1), "x")])
+    assert result["response"][1] == pytest.approx(np.hypot(*row[1:3, 0]), rel=1e-4)
+    assert np.isnan(result["opening"]).all() and result.gap(0).shape[1] == 0
+    assert result.solution(1).displacement_coefficients.shape[1] == plate.n_dofs
+
+
+def test_crack_length_found_and_pairs_of_several_geometries(
+    paper_scene: fc.Scene, tmp_path: Path
+) -> None:
+    """The waves of every geometry have its own pairs; a length follows from a frequency."""
+    over = {"mesh.lip_elements": [2, 4], "contact.pairs": ["mouth", "all"]}
+    changes = GRADED | {"crack.length": None, "crack.first_omega": 2400.0}
+    result = run_sweep(swept(paper_scene, over, changes), tmp_path / "sweep.h5")
+    assert result.converged.all()
+    pairs = [result.gap(number).shape[1] for number in range(4)]
+    assert pairs == [1, 2, 1, 4]
+    assert np.all((result["crack_length"] > 0.03) & (result["crack_length"] < 0.06))
+    solution = result.solution((1, 1))
+    assert fc.solve_modes(solution.structure.whole, 1).omega[0] == pytest.approx(2400.0, rel=1e-3)
+
+
+# --- what fails -----------------------------------------------------------------------------------
+
+
+def test_failures_are_recorded_and_the_others_go_on(paper_scene: fc.Scene, tmp_path: Path) -> None:
+    """A crack longer than the plate, one off the grid, a load on the clamp."""
+    over = {"crack.length": [0.05, 0.2, 0.03], "excitation.point": [(0.1, 0.1), (0.1, 0.0)],
+            "excitation.omega": [2000.0, 2100.0]}  # fmt: skip
+    result = run_sweep(swept(paper_scene, over), tmp_path / "sweep.h5")
+    assert result.complete
+    assert result.converged[0, 0].all() and np.count_nonzero(result.converged) == 2
+    reasons = dict(result.failed)
+    assert len(reasons) == 10
+    assert "shorter than the plate" in reasons[1, 0, 0]
+    assert "whole number of grid cells" in reasons[2, 1, 1]
+    assert "free to move" in reasons[0, 1, 0]
+    assert np.isnan(result["response"][1, 0, 0])
+    names, rows = result.table()
+    assert rows[4][names.index("state")] == "failed" and "0.2" in rows[4][-1]
+    with pytest.raises(fc.InputError, match="converged"):
+        result.gap((1, 0, 0))
+    with pytest.raises(fc.InputError, match="converged"):
+        result.solution((7, 0, 0))
+
+
+def test_refused(paper_scene: fc.Scene, tmp_path: Path) -> None:
+    """No sweep, ranks that do not fit, nothing that can be used, a structure that stays large."""
+    with pytest.raises(fc.InputError, match="sweep"):
+        run_sweep(paper_scene, tmp_path / "a.h5")
+    with pytest.raises(fc.InputError, match=r"sweep\.ranks"):
+        run_sweep(swept(paper_scene, FAST, ranks=2), tmp_path / "a.h5")
+    with pytest.raises(fc.InputError, match="grid cells"):
+        run_sweep(swept(paper_scene, {"crack.length": [0.03, 0.04]}), tmp_path / "a.h5")
+    fine = SOFT | {"mesh.columns": 16, "mesh.rows": 24, "reduction.method": "off"}
+    with pytest.raises(fc.InputError, match=r"reduction\.method"):
+        run_sweep(swept(paper_scene, FAST, fine), tmp_path / "a.h5")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_files_that_cannot_be_used(paper_scene: fc.Scene, tmp_path: Path) -> None:
+    """Another scene's, something else, one that cannot be written, one that is being written."""
+    scene, path = swept(paper_scene, FAST), tmp_path / "sweep.h5"
+    run_sweep(scene, path)
+    content = path.read_bytes()
+    with pytest.raises(fc.InputError, match="same scene; for another one"):
+        run_sweep(swept(paper_scene, FAST | {"excitation.omega": [1900.0]}), path)
+    with h5py.File(path, "r+"), pytest.raises(fc.InputError, match="path"):
+        run_sweep(scene, path)
+    assert path.read_bytes() == content
+    other = tmp_path / "other.h5"
+    other.write_text("no HDF5")
+    for wrong in (other, tmp_path, other / "sweep.h5"):
+        with pytest.raises(fc.InputError, match="path"):
+            run_sweep(scene, wrong)
+    for wrong in (other, tmp_path / "missing.h5"):
+        with pytest.raises(fc.InputError, match="path"):
+            SweepResult.load(wrong)
+    with h5py.File(other, "w") as file:
+        file.attrs["kind"] = "response curve"
+    with pytest.raises(fc.InputError, match="result file"):
+        SweepResult.load(other)
+    with h5py.File(path, "r+") as file:
+        file.attrs["version"] = "0.0.1"
+    with pytest.raises(fc.InputError, match=r"begun by version 0\.0\.1"):
+        run_sweep(scene, path)
+    with h5py.File(path, "r+") as file:
+        del file["status"]
+    with pytest.raises(fc.InputError, match="path"):
+        SweepResult.load(path)
+
+
+def test_two_programs_that_begin_at_once(
+    paper_scene: fc.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file of the quicker one stays, and the other is refused by its lock."""
+    scene, path = swept(paper_scene, FAST), tmp_path / "sweep.h5"
+    with SweepFile(path, scene, 5, 1)._file:
+        monkeypatch.setattr(Path, "exists", lambda self: False)  # as it was a moment before
+        with pytest.raises(fc.InputError, match="path"):
+            SweepFile(path, scene, 5, 1)
+    assert [file.name for file in tmp_path.iterdir()] == ["sweep.h5"]
+
+
+def test_cases_are_named_by_whole_numbers(paper_scene: fc.Scene, tmp_path: Path) -> None:
+    """Nothing is cut off, and nothing is counted from the end."""
+    result = run_sweep(swept(paper_scene, FAST), tmp_path / "sweep.h5")
+    np.testing.assert_array_equal(result.gap(1), result.gap((0, 1)))
+    for wrong in ((0.9, 1.2), (-1, -1), -1, (0,), (0, 99), "a"):
+        with pytest.raises(fc.InputError, match="index"):
+            result.gap(wrong)  # type: ignore[arg-type]
+
+
+def test_file_holds_numbers_and_words_only(paper_scene: fc.Scene, tmp_path: Path) -> None:
+    """No objects, no references, no filters; contiguous datasets whose place is fixed."""
+    path = tmp_path / "sweep.h5"
+    result = run_sweep(swept(paper_scene, FAST), path)
+    with h5py.File(path, "r") as file:
+        assert set(file) == {"state", "gap", "force", *COLUMNS}
+        for item in file.values():
+            assert item.dtype.kind in "fiuS" and item.chunks is item.compression is None
+            assert item.id.get_offset() is not None
+        assert all(isinstance(value, str) for value in file.attrs.values())
+        assert file["gap"].attrs["unit"] == "m"
+    assert fc.Scene.from_text(result.scene.as_toml()) == result.scene
+
+
+def test_a_complete_sweep_is_not_computed_again(
+    paper_scene: fc.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither is a chunk that is there; the others are solved."""
+    scene, path = swept(paper_scene, FAST), tmp_path / "sweep.h5"
+    first = run_sweep(scene, path)
+    with h5py.File(path, "r+") as file:
+        file["state"][1, 1] = 0  # of a chunk of two, along the frequency
+        file["response"][1, 1] = 7.0
+    assert not SweepResult.load(path).complete and np.isnan(
+        SweepResult.load(path)["response"][1, 1]
+    )
+    chunks = []
+    whole = sweep_jobs.solve_chunk
+    monkeypatch.setattr(
+        sweep_jobs, "solve_chunk", lambda *given: chunks.append(given) or whole(*given)
+    )
+    written = []
+    write = sweep.SweepFile.write
+    monkeypatch.setattr(
+        sweep.SweepFile, "write", lambda *given: written.append(given[1]) or write(*given)
+    )
+    assert_same(run_sweep(scene, path), first)
+    assert len(chunks) == 1 and written == [(slice(0, 2), 1)]
+    monkeypatch.setattr(sweep_case, "prepare", None)
+    assert_same(run_sweep(scene, path, progress=True), first)
+
+
+# --- ranks ----------------------------------------------------------------------------------------
+
+RANKS_OVER = {"excitation.omega": {"start": 1500.0, "stop": 2600.0, "count": 30},
+              "crack.length": [0.05, 0.06], "contact.stiffness": [1e9, 1e10]}  # fmt: skip
+
+
+def program(scene: fc.Scene, path: Path) -> str:
+    """A program that runs a sweep."""
+    file = path.with_suffix(".toml")
+    file.write_text(scene.as_toml())
+    return (
+        "import os\n"
+        "from pathlib import Path\n"
+        "import fenics_crack as fc\n"
+        "from fenics_crack.sweep.result import run_sweep\n"
+        "from mpi4py import MPI\n"
+        f"Path({str(path)!r} + f'.{{MPI.COMM_WORLD.rank}}').write_text(str(os.getpid()))\n"
+        f"result = run_sweep(fc.Scene.load({str(file)!r}), {str(path)!r})\n"
+        "assert result.complete and result.converged.any()\n"
+    )
+
+
+@pytest.mark.mpi
+@pytest.mark.slow
+def test_ranks_and_groups_give_the_same_table(
+    paper_scene: fc.Scene, tmp_path: Path, mpirun: Callable[..., str]
+) -> None:
+    """1, 2 and 3 ranks to the bit; groups of 2, whose mesh is divided, to 1e-9."""
+    scene = swept(paper_scene, RANKS_OVER, GRADED)
+    alone = run_sweep(scene, tmp_path / "alone.h5")
+    assert alone.converged.all()
+    for ranks in (2, 3):
+        path = tmp_path / f"{ranks}.h5"
+        mpirun(program(scene, path), ranks)
+        assert_same(alone, SweepResult.load(path))
+    scene = swept(paper_scene, RANKS_OVER, GRADED, ranks=2)
+    for ranks in (2, 4):
+        path = tmp_path / f"groups_{ranks}.h5"
+        mpirun(program(scene, path), ranks)
+        assert_same(alone, SweepResult.load(path), tolerance=1e-9)
+
+
+@pytest.mark.mpi
+@pytest.mark.slow
+def test_errors_reach_every_rank(paper_scene: fc.Scene, tmp_path: Path, mpirun: Any) -> None:
+    """Input that is refused; and something unexpected on the other rank, with its traceback."""
+    path = tmp_path / "sweep.h5"
+    (tmp_path / "a.toml").write_text(swept(paper_scene, RANKS_OVER).as_toml())
+    (tmp_path / "b.toml").write_text(swept(paper_scene, RANKS_OVER, ranks=3).as_toml())
+    output = mpirun(
+        f"""
+import sys
+import fenics_crack as fc
+from fenics_crack.sweep import case as sweep_case, result as sweep
+from mpi4py import MPI
+comm = MPI.COMM_WORLD
+try:
+    sweep.run_sweep(fc.Scene.load({str(tmp_path / "b.toml")!r}), {str(path)!r})
+except fc.InputError as error:
+    sys.stdout.write(f"refused {{error.key}}\\n")
+whole, calls = sweep_case._solve, []
+def broken(*given):
+    calls.append(given)
+    if comm.rank == 1 and len(calls) > 10:  # after its first chunk
+        raise KeyError("unforeseen")
+    return whole(*given)
+sweep_case._solve = broken
+try:
+    sweep.run_sweep(fc.Scene.load({str(tmp_path / "a.toml")!r}), {str(path)!r})
+except RuntimeError as error:
+    foreseen = "KeyError: 'unforeseen'" not in str(error)
+    sys.stdout.write(f"ended {{not foreseen}}\\n")
+""",
+        2,
+    )
+    assert output.count("refused sweep.ranks") == 2 and output.count("ended True") == 2
+    left = SweepResult.load(path)
+    assert 0 < np.count_nonzero(left["state"]) < left["state"].size
+
+
+# --- interruptions --------------------------------------------------------------------------------
+
+LONG_OVER = {"excitation.omega": {"start": 1000.0, "stop": 4000.0, "count": 120},
+             "harmonic_balance.harmonics": [20, 21]}  # fmt: skip
+LONG = {"damping.ratio": 0.01, "contact.stiffness": 1e11}
+
+
+class Run:
+    """A sweep in a program of its own."""
+
+    def __init__(self, scene: fc.Scene, path: Path, ranks: int = 1) -> None:
+        source = path.with_suffix(".py")
+        source.write_text(program(scene, path))
+        package = Path(fc.__file__).parents[1]
+        search = os.pathsep.join(filter(None, [str(package), os.environ.get("PYTHONPATH", "")]))
+        command = [sys.executable, str(source)]
+        if ranks > 1:
+            launcher = shutil.which("mpirun")
+            if launcher is None:
+                pytest.skip("mpirun is not installed")
+            command = [launcher, "-n", str(ranks), *command]
+        self.path = path
+        self._pids = [path.with_name(f"{path.name}.{rank}") for rank in range(ranks)]
+        for file in self._pids:
+            file.unlink(missing_ok=True)
+        self.process = subprocess.Popen(
+            command,
+            env=os.environ | MPI_ENVIRONMENT | {"PYTHONPATH": search},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+
+    def done(self) -> int:
+        """Cases in the file."""
+        if not self.path.exists():
+            return 0
+        return int(np.count_nonzero(SweepResult.load(self.path)["state"]))
+
+    def wait_for(self, cases: int) -> None:
+        """Wait until the file has more than so many cases, or the program has ended."""
+        deadline = time.monotonic() + 120.0
+        while self.process.poll() is None and self.done() <= cases:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+
+    def kill(self) -> None:
+        """End it at once, with all of its ranks."""
+        pids = [int(file.read_text()) for file in self._pids if file.exists()]
+        self.process.kill()
+        for pid in pids:
+            try:
+                os.kill(pid, signal.SIGKILL)
+            except ProcessLookupError:
+                pass
+        self.process.wait()
+        deadline = time.monotonic() + 20.0
+        while any(_is_running(pid) for pid in pids):
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+
+
+def _is_running(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.fixture(scope="module")
+def undisturbed(paper_scene: fc.Scene, tmp_path_factory: pytest.TempPathFactory) -> SweepResult:
+    """The long sweep, run at once."""
+    return run_sweep(
+        swept(paper_scene, LONG_OVER, LONG), tmp_path_factory.mktemp("sweep") / "sweep.h5"
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.mpi)])
+def test_killed_at_any_moment(
+    paper_scene: fc.Scene, tmp_path: Path, undisturbed: SweepResult, ranks: int
+) -> None:
+    """kill -9 again and again: the file opens, goes on where it was, and is whole in the end."""
+    scene, path = swept(paper_scene, LONG_OVER, LONG), tmp_path / "sweep.h5"
+    random = np.random.default_rng(ranks)
+    done, kills = [0], 0
+    for _ in range(3):
+        run = Run(scene, path, ranks)
+        run.wait_for(done[-1])
+        time.sleep(random.uniform(0.0, 0.3))
+        kills += run.process.poll() is None
+        run.kill()
+        done.append(run.done())
+    assert kills and done[1] > 0 and done == sorted(done)
+    last = Run(scene, path, ranks)
+    assert last.process.wait(180.0) == 0
+    assert_same(undisturbed, SweepResult.load(path))
+
+
+@pytest.mark.slow
+def test_killed_while_the_file_is_made_and_written(paper_scene: fc.Scene, tmp_path: Path) -> None:
+    """A short sweep whose program does nothing but write, killed at many moments."""
+    scene, path = swept(paper_scene, FAST), tmp_path / "sweep.h5"
+    source = tmp_path / "writer.py"
+    source.write_text(program(scene, path).split("result")[0] + WRITER.format(path=str(path)))
+    package = Path(fc.__file__).parents[1]
+    search = os.pathsep.join(filter(None, [str(package), os.environ.get("PYTHONPATH", "")]))
+    random = np.random.default_rng(3)
+    for _ in range(3):
+        writer = subprocess.Popen(
+            [sys.executable, str(source)],
+            env=os.environ | {"PYTHONPATH": search},
+            stdout=subprocess.PIPE,
+        )
+        assert writer.stdout is not None
+        writer.stdout.read(1)  # has begun
+        for _ in range(20):
+            SweepResult.load(path)
+            time.sleep(random.uniform(0.0, 0.02))
+        writer.kill()
+        writer.wait()
+        writer.stdout.close()
+        found = SweepResult.load(path)
+        assert np.all(found["response"][found.converged] == found["opening"][found.converged])
+
+
+WRITER = """
+import numpy as np
+from fenics_crack.sweep.file import COLUMNS, SweepFile, shape_of
+scene = fc.Scene.load({path!r}.replace(".h5", ".toml"))
+file = SweepFile(Path({path!r}), scene, 5, 1)
+random = np.random.default_rng()
+print("x", end="", flush=True)
+while True:
+    for column in (0, 1):
+        state = np.zeros(2)
+        same = random.uniform(size=2)
+        columns = {{n: np.zeros(2, COLUMNS[n][1]) for n in COLUMNS}}
+        columns |= {{"response": same, "opening": same}}
+        waves = {{n: [np.ones((11, 1))] * 2 for n in ("gap", "force")}}
+        index = (slice(0, 2), column)
+        file._file["state"][index] = 0
+        file._file.flush()
+        file.write(index, np.ones(2), columns, waves)
+"""
+
+
+@pytest.mark.slow
+def test_stops_at_ctrl_c(paper_scene: fc.Scene, tmp_path: Path, undisturbed: SweepResult) -> None:
+    """What is at hand is finished and kept; the next call goes on."""
+    scene, path = swept(paper_scene, LONG_OVER, LONG), tmp_path / "sweep.h5"
+    run = Run(scene, path)
+    run.wait_for(0)
+    run.process.send_signal(signal.SIGINT)
+    assert run.process.wait(60.0) == 1  # the program's assertion: not complete
+    assert 0 < run.done() < undisturbed["state"].size
+    assert_same(undisturbed, run_sweep(scene, path))
