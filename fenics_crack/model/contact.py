@@ -2,7 +2,11 @@
 
 A law is a function of the gap alone, pair by pair; the force enters the equation of motion on the
 left, M u'' + C u' + K u + B lambda(g) = f, so lambda >= 0 pushes the lips apart. To add a law,
-write a class with the three members of :class:`ContactLaw`.
+write a class with the four members of :class:`ContactLaw`.
+
+What a method has to know of a law beyond these members it asks the functions of this module:
+whether a force follows from the gap at all (:func:`is_rigid`), and whether it is linear while a
+pair is closed (:func:`is_piecewise_linear`). No other module looks at a law's class.
 """
 
 from __future__ import annotations
@@ -21,6 +25,10 @@ __all__ = [
     "UnilateralConstraint",
     "UnilateralPenalty",
     "check_law",
+    "force_in_time",
+    "is_piecewise_linear",
+    "is_rigid",
+    "repeated",
 ]
 
 Law = TypeVar("Law", bound="ContactLaw")
@@ -127,8 +135,7 @@ class UnilateralConstraint:
     """No penetration at all: g <= 0, lambda >= 0, lambda g = 0 (Signorini).
 
     The limit of the penalty law for k to infinity, balanced in frequency: with the truncated waves
-    of gap and force, lambda = eps max(0, g + lambda / eps). Not a law that gives the force from
-    the gap.
+    of gap and force, lambda = eps max(0, g + lambda / eps). It gives no force from the gap alone.
 
     Attributes
     ----------
@@ -143,18 +150,75 @@ class UnilateralConstraint:
         if self.weight is not None:
             object.__setattr__(self, "weight", _positive("contact weight", self.weight))
 
+    @property
+    def stiffness(self) -> float:
+        """Infinite."""
+        return np.inf
 
-def check_law(structure: Structure, contact: object) -> None:
-    """Raise InputError unless an object is a contact law for a structure's pairs."""
+    def force(self, gap: np.ndarray) -> np.ndarray:
+        """Refused: it does not follow from the gap."""
+        raise InputError("contact", self, "a law that gives the force from the gap")
+
+    def tangent(self, gap: np.ndarray) -> np.ndarray:
+        """Refused likewise."""
+        return self.force(gap)
+
+    def scaled(self, factor: float) -> UnilateralConstraint:
+        """The same: nothing is stiffer."""
+        return self
+
+
+def is_rigid(contact: object) -> bool:
+    """Whether no force follows from the gap: :class:`UnilateralConstraint`."""
+    return isinstance(contact, UnilateralConstraint)
+
+
+def is_piecewise_linear(contact: object) -> bool:
+    """Whether lambda = k max(0, g), linear between switching instants: the penalty law."""
+    return isinstance(contact, UnilateralPenalty)
+
+
+def force_in_time(contact: ContactLaw, gap: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Contact force (n, n_pairs) [N] from the waves of gap and force at the same instants.
+
+    lambda(g), or without penetration eps max(0, g + lambda / eps).
+    """
+    if isinstance(contact, UnilateralConstraint):
+        assert contact.weight is not None
+        return np.maximum(0.0, contact.weight * gap + force)
+    return contact.force(gap)
+
+
+def repeated(contact: Law, pairs: int, times: int) -> Law:
+    """The law of ``times`` structures with as many pairs each, side by side.
+
+    Raises
+    ------
+    InputError
+        The law differs from pair to pair and cannot be repeated.
+    """
+    if np.ndim(contact.stiffness) == 0:
+        return contact
+    if isinstance(contact, UnilateralPenalty | SmoothedPenalty):
+        return replace(contact, stiffness=np.tile(contact.stiffness, times))
+    raise InputError("contact", contact, "a law that is the same for all pairs")
+
+
+def check_law(structure: Structure, contact: object, *, rigid: bool = False) -> None:
+    """Raise InputError unless an object is a contact law for a structure's pairs.
+
+    ``rigid``: :class:`UnilateralConstraint` will do.
+    """
     members = ("stiffness", "force", "tangent", "scaled")
-    if isinstance(contact, type) or not all(hasattr(contact, name) for name in members):
+    known = not isinstance(contact, type) and all(hasattr(contact, name) for name in members)
+    if not known or (is_rigid(contact) and not rigid):
         raise InputError("contact", contact, "a contact law such as UnilateralPenalty(1e9)")
     stiffness = np.asarray(getattr(contact, "stiffness"), dtype=np.float64)  # noqa: B009
     if stiffness.ndim > 0 and stiffness.shape != (structure.n_pairs,):
         raise InputError(
             "contact stiffness", stiffness.shape, f"one number or {structure.n_pairs}, one per pair"
         )
-    if not np.all(np.isfinite(stiffness)):
+    if not is_rigid(contact) and not np.all(np.isfinite(stiffness)):
         raise InputError("contact stiffness", contact, "finite")
 
 

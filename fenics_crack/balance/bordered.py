@@ -1,0 +1,282 @@
+"""Newton's method bordered by a plane: for solutions of F(x, p) = 0 along a path, and at a given p.
+
+A point of a path has a unit tangent (t_x, t_p) in the norm w |x|^2 + p^2, w = 1 / |x_0|^2. In the
+plane orthogonal to a tangent Newton's method solves
+
+    [ J    F_p ] [dx]     [F]
+    [ t_x  t_p ] [dp] = - [0],     by two solutions with J:
+
+    dx = a + dp b,    J a = -F,    J b = -F_p,    dp = - w <t_x, a> / (w <t_x, b> + t_p).
+
+At a fixed parameter the plane is p = const. (t_x = 0, t_p = 1), one solution is enough, and the
+method is Newton's own. Where the residual would grow, as where lips begin to touch and the Jacobian
+changes like a square root, the step is shortened.
+
+Everything that follows a path corrects, lands and locates with this loop: response curves, paths
+to a cold start, backbones, and branches of exact orbits. Single solutions go through PETSc's SNES
+(:mod:`newton`). A curve does not: SNES takes a system of fixed size without a border, so the border
+would be a matrix of its own, and its calls cost more than a point (docs/performance.md).
+
+Source: Keller, in Applications of Bifurcation Theory, 1977; Seydel, Practical Bifurcation and
+Stability Analysis, chapter 4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import scipy.optimize
+
+from fenics_crack.balance.linearisation import Linearisation, System
+from fenics_crack.errors import ConvergenceError
+
+__all__ = [
+    "PathPoint",
+    "Tangent",
+    "correct",
+    "distance",
+    "land",
+    "locate",
+    "solve_at",
+    "solve_in_plane",
+    "step_along",
+    "tangent_of",
+]
+
+MOST_ITERATIONS = 8
+"""Of one correction."""
+LEAST_DAMPING = 0.05
+"""Of a Newton step; with shorter ones it has failed."""
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """Unit tangent (t_x, t_p) in the norm weight |x|^2 + p^2."""
+
+    x: np.ndarray
+    p: float
+    weight: float
+
+    def reversed(self) -> Tangent:
+        """The opposite direction."""
+        return Tangent(-self.x, -self.p, self.weight)
+
+    def along(self, other: Tangent, system: System) -> float:
+        """Cosine of the angle to another tangent, in that one's norm."""
+        product = other.weight * system.inner(self.x, other.x) + self.p * other.p
+        length = other.weight * system.inner(self.x, self.x) + self.p**2
+        # No direction where the Jacobian is singular to rounding: the slope has overflowed.
+        return product / float(np.sqrt(length)) if length > 0.0 else 0.0
+
+
+@dataclass(frozen=True)
+class PathPoint:
+    """A point of a path, the iterations that it took, and the tangent there.
+
+    The sign of ``tangent.p`` says whether the parameter grows along the path; it changes at folds.
+    ``crosses_branch`` says that another branch has been crossed since the point before. ``at`` is
+    the system linearised there, where it is at hand.
+    """
+
+    unknown: np.ndarray
+    parameter: float
+    iterations: int
+    tangent: Tangent
+    crosses_branch: bool = False
+    at: Linearisation | None = field(default=None, repr=False, compare=False)
+
+
+def tangent_of(system: System, unknown: np.ndarray, at: Linearisation) -> Tangent:
+    """Tangent at a solution, towards growing p."""
+    slope = -at.solve(at.by_parameter)
+    weight = 1.0 / max(system.inner(unknown, unknown), 1e-300)
+    length = float(np.sqrt(weight * system.inner(slope, slope) + 1.0))
+    return Tangent(slope / length, 1.0 / length, weight)
+
+
+def solve_in_plane(
+    system: System,
+    unknown: np.ndarray,
+    parameter: float,
+    plane: Tangent | None,
+    *,
+    tolerance: float,
+    iterations: int = MOST_ITERATIONS,
+    reach: float = np.inf,
+    damped: bool = True,
+) -> PathPoint | None:
+    """Newton's method from a guess in the plane across a tangent; None where it does not converge.
+
+    Parameters
+    ----------
+    system : System
+        F(x, p).
+    unknown, parameter : array, float
+        The guess, through which the plane goes.
+    plane : Tangent or None
+        To which the plane is orthogonal; None: the parameter stays.
+    tolerance : float
+        |F| / |x| of the solution, |x| that of the tangent's point.
+    iterations : int
+        At most so many.
+    reach : float
+        How far from the guess the parameter may go.
+    damped : bool
+        Shorten steps where the residual would grow.
+    """
+    guess = parameter
+    change, shift, damping, before = np.zeros_like(unknown), 0.0, 1.0, np.inf
+    linearised = 0
+    for _ in range(4 * iterations):
+        at = system.linearise(unknown, parameter)
+        square = system.inner(at.residual, at.residual)
+        if plane is None:
+            size = float(np.sqrt(square / max(system.inner(unknown, unknown), 1e-300)))
+        else:
+            size = float(np.sqrt(plane.weight * square))
+        if size <= tolerance:
+            flat = plane or Tangent(np.zeros_like(unknown), 1.0, 0.0)
+            return PathPoint(unknown, parameter, linearised, flat, at=at)
+        if not np.isfinite(size):
+            return None
+        if damped and not size < before:
+            damping *= 0.5
+            if damping < LEAST_DAMPING:
+                return None
+            unknown, parameter = unknown - damping * change, parameter - damping * shift
+            continue
+        if linearised == iterations:
+            return None
+        change, shift = -at.solve(at.residual), 0.0
+        if plane is not None:
+            slope = -at.solve(at.by_parameter)
+            along = plane.weight * system.inner(plane.x, slope) + plane.p
+            shift = -plane.weight * system.inner(plane.x, change) / along if along else np.inf
+            if not abs(parameter + shift - guess) <= reach:
+                return None  # another branch, or none
+            change = change + shift * slope
+        damping, before = 1.0, size
+        linearised += 1
+        unknown, parameter = unknown + change, parameter + shift
+    return None
+
+
+def correct(
+    system: System,
+    start: PathPoint,
+    step: float,
+    tolerance: float,
+    *,
+    tangent: Tangent | None = None,
+    bend: tuple[np.ndarray, float] | None = None,
+    reach: float | None = None,
+) -> PathPoint | None:
+    """The point of a path at a distance from another one; None where it is not found.
+
+    Parameters
+    ----------
+    system : System
+        F(x, p).
+    start, step : PathPoint, float
+        Where the prediction starts, and how far it goes.
+    tolerance : float
+        |F| / |x| of the solution.
+    tangent : Tangent, optional
+        Where it goes; default: the point's own.
+    bend : array and float, optional
+        Added to the prediction.
+    reach : float, optional
+        How far from the prediction the parameter may go; default: 3 steps.
+    """
+    tangent = tangent or start.tangent
+    unknown, parameter = start.unknown + step * tangent.x, start.parameter + step * tangent.p
+    if bend is not None:
+        unknown, parameter = unknown + bend[0], parameter + bend[1]
+    return solve_in_plane(
+        system, unknown, parameter, tangent, tolerance=tolerance, reach=reach or 3.0 * step
+    )
+
+
+def step_along(
+    system: System, start: PathPoint, step: float, tolerance: float = 1e-8
+) -> PathPoint | None:
+    """Point of the path at a distance from another one, with its tangent; None where not found."""
+    found = correct(system, start, step, tolerance)
+    if found is None:
+        return None
+    assert found.at is not None
+    ahead = tangent_of(system, found.unknown, found.at)
+    if ahead.along(start.tangent, system) < 0.0:
+        ahead = ahead.reversed()
+    return replace(found, tangent=ahead)
+
+
+def solve_at(
+    system: System,
+    unknown: np.ndarray,
+    parameter: float,
+    *,
+    tolerance: float,
+    iterations: int = 20,
+) -> PathPoint | None:
+    """Full Newton steps from a guess at a given parameter; None where they do not converge."""
+    return solve_in_plane(
+        system, unknown, parameter, None, tolerance=tolerance, iterations=iterations, damped=False
+    )
+
+
+Lander = Callable[[np.ndarray], PathPoint | None]
+
+
+def land(before: PathPoint, after: PathPoint, end: float, solve: Lander) -> PathPoint | None:
+    """The solution at a value of the parameter between two points of a path; None if not found.
+
+    From the chord; where the path bends, one of the two points may be nearer. ``solve`` finds the
+    solution at the end from a guess, as :func:`solve_at` or PETSc's SNES do.
+    """
+    share = (end - before.parameter) / (after.parameter - before.parameter)
+    between = before.unknown + share * (after.unknown - before.unknown)
+    for nearby in (between, before.unknown, after.unknown):
+        found = solve(nearby)
+        if found is not None:
+            return replace(found, tangent=after.tangent)
+    return None
+
+
+def distance(system: System, before: PathPoint, after: PathPoint) -> float:
+    """Length of the chord between two points in the norm of the first one."""
+    change = after.unknown - before.unknown
+    square = before.tangent.weight * system.inner(change, change)
+    return float(np.sqrt(square + (after.parameter - before.parameter) ** 2))
+
+
+def locate(
+    system: System,
+    before: PathPoint,
+    after: PathPoint,
+    test: Callable[[PathPoint], float],
+    tolerance: float,
+) -> PathPoint:
+    """Point between two others of a path where a test function vanishes, by the method of Brent.
+
+    Where that fails, the point met at which the function is smallest.
+    """
+    met = [before, after]
+
+    def value(step: float) -> float:
+        point = before if step == 0.0 else step_along(system, before, step, tolerance)
+        if point is None:
+            raise ConvergenceError("path: lost between two points")
+        met.append(point)
+        return test(point)
+
+    length = distance(system, before, after)
+    for reach in (1.0, 1.2, 0.8, 1.5):  # along the tangent the other point is not quite as far
+        try:
+            scipy.optimize.brentq(value, 0.0, reach * length, xtol=1e-12, rtol=1e-12)
+            break
+        except (ConvergenceError, ValueError):
+            continue
+    return min(met, key=lambda point: abs(test(point)))
