@@ -22,21 +22,24 @@ harmonic.
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import scipy.linalg
 
 from fenics_crack.balance.compliance import FactoredCompliance
-from fenics_crack.balance.condensed import determinant_sign, respond_to_columns
+from fenics_crack.balance.condensed import respond_to_columns
 from fenics_crack.balance.contact_integrals import ContactIntegrals, apply_to_pairs
-from fenics_crack.model.contact import ContactLaw
+from fenics_crack.balance.linearisation import Linearisation, determinant_sign
 
 __all__ = ["BlockSystem"]
 
 
 class BlockSystem:
-    """F(u) and its Jacobian, inverted through its structure; amplitudes are (2H+1, n_local).
+    """F(u), inverted through its structure; amplitudes are (2H+1, n_local).
+
+    Its parameter is p = ln(k / k of the law), the contact stiffness.
 
     Attributes
     ----------
@@ -45,20 +48,13 @@ class BlockSystem:
     """
 
     def __init__(self, compliance: FactoredCompliance, integrals: ContactIntegrals) -> None:
-        self.compliance = compliance
+        self.compliance, self.integrals = compliance, integrals
         self.structure = compliance.structure
         self.comm = self.structure.comm
-        self.integrals = integrals
         rows = 2 * integrals.harmonics + 1
         self.shape: tuple[int, ...] = (rows, self.structure.n_local)
         self.global_size = rows * self.structure.n_dofs
         self.linear = compliance.solve_blocks(compliance.load)
-        self._tangent = np.zeros(0)
-        self._factors: Any = None
-
-    def with_law(self, law: ContactLaw) -> None:
-        """Replace the contact law by one of the same kind."""
-        self.integrals.law = law
 
     def gap(self, amplitude: np.ndarray) -> np.ndarray:
         """g = B^T u - g0: (2H+1, n_pairs)."""
@@ -66,52 +62,58 @@ class BlockSystem:
         gap[0] -= self.structure.clearance
         return gap
 
-    # --- residual ---------------------------------------------------------------------------------
-
-    def residual(self, amplitude: np.ndarray) -> np.ndarray:
-        """F(u) = A^-1 (A u + B b(g) - c) [m] (eq. 5, divided by A)."""
-        return amplitude - self.linear + self.stiffness_derivative(amplitude)
-
-    # --- Jacobian ---------------------------------------------------------------------------------
-
-    def linearise(self, amplitude: np.ndarray) -> None:
-        """Evaluate the tangent T of the contact force (eq. 14)."""
-        self._tangent = self.integrals.linearise(self.gap(amplitude))[1]
-        self._factors = None
-
-    def apply_jacobian(self, change: np.ndarray) -> np.ndarray:
-        """dF = (I + A^-1 B T B^T) du."""
-        contact = apply_to_pairs(self._tangent, self.structure.closing(change))
-        return change + self.compliance.solve_blocks(self.structure.spread(contact))
-
-    def solve_jacobian(self, residual: np.ndarray) -> np.ndarray:
-        """(I + A^-1 B T B^T)^-1 r = r - A^-1 B T (I + R T)^-1 B^T r."""
-        if self._factors is None:
-            small = respond_to_columns(self.compliance.matrices, self._tangent)
-            small.flat[:: len(small) + 1] += 1.0
-            self._factors = scipy.linalg.lu_factor(small)
-        closing = self.structure.closing(residual)
-        gap = scipy.linalg.lu_solve(self._factors, closing.ravel()).reshape(closing.shape)
-        return residual - self.compliance.solve_blocks(
-            self.structure.spread(apply_to_pairs(self._tangent, gap))
-        )
-
-    def determinant_sign(self) -> float:
-        """Sign of det(I + R T), which is that of the Jacobian."""
-        return determinant_sign(self._factors)
-
-    def stiffness_derivative(self, amplitude: np.ndarray) -> np.ndarray:
-        """dF / d ln k = A^-1 B b, for a law proportional to its stiffness."""
-        contact = self.structure.spread(self.integrals.force(self.gap(amplitude)))
-        return self.compliance.solve_blocks(contact)
-
-    # --- over all ranks ---------------------------------------------------------------------------
+    def linearise(self, amplitude: np.ndarray, parameter: float = 0.0) -> BlockPoint:
+        """The equations at an amplitude and a stiffness."""
+        integrals = self.integrals
+        if parameter != 0.0:
+            integrals = integrals.of_law(integrals.law.scaled(float(np.exp(parameter))))
+        return BlockPoint(self, amplitude, integrals)
 
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
         """Inner product (collective)."""
         product = np.array([np.vdot(first, second)])
         return float(self.structure.sum_over_ranks(product)[0])
 
-    def norm(self, values: np.ndarray) -> float:
-        """Euclidean norm (collective)."""
-        return float(np.sqrt(self.inner(values, values)))
+
+class BlockPoint(Linearisation):
+    """:class:`BlockSystem` at an amplitude (collective)."""
+
+    def __init__(
+        self, system: BlockSystem, amplitude: np.ndarray, integrals: ContactIntegrals
+    ) -> None:
+        self._system = system
+        force, self._tangent = integrals.linearise(system.gap(amplitude))
+        self._moved = self._through_structure(force)
+        self.residual = amplitude - system.linear + self._moved
+
+    def _through_structure(self, force: np.ndarray) -> np.ndarray:
+        """A^-1 B of forces on the pairs."""
+        system = self._system
+        return system.compliance.solve_blocks(system.structure.spread(force))
+
+    def apply(self, change: np.ndarray) -> np.ndarray:
+        """dF = (I + A^-1 B T B^T) du."""
+        closing = self._system.structure.closing(change)
+        return change + self._through_structure(apply_to_pairs(self._tangent, closing))
+
+    @cached_property
+    def _factors(self) -> Any:
+        small = respond_to_columns(self._system.compliance.matrices, self._tangent)
+        small.flat[:: len(small) + 1] += 1.0
+        return scipy.linalg.lu_factor(small)
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """(I + A^-1 B T B^T)^-1 r = r - A^-1 B T (I + R T)^-1 B^T r."""
+        closing = self._system.structure.closing(right)
+        gap = scipy.linalg.lu_solve(self._factors, closing.ravel()).reshape(closing.shape)
+        return right - self._through_structure(apply_to_pairs(self._tangent, gap))
+
+    @property
+    def by_parameter(self) -> np.ndarray:
+        """dF / d ln k = A^-1 B b, for a law proportional to its stiffness."""
+        return self._moved
+
+    @property
+    def sign(self) -> float:
+        """Sign of det(I + R T), which is that of the Jacobian."""
+        return determinant_sign(self._factors)

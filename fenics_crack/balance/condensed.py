@@ -16,11 +16,11 @@ Nacivet, Pierre, Thouverez, Jezequel, Journal of Sound and Vibration 265, 2003, 
 
 from __future__ import annotations
 
-from typing import Any
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 
 import numpy as np
 from mpi4py import MPI
-from scipy.linalg.lapack import dgetrf, dgetrs
 
 from fenics_crack.balance.compliance import Compliance, WidenedCompliance
 from fenics_crack.balance.contact_integrals import (
@@ -29,14 +29,15 @@ from fenics_crack.balance.contact_integrals import (
     apply_to_pairs,
 )
 from fenics_crack.balance.fourier import from_complex, to_complex
+from fenics_crack.balance.linearisation import DenseLinearisation
 from fenics_crack.errors import InputError
-from fenics_crack.model.contact import ContactLaw, UnilateralPenalty
+from fenics_crack.model.contact import UnilateralPenalty
 
 __all__ = [
+    "CondensedPoint",
     "CondensedSystem",
     "ConstraintSystem",
     "default_weight",
-    "determinant_sign",
     "respond",
     "respond_to_columns",
 ]
@@ -83,91 +84,81 @@ def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     return product.reshape(*points, rows * pairs, rows * pairs)
 
 
-def determinant_sign(factors: tuple[np.ndarray, np.ndarray]) -> float:
-    """Sign of the determinant of a matrix from its LU factors as LAPACK gives them."""
-    matrix, pivots = factors
-    swaps = np.count_nonzero(pivots != np.arange(len(pivots)))
-    negative = np.count_nonzero(np.diag(matrix) < 0.0)
-    return -1.0 if (swaps + negative) % 2 else 1.0
+class CondensedPoint(DenseLinearisation, ABC):
+    """Condensed equations at a point, and what changes of them do to the gap.
+
+    Attributes
+    ----------
+    system : CondensedSystem or ConstraintSystem
+        Whose point it is.
+    unknown : (2H+1, n_pairs)
+        Where.
+    tangent : (n_pairs, 2H+1, 2H+1)
+        T, derivative of the contact integrals.
+    gap, force : (2H+1, n_pairs)
+        Coefficients of the gap [m] and of the contact force [N].
+    """
+
+    system: CondensedSystem | ConstraintSystem
+    unknown: np.ndarray
+    tangent: np.ndarray
+    gap: np.ndarray
+    force: np.ndarray
+
+    @abstractmethod
+    def gap_of(self, change: np.ndarray) -> np.ndarray:
+        """Change of the gap that belongs to a change of the unknowns."""
+
+    @abstractmethod
+    def gap_by_force(self, change: np.ndarray) -> np.ndarray:
+        """Change of the gap if the contact force were changed."""
+
+    @abstractmethod
+    def gap_by_linear_gap(self, change: np.ndarray) -> np.ndarray:
+        """Change of the gap if that without contact, g_lin, were changed."""
 
 
-class _DenseSystem:
-    """What both condensed systems share: a small dense Jacobian, the same on every rank."""
+class _Condensed:
+    """What both condensed systems share: they are small, and the same on every rank.
+
+    Attributes
+    ----------
+    linear : (2H+1, n_pairs) [m]
+        g_lin.
+    """
 
     comm = MPI.COMM_SELF
 
     def __init__(self, compliance: Compliance, integrals: ContactIntegrals) -> None:
-        self.compliance = compliance
-        self.integrals = integrals
+        self.compliance, self.integrals = compliance, integrals
         self.linear = compliance.linear_gap
         self.shape: tuple[int, ...] = self.linear.shape
         self.global_size = self.linear.size
-        self._at: np.ndarray | None = None
-        self._force = self._tangent = np.zeros(0)
-        self._factors: Any = None
-        self.jacobian = np.zeros((0, 0))
-
-    def _evaluate(self, argument: np.ndarray) -> None:
-        """Contact force and tangent at an argument, once where it is asked for again."""
-        if self._at is None or not (argument == self._at).all():
-            self._force, self._tangent = self.integrals.linearise(argument)
-            self._at = argument.copy()
-
-    def apply_jacobian(self, change: np.ndarray) -> np.ndarray:
-        """dF."""
-        return (self.jacobian @ change.ravel()).reshape(self.shape)
-
-    def solve_jacobian(self, residual: np.ndarray) -> np.ndarray:
-        """Solve J dx = r."""
-        if self._factors is None:
-            # The transpose is in Fortran's order, which LAPACK takes without a transposing copy.
-            matrix, pivots, _ = dgetrf(self.jacobian.T)
-            self._factors = matrix, pivots
-        found, _ = dgetrs(*self._factors, residual.ravel(), trans=1)
-        return found.reshape(self.shape)
-
-    def determinant_sign(self) -> float:
-        """Sign of det J where :meth:`solve_jacobian` was called last."""
-        return determinant_sign(self._factors)
-
-    def norm(self, values: np.ndarray) -> float:
-        """Euclidean norm."""
-        return float(np.linalg.norm(values))
 
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
         """Inner product."""
         return float(np.vdot(first, second))
 
 
-class CondensedSystem(_DenseSystem):
-    """F(g) = g - g_lin + R b(g) for a law that gives the force from the gap."""
+class CondensedSystem(_Condensed):
+    """F(g) = g - g_lin + R b(g) for a law that gives the force from the gap.
 
-    def with_law(self, law: ContactLaw) -> None:
-        """Replace the contact law by one of the same kind."""
-        self.integrals.law = law
-        self._at = None
+    Its parameter is p = ln(k / k of the law), the contact stiffness.
+    """
 
-    def residual(self, gap: np.ndarray) -> np.ndarray:
-        """F(g) [m]."""
-        self._evaluate(gap)
-        return gap - self.linear + respond(self.compliance.matrices, self._force)
+    def linearise(self, gap: np.ndarray, parameter: float = 0.0) -> _GapPoint:
+        """The equations at a gap and a stiffness; J = I + R T, dF/dp = R b."""
+        integrals = self.integrals
+        if parameter != 0.0:
+            integrals = integrals.of_law(integrals.law.scaled(float(np.exp(parameter))))
+        matrices = self.compliance.matrices
+        return _GapPoint(self, gap, integrals, lambda at: respond(matrices, at.force))
 
-    def linearise(self, gap: np.ndarray) -> None:
-        """J = I + R T."""
-        self._evaluate(gap)
-        self.jacobian = respond_to_columns(self.compliance.matrices, self._tangent)
-        self.jacobian.flat[:: len(self.jacobian) + 1] += 1.0
-        self._factors = None
-
-    def stiffness_derivative(self, gap: np.ndarray) -> np.ndarray:
-        """dF / d ln k = R b, for a law proportional to its stiffness."""
-        self._evaluate(gap)
-        return respond(self.compliance.matrices, self._force)
-
-    def gap_and_force(self, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients of the gap and of the contact force at a solution."""
-        self._evaluate(gap)
-        return gap, self._force
+    def along(
+        self, gap: np.ndarray, by_parameter: Callable[[CondensedPoint], np.ndarray]
+    ) -> _GapPoint:
+        """The equations at a gap, with the derivative by another parameter."""
+        return _GapPoint(self, gap, self.integrals, by_parameter)
 
     def widened(self, harmonics: int) -> CondensedSystem:
         """The same equations with more harmonics, to the accuracy of an error estimate."""
@@ -175,17 +166,38 @@ class CondensedSystem(_DenseSystem):
             WidenedCompliance(self.compliance, harmonics), self.integrals.widened(harmonics)
         )
 
-    def gap_of_change(self, change: np.ndarray) -> np.ndarray:
-        """Change of the gap that belongs to a change of the unknowns."""
+
+class _GapPoint(CondensedPoint):
+    """:class:`CondensedSystem` at a gap."""
+
+    def __init__(
+        self,
+        system: CondensedSystem,
+        gap: np.ndarray,
+        integrals: ContactIntegrals,
+        by_parameter: Callable[[CondensedPoint], np.ndarray],
+    ) -> None:
+        self.system, self.unknown, self.gap = system, gap, gap
+        self.force, self.tangent = integrals.linearise(gap)
+        residual = gap - system.linear + respond(system.compliance.matrices, self.force)
+        super().__init__(residual, self._jacobian, lambda: by_parameter(self))
+
+    def _jacobian(self) -> np.ndarray:
+        jacobian = respond_to_columns(self.system.compliance.matrices, self.tangent)
+        jacobian.flat[:: len(jacobian) + 1] += 1.0
+        return jacobian
+
+    def gap_of(self, change: np.ndarray) -> np.ndarray:
+        """The unknown is the gap."""
         return change
 
-    def gap_change(self, force_change: np.ndarray) -> np.ndarray:
-        """Change of the gap if the contact force were changed: -J^-1 R d."""
-        return self.gap_change_of_free_gap(-respond(self.compliance.matrices, force_change))
+    def gap_by_force(self, change: np.ndarray) -> np.ndarray:
+        """-J^-1 R d."""
+        return self.gap_by_linear_gap(-respond(self.system.compliance.matrices, change))
 
-    def gap_change_of_free_gap(self, change: np.ndarray) -> np.ndarray:
-        """Change of the gap if that without contact, g_lin, were changed: J^-1 d."""
-        return self.solve_jacobian(change)
+    def gap_by_linear_gap(self, change: np.ndarray) -> np.ndarray:
+        """J^-1 d."""
+        return self.solve(change)
 
 
 def default_weight(compliance: Compliance) -> float:
@@ -196,8 +208,10 @@ def default_weight(compliance: Compliance) -> float:
     return 1.0 / largest
 
 
-class ConstraintSystem(_DenseSystem):
-    """F(y) = y - P(g_lin + y - eps R y): no penetration, in the frequency-time sense.
+class ConstraintSystem(_Condensed):
+    """F(y) = y - P(g_lin + t y - eps R y): no penetration, in the frequency-time sense.
+
+    Its parameter is t: a penalty of stiffness eps (0), the constraint (1).
 
     Parameters
     ----------
@@ -212,47 +226,14 @@ class ConstraintSystem(_DenseSystem):
     def __init__(self, compliance: Compliance, harmonics: int, weight: float) -> None:
         super().__init__(compliance, ExactIntegrals(UnilateralPenalty(1.0), harmonics))
         self.weight = weight
-        self.share = 1.0
 
-    def set_parameter(self, parameter: float) -> None:
-        """Set t in y = P(g_lin + t y - eps R y): a penalty of stiffness eps (0), constraint (1)."""
-        self.share = parameter
-        self._at = None
-
-    def parameter_derivative(self, unknown: np.ndarray) -> np.ndarray:
-        """dF/dt = -T y."""
-        self._evaluate(self._argument(unknown))
-        return -apply_to_pairs(self._tangent, unknown)
-
-    def _argument(self, unknown: np.ndarray) -> np.ndarray:
-        return self.linear + self.share * unknown + self.gap_of_change(unknown)
-
-    def residual(self, unknown: np.ndarray) -> np.ndarray:
-        """F(y) [m]."""
-        self._evaluate(self._argument(unknown))
-        return unknown - self._force
-
-    def linearise(self, unknown: np.ndarray) -> None:
-        """J = I - T (I - eps R), T the derivative of the projection."""
-        self._evaluate(self._argument(unknown))
-        rows, pairs = self.shape
-        identity = np.broadcast_to(np.eye(rows), (pairs, rows, rows))
-        inner = -self.weight * respond_to_columns(self.compliance.matrices, identity)
-        inner.flat[:: len(inner) + 1] += self.share
-        inner = inner.reshape(rows, pairs, -1).transpose(1, 0, 2)
-        product = np.matmul(self._tangent, inner).transpose(1, 0, 2)
-        self.jacobian = -product.reshape(rows * pairs, rows * pairs)
-        self.jacobian.flat[:: len(self.jacobian) + 1] += 1.0
-        self._factors = None
+    def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> _ConstraintPoint:
+        """The equations at an unknown; J = I - T (t I - eps R), dF/dt = -T y."""
+        return _ConstraintPoint(self, unknown, parameter)
 
     def from_force(self, force: np.ndarray) -> np.ndarray:
         """The unknown that stands for a contact force."""
         return force / self.weight
-
-    def gap_and_force(self, unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients of the gap and of the contact force at a solution."""
-        force = self.weight * unknown
-        return self.linear - respond(self.compliance.matrices, force), force
 
     def widened(self, harmonics: int) -> ConstraintSystem:
         """The same equations with more harmonics, to the accuracy of an error estimate."""
@@ -260,14 +241,41 @@ class ConstraintSystem(_DenseSystem):
             WidenedCompliance(self.compliance, harmonics), harmonics, self.weight
         )
 
-    def gap_of_change(self, change: np.ndarray) -> np.ndarray:
-        """Change of the gap that belongs to a change of the unknowns."""
-        return -respond(self.compliance.matrices, self.weight * change)
 
-    def gap_change(self, force_change: np.ndarray) -> np.ndarray:
-        """Change of the gap if the contact force were changed."""
-        return self.gap_of_change(self.solve_jacobian(force_change / self.weight))
+class _ConstraintPoint(CondensedPoint):
+    """:class:`ConstraintSystem` at an unknown y, s = g_lin + t y - eps R y."""
 
-    def gap_change_of_free_gap(self, change: np.ndarray) -> np.ndarray:
-        """Change of the gap if that without contact, g_lin, were changed."""
-        return change + self.gap_change(self.weight * apply_to_pairs(self._tangent, change))
+    system: ConstraintSystem
+
+    def __init__(self, system: ConstraintSystem, unknown: np.ndarray, share: float) -> None:
+        self.system, self.unknown, self._share = system, unknown, share
+        self.force = system.weight * unknown
+        self.gap = system.linear - respond(system.compliance.matrices, self.force)
+        projected, self.tangent = system.integrals.linearise(self.gap + share * unknown)
+        super().__init__(
+            unknown - projected, self._jacobian, lambda: -apply_to_pairs(self.tangent, unknown)
+        )
+
+    def _jacobian(self) -> np.ndarray:
+        rows, pairs = self.unknown.shape
+        identity = np.broadcast_to(np.eye(rows), (pairs, rows, rows))
+        matrices = self.system.compliance.matrices
+        inner = -self.system.weight * respond_to_columns(matrices, identity)
+        inner.flat[:: len(inner) + 1] += self._share
+        inner = inner.reshape(rows, pairs, -1).transpose(1, 0, 2)
+        product = np.matmul(self.tangent, inner).transpose(1, 0, 2)
+        jacobian: np.ndarray = -product.reshape(rows * pairs, rows * pairs)
+        jacobian.flat[:: len(jacobian) + 1] += 1.0
+        return jacobian
+
+    def gap_of(self, change: np.ndarray) -> np.ndarray:
+        """-eps R dy."""
+        return -respond(self.system.compliance.matrices, self.system.weight * change)
+
+    def gap_by_force(self, change: np.ndarray) -> np.ndarray:
+        """-R J^-1 d."""
+        return self.gap_of(self.solve(change / self.system.weight))
+
+    def gap_by_linear_gap(self, change: np.ndarray) -> np.ndarray:
+        """d - eps R J^-1 T d."""
+        return change + self.gap_of(self.solve(apply_to_pairs(self.tangent, change)))

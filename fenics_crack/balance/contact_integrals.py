@@ -27,7 +27,7 @@ import numpy as np
 
 from fenics_crack.balance.fourier import from_complex, to_complex
 from fenics_crack.balance.switching import Switching, switching_instants
-from fenics_crack.model.contact import ContactLaw, UnilateralPenalty
+from fenics_crack.model.contact import ContactLaw, is_piecewise_linear
 
 __all__ = [
     "ContactIntegrals",
@@ -46,7 +46,7 @@ class ContactIntegrals(ABC):
     Attributes
     ----------
     law : ContactLaw
-        May be replaced by a law of the same kind.
+        Of all pairs.
     harmonics : int
         H.
     """
@@ -66,6 +66,10 @@ class ContactIntegrals(ABC):
     def widened(self, harmonics: int) -> ContactIntegrals:
         """The same with more harmonics."""
 
+    @abstractmethod
+    def of_law(self, law: ContactLaw) -> ContactIntegrals:
+        """The same of another law of the same kind."""
+
 
 def contact_integrals(
     law: ContactLaw, harmonics: int, samples: int | None = None, periods: int = 1
@@ -74,7 +78,7 @@ def contact_integrals(
 
     ``periods`` of the load in a period of the response multiply the default number of samples.
     """
-    if samples is None and isinstance(law, UnilateralPenalty):
+    if samples is None and is_piecewise_linear(law):
         return ExactIntegrals(law, harmonics)
     return SampledIntegrals(law, harmonics, samples or periods * default_samples(harmonics))
 
@@ -131,6 +135,10 @@ class SampledIntegrals(ContactIntegrals):
         samples = max(self.samples, 1 << (8 * harmonics - 1).bit_length())
         return SampledIntegrals(self.law, harmonics, samples)
 
+    def of_law(self, law: ContactLaw) -> SampledIntegrals:
+        """The same of another law."""
+        return SampledIntegrals(law, self.harmonics, self.samples)
+
     def _means(self, values: np.ndarray, highest: int) -> np.ndarray:
         """Complex c_m + i s_m of the slope, m = 0 to highest < N: (n_pairs, highest + 1).
 
@@ -177,6 +185,10 @@ class ExactIntegrals(ContactIntegrals):
     def widened(self, harmonics: int) -> ExactIntegrals:
         """The same with more harmonics."""
         return ExactIntegrals(self.law, harmonics)
+
+    def of_law(self, law: ContactLaw) -> ExactIntegrals:
+        """The same of another penalty law."""
+        return ExactIntegrals(law, self.harmonics)
 
     def _means(self, gap: np.ndarray, highest: int) -> np.ndarray:
         stiffness = np.broadcast_to(np.asarray(self.law.stiffness, dtype=float), gap.shape[1:])

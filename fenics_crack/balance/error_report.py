@@ -15,12 +15,11 @@ All are root mean squares over the period and the pairs, relative to that of B^T
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fenics_crack.balance.compliance import dynamic_compliance
-from fenics_crack.balance.condensed import CondensedSystem, ConstraintSystem, respond
+from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, respond
 from fenics_crack.balance.contact_integrals import (
     ContactIntegrals,
     ExactIntegrals,
@@ -28,11 +27,18 @@ from fenics_crack.balance.contact_integrals import (
     default_samples,
 )
 from fenics_crack.balance.fourier import resized
-from fenics_crack.model.contact import UnilateralPenalty
+from fenics_crack.balance.problem import Problem
+from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear
 from fenics_crack.model.reduction import ReducedStructure
-from fenics_crack.model.structure import Structure
 
-__all__ = ["LARGE_ERROR", "ErrorReport", "beyond_truncation", "estimate_errors", "mean_square"]
+__all__ = [
+    "LARGE_ERROR",
+    "ErrorReport",
+    "beyond_truncation",
+    "estimate_errors",
+    "mean_square",
+    "relative_size",
+]
 
 LARGE_ERROR = 0.05
 """Estimated error beyond which a solution is not shown without a warning."""
@@ -71,75 +77,65 @@ class ErrorReport:
         return self.residual + self.truncation + self.sampling + self.reduction
 
 
-def estimate_errors(
-    system: CondensedSystem | ConstraintSystem,
-    unknown: np.ndarray,
-    structure: Structure,
-    displacement: np.ndarray,
-    base_omega: float,
-    subharmonic: int,
-) -> ErrorReport:
+def estimate_errors(at: CondensedPoint, displacement: np.ndarray, problem: Problem) -> ErrorReport:
     """Estimate the errors of a solution (collective).
 
     Parameters
     ----------
-    system : CondensedSystem or ConstraintSystem
-        The equations.
-    unknown : (2H+1, n_pairs)
-        Their solution.
-    structure : Structure
-        Whose gaps they are.
+    at : CondensedPoint
+        The condensed equations at their solution.
     displacement : (2H+1, n_local) [m]
         The solution expanded to the structure.
-    base_omega, subharmonic : float, int
-        Frequency of the response [rad/s], and the harmonic on which the load sits.
+    problem : Problem
+        What was solved.
     """
-    gap, force = system.gap_and_force(unknown)
-    system.linearise(unknown)
-    closing = gap.copy()
-    closing[0] += structure.clearance
-    size = np.sqrt(mean_square(closing))
+    structure = problem.structure
+    expanded = structure.closing(displacement)
+    expanded[0] -= structure.clearance
 
     def relative(change: np.ndarray) -> float:
-        return float(np.sqrt(mean_square(change)) / size) if size > 0.0 else 0.0
+        return relative_size(change, at, structure.clearance)
 
-    algebraic = relative(system.residual(unknown))
-    expanded = relative(structure.closing(displacement) - closing)
     return ErrorReport(
-        residual=max(algebraic, expanded),
-        truncation=relative(beyond_truncation(system, unknown)),
-        sampling=relative(system.gap_change(_missed_by_samples(system.integrals, gap))),
-        reduction=relative(_lost_in_reduction(system, structure, force, base_omega, subharmonic)),
-        penetration=relative(_penetration(system, gap, force)),
+        residual=max(relative(at.residual), relative(expanded - at.gap)),
+        truncation=relative(beyond_truncation(at)),
+        sampling=relative(at.gap_by_force(_missed_by_samples(at))),
+        reduction=relative(_lost_in_reduction(at, problem)),
+        penetration=relative(_penetration(at)),
     )
 
 
-def beyond_truncation(
-    system: CondensedSystem | ConstraintSystem, unknown: np.ndarray
-) -> np.ndarray:
-    """One Newton step in the equations with K > H harmonics: (2K+1, n_pairs).
+def relative_size(change: np.ndarray, at: CondensedPoint, clearance: np.ndarray) -> float:
+    """Root mean square of a change of the gap relative to that of B^T u = g + g0."""
+    closing = at.gap.copy()
+    closing[0] += clearance
+    size = mean_square(closing)
+    return float(np.sqrt(mean_square(change) / size)) if size > 0.0 else 0.0
+
+
+def beyond_truncation(at: CondensedPoint) -> np.ndarray:
+    """Change of the gap by one Newton step with K > H harmonics: (2K+1, n_pairs).
 
     K = 4 H, or 2 H where that would be many unknowns. The step is found by elimination: iterative
     solutions of these equations do not converge where many pairs are stiff.
     """
-    kept = system.integrals.harmonics
+    kept, rows = at.system.integrals.harmonics, len(at.unknown)
     harmonics = max(4 * kept, kept + 8)
-    if (2 * harmonics + 1) * unknown.shape[1] > MANY:
+    if (2 * harmonics + 1) * at.unknown.shape[1] > MANY:
         harmonics = max(2 * kept, kept + 4)
-    wide = system.widened(harmonics)
-    start = resized(unknown, harmonics)
-    residual = wide.residual(start)
-    residual[: len(unknown)] = 0.0  # solved; what samples leave is another error
-    wide.linearise(start)
-    return wide.gap_of_change(wide.solve_jacobian(-residual))
+    wide = at.system.widened(harmonics).linearise(resized(at.unknown, harmonics))
+    missing = -wide.residual
+    missing[:rows] = 0.0  # solved; what samples leave is another error
+    return wide.gap_of(wide.solve(missing))
 
 
-def _missed_by_samples(integrals: ContactIntegrals, gap: np.ndarray) -> np.ndarray:
+def _missed_by_samples(at: CondensedPoint) -> np.ndarray:
     """Better coefficients of the contact force less those used."""
+    integrals, gap = at.system.integrals, at.gap
     if not isinstance(integrals, SampledIntegrals):
         return np.zeros_like(gap)
     better: ContactIntegrals
-    if isinstance(integrals.law, UnilateralPenalty):
+    if is_piecewise_linear(integrals.law):
         better = ExactIntegrals(integrals.law, integrals.harmonics)
     else:
         samples = max(4 * integrals.samples, default_samples(integrals.harmonics))
@@ -147,33 +143,23 @@ def _missed_by_samples(integrals: ContactIntegrals, gap: np.ndarray) -> np.ndarr
     return better.force(gap) - integrals.force(gap)
 
 
-def _lost_in_reduction(
-    system: CondensedSystem | ConstraintSystem,
-    structure: Structure,
-    force: np.ndarray,
-    base_omega: float,
-    subharmonic: int,
-) -> np.ndarray:
+def _lost_in_reduction(at: CondensedPoint, problem: Problem) -> np.ndarray:
     """Change of the gap if the compliance were that of the reduced structure's reference."""
+    structure = problem.structure
     reference = structure.reference if isinstance(structure, ReducedStructure) else None
     if reference is None:
-        return np.zeros_like(force)
-    harmonics = system.integrals.harmonics
-    better = dynamic_compliance(reference, base_omega, harmonics, subharmonic)
-    free = better.linear_gap - system.compliance.linear_gap
-    return system.gap_change_of_free_gap(
-        free - respond(better.matrices - system.compliance.matrices, force)
-    )
+        return np.zeros_like(at.gap)
+    better, used = replace(problem, structure=reference).compliance(), at.system.compliance
+    free = better.linear_gap - used.linear_gap
+    return at.gap_by_linear_gap(free - respond(better.matrices - used.matrices, at.force))
 
 
-def _penetration(
-    system: CondensedSystem | ConstraintSystem, gap: np.ndarray, force: np.ndarray
-) -> np.ndarray:
+def _penetration(at: CondensedPoint) -> np.ndarray:
     """Coefficients whose mean square is that of max(g, 0)."""
-    integrals = system.integrals
-    if isinstance(system, CondensedSystem) and isinstance(integrals, ExactIntegrals):
+    integrals, gap = at.system.integrals, at.gap
+    if isinstance(at.system, CondensedSystem) and isinstance(integrals, ExactIntegrals):
         # lambda / k = max(g, 0), whose mean square is the mean of g lambda / k.
-        inside = force / integrals.law.stiffness
+        inside = at.force / integrals.law.stiffness
         product = gap[0] * inside[0] + 0.5 * np.sum(gap[1:] * inside[1:], axis=0)
         return np.sqrt(np.maximum(product, 0.0))[None]
     harmonics = len(gap) // 2

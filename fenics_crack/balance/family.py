@@ -9,67 +9,40 @@ stiffness, or a clearance. Only the small or reduced structure is touched, in cl
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import replace
 
 import numpy as np
 
-from fenics_crack.balance.compliance import ModalCompliance, load_coefficients
-from fenics_crack.balance.condensed import CondensedSystem
-from fenics_crack.balance.contact_integrals import contact_integrals
+from fenics_crack.balance.compliance import ModalCompliance
+from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, respond
+from fenics_crack.balance.problem import Problem
 from fenics_crack.errors import InputError, check_number, check_omega
-from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
 
 __all__ = ["FAMILIES", "Family", "FrequencyFamily"]
 
-Problem = tuple[Structure, ContactLaw]
-
 
 class Family(ABC):
-    """The condensed equations along a parameter.
+    """The condensed equations along a parameter, a system with p from 0 to 1.
 
     Parameters
     ----------
-    structure : Structure
-        Small or reduced.
-    omega : float [rad/s]
-        Load frequency, where it is not the parameter.
-    contact : ContactLaw
-        Law of all pairs.
+    problem : Problem
+        Of a small or reduced structure; ``omega`` is the load frequency where that is not the
+        parameter.
     start, end : float
         The parameter's values at p = 0 and 1.
-    harmonics, samples, subharmonic
-        As in :func:`solve_harmonic_balance`.
-
-    Attributes
-    ----------
-    system : CondensedSystem
-        The equations at the parameter set last.
     """
 
     name: str
 
-    def __init__(
-        self,
-        structure: Structure,
-        omega: float,
-        contact: ContactLaw,
-        start: float,
-        end: float,
-        harmonics: int,
-        samples: int | None,
-        subharmonic: int,
-    ) -> None:
-        self.structure, self.contact = structure, contact
-        self.start, self.end = start, end
-        self.harmonics, self.samples, self.subharmonic = harmonics, samples, subharmonic
-        self._omega = omega
-        self._parameter = 0.0
-        load = load_coefficients(structure, harmonics, subharmonic)
-        compliance = ModalCompliance(structure, omega / subharmonic, load)
-        integrals = contact_integrals(contact, harmonics, samples, subharmonic)
-        self.system = CondensedSystem(compliance, integrals)
-        self._compliance = compliance
-        self.set_value(start)
+    def __init__(self, problem: Problem, start: float, end: float) -> None:
+        self.problem, self.start, self.end = problem, start, end
+        self._compliance = ModalCompliance(problem.structure, problem.base_omega, problem.load)
+        self._integrals = problem.integrals()
+        self._last: tuple[float, CondensedSystem] | None = None
+        first = self.system(start)
+        self.comm, self.shape, self.global_size = first.comm, first.shape, first.global_size
 
     @classmethod
     def check(cls, structure: Structure, key: str, value: float) -> None:
@@ -78,16 +51,7 @@ class Family(ABC):
 
     def with_harmonics(self, harmonics: int) -> Family:
         """The same family with other harmonics."""
-        return type(self)(
-            self.structure,
-            self._omega,
-            self.contact,
-            self.start,
-            self.end,
-            harmonics,
-            self.samples,
-            self.subharmonic,
-        )
+        return type(self)(replace(self.problem, harmonics=harmonics), self.start, self.end)
 
     def value(self, parameter: float) -> float:
         """v of p."""
@@ -97,70 +61,56 @@ class Family(ABC):
         """p of v."""
         return (value - self.start) / (self.end - self.start)
 
-    def omega(self, value: float) -> float:
-        """Load frequency [rad/s] where the parameter has a value."""
-        return self._omega
+    def rate(self, value: float) -> float:
+        """dv/dp."""
+        return self.end - self.start
 
-    @classmethod
+    @staticmethod
     @abstractmethod
-    def vary(cls, structure: Structure, contact: ContactLaw, value: float) -> Problem:
-        """Structure and law where the parameter has a value."""
+    def vary(problem: Problem, value: float) -> Problem:
+        """The problem where the parameter has a value."""
+
+    def at(self, value: float) -> Problem:
+        """The problem where the parameter has a value."""
+        return self.vary(self.problem, value)
+
+    @abstractmethod
+    def _make(self, value: float) -> CondensedSystem:
+        """The equations where the parameter has a value."""
+
+    @abstractmethod
+    def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
+        """dF/dv."""
+
+    def system(self, value: float) -> CondensedSystem:
+        """The equations where the parameter has a value; the last ones are kept."""
+        if self._last is None or self._last[0] != value:
+            self._last = value, self._make(value)
+        return self._last[1]
 
     def compliance(self, value: float) -> ModalCompliance:
         """Dynamic compliance where the parameter has a value."""
         return self._compliance
 
-    @abstractmethod
-    def set_value(self, value: float) -> None:
-        """Make :attr:`system` that of a value."""
+    # --- what paths ask for -----------------------------------------------------------------------
 
-    @abstractmethod
-    def _derivative(self, unknown: np.ndarray) -> np.ndarray:
-        """dF / dv."""
-
-    # --- what arclength asks for ------------------------------------------------------------------
-
-    def set_parameter(self, parameter: float) -> None:
-        """Set p."""
-        if parameter != self._parameter:
-            self.set_value(self.value(parameter))
-            self._parameter = parameter
-
-    def residual(self, unknown: np.ndarray) -> np.ndarray:
-        """F(g, p)."""
-        return self.system.residual(unknown)
-
-    def linearise(self, unknown: np.ndarray) -> None:
-        """Evaluate J."""
-        self.system.linearise(unknown)
-
-    def solve_jacobian(self, residual: np.ndarray) -> np.ndarray:
-        """J^-1 r."""
-        return self.system.solve_jacobian(residual)
-
-    def determinant_sign(self) -> float:
-        """Sign of det J."""
-        return self.system.determinant_sign()
-
-    def parameter_derivative(self, unknown: np.ndarray) -> np.ndarray:
-        """dF/dp."""
-        return (self.end - self.start) * self._derivative(unknown)
+    def linearise(self, unknown: np.ndarray, parameter: float) -> CondensedPoint:
+        """The equations at (g, p)."""
+        value = self.value(parameter)
+        return self.system(value).along(
+            unknown, lambda at: self.rate(value) * self._by_value(value, at)
+        )
 
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
         """Inner product."""
-        return self.system.inner(first, second)
+        return float(np.vdot(first, second))
 
 
 class _ComplianceFamily(Family):
     """The parameter changes the dynamic compliance or the linear gap."""
 
-    def set_value(self, value: float) -> None:
-        """Another compliance."""
-        self._current = self.compliance(value)
-        self.system = CondensedSystem(self._current, self.system.integrals)
-
-    def _force(self, unknown: np.ndarray) -> np.ndarray:
-        return self.system.gap_and_force(unknown)[1]
+    def _make(self, value: float) -> CondensedSystem:
+        return CondensedSystem(self.compliance(value), self._integrals)
 
 
 class FrequencyFamily(_ComplianceFamily):
@@ -173,34 +123,27 @@ class FrequencyFamily(_ComplianceFamily):
         """Raise InputError unless it is a frequency."""
         check_omega(value, key)
 
-    def omega(self, value: float) -> float:
-        """The value itself."""
-        return value
-
-    @classmethod
-    def vary(cls, structure: Structure, contact: ContactLaw, value: float) -> Problem:
+    @staticmethod
+    def vary(problem: Problem, value: float) -> Problem:
         """At another frequency."""
-        return structure, contact
+        return replace(problem, omega=value)
 
     def compliance(self, value: float) -> ModalCompliance:
         """At another frequency."""
-        return self._compliance.at(value / self.subharmonic)
+        return self._compliance.at(value / self.problem.subharmonic)
 
-    def _derivative(self, unknown: np.ndarray) -> np.ndarray:
-        return self._current.frequency_derivative(self._force(unknown)) / self.subharmonic
+    def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
+        compliance = at.system.compliance
+        assert isinstance(compliance, ModalCompliance)
+        return compliance.frequency_derivative(at.force) / self.problem.subharmonic
 
 
 class _VariedFamily(_ComplianceFamily):
     """The parameter is one of those of :meth:`Structure.varied`, by its name."""
 
-    @classmethod
-    def vary(cls, structure: Structure, contact: ContactLaw, value: float) -> Problem:
-        """Another structure."""
-        return structure.varied(**{cls.name: value}), contact
-
     def compliance(self, value: float) -> ModalCompliance:
         """Of the varied structure."""
-        return self._compliance.at(self._omega / self.subharmonic, **{self.name: value})
+        return self._compliance.at(self.problem.base_omega, **{self.name: value})
 
 
 class LoadFamily(_VariedFamily):
@@ -213,8 +156,13 @@ class LoadFamily(_VariedFamily):
         """Raise InputError unless it is a number; a negative one reverses the load."""
         check_number(key, value)
 
-    def _derivative(self, unknown: np.ndarray) -> np.ndarray:
-        return self._current.load_derivative()
+    @staticmethod
+    def vary(problem: Problem, value: float) -> Problem:
+        """With another load."""
+        return replace(problem, structure=problem.structure.varied(load=value))
+
+    def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
+        return self._compliance.load_derivative()
 
 
 class DampingFamily(_VariedFamily):
@@ -229,8 +177,15 @@ class DampingFamily(_VariedFamily):
         if structure.damping is None:
             raise InputError("parameter", "damping", "another one: the structure has no damping")
 
-    def _derivative(self, unknown: np.ndarray) -> np.ndarray:
-        return self._current.damping_derivative(self._force(unknown))
+    @staticmethod
+    def vary(problem: Problem, value: float) -> Problem:
+        """With other damping."""
+        return replace(problem, structure=problem.structure.varied(damping=value))
+
+    def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
+        compliance = at.system.compliance
+        assert isinstance(compliance, ModalCompliance)
+        return compliance.damping_derivative(at.force)
 
 
 class ClearanceFamily(_VariedFamily):
@@ -243,8 +198,13 @@ class ClearanceFamily(_VariedFamily):
         """Raise InputError unless it is a number."""
         check_number(key, value)
 
-    def _derivative(self, unknown: np.ndarray) -> np.ndarray:
-        change = np.zeros_like(unknown)
+    @staticmethod
+    def vary(problem: Problem, value: float) -> Problem:
+        """With other clearances."""
+        return replace(problem, structure=problem.structure.varied(clearance=value))
+
+    def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
+        change = np.zeros_like(at.gap)
         change[0] = 1.0
         return change
 
@@ -262,21 +222,21 @@ class StiffnessFamily(Family):
         """p of v."""
         return float(np.log(value / self.start) / np.log(self.end / self.start))
 
-    @classmethod
-    def vary(cls, structure: Structure, contact: ContactLaw, value: float) -> Problem:
+    def rate(self, value: float) -> float:
+        """dv/dp = v ln(v_end / v_start)."""
+        return value * float(np.log(self.end / self.start))
+
+    @staticmethod
+    def vary(problem: Problem, value: float) -> Problem:
         """With another law."""
-        return structure, contact.scaled(value)
+        return replace(problem, contact=problem.contact.scaled(value))
 
-    def set_value(self, value: float) -> None:
-        """Another law."""
-        self.system.with_law(self.contact.scaled(value))
+    def _make(self, value: float) -> CondensedSystem:
+        law = self.problem.contact.scaled(value)
+        return CondensedSystem(self._compliance, self._integrals.of_law(law))
 
-    def parameter_derivative(self, unknown: np.ndarray) -> np.ndarray:
-        """dF/dp = ln(v_end / v_start) R b."""
-        return float(np.log(self.end / self.start)) * self._derivative(unknown)
-
-    def _derivative(self, unknown: np.ndarray) -> np.ndarray:
-        return self.system.stiffness_derivative(unknown)
+    def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
+        return respond(self._compliance.matrices, at.force) / value  # b is proportional to v
 
 
 FAMILIES: dict[str, type[Family]] = {

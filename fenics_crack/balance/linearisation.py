@@ -33,6 +33,10 @@ class Linearisation(ABC):
     def solve(self, right: np.ndarray) -> np.ndarray:
         """J^-1 r, with J = dF/dx."""
 
+    def apply(self, change: np.ndarray) -> np.ndarray:
+        """J dx, for systems that SNES solves."""
+        raise NotImplementedError
+
     @property
     @abstractmethod
     def by_parameter(self) -> np.ndarray:
@@ -87,6 +91,11 @@ class DenseLinearisation(Linearisation):
         # The transpose is in Fortran's order, which LAPACK takes without a transposing copy.
         matrix, pivots, _ = dgetrf(self.jacobian.T)
         return matrix, pivots
+
+    def apply(self, change: np.ndarray) -> np.ndarray:
+        """J dx."""
+        product: np.ndarray = self.jacobian @ change.ravel()
+        return product.reshape(change.shape)
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """J^-1 r."""

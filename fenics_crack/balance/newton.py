@@ -1,7 +1,7 @@
 """Newton's method by PETSc SNES, on systems that invert their own Jacobian.
 
-A system is any object with the members of :class:`System`; SNES steers, judges and reports. PETSc
-options with the prefix ``crack_hb_`` reach it.
+Every single solution is found so: SNES steers, judges and reports, and PETSc options with the
+prefix ``crack_hb_`` reach it. One object serves a system for all attempts at its solution.
 """
 
 from __future__ import annotations
@@ -12,36 +12,24 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-__all__ = ["Newton", "System"]
+from fenics_crack.balance.linearisation import Linearisation, System
+
+__all__ = ["DistributedSystem", "Newton"]
 
 OPTIONS_PREFIX = "crack_hb_"
 
 
-class System(Protocol):
-    """F(x) = 0 for unknowns in arrays of a fixed shape, distributed over ``comm``."""
+class DistributedSystem(System, Protocol):
+    """A system whose unknowns are spread over the ranks of ``comm``; F in the units of x."""
 
     comm: MPI.Comm
     global_size: int
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Of the arrays on this rank."""
-
-    def residual(self, unknown: np.ndarray) -> np.ndarray:
-        """F(x), in the units of x."""
-
-    def linearise(self, unknown: np.ndarray) -> None:
-        """Evaluate the Jacobian J at x."""
-
-    def apply_jacobian(self, change: np.ndarray) -> np.ndarray:
-        """J dx."""
-
-    def solve_jacobian(self, residual: np.ndarray) -> np.ndarray:
-        """J^-1 r."""
+    shape: tuple[int, ...]
+    """Of the unknowns on this rank."""
 
 
 class Newton:
-    """SNES for one system; may be used for many solutions.
+    """SNES for one system, for all solutions of it. Free it, or use it as a context manager.
 
     Full steps, unless PETSc options say otherwise: line searches stall at the kinks of the merit
     function where contact is sampled. Converged where |F| <= tolerance |x|.
@@ -52,10 +40,12 @@ class Newton:
         |F| of every iteration so far.
     """
 
-    def __init__(self, system: System, tolerance: float) -> None:
+    def __init__(self, system: DistributedSystem) -> None:
         self.system = system
-        self.tolerance = tolerance
         self.history: list[float] = []
+        self._parameter = self._tolerance = 0.0
+        self._at: tuple[np.ndarray, Linearisation] | None = None
+        self._tangent: Linearisation
         local = int(np.prod(system.shape))
         sizes = (local, system.global_size)
         self._unknown = PETSc.Vec().createMPI(sizes, comm=system.comm)
@@ -79,43 +69,63 @@ class Newton:
             options.delValue("snes_linesearch_type")
         self._snes.setConvergenceTest(self._converged)
 
-    def solve(self, start: np.ndarray, most_iterations: int) -> tuple[np.ndarray, bool, int]:
-        """Return the last iterate, whether it converged, and the number of iterations."""
+    def solve(
+        self, start: np.ndarray, parameter: float, tolerance: float, most_iterations: int
+    ) -> tuple[np.ndarray, bool, int]:
+        """The last iterate at a parameter, whether it converged, and the number of iterations."""
+        self._parameter, self._tolerance, self._at = parameter, tolerance, None
         self._unknown.array_w[:] = start.ravel()
         self._snes.setTolerances(max_it=most_iterations)
         self._snes.solve(None, self._unknown)
         found = self._unknown.array_r.reshape(self.system.shape).copy()
         return found, self._snes.getConvergedReason() > 0, self._snes.getIterationNumber()
 
+    def _point(self, unknown: Any) -> Linearisation:
+        """The system at a vector; SNES asks for residual and Jacobian at the same one."""
+        values, comm = unknown.array_r, self.system.comm
+        known = self._at is not None and np.array_equal(values, self._at[0])
+        if comm.size > 1:  # a rank alone cannot tell
+            known = comm.allreduce(known, MPI.LAND)
+        if self._at is None or not known:
+            place = values.copy()
+            at = self.system.linearise(place.reshape(self.system.shape), self._parameter)
+            self._at = place, at
+        return self._at[1]
+
     def _converged(self, snes: Any, count: int, norms: tuple[float, float, float]) -> int:
         """Judge the residual relative to the unknowns themselves."""
         self.history.append(norms[2])
         if not np.isfinite(norms[2]):
             return int(PETSc.SNES.ConvergedReason.DIVERGED_FNORM_NAN)
-        if norms[2] <= self.tolerance * self._unknown.norm():
+        if norms[2] <= self._tolerance * self._unknown.norm():
             return int(PETSc.SNES.ConvergedReason.CONVERGED_FNORM_RELATIVE)
         if count >= snes.getTolerances()[3]:
             return int(PETSc.SNES.ConvergedReason.DIVERGED_MAX_IT)
         return int(PETSc.SNES.ConvergedReason.ITERATING)
 
     def _residual(self, snes: Any, unknown: Any, target: Any) -> None:
-        residual = self.system.residual(unknown.array_r.reshape(self.system.shape))
-        target.array_w[:] = residual.ravel()
+        target.array_w[:] = self._point(unknown).residual.ravel()
 
     def _jacobian(self, snes: Any, unknown: Any, matrix: Any, preconditioner: Any) -> None:
-        self.system.linearise(unknown.array_r.reshape(self.system.shape))
+        self._tangent = self._point(unknown)
 
     def mult(self, matrix: Any, source: Any, target: Any) -> None:
         """Jacobian times a vector, called by PETSc."""
-        product = self.system.apply_jacobian(source.array_r.reshape(self.system.shape))
+        product = self._tangent.apply(source.array_r.reshape(self.system.shape))
         target.array_w[:] = product.ravel()
 
     def apply(self, preconditioner: Any, source: Any, target: Any) -> None:
         """Inverse of the Jacobian times a vector, called by PETSc."""
-        found = self.system.solve_jacobian(source.array_r.reshape(self.system.shape))
+        found = self._tangent.solve(source.array_r.reshape(self.system.shape))
         target.array_w[:] = found.ravel()
 
     def free(self) -> None:
         """Free PETSc's objects (collective); ``destroy`` is a name that PETSc calls itself."""
         for item in (self._snes, self._matrix, self._unknown, self._target):
             item.destroy()
+
+    def __enter__(self) -> Newton:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.free()

@@ -16,38 +16,36 @@ constraint (:class:`ConstraintSystem`).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fenics_crack.balance.arclength import ParametricSystem, follow_path
+from fenics_crack.balance.arclength import Stepping, follow_path
 from fenics_crack.balance.block import BlockSystem
+from fenics_crack.balance.bordered import PathPoint, Tangent, land
 from fenics_crack.balance.condensed import CondensedSystem, ConstraintSystem
 from fenics_crack.balance.contact_integrals import ExactIntegrals
 from fenics_crack.balance.family import FrequencyFamily
-from fenics_crack.balance.newton import Newton, System
+from fenics_crack.balance.newton import Newton
 from fenics_crack.balance.rounding import (
-    EPSILON,
-    MOST_ROUNDING,
     ROUNDING,
+    SOFT,
+    check_stiffness,
+    least_residual,
     stiffness_times_compliance,
 )
-from fenics_crack.errors import InputError
-from fenics_crack.model.contact import ContactLaw, UnilateralPenalty
+from fenics_crack.model.contact import UnilateralPenalty
 
-__all__ = [
-    "Search",
-]
+__all__ = ["Search"]
 
-SOFT = 0.05
-"""k R where the path in the stiffness starts."""
 FAR = 5.0
 """A path is given up that far from its end, unless it began farther away."""
 STIFF = 10.0
 """k / eps of the penalty from which full steps to the constraint start."""
 NEARBY = (1.02, 0.98, 1.1, 0.9, 1.3, 0.75, 2.0, 0.5)
 """Frequencies, relative to the one wanted, from which a path in the frequency may start."""
+WIDE, NARROW = Stepping(first=1.0, longest=2.0), Stepping(first=0.1, longest=0.3)
+"""Of paths in ln k, and of paths whose parameter runs from 0 to 1."""
 
 
 @dataclass
@@ -89,68 +87,60 @@ class Search:
         """Solve for a law that gives the force from the gap.
 
         ``family_from`` makes the family of the same equations from a relative frequency to 1.
-        A gap rounded to eps |g| makes a force rounded to eps k |g|: no residual is asked to be
-        smaller than that.
+
+        Raises
+        ------
+        InputError
+            The contact is so stiff that rounding leaves nothing of its force.
         """
         law = system.integrals.law
-        stiffest = float(np.max(law.stiffness))
-        static = float(np.abs(system.compliance.matrices[0]).sum(axis=1).max())
-        if not EPSILON * stiffest * static < MOST_ROUNDING:
-            raise InputError(
-                "contact stiffness",
-                stiffest,
-                f"at most {MOST_ROUNDING / (EPSILON * static):.2g} N/m on this structure, beyond "
-                "which rounding leaves nothing; UnilateralConstraint is the limit",
-            )
-        # In an undamped resonance R itself may be as large as that.
-        least = min(MOST_ROUNDING, EPSILON * stiffness_times_compliance(system, law))
-        if least > self._rounding:
-            self._rounding = least
-            self.tolerance = max(self.tolerance, least)
-        found = self._newton(system, start, 20, "full Newton steps")
-        if not self.converged:
-            found = self._stiffness_path(system)
+        check_stiffness(system.compliance, law)
+        product = stiffness_times_compliance(system.compliance, law)
+        self._rounding = max(self._rounding, least_residual(product))
+        if self._rounding > ROUNDING:
+            self.tolerance = max(self.tolerance, self._rounding)
+        with Newton(system) as newton:
+            found = self._newton(newton, start, 0.0, 20, "full Newton steps")
+            if not self.converged:
+                found = self._stiffness_path(newton, system.linear, product)
         if not self.converged and family_from is not None:
             found = self._frequency_path(family_from)
         return found
 
     def constraint(self, system: ConstraintSystem, start: np.ndarray | None) -> np.ndarray:
         """Solve without penetration."""
-        if start is not None:
-            found = self._newton(system, start, 20, "full Newton steps")
+        with Newton(system) as newton:
+            if start is not None:
+                found = self._newton(newton, start, 1.0, 20, "full Newton steps")
+                if self.converged:
+                    return found
+            found = self._from_penalty(system, STIFF)
             if self.converged:
+                found = self._newton(newton, found, 1.0, 30, "constraint from penalty")
+                if self.converged:
+                    return found
+            found = self._from_penalty(system, 1.0)
+            if not self.converged:
                 return found
-        harmonics = system.integrals.harmonics
-        penalty = CondensedSystem(
-            system.compliance, ExactIntegrals(UnilateralPenalty(STIFF * system.weight), harmonics)
-        )
+            return self._path("from penalty to constraint", newton, found, (0.0, 1.0), NARROW)
+
+    def _from_penalty(self, system: ConstraintSystem, factor: float) -> np.ndarray:
+        """The unknowns that stand for the contact force of a penalty, relative to the weight."""
+        law = UnilateralPenalty(factor * system.weight)
+        integrals = ExactIntegrals(law, system.integrals.harmonics)
+        penalty = CondensedSystem(system.compliance, integrals)
         known = self.tolerance, self._rounding
         gap = self.penalty(penalty, penalty.linear)
         self.tolerance, self._rounding = known  # only the penalty is rounded like that
-        found = system.from_force(penalty.gap_and_force(gap)[1])
-        if self.converged:
-            found = self._newton(system, found, 30, "constraint from penalty")
-            if self.converged:
-                return found
-        penalty.with_law(UnilateralPenalty(system.weight))
-        gap = self.penalty(penalty, penalty.linear)
-        self.tolerance, self._rounding = known
-        found = system.from_force(penalty.gap_and_force(gap)[1])
-        if not self.converged:
-            return found
-        return self._path(
-            "from penalty to constraint", system, lambda: system, found, 0.0, 1.0, 0.1, 0.3
-        )
+        return system.from_force(penalty.linearise(gap).force)
 
     def _newton(
-        self, system: System, start: np.ndarray, most_iterations: int, name: str
+        self, newton: Newton, start: np.ndarray, parameter: float, most: int, name: str = ""
     ) -> np.ndarray:
-        newton = Newton(system, self.tolerance)
-        try:
-            found, self.converged, count = newton.solve(start, most_iterations)
-        finally:
-            self.history += newton.history
-            newton.free()
+        """One attempt by SNES, on record if it has a name."""
+        before = len(newton.history)
+        found, self.converged, count = newton.solve(start, parameter, self.tolerance, most)
+        self.history += newton.history[before:]
         self.iterations += count
         if name:
             self._note(name, f"{count} iterations")
@@ -160,91 +150,58 @@ class Search:
         outcome = "converged" if self.converged else "failed"
         self.attempts.append(f"{attempt}: {outcome} ({details})")
 
-    def _stiffness_path(self, system: CondensedSystem | BlockSystem) -> np.ndarray:
+    def _stiffness_path(self, newton: Newton, linear: np.ndarray, product: float) -> np.ndarray:
+        """Along ln k from where contact is soft; ``product`` is k R."""
         name = "in the contact stiffness"
-        law = system.integrals.law
-        path = _StiffnessPath(system, law)
-        soft = min(0.0, float(np.log(SOFT / stiffness_times_compliance(system, law))))
-        path.set_parameter(soft)
-        found = self._newton(system, system.linear, 20, "")
+        soft = min(0.0, float(np.log(SOFT / product)))
+        found = self._newton(newton, linear, soft, 20)
         if self.converged and soft < 0.0:
-            return self._path(name, path, lambda: system, found, soft, 0.0, 1.0, 2.0)
-        path.set_parameter(0.0)
+            return self._path(name, newton, found, (soft, 0.0), WIDE)
         self._note(f"path {name}", f"its start at {np.exp(soft):.2g} of the stiffness")
         return found
 
     def _frequency_path(self, family_from: Callable[[float], FrequencyFamily]) -> np.ndarray:
+        stepping = replace(NARROW, most=200)
         for factor in NEARBY:
-            name = f"{factor:g} of the frequency"
             family = family_from(factor)
-            found = self._newton(family.system, family.system.linear, 20, "")
-            if self.converged:
-                there = partial(getattr, family, "system")
-                found = self._path(f"from {name}", family, there, found, 0.0, 1.0, 0.1, 0.3, 200)
+            with Newton(family) as newton:
+                linear = family.system(family.start).linear
+                found = self._newton(newton, linear, 0.0, 20)
                 if self.converged:
-                    return found
+                    name = f"from {factor:g} of the frequency"
+                    found = self._path(name, newton, found, (0.0, 1.0), stepping)
+                    if self.converged:
+                        return found
         self._note("path in the frequency", "from 0.5 to 2 of it")
         return found
 
     def _path(
         self,
         name: str,
-        path: ParametricSystem,
-        at_end: Callable[[], System],
+        newton: Newton,
         start: np.ndarray,
-        parameter: float,
-        end: float,
-        step: float,
-        longest_step: float,
-        most_steps: int = 1000,
+        span: tuple[float, float],
+        stepping: Stepping,
     ) -> np.ndarray:
         """Follow a path until Newton's method lands at the end, from either side."""
-        found, steps, last = start, 0, (start, parameter)
+        begin, end = span
+        found, steps = start, 0
+        last = PathPoint(start, begin, 0, Tangent(start, 0.0, 0.0))
         self.converged = False
-        for point in follow_path(
-            path,
-            start,
-            parameter,
-            step=step,
-            longest_step=longest_step,
-            most_steps=most_steps,
-            rounding=self._rounding,
-        ):
+
+        def at_end(nearby: np.ndarray) -> PathPoint | None:
+            nonlocal found
+            found = self._newton(newton, nearby, end, 20)
+            return replace(last, unknown=found, parameter=end) if self.converged else None
+
+        stepping = replace(stepping, rounding=self._rounding)
+        for point in follow_path(newton.system, start, begin, stepping):
             steps += 1
             self.iterations += point.iterations
-            if max(point.parameter, last[1]) >= end:
-                path.set_parameter(end)
-                share = (end - last[1]) / (point.parameter - last[1])
-                between = last[0] + share * (point.unknown - last[0])
-                # Where the path bends between the two, one of them may be nearer than the chord.
-                for nearby in (between, last[0], point.unknown):
-                    found = self._newton(at_end(), nearby, 20, "")
-                    if self.converged:
-                        break
-            if self.converged or abs(point.parameter - end) > max(FAR, end - parameter):
+            if max(point.parameter, last.parameter) >= end:
+                land(last, point, end, at_end)
+            if self.converged or abs(point.parameter - end) > max(FAR, end - begin):
                 break
-            last = (point.unknown, point.parameter)
-        path.set_parameter(end)
-        self._note(f"path {name}", f"{steps} steps, {last[1]:.3g} of {parameter:.3g} to {end:g}")
+            last = point
+        self._note(f"path {name}", f"{steps} steps, {last.parameter:.3g} of {begin:.3g} to {end:g}")
         return found
-
-
-class _StiffnessPath:
-    """A system whose parameter is ln of the contact stiffness relative to the wanted one."""
-
-    def __init__(self, system: CondensedSystem | BlockSystem, law: ContactLaw) -> None:
-        self._system = system
-        self._law = law
-        self._parameter = 0.0
-        self.residual = system.residual
-        self.linearise = system.linearise
-        self.solve_jacobian = system.solve_jacobian
-        self.parameter_derivative = system.stiffness_derivative
-        self.determinant_sign = system.determinant_sign
-        self.inner = system.inner
-
-    def set_parameter(self, parameter: float) -> None:
-        """Set ln (k / k wanted)."""
-        if parameter != self._parameter:
-            self._system.with_law(self._law.scaled(float(np.exp(parameter))))
-            self._parameter = parameter

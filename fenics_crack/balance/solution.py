@@ -8,15 +8,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from fenics_crack.balance.error_report import ErrorReport
+from fenics_crack.balance.condensed import CondensedPoint
+from fenics_crack.balance.error_report import ErrorReport, estimate_errors
 from fenics_crack.balance.fourier import evaluate
-from fenics_crack.model.contact import (
-    ContactLaw,
-    UnilateralConstraint,
-)
+from fenics_crack.balance.problem import Problem
+from fenics_crack.model.contact import ContactLaw, force_in_time
 from fenics_crack.model.structure import Structure
 
-__all__ = ["PeriodicSolution", "Stability"]
+__all__ = ["PeriodicSolution", "Stability", "solution_of"]
 
 
 @dataclass(frozen=True)
@@ -53,7 +52,7 @@ class PeriodicSolution:
         What vibrates.
     omega : float
         Angular frequency of the load [rad/s].
-    contact : ContactLaw, UnilateralConstraint or None
+    contact : ContactLaw or None
         Law between the lips; None for the linear solution with lips that pass through each other.
     displacement_coefficients : (2H+1, n_local) [m]
         Rows a0, a1, b1, ..., aH, bH; the columns of the dofs that this rank owns.
@@ -78,7 +77,7 @@ class PeriodicSolution:
 
     structure: Structure
     omega: float
-    contact: ContactLaw | UnilateralConstraint | None
+    contact: ContactLaw | None
     displacement_coefficients: np.ndarray
     gap_coefficients: np.ndarray
     force_coefficients: np.ndarray
@@ -118,11 +117,8 @@ class PeriodicSolution:
         gap = self.gap(time)
         if self.contact is None:
             return np.zeros_like(gap)
-        if isinstance(self.contact, UnilateralConstraint):
-            force = evaluate(self.force_coefficients, self.base_omega, time)
-            assert self.contact.weight is not None
-            return np.maximum(0.0, self.contact.weight * gap + force)
-        return self.contact.force(gap)
+        force = evaluate(self.force_coefficients, self.base_omega, time)
+        return force_in_time(self.contact, gap, force)
 
     def displacement(self, time: np.ndarray, dofs: Sequence[int]) -> np.ndarray:
         """Displacement of dofs at times [s]: (len(time), len(dofs)) [m] (collective)."""
@@ -138,3 +134,28 @@ class PeriodicSolution:
         return evaluate(rows, self.base_omega, time)
 
     # --- on disk ----------------------------------------------------------------------------------
+
+
+def solution_of(
+    problem: Problem,
+    at: CondensedPoint,
+    *,
+    status: str,
+    converged: bool = True,
+    iterations: int = 0,
+) -> PeriodicSolution:
+    """The solution that belongs to a solution of the condensed equations (collective)."""
+    displacement = at.system.compliance.displacement(at.force)
+    return PeriodicSolution(
+        problem.structure,
+        problem.omega,
+        problem.contact,
+        displacement,
+        at.gap,
+        at.force,
+        subharmonic=problem.subharmonic,
+        converged=converged,
+        status=status,
+        iterations=iterations,
+        report=estimate_errors(at, displacement, problem),
+    )
