@@ -32,6 +32,8 @@ from fenics_crack.balance.compliance import (
 from fenics_crack.balance.condensed import CondensedSystem, respond_to_columns
 from fenics_crack.balance.contact_integrals import SampledIntegrals, contact_integrals
 from fenics_crack.balance.fourier import evaluate
+from fenics_crack.balance.laboratory import solve_form
+from fenics_crack.balance.problem import Problem
 from fenics_crack.model.contact import ContactLaw
 
 # --- the high-dimensional form is collocation -----------------------------------------------------
@@ -81,12 +83,14 @@ def test_collocation_satisfies_the_equation_of_motion_at_its_instants(
         return relative(motion + force @ pairs.T, drive)
 
     collocated, classical = (
-        fc.solve_harmonic_balance(
-            structure, omega, LAWS[law], harmonics=harmonics, subharmonic=subharmonic,
-            balance=balance, form=form, residual_tolerance=1e-12,
+        solve_form(
+            Problem(structure, omega, LAWS[law], harmonics, subharmonic=subharmonic),
+            balance=balance,
+            form=form,
+            residual_tolerance=1e-12,
         )
         for balance in ("collocation", "galerkin")
-    )  # fmt: skip
+    )
     assert left(collocated) < 1e-9
     assert left(classical) > 1e-3
 
@@ -107,18 +111,23 @@ def test_tangent_on_few_samples(samples: int) -> None:
 
 def test_refusals() -> None:
     """Words that mean nothing, and arguments that collocation has no use for."""
-    structure, law = oscillator(), fc.UnilateralPenalty(1.0)
-    cases: list[tuple[str, Any, dict[str, Any]]] = [
-        ("balance", law, {"balance": "classical"}),
-        ("balance", fc.UnilateralConstraint(), {"balance": "collocation"}),
-        ("samples", law, {"balance": "collocation", "samples": 11}),
-        ("tolerance", law, {"balance": "collocation", "tolerance": 1e-3}),
-        ("samples", law, {"harmonics": 5, "samples": 11}),
+    structure, law, rigid = oscillator(), fc.UnilateralPenalty(1.0), fc.UnilateralConstraint()
+    cases: list[tuple[str, Problem, dict[str, Any]]] = [
+        ("balance", Problem(structure, 1.0, law), {"balance": "classical"}),
+        ("balance", Problem(structure, 1.0, rigid), {"balance": "collocation"}),
+        ("samples", Problem(structure, 1.0, law, samples=11), {"balance": "collocation"}),
+        ("form", Problem(structure, 1.0, rigid), {"form": "full"}),
+        *(
+            ("form", Problem(structure, 1.0, law), {"form": given})
+            for given in ("incremental", "dense", None)
+        ),
     ]
-    for key, contact, options in cases:
+    for key, problem, options in cases:
         with pytest.raises(fc.InputError) as error:
-            fc.solve_harmonic_balance(structure, 1.0, contact, **options)
+            solve_form(problem, **options)
         assert error.value.key == key
+    with pytest.raises(fc.InputError, match=r"^samples = 11"):
+        fc.solve_harmonic_balance(structure, 1.0, law, harmonics=5, samples=11)
 
 
 # --- spurious solutions: a Duffing oscillator -----------------------------------------------------
@@ -174,13 +183,12 @@ def newton_roots(system: CondensedSystem, starts: int = 400) -> list[np.ndarray]
         gap = rng.normal(size=system.shape)
         gap *= size * 10.0 ** rng.uniform(-1.0, 1.0) / np.linalg.norm(gap)
         for _ in range(100):
-            residual = system.residual(gap)
-            if np.linalg.norm(residual) < 1e-11 * np.linalg.norm(gap):
+            at = system.linearise(gap)
+            if np.linalg.norm(at.residual) < 1e-11 * np.linalg.norm(gap):
                 if all(np.linalg.norm(gap - other) > 1e-6 * size for other in found):
                     found.append(gap)
                 break
-            system.linearise(gap)
-            gap = gap - system.solve_jacobian(residual)
+            gap = gap - at.solve(at.residual)
     return found
 
 
@@ -228,15 +236,14 @@ def test_the_report_betrays_spurious_solutions() -> None:
     """All 9 roots pass for solutions. One is off by 2 %, and says so; the others report 11 % and
     more, and are 30 % and more off the solution to which the classical form leads from there."""
     structure, law, exact = duffing(), Cubic(1.0), classical_amplitudes()
-    start = fc.solve_harmonic_balance(structure, 2.0, law, harmonics=1, balance="collocation")
+    problem = Problem(structure, 2.0, law, 1)
+    start = solve_form(problem, balance="collocation")
     reported, strayed = [], []
     for gap in newton_roots(duffing_system(1, 3)):
         there = fc.PeriodicSolution(
             structure, 2.0, law, start.displacement_coefficients, gap, start.force_coefficients
         )
-        spurious = fc.solve_harmonic_balance(
-            structure, 2.0, law, harmonics=1, balance="collocation", initial=there
-        )
+        spurious = solve_form(problem, balance="collocation", initial=there)
         assert spurious.converged and spurious.iterations == 0
         reported.append(spurious.report.sampling)
         classical = fc.solve_harmonic_balance(structure, 2.0, law, harmonics=1, initial=spurious)
@@ -324,7 +331,7 @@ def test_error_of_collocation_on_contact(scene: str, soft_plate: fc.Structure) -
     errors = []
     for harmonics in orders:
         classical, collocated = (
-            fc.solve_harmonic_balance(structure, omega, law, harmonics=harmonics, balance=balance)
+            solve_form(Problem(structure, omega, law, harmonics), balance=balance)
             for balance in ("galerkin", "collocation")
         )
         errors.append([true_error(found, reference) for found in (classical, collocated)])
@@ -407,10 +414,9 @@ def test_incremental_iterates_are_the_newton_iterates(law: str, samples: int | N
             structure, omega, LAWS[law], incremental, samples=samples
         )
         incremental = incremental + np.linalg.solve(matrix, right.ravel()).reshape(right.shape)
-        full.linearise(newton)
-        newton = newton - full.solve_jacobian(full.residual(newton))
-        condensed.linearise(gap)
-        step = condensed.solve_jacobian(condensed.residual(gap))
+        whole, small = full.linearise(newton), condensed.linearise(gap)
+        newton = newton - whole.solve(whole.residual)
+        step = small.solve(small.residual)
         gap, moved = gap - step, moved + np.linalg.norm(step)
         assert relative(incremental, newton) < 1e-9
         assert relative(full.gap(incremental), gap) < 1e-9
