@@ -40,8 +40,10 @@ import scipy.linalg
 
 import fenics_crack as fc
 from fenics_crack.balance.compliance import dynamic_compliance
-from fenics_crack.balance.condensed import CondensedSystem
+from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem
 from fenics_crack.balance.contact_integrals import contact_integrals
+from fenics_crack.balance.laboratory import solve_form
+from fenics_crack.balance.problem import Problem
 from fenics_crack.draw.figure import COLOURS
 
 CONTINUED = "this, continued, exact"
@@ -117,7 +119,7 @@ def iteration_times(structure: fc.Structure, harmonics: int, repeats: int) -> di
     generator = np.random.default_rng(1)
     decay = 1.0 / (1.0 + np.arange(2 * harmonics + 1)) ** 2
     size = np.abs(system.linear).max()
-    residual = np.zeros_like(system.linear)
+    points: list[CondensedPoint] = []
 
     def new_gap() -> np.ndarray:
         noise = generator.standard_normal(system.shape) * decay[:, None]
@@ -130,15 +132,15 @@ def iteration_times(structure: fc.Structure, harmonics: int, repeats: int) -> di
 
     for _ in range(repeats + 1):
         gap = new_gap()
-        timed("residual", lambda gap=gap: np.copyto(residual, system.residual(gap)))
-        timed("jacobian", lambda gap=gap: system.linearise(gap))
-        matrix = system.jacobian.copy()
-        timed("first", lambda: system.solve_jacobian(residual))  # factors and solves
-        timed("solve", lambda: system.solve_jacobian(residual))
+        timed("residual", lambda gap=gap: points.append(system.linearise(gap)))
+        at = points[-1]
+        timed("jacobian", lambda at=at: at.jacobian)
+        timed("first", lambda at=at: at.solve(at.residual))  # factors and solves
+        timed("solve", lambda at=at: at.solve(at.residual))
 
-        def lapack(matrix: np.ndarray = matrix) -> None:
-            factors = scipy.linalg.lu_factor(matrix, check_finite=False)
-            scipy.linalg.lu_solve(factors, residual.ravel(), check_finite=False)
+        def lapack(at: CondensedPoint = at) -> None:
+            factors = scipy.linalg.lu_factor(at.jacobian, check_finite=False)
+            scipy.linalg.lu_solve(factors, at.residual.ravel(), check_finite=False)
 
         timed("lapack", lapack)
     arrays = {name: np.array(values)[1:] for name, values in times.items()}
@@ -297,9 +299,8 @@ def run_full(arguments: common.Arguments) -> None:
             found: dict[str, fc.PeriodicSolution] = found,
         ) -> Callable[[], None]:
             def run() -> None:
-                found[key] = fc.solve_harmonic_balance(
-                    structure, 2000.0, fc.UnilateralPenalty(1e9), harmonics=harmonics, form=form
-                )
+                problem = Problem(structure, 2000.0, fc.UnilateralPenalty(1e9), harmonics)
+                found[key] = solve_form(problem, form=form)
 
             return run
 

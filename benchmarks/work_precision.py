@@ -40,6 +40,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import fenics_crack as fc
+from fenics_crack.balance.laboratory import solve_form
+from fenics_crack.balance.problem import Problem
 from fenics_crack.draw.figure import COLOURS
 from fenics_crack.model.modes import damped_modes
 from fenics_crack.time.events import EventFlow
@@ -256,7 +258,8 @@ def balance(
     counts: Sequence[int],
     *,
     structure: fc.Structure | None = None,
-    **options: Any,
+    samples: int | None = None,
+    **form: str,
 ) -> list[tuple[Any, ...]]:
     """Harmonic balance from a cold start."""
     solved = structure or scene.structure
@@ -266,9 +269,8 @@ def balance(
         memory = common.PeakMemory()
         for _ in range(3 if solved.n_dofs < 100 else 1):
             started = time.process_time()
-            solution = fc.solve_harmonic_balance(
-                solved, scene.omega, scene.law, harmonics=harmonics, throw=False, **options
-            )
+            problem = Problem(solved, scene.omega, scene.law, harmonics, samples)
+            solution = solve_form(problem, throw=False, **form)  # type: ignore[arg-type]
             runs.append(time.process_time() - started)
         peak = memory.mib()
         gap = solution.gap(np.arange(512) * solution.period / 512)

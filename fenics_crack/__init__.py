@@ -13,7 +13,9 @@ from fenics_crack.version import VERSION as __version__
 
 if TYPE_CHECKING:  # for editors and mypy: what the table below says
     from fenics_crack.balance.error_report import ErrorReport as ErrorReport
-    from fenics_crack.balance.harmonic_balance import solve_harmonic_balance as solve_harmonic_balance
+    from fenics_crack.balance.harmonic_balance import (
+        solve_harmonic_balance as solve_harmonic_balance,
+    )
     from fenics_crack.balance.harmonic_balance import solve_linear as solve_linear
     from fenics_crack.balance.solution import PeriodicSolution as PeriodicSolution
     from fenics_crack.balance.solution import Stability as Stability
@@ -70,8 +72,12 @@ if TYPE_CHECKING:  # for editors and mypy: what the table below says
     from fenics_crack.study.run import load_run as load_run
     from fenics_crack.sweep.result import SweepResult as SweepResult
     from fenics_crack.sweep.result import run_sweep as run_sweep
-    from fenics_crack.time.central_differences import integrate_central_difference as integrate_central_difference
-    from fenics_crack.time.central_differences import stable_steps_per_period as stable_steps_per_period
+    from fenics_crack.time.central_differences import (
+        integrate_central_difference as integrate_central_difference,
+    )
+    from fenics_crack.time.central_differences import (
+        stable_steps_per_period as stable_steps_per_period,
+    )
     from fenics_crack.time.events import integrate_events as integrate_events
     from fenics_crack.time.implicit import integrate_implicit as integrate_implicit
     from fenics_crack.time.march import TimeHistory as TimeHistory
