@@ -81,7 +81,7 @@ class BlockPoint(Linearisation):
     def __init__(
         self, system: BlockSystem, amplitude: np.ndarray, integrals: ContactIntegrals
     ) -> None:
-        self._system = system
+        self._system, self.unknown = system, amplitude
         force, self._tangent = integrals.linearise(system.gap(amplitude))
         self._moved = self._through_structure(force)
         self.residual = amplitude - system.linear + self._moved

@@ -100,7 +100,6 @@ class CondensedPoint(DenseLinearisation, ABC):
     """
 
     system: CondensedSystem | ConstraintSystem
-    unknown: np.ndarray
     tangent: np.ndarray
     gap: np.ndarray
     force: np.ndarray
@@ -177,10 +176,10 @@ class _GapPoint(CondensedPoint):
         integrals: ContactIntegrals,
         by_parameter: Callable[[CondensedPoint], np.ndarray],
     ) -> None:
-        self.system, self.unknown, self.gap = system, gap, gap
+        self.system, self.gap = system, gap
         self.force, self.tangent = integrals.linearise(gap)
         residual = gap - system.linear + respond(system.compliance.matrices, self.force)
-        super().__init__(residual, self._jacobian, lambda: by_parameter(self))
+        super().__init__(gap, residual, self._jacobian, lambda: by_parameter(self))
 
     def _jacobian(self) -> np.ndarray:
         jacobian = respond_to_columns(self.system.compliance.matrices, self.tangent)
@@ -248,12 +247,15 @@ class _ConstraintPoint(CondensedPoint):
     system: ConstraintSystem
 
     def __init__(self, system: ConstraintSystem, unknown: np.ndarray, share: float) -> None:
-        self.system, self.unknown, self._share = system, unknown, share
+        self.system, self._share = system, share
         self.force = system.weight * unknown
         self.gap = system.linear - respond(system.compliance.matrices, self.force)
         projected, self.tangent = system.integrals.linearise(self.gap + share * unknown)
         super().__init__(
-            unknown - projected, self._jacobian, lambda: -apply_to_pairs(self.tangent, unknown)
+            unknown,
+            unknown - projected,
+            self._jacobian,
+            lambda: -apply_to_pairs(self.tangent, unknown),
         )
 
     def _jacobian(self) -> np.ndarray:

@@ -23,10 +23,13 @@ class Linearisation(ABC):
 
     Attributes
     ----------
+    unknown : array
+        x.
     residual : array
         F(x, p), of the shape and in the units of x.
     """
 
+    unknown: np.ndarray
     residual: np.ndarray
 
     @abstractmethod
@@ -63,8 +66,8 @@ class DenseLinearisation(Linearisation):
 
     Parameters
     ----------
-    residual : array
-        F(x, p).
+    unknown, residual : array
+        x and F(x, p).
     jacobian : callable
         Makes J, (n, n) for the n entries of the residual in their order.
     by_parameter : callable, optional
@@ -73,11 +76,12 @@ class DenseLinearisation(Linearisation):
 
     def __init__(
         self,
+        unknown: np.ndarray,
         residual: np.ndarray,
         jacobian: Callable[[], np.ndarray],
         by_parameter: Callable[[], np.ndarray] | None = None,
     ) -> None:
-        self.residual = residual
+        self.unknown, self.residual = unknown, residual
         self._make_jacobian = jacobian
         self._make_derivative = by_parameter
 

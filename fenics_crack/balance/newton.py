@@ -71,13 +71,13 @@ class Newton:
 
     def solve(
         self, start: np.ndarray, parameter: float, tolerance: float, most_iterations: int
-    ) -> tuple[np.ndarray, bool, int]:
-        """The last iterate at a parameter, whether it converged, and the number of iterations."""
+    ) -> tuple[Linearisation, bool, int]:
+        """The system at the last iterate, whether that converged, and the number of iterations."""
         self._parameter, self._tolerance, self._at = parameter, tolerance, None
         self._unknown.array_w[:] = start.ravel()
         self._snes.setTolerances(max_it=most_iterations)
         self._snes.solve(None, self._unknown)
-        found = self._unknown.array_r.reshape(self.system.shape).copy()
+        found = self._point(self._unknown)
         return found, self._snes.getConvergedReason() > 0, self._snes.getIterationNumber()
 
     def _point(self, unknown: Any) -> Linearisation:

@@ -110,9 +110,9 @@ class Solver:
         start = None
         if initial is not None:
             start = system.from_force(self._start(initial, "force_coefficients"))
-        found = search.constraint(system, start)
-        problem = replace(self.problem, contact=replace(contact, weight=weight))
-        return problem, system.linearise(found)
+        at = search.constraint(system, start)
+        assert isinstance(at, CondensedPoint)
+        return replace(self.problem, contact=replace(contact, weight=weight)), at
 
     def _penalised(
         self, search: Search, compliance: Compliance, initial: PeriodicSolution | None
@@ -125,14 +125,15 @@ class Solver:
             start = block.linear
             if initial is not None:
                 start = compliance.displacement(self._start(initial, "force_coefficients"))
-            gap = block.gap(search.penalty(block, start))
-        else:
-            start = system.linear
-            if initial is not None:
-                start = self._start(initial, "gap_coefficients")
-            small = is_small(self.problem.structure)
-            gap = search.penalty(system, start, self._family_from if small else None)
-        return self.problem, system.linearise(gap)
+            gap = block.gap(search.penalty(block, start).unknown)
+            return self.problem, system.linearise(gap)
+        start = system.linear
+        if initial is not None:
+            start = self._start(initial, "gap_coefficients")
+        small = is_small(self.problem.structure)
+        at = search.penalty(system, start, self._family_from if small else None)
+        assert isinstance(at, CondensedPoint)
+        return self.problem, at
 
     def _family_from(self, factor: float) -> FrequencyFamily:
         """The same equations along the frequency, from a factor of it to itself."""

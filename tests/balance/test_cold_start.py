@@ -10,7 +10,7 @@ from helpers import oscillator
 import fenics_crack as fc
 from fenics_crack.balance.arclength import Stepping, follow_path
 from fenics_crack.balance.bordered import PathPoint
-from fenics_crack.balance.linearisation import DenseLinearisation
+from fenics_crack.balance.linearisation import DenseLinearisation, Linearisation
 from fenics_crack.balance.newton import Newton
 from fenics_crack.balance.search import Search
 
@@ -113,9 +113,11 @@ def test_path_in_frequency(omega: float, monkeypatch: pytest.MonkeyPatch) -> Non
     usual = fc.solve_harmonic_balance(structure, omega, law, harmonics=10)
     assert "path in the contact stiffness: converged" in usual.status
 
-    def blocked(search: Search, newton: Newton, linear: np.ndarray, product: float) -> np.ndarray:
+    def blocked(
+        search: Search, newton: Newton, linear: np.ndarray, product: float
+    ) -> Linearisation:
         search.converged = False
-        return linear
+        return newton.system.linearise(linear, 0.0)
 
     monkeypatch.setattr(Search, "_stiffness_path", blocked)
     found = fc.solve_harmonic_balance(structure, omega, law, harmonics=10)
@@ -138,6 +140,7 @@ class Plane:
         """(f, y - 2); J is diagonal."""
         x, y = unknown
         return DenseLinearisation(
+            unknown,
             np.array([self.f(x, parameter), y - 2.0]),
             lambda: np.diag([self.by_x(x, parameter), 1.0]),
             lambda: np.array([self.by_p(x, parameter), 0.0]),
