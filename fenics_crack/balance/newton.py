@@ -83,7 +83,7 @@ class Newton:
     def _point(self, unknown: Any) -> Linearisation:
         """The system at a vector; SNES asks for residual and Jacobian at the same one."""
         values, comm = unknown.array_r, self.system.comm
-        known = self._at is not None and np.array_equal(values, self._at[0])
+        known = self._at is not None and bool((values == self._at[0]).all())
         if comm.size > 1:  # a rank alone cannot tell
             known = comm.allreduce(known, MPI.LAND)
         if self._at is None or not known:

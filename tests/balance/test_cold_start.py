@@ -130,21 +130,31 @@ def test_path_in_frequency(omega: float, monkeypatch: pytest.MonkeyPatch) -> Non
 Function = Callable[[float, float], float]
 
 
+class Place(DenseLinearisation):
+    """A plane's equations at a point: (f, y - 2); J is diagonal."""
+
+    def __init__(self, plane: "Plane", unknown: np.ndarray, p: float) -> None:
+        self.plane, self.p = plane, p
+        super().__init__(unknown, np.array([plane.f(unknown[0], p), unknown[1] - 2.0]))
+
+    def assemble(self) -> np.ndarray:
+        """J."""
+        return np.diag([self.plane.by_x(self.unknown[0], self.p), 1.0])
+
+    def differentiate(self) -> np.ndarray:
+        """dF/dp."""
+        return np.array([self.plane.by_p(self.unknown[0], self.p), 0.0])
+
+
 class Plane:
     """f(x, p) = 0 in a plane, beside y = 2, which keeps the norm of (x, y) from vanishing."""
 
     def __init__(self, f: Function, by_x: Function, by_p: Function) -> None:
         self.f, self.by_x, self.by_p = f, by_x, by_p
 
-    def linearise(self, unknown: np.ndarray, parameter: float) -> DenseLinearisation:
-        """(f, y - 2); J is diagonal."""
-        x, y = unknown
-        return DenseLinearisation(
-            unknown,
-            np.array([self.f(x, parameter), y - 2.0]),
-            lambda: np.diag([self.by_x(x, parameter), 1.0]),
-            lambda: np.array([self.by_p(x, parameter), 0.0]),
-        )
+    def linearise(self, unknown: np.ndarray, parameter: float) -> Place:
+        """At a point."""
+        return Place(self, unknown, parameter)
 
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
         """Inner product."""
