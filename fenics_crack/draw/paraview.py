@@ -17,6 +17,7 @@ import pyvista
 
 from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.draw.nodal import moved_grid
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.files.store import make_folder
@@ -45,7 +46,7 @@ def write_modes(structure: Structure, modes: Modes, path: str | Path) -> None:
     shapes = mesh.field(structure.expand(modes.shapes.T))
 
     def write() -> None:
-        grid = mesh.grid(np.zeros_like(mesh.points))
+        grid = moved_grid(mesh)
         for number, (omega, shape) in enumerate(zip(modes.omega, shapes, strict=True), 1):
             grid[f"mode {number}: {omega:.1f} rad/s"] = _scaled(shape, 0.1 * mesh.size)
         make_folder(path)
@@ -164,7 +165,7 @@ class PeriodFields:
     def grid(self, frame: int) -> pyvista.UnstructuredGrid:
         """The magnified mesh of a frame with its point fields, see :func:`write_period`."""
         force, displacement = self.force[frame], self.displacement[frame]
-        grid = self.mesh.grid(self.magnification * displacement)
+        grid = moved_grid(self.mesh, self.magnification * displacement)
         closed = self.pair_nodes @ (force > 0.0)
         grid["displacement"] = np.pad(displacement, ((0, 0), (0, 1)))
         grid["contact state"] = np.where(self.pair_nodes.any(axis=1), np.minimum(closed, 1.0), -1.0)
@@ -192,7 +193,7 @@ def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) 
     material : Material
         Its Young's modulus and Poisson's ratio.
     """
-    grid = mesh.grid(np.zeros_like(mesh.points))
+    grid = moved_grid(mesh)
     grid["displacement"] = np.pad(displacement, ((0, 0), (0, 1)))
     gradient = grid.compute_derivative("displacement", gradient="gradient")["gradient"]
     strain_xx, strain_yy = gradient[:, 0], gradient[:, 4]

@@ -15,6 +15,7 @@ from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw.figure import COLOURS, finish, new_figure, off_screen_plotter, readable, save
+from fenics_crack.draw.nodal import edge_lines, moved_grid
 from fenics_crack.draw.plot_motion import draw_orbits, draw_spectrum
 from fenics_crack.errors import InputError
 from fenics_crack.fem.nodal_mesh import NodalMesh
@@ -453,7 +454,7 @@ def draw_modes(
             plotter.subplot(number // columns, number % columns)
             amplitude = np.linalg.norm(shape, axis=1)
             moved = 0.12 * mesh.size / amplitude.max() * shape
-            grid = mesh.grid(moved)
+            grid = moved_grid(mesh, moved)
             grid["amplitude"] = amplitude
             plotter.add_mesh(
                 grid, scalars="amplitude", cmap="viridis", lighting=False, show_scalar_bar=False
@@ -463,7 +464,7 @@ def draw_modes(
                 (mesh.boundary, 0.0, COLOURS["grey"], 1),
                 (mesh.boundary, moved, "black", 2),
             ):
-                lines = mesh.lines(edges, displacement, height=1e-3 * width * mesh.size)
+                lines = edge_lines(mesh, edges, displacement, height=1e-3 * width * mesh.size)
                 plotter.add_mesh(lines, color=colour, line_width=width, lighting=False)
             plotter.add_text(
                 f"mode {number + 1}: {modes.omega[number] / (2.0 * np.pi):.1f} Hz",
