@@ -43,8 +43,8 @@ def main(output: Path = Path("output/breathing_plate")) -> dict[str, Any]:
     scene = scene.replace({"crack.length": length, "crack.first_omega": None})
     plate = fc.build_structure(scene)
     modes = fc.solve_modes(plate, 6)
-    write_modes(plate, modes, output / "modes.vtu")
-    draw_modes(plate, modes, output / "modes.png")
+    write_modes(modes, output / "modes.vtu")
+    draw_modes(modes, path=output / "modes.png")
 
     omega = scene.excitation.omega
     started = time.perf_counter()
@@ -69,8 +69,8 @@ def main(output: Path = Path("output/breathing_plate")) -> dict[str, Any]:
         material=scene.material,
     )
     at = f"{omega:g} rad/s, H = {solution.harmonics}"
-    draw_spectrum(output / "spectrum.png", solution, corner, title=f"Harmonics at {at}")
-    draw_orbits(output / "orbits.png", solution, corner, title=f"Phase planes at {at}")
+    draw_spectrum(solution, corner, path=output / "spectrum.png", title=f"Harmonics at {at}")
+    draw_orbits(solution, corner, path=output / "orbits.png", title=f"Phase planes at {at}")
     summary = {
         "n_dofs": plate.n_dofs,
         "n_pairs": plate.n_pairs,
@@ -87,19 +87,21 @@ def main(output: Path = Path("output/breathing_plate")) -> dict[str, Any]:
     }
     if comm.rank == 0:
         draw_waves(
-            output / "gap.png",
             [
                 Wave("mouth", t, gap[:, 0], "blue"),
                 Wave("middle of the crack", t, gap[:, plate.n_pairs // 2], "green", "--"),
                 Wave("nearest pair to the tip", t, gap[:, -1], "orange", "-."),
                 Wave("mouth, crack always open", t, linear.gap(t)[:, 0], "grey", ":"),
             ],
+            path=output / "gap.png",
             title=f"Breathing crack, {plate.n_pairs} pairs, H = {solution.harmonics}",
             quantity="closing of the lips",
             period=solution.period,
             zero="lips touch",
         )
-        draw_contact_map(output / "contact_map.png", solution)
+        draw_contact_map(
+            solution, path=output / "contact_map.png", title="Where and when the crack is closed"
+        )
         (output / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
         print(f"{plate.n_dofs} dofs, {plate.n_pairs} pairs, crack {1e3 * length:.2f} mm")
         print("natural frequencies:", "  ".join(f"{value:.1f}" for value in modes.omega), "rad/s")

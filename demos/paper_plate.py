@@ -62,7 +62,8 @@ def main(output: Path = Path("output/paper_plate"), *, periods: int = 500) -> di
     laws: dict[str, Any] = {"penalty, k = 1e11 N/m": fc.UnilateralPenalty(1e11)}
     for sharpness in (1e8, 1e9, SHARPNESS):
         laws[f"smoothed, s = {sharpness:.0e} 1/m"] = fc.SmoothedPenalty(1e11, sharpness)
-    draw_laws(output / "fig4_contact_laws.png", laws, np.linspace(-2e-8, 2e-8, 401))
+    closing = np.linspace(-2e-8, 2e-8, 401)
+    draw_laws(laws, closing, path=output / "fig4_contact_laws.png", title="Contact laws")
     (output / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
     return summary
 
@@ -72,8 +73,8 @@ def frequencies(
 ) -> dict[str, list[float]]:
     """Natural frequencies with the crack open, tied by k = 1e11 N/m, and absent; mode shapes."""
     modes = fc.solve_modes(plate, 6)
-    write_modes(plate, modes, output / "modes.vtu")
-    draw_modes(plate, modes, output / "modes.png")
+    write_modes(modes, output / "modes.vtu")
+    draw_modes(modes, path=output / "modes.png")
     found = {
         "open": modes.omega,
         "tied": fc.solve_modes(plate.tied(1e11), 6).omega,
@@ -203,18 +204,18 @@ def draw_case(
     zero = {"gap": "lips touch", "corner": None}
     shown = slice(-min(20, len(folded["gap"])) * history.steps_per_period, None)
     draw_waves(
-        output / "fig2_direct_integration.png",
         [Wave("central differences", history.time[shown], history.gap[shown, 0], "green")],
+        path=output / "fig2_direct_integration.png",
         title=f"Crack, the last periods of the direct integration ({case})",
         quantity=quantity["gap"],
         zero=zero["gap"],
     )
     draw_waves(
-        output / "fig3_linear.png",
         [
             Wave("crack: closing of the lips", t, waves["gap"][0], "orange"),
             Wave("force point: horizontal displacement", t, waves["corner"][0], "blue", "--"),
         ],
+        path=output / "fig3_linear.png",
         title="Linear solution: the lips pass through each other",
         quantity="displacement",
         period=period,
@@ -229,8 +230,8 @@ def draw_case(
         if whole is not None:
             curves.append(Wave("uncracked", t, whole, "pink", "-."))
         draw_waves(
-            output / f"fig{number}_nonlinear_{name}.png",
             curves,
+            path=output / f"fig{number}_nonlinear_{name}.png",
             title=f"{place}: nonlinear solution ({case})",
             quantity=quantity[name],
             period=period,
@@ -243,11 +244,11 @@ def draw_case(
         if count > 1:
             label += f": mean of {count} periods, band: ± standard deviation"
         draw_waves(
-            output / f"fig{number + 2}_comparison_{name}.png",
             [
                 Wave("harmonic balance", t, balanced, "blue"),
                 Wave(label, t, mean, "green", "--", deviation),
             ],
+            path=output / f"fig{number + 2}_comparison_{name}.png",
             title=f"{place}: both methods ({case})",
             quantity=quantity[name],
             period=period,

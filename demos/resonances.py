@@ -55,9 +55,9 @@ def main(output: Path = Path("output/resonances"), *, again: bool = False) -> fc
         title = f"{name.replace('_', ' ')}: load point, k = {STIFFNESS:.0e} N/m, xi = 0.01"
         dof = plate.find_dof(corner, "x")
         draw_curve(
-            output / f"{name}.png",
             curve,
             dof,
+            path=output / f"{name}.png",
             title=f"{title}, H = {harmonics}",
             behind={
                 "crack always open": linear_response(plate, corner),
@@ -65,10 +65,12 @@ def main(output: Path = Path("output/resonances"), *, again: bool = False) -> fc
             },
             points=points,
         )
-        draw_content(output / f"{name}_content.png", curve, dof, title=title)
+        draw_content(curve, dof, path=output / f"{name}_content.png", title=title)
         write(output / f"{name}.csv", curve, dof)
     draw_multipliers(
-        output / "multipliers.png", curves["paper_plate"], title="Floquet multipliers, paper plate"
+        curves["paper_plate"],
+        path=output / "multipliers.png",
+        title="Floquet multipliers, paper plate",
     )
     return curves["paper_plate"]
 

@@ -25,7 +25,7 @@ __all__ = ["FORMATS", "Described", "Table", "Tabular", "counted", "quantity", "r
 FORMATS = ("text", "csv", "json")
 SHOWN_ROWS = 40
 """More are left to the file."""
-NOTEBOOK_ROWS = 10
+NOTEBOOK_ROWS = 20
 """Likewise, in a notebook."""
 
 

@@ -278,7 +278,7 @@ def test_period_refuses(
 def test_modes_for_paraview(quadratic_plate: fc.Structure, tmp_path: Path) -> None:
     """One vector field a mode, named by its frequency, a tenth of the plate large."""
     modes = fc.solve_modes(quadratic_plate, 3)
-    write_modes(quadratic_plate, modes, tmp_path / "modes.vtu")
+    write_modes(modes, tmp_path / "modes.vtu")
     grid = pyvista.read(tmp_path / "modes.vtu")
     assert list(grid.point_data) == [
         f"mode {number}: {omega:.1f} rad/s" for number, omega in enumerate(modes.omega, 1)
@@ -311,7 +311,7 @@ def test_what_has_no_mesh_cannot_be_drawn(tmp_path: Path) -> None:
     """A structure from matrices has no positions: one clear error."""
     structure = fc.Structure.from_matrices(np.eye(2), np.eye(2), np.eye(2))
     with pytest.raises(fc.InputError, match="structure"):
-        write_modes(structure, fc.solve_modes(structure, 1), tmp_path / "modes.vtu")
+        write_modes(fc.solve_modes(structure, 1), tmp_path / "modes.vtu")
     solution = fc.solve_linear(structure, 0.5)
     with pytest.raises(fc.InputError, match="pairs"):
-        draw_contact_map(tmp_path / "map.png", solution)
+        draw_contact_map(solution)
