@@ -424,7 +424,7 @@ def sweep(scene: Scene, folder: Path, console: Console, comm: MPI.Comm) -> int:
     result = folder / "sweep.h5"
     with console.stage("sweep"):
         found = run_sweep(scene, result, comm, progress=console.progress)
-    table = Table(*found.table())
+    table = found.table()
     short = [*range(len(found.axes)), *(table.columns.index(name) for name in IN_SHORT)]
     shown = table.of_columns(short) if console.form == "text" else table
     code = _finish(folder, "sweep", shown, table, console, comm, summary=table)

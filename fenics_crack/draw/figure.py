@@ -117,14 +117,23 @@ def _power(value: float) -> str:
 
 
 def finish(axes: Axes, path: str | Path | None, title: str | None) -> Figure:
-    """Give a panel its title, grid and legend; save its figure where there is a path."""
+    """Give a panel its title, grid and legend; save its figure where there is a path.
+
+    The legend stands below the panel where the figure makes room for it (``layout="constrained"``),
+    else where it hides least.
+    """
     if title is not None:
         axes.set_title(title)
     axes.grid(alpha=0.3)
     handles, labels = axes.get_legend_handles_labels()
-    if labels:
-        named = dict(zip(labels, handles, strict=True))
-        axes.legend(list(named.values()), list(named), loc="best", fontsize=8, framealpha=0.9)
+    named = dict(zip(labels, handles, strict=True))
+    where: dict[str, Any] = {"loc": "best", "framealpha": 0.9}
+    if axes.figure.get_layout_engine() is not None:
+        columns = max(1, min(len(named), 95 // (max(map(len, named), default=0) + 8)))
+        below = {"bbox_to_anchor": (0.5, 0.0), "borderaxespad": 4.2}
+        where = {"loc": "upper center", "ncol": columns, "frameon": False, **below}
+    if named:
+        axes.legend(list(named.values()), list(named), fontsize=8, **where)
     return figure_of(axes, path)
 
 

@@ -101,11 +101,7 @@ def draw_waves(
             low, high = wave.values - wave.spread, wave.values + wave.spread
             panel.fill_between(time, low, high, color=colour, alpha=0.2, lw=0)
     if zero is not None:
-        panel.axhline(0.0, color=COLOURS["grey"], lw=0.8)
-        panel.annotate(
-            zero, (0.01, 0.0), (0, 3), xycoords=("axes fraction", "data"),
-            textcoords="offset points", color=COLOURS["grey"], fontsize=8,
-        )  # fmt: skip
+        panel.axhline(0.0, color=COLOURS["grey"], lw=0.8, label=zero)
     if period:
         panel.set_xlabel("time / load period")
     else:
@@ -131,7 +127,7 @@ def draw_laws(
     for (label, law), colour, style in styles:
         force = law.force(closing[:, None])[:, 0]
         panel.plot(closing, force, style, color=colour, label=label, lw=1.8)
-    label_axis(panel.xaxis, "closing g, penetration where g > 0", "m")
+    label_axis(panel.xaxis, "closing g (penetration where g > 0)", "m")
     label_axis(panel.yaxis, "contact force", "N")
     return finish(panel, path, title)
 
@@ -346,7 +342,7 @@ def draw_curve(
                 f"{order}$\\omega$", (at_omega, height), (0, 5), textcoords="offset points",
                 ha="center", fontsize=8, color=COLOURS["grey"],
             )  # fmt: skip
-    panel.set_xlabel(PARAMETERS[curve.parameter])
+    _label_parameter(panel, curve)
     panel.margins(y=0.1)
     label_axis(panel.yaxis, "half peak-to-peak displacement", "m")
     return finish(panel, path, title)
@@ -365,6 +361,14 @@ def _mark_bifurcations(axes: Axes, curve: ResponseCurve, dof: int) -> None:
                 [b.value for b in at], heights, marker, color=COLOURS["orange"], ms=size,
                 label=label,
             )  # fmt: skip
+
+
+def _label_parameter(axes: Axes, curve: ResponseCurve) -> None:
+    name, _, unit = PARAMETERS[curve.parameter].removesuffix("]").rpartition(" [")
+    if unit == "m":
+        label_axis(axes.xaxis, name, unit)
+    else:
+        axes.set_xlabel(PARAMETERS[curve.parameter])
 
 
 def _by_stability(curve: ResponseCurve, values: np.ndarray) -> list[tuple[str, str, np.ndarray]]:
@@ -426,7 +430,7 @@ def draw_content(
     for order, (values, colour) in enumerate(zip(shown, COLOURS.values(), strict=False), 1):
         panel.plot(curve.values, values, color=colour, lw=1.2, label=f"harmonic {order}")
     panel.set_ylim(1e-5 * shown.max(), 2.0 * shown.max())
-    panel.set_xlabel(PARAMETERS[curve.parameter])
+    _label_parameter(panel, curve)
     label_axis(panel.yaxis, "amplitude of the harmonic", "m")
     return finish(panel, path, title)
 

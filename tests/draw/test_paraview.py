@@ -294,15 +294,12 @@ def test_pictures(
     t = np.linspace(0.0, breathing.period, 100)
     gap = breathing.gap(t)[:, 0]
     wave = Wave("gap", t, gap, spread=0.1 * np.abs(gap))
-    draw_waves(
-        tmp_path / "waves.png", [wave], title="t", quantity="q", period=t[-1], zero="lips touch"
-    )
-    draw_laws(
-        tmp_path / "laws.png", {"penalty": fc.UnilateralPenalty(1e9)}, 1e-6 * (t / t[-1] - 0.5)
-    )
-    draw_contact_map(tmp_path / "map.png", breathing)
-    draw_response(tmp_path / "r.png", t, {"a": np.abs(gap)}, title="t", quantity="q")
-    draw_modes(quadratic_plate, fc.solve_modes(quadratic_plate, 6), tmp_path / "modes.png")
+    draw_waves([wave], quantity="q", path=tmp_path / "waves.png", period=t[-1], zero="lips touch")
+    laws = {"penalty": fc.UnilateralPenalty(1e9)}
+    draw_laws(laws, 1e-6 * (t / t[-1] - 0.5), path=tmp_path / "laws.png")
+    draw_contact_map(breathing, path=tmp_path / "map.png")
+    draw_response(t, {"a": np.abs(gap)}, quantity="q", path=tmp_path / "r.png")
+    draw_modes(fc.solve_modes(quadratic_plate, 6), path=tmp_path / "modes.png")
     for name in ("waves", "laws", "map", "r", "modes"):
         assert_drawn(tmp_path / f"{name}.png")
 
