@@ -17,10 +17,10 @@ from mpi4py import MPI
 
 from fenics_crack.cli import commands
 from fenics_crack.cli.commands import NOT_CONVERGED, Console
-from fenics_crack.table import FORMATS
 from fenics_crack.errors import ConvergenceError, InputError, check_count
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
+from fenics_crack.table import FORMATS
 from fenics_crack.version import VERSION
 
 __all__ = ["main", "parser"]

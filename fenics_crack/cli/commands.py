@@ -20,7 +20,6 @@ from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.harmonic_balance import check_memory
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.pictures import draw_run, draw_sweep
-from fenics_crack.table import Table
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw.plot import PARAMETERS
 from fenics_crack.errors import InputError
@@ -44,6 +43,7 @@ from fenics_crack.study.run import (
 from fenics_crack.sweep.file import KIND as SWEEP
 from fenics_crack.sweep.plan import Plan
 from fenics_crack.sweep.result import SweepResult, run_sweep
+from fenics_crack.table import Table
 from fenics_crack.time.march import TimeHistory
 
 __all__ = [

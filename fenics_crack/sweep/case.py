@@ -21,7 +21,7 @@ from fenics_crack.model.reduction import ReducedStructure
 from fenics_crack.model.structure import ModalDamping, Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stability.floquet import FEW_PAIRS, PiecewiseFlow, floquet
-from fenics_crack.study.prepare import law_of, prepare, with_crack_length
+from fenics_crack.study.prepare import law_of, prepare
 from fenics_crack.sweep.file import COLUMNS, CONVERGED, FAILED, STATUS_BYTES
 from fenics_crack.sweep.plan import FORCES, Chunk
 
@@ -98,18 +98,19 @@ def build(scene: Scene, comm: MPI.Comm, unit_loads: bool) -> tuple[Structure, fl
 
     With unit loads the sine part of its load is 1 N in x, the cosine part 1 N in y.
     """
-    scene = with_crack_length(scene, comm)
     if unit_loads:
         units = {"force_mean": (0.0, 0.0), "force_cos": (0.0, 1.0), "force_sin": (1.0, 0.0)}
         scene = scene.replace({f"excitation.{name}": value for name, value in units.items()})
-    structure = prepare(scene, comm)
-    if not is_small(structure):
+    study = prepare(scene, comm)
+    if not is_small(study.structure):
         method = "off" if scene.reduction is None else scene.reduction.method
         raise InputError(
-            "reduction.method", method, f"one that leaves fewer than {structure.n_dofs} coordinates"
+            "reduction.method",
+            method,
+            f"one that leaves fewer than {study.structure.n_dofs} coordinates",
         )
-    length = scene.crack.length if scene.crack is not None else None
-    return structure, np.nan if length is None else length
+    length = study.scene.crack.length if study.scene.crack is not None else None
+    return study.structure, np.nan if length is None else length
 
 
 class Geometry:
