@@ -21,14 +21,15 @@ from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.structure import ModalDamping, Structure
 from fenics_crack.parallel import gather_rows
+from fenics_crack.table import Tabular, counted
 
 __all__ = ["DampedModes", "Modes", "by_columns", "damped_modes", "largest_frequency", "solve_modes"]
 
 _CACHE: WeakKeyDictionary[Structure, DampedModes] = WeakKeyDictionary()
 
 
-@dataclass(frozen=True)
-class Modes:
+@dataclass(frozen=True, repr=False)
+class Modes(Tabular):
     """Natural frequencies and mode shapes.
 
     Attributes
@@ -47,6 +48,18 @@ class Modes:
     structure: Structure
 
     KIND: ClassVar[str] = "set of modes"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Columns, a row for every mode: its number, omega [rad/s] and frequency [Hz]."""
+        return {
+            "mode": list(range(1, len(self.omega) + 1)),
+            "omega": self.omega.tolist(),
+            "frequency": (self.omega / (2.0 * np.pi)).tolist(),
+        }
+
+    def _title(self) -> str:
+        span = " to ".join(f"{omega:.6g}" for omega in self.omega[[0, -1]])
+        return f"{counted(len(self.omega), 'mode')}, {span} rad/s, of {self.structure.n_dofs} dofs"
 
 
 def solve_modes(structure: Structure, count: int) -> Modes:

@@ -58,6 +58,7 @@ from fenics_crack.sweep.file import (
 )
 from fenics_crack.sweep.jobs import Manager, Worker, no_garbage_in_threads
 from fenics_crack.sweep.plan import Plan
+from fenics_crack.table import Tabular
 
 __all__ = ["SweepResult", "axis_name", "run_sweep"]
 
@@ -69,6 +70,9 @@ UNITS = {
     "excitation.force_mean": "N", "contact.stiffness": "N/m",
     "contact.stiffness_per_area": "N/m^3", "contact.sharpness": "1/m", "mesh.size": "m",
 }  # fmt: skip
+
+STATES = np.array(["pending", "converged", "failed"])
+"""Words for the numbers of the states."""
 
 
 def run_sweep(
@@ -170,8 +174,8 @@ def manage(manager: Manager, leaders: MPI.Comm, stop: StopRequest) -> None:
 # --- the result -----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class SweepResult:
+@dataclass(frozen=True, repr=False)
+class SweepResult(Tabular):
     """The table of a sweep; the waves are read from its file when they are asked for.
 
     Attributes
@@ -250,12 +254,10 @@ class SweepResult:
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
         """Names with units, and a row for every case in their order: for a CSV file."""
-        names = [axis_name(axis) for axis in self.axes]
-        names += ["state", *(_with_unit(name, unit) for name, (unit, _) in COLUMNS.items())]
-        words = np.array(["pending", "converged", "failed"])[self["state"]]
-        flat = [words.ravel().tolist(), *(self[name].ravel().tolist() for name in COLUMNS)]
-        values = itertools.product(*(axis.values for axis in self.axes))
-        return names, [[*at, *row] for at, row in zip(values, zip(*flat, strict=True), strict=True)]
+        columns = self.to_dict()
+        units = UNITS | {name: unit for name, (unit, _) in COLUMNS.items()}
+        names = [_with_unit(name, units.get(name, "")) for name in columns]
+        return names, [list(row) for row in zip(*columns.values(), strict=True)]
 
     def gap(self, index: tuple[int, ...] | int) -> np.ndarray:
         """Gap coefficients of a case that converged: (2H+1, n_pairs) [m].
@@ -334,6 +336,24 @@ class SweepResult:
         if not solved:
             raise InputError("index", index, f"that of a case that converged, of {self.shape}")
         return place
+
+    # --- shown ------------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, Any]:
+        """The values of the axes by their keys, then the columns: a row for every case."""
+        values = zip(*itertools.product(*(axis.values for axis in self.axes)), strict=True)
+        found = {axis.key: list(swept) for axis, swept in zip(self.axes, values, strict=True)}
+        found["state"] = STATES[self["state"]].ravel().tolist()
+        return found | {name: self[name].ravel().tolist() for name in COLUMNS}
+
+    def _title(self) -> str:
+        counts = zip(STATES, np.bincount(self["state"].ravel(), minlength=3), strict=True)
+        return ", ".join(
+            [
+                " x ".join(f"{len(axis.values)} {axis.key}" for axis in self.axes),
+                *(f"{count} {state}" for state, count in counts if count),
+            ]
+        )
 
 
 def axis_name(axis: Axis) -> str:
