@@ -20,9 +20,8 @@ import numpy as np
 
 from fenics_crack.errors import InputError
 
-__all__ = ["FORMATS", "Described", "Table", "Tabular", "counted", "quantity", "readable"]
+__all__ = ["Described", "Table", "Tabular", "counted", "quantity", "readable"]
 
-FORMATS = ("text", "csv", "json")
 SHOWN_ROWS = 40
 """More are left to the file."""
 NOTEBOOK_ROWS = 10

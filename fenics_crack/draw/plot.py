@@ -13,7 +13,7 @@ from scipy.signal import find_peaks
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.curves.curve import PARAMETERS, ResponseCurve
 from fenics_crack.draw.figure import COLOURS, finish, new_figure, off_screen_plotter, readable, save
 from fenics_crack.draw.nodal import edge_lines, moved_grid
 from fenics_crack.draw.plot_motion import draw_orbits, draw_spectrum
@@ -253,15 +253,6 @@ FARTHEST = 2.0
 """Modulus of the largest multiplier shown."""
 MISSING = "#b5b5b5"
 """Grey of cells without a value."""
-
-PARAMETERS = {
-    "omega": "load frequency [rad/s]",
-    "load": "load, as a multiple of the scene's [-]",
-    "stiffness": "contact stiffness, as a multiple of the scene's [-]",
-    "damping": "damping, as a multiple of the scene's [-]",
-    "clearance": "clearance added to the scene's [m]",
-}
-"""Names of what curves are followed over."""
 
 MARKERS = {
     "fold": ("v", "fold"),

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.harmonic_balance import solve_harmonic_balance, solve_linear
+from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.continuation import continue_frequency, continue_parameter
+from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
 from fenics_crack.files.results import Result, load
 from fenics_crack.files.store import kind_of, read_scene
@@ -27,6 +29,7 @@ from fenics_crack.time.central_differences import (
 )
 from fenics_crack.time.events import MOST_PAIRS, integrate_events
 from fenics_crack.time.implicit import integrate_implicit
+from fenics_crack.time.march import TimeHistory
 
 __all__ = ["Run", "find_modes", "follow_curve", "integrate", "load_run", "solve"]
 
@@ -35,9 +38,11 @@ FEW_DOFS = 100
 RECORDED_PERIODS = 4
 """Kept of a motion in time."""
 
+Found = TypeVar("Found", bound=Result, covariant=True)
+
 
 @dataclass(frozen=True)
-class Run(Study):
+class Run(Study, Generic[Found]):
     """What was found, with all that is needed to go on with it.
 
     Attributes
@@ -48,12 +53,7 @@ class Run(Study):
         What was found.
     """
 
-    result: Result
-
-    @classmethod
-    def of(cls, study: Study, result: Result) -> Run:
-        """What was found of a study."""
-        return cls(study.scene, study.structure, study.contact, result)
+    result: Found
 
     @property
     def watched_dof(self) -> int:
@@ -71,13 +71,13 @@ class Run(Study):
 # --- the commands ---------------------------------------------------------------------------------
 
 
-def find_modes(scene: Scene, count: int, comm: MPI.Comm = MPI.COMM_WORLD) -> Run:
+def find_modes(scene: Scene, count: int, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Modes]:
     """Lowest modes with the crack open (collective)."""
     study = prepare(scene, comm, whole=True)
-    return Run.of(study, solve_modes(study.structure, count))
+    return _run(study, solve_modes(study.structure, count))
 
 
-def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run:
+def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution]:
     """Steady vibration at ``excitation.omega``, with its stability where that can be judged.
 
     Collective. The solution may not have converged.
@@ -86,17 +86,19 @@ def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run:
     structure, law = study.structure, study.contact
     table, omega = scene.harmonic_balance, scene.excitation.omega
     if law is None:
-        return Run.of(study, solve_linear(structure, omega, harmonics=table.harmonics))
+        return _run(study, solve_linear(structure, omega, harmonics=table.harmonics))
     solution = solve_harmonic_balance(
         structure, omega, law, harmonics=table.harmonics, samples=table.samples, throw=False
     )
     quick = is_piecewise_linear(law) or structure.n_dofs <= FEW_DOFS
     if solution.converged and quick and is_small(structure) and not is_rigid(law):
         solution = replace(solution, stability=floquet(structure, solution))
-    return Run.of(study, solution)
+    return _run(study, solution)
 
 
-def follow_curve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: bool = False) -> Run:
+def follow_curve(
+    scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: bool = False
+) -> Run[ResponseCurve]:
     """Response curve of the table ``[curve]`` (collective); it may end early."""
     table, balance = scene.curve, scene.harmonic_balance
     if table is None:
@@ -119,10 +121,12 @@ def follow_curve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: boo
         curve = continue_parameter(
             structure, omega, law, table.parameter, table.start, table.stop, **options
         )
-    return Run.of(study, curve)
+    return _run(study, curve)
 
 
-def integrate(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: bool = False) -> Run:
+def integrate(
+    scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: bool = False
+) -> Run[TimeHistory]:
     """Motion in time from rest by the table ``[integration]`` (collective)."""
     table = scene.integration or Integration()
     if comm.size > 1 and scene.reduction is not None and scene.reduction.method == "off":
@@ -154,7 +158,11 @@ def integrate(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: bool =
         history = integrate_central_difference(
             structure, omega, law, steps_per_period=steps, **options
         )
-    return Run.of(study, history)
+    return _run(study, history)
+
+
+def _run(study: Study, result: Found) -> Run[Found]:  # type: ignore[misc]
+    return Run(study.scene, study.structure, study.contact, result)
 
 
 def _needed_law(study: Study) -> ContactLaw:
@@ -163,7 +171,7 @@ def _needed_law(study: Study) -> ContactLaw:
     return study.contact
 
 
-def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run:
+def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
     """Read the result of a command with all that belongs to it (collective).
 
     The structure is built anew from the scene in the file; what was found is only read. With a
@@ -179,4 +187,4 @@ def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run:
     if scene is None:
         raise InputError("path", str(path), f"a {kind} saved with its scene")
     study = prepare(scene, comm, whole=kind == Modes.KIND)
-    return Run.of(study, load(path, study.structure, study.contact))
+    return _run(study, load(path, study.structure, study.contact))

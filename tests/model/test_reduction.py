@@ -400,12 +400,15 @@ def test_all_modes_damped_whatever_the_mesh() -> None:
     )
     assert scene.contact is not None and scene.damping.modes == "all"
     solutions = []
-    for structure in (fc.prepare(scene), fc.prepare(scene.replace({"reduction.method": "off"}))):
-        law = fc.contact_law(scene.contact, structure)
-        solutions.append(fc.solve_harmonic_balance(structure, 2000.0, law, harmonics=9))
+    for study in (fc.prepare(scene), fc.prepare(scene.replace({"reduction.method": "off"}))):
+        assert study.contact is not None
+        solutions.append(
+            fc.solve_harmonic_balance(study.structure, 2000.0, study.contact, harmonics=9)
+        )
     reduced, whole = (solution.gap_coefficients for solution in solutions)
     difference = np.linalg.norm(reduced - whole) / np.linalg.norm(whole)
     assert solutions[0].structure.n_dofs < solutions[1].structure.n_dofs == 86
     assert difference < 3.0 * solutions[0].report.reduction < 1e-3
-    fine = fc.prepare(scene.replace({"mesh.size": 0.004, "mesh.order": 2}))  # else minutes
+    finer = scene.replace({"mesh.size": 0.004, "mesh.order": 2})
+    fine = fc.prepare(finer).structure  # else minutes
     assert fine.whole.n_dofs > 4000 and fine.n_dofs < 50

@@ -52,7 +52,7 @@ def by_hand(scene: fc.Scene, values: Over) -> tuple[fc.Structure, fc.PeriodicSol
     """One case on its own."""
     case = scene.replace({"sweep": None}).replace(dict(values))
     assert case.contact is not None
-    plate = prepare(case, MPI.COMM_SELF)
+    plate = prepare(case, MPI.COMM_SELF).structure
     solution = fc.solve_harmonic_balance(
         plate,
         case.excitation.omega,
@@ -188,7 +188,7 @@ def test_without_a_crack(paper_scene: fc.Scene, tmp_path: Path) -> None:
     base = paper_scene.replace({"crack": None, "contact": None, "damping.ratio": 0.01})
     scene = swept(base, {"excitation.omega": [2000.0, 3000.0]}, {})
     result = run_sweep(scene, tmp_path / "sweep.h5")
-    plate = prepare(scene.replace({"sweep": None}))
+    plate = prepare(scene.replace({"sweep": None})).structure
     row = fc.solve_linear(plate, 3000.0).coefficients_at([plate.find_dof((0.1, 0.1), "x")])
     assert result["response"][1] == pytest.approx(np.hypot(*row[1:3, 0]), rel=1e-4)
     assert np.isnan(result["opening"]).all() and result.gap(0).shape[1] == 0
