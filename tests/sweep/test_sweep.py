@@ -395,6 +395,7 @@ def test_errors_reach_every_rank(paper_scene: fc.Scene, tmp_path: Path, mpirun: 
     output = mpirun(
         f"""
 import sys
+import time
 import fenics_crack as fc
 from fenics_crack.sweep import case as sweep_case, result as sweep
 from mpi4py import MPI
@@ -408,6 +409,7 @@ def broken(*given):
     calls.append(given)
     if comm.rank == 1 and len(calls) > 10:  # after its first chunk
         raise KeyError("unforeseen")
+    time.sleep(0.02 if comm.rank == 0 else 0.0)  # the other rank gets a second chunk
     return whole(*given)
 sweep_case._solve = broken
 try:
