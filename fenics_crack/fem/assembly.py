@@ -24,7 +24,8 @@ from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.fem import compat
 from fenics_crack.fem.plate import PlateMesh, build_mesh
 from fenics_crack.model.modes import solve_modes
-from fenics_crack.model.structure import ModalDamping, Nodes, Structure
+from fenics_crack.model.nodes import Nodes
+from fenics_crack.model.structure import ModalDamping, Structure
 from fenics_crack.parallel import collect_garbage, gather_rows
 from fenics_crack.scene.scene import Scene
 

@@ -15,15 +15,14 @@ from fenics_crack.model.contact import (
     UnilateralConstraint,
     UnilateralPenalty,
 )
-from fenics_crack.model.reduction import reduce_structure
-from fenics_crack.model.structure import ModalDamping, Structure
+from fenics_crack.model.reduction import MODES, reduce_structure
+from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Contact, Reduction, Scene
 
 __all__ = ["contact_law", "law_of", "prepare", "reduction_of", "with_crack_length"]
 
 FEW_DOFS = 100
 """So many need no reduction."""
-MODES = 50
 
 
 def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
@@ -46,11 +45,6 @@ def prepare(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     table = reduction_of(scene, structure)
     if table is None:
         return structure
-    if scene.damping.modes == "all" and isinstance(scene.damping.ratio, float):
-        # All that are kept: those of a large structure cannot be computed.
-        undamped = structure.damped(None)
-        reduced = reduce_structure(undamped, modes=table.modes, method=table.method)
-        return reduced.damped(ModalDamping(scene.damping.ratio))
     return reduce_structure(structure, modes=table.modes, method=table.method)
 
 

@@ -45,7 +45,7 @@ from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import law_of
-from fenics_crack.sweep.case import Geometry, build
+from fenics_crack.sweep.case import build
 from fenics_crack.sweep.file import (
     COLUMNS,
     CONVERGED,
@@ -288,8 +288,7 @@ class SweepResult:
         length = float(self["crack_length"][place])
         if case.crack is not None and case.crack.first_omega is not None:
             case = case.replace({"crack.length": length, "crack.first_omega": None})
-        structure, length = build(case, MPI.COMM_SELF, plan.unit_loads)
-        Geometry(structure, length, plan.unit_loads).set_case(case)
+        structure = build(case, MPI.COMM_SELF, plan.unit_loads).of_case(case)
         omega = case.excitation.omega
         law = law_of(case, structure)
         if law is None:
