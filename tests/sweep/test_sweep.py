@@ -527,7 +527,7 @@ def test_killed_while_the_file_is_made_and_written(paper_scene: fc.Scene, tmp_pa
     """A short sweep whose program does nothing but write, killed at many moments."""
     scene, path = swept(paper_scene, FAST), tmp_path / "sweep.h5"
     source = tmp_path / "writer.py"
-    source.write_text(program(scene, path).split("result")[0] + WRITER.format(path=str(path)))
+    source.write_text(program(scene, path).split("result =")[0] + WRITER.format(path=str(path)))
     package = Path(fc.__file__).parents[1]
     search = os.pathsep.join(filter(None, [str(package), os.environ.get("PYTHONPATH", "")]))
     random = np.random.default_rng(3)
