@@ -225,7 +225,7 @@ def _ratio_of_all(structure: Structure) -> float | None:
     raise InputError(
         "damping ratio",
         f"{len(damping.ratio)} ratios for all {structure.n_dofs} modes",
-        f"one, or as many as damping modes, where there are more than {SMALL} dofs",
+        f"one ratio, or ratios of the lowest damping.modes, as there are more than {SMALL} dofs",
     )
 
 
