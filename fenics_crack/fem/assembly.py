@@ -22,7 +22,8 @@ from scipy.spatial import cKDTree
 from fenics_crack.errors import InputError
 from fenics_crack.fem import compat
 from fenics_crack.fem.plate import PlateMesh, build_mesh
-from fenics_crack.model.structure import ModalDamping, Nodes, Structure
+from fenics_crack.model.nodes import Nodes
+from fenics_crack.model.structure import ModalDamping, Structure
 from fenics_crack.parallel import collect_garbage, gather_rows
 from fenics_crack.scene.scene import Scene
 

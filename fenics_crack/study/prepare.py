@@ -16,15 +16,14 @@ from fenics_crack.model.contact import (
     UnilateralConstraint,
     UnilateralPenalty,
 )
-from fenics_crack.model.reduction import reduce_structure
-from fenics_crack.model.structure import ModalDamping, Structure
+from fenics_crack.model.reduction import MODES, reduce_structure
+from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Contact, Reduction, Scene
 
 __all__ = ["Study", "contact_law", "law_of", "prepare", "reduction_of"]
 
 FEW_DOFS = 100
 """So many need no reduction."""
-MODES = 50
 
 
 @dataclass(frozen=True)
@@ -70,11 +69,6 @@ def prepare(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, whole: bool = Fals
     if table is None:
         return Study(scene, structure, law)
     settled = scene.replace({f"reduction.{name}": value for name, value in asdict(table).items()})
-    if scene.damping.modes == "all" and isinstance(scene.damping.ratio, float):
-        # All that are kept: those of a large structure cannot be computed.
-        undamped = structure.damped(None)
-        reduced = reduce_structure(undamped, modes=table.modes, method=table.method)
-        return Study(settled, reduced.damped(ModalDamping(scene.damping.ratio)), law)
     return Study(settled, reduce_structure(structure, modes=table.modes, method=table.method), law)
 
 

@@ -168,6 +168,32 @@ def test_force_clearance_and_law_are_swept_without_a_new_geometry(
                       - again.gap_coefficients[1:]).max() < 1e-9 * np.abs(gap).max()  # fmt: skip
 
 
+@pytest.mark.parametrize("reduction", ["off", "free_interface"])
+def test_a_case_leaves_the_solution_of_another_alone(paper_scene: fc.Scene, reduction: str) -> None:
+    """Each has a structure of its own, with its load and clearance, also where it has travelled."""
+    given = [(100.0, 0.0), (30.0, -1e-7)]
+    cases = [
+        paper_scene.replace(SOFT | {"reduction.method": reduction}).replace(
+            {"excitation.force_sin": (load, 0.0), "crack.clearance": clearance}
+        )
+        for load, clearance in given
+    ]
+    built = sweep_case.build(cases[1], MPI.COMM_SELF, True)
+    arrays = sweep_case.Arrays.of(built.structure, built.crack_length)
+    for geometry in (built, dataclasses.replace(built, structure=arrays.structure())):
+        found = [sweep_case._solve(geometry.of_case(case), case, None) for case in cases]
+        for solution, (load, clearance) in zip(found, given, strict=True):
+            structure = solution.structure
+            assert structure.original is geometry.structure
+            for part in (structure, structure.whole, getattr(structure, "reference", structure)):
+                assert np.all(part.clearance == clearance)
+                np.testing.assert_allclose(part.force[2], load * part.original.force[2])
+            expected = fc.solve_harmonic_balance(
+                structure, solution.omega, solution.contact, harmonics=solution.harmonics
+            )
+            np.testing.assert_array_equal(solution.gap_coefficients, expected.gap_coefficients)
+
+
 def test_constraint(paper_scene: fc.Scene, tmp_path: Path) -> None:
     """No law of the gap: no verdict; the solution knows its weight."""
     changes = {"damping.ratio": 0.01, "contact.stiffness": None, "contact.law": "constraint"}
@@ -529,7 +555,7 @@ def test_killed_while_the_file_is_made_and_written(paper_scene: fc.Scene, tmp_pa
     """A short sweep whose program does nothing but write, killed at many moments."""
     scene, path = swept(paper_scene, FAST), tmp_path / "sweep.h5"
     source = tmp_path / "writer.py"
-    source.write_text(program(scene, path).split("result")[0] + WRITER.format(path=str(path)))
+    source.write_text(program(scene, path).split("result =")[0] + WRITER.format(path=str(path)))
     package = Path(fc.__file__).parents[1]
     search = os.pathsep.join(filter(None, [str(package), os.environ.get("PYTHONPATH", "")]))
     random = np.random.default_rng(3)
