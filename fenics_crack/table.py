@@ -21,7 +21,6 @@ import numpy as np
 from fenics_crack.errors import InputError
 
 __all__ = [
-    "FORMATS",
     "Described",
     "Table",
     "Tabular",
@@ -31,7 +30,6 @@ __all__ = [
     "with_unit",
 ]
 
-FORMATS = ("text", "csv", "json")
 SHOWN_ROWS = 40
 """More are left to the file."""
 NOTEBOOK_ROWS = 20

@@ -21,7 +21,16 @@ from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.table import Described, Tabular, counted
 
-__all__ = ["Bifurcation", "ResponseCurve", "expand_gap"]
+__all__ = ["PARAMETERS", "Bifurcation", "ResponseCurve", "expand_gap"]
+
+PARAMETERS = {
+    "omega": "load frequency [rad/s]",
+    "load": "load, as a multiple of the scene's [-]",
+    "stiffness": "contact stiffness, as a multiple of the scene's [-]",
+    "damping": "damping, as a multiple of the scene's [-]",
+    "clearance": "clearance added to the scene's [m]",
+}
+"""What a curve may be followed in, by its name in :attr:`ResponseCurve.parameter`."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -17,7 +17,7 @@ from scipy.signal import find_peaks
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.curves.curve import PARAMETERS, ResponseCurve
 from fenics_crack.draw.figure import COLOURS, figure_of, finish, label_axis, make_axes
 from fenics_crack.errors import InputError
 from fenics_crack.fem.nodal_mesh import NodalMesh
@@ -27,7 +27,6 @@ from fenics_crack.stability.floquet import PiecewiseFlow
 from fenics_crack.table import readable
 
 __all__ = [
-    "PARAMETERS",
     "Wave",
     "draw_contact_map",
     "draw_content",
@@ -272,15 +271,6 @@ FARTHEST = 2.0
 """Modulus of the largest multiplier shown."""
 MISSING, OPEN = "#b5b5b5", "#e8e8e8"
 """Greys of cells without a value, and of an open crack."""
-
-PARAMETERS = {
-    "omega": "load frequency [rad/s]",
-    "load": "load, as a multiple of the scene's [-]",
-    "stiffness": "contact stiffness, as a multiple of the scene's [-]",
-    "damping": "damping, as a multiple of the scene's [-]",
-    "clearance": "clearance added to the scene's [m]",
-}
-"""Names of what curves are followed over."""
 
 MARKERS = {
     "fold": ("v", "fold"),

@@ -40,12 +40,12 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import InputError
 from fenics_crack.files.results import check_gap, check_pairs
 from fenics_crack.files.store import read_scene
-from fenics_crack.model.contact import UnilateralConstraint
+from fenics_crack.model.contact import UnilateralConstraint, is_rigid
 from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import law_of
-from fenics_crack.sweep.case import Geometry, build
+from fenics_crack.sweep.case import build
 from fenics_crack.sweep.file import (
     COLUMNS,
     CONVERGED,
@@ -283,8 +283,7 @@ class SweepResult(Tabular):
         length = float(self["crack_length"][place])
         if case.crack is not None and case.crack.first_omega is not None:
             case = case.replace({"crack.length": length, "crack.first_omega": None})
-        structure, length = build(case, MPI.COMM_SELF, plan.unit_loads)
-        Geometry(structure, length, plan.unit_loads).set_case(case)
+        structure = build(case, MPI.COMM_SELF, plan.unit_loads).of_case(case)
         omega = case.excitation.omega
         law = law_of(case, structure)
         if law is None:
@@ -292,7 +291,7 @@ class SweepResult(Tabular):
         gap, force = read_waves(self.path, place)
         check_pairs(structure, gap)
         compliance = dynamic_compliance(structure, omega, len(gap) // 2)
-        if isinstance(law, UnilateralConstraint):
+        if is_rigid(law):
             law = UnilateralConstraint(default_weight(compliance))
         found = {name: float(self[name][place]) for name in COLUMNS if self[name].dtype.kind == "f"}
         displacement = compliance.displacement(force)
