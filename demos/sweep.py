@@ -14,7 +14,6 @@ import numpy as np
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.draw.plot import draw_map, draw_response
 
 SCENE = Path(__file__).with_name("sweep.toml")
 
@@ -26,7 +25,7 @@ def main(output: Path = Path("output/sweep"), scene: fc.Scene | None = None) -> 
         return result
     result.to_csv(output / "table.csv")
     lengths, omega = (np.array(axis.values) for axis in result.axes)
-    draw_response(
+    fc.draw_response(
         omega,
         {f"crack of {1e3 * lengths[i]:.0f} mm": result["response"][i]
          for i in (0, len(lengths) // 2, len(lengths) - 1)},
@@ -34,7 +33,7 @@ def main(output: Path = Path("output/sweep"), scene: fc.Scene | None = None) -> 
         path=output / "response.png",
         title="Force point of a plate with a breathing crack",
     )  # fmt: skip
-    draw_map(
+    fc.draw_map(
         omega,
         1e3 * lengths,
         1e6 * np.where(result.converged, result["response"], np.nan),

@@ -1,5 +1,6 @@
 """Pictures by matplotlib: on axes that are given or new, in SI units, without pyplot and VTK."""
 
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -12,19 +13,6 @@ from helpers import DEMOS, two_masses
 from matplotlib.figure import Figure
 
 import fenics_crack as fc
-from fenics_crack.draw.plot import (
-    Wave,
-    draw_contact_map,
-    draw_content,
-    draw_curve,
-    draw_laws,
-    draw_map,
-    draw_modes,
-    draw_multipliers,
-    draw_response,
-    draw_waves,
-)
-from fenics_crack.draw.plot_motion import draw_orbits, draw_spectrum
 
 LAW = fc.UnilateralPenalty(1e9)
 X = np.linspace(1.0, 2.0, 5)
@@ -52,29 +40,29 @@ def results(plate: fc.Structure) -> dict[str, Any]:
     }
 
 
-def wave(size: float) -> Wave:
+def wave(size: float) -> fc.Wave:
     """A sine [m] over 2 ms."""
     time = np.linspace(0.0, 2e-3, 101)
-    return Wave(f"{size:g}", time, size * np.sin(1e3 * np.pi * time))
+    return fc.Wave(f"{size:g}", time, size * np.sin(1e3 * np.pi * time))
 
 
 DRAWN: dict[str, tuple[int, Callable[..., Figure]]] = {
-    "waves": (1, lambda of, **how: draw_waves([wave(1e-6)], quantity="q", zero="zero", **how)),
-    "laws": (1, lambda of, **how: draw_laws({"penalty": LAW}, X, **how)),
-    "contact map": (1, lambda of, **how: draw_contact_map(of["solution"], **how)),
-    "response": (1, lambda of, **how: draw_response(X, {"a": X}, quantity="q", **how)),
+    "waves": (1, lambda of, **how: fc.draw_waves([wave(1e-6)], quantity="q", zero="zero", **how)),
+    "laws": (1, lambda of, **how: fc.draw_laws({"penalty": LAW}, X, **how)),
+    "contact map": (1, lambda of, **how: fc.draw_contact_map(of["solution"], **how)),
+    "response": (1, lambda of, **how: fc.draw_response(X, {"a": X}, quantity="q", **how)),
     "map": (
         1,
-        lambda of, **how: draw_map(
+        lambda of, **how: fc.draw_map(
             X, X, np.outer(X, X), x_label="x", y_label="y", value_label="v", **how
         ),
     ),
-    "curve": (1, lambda of, **how: draw_curve(of["curve"], 1, **how)),
-    "content": (1, lambda of, **how: draw_content(of["curve"], 1, **how)),
-    "multipliers": (1, lambda of, **how: draw_multipliers(of["curve"], points=5, **how)),
-    "spectrum": (2, lambda of, **how: draw_spectrum(of["solution"], **how)),
-    "orbits": (2, lambda of, **how: draw_orbits(of["solution"], 5, **how)),
-    "modes": (2, lambda of, **how: draw_modes(of["modes"], numbers=[1, 3], **how)),
+    "curve": (1, lambda of, **how: fc.draw_curve(of["curve"], 1, **how)),
+    "content": (1, lambda of, **how: fc.draw_content(of["curve"], 1, **how)),
+    "multipliers": (1, lambda of, **how: fc.draw_multipliers(of["curve"], points=5, **how)),
+    "spectrum": (2, lambda of, **how: fc.draw_spectrum(of["solution"], **how)),
+    "orbits": (2, lambda of, **how: fc.draw_orbits(of["solution"], 5, **how)),
+    "modes": (2, lambda of, **how: fc.draw_modes(of["modes"], numbers=[1, 3], **how)),
 }
 
 
@@ -118,7 +106,7 @@ def test_numbers_are_si_and_read_well() -> None:
     """A second curve on the same axes is drawn to the same scale; the unit follows the larger."""
     axes = Figure(layout="constrained").subplots()
     for size, unit, shown in ((2e-9, "nm", "1"), (2e-6, "µm", "0.001")):
-        draw_waves([wave(size)], quantity="closing", axes=axes)
+        fc.draw_waves([wave(size)], quantity="closing", axes=axes)
         assert axes.get_ylabel() == f"closing [{unit}]" and axes.get_xlabel() == "time [ms]"
         assert axes.yaxis.get_major_formatter()(1e-9) == shown
         assert axes.lines[-1].get_ydata().max() == pytest.approx(size)
@@ -132,7 +120,7 @@ def test_curves_are_told_apart(results: dict[str, Any]) -> None:
     curve = results["curve"]
     axes = Figure().subplots()
     for label, colour in (("first", "blue"), ("second", "green")):
-        draw_curve(curve, 1, axes=axes, label=label, colour=colour)
+        fc.draw_curve(curve, 1, axes=axes, label=label, colour=colour)
     words = [text.get_text() for text in axes.get_legend().get_texts()]
     assert len(words) == len(set(words))
     assert {word.split(",")[0] for word in words} >= {"first", "second"}
@@ -143,7 +131,7 @@ def test_mode_shapes_that_are_not_there(results: dict[str, Any]) -> None:
     """Their numbers begin at 1."""
     for numbers in ([], [0], [5]):
         with pytest.raises(fc.InputError, match="numbers"):
-            draw_modes(results["modes"], numbers=numbers)
+            fc.draw_modes(results["modes"], numbers=numbers)
 
 
 def test_neither_pyplot_nor_vtk_is_needed() -> None:
@@ -151,14 +139,20 @@ def test_neither_pyplot_nor_vtk_is_needed() -> None:
     program = f"""
 import sys
 import fenics_crack as fc
-from fenics_crack.draw.plot import draw_modes
-from fenics_crack.draw.plot_motion import draw_spectrum
 plate = fc.build_structure(fc.Scene.load({str(DEMOS / "paper_plate.toml")!r}))
-draw_modes(fc.solve_modes(plate, 2))
-draw_spectrum(fc.solve_linear(plate, 2000.0))
+fc.draw_modes(fc.solve_modes(plate, 2))
+fc.draw_spectrum(fc.solve_linear(plate, 2000.0))
 print([name for name in ("matplotlib.pyplot", "pyvista", "vtkmodules") if name in sys.modules])
 """
     run = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
     assert run.stdout.strip() == "[]"
+
+
+def test_only_this_folder_draws() -> None:
+    """No other one imports what pictures are made with."""
+    package = DEMOS.parent / "fenics_crack"
+    made_with = re.compile(r"^\s*(?:import|from) (matplotlib|pyvista|PIL|vtk)", re.M)
+    users = {path for path in package.rglob("*.py") if made_with.search(path.read_text())}
+    assert users and {path.parent for path in users} == {package / "draw"}
