@@ -1,4 +1,8 @@
-"""What one rank does for all, and how an error on one rank reaches every rank."""
+"""What one rank does for all, and how an error on one rank reaches every rank.
+
+MPI is imported here before PETSc, which would start it for one thread only. Every folder that uses
+PETSc imports this module first.
+"""
 
 from __future__ import annotations
 

@@ -66,15 +66,20 @@ def chain_stiffness(springs: np.ndarray) -> np.ndarray:
 
 
 def chain(
-    damping: str = "modal", n: int = 10, pairs: int = 3, seed: int = 1, *, loose: bool = False
+    damping: str = "modal",
+    n: int = 10,
+    pairs: int = 3,
+    seed: int = 1,
+    *,
+    unconstrained: bool = False,
 ) -> fc.Structure:
     """A random chain with loads in both phases and clearances of both signs.
 
-    It has a mean load too, unless it is loose: not fixed at its ends.
+    It has a mean load too, unless it is unconstrained: not fixed at its ends.
     """
     rng = np.random.default_rng(seed)
     springs = rng.uniform(1.0, 3.0, n + 1)
-    if loose:
+    if unconstrained:
         springs[[0, -1]] = 0.0
     stiffness = chain_stiffness(springs)
     gap = np.zeros((n, pairs))
@@ -93,7 +98,7 @@ def chain(
         gap,
         force_sin=rng.normal(size=n),
         force_cos=rng.normal(size=n),
-        force_mean=None if loose else 0.3 * rng.normal(size=n),
+        force_mean=None if unconstrained else 0.3 * rng.normal(size=n),
         clearance=np.linspace(-0.3, 0.3, pairs),
         damping=kinds[damping],
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -14,12 +14,13 @@ from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.problem import Problem
 from fenics_crack.model.contact import ContactLaw, force_in_time
 from fenics_crack.model.structure import Structure
+from fenics_crack.table import Described, counted, quantity
 
 __all__ = ["PeriodicSolution", "Stability", "solution_of"]
 
 
-@dataclass(frozen=True)
-class Stability:
+@dataclass(frozen=True, repr=False)
+class Stability(Described):
     """Floquet multipliers and what follows from them.
 
     Attributes
@@ -41,9 +42,27 @@ class Stability:
     uncertainty: float
     refined: bool = False
 
+    def to_dict(self) -> dict[str, Any]:
+        """The verdict, and the multiplier of largest modulus."""
+        largest = complex(self.multipliers[0])
+        return {
+            "verdict": self.verdict,
+            "modulus": abs(largest),
+            "real": largest.real,
+            "imaginary": largest.imag,
+            "uncertainty": float(self.uncertainty),
+            "refined": self.refined,
+        }
 
-@dataclass(frozen=True)
-class PeriodicSolution:
+    def _title(self) -> str:
+        return (
+            f"{self.verdict}, largest multiplier {abs(self.multipliers[0]):.6g} "
+            f"of {len(self.multipliers)}, uncertainty {self.uncertainty:.2g}"
+        )
+
+
+@dataclass(frozen=True, repr=False)
+class PeriodicSolution(Described):
     """Steady vibration u(t) = a0 + sum_k a_k cos(k w t) + b_k sin(k w t), w = omega / subharmonic.
 
     Attributes
@@ -133,7 +152,48 @@ class PeriodicSolution:
         rows = self.structure.expand(self.displacement_coefficients)
         return evaluate(rows, self.base_omega, time)
 
-    # --- on disk ----------------------------------------------------------------------------------
+    # --- shown ------------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, Any]:
+        """Frequency, extremes of the gap [m] of all pairs, errors, and how it was found."""
+        gap = self.gap(np.linspace(0.0, self.period, 1024, endpoint=False))
+        found: dict[str, Any] = {
+            "omega": float(self.omega),
+            "harmonics": self.harmonics,
+            "subharmonic": self.subharmonic,
+            "pairs": gap.shape[1],
+            "opening": float(max(0.0, -gap.min(initial=0.0))),
+            "penetration": float(gap.max(initial=0.0)),
+        }
+        found |= {f"{name}_error": value for name, value in self.report.to_dict().items()}
+        found["penetration_share"] = found.pop("penetration_error")
+        if self.stability is not None:
+            found |= {
+                "verdict": self.stability.verdict,
+                "multiplier": float(abs(self.stability.multipliers[0])),
+            }
+        found |= {
+            "converged": self.converged,
+            "iterations": int(self.iterations),
+            "status": str(self.status),
+        }
+        return found
+
+    def _title(self) -> str:
+        found = self.to_dict()
+        parts = [f"{self.omega:.6g} rad/s", f"H = {self.harmonics}"]
+        if self.subharmonic > 1:
+            parts.append(f"period of {self.subharmonic} loads")
+        parts.append(counted(found["pairs"], "pair"))
+        if found["pairs"]:
+            parts.append(f"opening {quantity(found['opening'], 'm')}")
+        if self.contact is None:
+            parts.append("linear")
+        elif not np.isnan(self.report.total):
+            parts.append(f"error {self.report.total:.2g}")
+        if self.stability is not None:
+            parts.append(self.stability.verdict)
+        return ", ".join([*parts, "converged" if self.converged else "NOT CONVERGED"])
 
 
 def solution_of(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import logging
 import os
 import signal
 import sys
@@ -13,19 +12,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from mpi4py import MPI
-
-from fenics_crack.cli import commands
-from fenics_crack.cli.commands import NOT_CONVERGED, Console
-from fenics_crack.cli.report import FORMATS
 from fenics_crack.errors import ConvergenceError, InputError, check_count
-from fenics_crack.parallel import on_root
-from fenics_crack.scene.scene import Scene
 from fenics_crack.version import VERSION
 
 __all__ = ["main", "parser"]
 
-BAD_INPUT, BROKEN, INTERRUPTED, READER_GONE = 2, 1, 130, 141
+FORMATS = ("text", "csv", "json")
+BROKEN, BAD_INPUT, NOT_CONVERGED, INTERRUPTED, READER_GONE = 1, 2, 3, 130, 141
+"""Exit codes, beside that of a command."""
+LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
+"""Variables by which mpirun tells a process its rank, before MPI is there."""
 KEYS = {
     "contact stiffness": "contact.stiffness",
     "count": "--count",
@@ -60,13 +56,10 @@ found, if anything, is in the files); 130 stopped by Ctrl-C; 1 a fault of the pr
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return the exit code; the same on every rank."""
-    comm = MPI.COMM_WORLD
-    logging.disable(logging.INFO)  # what compilers of forms say
-    signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # else PETSc ends the program when a reader goes
-    if comm.rank > 0:  # only rank 0 speaks; faults of the program go to the true standard error
-        sys.stdout = sys.stderr = open(os.devnull, "w")
+    if any(os.environ.get(name, "0") != "0" for name in LAUNCHERS):
+        _be_silent()
     try:
-        return _run(parser().parse_args(arguments), comm)
+        return _run(parser().parse_args(arguments))
     except InputError as error:
         named = InputError(KEYS.get(error.key, error.key), error.value, error.allowed)
         print(f"fenics-crack: {named}", file=sys.stderr)
@@ -82,36 +75,62 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return READER_GONE
     except Exception:
         traceback.print_exc(file=sys.__stderr__)
-        if comm.size > 1:  # the others wait for this rank
-            comm.Abort(BROKEN)
+        _end_other_ranks()
         return BROKEN
 
 
-def _run(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
-    console = Console(arguments.format, arguments.quiet, arguments.verbose)
-    command = arguments.command
-    if command == "new":
-        return commands.new(arguments.scene, console, comm)
-    if command == "plot":
-        folder = arguments.output or arguments.result.parent
-        commands.make_writable(folder, comm)
-        return commands.plot(arguments.result, folder, arguments.show, console, comm)
-    changes = _changes(arguments.set)
-    scene = on_root(comm, lambda: Scene.load(arguments.scene).replace(changes))
-    if command == "check":
-        return commands.check(scene, console, comm)
-    folder = arguments.output or Path("output") / arguments.scene.stem
-    commands.make_writable(folder, comm)
-    if command == "modes":
-        check_count("--count", arguments.count, 1)
-        return commands.modes(scene, arguments.count, folder, console, comm)
+def _be_silent() -> None:
+    """Only rank 0 speaks; faults of the program go to the true standard error."""
+    sys.stdout = sys.stderr = open(os.devnull, "w")
+
+
+def _end_other_ranks() -> None:
+    """They wait for this one."""
+    from mpi4py import MPI
+
+    if MPI.COMM_WORLD.size > 1:
+        MPI.COMM_WORLD.Abort(BROKEN)
+
+
+def _run(given: argparse.Namespace) -> int:
+    """Import what a command needs, and call it."""
+    import logging
+
+    from mpi4py import MPI
+
+    from fenics_crack.cli import commands, scenes
+    from fenics_crack.cli.console import Console, make_writable
+    from fenics_crack.parallel import on_root
+    from fenics_crack.scene.scene import Scene
+
+    comm = MPI.COMM_WORLD
+    if comm.rank > 0:
+        _be_silent()
+    logging.disable(logging.INFO)  # what compilers of forms say
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # else PETSc ends the program when a reader goes
+    console = Console(comm, given.format, given.quiet, given.verbose)
+    if given.command == "new":
+        return scenes.new(given.scene, console)
+    if given.command == "plot":
+        folder = given.output or given.result.parent
+        make_writable(folder, comm)
+        return commands.plot(given.result, folder, console, show=given.show)
+    changes = _changes(given.set)
+    scene = on_root(comm, lambda: Scene.load(given.scene).replace(changes))
+    if given.command == "check":
+        return scenes.check(scene, console)
+    folder = given.output or Path("output") / given.scene.stem
+    make_writable(folder, comm)
+    if given.command == "modes":
+        check_count("--count", given.count, 1)
+        return commands.modes(scene, given.count, folder, console)
     work = {
         "solve": commands.solution,
         "curve": commands.curve,
         "integrate": commands.integration,
         "sweep": commands.sweep,
-    }[command]
-    return work(scene, folder, console, comm)
+    }[given.command]
+    return work(scene, folder, console)
 
 
 def _changes(given: Sequence[str]) -> dict[str, Any]:

@@ -24,12 +24,14 @@ from PIL import Image
 from vtkmodules.vtkInteractionWidgets import vtkSliderRepresentation2D, vtkSliderWidget
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.draw.figure import COLOURS, off_screen_plotter, readable
+from fenics_crack.draw.figure import COLOURS
+from fenics_crack.draw.nodal import edge_lines, moved_grid, off_screen_plotter
 from fenics_crack.draw.paraview import PeriodFields
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import make_folder
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Material
+from fenics_crack.table import readable
 
 __all__ = ["animate_period", "show_period"]
 
@@ -144,7 +146,7 @@ class _Plate:
         mesh = fields.mesh
         self.height = 1e-3 * mesh.size  # of lines above the plate
         self.surface = self._surface(0)
-        at_rest = mesh.lines(mesh.boundary, height=self.height)
+        at_rest = edge_lines(mesh, mesh.boundary, height=self.height)
         plotter.background_color = "white"
         plotter.add_mesh(at_rest, color=INK["rest"], line_width=2, lighting=False)
         plotter.add_mesh(
@@ -155,12 +157,12 @@ class _Plate:
         self.lines = []
         for edges, width in ((mesh.boundary, 2), (mesh.lips, 5)):
             if len(edges):
-                line = mesh.lines(edges, height=self.height)
+                line = edge_lines(mesh, edges, height=self.height)
                 self.lines.append((edges, line))
                 plotter.add_mesh(line, color=INK["lips"], line_width=width, lighting=False)
         clamped = mesh.boundary[mesh.clamped[mesh.boundary].all(axis=1)]
         if len(clamped):
-            held = mesh.lines(clamped, height=self.height)
+            held = edge_lines(mesh, clamped, height=self.height)
             plotter.add_mesh(held, color=INK["rest"], line_width=9, lighting=False)
         plotter.view_xy()
         plotter.enable_parallel_projection()
@@ -170,7 +172,7 @@ class _Plate:
         displacement = self.fields.magnification * self.fields.displacement[frame]
         self.surface.copy_from(self._surface(frame))
         for edges, line in self.lines:
-            line.copy_from(self.fields.mesh.lines(edges, displacement, self.height))
+            line.copy_from(edge_lines(self.fields.mesh, edges, displacement, self.height))
         closed = np.flatnonzero(self.fields.force[frame] > 0.0)
         self.plotter.remove_actor(("contact", "load"), render=False)
         if len(closed):
@@ -193,7 +195,9 @@ class _Plate:
             )  # fmt: skip
 
     def _surface(self, frame: int) -> Any:
-        grid = self.fields.mesh.grid(self.fields.magnification * self.fields.displacement[frame])
+        grid = moved_grid(
+            self.fields.mesh, self.fields.magnification * self.fields.displacement[frame]
+        )
         grid["shown"] = self.colours.factor * self.fields.colour_values[frame]
         return grid.extract_surface(algorithm=None)
 

@@ -18,7 +18,7 @@ from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
 from fenics_crack.files.modes_file import pack_modes, unpack_modes
 from fenics_crack.files.store import kind_of, reading, write
-from fenics_crack.model.contact import ContactLaw, UnilateralConstraint
+from fenics_crack.model.contact import ContactLaw, UnilateralConstraint, is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.reduction import reduce_structure
@@ -29,7 +29,7 @@ from fenics_crack.time.march import TimeHistory
 __all__ = ["Result", "check_gap", "check_pairs", "load", "save"]
 
 Result = Modes | PeriodicSolution | ResponseCurve | Backbone | TimeHistory
-Law = ContactLaw | UnilateralConstraint | None
+Law = ContactLaw | None
 Parts = dict[str, Any]
 
 CURVE = (
@@ -67,17 +67,20 @@ def save(result: Result, path: str | Path, scene: Scene | None = None) -> None:
         names = ", ".join(kind.__name__ for kind in _FORMS)
         raise InputError("result", type(result).__name__, f"one of {names}")
     pack = _FORMS[type(result)][0]
-    write(path, result.KIND, pack(result), scene, result.structure.comm)
+    write(pack(result), path, result.KIND, scene, result.structure.comm)
 
 
 def load(path: str | Path, structure: Structure, contact: Law = None) -> Result:
     """Read a result written by :func:`save`; nothing is solved again (collective).
 
+    A file with a scene needs no structure at hand: :func:`fenics_crack.load_run`. A sweep has its
+    own ``SweepResult.load``.
+
     Parameters
     ----------
     path : path
         The file.
-    structure, contact : Structure, ContactLaw, UnilateralConstraint or None
+    structure, contact : Structure, ContactLaw or None
         Those with which it was found; of a curve, a structure with many dofs is reduced by
         :func:`reduce_structure`, as it was then. Modes and time histories need no law.
 
@@ -91,7 +94,8 @@ def load(path: str | Path, structure: Structure, contact: Law = None) -> Result:
         if kind == result.KIND:
             with reading(path, kind) as parts:
                 return unpack(parts, structure, contact)
-    raise InputError("path", str(path), f"a result written by save; in it is a {kind}")
+    allowed = f"a result written by save; this is a {kind} (SweepResult.load reads sweeps)"
+    raise InputError("path", str(path), allowed)
 
 
 # --- solutions ------------------------------------------------------------------------------------
@@ -109,8 +113,8 @@ def _pack_solution(solution: PeriodicSolution) -> Parts:
         **{f"error_{name}": value for name, value in asdict(solution.report).items()},
         **_law_parts(solution.contact),
     }
-    if isinstance(solution.contact, UnilateralConstraint):
-        parts["weight"] = solution.contact.weight
+    if is_rigid(solution.contact):
+        parts["weight"] = solution.contact.weight  # type: ignore[union-attr]
     if solution.stability is not None:
         parts |= asdict(solution.stability)
     return parts
@@ -122,7 +126,7 @@ def _unpack_solution(parts: Parts, structure: Structure, contact: Law) -> Period
         raise ValueError("coefficients do not fit")
     check_pairs(structure, gap)
     _check_law_parts(parts, contact)
-    if isinstance(contact, UnilateralConstraint):
+    if is_rigid(contact):
         contact = UnilateralConstraint(float(parts["weight"]))
     omega, subharmonic = float(parts["omega"]), int(parts["subharmonic"])
     stability = None

@@ -10,11 +10,11 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import dolfinx
 import h5py
 import numpy as np
 from mpi4py import MPI
@@ -42,9 +42,9 @@ PROGRAM = "fenics_crack"
 
 
 def write(
+    parts: Mapping[str, Any],
     path: str | Path,
     kind: str,
-    parts: Mapping[str, Any],
     scene: Scene | None = None,
     comm: MPI.Comm = MPI.COMM_SELF,
 ) -> None:
@@ -52,13 +52,13 @@ def write(
 
     Parameters
     ----------
+    parts : mapping
+        Datasets by their names: arrays of numbers, numbers, words, lists of words; None is left
+        out.
     path : path
         Its name; an older file is replaced when the new one is complete.
     kind : str
         What is in it, for example "response curve".
-    parts : mapping
-        Datasets by their names: arrays of numbers, numbers, words, lists of words; None is left
-        out.
     scene : Scene, optional
         What was computed.
 
@@ -94,13 +94,22 @@ def write_header(file: h5py.File, kind: str, scene: Scene | None) -> None:
     file.attrs["kind"] = kind
     file.attrs["program"] = PROGRAM
     file.attrs["version"] = VERSION
-    file.attrs["versions"] = (
-        f"DOLFINx {dolfinx.__version__}, PETSc {PETSc.Sys.getVersion()}, "
-        f"SLEPc {SLEPc.Sys.getVersion()}, NumPy {np.__version__}"
-    )
+    file.attrs["versions"] = _versions()
     if scene is not None:
         file.attrs["scene"] = scene_text(scene)
         file.attrs["meshes"] = "\n".join(map(_digest, scene.mesh_files))
+
+
+def _versions() -> str:
+    """Versions of what the program uses; of DOLFINx where it is loaded."""
+    found = {
+        name: ".".join(map(str, library.Sys.getVersion()))
+        for name, library in (("PETSc", PETSc), ("SLEPc", SLEPc))
+    }
+    for name, module in (("NumPy", "numpy"), ("DOLFINx", "dolfinx")):
+        if module in sys.modules:
+            found[name] = sys.modules[module].__version__
+    return ", ".join(f"{name} {version}" for name, version in found.items())
 
 
 def scene_text(scene: Scene) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
+from fenics_crack.table import Described, counted
 from fenics_crack.time.events import EventFlow
 from fenics_crack.time.march import initial_state
 
@@ -20,8 +22,8 @@ PATIENCE = 6
 """Newton steps of shooting that may together fail to halve the residual."""
 
 
-@dataclass(frozen=True)
-class PeriodicOrbit:
+@dataclass(frozen=True, repr=False)
+class PeriodicOrbit(Described):
     """A periodic orbit of the exact flow.
 
     Attributes
@@ -44,6 +46,23 @@ class PeriodicOrbit:
     residual: float
     iterations: int
     events: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Largest multiplier, extremes of the gap [m] of all pairs, and how it was found."""
+        return {
+            "multiplier": float(abs(self.multipliers[0])),
+            "opening": float(max(0.0, -self.gap.min(initial=0.0))),
+            "penetration": float(self.gap.max(initial=0.0)),
+            "events": int(self.events),
+            "residual": float(self.residual),
+            "iterations": int(self.iterations),
+        }
+
+    def _title(self) -> str:
+        return (
+            f"largest multiplier {abs(self.multipliers[0]):.6g} of {len(self.multipliers)}, "
+            f"{counted(self.events, 'event')}, residual {self.residual:.2g}"
+        )
 
 
 def describe_orbit(

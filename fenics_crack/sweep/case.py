@@ -15,13 +15,14 @@ from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.harmonic_balance import solve_harmonic_balance, solve_linear
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError, InputError
-from fenics_crack.model.contact import ContactLaw, UnilateralConstraint
+from fenics_crack.model.contact import ContactLaw, is_rigid
+from fenics_crack.model.matrices import distributed
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import ReducedStructure
 from fenics_crack.model.structure import ModalDamping, Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stability.floquet import FEW_PAIRS, PiecewiseFlow, floquet
-from fenics_crack.study.prepare import law_of, prepare, with_crack_length
+from fenics_crack.study.prepare import law_of, prepare
 from fenics_crack.sweep.file import COLUMNS, CONVERGED, FAILED, STATUS_BYTES
 from fenics_crack.sweep.plan import FORCES, Chunk
 
@@ -71,14 +72,18 @@ class Arrays:
 
     def structure(self) -> Structure:
         """Put it together again; a reduced one stands for itself, in its own coordinates."""
-        plain = Structure.from_matrices(
-            self.mass,
-            self.stiffness,
+        damping = self.damping
+        if isinstance(damping, np.ndarray) and not self.reduced:
+            damping = distributed(damping, MPI.COMM_SELF)
+        plain = Structure(
+            distributed(self.mass, MPI.COMM_SELF),
+            distributed(self.stiffness, MPI.COMM_SELF),
             self.gap,
+            force=self.force,
             clearance=self.clearance,
-            damping=None if self.reduced else self.damping,
+            damping=None if self.reduced else damping,
+            pair_areas=self.pair_areas,
         )
-        plain.force, plain.pair_areas = self.force, self.pair_areas
         if not self.reduced:
             return plain
         reference = None if self.reference is None else self.reference.structure()
@@ -93,44 +98,52 @@ def _rows(matrix: Any) -> sparse.csr_matrix:
     return sparse.csr_matrix((values, columns, starts), shape=matrix.size)
 
 
-def build(scene: Scene, comm: MPI.Comm, unit_loads: bool) -> tuple[Structure, float]:
-    """The structure of a geometry and its crack length [m], nan where it is unknown (collective).
-
-    With unit loads the sine part of its load is 1 N in x, the cosine part 1 N in y.
-    """
-    scene = with_crack_length(scene, comm)
+def build(scene: Scene, comm: MPI.Comm, unit_loads: bool) -> Geometry:
+    """The geometry of a case (collective)."""
+    if scene.crack is not None:
+        scene = scene.replace({"crack.clearance": 0.0})
     if unit_loads:
         units = {"force_mean": (0.0, 0.0), "force_cos": (0.0, 1.0), "force_sin": (1.0, 0.0)}
         scene = scene.replace({f"excitation.{name}": value for name, value in units.items()})
-    structure = prepare(scene, comm)
-    if not is_small(structure):
+    study = prepare(scene, comm)
+    if not is_small(study.structure):
         method = "off" if scene.reduction is None else scene.reduction.method
         raise InputError(
-            "reduction.method", method, f"one that leaves fewer than {structure.n_dofs} coordinates"
+            "reduction.method",
+            method,
+            f"one that leaves fewer than {study.structure.n_dofs} coordinates",
         )
-    length = scene.crack.length if scene.crack is not None else None
-    return structure, np.nan if length is None else length
+    crack = study.scene.crack
+    length = np.nan if crack is None or crack.length is None else crack.length
+    return Geometry(study.structure, length, unit_loads)
 
 
+@dataclass(frozen=True)
 class Geometry:
-    """A structure whose load and clearance follow the cases."""
+    """What cases have in common that differ in the size of the load, and in the clearance.
 
-    def __init__(self, structure: Structure, crack_length: float, unit_loads: bool) -> None:
-        self.structure = structure
-        self.crack_length = crack_length
-        self._unit_loads = unit_loads
-        parts = [structure, getattr(structure, "reference", None), structure.whole]
-        self._parts = [part for part in parts if part is not None]
-        self._given = [part.force for part in self._parts]
+    Attributes
+    ----------
+    structure : Structure
+        Without clearance.
+    crack_length : float [m]
+        nan where it is unknown.
+    unit_loads : bool
+        Whether the structure's load has a sine part of 1 N in x and a cosine part of 1 N in y.
+    """
 
-    def set_case(self, scene: Scene) -> None:
-        """Give it the load and the clearance of a case."""
+    structure: Structure
+    crack_length: float
+    unit_loads: bool
+
+    def of_case(self, scene: Scene) -> Structure:
+        """The structure with the load and the clearance of a case."""
+        load: float | np.ndarray = 1.0
+        if self.unit_loads:
+            wanted = np.array([getattr(scene.excitation, name) for name in FORCES])
+            load = np.column_stack([np.zeros(len(FORCES)), wanted[:, ::-1]])
         clearance = scene.crack.clearance if scene.crack is not None else 0.0
-        weights = np.array([getattr(scene.excitation, name)[::-1] for name in FORCES])
-        for part, given in zip(self._parts, self._given, strict=True):
-            part.clearance = np.full(part.n_pairs, clearance)
-            if self._unit_loads:
-                part.force = weights @ given[1:]
+        return self.structure.varied(load=load, clearance=clearance)
 
 
 # --- a case ---------------------------------------------------------------------------------------
@@ -185,8 +198,7 @@ def solve_chunk(geometry: Geometry, chunk: Chunk) -> Solved:
             "harmonics": case.harmonic_balance.harmonics,
         }
         try:
-            geometry.set_case(case)
-            last = _solve(geometry.structure, case, last)
+            last = _solve(geometry.of_case(case), case, last)
             values |= _measures(last, case) | flow.verdict(last)
         except REFUSALS as error:
             last = None
@@ -282,7 +294,7 @@ class Flow:
     def verdict(self, solution: PeriodicSolution) -> dict[str, Any]:
         """Verdict, and modulus of the leading multiplier; nothing where there is no law of it."""
         law = solution.contact
-        if law is None or isinstance(law, UnilateralConstraint):
+        if law is None or is_rigid(law):
             return {}
         try:
             if self._structure.n_pairs <= FEW_PAIRS:

@@ -85,8 +85,8 @@ class Worker:
         arrays = job.arrays
         try:
             if job.scene is not None:
-                structure, length = build(job.scene, self._group, job.unit_loads)
-                arrays = Arrays.of(structure, length)
+                built = build(job.scene, self._group, job.unit_loads)
+                arrays = Arrays.of(built.structure, built.crack_length)
                 answer.arrays = arrays if job.wanted else None
         except REFUSALS as error:
             answer.refusal = error

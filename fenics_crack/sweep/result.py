@@ -40,12 +40,12 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import InputError
 from fenics_crack.files.results import check_gap, check_pairs
 from fenics_crack.files.store import read_scene
-from fenics_crack.model.contact import UnilateralConstraint
+from fenics_crack.model.contact import UnilateralConstraint, is_rigid
 from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import law_of
-from fenics_crack.sweep.case import Geometry, build
+from fenics_crack.sweep.case import build
 from fenics_crack.sweep.file import (
     COLUMNS,
     CONVERGED,
@@ -58,6 +58,7 @@ from fenics_crack.sweep.file import (
 )
 from fenics_crack.sweep.jobs import Manager, Worker, no_garbage_in_threads
 from fenics_crack.sweep.plan import Plan
+from fenics_crack.table import Tabular, with_unit
 
 __all__ = ["SweepResult", "axis_name", "run_sweep"]
 
@@ -69,6 +70,9 @@ UNITS = {
     "excitation.force_mean": "N", "contact.stiffness": "N/m",
     "contact.stiffness_per_area": "N/m^3", "contact.sharpness": "1/m", "mesh.size": "m",
 }  # fmt: skip
+
+STATES = np.array(["pending", "converged", "failed"])
+"""Words for the numbers of the states."""
 
 
 def run_sweep(
@@ -170,8 +174,8 @@ def manage(manager: Manager, leaders: MPI.Comm, stop: StopRequest) -> None:
 # --- the result -----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class SweepResult:
+@dataclass(frozen=True, repr=False)
+class SweepResult(Tabular):
     """The table of a sweep; the waves are read from its file when they are asked for.
 
     Attributes
@@ -248,15 +252,6 @@ class SweepResult:
         places = np.argwhere(self["state"] == FAILED)
         return [(tuple(map(int, at)), str(self["status"][tuple(at)])) for at in places]
 
-    def table(self) -> tuple[list[str], list[list[Any]]]:
-        """Names with units, and a row for every case in their order: for a CSV file."""
-        names = [axis_name(axis) for axis in self.axes]
-        names += ["state", *(_with_unit(name, unit) for name, (unit, _) in COLUMNS.items())]
-        words = np.array(["pending", "converged", "failed"])[self["state"]]
-        flat = [words.ravel().tolist(), *(self[name].ravel().tolist() for name in COLUMNS)]
-        values = itertools.product(*(axis.values for axis in self.axes))
-        return names, [[*at, *row] for at, row in zip(values, zip(*flat, strict=True), strict=True)]
-
     def gap(self, index: tuple[int, ...] | int) -> np.ndarray:
         """Gap coefficients of a case that converged: (2H+1, n_pairs) [m].
 
@@ -288,8 +283,7 @@ class SweepResult:
         length = float(self["crack_length"][place])
         if case.crack is not None and case.crack.first_omega is not None:
             case = case.replace({"crack.length": length, "crack.first_omega": None})
-        structure, length = build(case, MPI.COMM_SELF, plan.unit_loads)
-        Geometry(structure, length, plan.unit_loads).set_case(case)
+        structure = build(case, MPI.COMM_SELF, plan.unit_loads).of_case(case)
         omega = case.excitation.omega
         law = law_of(case, structure)
         if law is None:
@@ -297,7 +291,7 @@ class SweepResult:
         gap, force = read_waves(self.path, place)
         check_pairs(structure, gap)
         compliance = dynamic_compliance(structure, omega, len(gap) // 2)
-        if isinstance(law, UnilateralConstraint):
+        if is_rigid(law):
             law = UnilateralConstraint(default_weight(compliance))
         found = {name: float(self[name][place]) for name in COLUMNS if self[name].dtype.kind == "f"}
         displacement = compliance.displacement(force)
@@ -335,11 +329,28 @@ class SweepResult:
             raise InputError("index", index, f"that of a case that converged, of {self.shape}")
         return place
 
+    # --- shown ------------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, Any]:
+        """The values of the axes by their keys, then the columns: a row for every case."""
+        values = zip(*itertools.product(*(axis.values for axis in self.axes)), strict=True)
+        found = {axis.key: list(swept) for axis, swept in zip(self.axes, values, strict=True)}
+        found["state"] = STATES[self["state"]].ravel().tolist()
+        return found | {name: self[name].ravel().tolist() for name in COLUMNS}
+
+    def _units(self) -> dict[str, str]:
+        return UNITS | {name: unit for name, (unit, _) in COLUMNS.items()}
+
+    def _title(self) -> str:
+        counts = zip(STATES, np.bincount(self["state"].ravel(), minlength=3), strict=True)
+        return ", ".join(
+            [
+                " x ".join(f"{len(axis.values)} {axis.key}" for axis in self.axes),
+                *(f"{count} {state}" for state, count in counts if count),
+            ]
+        )
+
 
 def axis_name(axis: Axis) -> str:
     """Its key, with the unit."""
-    return _with_unit(axis.key, UNITS.get(axis.key, ""))
-
-
-def _with_unit(name: str, unit: str) -> str:
-    return f"{name} [{unit}]" if unit not in ("", "1") else name
+    return with_unit(axis.key, UNITS.get(axis.key, ""))

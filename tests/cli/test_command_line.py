@@ -180,7 +180,7 @@ def test_file_with_another_law_or_structure(results: Path, name: str) -> None:
     for law in (fc.UnilateralPenalty(1e8), fc.SmoothedPenalty(1e9, 1e8)):
         with pytest.raises(fc.InputError, match="contact"):
             fc.load(results / f"{name}.h5", run.structure, law)
-    heavier = fc.prepare(run.scene.replace({"material.density": 8000.0}))
+    heavier = fc.prepare(run.scene.replace({"material.density": 8000.0})).structure
     with pytest.raises(fc.InputError, match="structure"):
         fc.load(results / f"{name}.h5", heavier, run.contact)
 

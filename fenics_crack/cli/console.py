@@ -1,0 +1,95 @@
+"""Where a command speaks and writes, and the exit codes."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from mpi4py import MPI
+
+from fenics_crack.errors import InputError
+from fenics_crack.parallel import on_root
+from fenics_crack.table import Table
+
+__all__ = ["DONE", "NOT_CONVERGED", "Console", "make_writable"]
+
+DONE, NOT_CONVERGED = 0, 3
+"""Exit codes."""
+
+
+@dataclass(frozen=True)
+class Console:
+    """A command's table goes to standard output, its remarks to standard error.
+
+    Attributes
+    ----------
+    comm : MPI.Comm
+        The ranks; rank 0 writes files.
+    form : str
+        Of the table: "text", "csv" or "json".
+    quiet, verbose : bool
+        Print the table alone; say how long each part took.
+    """
+
+    comm: MPI.Comm
+    form: str = "text"
+    quiet: bool = False
+    verbose: bool = False
+
+    @property
+    def progress(self) -> bool:
+        """Whether long work shows a bar."""
+        return not self.quiet and (self.verbose or sys.stderr.isatty())
+
+    def table(self, table: Table) -> None:
+        """Print a table."""
+        print(table.formatted(self.form), end="", flush=True)
+
+    def note(self, text: str) -> None:
+        """Say something, unless it is to be quiet."""
+        if not self.quiet:
+            print(text, file=sys.stderr, flush=True)
+
+    def warn(self, text: str) -> None:
+        """Say something that must not be missed."""
+        print(f"fenics-crack: warning: {text}", file=sys.stderr, flush=True)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Say how long a part took, if it is to be verbose."""
+        started = time.perf_counter()
+        yield
+        if self.verbose:
+            print(f"{name}: {time.perf_counter() - started:.2f} s", file=sys.stderr, flush=True)
+
+    def finish(self, folder: Path, name: str, shown: Table, rows: Table, summary: Table) -> None:
+        """Print a table; write the rows as CSV and the summary as JSON; say where they are."""
+
+        def write() -> None:
+            summary.save(folder / f"{name}.json")
+            rows.save(folder / f"{name}.csv")
+
+        on_root(self.comm, write)
+        self.table(shown)
+        result = folder / f"{name}.h5"
+        self.note(f"{result}, .csv, .json; pictures: fenics-crack plot {result}")
+
+
+def make_writable(folder: Path, comm: MPI.Comm) -> None:
+    """Make a folder for results; InputError unless a file can be written there."""
+
+    def work() -> None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                pass
+        except OSError as error:
+            allowed = f"a folder that can be written ({error.strerror})"
+            raise InputError("--output", str(folder), allowed) from None
+
+    on_root(comm, work)
