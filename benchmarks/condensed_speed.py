@@ -37,12 +37,12 @@ from typing import Any
 import common
 import numpy as np
 import scipy.linalg
+from laboratory import solve_form
 
 import fenics_crack as fc
 from fenics_crack.balance.compliance import dynamic_compliance
 from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem
 from fenics_crack.balance.contact_integrals import contact_integrals
-from fenics_crack.balance.laboratory import solve_form
 from fenics_crack.balance.problem import Problem
 from fenics_crack.draw.figure import COLOURS
 

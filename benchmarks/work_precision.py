@@ -37,10 +37,10 @@ from typing import Any
 
 import common
 import numpy as np
+from laboratory import solve_form
 from scipy.integrate import solve_ivp
 
 import fenics_crack as fc
-from fenics_crack.balance.laboratory import solve_form
 from fenics_crack.balance.problem import Problem
 from fenics_crack.draw.figure import COLOURS
 from fenics_crack.model.modes import damped_modes

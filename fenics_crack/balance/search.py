@@ -17,17 +17,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 
 from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.block import BlockSystem
 from fenics_crack.balance.bordered import PathPoint, Tangent, land
+from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, ConstraintSystem
-from fenics_crack.balance.contact_integrals import ExactIntegrals
+from fenics_crack.balance.contact_integrals import ContactIntegrals, ExactIntegrals
 from fenics_crack.balance.family import FrequencyFamily
 from fenics_crack.balance.linearisation import Linearisation
-from fenics_crack.balance.newton import Newton
+from fenics_crack.balance.newton import DistributedSystem, Newton
 from fenics_crack.balance.rounding import (
     ROUNDING,
     SOFT,
@@ -47,6 +48,15 @@ NEARBY = (1.02, 0.98, 1.1, 0.9, 1.3, 0.75, 2.0, 0.5)
 """Frequencies, relative to the one wanted, from which a path in the frequency may start."""
 WIDE, NARROW = Stepping(first=1.0, longest=2.0), Stepping(first=0.1, longest=0.3)
 """Of paths in ln k, and of paths whose parameter runs from 0 to 1."""
+
+
+class StiffnessSystem(DistributedSystem, Protocol):
+    """Equations whose parameter is ln k, the contact stiffness relative to the law's."""
+
+    compliance: Compliance
+    integrals: ContactIntegrals
+    linear: np.ndarray
+    """The solution without contact."""
 
 
 @dataclass
@@ -81,7 +91,7 @@ class Search:
 
     def penalty(
         self,
-        system: CondensedSystem | BlockSystem,
+        system: StiffnessSystem,
         start: np.ndarray,
         family_from: Callable[[float], FrequencyFamily] | None = None,
     ) -> Linearisation:

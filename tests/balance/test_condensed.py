@@ -20,6 +20,7 @@ from helpers import (
     relative,
     two_masses,
 )
+from laboratory import solve_form
 from mpi4py import MPI
 
 import fenics_crack as fc
@@ -32,7 +33,6 @@ from fenics_crack.balance.compliance import (
 from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, ConstraintSystem
 from fenics_crack.balance.contact_integrals import contact_integrals
 from fenics_crack.balance.fourier import to_complex
-from fenics_crack.balance.laboratory import solve_form
 from fenics_crack.balance.linearisation import determinant_sign
 from fenics_crack.balance.problem import Problem
 

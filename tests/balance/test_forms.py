@@ -21,9 +21,9 @@ from helpers import (
     true_error,
 )
 from incremental import incremental_system
+from laboratory import BlockSystem, solve_form
 
 import fenics_crack as fc
-from fenics_crack.balance.block import BlockSystem
 from fenics_crack.balance.compliance import (
     FactoredCompliance,
     dynamic_compliance,
@@ -32,7 +32,6 @@ from fenics_crack.balance.compliance import (
 from fenics_crack.balance.condensed import CondensedSystem, respond_to_columns
 from fenics_crack.balance.contact_integrals import SampledIntegrals, contact_integrals
 from fenics_crack.balance.fourier import evaluate
-from fenics_crack.balance.laboratory import solve_form
 from fenics_crack.balance.problem import Problem
 from fenics_crack.model.contact import ContactLaw
 

@@ -14,9 +14,9 @@ from helpers import (
     relative,
     two_masses,
 )
+from laboratory import BlockSystem
 
 import fenics_crack as fc
-from fenics_crack.balance.block import BlockSystem
 from fenics_crack.balance.compliance import FactoredCompliance, load_coefficients
 from fenics_crack.balance.contact_integrals import contact_integrals
 from fenics_crack.model.contact import ContactLaw
