@@ -20,12 +20,25 @@ import numpy as np
 
 from fenics_crack.errors import InputError
 
-__all__ = ["Described", "Table", "Tabular", "counted", "quantity", "readable"]
+__all__ = [
+    "Described",
+    "Table",
+    "Tabular",
+    "counted",
+    "quantity",
+    "readable",
+    "with_unit",
+]
 
 SHOWN_ROWS = 40
 """More are left to the file."""
-NOTEBOOK_ROWS = 10
+NOTEBOOK_ROWS = 20
 """Likewise, in a notebook."""
+UNITS = {
+    "omega": "rad/s", "frequency": "Hz", "energy": "J", "opening": "m", "penetration": "m",
+    "clearance": "m",
+}  # fmt: skip
+"""Of what results name so; all else has none."""
 
 
 @dataclass(frozen=True)
@@ -44,11 +57,12 @@ class Table:
     rows: Sequence[Sequence[Any]]
 
     @classmethod
-    def of(cls, values: Mapping[str, Any]) -> Table:
+    def of(cls, values: Mapping[str, Any], units: Mapping[str, str]) -> Table:
         """Columns given as lists of equal length; single values as rows under each other."""
+        names = [with_unit(name, units.get(name, "")) for name in values]
         if any(isinstance(value, list) for value in values.values()):
-            return cls(list(values), list(zip(*values.values(), strict=True)))
-        return cls(("quantity", "value"), list(values.items()))
+            return cls(names, [list(row) for row in zip(*values.values(), strict=True)])
+        return cls(("quantity", "value"), list(zip(names, values.values(), strict=True)))
 
     def of_columns(self, places: Sequence[int]) -> Table:
         """Some of the columns."""
@@ -127,6 +141,14 @@ class Described:
         """
         raise NotImplementedError
 
+    def table(self) -> Table:
+        """The same as a table, whose names have their units."""
+        return Table.of(self.to_dict(), self._units())
+
+    def _units(self) -> Mapping[str, str]:
+        """Units by the names of the dict."""
+        return UNITS
+
     def _title(self) -> str:
         """What stands between the brackets of the one line."""
         return ", ".join(f"{name} = {_words(value)}" for name, value in self.to_dict().items())
@@ -135,21 +157,21 @@ class Described:
         return f"{type(self).__name__}({self._title()})"
 
     def _repr_html_(self) -> str:
-        return Table.of(self.to_dict()).html(repr(self))
+        return self.table().html(repr(self))
 
 
 class Tabular(Described):
     """A result that is a table: its dict has lists of equal length."""
 
     def to_csv(self, path: str | Path) -> None:
-        """Write the columns of :meth:`to_dict`.
+        """Write :meth:`table` as CSV.
 
         Raises
         ------
         InputError
             The file cannot be written.
         """
-        Table.of(self.to_dict()).save(Path(path))
+        self.table().save(path)
 
 
 # --- numbers for people ---------------------------------------------------------------------------
@@ -168,6 +190,11 @@ def quantity(value: float, unit: str) -> str:
     """A number with its unit: "1.452 µm"."""
     factor, unit = readable(abs(value), unit)
     return f"{factor * value:.4g} {unit}"
+
+
+def with_unit(name: str, unit: str) -> str:
+    """A heading: "omega [rad/s]"."""
+    return f"{name} [{unit}]" if unit not in ("", "1") else name
 
 
 def counted(count: int, thing: str) -> str:

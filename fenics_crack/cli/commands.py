@@ -21,7 +21,6 @@ from fenics_crack.scene.scene import Integration, Scene
 from fenics_crack.study.run import Run, find_modes, follow_curve, integrate, load_run, solve
 from fenics_crack.sweep.file import KIND as SWEEP
 from fenics_crack.sweep.result import SweepResult, run_sweep
-from fenics_crack.table import Table
 from fenics_crack.time.march import TimeHistory
 
 __all__ = ["curve", "integration", "modes", "plot", "solution", "sweep"]
@@ -147,7 +146,7 @@ def sweep(scene: Scene, folder: Path, console: Console) -> Exit:
     """All cases of a sweep, or those that an earlier run has left."""
     with console.stage("sweep"):
         found = run_sweep(scene, folder / "sweep.h5", console.comm, progress=console.progress)
-    table = Table(*found.table())
+    table = found.table()
     short = [*range(len(found.axes)), *(table.columns.index(name) for name in IN_SHORT)]
     shown = table.of_columns(short) if console.form == "text" else table
     console.finish(folder, "sweep", shown, table, table)

@@ -28,6 +28,7 @@ from fenics_crack.errors import InputError
 from fenics_crack.model.modes import Modes
 from fenics_crack.study.run import Run
 from fenics_crack.sweep.result import SweepResult, axis_name
+from fenics_crack.table import readable
 from fenics_crack.time.march import TimeHistory
 
 __all__ = ["draw_run", "draw_sweep"]
@@ -72,10 +73,8 @@ def draw_run(run: Run, folder: Path, *, show: bool = False) -> list[Path]:
 
 def _modes(run: Run, found: Modes, folder: Path) -> list[Path]:
     files = [folder / "modes.png", folder / "modes.vtu"]
-    columns = min(3, len(found.omega))
-    rows = -(-len(found.omega) // columns)
-    draw_modes(run.structure, found, files[0], columns=columns, rows=rows)
-    write_modes(run.structure, found, files[1])
+    draw_modes(found, path=files[0])
+    write_modes(found, files[1])
     return files
 
 
@@ -90,8 +89,8 @@ def _solution(run: Run, found: PeriodicSolution, folder: Path) -> list[Path]:
     dof, material = run.watched_dof, run.scene.material
     names = ["waves.png", "spectrum.png", "orbits.png", "period.pvd", "breathing_crack.gif"]
     waves, spectrum, orbits, period, animation = (folder / f"solution_{name}" for name in names)
-    draw_spectrum(spectrum, found, dof, title=title)
-    draw_orbits(orbits, found, dof, title=title)
+    draw_spectrum(found, dof, path=spectrum, title=title)
+    draw_orbits(found, dof, path=orbits, title=title)
     write_period(found, period, material=material)
     animate_period(found, animation, material=material)
     files = [spectrum, orbits, period, animation]
@@ -101,11 +100,13 @@ def _solution(run: Run, found: PeriodicSolution, folder: Path) -> list[Path]:
         mouth = found.gap(time)[:, 0]
         lines.append(Wave("closing of the lips at the mouth", time, mouth, "orange", "--"))
     zero = "lips touch" if len(lines) > 1 else None
-    draw_waves(waves, lines, title=title, quantity="displacement", period=found.period, zero=zero)
+    draw_waves(
+        lines, quantity="displacement", path=waves, title=title, period=found.period, zero=zero
+    )
     files.insert(0, waves)
     if found.gap_coefficients.shape[1] > 1:
         files.insert(3, folder / "solution_contact_map.png")
-        draw_contact_map(files[3], found)
+        draw_contact_map(found, path=files[3], title="Where and when the crack is closed")
     return files
 
 
@@ -113,11 +114,11 @@ def _curve(run: Run, found: ResponseCurve, folder: Path) -> list[Path]:
     dof = run.watched_dof
     title = f"{run.watched_name}, H = {int(found.harmonics.max())}"
     files = [folder / "curve.png", folder / "curve_content.png"]
-    draw_curve(files[0], found, dof, title=title)
-    draw_content(files[1], found, dof, title=title)
+    draw_curve(found, dof, path=files[0], title=title)
+    draw_content(found, dof, path=files[1], title=title)
     if found.multipliers is not None and found.parameter == "omega":
         files.append(folder / "curve_multipliers.png")
-        draw_multipliers(files[2], found, title="Floquet multipliers along the curve")
+        draw_multipliers(found, path=files[2], title="Floquet multipliers along the curve")
     return files
 
 
@@ -131,7 +132,7 @@ def _history(run: Run, found: TimeHistory, folder: Path) -> list[Path]:
     period = 2.0 * np.pi / run.scene.excitation.omega
     title = f"The last periods of {found.periods}, {run.scene.excitation.omega:.6g} rad/s"
     draw_waves(
-        files[0], lines, title=title, quantity="displacement", period=period, zero="lips touch"
+        lines, quantity="displacement", path=files[0], title=title, period=period, zero="lips touch"
     )
     return files
 
@@ -209,27 +210,23 @@ def _sweep_picture(
     title: str,
     quantity: str,
 ) -> None:
-    x = np.array(found.axes[right].values, dtype=float)
-    order = np.argsort(x)
-    over = axis_name(found.axes[right])
-    if up is None:
-        draw_response(
-            file, x[order], {quantity: values[order]}, title=title, quantity=quantity, over=over,
-            doubtful={quantity: doubtful[order]},
+    x, over = np.array(found.axes[right].values, dtype=float), axis_name(found.axes[right])
+    y = np.array([] if up is None else found.axes[up].values, dtype=float)
+    name = "" if up is None else axis_name(found.axes[up])
+    order, rising = np.argsort(x), np.argsort(y)
+    if len(y) > FEW_LINES:
+        scale, unit = readable(float(np.nanmax(values)), "m")
+        draw_map(
+            x[order], y[rising], scale * values[np.ix_(order, rising)].T, x_label=over,
+            y_label=name, value_label=f"{quantity} [{unit}]", path=file, title=title,
+            missing="not converged",
         )  # fmt: skip
         return
-    y = np.array(found.axes[up].values, dtype=float)
-    if len(y) <= FEW_LINES:
-        name = axis_name(found.axes[up])
-        names = [f"{name} = {at:g}" for at in y]
-        lines, rings = (dict(zip(names, rows[order].T, strict=True)) for rows in (values, doubtful))
-        draw_response(
-            file, x[order], lines, title=title, quantity=quantity, over=over, doubtful=rings
-        )
-        return
-    rising = np.argsort(y)
-    draw_map(
-        file, x[order], y[rising], values[np.ix_(order, rising)].T, title=title, x_label=over,
-        y_label=axis_name(found.axes[up]), value_label=f"{quantity} [m]",
-        missing="not converged",
-    )  # fmt: skip
+    names = [f"{name} = {at:g}" for at in y] or [quantity]
+    lines, rings = (
+        dict(zip(names, rows[order].reshape(len(x), -1).T, strict=True))
+        for rows in (values, doubtful)
+    )
+    draw_response(
+        x[order], lines, quantity=quantity, path=file, title=title, over=over, doubtful=rings
+    )

@@ -24,13 +24,14 @@ from PIL import Image
 from vtkmodules.vtkInteractionWidgets import vtkSliderRepresentation2D, vtkSliderWidget
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.draw.figure import COLOURS, off_screen_plotter, readable
-from fenics_crack.draw.nodal import edge_lines, moved_grid
+from fenics_crack.draw.figure import COLOURS
+from fenics_crack.draw.nodal import edge_lines, moved_grid, off_screen_plotter
 from fenics_crack.draw.paraview import PeriodFields
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import make_folder
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Material
+from fenics_crack.table import readable
 
 __all__ = ["animate_period", "show_period"]
 

@@ -1,13 +1,16 @@
-"""The mesh of a structure as objects of pyvista: its cells, and lines along its edges."""
+"""The mesh of a structure as objects of pyvista: its cells, lines along its edges; a plotter."""
 
 from __future__ import annotations
+
+import os
+from typing import Any
 
 import numpy as np
 import pyvista
 
 from fenics_crack.fem.nodal_mesh import NodalMesh
 
-__all__ = ["edge_lines", "moved_grid"]
+__all__ = ["edge_lines", "moved_grid", "off_screen_plotter"]
 
 
 def moved_grid(mesh: NodalMesh, displacement: np.ndarray | float = 0.0) -> pyvista.UnstructuredGrid:
@@ -30,3 +33,10 @@ def edge_lines(
     cells = np.column_stack([np.full(count, nodes), np.arange(edges.size).reshape(count, -1)])
     lifted = np.pad(points, ((0, 0), (0, 1)), constant_values=height)
     return pyvista.PolyData(lifted, lines=cells.ravel())
+
+
+def off_screen_plotter(**options: Any) -> pyvista.Plotter:
+    """A plotter that draws into memory."""
+    if not os.environ.get("DISPLAY"):  # spares VTK the search for a screen, and its warning
+        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
+    return pyvista.Plotter(off_screen=True, **options)

@@ -32,18 +32,17 @@ __all__ = [
     "von_mises",
     "write_modes",
     "write_period",
-    "write_state",
 ]
 
 
-def write_modes(structure: Structure, modes: Modes, path: str | Path) -> None:
+def write_modes(modes: Modes, path: str | Path) -> None:
     """Write mode shapes as vector fields of one .vtu file (collective).
 
     The fields are called ``mode 1: 2302.9 rad/s`` and so on and scaled to a largest displacement of
     a tenth of the structure's size, ready for ParaView's Warp By Vector.
     """
-    mesh = NodalMesh(structure)
-    shapes = mesh.field(structure.expand(modes.shapes.T))
+    mesh = NodalMesh(modes.structure)
+    shapes = mesh.field(modes.structure.expand(modes.shapes.T))
 
     def write() -> None:
         grid = moved_grid(mesh)
@@ -52,7 +51,7 @@ def write_modes(structure: Structure, modes: Modes, path: str | Path) -> None:
         make_folder(path)
         grid.save(str(path))
 
-    on_root(structure.comm, write)
+    on_root(mesh.structure.comm, write)
 
 
 @dataclass(frozen=True)
@@ -225,8 +224,8 @@ def write_period(
 ) -> float:
     """Write one period of a vibration as a time series for ParaView (collective).
 
-    Beside it goes a script that shows it: ``paraview --script=NAME_paraview.py``, see
-    :func:`write_state`.
+    Beside it goes a script that shows it, ``paraview --script=NAME_paraview.py``: it colours by
+    stress or displacement, looks at the plate from the front and plays the period once.
 
     Parameters
     ----------
@@ -274,8 +273,18 @@ def write_period(
             entries.append(f'    <DataSet timestep="{instant:.12g}" file={quoteattr(name)}/>')
         lines = ['<VTKFile type="Collection" version="0.1">', "  <Collection>", *entries]
         target.write_text("\n".join([*lines, "  </Collection>", "</VTKFile>", ""]))
-        state = target.with_name(f"{target.stem}_paraview.py")
-        write_state(state, target, *fields.colour, end=fields.colour_end)
+        field, unit = fields.colour
+        script = target.with_name(f"{target.stem}_paraview.py")
+        script.write_text(
+            STATE.format(
+                script=script.name,
+                folder=str(target.parent.resolve()),
+                pvd=target.name,
+                field=field,
+                title=f"{field} [{unit}]",
+                end=fields.colour_end,
+            )
+        )
 
     on_root(fields.mesh.structure.comm, write)
     return fields.magnification
@@ -318,42 +327,6 @@ Render(view)
 scene.Play()
 scene.Loop = 1  # from now on; the play button starts it again
 """
-
-
-def write_state(
-    path: str | Path,
-    pvd: str | Path,
-    field: str = "displacement",
-    unit: str = "m",
-    *,
-    end: float = 1.0,
-) -> None:
-    """Write a Python script that shows a series written by :func:`write_period` in ParaView.
-
-    It colours by a point field, shows the colours' bar, looks at the plate from the front and
-    plays the period once.
-
-    Parameters
-    ----------
-    path, pvd : str or Path
-        The script, and the series in the same folder.
-    field, unit : str
-        Point field and its unit; of vectors the length is shown.
-    end : float
-        Where the colours end; they begin at 0.
-    """
-    path, pvd = Path(path), Path(pvd)
-    make_folder(path)
-    path.write_text(
-        STATE.format(
-            script=path.name,
-            folder=str(path.parent.resolve()),
-            pvd=pvd.name,
-            field=field,
-            title=f"{field} [{unit}]",
-            end=float(end),
-        )
-    )
 
 
 def _node_of_pairs(structure: Structure) -> np.ndarray:

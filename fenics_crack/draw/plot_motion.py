@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.draw.figure import COLOURS, new_figure, readable, save
+from fenics_crack.draw.figure import COLOURS, figure_of, label_axis, make_axes
 from fenics_crack.errors import InputError
-from fenics_crack.parallel import on_root
 
 __all__ = ["draw_orbits", "draw_spectrum"]
 
@@ -20,30 +21,37 @@ DECADES = 9
 
 
 def draw_spectrum(
-    path: str | Path, solution: PeriodicSolution, dof: int | None = None, *, title: str
-) -> None:
+    solution: PeriodicSolution,
+    dof: int | None = None,
+    *,
+    axes: Any = None,
+    path: str | Path | None = None,
+    title: str | None = None,
+) -> Figure:
     """Draw the amplitudes of the harmonics, logarithmically, over their orders (collective).
 
-    Above, of the gap of the pair that moves most and of the displacement of a dof; below, of the
-    contact force, the sum of all pairs, where there is contact. Order 1 is the load's, 0 the mean;
+    Above, of the gap of the pair that moves most and of the displacement of a dof; below, where
+    there is contact, of the contact force, the sum of all pairs. Order 1 is the load's, 0 the mean;
     the orders of a subharmonic response are fractions. How fast the amplitudes fall says whether
     there are enough harmonics.
 
     Parameters
     ----------
-    path : str or Path
-        The picture file.
     solution : PeriodicSolution
         What to draw.
     dof : int, optional
         Whose displacement.
-    title : str
+    axes : Axes or sequence of them, optional
+        One for each of the one or two panels; default: a new figure.
+    path : str or Path, optional
+        Where to save the new figure.
+    title : str, optional
         Heading.
 
     Raises
     ------
     InputError
-        There is neither a pair nor a dof.
+        There is neither a pair nor a dof, or the axes do not fit.
     """
     lengths: dict[str, np.ndarray] = {}
     if solution.structure.n_pairs:
@@ -58,22 +66,19 @@ def draw_spectrum(
     if not lengths:
         raise InputError("dof", None, "given where there is no contact pair")
     force = _amplitudes(solution.force_coefficients.sum(axis=1))
-    panels = [(lengths, "displacement", "m")]
+    series = [(lengths, "displacement", "m")]
     if np.any(force):
-        panels.append(({"contact force, all pairs": force}, "contact force", "N"))
-
-    def draw() -> None:
-        figure, axes = new_figure(
-            len(panels), size=(7.0, 2.4 + 2.2 * len(panels)), sharex=True, squeeze=False
-        )
-        for panel, (series, quantity, unit) in zip(axes[:, 0], panels, strict=True):
-            _stems(panel, series, quantity, unit, solution.subharmonic)
-        axes[-1, 0].set_xlabel("order of the harmonic, in load frequencies (0: mean)")
-        axes[0, 0].set_title(title)
-        figure.align_ylabels()
-        save(figure, path)
-
-    on_root(solution.structure.comm, draw)
+        series.append(({"contact force, all pairs": force}, "contact force", "N"))
+    size = (7.0, 2.4 + 2.2 * len(series))
+    panels = make_axes(axes, path, len(series), size=size, sharex=True)
+    for panel, content in zip(panels, series, strict=True):
+        _stems(panel, *content, solution.subharmonic)
+    panels[-1].set_xlabel("order of the harmonic, in load frequencies (0: mean)")
+    if title is not None:
+        panels[0].set_title(title)
+    if axes is None:
+        panels[0].figure.align_ylabels()
+    return figure_of(panels[0], path, solution.structure.comm)
 
 
 def _amplitudes(column: np.ndarray) -> np.ndarray:
@@ -85,10 +90,8 @@ def _stems(
     axes: Axes, series: dict[str, np.ndarray], quantity: str, unit: str, subharmonic: int
 ) -> None:
     """Draw amplitudes as stems; several series side by side."""
-    top = max(float(values.max()) for values in series.values())
-    scale, unit = readable(top, unit)
-    top = scale * top if top > 0.0 else 1.0
-    seen = scale * np.concatenate(list(series.values()))
+    seen = np.concatenate(list(series.values()))
+    top = float(seen.max()) or 1.0
     lowest = np.min(seen, where=seen > 10.0**-DECADES * top, initial=0.1 * top)
     bottom = 10.0 ** np.floor(np.log10(0.5 * lowest))
     highest = max(map(len, series.values())) - 1
@@ -96,27 +99,28 @@ def _stems(
     styles = zip(series.items(), COLOURS.values(), "os", strict=False)
     for number, ((label, values), colour, marker) in enumerate(styles):
         shift = 0.25 * (number - 0.5 * (len(series) - 1)) / subharmonic
-        kept = np.flatnonzero(scale * values >= bottom)
-        order, shown = kept / subharmonic + shift, scale * values[kept]
+        kept = np.flatnonzero(values >= bottom)
+        order, shown = kept / subharmonic + shift, values[kept]
         axes.vlines(order, bottom, shown, color=colour, lw=1.2)
         axes.plot(order, shown, marker, color=colour, ms=size, label=label)
     axes.set_xlim(-0.5, highest / subharmonic + 0.5)
     axes.set_yscale("log")
     axes.set_ylim(bottom, top * (top / bottom) ** 0.25)  # room for the legend
     axes.xaxis.get_major_locator().set_params(integer=True)
-    axes.set_ylabel(f"amplitude of the\n{quantity} [{unit}]")
+    label_axis(axes.yaxis, f"amplitude of the\n{quantity}", unit)
     axes.grid(alpha=0.3)
     axes.legend(loc="upper right", fontsize=8, framealpha=0.9)
 
 
 def draw_orbits(
-    path: str | Path,
     solution: PeriodicSolution,
     dof: int | None = None,
     *,
-    title: str,
+    axes: Any = None,
+    path: str | Path | None = None,
+    title: str | None = None,
     instants: int = 2000,
-) -> None:
+) -> Figure:
     """Draw the motion in the phase plane: velocity over displacement (collective).
 
     Of the gap at the mouth, and of a dof; where the lips touch the orbit is drawn thick: at the
@@ -125,38 +129,34 @@ def draw_orbits(
 
     Parameters
     ----------
-    path, solution, dof, title
-        As of :func:`draw_spectrum`.
+    solution, dof, axes, path, title
+        As of :func:`draw_spectrum`; the panels are side by side.
     instants : int
         Points of the orbit.
 
     Raises
     ------
     InputError
-        There is neither a pair nor a dof.
+        As of :func:`draw_spectrum`.
     """
     closed = solution.contact_force(np.linspace(0.0, solution.period, instants + 1)) > 0.0
-    panels: list[tuple[np.ndarray, np.ndarray, str, str]] = []
+    orbits: list[tuple[np.ndarray, np.ndarray, str, str]] = []
     if solution.structure.n_pairs:
         mouth = solution.gap_coefficients[:, :1]
-        panels.append((mouth, closed[:, 0], "closing of the mouth", "mouth closed"))
+        orbits.append((mouth, closed[:, 0], "closing of the mouth", "mouth closed"))
     if dof is not None:
         column = solution.coefficients_at([dof])
         name = solution.structure.dof_name(dof)
-        panels.append((column, np.any(closed, axis=1), name, "lips touch somewhere"))
-    if not panels:
+        orbits.append((column, np.any(closed, axis=1), name, "lips touch somewhere"))
+    if not orbits:
         raise InputError("dof", None, "given where there is no contact pair")
-
-    def draw() -> None:
-        figure, axes = new_figure(
-            1, len(panels), size=(1.0 + 4.2 * len(panels), 4.4), squeeze=False
-        )
-        for panel, content in zip(axes[0], panels, strict=True):
-            _orbit(panel, solution, *content)
-        figure.suptitle(title, fontsize="large")
-        save(figure, path)
-
-    on_root(solution.structure.comm, draw)
+    count = len(orbits)
+    panels = make_axes(axes, path, count, columns=count, size=(1.0 + 4.2 * count, 4.4))
+    for panel, content in zip(panels, orbits, strict=True):
+        _orbit(panel, solution, *content)
+    if title is not None:
+        panels[0].figure.suptitle(title, fontsize="large")
+    return figure_of(panels[0], path, solution.structure.comm)
 
 
 def _orbit(
@@ -174,11 +174,6 @@ def _orbit(
     rates[1::2], rates[2::2] = order * coefficients[2::2], -order * coefficients[1::2]
     time = np.linspace(0.0, solution.period, len(closed))
     place, speed = evaluate(coefficients, base, time)[:, 0], evaluate(rates, base, time)[:, 0]
-    (scale, unit), (fast, unit_fast) = (
-        readable(float(np.abs(values).max()), name)
-        for values, name in ((place, "m"), (speed, "m/s"))
-    )
-    place, speed = scale * place, fast * speed
     axes.plot(place, speed, color=COLOURS["blue"], lw=1.4, label="orbit")
     if closed.any():
         axes.plot(
@@ -187,12 +182,11 @@ def _orbit(
         )  # fmt: skip
     starts = 2.0 * np.pi / solution.omega * np.arange(solution.subharmonic)
     axes.plot(
-        scale * evaluate(coefficients, base, starts)[:, 0],
-        fast * evaluate(rates, base, starts)[:, 0],
+        evaluate(coefficients, base, starts)[:, 0], evaluate(rates, base, starts)[:, 0],
         "o", color="black", ms=5.5, label="a load period begins",
     )  # fmt: skip
-    axes.set_xlabel(f"{quantity} [{unit}]")
-    axes.set_ylabel(f"its velocity [{unit_fast}]")
+    label_axis(axes.xaxis, quantity, "m")
+    label_axis(axes.yaxis, "its velocity", "m/s")
     axes.margins(0.08)
     axes.grid(alpha=0.3)
     axes.legend(

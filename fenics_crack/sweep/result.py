@@ -58,7 +58,7 @@ from fenics_crack.sweep.file import (
 )
 from fenics_crack.sweep.jobs import Manager, Worker, no_garbage_in_threads
 from fenics_crack.sweep.plan import Plan
-from fenics_crack.table import Tabular
+from fenics_crack.table import Tabular, with_unit
 
 __all__ = ["SweepResult", "axis_name", "run_sweep"]
 
@@ -252,13 +252,6 @@ class SweepResult(Tabular):
         places = np.argwhere(self["state"] == FAILED)
         return [(tuple(map(int, at)), str(self["status"][tuple(at)])) for at in places]
 
-    def table(self) -> tuple[list[str], list[list[Any]]]:
-        """Names with units, and a row for every case in their order: for a CSV file."""
-        columns = self.to_dict()
-        units = UNITS | {name: unit for name, (unit, _) in COLUMNS.items()}
-        names = [_with_unit(name, units.get(name, "")) for name in columns]
-        return names, [list(row) for row in zip(*columns.values(), strict=True)]
-
     def gap(self, index: tuple[int, ...] | int) -> np.ndarray:
         """Gap coefficients of a case that converged: (2H+1, n_pairs) [m].
 
@@ -345,6 +338,9 @@ class SweepResult(Tabular):
         found["state"] = STATES[self["state"]].ravel().tolist()
         return found | {name: self[name].ravel().tolist() for name in COLUMNS}
 
+    def _units(self) -> dict[str, str]:
+        return UNITS | {name: unit for name, (unit, _) in COLUMNS.items()}
+
     def _title(self) -> str:
         counts = zip(STATES, np.bincount(self["state"].ravel(), minlength=3), strict=True)
         return ", ".join(
@@ -357,8 +353,4 @@ class SweepResult(Tabular):
 
 def axis_name(axis: Axis) -> str:
     """Its key, with the unit."""
-    return _with_unit(axis.key, UNITS.get(axis.key, ""))
-
-
-def _with_unit(name: str, unit: str) -> str:
-    return f"{name} [{unit}]" if unit not in ("", "1") else name
+    return with_unit(axis.key, UNITS.get(axis.key, ""))

@@ -15,8 +15,6 @@ from mpi4py import MPI
 import fenics_crack as fc
 from fenics_crack.balance.compliance import dynamic_compliance
 from fenics_crack.balance.dynamic_stiffness import DynamicStiffness
-from fenics_crack.draw.paraview import write_modes, write_period
-from fenics_crack.draw.plot import draw_contact_map, draw_modes
 from fenics_crack.model import modes as model_modes
 from fenics_crack.model import reduction
 
@@ -324,24 +322,24 @@ def test_files_and_pictures_of_a_reduced_solution(wide_plate: fc.Structure, tmp_
     grids = []
     for name, made in (("small", reduced), ("large", wide_plate)):
         solution = fc.solve_harmonic_balance(made, 2000.0, law)
-        magnification = write_period(solution, tmp_path / f"{name}.pvd", frames=5)
+        magnification = fc.write_period(solution, tmp_path / f"{name}.pvd", frames=5)
         assert magnification > 1.0
         grids.append([pyvista.read(tmp_path / name / f"frame_{i:04d}.vtu") for i in range(5)])
-        draw_contact_map(tmp_path / f"{name}.png", solution)
+        fc.draw_contact_map(solution, path=tmp_path / f"{name}.png")
     for small, large in zip(*grids, strict=True):
         assert small.n_points == large.n_points == len(wide_plate.nodes.points)
         assert np.allclose(small.points, large.points, atol=1e-5)
         assert relative(small["displacement"], large["displacement"]) < 1e-4
         assert np.array_equal(small["contact state"], large["contact state"])
     modes = fc.solve_modes(reduced, 3)
-    write_modes(reduced, modes, tmp_path / "small.vtu")
-    write_modes(wide_plate, fc.solve_modes(wide_plate, 3), tmp_path / "large.vtu")
+    fc.write_modes(modes, tmp_path / "small.vtu")
+    fc.write_modes(fc.solve_modes(wide_plate, 3), tmp_path / "large.vtu")
     small, large = (pyvista.read(tmp_path / f"{name}.vtu") for name in ("small", "large"))
     assert list(small.point_data) == list(large.point_data)
     for name in small.point_data:
         shapes = small[name], large[name]
         assert min(relative(shapes[0], s * shapes[1]) for s in (1.0, -1.0)) < 1e-5
-    draw_modes(reduced, modes, tmp_path / "modes.png", columns=3, rows=1)
+    fc.draw_modes(modes, path=tmp_path / "modes.png")
     for name in ("small", "modes"):
         assert imread(tmp_path / f"{name}.png")[..., :3].std() > 0.02
 

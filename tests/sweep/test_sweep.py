@@ -90,7 +90,7 @@ def test_table_is_the_product_of_the_axes(paper_scene: fc.Scene, tmp_path: Path)
     scene = swept(paper_scene, FAST | {"contact.stiffness": [1e9, 2e9, 4e9]})
     result = run_sweep(scene, tmp_path / "sweep.h5")
     assert result.shape == (2, 2, 3) and result.complete and result.failed == []
-    names, rows = result.table()
+    names, rows = result.table().columns, result.table().rows
     assert names[:5] == [
         "excitation.omega [rad/s]", "harmonic_balance.harmonics", "contact.stiffness [N/m]",
         "state", "response [m]",
@@ -252,7 +252,7 @@ def test_failures_are_recorded_and_the_others_go_on(paper_scene: fc.Scene, tmp_p
     assert "whole number of grid cells" in reasons[2, 1, 1]
     assert "free to move" in reasons[0, 1, 0]
     assert np.isnan(result["response"][1, 0, 0])
-    names, rows = result.table()
+    names, rows = result.table().columns, result.table().rows
     assert rows[4][names.index("state")] == "failed" and "0.2" in rows[4][-1]
     with pytest.raises(fc.InputError, match="converged"):
         result.gap((1, 0, 0))
