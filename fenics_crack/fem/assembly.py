@@ -45,22 +45,20 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     if not all(np.isfinite(matrix.norm()) for matrix in (stiffness, mass)):
         raise InputError("mesh", "cells of no area", "one whose cells all have an area")
     lips = _pair_lips(scene, plate, space, dofs)
-    damping = ModalDamping(
-        scene.damping.ratio, None if scene.damping.modes == "all" else int(scene.damping.modes)
-    )
+    blocks = dofs.free_block(mass), dofs.free_block(stiffness)
+    mass.destroy()
+    stiffness.destroy()
+    modes = None if scene.damping.modes == "all" else int(scene.damping.modes)
     structure = Structure(
-        dofs.free_block(mass),
-        dofs.free_block(stiffness),
+        *blocks,
         lips.gap,
         force=_load(scene, plate, space, dofs),
         clearance=np.full(lips.gap.shape[1], scene.crack.clearance if scene.crack else 0.0),
-        damping=damping,
+        damping=ModalDamping(scene.damping.ratio, modes),
         nodes=dofs.nodes(),
         pair_points=lips.points,
         pair_areas=lips.areas,
     )
-    mass.destroy()
-    stiffness.destroy()
     collect_garbage(comm)
     return structure
 

@@ -38,7 +38,8 @@ def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
     """Return the scene with the length found from ``crack.first_omega``, if that is given."""
     if scene.crack is None or scene.crack.first_omega is None:
         return scene
-    return _with_length(scene, find_crack_length(scene, comm))
+    length = find_crack_length(scene, comm)
+    return _with_length(scene, length)
 
 
 def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:

@@ -76,7 +76,7 @@ class NodalMesh:
 
     @cached_property
     def lips(self) -> np.ndarray:
-        """Edges of the boundary that lie two in one place, likewise."""
+        """Edges of the boundary that coincide with another one: the lips, likewise."""
         middle = self.points[self.boundary[:, [0, -1]]].mean(axis=1)
         pairs = cKDTree(middle).query_pairs(1e-6 * self.size, output_type="ndarray")
         return np.asarray(self.boundary[np.unique(pairs)])

@@ -1,4 +1,4 @@
-"""Every kind of result to an HDF5 file and back: one :func:`save`, one :func:`load`."""
+"""Write and read every kind of result (HDF5): one :func:`save`, one :func:`load`."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.time.march import TimeHistory
 
-__all__ = ["Result", "check_gap", "check_pairs", "load", "save"]
+__all__ = ["Result", "check_gap", "check_pairs", "load", "save", "type_of"]
 
 Result = Modes | PeriodicSolution | ResponseCurve | Backbone | TimeHistory
 Law = ContactLaw | None
@@ -89,12 +89,24 @@ def load(path: str | Path, structure: Structure, contact: Law = None) -> Result:
     InputError
         The file is not one of :func:`save`, or the structure or the law is another.
     """
-    kind = kind_of(path)
-    for result, (_, unpack) in _FORMS.items():
-        if kind == result.KIND:
-            with reading(path, kind) as parts:
-                return unpack(parts, structure, contact)
-    allowed = f"a result written by save; this is a {kind} (SweepResult.load reads sweeps)"
+    kind = type_of(path)
+    with reading(path, kind.KIND) as parts:
+        return _FORMS[kind][1](parts, structure, contact)
+
+
+def type_of(path: str | Path) -> type[Result]:
+    """Class of the result in a file written by :func:`save`.
+
+    Raises
+    ------
+    InputError
+        The file holds something else.
+    """
+    found = kind_of(path)
+    for kind in _FORMS:
+        if kind.KIND == found:
+            return kind
+    allowed = f"a result written by save; this is a {found} (SweepResult.load reads sweeps)"
     raise InputError("path", str(path), allowed)
 
 
@@ -162,7 +174,7 @@ def _unpack_solution(parts: Parts, structure: Structure, contact: Law) -> Period
 
 
 def check_pairs(structure: Structure, gaps: np.ndarray) -> None:
-    """Raise InputError unless a structure has as many pairs as gaps (..., n_pairs)."""
+    """Raise InputError unless gaps (..., n_pairs) have as many pairs as the structure."""
     if gaps.shape[-1] != structure.n_pairs:
         allowed = f"one with {gaps.shape[-1]} pairs"
         raise InputError("structure", f"{structure.n_pairs} pairs", allowed)
@@ -171,7 +183,7 @@ def check_pairs(structure: Structure, gaps: np.ndarray) -> None:
 def check_gap(
     structure: Structure, displacement: np.ndarray, gap: np.ndarray, tolerance: float
 ) -> None:
-    """Raise InputError unless coefficients of displacement and gap belong together (collective)."""
+    """Raise InputError unless displacement and gap coefficients agree (collective)."""
     closing = structure.closing(displacement)
     size = np.linalg.norm(closing)
     closing[0] -= structure.clearance
@@ -284,7 +296,7 @@ def _unpack_history(parts: Parts, structure: Structure, contact: Law) -> TimeHis
 
 
 def _law_parts(contact: Law) -> Parts:
-    """By which a file knows the law: its name, stiffness and sharpness."""
+    """Name, stiffness and sharpness of a law, by which a file identifies it."""
     parts: Parts = {"law": type(contact).__name__}
     for name in ("stiffness", "sharpness"):
         if getattr(contact, name, None) is not None:
@@ -293,7 +305,7 @@ def _law_parts(contact: Law) -> Parts:
 
 
 def _check_law_parts(parts: Mapping[str, Any], contact: Law) -> None:
-    """Raise InputError unless a law is the one of a file."""
+    """Raise InputError unless a law is that of a file."""
     now = _law_parts(contact)
     then = {
         name: parts[name] for name in ("law", "law_stiffness", "law_sharpness") if name in parts

@@ -90,7 +90,7 @@ def write(
 
 
 def write_header(file: h5py.File, kind: str, scene: Scene | None) -> None:
-    """Say what a file is, what made it, and from which scene."""
+    """Write the attributes: what is in the file, what made it, and from which scene."""
     file.attrs["kind"] = kind
     file.attrs["program"] = PROGRAM
     file.attrs["version"] = VERSION
@@ -118,7 +118,7 @@ def scene_text(scene: Scene) -> str:
 
 
 def check_meshes(file: h5py.File, scene: Scene) -> None:
-    """Raise InputError where a mesh file of the scene is no more what it was."""
+    """Raise InputError if a mesh file of the scene has changed."""
     digests = str(file.attrs.get("meshes", "")).split()
     for path, digest in zip(scene.mesh_files, digests, strict=False):
         if _digest(path) != digest:
@@ -127,7 +127,7 @@ def check_meshes(file: h5py.File, scene: Scene) -> None:
 
 
 def _digest(path: str) -> str:
-    """SHA-256 of a file; a word where there is none."""
+    """SHA-256 of a file, or "missing"."""
     try:
         return hashlib.sha256(Path(path).read_bytes()).hexdigest()
     except OSError:
@@ -155,7 +155,7 @@ def reading(path: str | Path, kind: str) -> Iterator[dict[str, Any]]:
 
 
 def kind_of(path: str | Path) -> str:
-    """What a file holds.
+    """Kind of result in a file.
 
     Raises
     ------
@@ -185,12 +185,12 @@ def read_scene(path: str | Path) -> Scene | None:
 
 @contextlib.contextmanager
 def opened(path: str | Path, kind: str | None = None) -> Iterator[h5py.File]:
-    """A result file for reading, of any kind or one, without a lock: it may be being written.
+    """Open a result file for reading, without a lock: a sweep may be writing it.
 
     Raises
     ------
     InputError
-        The file cannot be read, is not one of this program, or lacks what is asked of it.
+        The file cannot be read, is not one of this program, or is of another kind.
     """
     try:
         with h5py.File(path, "r", locking=False) as file:

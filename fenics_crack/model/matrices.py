@@ -44,7 +44,7 @@ def distributed(rows: Any, comm: MPI.Comm) -> Any:
 
 
 def numbers(given: Any) -> np.ndarray:
-    """What was given as an array of floats; nan if it is something else."""
+    """Convert to an array of floats; nan where that cannot be done."""
     try:
         return np.asarray(np.nan if np.iscomplexobj(given) else given, dtype=float)
     except (TypeError, ValueError, OverflowError):

@@ -22,7 +22,7 @@ w^2; the difference between both is the estimate of the reduction error.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Self, TypeVar
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -39,8 +39,6 @@ __all__ = ["ReducedStructure", "reduce_structure"]
 METHODS = ("free_interface", "craig_bampton", "truncation")
 MODES = 50
 """Kept of a large structure whose modes are all damped."""
-
-Varied = TypeVar("Varied", bound=Structure)
 
 
 class ReducedStructure(Structure):
@@ -64,7 +62,9 @@ class ReducedStructure(Structure):
     basis: np.ndarray
     omega: np.ndarray
     reference: ReducedStructure | None
+
     _whole: Structure
+    _VARIED_TOO = ("_whole", "reference")
 
     def __init__(
         self,
@@ -111,26 +111,6 @@ class ReducedStructure(Structure):
         """Displacement of dofs of the whole structure from coordinates (m, n_dofs) (collective)."""
         return displacement @ self._whole.values_at(self.basis.T, dofs)
 
-    def varied(
-        self,
-        *,
-        load: float | np.ndarray = 1.0,
-        damping: float = 1.0,
-        clearance: float | np.ndarray = 0.0,
-    ) -> Self:
-        """Return this structure with its load and damping multiplied, and a clearance added.
-
-        So are those of the whole structure and of the reference.
-        """
-
-        def vary(other: Varied) -> Varied:
-            return other.varied(load=load, damping=damping, clearance=clearance)
-
-        varied = super().varied(load=load, damping=damping, clearance=clearance)
-        reference = None if self.reference is None else vary(self.reference)
-        varied._hold(_whole=vary(self._whole), reference=reference)
-        return varied
-
     def damped(self, damping: ModalDamping | None) -> ReducedStructure:
         """Return this structure with a modal damping of its own coordinates, or none."""
         if damping is not None and not isinstance(damping, ModalDamping):
@@ -156,8 +136,8 @@ def reduce_structure(
     structure : Structure
         What to reduce.
     modes : int, optional
-        Lowest modes to keep; default: those that are damped, of a structure with more than 600
-        dofs whose modes are all damped 50; without modal damping 20.
+        Lowest modes to keep; default: those that are damped, but 50 where all of more than 600
+        are damped; without modal damping 20.
     method : "free_interface", "craig_bampton" or "truncation"
         The basis, see the module's text.
 
@@ -176,7 +156,7 @@ def reduce_structure(
     if modes is None:
         modes = min(20, structure.n_dofs) if damped is None else len(damped.omega)
         if ratio is not None:
-            modes = structure.n_dofs if structure.n_dofs <= SMALL else MODES
+            modes = MODES if structure.n_dofs > SMALL else structure.n_dofs
     whole = isinstance(modes, int | np.integer) and not isinstance(modes, bool)
     if not (whole and 1 <= modes <= structure.n_dofs):
         raise InputError("modes", modes, f"a whole number from 1 to n_dofs = {structure.n_dofs}")

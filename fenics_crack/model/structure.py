@@ -18,7 +18,7 @@ from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Integral
-from typing import Any, NoReturn, Self, TypeVar
+from typing import Any, ClassVar, NoReturn, Self, TypeVar
 
 import numpy as np
 import scipy.sparse as sparse
@@ -131,6 +131,8 @@ class Structure:
     _load: np.ndarray
     """What the load of the original is multiplied by: (3, 3)."""
     _known: dict[Callable[[Structure], Any], Any]
+    _VARIED_TOO: ClassVar[tuple[str, ...]] = ()
+    """Attributes that are structures, varied with this one."""
 
     def __init__(
         self,
@@ -303,7 +305,7 @@ class Structure:
         Parameters
         ----------
         point : (2,) [m]
-            Position of the node; up to 1e-6 of the structure's size may be missing.
+            Position of the node, to 1e-6 of the structure's size.
         component : 0, 1, "x" or "y"
             Direction.
 
@@ -325,13 +327,13 @@ class Structure:
 
     @property
     def couplings(self) -> np.ndarray:
-        """What pairs and load see of each dof: (n_pairs + 3, n_local)."""
+        """B^T and the load, what tells the dofs apart: (n_pairs + 3, n_local)."""
         return np.vstack([self.gap.toarray().T, self.force])
 
     def signs_since(self, couplings: np.ndarray) -> np.ndarray:
-        """Signs (n_local,) that the dofs have changed since the structure had these couplings.
+        """Signs (n_local,) by which the dofs differ from those that had given couplings.
 
-        The coordinates of a reduction may come out with other signs when it is made anew.
+        A mode may change its sign when a structure is reduced again.
 
         Raises
         ------
@@ -412,7 +414,8 @@ class Structure:
     ) -> Self:
         """Return this structure with its load and damping multiplied, and a clearance added.
 
-        The copy shares matrices, and modes once they are computed.
+        The copy shares matrices, and modes once they are computed. Of a reduced structure the whole
+        one and the reference are varied too.
 
         Parameters
         ----------
@@ -442,6 +445,9 @@ class Structure:
             _original=self.original,
             _load=weights @ self._load if weights.ndim else weights * self._load,
         )
+        for name in self._VARIED_TOO:
+            if (part := getattr(self, name)) is not None:
+                vars(other)[name] = part.varied(load=load, damping=damping, clearance=clearance)
         return other
 
     def _changed(self, **changes: Any) -> Structure:

@@ -23,7 +23,7 @@ from fenics_crack.scene.scene import Contact, Reduction, Scene
 __all__ = ["Study", "contact_law", "law_of", "prepare", "reduction_of"]
 
 FEW_DOFS = 100
-"""So many need no reduction."""
+"""A structure with at most so many dofs is not reduced unasked."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def prepare(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, whole: bool = Fals
 
 
 def reduction_of(scene: Scene, structure: Structure) -> Reduction | None:
-    """How the structure of a scene is reduced; None: not at all.
+    """How the structure of a scene is reduced; None where it is not.
 
     Without the table ``[reduction]`` a structure of up to 100 dofs on one rank is left as it is.
     Where all modes are damped and no number of modes is given, 50 are kept.

@@ -14,8 +14,8 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.continuation import continue_frequency, continue_parameter
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
-from fenics_crack.files.results import Result, load
-from fenics_crack.files.store import kind_of, read_scene
+from fenics_crack.files.results import Result, load, type_of
+from fenics_crack.files.store import read_scene
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes, solve_modes
@@ -34,16 +34,16 @@ from fenics_crack.time.march import TimeHistory
 __all__ = ["Run", "find_modes", "follow_curve", "integrate", "load_run", "solve"]
 
 FEW_DOFS = 100
-"""Beyond these the stability of an orbit with another law than the penalty takes minutes."""
+"""With more dofs, stability takes minutes unless the law is piecewise linear."""
 RECORDED_PERIODS = 4
-"""Kept of a motion in time."""
+"""Periods kept of a motion in time."""
 
 Found = TypeVar("Found", bound=Result, covariant=True)
 
 
 @dataclass(frozen=True)
 class Run(Study, Generic[Found]):
-    """What was found, with all that is needed to go on with it.
+    """A result with its scene, structure and law.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Run(Study, Generic[Found]):
 def find_modes(scene: Scene, count: int, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Modes]:
     """Lowest modes with the crack open (collective)."""
     study = prepare(scene, comm, whole=True)
-    return _run(study, solve_modes(study.structure, count))
+    return Run(**vars(study), result=solve_modes(study.structure, count))
 
 
 def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution]:
@@ -86,14 +86,14 @@ def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution
     structure, law = study.structure, study.contact
     table, omega = scene.harmonic_balance, scene.excitation.omega
     if law is None:
-        return _run(study, solve_linear(structure, omega, harmonics=table.harmonics))
+        return Run(**vars(study), result=solve_linear(structure, omega, harmonics=table.harmonics))
     solution = solve_harmonic_balance(
         structure, omega, law, harmonics=table.harmonics, samples=table.samples, throw=False
     )
     quick = is_piecewise_linear(law) or structure.n_dofs <= FEW_DOFS
     if solution.converged and quick and is_small(structure) and not is_rigid(law):
         solution = replace(solution, stability=floquet(structure, solution))
-    return _run(study, solution)
+    return Run(**vars(study), result=solution)
 
 
 def follow_curve(
@@ -121,7 +121,7 @@ def follow_curve(
         curve = continue_parameter(
             structure, omega, law, table.parameter, table.start, table.stop, **options
         )
-    return _run(study, curve)
+    return Run(**vars(study), result=curve)
 
 
 def integrate(
@@ -158,11 +158,7 @@ def integrate(
         history = integrate_central_difference(
             structure, omega, law, steps_per_period=steps, **options
         )
-    return _run(study, history)
-
-
-def _run(study: Study, result: Found) -> Run[Found]:  # type: ignore[misc]
-    return Run(study.scene, study.structure, study.contact, result)
+    return Run(**vars(study), result=history)
 
 
 def _needed_law(study: Study) -> ContactLaw:
@@ -183,8 +179,8 @@ def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
     InputError
         The file is not a result with a scene, or is a sweep.
     """
-    kind, scene = kind_of(path), read_scene(path)
+    kind, scene = type_of(path), read_scene(path)
     if scene is None:
-        raise InputError("path", str(path), f"a {kind} saved with its scene")
-    study = prepare(scene, comm, whole=kind == Modes.KIND)
-    return _run(study, load(path, study.structure, study.contact))
+        raise InputError("path", str(path), f"a {kind.KIND} saved with its scene")
+    study = prepare(scene, comm, whole=kind is Modes)
+    return Run(**vars(study), result=load(path, study.structure, study.contact))

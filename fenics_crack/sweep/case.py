@@ -29,11 +29,11 @@ from fenics_crack.sweep.plan import FORCES, Chunk
 __all__ = ["REFUSALS", "Arrays", "Geometry", "Solved", "all_failed", "build", "solve_chunk"]
 
 UNSURE = 0.05
-"""By which, and by the truncation error, a multiplier must differ from 1 to be judged by itself."""
+"""A multiplier nearer to 1 than this and the truncation error leaves the verdict undecided."""
 INSTANTS = 1024
-"""Of a period, at which gaps and forces are looked at."""
+"""Instants of a period at which gap and force are evaluated."""
 REFUSALS = (InputError, ConvergenceError, np.linalg.LinAlgError)
-"""What makes a case fail, and lets the others go on."""
+"""Errors with which one case fails while the others go on."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """The file of a sweep: filled in while the sweep runs, and sound whenever the program is killed.
 
-HDF5 keeps its metadata in memory and writes it when it likes; a program that dies meanwhile leaves
-a file that cannot be opened. So here no metadata changes once the file has its name:
+HDF5 keeps metadata in memory and writes it at times of its own; a program killed in between leaves
+a file that cannot be opened. So no metadata changes once the file has its name:
 
 - it is made whole under another name, closed, and then renamed;
 - every dataset has its full size from the start, in one contiguous piece whose place is fixed
@@ -10,8 +10,8 @@ a file that cannot be opened. So here no metadata changes once the file has its 
   (flush), and only then their ``state``. What has a state is complete; what a kill has left half
   written has none, and is computed again.
 
-What has not been written takes no space on disk where the file system knows holes. The file can be
-read while it is being written. A lock keeps a second sweep from writing to it.
+Unwritten parts take no space where the file system supports sparse files. The file can be read
+while it is being written. A lock keeps a second sweep from writing to it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The jobs of a sweep: what a group of ranks does, and who hands out what."""
+"""The jobs of a sweep: how ranks do them, and how rank 0 hands them out."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from fenics_crack.sweep.plan import Chunk, Index, Plan, everywhere
 __all__ = ["Manager", "Worker", "no_garbage_in_threads"]
 
 LONGEST = 2.0
-"""Duration of a job [s] that is aimed at: what a kill can lose."""
+"""Intended duration of a job [s]: what a killed run loses at most."""
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ FORCES = ("force_mean", "force_cos", "force_sin")
 """Parts of the load."""
 
 Index = tuple[Any, ...]
-"""Of whole numbers, and a slice on one axis."""
+"""A whole number on each axis, and a slice on one."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Plan:
         self._measure()
 
     def _measure(self) -> None:
-        """Bound the pairs; raise InputError if no combination is a scene."""
+        """Find the bound of the pairs; raise InputError if no combination is a scene."""
         bounds: dict[Any, int] = {}
         found, reason = False, ""
         for geometry in self.geometries:
@@ -145,7 +145,7 @@ class Plan:
 
 
 def _most_pairs(scene: Scene) -> int:
-    """Bound of the contact pairs of a scene, without the mesh where the plate is drawn."""
+    """Upper bound of the contact pairs of a scene; meshed only where there is a mesh file."""
     mesh, crack = scene.mesh, scene.crack
     if scene.contact is not None and scene.contact.pairs == "mouth":
         return 1

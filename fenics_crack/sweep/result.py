@@ -273,7 +273,7 @@ class SweepResult(Tabular):
         Raises
         ------
         InputError
-            As :meth:`gap`; or a mesh file is no more what it was.
+            As :meth:`gap`; or a mesh file has changed.
         """
         place = self._place(index)
         read_scene(self.path)  # checks the mesh files
