@@ -12,14 +12,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from fenics_crack.cli.exit_codes import Exit
 from fenics_crack.errors import ConvergenceError, InputError, check_count
 from fenics_crack.version import VERSION
 
 __all__ = ["main", "parser"]
 
 FORMATS = ("text", "csv", "json")
-BROKEN, BAD_INPUT, NOT_CONVERGED, INTERRUPTED, READER_GONE = 1, 2, 3, 130, 141
-"""Exit codes, beside that of a command."""
 LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
 """Variables by which mpirun tells a process its rank, before MPI is there."""
 KEYS = {
@@ -63,20 +62,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except InputError as error:
         named = InputError(KEYS.get(error.key, error.key), error.value, error.allowed)
         print(f"fenics-crack: {named}", file=sys.stderr)
-        return BAD_INPUT
+        return Exit.BAD_INPUT
     except ConvergenceError as error:
         print(f"fenics-crack: did not converge: {error}", file=sys.stderr)
-        return NOT_CONVERGED
+        return Exit.NOT_CONVERGED
     except KeyboardInterrupt:
         print("fenics-crack: stopped", file=sys.stderr)
-        return INTERRUPTED
+        return Exit.STOPPED
     except BrokenPipeError:  # the reader of our output has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return READER_GONE
+        return Exit.READER_GONE
     except Exception:
         traceback.print_exc(file=sys.__stderr__)
         _end_other_ranks()
-        return BROKEN
+        return Exit.FAULT
 
 
 def _be_silent() -> None:
@@ -89,10 +88,10 @@ def _end_other_ranks() -> None:
     from mpi4py import MPI
 
     if MPI.COMM_WORLD.size > 1:
-        MPI.COMM_WORLD.Abort(BROKEN)
+        MPI.COMM_WORLD.Abort(Exit.FAULT)
 
 
-def _run(given: argparse.Namespace) -> int:
+def _run(given: argparse.Namespace) -> Exit:
     """Import what a command needs, and call it."""
     import logging
 

@@ -10,7 +10,8 @@ from mpi4py import MPI
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli import tables
-from fenics_crack.cli.console import DONE, NOT_CONVERGED, Console
+from fenics_crack.cli.console import Console
+from fenics_crack.cli.exit_codes import Exit
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
 from fenics_crack.files.results import save
@@ -31,17 +32,17 @@ SHOWN_FAILURES = 10
 """Of a sweep; all are in its table."""
 
 
-def modes(scene: Scene, count: int, folder: Path, console: Console) -> int:
+def modes(scene: Scene, count: int, folder: Path, console: Console) -> Exit:
     """Natural frequencies and mode shapes with the crack open."""
     with console.stage("modes"):
         run = find_modes(scene, count, console.comm)
     save(run.result, folder / "modes.h5", run.scene)
     table = tables.mode_frequencies(run)
     console.finish(folder, "modes", table, table, table)
-    return DONE
+    return Exit.DONE
 
 
-def solution(scene: Scene, folder: Path, console: Console) -> int:
+def solution(scene: Scene, folder: Path, console: Console) -> Exit:
     """Steady vibration at one frequency."""
     with console.stage("solution"):
         run = solve(scene, console.comm)
@@ -51,7 +52,7 @@ def solution(scene: Scene, folder: Path, console: Console) -> int:
     console.finish(folder, "solution", table, tables.solution_waves(run), table)
     if not found.converged:
         console.warn(f"not converged: {found.status}")
-        return NOT_CONVERGED
+        return Exit.NOT_CONVERGED
     if not found.report.total <= LARGE_ERROR:
         console.warn(
             f"the estimated error is {found.report.total:.2g} of the gap: more harmonics "
@@ -62,10 +63,10 @@ def solution(scene: Scene, folder: Path, console: Console) -> int:
             f"the orbit is {found.stability.verdict}: it may not be what is seen in time"
             + (UNDECIDED if found.stability.verdict == "undecided" else "")
         )
-    return DONE
+    return Exit.DONE
 
 
-def curve(scene: Scene, folder: Path, console: Console) -> int:
+def curve(scene: Scene, folder: Path, console: Console) -> Exit:
     """Response curve, through its folds."""
     with console.stage("curve"):
         run = follow_curve(scene, console.comm, progress=console.progress)
@@ -84,8 +85,8 @@ def curve(scene: Scene, folder: Path, console: Console) -> int:
             )
     if not found.complete:
         console.warn(f"the curve ended early: {found.status}")
-        return NOT_CONVERGED
-    return DONE
+        return Exit.NOT_CONVERGED
+    return Exit.DONE
 
 
 def _judge_errors(run: Run[ResponseCurve], console: Console) -> None:
@@ -103,7 +104,7 @@ def _judge_errors(run: Run[ResponseCurve], console: Console) -> None:
         )
 
 
-def integration(scene: Scene, folder: Path, console: Console) -> int:
+def integration(scene: Scene, folder: Path, console: Console) -> Exit:
     """Motion in time, from rest until it repeats."""
     with console.stage("integration"):
         run = integrate(scene, console.comm, progress=console.progress)
@@ -117,8 +118,8 @@ def integration(scene: Scene, folder: Path, console: Console) -> int:
             f"the motion has not settled after {found.periods} of {asked.periods} periods: "
             f"a period changes it by {found.settled:.2g}{_longer_period(found)}"
         )
-        return NOT_CONVERGED
-    return DONE
+        return Exit.NOT_CONVERGED
+    return Exit.DONE
 
 
 def _longer_period(found: TimeHistory) -> str:
@@ -141,7 +142,7 @@ def _save(
         on_root(console.comm, lambda: save(run.result, path, run.scene))
 
 
-def sweep(scene: Scene, folder: Path, console: Console) -> int:
+def sweep(scene: Scene, folder: Path, console: Console) -> Exit:
     """All cases of a sweep, or those that an earlier run has left."""
     with console.stage("sweep"):
         found = run_sweep(scene, folder / "sweep.h5", console.comm, progress=console.progress)
@@ -163,16 +164,16 @@ def sweep(scene: Scene, folder: Path, console: Console) -> int:
         console.warn(f"{not_stable} cases are unstable or undecided")
     if not found.complete:
         console.warn("the sweep was stopped; the same command goes on with it")
-    return NOT_CONVERGED if found.failed or not found.complete else DONE
+    return Exit.NOT_CONVERGED if found.failed or not found.complete else Exit.DONE
 
 
-def plot(result: Path, folder: Path, console: Console, *, show: bool) -> int:
+def plot(result: Path, folder: Path, console: Console, *, show: bool) -> Exit:
     """Pictures of a result, and files for ParaView: by rank 0."""
     with console.stage("pictures"):
         files = on_root(console.comm, lambda: _draw(result, folder, show))
     for file in files:
         console.note(str(file))
-    return DONE
+    return Exit.DONE
 
 
 def _draw(result: Path, folder: Path, show: bool) -> list[Path]:

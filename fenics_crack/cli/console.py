@@ -1,4 +1,4 @@
-"""Where a command speaks and writes, and the exit codes."""
+"""Where a command prints and writes."""
 
 from __future__ import annotations
 
@@ -16,10 +16,7 @@ from fenics_crack.errors import InputError
 from fenics_crack.parallel import on_root
 from fenics_crack.table import Table
 
-__all__ = ["DONE", "NOT_CONVERGED", "Console", "make_writable"]
-
-DONE, NOT_CONVERGED = 0, 3
-"""Exit codes."""
+__all__ = ["Console", "make_writable"]
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from fenics_crack.balance.harmonic_balance import check_memory
-from fenics_crack.cli.console import DONE, Console
+from fenics_crack.cli.console import Console
+from fenics_crack.cli.exit_codes import Exit
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import make_folder
 from fenics_crack.model.contact import is_rigid
@@ -26,7 +27,7 @@ MOST_CHECKED = 10_000
 """Cases of a sweep that are looked at before it is run."""
 
 
-def new(path: Path, console: Console) -> int:
+def new(path: Path, console: Console) -> Exit:
     """Write a commented scene to start from."""
 
     def write() -> None:
@@ -43,10 +44,10 @@ def new(path: Path, console: Console) -> int:
 
     on_root(console.comm, write)
     console.note(f"{path}: a scene to start from; now: fenics-crack check {path}")
-    return DONE
+    return Exit.DONE
 
 
-def check(scene: Scene, console: Console) -> int:
+def check(scene: Scene, console: Console) -> Exit:
     """Mesh and assemble, solve nothing, and say what there is."""
     study = prepare(scene, console.comm, whole=True)
     whole, law, crack = study.structure, study.contact, study.scene.crack
@@ -80,7 +81,7 @@ def check(scene: Scene, console: Console) -> int:
         rows += [("sweep", axes), ("cases of the sweep", scene.sweep.n_cases)]
         rows.append(("of them impossible", on_root(console.comm, lambda: _impossible(scene))))
     console.table(Table(("what", "value"), rows))
-    return DONE
+    return Exit.DONE
 
 
 def _impossible(scene: Scene) -> str:

@@ -128,8 +128,9 @@ def finish(axes: Axes, path: str | Path | None, title: str | None) -> Figure:
     handles, labels = axes.get_legend_handles_labels()
     named = dict(zip(labels, handles, strict=True))
     where: dict[str, Any] = {"loc": "best", "framealpha": 0.9}
-    if axes.figure.get_layout_engine() is not None:
-        columns = max(1, min(len(named), 95 // (max(map(len, named), default=0) + 8)))
+    if named and axes.figure.get_layout_engine() is not None:
+        letters = 17.0 * axes.get_window_extent().width / axes.figure.dpi
+        columns = max(1, min(len(named), int(letters / (max(map(len, named)) + 8))))
         below = {"bbox_to_anchor": (0.5, 0.0), "borderaxespad": 4.2}
         where = {"loc": "upper center", "ncol": columns, "frameon": False, **below}
     if named:

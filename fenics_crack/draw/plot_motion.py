@@ -30,8 +30,8 @@ def draw_spectrum(
 ) -> Figure:
     """Draw the amplitudes of the harmonics, logarithmically, over their orders (collective).
 
-    Above, of the gap of the pair that moves most and of the displacement of a dof; below, where
-    there is contact, of the contact force, the sum of all pairs. Order 1 is the load's, 0 the mean;
+    Above, of the gap of the pair that moves most and of the displacement of a dof; below, of the
+    contact force, the sum of all pairs. Order 1 is the load's, 0 the mean;
     the orders of a subharmonic response are fractions. How fast the amplitudes fall says whether
     there are enough harmonics.
 
@@ -42,7 +42,7 @@ def draw_spectrum(
     dof : int, optional
         Whose displacement.
     axes : Axes or sequence of them, optional
-        One for each of the one or two panels; default: a new figure.
+        One for the displacements, or two; default: a new figure, with both where there is contact.
     path : str or Path, optional
         Where to save the new figure.
     title : str, optional
@@ -67,7 +67,7 @@ def draw_spectrum(
         raise InputError("dof", None, "given where there is no contact pair")
     force = _amplitudes(solution.force_coefficients.sum(axis=1))
     series = [(lengths, "displacement", "m")]
-    if np.any(force):
+    if np.any(force) if axes is None else np.size(axes) > 1:
         series.append(({"contact force, all pairs": force}, "contact force", "N"))
     size = (7.0, 2.4 + 2.2 * len(series))
     panels = make_axes(axes, path, len(series), size=size, sharex=True)

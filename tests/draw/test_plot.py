@@ -115,6 +115,19 @@ def test_numbers_are_si_and_read_well() -> None:
     assert "0" in labels and "1" in labels
 
 
+def test_spectrum_fills_as_many_axes_as_it_is_given() -> None:
+    """One without the contact force; two though nothing touches."""
+    apart = fc.solve_linear(two_masses(), 1.0)
+    for count in (1, 2):
+        panels = Figure().subplots(count, squeeze=False)[:, 0]
+        fc.draw_spectrum(apart, axes=panels)
+        words = [panel.get_ylabel().replace("\n", " ") for panel in panels]
+        assert (
+            words
+            == ["amplitude of the displacement [m]", "amplitude of the contact force [N]"][:count]
+        )
+
+
 def test_curves_are_told_apart(results: dict[str, Any]) -> None:
     """Two on the same axes: each with its name and colour; what both have, once in the legend."""
     curve = results["curve"]
