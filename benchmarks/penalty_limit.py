@@ -41,7 +41,7 @@ def run_limit(arguments: common.Arguments) -> None:
     paper = common.plate("paper_plate", {"damping.ratio": 0.01})
     stiffness = 10.0 ** np.arange(8.0, 14.1, 1.0 if quick else 0.5)
     cases: list[tuple[str, fc.Structure, tuple[int, ...]]] = [
-        ("paper plate, damping 0.01", paper, (5, 20) if quick else (5, 10, 20, 40, 80)),
+        ("paper plate, damping 0.01", paper, (5, 20) if quick else (5, 10, 20, 40, 80))
     ]
     for damping in (0.01,) if quick else (0.01, 0.001):
         whole = common.plate("breathing_plate", {"damping.ratio": damping})

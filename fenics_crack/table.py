@@ -20,15 +20,7 @@ import numpy as np
 
 from fenics_crack.errors import InputError
 
-__all__ = [
-    "Described",
-    "Table",
-    "Tabular",
-    "counted",
-    "quantity",
-    "readable",
-    "with_unit",
-]
+__all__ = ["Described", "Table", "Tabular", "counted", "quantity", "readable", "with_unit"]
 
 SHOWN_ROWS = 40
 """More are left to the file."""

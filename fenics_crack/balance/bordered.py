@@ -214,12 +214,7 @@ def step_along(
 
 
 def solve_at(
-    system: System,
-    unknown: np.ndarray,
-    parameter: float,
-    *,
-    tolerance: float,
-    iterations: int = 20,
+    system: System, unknown: np.ndarray, parameter: float, *, tolerance: float, iterations: int = 20
 ) -> PathPoint | None:
     """Full Newton steps from a guess at a given parameter; None where they do not converge."""
     return solve_in_plane(

@@ -112,12 +112,7 @@ class ModalCompliance:
         self.linear_gap[0] -= self._clearance + clearance
 
     def at(
-        self,
-        base_omega: float,
-        *,
-        load: float = 1.0,
-        damping: float = 1.0,
-        clearance: float = 0.0,
+        self, base_omega: float, *, load: float = 1.0, damping: float = 1.0, clearance: float = 0.0
     ) -> ModalCompliance:
         """The same at another frequency, and of a varied structure (:meth:`Structure.varied`)."""
         other = copy(self)

@@ -23,11 +23,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.compliance import Compliance, WidenedCompliance
-from fenics_crack.balance.contact_integrals import (
-    ContactIntegrals,
-    ExactIntegrals,
-    apply_to_pairs,
-)
+from fenics_crack.balance.contact_integrals import ContactIntegrals, ExactIntegrals, apply_to_pairs
 from fenics_crack.balance.fourier import from_complex, to_complex
 from fenics_crack.balance.linearisation import DenseLinearisation
 from fenics_crack.errors import InputError

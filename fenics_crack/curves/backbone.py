@@ -39,10 +39,7 @@ import numpy as np
 from tqdm import tqdm
 
 from fenics_crack.balance.arclength import follow_path
-from fenics_crack.balance.contact_integrals import (
-    ContactIntegrals,
-    contact_integrals,
-)
+from fenics_crack.balance.contact_integrals import ContactIntegrals, contact_integrals
 from fenics_crack.balance.error_report import ErrorReport, mean_square
 from fenics_crack.balance.fourier import resized, to_complex
 from fenics_crack.balance.search import SOFT
@@ -479,11 +476,7 @@ def _land(
 
 
 def _next_to(
-    family: EnergyMotion,
-    structure: Structure,
-    initial: PeriodicSolution,
-    mode: int,
-    energy: float,
+    family: EnergyMotion, structure: Structure, initial: PeriodicSolution, mode: int, energy: float
 ) -> np.ndarray:
     """The motion next to a solution, whose mode is made a cosine in the first harmonic."""
     if not isinstance(initial, PeriodicSolution):

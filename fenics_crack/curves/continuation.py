@@ -35,13 +35,7 @@ from fenics_crack.balance.harmonic_balance import solve_harmonic_balance
 from fenics_crack.balance.rounding import EPSILON, stiffness_times_compliance
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
-from fenics_crack.errors import (
-    ConvergenceError,
-    InputError,
-    check_count,
-    check_number,
-    check_omega,
-)
+from fenics_crack.errors import ConvergenceError, InputError, check_count, check_number, check_omega
 from fenics_crack.model.contact import ContactLaw, check_law
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure

@@ -22,10 +22,7 @@ def moved_grid(mesh: NodalMesh, displacement: np.ndarray | float = 0.0) -> pyvis
 
 
 def edge_lines(
-    mesh: NodalMesh,
-    edges: np.ndarray,
-    displacement: np.ndarray | float = 0.0,
-    height: float = 0.0,
+    mesh: NodalMesh, edges: np.ndarray, displacement: np.ndarray | float = 0.0, height: float = 0.0
 ) -> pyvista.PolyData:
     """Some of the edges, moved by nodal vectors and lifted towards the eye [m]."""
     count, nodes = edges.shape

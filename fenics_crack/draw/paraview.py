@@ -26,13 +26,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows, on_root
 from fenics_crack.scene.scene import Material
 
-__all__ = [
-    "PeriodFields",
-    "nodal_stress",
-    "von_mises",
-    "write_modes",
-    "write_period",
-]
+__all__ = ["PeriodFields", "nodal_stress", "von_mises", "write_modes", "write_period"]
 
 
 def write_modes(modes: Modes, path: str | Path) -> None:

@@ -76,11 +76,7 @@ STATES = np.array(["pending", "converged", "failed"])
 
 
 def run_sweep(
-    scene: Scene,
-    path: str | Path,
-    comm: MPI.Comm = MPI.COMM_WORLD,
-    *,
-    progress: bool = False,
+    scene: Scene, path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: bool = False
 ) -> SweepResult:
     """Solve all cases of a scene's sweep by harmonic balance (collective).
 

@@ -34,10 +34,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import StopRequest
 from fenics_crack.time.march import TimeHistory, initial_state
 
-__all__ = [
-    "EventFlow",
-    "integrate_events",
-]
+__all__ = ["EventFlow", "integrate_events"]
 
 MOST_PAIRS = 12
 MOST_EVENTS = 100_000

@@ -61,12 +61,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.errors import (
-    ConvergenceError,
-    InputError,
-    check_number,
-    check_omega,
-)
+from fenics_crack.errors import ConvergenceError, InputError, check_number, check_omega
 from fenics_crack.model.contact import ContactLaw, UnilateralConstraint, check_law
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.modes import damped_modes

@@ -13,11 +13,7 @@ from tqdm import tqdm
 
 from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.errors import (
-    InputError,
-    check_count,
-    check_number,
-)
+from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.model.modes import by_columns
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import StopRequest, raise_together

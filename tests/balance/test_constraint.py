@@ -50,9 +50,7 @@ def test_penalty_approaches_the_constraint_like_one_over_k(soft_plate: fc.Struct
         assert slope == pytest.approx(-1.0, abs=0.06)
 
 
-def test_penetration_falls_with_the_harmonics(
-    constrained: dict[int, fc.PeriodicSolution],
-) -> None:
+def test_penetration_falls_with_the_harmonics(constrained: dict[int, fc.PeriodicSolution]) -> None:
     """What the truncated wave still penetrates, by sampling and by the report: order 1 or more."""
     sampled, reported = [], []
     for solution in constrained.values():

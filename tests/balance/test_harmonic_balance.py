@@ -6,14 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import (
-    amplitudes,
-    chain,
-    dense_matrices,
-    oscillator,
-    relative,
-    two_masses,
-)
+from helpers import amplitudes, chain, dense_matrices, oscillator, relative, two_masses
 from laboratory import BlockSystem
 
 import fenics_crack as fc

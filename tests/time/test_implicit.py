@@ -281,9 +281,7 @@ def test_paper_plate_without_penetration(
 
 
 @both_schemes
-def test_limit_of_stiff_penalty_in_lasting_contact(
-    scheme: Callable[..., fc.TimeHistory],
-) -> None:
+def test_limit_of_stiff_penalty_in_lasting_contact(scheme: Callable[..., fc.TimeHistory]) -> None:
     """Two masses, the first pressed on a stop: the motion without penetration, like 1/k."""
     stiffness = chain_stiffness(np.array([1.0, 1.0, 1.0]))
     structure = fc.Structure.from_matrices(
