@@ -70,6 +70,10 @@ class Family(ABC):
     def vary(cls, problem: Problem, value: float) -> Problem:
         """A problem where the parameter has a value."""
 
+    def at(self, value: float) -> Problem:
+        """The family's own problem where the parameter has a value."""
+        return self.vary(self.problem, value)
+
     def _make(self, value: float) -> CondensedSystem:
         """The equations where the parameter has a value."""
         return CondensedSystem(self.compliance(value), self._integrals)
