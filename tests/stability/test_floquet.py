@@ -16,7 +16,7 @@ from helpers import (
 from scipy.integrate import solve_ivp
 
 import fenics_crack as fc
-from fenics_crack.curves.continuation import continue_frequency
+from fenics_crack.curves.follow import continue_frequency
 from fenics_crack.model.modal import all_modes, flow_matrix
 from fenics_crack.stability.floquet import PiecewiseFlow, floquet
 from fenics_crack.time.events import EventFlow
