@@ -420,7 +420,8 @@ def test_errors_reach_every_rank(paper_scene: fc.Scene, tmp_path: Path, mpirun: 
     (tmp_path / "b.toml").write_text(swept(paper_scene, RANKS_OVER, ranks=3).as_toml())
     output = mpirun(
         f"""
-import sys, time
+import sys
+import time
 import fenics_crack as fc
 from fenics_crack.sweep import case as sweep_case, result as sweep
 from mpi4py import MPI
@@ -434,7 +435,7 @@ def broken(*given):
     calls.append(given)
     if comm.rank == 1 and len(calls) > 10:  # after its first chunk
         raise KeyError("unforeseen")
-    time.sleep(0.1 * (comm.rank == 0))  # leaves enough for the other
+    time.sleep(0.02 if comm.rank == 0 else 0.0)  # the other rank gets a second chunk
     return whole(*given)
 sweep_case._solve = broken
 try:
