@@ -376,6 +376,8 @@ def _hill(
             vector[:] = found.conj() / np.linalg.norm(found)
 
         def bordering(exponent: complex) -> complex:
+            if not abs(exponent - start) < FARTHEST * omega:
+                return complex(np.nan)
             bordered[:size, :size] = matrix(exponent)
             return complex(np.linalg.solve(bordered, last)[-1])
 
@@ -385,8 +387,7 @@ def _hill(
         )  # fmt: skip
     except np.linalg.LinAlgError:
         return complex(np.nan)
-    near = report.converged and abs(root - start) < FARTHEST * omega
-    return complex(np.exp(root * solution.period)) if near else complex(np.nan)
+    return complex(np.exp(root * solution.period)) if report.converged else complex(np.nan)
 
 
 def _hill_matrix(
