@@ -27,6 +27,7 @@ import numpy as np
 from fenics_crack.balance.arclength import Stepping, follow_path
 from fenics_crack.balance.bordered import PathPoint, locate, solve_in_plane, tangent_of
 from fenics_crack.balance.linearisation import DenseLinearisation
+from fenics_crack.balance.rounding import EPSILON
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError, InputError, check_number
 from fenics_crack.model.contact import ContactLaw
@@ -36,8 +37,8 @@ from fenics_crack.stability.shooting import ExactOrbits, OrbitPoint, PeriodicOrb
 
 __all__ = ["refine_bifurcation"]
 
-TOLERANCE = 1e-11
-"""|z(T) - z| / |z| of the points."""
+TOLERANCE = 1e-12
+"""|z(T) - z| / |z| of the points, where the flow does not enlarge rounding beyond it."""
 MOST_ITERATIONS = 30
 """From the solution to the branch."""
 MOST_STEPS = 400
@@ -139,6 +140,8 @@ def refine_bifurcation(
 class _Branch(ExactOrbits):
     """Exact orbits as a branch; where pairs chatter there is none."""
 
+    tolerance = TOLERANCE
+
     def linearise(self, unknown: np.ndarray, parameter: float) -> DenseLinearisation:
         """The equations at (x, p); without a residual where there is no flow over the period."""
         try:
@@ -149,9 +152,17 @@ class _Branch(ExactOrbits):
 
     def first(self) -> PathPoint | None:
         """The point next to the solution, across the branch."""
-        plane = tangent_of(self, self.start, self.linearise(self.start, 1.0))
+        at = self.linearise(self.start, 1.0)
+        if isinstance(at, OrbitPoint):
+            self.tolerance = max(TOLERANCE, 100.0 * EPSILON * float(np.linalg.norm(at.monodromy)))
         found = solve_in_plane(
-            self, self.start, 1.0, plane, tolerance=TOLERANCE, iterations=MOST_ITERATIONS, reach=0.5
+            self,
+            self.start,
+            1.0,
+            tangent_of(self, self.start, at),
+            tolerance=self.tolerance,
+            iterations=MOST_ITERATIONS,
+            reach=0.5,
         )
         if found is None:
             return None
@@ -164,8 +175,8 @@ def _sought(
 ) -> Iterator[PathPoint | None]:
     """Follow the branch; yield None after each step, and the point where the test vanishes."""
     stepping = Stepping(
-        0.1 * longest, longest, 1e-7 * longest, MOST_STEPS, TOLERANCE, least_cosine=0.9,
-        rounding=TOLERANCE,
+        0.1 * longest, longest, 1e-7 * longest, MOST_STEPS, branch.tolerance, least_cosine=0.9,
+        rounding=branch.tolerance,
     )  # fmt: skip
     before, value = start, test(start)
     for point in follow_path(branch, start.unknown, start.parameter, stepping, start.tangent):
@@ -173,7 +184,7 @@ def _sought(
         if np.isnan(now):
             return
         if value * now <= 0.0:
-            found = locate(branch, before, point, test, TOLERANCE)
+            found = locate(branch, before, point, test, branch.tolerance)
             if found is before or found is point:
                 raise ConvergenceError("refinement: lost between two exact orbits")
             yield found

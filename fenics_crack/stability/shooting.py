@@ -70,10 +70,13 @@ class OrbitPoint(DenseLinearisation):
     """
 
     def __init__(self, system: ExactOrbits, unknown: np.ndarray, parameter: float) -> None:
-        moved, self.monodromy, self.events = system.moved(unknown, parameter, slopes=True)
+        identity = np.eye(len(unknown))
+        moved, monodromy, self.events = system.moved(unknown, parameter, identity)
+        assert monodromy is not None
+        self.monodromy = monodromy
         super().__init__(
             moved - unknown,
-            lambda: self.monodromy - np.eye(len(unknown)),
+            lambda: monodromy - identity,
             partial(system.by_parameter, unknown, parameter),
         )
 
@@ -117,17 +120,15 @@ class ExactOrbits:
         return float(first @ second)
 
     def moved(
-        self, unknown: np.ndarray, parameter: float, *, slopes: bool = False
-    ) -> tuple[np.ndarray, np.ndarray, int]:
-        """State after a period, over |z_0|; M, empty unless asked for; switching instants."""
+        self, unknown: np.ndarray, parameter: float, monodromy: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray | None, int]:
+        """z(T) / |z_0|; M times the matrix given; switching instants."""
         omega = parameter * self.omega
         if omega != self._flow.omega:
             self._flow = self._flow.at(omega)
-        identity = np.eye(len(unknown)) if slopes else np.zeros((len(unknown), 0))
         moved, _, monodromy, events = self._flow.advance(
-            self._size * unknown, 0.0, self._turns / omega, monodromy=identity
+            self._size * unknown, 0.0, self._turns / omega, monodromy=monodromy
         )
-        assert monodromy is not None
         return moved / self._size, monodromy, events
 
     def by_parameter(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
@@ -138,7 +139,7 @@ class ExactOrbits:
     def orbit(self, found: PathPoint) -> PeriodicOrbit:
         """The orbit of a solution of the equations."""
         assert isinstance(found.at, OrbitPoint)
-        flow, period = self._flow.at(found.parameter * self.omega), 0.0
+        flow = self._flow.at(found.parameter * self.omega)
         period = self._turns / flow.omega
         state = self._size * found.unknown
         _, gap, _, _ = flow.advance(state, 0.0, period, instants=np.arange(512) * period / 512)
