@@ -53,14 +53,13 @@ def write(
     Parameters
     ----------
     parts : mapping
-        Datasets by their names: arrays of numbers, numbers, words, lists of words; None is left
-        out.
+        Datasets by their names: arrays, numbers, words, lists of words; None is left out.
     path : path
-        Its name; an older file is replaced when the new one is complete.
+        The file; an older one is replaced once the new one is complete.
     kind : str
         What is in it, for example "response curve".
     scene : Scene, optional
-        What was computed.
+        Its scene.
 
     Raises
     ------
@@ -136,13 +135,13 @@ def _digest(path: str) -> str:
 
 @contextlib.contextmanager
 def reading(path: str | Path, kind: str) -> Iterator[dict[str, Any]]:
-    """Datasets of a file by their names: arrays, numbers (0-dimensional arrays) and words.
+    """Datasets of a file by their names: arrays, numbers and words.
 
     Raises
     ------
     InputError
-        The file cannot be read, something else is in it, or a dataset that is used within the
-        ``with`` block is missing or not of the kind expected there.
+        As :func:`opened`, or a dataset is missing or not of the kind expected in the ``with``
+        block.
     """
     with opened(path, kind) as file:
         parts = {n: _value(item) for n, item in file.items() if isinstance(item, h5py.Dataset)}
@@ -155,13 +154,7 @@ def reading(path: str | Path, kind: str) -> Iterator[dict[str, Any]]:
 
 
 def kind_of(path: str | Path) -> str:
-    """Kind of result in a file.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or is not one of this program.
-    """
+    """Kind of result in a file; raises as :func:`opened`."""
     with opened(path) as file:
         return str(file.attrs["kind"])
 
@@ -172,8 +165,7 @@ def read_scene(path: str | Path) -> Scene | None:
     Raises
     ------
     InputError
-        The file cannot be read, is not one of this program, its scene cannot be used, or a mesh
-        file of it has changed.
+        As :func:`opened`, its scene cannot be used, or a mesh file of it has changed.
     """
     with opened(path) as file:
         if "scene" not in file.attrs:
@@ -209,7 +201,8 @@ def opened(path: str | Path, kind: str | None = None) -> Iterator[h5py.File]:
 
 def _value(item: h5py.Dataset) -> Any:
     if h5py.check_string_dtype(item.dtype) is None:
-        return item[()]
+        value = item[()]
+        return value if np.ndim(value) else value.item()
     words = item.asstr()[()]
     return words if isinstance(words, str) else [str(word) for word in words]
 

@@ -79,50 +79,62 @@ def solve_modes(structure: Structure, count: int) -> Modes:
     whole = isinstance(count, Integral) and not isinstance(count, bool)
     if not (whole and 1 <= count <= structure.n_dofs):
         raise InputError("count", count, f"a whole number from 1 to n_dofs = {structure.n_dofs}")
-    count = int(count)
-    scale = _rayleigh_scale(structure)
-    asked = count
+    quotients = structure.stiffness.getDiagonal().array_r / structure.mass.getDiagonal().array_r
+    smallest = float(np.min(gather_rows(structure.comm, quotients)))
+    scale = smallest if smallest > 0.0 else 1.0  # [rad^2/s^2]
+    asked = count = int(count)
     while True:
         squares, shapes = _nearest_zero(structure, asked, scale)
         if squares[0] < -1e-8 * scale:
             worst = f"{squares[0]:.3g} = omega^2 of a mode"
             raise InputError("stiffness", worst, "positive semidefinite")
         # A Krylov space holds one mode of a multiple frequency until rounding brings in the
-        # others. So count the frequencies below the highest one; where some are missing, ask for
-        # more.
+        # others. So count the frequencies below the highest one; if some are missing, ask for more.
         bound = squares[count - 1] - 1e-6 * max(squares[count - 1], 0.01 * scale)
         if asked == structure.n_dofs or _count_below(structure, bound) <= np.sum(squares < bound):
             break
         asked = min(2 * asked + 2, structure.n_dofs)
-    omega = np.sqrt(np.maximum(squares[:count], 0.0))
-    shapes = _mass_normalised(structure, shapes[:, :count])
+    omega, shapes = np.sqrt(np.maximum(squares[:count], 0.0)), shapes[:, :count]
+    shapes = shapes / mass_norms(structure, shapes)
     return Modes(omega, shapes * _signs(structure, shapes), structure)
 
 
-def _nearest_zero(structure: Structure, count: int, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Eigenvalues omega^2, ascending, and shapes of the modes closest to zero."""
+def _solved(
+    structure: Structure, prefix: str, count: int, krylov: int, shift: float | None = None
+) -> Any:
+    """SLEPc's solver with the modes closest to omega^2 = shift, or the highest ones."""
     solver = SLEPc.EPS().create(structure.comm)
-    solver.setOptionsPrefix("crack_modes_")
+    solver.setOptionsPrefix(prefix)
     solver.setOperators(structure.stiffness, structure.mass)
     solver.setProblemType(SLEPc.EPS.ProblemType.GHEP)
-    # A few more Krylov vectors than SLEPc's default keep large counts in one sweep.
-    solver.setDimensions(count, min(structure.n_dofs, max(2 * count, count + 15)))
-    solver.setTolerances(1e-12, 500)
-    solver.setPurify(False)  # only a singular mass needs it, and it costs orthogonality
-    solver.setTarget(-1e-6 * scale)
-    solver.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
-    transform = solver.getST()
-    transform.setType(SLEPc.ST.Type.SINVERT)
-    inner = transform.getKSP()
+    solver.setDimensions(count, min(structure.n_dofs, krylov))
+    if shift is None:
+        solver.setWhichEigenpairs(SLEPc.EPS.Which.LARGEST_REAL)
+        solver.setTolerances(1e-6, 1000)
+    else:
+        solver.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
+        solver.setTolerances(1e-12, 500)
+        solver.setTarget(shift)
+        solver.getST().setType(SLEPc.ST.Type.SINVERT)
+        solver.setPurify(False)  # only a singular mass needs it, and it costs orthogonality
+    inner = solver.getST().getKSP()
     inner.setType("preonly")
     inner.getPC().setType("cholesky")
     inner.getPC().setFactorSolverType("mumps")
     solver.setFromOptions()
     solver.solve()
-    if solver.getConverged() < count:
-        found = solver.getConverged()
+    found = solver.getConverged()
+    if found < count:
         solver.destroy()
         raise ConvergenceError(f"modes: only {found} of {count} converged")
+    return solver
+
+
+def _nearest_zero(structure: Structure, count: int, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues omega^2, ascending, and shapes of the modes closest to zero."""
+    # A few more Krylov vectors than SLEPc's default keep large counts in one sweep.
+    krylov = max(2 * count, count + 15)
+    solver = _solved(structure, "crack_modes_", count, krylov, -1e-6 * scale)
     vector = structure.mass.createVecRight()
     squares, shapes = np.empty(count), np.empty((structure.n_local, count))
     for index in range(count):
@@ -144,32 +156,10 @@ def _count_below(structure: Structure, square: float) -> int:
 
 def largest_frequency(structure: Structure) -> float:
     """Largest natural angular frequency [rad/s] (collective)."""
-    solver = SLEPc.EPS().create(structure.comm)
-    solver.setOptionsPrefix("crack_largest_")
-    solver.setOperators(structure.stiffness, structure.mass)
-    solver.setProblemType(SLEPc.EPS.ProblemType.GHEP)
-    solver.setDimensions(1, min(structure.n_dofs, 30))
-    solver.setTolerances(1e-6, 1000)
-    solver.setWhichEigenpairs(SLEPc.EPS.Which.LARGEST_REAL)
-    inner = solver.getST().getKSP()
-    inner.setType("preonly")
-    inner.getPC().setType("cholesky")
-    inner.getPC().setFactorSolverType("mumps")
-    solver.setFromOptions()
-    solver.solve()
-    if solver.getConverged() < 1:
-        solver.destroy()
-        raise ConvergenceError("modes: the largest natural frequency did not converge")
+    solver = _solved(structure, "crack_largest_", 1, 30)
     square = solver.getEigenvalue(0).real
     solver.destroy()
     return float(np.sqrt(square))
-
-
-def _rayleigh_scale(structure: Structure) -> float:
-    """Smallest Rayleigh quotient K_ii / M_ii [rad^2/s^2]; one where K vanishes."""
-    quotients = structure.stiffness.getDiagonal().array_r / structure.mass.getDiagonal().array_r
-    smallest = float(np.min(gather_rows(structure.comm, quotients)))
-    return smallest if smallest > 0.0 else 1.0
 
 
 def times(matrix: Any, columns: np.ndarray) -> np.ndarray:
@@ -190,15 +180,10 @@ def by_columns(apply: Callable[[Any, Any], None], matrix: Any, columns: np.ndarr
     return found
 
 
-def mass_times(structure: Structure, shapes: np.ndarray) -> np.ndarray:
-    """M X for the columns of X (n_local, m) (collective)."""
-    return times(structure.mass, shapes)
-
-
-def _mass_normalised(structure: Structure, shapes: np.ndarray) -> np.ndarray:
-    """Scale the shapes so that phi^T M phi = 1."""
-    squares = structure.sum_over_ranks((shapes * mass_times(structure, shapes)).sum(axis=0))
-    return shapes / np.sqrt(squares)
+def mass_norms(structure: Structure, columns: np.ndarray) -> np.ndarray:
+    """sqrt(x^T M x) of the columns (n_local, m), never zero (collective)."""
+    squares = (columns * times(structure.mass, columns)).sum(axis=0)
+    return np.sqrt(np.maximum(structure.sum_over_ranks(squares), 1e-300))
 
 
 def _signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
@@ -228,7 +213,7 @@ def _signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class DampedModes:
-    """Modal damping ready for use: C = M Phi diag(rate) Phi^T M.
+    """Modal damping as C = M Phi diag(rate) Phi^T M.
 
     Attributes
     ----------
@@ -271,5 +256,5 @@ def _damped_modes(structure: Structure) -> DampedModes:
     if ratio.ndim == 1 and len(ratio) != count:
         raise InputError("damping ratio", f"{len(ratio)} ratios", f"one or {count}, one per mode")
     modes = solve_modes(structure, count)
-    mass_shapes = mass_times(structure, modes.shapes)
+    mass_shapes = times(structure.mass, modes.shapes)
     return DampedModes(modes.omega, 2.0 * ratio * modes.omega, modes.shapes, mass_shapes)

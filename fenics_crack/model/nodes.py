@@ -43,13 +43,7 @@ class Nodes:
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def find_dof(self, comm: MPI.Comm, point: Sequence[float], component: int | str) -> int:
-        """Return the dof of a displacement component at the node at a point (collective).
-
-        Raises
-        ------
-        InputError
-            There is no node there, or two (on the lips), or the dof is clamped.
-        """
+        """As :meth:`Structure.find_dof` (collective)."""
         if component not in list(COMPONENTS):
             raise InputError("component", component, "0, 1, 'x' or 'y'")
         target = numbers(point)
@@ -59,22 +53,17 @@ class Nodes:
         distance = np.linalg.norm(points - target, axis=1)
         found = np.flatnonzero(distance <= 1e-6 * np.ptp(points, axis=0).max())
         if len(found) != 1:
-            nearest = points[np.argmin(distance)]
-            raise InputError(
-                "point",
-                tuple(target),
-                f"at a node that exists once ({len(found)} found there; the nearest node is at "
-                f"({nearest[0]:g}, {nearest[1]:g}))",
-            )
+            x, y = points[np.argmin(distance)]
+            nodes = f"{len(found)} found there; the nearest node is at ({x:g}, {y:g})"
+            raise InputError("point", tuple(target), f"at a node that exists once ({nodes})")
         dof = int(gather_rows(comm, self.dofs)[found[0], COMPONENTS[component]])
         if dof < 0:
-            raise InputError(
-                "point", tuple(target), f"free in component {component!r}, not clamped"
-            )
+            allowed = f"free in component {component!r}, not clamped"
+            raise InputError("point", tuple(target), allowed)
         return dof
 
     def dof_name(self, comm: MPI.Comm, dof: int) -> str:
-        """What a dof is, for people: "x displacement at (0.1, 0.1) m" (collective)."""
+        """As :meth:`Structure.dof_name` (collective)."""
         node, component = np.argwhere(gather_rows(comm, self.dofs) == dof)[0]
         x, y = np.round(gather_rows(comm, self.points)[node], 12) + 0.0  # no -1e-19
         return f"{'xy'[component]} displacement at ({x:.4g}, {y:.4g}) m"

@@ -21,7 +21,8 @@ w^2; the difference between both is the estimate of the reduction error.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ import scipy.sparse as sparse
 from fenics_crack.errors import InputError
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import SMALL
-from fenics_crack.model.modes import damped_modes, mass_times, solve_modes, times
+from fenics_crack.model.modes import damped_modes, mass_norms, solve_modes, times
 from fenics_crack.model.structure import ModalDamping, Structure
 
 __all__ = ["ReducedStructure", "reduce_structure"]
@@ -164,39 +165,31 @@ def reduce_structure(
     kept: np.ndarray = np.zeros((structure.n_local, 0))
     squares: np.ndarray = np.zeros(0)
     if method != "craig_bampton":
-        if damped is not None and len(damped.omega) >= modes:
-            kept, squares = damped.shapes[:, :modes], damped.omega[:modes] ** 2
-        else:
-            found = solve_modes(structure, modes)
-            kept, squares = found.shapes, found.omega**2
-    with _StaticSolver(structure) as static:
-        response = static.solve(_sources(structure))
+        known = damped if damped is not None and len(damped.omega) >= modes else None
+        found = known or solve_modes(structure, modes)
+        kept, squares = found.shapes[:, :modes], found.omega[:modes] ** 2
+    loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
+    sources = np.hstack([structure.gap.toarray(), structure.force[loaded].T])
+    with _static_factor(structure) as factor:
+        response = factor.solve(sources.T).T
         extra = response if method == "free_interface" else response[:, :0]
         if method == "craig_bampton":
             compliance = structure.closing(response[:, : structure.n_pairs].T)
             scale = 1e3 / np.abs(compliance).max(initial=1e-300)
             tied = solve_modes(structure.tied(scale), modes).shapes
             extra = np.hstack([response, tied])
-        following = [extra, response, static.solve(mass_times(structure, response))]
+        following = [extra, response, factor.solve(times(structure.mass, response).T).T]
         if structure.damping_matrix is not None:
             damping = times(structure.damping_matrix, np.hstack([kept, extra, response]))
-            following.append(static.solve(damping))
+            following.append(factor.solve(damping.T).T)
     reference = _reduced(structure, kept, squares, np.hstack(following), None)
     return _reduced(structure, kept, squares, extra, reference)
 
 
 def _ratio_of_all(structure: Structure) -> float | None:
-    """The one ratio that damps all modes of a structure, or None.
-
-    Raises
-    ------
-    InputError
-        All modes are damped, each with a ratio of its own, and they are too many to be computed.
-    """
+    """The one ratio that damps all modes, or None; InputError for too many ratios."""
     damping = structure.damping
-    if not isinstance(damping, ModalDamping):
-        return None
-    if damping.modes not in (None, structure.n_dofs):
+    if not isinstance(damping, ModalDamping) or damping.modes not in (None, structure.n_dofs):
         return None
     if isinstance(damping.ratio, float):
         return damping.ratio
@@ -209,38 +202,18 @@ def _ratio_of_all(structure: Structure) -> float | None:
     )
 
 
-def _sources(structure: Structure) -> np.ndarray:
-    """B and the parts of the load that are there, as columns (n_local, m)."""
-    norms = structure.sum_over_ranks((structure.force**2).sum(axis=1))
-    loads = structure.force[norms > 0.0].T
-    return np.hstack([structure.gap.toarray(), loads])
-
-
-class _StaticSolver:
-    """K^-1; of an unconstrained structure (K + s M)^-1, s one of its lowest eigenvalues."""
-
-    def __init__(self, structure: Structure) -> None:
-        self._structure = structure
-        self._matrix: Any = None
-        self._factor = Factor(structure.stiffness, symmetric=True)
-        if self._factor.null_pivots:
-            self._factor.destroy()
-            count = min(structure.n_dofs, 10)
-            elastic = solve_modes(structure, count).omega[-1] ** 2
-            self._matrix = weighted_sum(structure.stiffness, elastic or 1.0, structure.mass)
-            self._factor = Factor(self._matrix, symmetric=True)
-
-    def solve(self, columns: np.ndarray) -> np.ndarray:
-        """K^-1 X of columns (n_local, m)."""
-        return self._factor.solve(columns.T).T
-
-    def __enter__(self) -> _StaticSolver:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._factor.destroy()
-        if self._matrix is not None:
-            self._matrix.destroy()
+@contextmanager
+def _static_factor(structure: Structure) -> Iterator[Factor]:
+    """Of K; of an unconstrained structure of K + s M, s one of its lowest eigenvalues."""
+    with Factor(structure.stiffness, symmetric=True) as factor:
+        if not factor.null_pivots:
+            yield factor
+            return
+    elastic = solve_modes(structure, min(structure.n_dofs, 10)).omega[-1] ** 2
+    matrix = weighted_sum(structure.stiffness, elastic or 1.0, structure.mass)
+    with Factor(matrix, symmetric=True) as factor:
+        yield factor
+    matrix.destroy()
 
 
 def _reduced(
@@ -251,29 +224,23 @@ def _reduced(
     reference: ReducedStructure | None,
 ) -> ReducedStructure:
     """Reduce to modes already known and the rest of other vectors, orthonormal and diagonal."""
-    whole_size = _norms(structure, extra)
+    whole_size = mass_norms(structure, extra)
     for _ in range(2):  # once more against rounding
-        extra = extra - kept @ structure.sum_over_ranks(kept.T @ mass_times(structure, extra))
-    size = _norms(structure, extra)
+        extra = extra - kept @ structure.sum_over_ranks(kept.T @ times(structure.mass, extra))
+    size = mass_norms(structure, extra)
     extra = extra[:, size > 1e-8 * whole_size] / size[size > 1e-8 * whole_size]
-    gram = structure.sum_over_ranks(extra.T @ mass_times(structure, extra))
+    gram = structure.sum_over_ranks(extra.T @ times(structure.mass, extra))
     weights, vectors = np.linalg.eigh(gram)
     independent = weights > 1e-12 * weights.max(initial=0.0)
     extra = extra @ (vectors[:, independent] / np.sqrt(weights[independent]))
     elastic = structure.sum_over_ranks(extra.T @ times(structure.stiffness, extra))
-    mass = structure.sum_over_ranks(extra.T @ mass_times(structure, extra))
+    mass = structure.sum_over_ranks(extra.T @ times(structure.mass, extra))
     more, rotation = scipy.linalg.eigh(elastic, mass) if len(mass) else (np.zeros(0), mass)
     extra = extra @ rotation
     basis = np.hstack([kept, extra])
     squares = np.concatenate([squares, more])
     damping = _damping(structure, basis, squares)
     return ReducedStructure(structure, basis, squares, damping, reference)
-
-
-def _norms(structure: Structure, columns: np.ndarray) -> np.ndarray:
-    """sqrt(x^T M x) of columns."""
-    squares = (columns * mass_times(structure, columns)).sum(axis=0)
-    return np.sqrt(np.maximum(structure.sum_over_ranks(squares), 1e-300))
 
 
 def _damping(

@@ -17,19 +17,17 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from numbers import Integral
 from typing import Any, ClassVar, NoReturn, Self, TypeVar
 
 import numpy as np
 import scipy.sparse as sparse
 from mpi4py import MPI
 
-from fenics_crack.errors import InputError, check_number
+from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.matrices import (
     check_positive_definite,
     check_symmetric,
-    diagonal_rows,
     distributed,
     numbers,
     per_pair,
@@ -51,14 +49,14 @@ class ModalDamping:
     Attributes
     ----------
     ratio : float or tuple of float
-        xi_j of critical damping: one for all, or one per mode.
+        xi_j, of critical damping: one for all modes, or one per mode.
     modes : int or None
-        The lowest so many modes; None: all.
+        How many of the lowest modes are damped; None: all.
 
     Raises
     ------
     InputError
-        A ratio is negative or not finite, or the number of modes is not a whole number >= 1.
+        A ratio is negative or not finite, or ``modes`` is no whole number >= 1.
     """
 
     ratio: float | Sequence[float]
@@ -68,16 +66,14 @@ class ModalDamping:
         ratio = numbers(self.ratio)
         if ratio.ndim > 1 or not ratio.size or not np.all(np.isfinite(ratio)) or ratio.min() < 0.0:
             raise InputError("damping ratio", self.ratio, "finite and >= 0, one or one per mode")
-        whole = isinstance(self.modes, Integral) and not isinstance(self.modes, bool)
-        if self.modes is not None and not (whole and self.modes >= 1):
-            raise InputError("damping modes", self.modes, "None (all) or a whole number >= 1")
+        if self.modes is not None:
+            check_count("damping modes", self.modes, 1)
         given = tuple(ratio.tolist()) if ratio.ndim else float(ratio)
         object.__setattr__(self, "ratio", given)
 
     def scaled(self, factor: float) -> ModalDamping:
-        """The same with every ratio multiplied."""
-        ratio = factor * np.asarray(self.ratio)
-        return replace(self, ratio=ratio.tolist())
+        """The same with every ratio multiplied by a factor."""
+        return replace(self, ratio=(factor * np.asarray(self.ratio)).tolist())
 
     def __str__(self) -> str:
         percent = 100.0 * np.asarray(self.ratio)
@@ -102,9 +98,7 @@ class Structure:
     force : (3, n_local) [N]
         Mean, cosine and sine part of the load on the first harmonic.
     clearance : (n_pairs,) [m]
-        g0 of every pair; positive: a gap to close first, negative: preload.
-    damping : ModalDamping, PETSc.Mat or None
-        Modal damping, a damping matrix C [N s/m], or none.
+        g0 of every pair; positive: an opening that closes first, negative: preload.
     nodes : Nodes or None
         Positions of the dofs where there is a mesh.
     pair_points : (n_pairs, 2) [m] or None
@@ -119,6 +113,7 @@ class Structure:
     mass: Any
     stiffness: Any
     gap: sparse.csr_matrix
+    force: np.ndarray
     clearance: np.ndarray
     nodes: Nodes | None
     pair_points: np.ndarray | None
@@ -128,8 +123,6 @@ class Structure:
     _gap_transposed: sparse.csr_matrix
     _original: Structure | None
     """None: itself. A reference to itself would keep it alive."""
-    _load: np.ndarray
-    """What the load of the original is multiplied by: (3, 3)."""
     _known: dict[Callable[[Structure], Any], Any]
     _VARIED_TOO: ClassVar[tuple[str, ...]] = ()
     """Attributes that are structures, varied with this one."""
@@ -161,7 +154,6 @@ class Structure:
             damping_factor=1.0,
             _gap_transposed=_read_only_rows(gap.T),
             _original=None,
-            _load=np.eye(3),
             _known={},
         )
 
@@ -188,16 +180,12 @@ class Structure:
     def _size_words(self) -> str:
         return f"{self.n_dofs} dofs"
 
-    # A varied copy computes these when they are first asked for: many copies are never asked.
-
-    @cached_property
-    def force(self) -> np.ndarray:
-        """Mean, cosine and sine part of the load on the first harmonic: (3, n_local) [N]."""
-        return read_only(self._load @ self.original.force)
-
     @cached_property
     def damping(self) -> Any:
-        """ModalDamping, the matrix C [N s/m], or None (collective)."""
+        """ModalDamping, the matrix C [N s/m], or None (collective).
+
+        A varied copy computes it when it is first asked for: many copies never are.
+        """
         given = self.original.damping
         if given is None or self.damping_factor == 1.0:
             return given
@@ -209,11 +197,11 @@ class Structure:
 
     @property
     def original(self) -> Structure:
-        """The structure of which this is a varied copy: itself, if it is none."""
+        """The structure of which this is a varied copy, or itself."""
         return self._original or self
 
     def once(self, compute: Callable[[Structure], Found]) -> Found:
-        """What is computed of :attr:`original`, once for it and all of its varied copies."""
+        """A result computed from :attr:`original` once, for it and all of its varied copies."""
         if compute not in self._known:
             self._known[compute] = compute(self.original)
         found: Found = self._known[compute]
@@ -221,7 +209,7 @@ class Structure:
 
     @property
     def n_dofs(self) -> int:
-        """Number of degrees of freedom, clamped ones left out."""
+        """Number of degrees of freedom, without clamped ones."""
         return int(self.mass.size[0])
 
     @property
@@ -246,7 +234,7 @@ class Structure:
 
     @property
     def whole(self) -> Structure:
-        """The structure whose dofs and nodes this one speaks of: itself, unless it is reduced."""
+        """The structure to which dof numbers and nodes refer: itself, unless it is reduced."""
         return self
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
@@ -275,10 +263,7 @@ class Structure:
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int]) -> np.ndarray:
         """Pick dofs from displacements (m, n_local): (m, len(dofs)) on every rank (collective).
 
-        Raises
-        ------
-        InputError
-            A dof is not between 0 and n_dofs - 1.
+        Raises as :meth:`check_dofs`.
         """
         wanted = self.check_dofs(dofs)
         mine = (wanted >= self.first_dof) & (wanted < self.first_dof + self.n_local)
@@ -312,46 +297,18 @@ class Structure:
         Raises
         ------
         InputError
-            There is no node there, or two (on the lips), or the dof is clamped, or the structure
-            was made from matrices and knows no positions.
+            There is no node there, or two (on the lips), the dof is clamped, or the structure was
+            made from matrices and has no positions.
         """
         if self.nodes is None:
             raise InputError("point", point, "given only for a structure made from a mesh")
         return self.nodes.find_dof(self.whole.comm, point, component)
 
     def dof_name(self, dof: int) -> str:
-        """What a dof is, for people: "x displacement at (0.1, 0.1) m" (collective)."""
+        """A dof in words: "x displacement at (0.1, 0.1) m" (collective)."""
         if self.nodes is None:
             return f"displacement of dof {dof}"
         return self.nodes.dof_name(self.whole.comm, dof)
-
-    @property
-    def couplings(self) -> np.ndarray:
-        """B^T and the load, what tells the dofs apart: (n_pairs + 3, n_local)."""
-        return np.vstack([self.gap.toarray().T, self.force])
-
-    def signs_since(self, couplings: np.ndarray) -> np.ndarray:
-        """Signs (n_local,) by which the dofs differ from those that had given couplings.
-
-        A mode may change its sign when a structure is reduced again.
-
-        Raises
-        ------
-        InputError
-            They are those of another structure.
-        """
-        now = self.couplings
-        if couplings.shape != now.shape:
-            raise InputError(
-                "structure",
-                f"{self.n_local} dofs, {self.n_pairs} pairs",
-                f"one with {couplings.shape[1]} dofs and {len(couplings) - 3} pairs",
-            )
-        signs = np.where((couplings * now).sum(axis=0) < 0.0, -1.0, 1.0)
-        largest = np.abs(couplings).max(axis=1, initial=0.0, keepdims=True)
-        if np.any(np.abs(couplings - now * signs) > 1e-6 * largest):
-            raise InputError("structure", "other load or pairs", "that of the file")
-        return signs
 
     # --- related structures -----------------------------------------------------------------------
 
@@ -373,18 +330,14 @@ class Structure:
             raise InputError(
                 "mass", f"row sum {smallest:.3g}", "lumped only where every row sum is positive"
             )
-        return self._changed(mass=distributed(diagonal_rows(sums), self.comm))
+        rows = sparse.diags(sums.array_r, self.first_dof, shape=(self.n_local, self.n_dofs))
+        return self._changed(mass=distributed(rows, self.comm))
 
     def tied(self, stiffness: float | np.ndarray) -> Structure:
-        """Return this structure with every pair tied by a spring that both pulls and pushes.
+        """Return this structure with every pair tied by a spring k [N/m] that pulls and pushes.
 
-        Its stiffness is K + B diag(k) B^T, its pairs are gone; modal damping follows the tied
+        Its stiffness is K + B diag(k) B^T, and it has no pairs; modal damping follows the tied
         modes.
-
-        Parameters
-        ----------
-        stiffness : float or (n_pairs,) [N/m]
-            k.
         """
         whole = sparse.vstack(self.comm.allgather(self.gap), format="csr")
         diagonal = sparse.diags(per_pair("stiffness", stiffness, self.n_pairs))
@@ -420,12 +373,11 @@ class Structure:
         Parameters
         ----------
         load : float or (3, 3)
-            Factor, or the matrix that makes the new mean, cosine and sine part of the present
-            ones.
+            Factor, or the matrix that maps mean, cosine and sine part to the new ones.
         damping : float
             Factor >= 0.
         clearance : float or (n_pairs,) [m]
-            Added to that of the pairs.
+            What is added.
 
         Raises
         ------
@@ -437,13 +389,12 @@ class Structure:
             raise InputError("load", load, "a finite number, or a finite matrix of shape (3, 3)")
         check_number("damping", damping, 0.0)
         other = copy(self)
-        for name in ("force", "damping"):
-            vars(other).pop(name, None)
+        vars(other).pop("damping", None)
         other._hold(
+            force=weights @ self.force if weights.ndim else weights * self.force,
             clearance=self.clearance + per_pair("clearance", clearance, self.n_pairs),
             damping_factor=damping * self.damping_factor,
             _original=self.original,
-            _load=weights @ self._load if weights.ndim else weights * self._load,
         )
         for name in self._VARIED_TOO:
             if (part := getattr(self, name)) is not None:
@@ -451,11 +402,8 @@ class Structure:
         return other
 
     def _changed(self, **changes: Any) -> Structure:
-        names = (
-            *("mass", "stiffness", "gap", "force", "clearance", "damping"),
-            *("nodes", "pair_points", "pair_areas"),
-        )
-        return Structure(**({name: getattr(self, name) for name in names} | changes))
+        kept = "mass stiffness gap force clearance damping nodes pair_points pair_areas".split()
+        return Structure(**({name: getattr(self, name) for name in kept} | changes))
 
     @classmethod
     def from_matrices(
@@ -479,46 +427,45 @@ class Structure:
             NumPy, SciPy sparse, PETSc, or the path of a Matrix Market file; symmetric, the mass
             positive definite; [kg], [N/m].
         gap : (n, n_pairs) or (n,)
-            B: the closing of the pairs is g = B^T u - clearance; None: no pairs.
+            B; None: no pairs.
         force_sin, force_cos, force_mean : (n,) [N] or None
             Load on the first harmonic, and its mean.
         clearance : float or (n_pairs,) [m]
-            Initial gap g0; negative for preload.
+            g0; negative for preload.
         damping : ModalDamping, (n, n) matrix or None
             Modal damping, or C [N s/m] in any of the forms above.
         comm : MPI.Comm
-            Ranks over which to spread matrices that are given whole on every rank; PETSc matrices
-            keep their own.
+            Ranks that share matrices given whole on every rank; PETSc matrices keep their own.
 
         Raises
         ------
         InputError
-            A shape does not fit, an entry is not finite, mass or stiffness is not symmetric, or
-            the mass is not positive definite.
+            A shape does not fit, an entry is not finite, a matrix is not symmetric, or the mass is
+            not positive definite.
         """
         mass = petsc_matrix("mass", mass, comm)
-        comm = mass.comm.tompi4py()
-        n, n_local = mass.size[0], mass.local_size[0]
-        first = mass.owner_range[0]
+        comm, n, own = mass.comm.tompi4py(), mass.size[0], slice(*mass.owner_range)
         stiffness = petsc_matrix("stiffness", stiffness, comm, n)
         if damping is not None and not isinstance(damping, ModalDamping):
             damping = petsc_matrix("damping", damping, comm, n)
-        for name, matrix in (("mass", mass), ("stiffness", stiffness)):
-            check_symmetric(name, matrix)
+        check_symmetric("mass", mass)
+        check_symmetric("stiffness", stiffness)
         check_positive_definite("mass", mass)
 
         gap = sparse.csr_matrix((n, 0)) if gap is None else whole_rows("gap", gap, n)
-        parts = []
-        for name, part in (("mean", force_mean), ("cos", force_cos), ("sin", force_sin)):
-            whole = np.zeros(n) if part is None else whole_rows(f"force_{name}", part, n)
-            if whole.shape != (n,):
-                raise InputError(f"force_{name}", whole.shape, f"of shape ({n},)")
-            parts.append(whole[first : first + n_local])
+        force = np.zeros((3, n))
+        parts = {"force_mean": force_mean, "force_cos": force_cos, "force_sin": force_sin}
+        for row, (name, part) in zip(force, parts.items(), strict=True):
+            if part is not None:
+                column = whole_rows(name, part, n)
+                if column.shape != (n, 1):
+                    raise InputError(name, column.shape, f"of shape ({n},)")
+                row[:] = column.toarray().ravel()
         return cls(
             mass,
             stiffness,
-            gap[first : first + n_local],
-            force=np.array(parts),
+            gap[own],
+            force=force[:, own],
             clearance=per_pair("clearance", clearance, gap.shape[1]),
             damping=damping,
         )

@@ -23,7 +23,7 @@ from fenics_crack import (
     find_crack_length,
     solve_modes,
 )
-from fenics_crack.model.modes import damped_modes, largest_frequency, mass_times
+from fenics_crack.model.modes import damped_modes, largest_frequency, times
 from fenics_crack.parallel import gather_rows
 
 
@@ -219,7 +219,7 @@ def test_order_of_convergence(cells: str, order: int, rate: float) -> None:
         dofs = structure.nodes.dofs[:, 1]
         exact = np.zeros((structure.n_dofs, 1))
         exact[dofs[dofs >= 0], 0] = np.sin(np.pi / 2 * structure.nodes.points[dofs >= 0, 1])
-        axial = np.argmax(np.abs(modes.shapes.T @ mass_times(structure, exact)))
+        axial = np.argmax(np.abs(modes.shapes.T @ times(structure.mass, exact)))
         errors.append(modes.omega[axial] / (np.pi / 2) - 1.0)
     assert min(errors) > 0.0
     assert log_slope(sizes, errors) == pytest.approx(-rate, abs=0.15)
