@@ -70,7 +70,7 @@ def dynamic_compliance(
     Raises
     ------
     ConvergenceError
-        The structure has no damping and is met in resonance, or can move as a rigid body.
+        The structure is in an undamped resonance, or can move as a rigid body.
     """
     load = load_coefficients(structure, harmonics, subharmonic)
     if is_small(structure) and not all_modes(structure).drowned:
@@ -107,8 +107,7 @@ class ModalCompliance:
         self._receptance = self._modes.receptance(base_omega * self._order, damping)
         self.matrices = self._seen_by_pairs(self._receptance)
         self._modal_load = load * self._unit_load
-        free = _respond(self._receptance, self._modal_load)
-        self.linear_gap = from_complex(free @ self._modes.pairs)
+        self.linear_gap = self._gap(self._modal_load)
         self.linear_gap[0] -= self._clearance + clearance
 
     def at(
@@ -139,20 +138,22 @@ class ModalCompliance:
         """By base_omega: with H = Z^-1, dH = -H dZ H, dZ_k = -2 k^2 w + i k c."""
         order, moved = self._order[:, None], self._moved(force)
         damped = self._damping * self._damped(moved)
-        change = order * (1j * damped - (2.0 * self._base * order) * moved)
-        return from_complex(-_respond(self._receptance, change) @ self._modes.pairs)
+        return -self._gap(order * (1j * damped - (2.0 * self._base * order) * moved))
 
     def damping_derivative(self, force: np.ndarray) -> np.ndarray:
         """By the factor of the damping: dZ_k = i k w c."""
-        change = (1j * self._base) * self._order[:, None] * self._damped(self._moved(force))
-        return from_complex(-_respond(self._receptance, change) @ self._modes.pairs)
+        return -self._gap(1j * self._base * self._order[:, None] * self._damped(self._moved(force)))
 
     def load_derivative(self) -> np.ndarray:
         """By the factor of the load."""
-        return from_complex(-_respond(self._receptance, self._unit_load) @ self._modes.pairs)
+        return -self._gap(self._unit_load)
+
+    def _gap(self, drive: np.ndarray) -> np.ndarray:
+        """Gap coefficients (2H+1, n_pairs) under modal forces (H+1, n_modes)."""
+        return from_complex(_respond(self._receptance, drive) @ self._modes.pairs)
 
     def _moved(self, force: np.ndarray) -> np.ndarray:
-        """Modal response to the contact forces and the load reversed."""
+        """Modal response to the contact forces less the load."""
         drive = to_complex(force) @ self._modes.pairs.T - self._modal_load
         return _respond(self._receptance, drive)
 
@@ -179,7 +180,7 @@ def _respond(receptance: np.ndarray, drive: np.ndarray) -> np.ndarray:
 
 
 class FactoredCompliance:
-    """Exact, from one sparse factorisation for each harmonic; the factors are kept.
+    """Exact, from one sparse factorisation per harmonic; the factors are kept.
 
     Attributes
     ----------
@@ -190,12 +191,9 @@ class FactoredCompliance:
     """
 
     def __init__(self, structure: Structure, base_omega: float, load: np.ndarray) -> None:
-        self.structure = structure
-        self.load = load
-        self._base = base_omega
-        self._blocks = [
-            DynamicStiffness(structure, k * base_omega) for k in range(len(load) // 2 + 1)
-        ]
+        self.structure, self.load = structure, load
+        self._base, orders = base_omega, range(len(load) // 2 + 1)
+        self._blocks = [DynamicStiffness(structure, k * base_omega) for k in orders]
         matrices = np.array([block.compliance() for block in self._blocks], dtype=complex)
         linear_gap = structure.closing(self.solve_blocks(load))
         linear_gap[0] -= structure.clearance
@@ -206,7 +204,7 @@ class FactoredCompliance:
             raise ConvergenceError("dynamic compliance: the structure is singular")
 
     def beyond(self, highest: int) -> np.ndarray:
-        """R_k for k = H+1 to ``highest``: modes known, and what they leave of the static R_0."""
+        """R_k for k = H+1 to ``highest``, from some modes and the rest of the static R_0."""
         omega, rate, pairs = self.structure.once(_lowest_modes)
         rate = self.structure.damping_factor * rate
         static = self.matrices[0].real - (pairs.T / omega**2) @ pairs
@@ -251,12 +249,11 @@ def _lowest_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndar
         omega, rate, shapes = known.omega, known.rate, known.shapes
     else:
         modes = solve_modes(structure, count)
-        omega, shapes = modes.omega, modes.shapes
-        rate = np.zeros(count)
+        omega, rate, shapes = modes.omega, np.zeros(count), modes.shapes
         if known is not None:
             rate[: len(known.rate)] = known.rate
         elif structure.damping_matrix is not None:
             damping = times(structure.damping_matrix, shapes)
             rate = structure.sum_over_ranks((shapes * damping).sum(axis=0))
-    found = omega > 0.0  # the lowest may have drowned in rounding
+    found = omega > 0.0  # the lowest may be lost in rounding
     return omega[found], rate[found], structure.closing(shapes.T)[found]

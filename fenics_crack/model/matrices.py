@@ -30,12 +30,12 @@ __all__ = [
 SYMMETRY_TOLERANCE = 1e-10
 
 
-def distributed(rows: Any, comm: MPI.Comm) -> Any:
-    """Square PETSc matrix whose rows on this rank are given: (n_local, n)."""
+def distributed(rows: Any, comm: MPI.Comm, columns: int | None = None) -> Any:
+    """PETSc matrix of the rows on this rank (n_local, n); square unless it owns other columns."""
     rows = sparse.csr_matrix(rows, copy=True)
     rows.sum_duplicates()  # PETSc would keep the last of them
     local, total = rows.shape
-    sizes = ((local, total), (local, total))
+    sizes = ((local, PETSc.DETERMINE), (local if columns is None else columns, total))
     matrix = PETSc.Mat().createAIJ(sizes, csr=(rows.indptr, rows.indices, rows.data), comm=comm)
     matrix.assemble()
     return matrix
