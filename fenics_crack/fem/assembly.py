@@ -8,7 +8,6 @@ with thickness t. Clamped dofs are left out, so that no spurious mode stands for
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import dolfinx
@@ -44,20 +43,20 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     stiffness, mass = _matrices(scene, space)
     if not all(np.isfinite(matrix.norm()) for matrix in (stiffness, mass)):
         raise InputError("mesh", "cells of no area", "one whose cells all have an area")
-    lips = _pair_lips(scene, plate, space, dofs)
+    gap, points, areas = _pair_lips(scene, plate, space, dofs)
     blocks = dofs.free_block(mass), dofs.free_block(stiffness)
     mass.destroy()
     stiffness.destroy()
     modes = None if scene.damping.modes == "all" else int(scene.damping.modes)
     structure = Structure(
         *blocks,
-        lips.gap,
+        gap,
         force=_load(scene, plate, space, dofs),
-        clearance=np.full(lips.gap.shape[1], scene.crack.clearance if scene.crack else 0.0),
+        clearance=np.full(gap.shape[1], scene.crack.clearance if scene.crack else 0.0),
         damping=ModalDamping(scene.damping.ratio, modes),
         nodes=dofs.nodes(),
-        pair_points=lips.points,
-        pair_areas=lips.areas,
+        pair_points=points,
+        pair_areas=areas,
     )
     collect_garbage(comm)
     return structure
@@ -118,24 +117,15 @@ def nodes_on(plate: PlateMesh, space: Any, group: str) -> np.ndarray:
 
 def _matrices(scene: Scene, space: Any) -> tuple[Any, Any]:
     """Stiffness and mass matrix of all dofs, clamped ones included."""
-    mesh = space.mesh
-    scalar = PETSc.ScalarType
+    material, thickness = scene.material, scene.geometry.thickness
     young, poisson, density, thickness = (
-        dolfinx.fem.Constant(mesh, scalar(value))
-        for value in (
-            scene.material.young,
-            scene.material.poisson,
-            scene.material.density,
-            scene.geometry.thickness,
-        )
+        dolfinx.fem.Constant(space.mesh, PETSc.ScalarType(value))
+        for value in (material.young, material.poisson, material.density, thickness)
     )
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
     strain = ufl.sym(ufl.grad(u))
-    stress = (
-        young
-        / (1.0 - poisson**2)
-        * ((1.0 - poisson) * strain + poisson * ufl.tr(strain) * ufl.Identity(2))
-    )
+    stress = (1.0 - poisson) * strain + poisson * ufl.tr(strain) * ufl.Identity(2)
+    stress = young / (1.0 - poisson**2) * stress
     stiffness = thickness * ufl.inner(stress, ufl.sym(ufl.grad(v))) * ufl.dx
     mass = thickness * density * ufl.inner(u, v) * ufl.dx
     return compat.assembled_matrix(stiffness), compat.assembled_matrix(mass)
@@ -149,9 +139,8 @@ def _load(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> np.ndarray
     excitation = scene.excitation
     point = excitation.point if excitation.point is not None else plate.load_point
     if point is None:
-        raise InputError(
-            "excitation.point", None, "given, or a physical point 'load' in the mesh file"
-        )
+        allowed = "given, or a physical point 'load' in the mesh file"
+        raise InputError("excitation.point", None, allowed)
     nodes, values = compat.basis_at(space, scene.mesh.order, np.array(point))
     values = np.where(np.abs(values) < 1e-12, 0.0, values)  # rounding
     hits = dofs.comm.allgather(len(nodes) > 0)
@@ -177,24 +166,17 @@ def _load(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> np.ndarray
 # --- the crack ------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Lips:
-    gap: sparse.csr_matrix
-    """(n_local, n_pairs)"""
-    points: np.ndarray
-    """(n_pairs, 2) [m]"""
-    areas: np.ndarray
-    """(n_pairs,) [m^2]: thickness times the integral of the node's basis function over the lip"""
-
-
-def _pair_lips(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> _Lips:
-    """Pair the nodes of the lips' groups that lie in the same place, from the mouth to the tip.
+def _pair_lips(
+    scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs
+) -> tuple[sparse.csr_matrix, np.ndarray, np.ndarray]:
+    """Pair the nodes of the lips in the same place, from the mouth to the tip: B, points, areas.
 
     The normal at a node is the lower lip's outward normal, averaged with the node's basis function
-    over the lip: the load vector of a unit pressure points along it.
+    over the lip: the load vector of a unit pressure points along it. The area of a pair is the
+    thickness times the integral of that function.
     """
     if not plate.cracked:
-        return _Lips(sparse.csr_matrix((len(dofs.free), 0)), np.zeros((0, 2)), np.zeros(0))
+        return sparse.csr_matrix((len(dofs.free), 0)), np.zeros((0, 2)), np.zeros(0)
     comm = dofs.comm
     normal = ufl.FacetNormal(plate.mesh)
     lip = ufl.ds(domain=plate.mesh, subdomain_data=plate.facet_tags)(plate.groups["lower_lip"])
@@ -206,12 +188,8 @@ def _pair_lips(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> _Lips
     for group in ("lower_lip", "upper_lip"):
         local = nodes_on(plate, space, group)
         local = local[local < dofs.n_nodes]
-        sides.append(
-            gather_rows(
-                comm,
-                np.column_stack([local + dofs.first_node, coordinates[local], pressure[local]]),
-            )
-        )
+        rows = np.column_stack([local + dofs.first_node, coordinates[local], pressure[local]])
+        sides.append(gather_rows(comm, rows))
     lower, upper = sides
     shared = np.intersect1d(lower[:, 0], upper[:, 0])
     tip = lower[np.isin(lower[:, 0], shared), 1:3]
@@ -228,7 +206,9 @@ def _pair_lips(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> _Lips
             "meshed identically, so that the nodes of the two lips pair one to one",
         )
     upper = upper[partner]
-    order = _from_mouth(lower[:, 1:3], tip[0] if len(tip) else None)
+    order = np.lexsort(lower[:, 1:3].T)
+    if len(tip):
+        order = np.argsort(-np.linalg.norm(lower[:, 1:3] - tip[0], axis=1), kind="stable")
     if scene.contact is not None and scene.contact.pairs == "mouth":
         order = order[:1]
     lower, upper = lower[order], upper[order]
@@ -243,11 +223,4 @@ def _pair_lips(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> _Lips
         for component in (0, 1):
             gap[2 * node[mine] + component, mine] = sign * normals[mine, component]
     areas = scene.geometry.thickness * lengths
-    return _Lips(sparse.csr_matrix(gap)[dofs.free], lower[:, 1:3], areas)
-
-
-def _from_mouth(points: np.ndarray, tip: np.ndarray | None) -> np.ndarray:
-    """Order of the points with the farthest from the tip first; without a tip, as they are."""
-    if tip is None:
-        return np.lexsort(points.T)
-    return np.argsort(-np.linalg.norm(points - tip, axis=1), kind="stable")
+    return sparse.csr_matrix(gap)[dofs.free], lower[:, 1:3], areas

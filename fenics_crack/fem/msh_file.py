@@ -32,34 +32,39 @@ def read_file(path: Path) -> None:
     InputError
         The file is not a plane mesh of one kind of cells, or is damaged.
     """
-    if not path.is_file():
-        raise InputError("mesh.file", str(path), "an existing gmsh mesh file")
+
+    def require(condition: object, allowed: str) -> None:
+        if not condition:
+            raise InputError("mesh.file", str(path), allowed)
+
+    require(path.is_file(), "an existing gmsh mesh file")
     found = _read_by_child(path)
     if isinstance(found, str):
         raise InputError("mesh.file", str(path), f"readable by gmsh ({found})")
     numbers, positions, groups = found
     flat = len(positions) > 0 and np.ptp(positions[:, 2]) == 0.0
-    if not flat or not np.all(np.abs(positions) < FARTHEST):
-        allowed = f"a plane mesh, z the same at every node, within {FARTHEST:g} m of the origin"
-        raise InputError("mesh.file", str(path), allowed)
+    require(
+        flat and np.all(np.abs(positions) < FARTHEST),
+        f"a plane mesh, z the same at every node, within {FARTHEST:g} m of the origin",
+    )
     kinds = {kind for dimension, _, _, kind, _ in groups if dimension == 2}
-    if len(kinds) != 1 or not kinds <= set(_EDGES):
-        raise InputError(
-            "mesh.file",
-            str(path),
-            "a mesh whose physical surfaces hold one kind of cells, triangles or quadrilaterals"
-            f" (it holds {len(kinds)} kinds)",
-        )
+    require(
+        len(kinds) == 1 and kinds <= _EDGES.keys(),
+        "a mesh whose physical surfaces hold one kind of cells, triangles or quadrilaterals"
+        f" (it holds {len(kinds)} kinds)",
+    )
     kind = kinds.pop()
     cells = _cells(kind, [nodes for dimension, *_, nodes in groups if dimension == 2])
-    if not _is_sound(kind, cells) or not np.isin(cells, numbers).all():
-        allowed = "a mesh whose cells have different corners, and at most two of them an edge"
-        raise InputError("mesh.file", str(path), allowed)
+    require(
+        _is_sound(kind, cells) and np.isin(cells, numbers).all(),
+        "a mesh whose cells have different corners, and at most two of them an edge",
+    )
     expected = {0: _POINT, 1: _EDGES[kind]}
     parts = [group for group in groups if group[0] != 2]
-    if not all(k == expected.get(d) and np.isin(nodes, cells).all() for d, *_, k, nodes in parts):
-        allowed = "a mesh whose physical curves and points hold edges and corners of its cells"
-        raise InputError("mesh.file", str(path), allowed)
+    require(
+        all(k == expected.get(d) and np.isin(nodes, cells).all() for d, *_, k, nodes in parts),
+        "a mesh whose physical curves and points hold edges and corners of its cells",
+    )
     numbers, first = np.unique(numbers, return_index=True)
     used = np.isin(numbers, cells)
     plate = (2, 1, "plate", kind, cells.ravel())

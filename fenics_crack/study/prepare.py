@@ -23,7 +23,7 @@ from fenics_crack.scene.scene import Contact, Reduction, Scene
 __all__ = ["Study", "contact_law", "law_of", "prepare", "reduction_of"]
 
 FEW_DOFS = 100
-"""A structure with at most so many dofs is not reduced unasked."""
+"""A structure with at most so many dofs is reduced only on request."""
 
 
 @dataclass(frozen=True)
@@ -115,11 +115,10 @@ def contact_law(contact: Contact, structure: Structure | None = None) -> Contact
     stiffness: float | np.ndarray | None = contact.stiffness
     if contact.stiffness_per_area is not None:
         if structure is None or structure.pair_areas is None:
-            raise InputError(
-                "contact.stiffness_per_area",
-                contact.stiffness_per_area,
-                "used with the structure, made from a mesh: contact_law(scene.contact, structure)",
+            allowed = (
+                "used with a structure made from a mesh: contact_law(scene.contact, structure)"
             )
+            raise InputError("contact.stiffness_per_area", contact.stiffness_per_area, allowed)
         stiffness = contact.stiffness_per_area * structure.pair_areas
     assert stiffness is not None
     if contact.law == "smoothed":

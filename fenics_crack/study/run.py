@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -43,12 +44,12 @@ Found = TypeVar("Found", bound=Result, covariant=True)
 
 @dataclass(frozen=True)
 class Run(Study, Generic[Found]):
-    """A result with its scene, structure and law.
+    """A study with its result.
 
     Attributes
     ----------
     scene, structure, contact
-        What was solved, as :class:`Study` says.
+        As :class:`Study` has them.
     result : Modes, PeriodicSolution, ResponseCurve, Backbone or TimeHistory
         What was found.
     """
@@ -59,12 +60,11 @@ class Run(Study, Generic[Found]):
     def watched_dof(self) -> int:
         """The dof of the whole structure that carries most of the load (collective)."""
         whole = self.structure.whole
-        shares = gather_rows(whole.comm, np.abs(whole.force).max(axis=0))
-        return int(np.argmax(shares))
+        return int(np.argmax(gather_rows(whole.comm, np.abs(whole.force).max(axis=0))))
 
     @property
     def watched_name(self) -> str:
-        """Its name, for people (collective)."""
+        """That dof in words (collective)."""
         return self.structure.dof_name(self.watched_dof)
 
 
@@ -114,13 +114,11 @@ def follow_curve(
         "progress": progress,
         "throw": False,
     }
-    structure, omega = study.structure, scene.excitation.omega
+    structure, omega, span = study.structure, scene.excitation.omega, (table.start, table.stop)
     if table.parameter == "omega":
-        curve = continue_frequency(structure, table.start, table.stop, law, **options)
+        curve = continue_frequency(structure, *span, law, **options)
     else:
-        curve = continue_parameter(
-            structure, omega, law, table.parameter, table.start, table.stop, **options
-        )
+        curve = continue_parameter(structure, omega, law, table.parameter, *span, **options)
     return Run(**vars(study), result=curve)
 
 
@@ -143,21 +141,19 @@ def integrate(
         "record_periods": min(RECORDED_PERIODS, table.periods),
         "progress": progress,
     }
+    march: Callable[..., TimeHistory]
     steps = table.steps_per_period
     if table.method == "events":
         if not is_piecewise_linear(law):
             name = scene.contact and scene.contact.law
             raise InputError("contact.law", name, "'penalty' with integration.method = 'events'")
-        history = integrate_events(structure, omega, law, steps_per_period=steps or 256, **options)
+        march, steps = integrate_events, steps or 256
     elif table.method == "implicit":
-        history = integrate_implicit(
-            structure, omega, law, steps_per_period=steps or 512, **options
-        )
+        march, steps = integrate_implicit, steps or 512
     else:
+        march = integrate_central_difference
         steps = steps or 2 * stable_steps_per_period(structure, omega, law)
-        history = integrate_central_difference(
-            structure, omega, law, steps_per_period=steps, **options
-        )
+    history = march(structure, omega, law, steps_per_period=steps, **options)
     return Run(**vars(study), result=history)
 
 
