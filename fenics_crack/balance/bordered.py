@@ -112,8 +112,8 @@ def solve_in_plane(
 
     Without a plane the parameter stays. ``tolerance`` is |F| / |x| of the solution, |x| that of the
     tangent's point; ``reach``: how far from the guess the parameter may go; ``damped``: shorten
-    steps where the residual would grow; ``history`` gets |F| / |x| of the guess and after each step,
-    but for the last one of a solution.
+    steps where the residual would grow; ``history`` gets |F| / |x| of the guess and after each
+    step, but for the last one of a solution.
     """
     guess = parameter
     change, shift, damping, before = np.zeros_like(unknown), 0.0, 1.0, np.inf
