@@ -438,6 +438,26 @@ def test_damping_that_is_not_there_cannot_vary() -> None:
         fc.continue_parameter(bare, 1.2, fc.UnilateralPenalty(1.0), "damping", 1.0, 2.0)
 
 
+def test_branch_where_rounding_leaves_much() -> None:
+    """k R of 1e8, two masses that float against their stops: the branch is found nevertheless."""
+    stiffness = 4.0 * np.array([[1.0, -1.0], [-1.0, 1.0]]) + 1e-8 * np.eye(2)
+    structure = fc.Structure.from_matrices(
+        np.diag([1.0, 0.7]),
+        stiffness,
+        [[1.0, 0.37], [0.23, 1.1]],
+        force_cos=[4.0, 0.3],
+        force_mean=[1.0, 0.77],
+        damping=0.1 * np.eye(2),
+    )
+    law = fc.UnilateralPenalty(1.0)
+    curve = continue_frequency(structure, 3.0, 2.5, law, harmonics=10, stability=True)
+    (doubling,) = curve.bifurcations
+    assert doubling.kind == "period_doubling"
+    branch = fc.follow_branch(curve, doubling, throw=False, most_points=5)
+    odd = branch.gap_coefficients[:, 1:3]
+    assert len(branch) == 6 and np.all(np.linalg.norm(odd, axis=(1, 2)) > 0.0)
+
+
 def test_branch_only_from_where_one_begins() -> None:
     """Not from a fold, and not without room on both sides."""
     structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
@@ -449,6 +469,8 @@ def test_branch_only_from_where_one_begins() -> None:
         fc.follow_branch(curve, wrong, 1.9, 2.0)
     with pytest.raises(fc.InputError, match="harmonics"):
         fc.follow_branch(curve, wrong, harmonics=7)
+    with pytest.raises(fc.InputError, match="step"):
+        fc.follow_branch(curve, wrong, step=0.1)  # type: ignore[call-arg]
 
 
 @pytest.mark.parametrize("name", ["stiffness", "damping"])
