@@ -48,7 +48,7 @@ __all__ = [
 MOST_ITERATIONS = 8
 """Of one correction."""
 LEAST_DAMPING = 0.05
-"""Of a Newton step; with shorter ones it has failed."""
+"""Of a Newton step."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +106,7 @@ def solve_in_plane(
     iterations: int = MOST_ITERATIONS,
     reach: float = np.inf,
     damped: bool = True,
+    least_damping: float = LEAST_DAMPING,
     history: list[float] | None = None,
 ) -> PathPoint | None:
     """Newton's method from a guess in the plane across a tangent; None where it does not converge.
@@ -126,6 +127,8 @@ def solve_in_plane(
         How far from the guess the parameter may go.
     damped : bool
         Shorten steps where the residual would grow.
+    least_damping : float
+        Share of a step below which Newton's method has failed.
     history : list, optional
         Gets |F| / |x| of the guess and after each step, but for the last one of a solution.
     """
@@ -146,7 +149,7 @@ def solve_in_plane(
             return None
         if damped and not size < before:
             damping *= 0.5
-            if damping < LEAST_DAMPING:
+            if damping < least_damping:
                 return None
             unknown, parameter = unknown - damping * change, parameter - damping * shift
             continue
