@@ -271,14 +271,14 @@ def locate(
 
     Where that fails, the point met at which the function is smallest.
     """
-    met = [before, after]
+    met: list[tuple[float, PathPoint]] = []
 
     def value(step: float) -> float:
         point = before if step == 0.0 else step_along(system, before, step, tolerance)
         if point is None:
             raise ConvergenceError("path: lost between two points")
-        met.append(point)
-        return test(point)
+        met.append((test(point), point))
+        return met[-1][0]
 
     length = distance(system, before, after)
     for reach in (1.0, 1.2, 0.8, 1.5):  # along the tangent the other point is not quite as far
@@ -287,4 +287,6 @@ def locate(
             break
         except (ConvergenceError, ValueError):
             continue
-    return min(met, key=lambda point: abs(test(point)))
+    else:
+        met.append((test(after), after))
+    return min(met, key=lambda found: abs(found[0]))[1]
