@@ -52,7 +52,7 @@ __all__ = [
 MOST_ITERATIONS = 8
 """Of one correction."""
 LEAST_DAMPING = 0.05
-"""Of a Newton step; with shorter ones it has failed."""
+"""Of a Newton step."""
 
 
 @dataclass(frozen=True)
@@ -110,14 +110,15 @@ def solve_in_plane(
     iterations: int = MOST_ITERATIONS,
     reach: float = np.inf,
     damped: bool = True,
+    least_damping: float = LEAST_DAMPING,
     history: list[float] | None = None,
 ) -> PathPoint | None:
     """Newton's method from a guess in the plane across a tangent; None where it does not converge.
 
     Without a plane the parameter stays. ``tolerance`` is |F| / |x| of the solution, |x| that of the
     tangent's point; ``reach``: how far from the guess the parameter may go; ``damped``: shorten
-    steps where the residual would grow; ``history`` gets |F| / |x| of the guess and after each
-    step, but for the last one of a solution.
+    steps where the residual would grow, to ``least_damping`` of them; ``history`` gets |F| / |x| of
+    the guess and after each step, but for the last one of a solution.
     """
     guess = parameter
     change, shift, damping, before = np.zeros_like(unknown), 0.0, 1.0, np.inf
@@ -136,7 +137,7 @@ def solve_in_plane(
             return None
         if damped and not size < before:
             damping *= 0.5
-            if damping < LEAST_DAMPING:
+            if damping < least_damping:
                 return None
             unknown, parameter = unknown - damping * change, parameter - damping * shift
             continue
@@ -253,14 +254,14 @@ def locate(
 
     Where that fails, the point met at which the function is smallest.
     """
-    met = [before, after]
+    met: list[tuple[float, PathPoint]] = []
 
     def value(step: float) -> float:
         point = before if step == 0.0 else step_along(system, before, step, tolerance)
         if point is None:
             raise ConvergenceError("path: lost between two points")
-        met.append(point)
-        return test(point)
+        met.append((test(point), point))
+        return met[-1][0]
 
     length = distance(system, before, after)
     for reach in (1.0, 1.2, 0.8, 1.5):  # along the tangent the other point is not quite as far
@@ -269,4 +270,6 @@ def locate(
             break
         except (ConvergenceError, ValueError):
             continue
-    return min(met, key=lambda point: abs(test(point)))
+    else:
+        met.append((test(after), after))
+    return min(met, key=lambda found: abs(found[0]))[1]
