@@ -16,6 +16,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -26,7 +28,7 @@ from fenics_crack.balance.fourier import stretched
 from fenics_crack.balance.rounding import least_residual, stiffness_times_compliance
 from fenics_crack.curves.curve import Bifurcation
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.stability.floquet import LeadingMultiplier, doubling_test
+from fenics_crack.stability.floquet import LeadingMultiplier, PiecewiseFlow
 
 __all__ = ["attainable", "first_of_branch", "multipliers_cross", "odd_rows", "turns_or_branches"]
 
@@ -56,22 +58,27 @@ def multipliers_cross(
     family: Family,
     before: tuple[PathPoint, LeadingMultiplier],
     after: tuple[PathPoint, LeadingMultiplier],
-    multipliers: Callable[[PathPoint], np.ndarray],
+    ask: Callable[[Callable[[PiecewiseFlow, np.ndarray, float], Any], PathPoint], Any],
 ) -> Special:
-    """Where multipliers cross the unit circle at -1, or as a pair, between two points."""
+    """Where multipliers cross the unit circle at -1, or as a pair, between two points.
+
+    ``ask`` asks the flow at a point.
+    """
     (first, old), (second, new) = before, after
 
-    def where(test: Callable[[np.ndarray], float]) -> PathPoint:
+    def where(test: Callable[[PathPoint], float]) -> PathPoint:
         sharp = attainable(family, second.parameter, 1e-11)
-        return locate(family, first, second, lambda at: test(multipliers(at)), sharp)
+        return locate(family, first, second, test, sharp)
 
     found = []
     if old.doubling * new.doubling < 0.0:
-        found.append(("period_doubling", where(doubling_test)))
+        found.append(("period_doubling", where(partial(ask, PiecewiseFlow.doubling))))
     unstable = new if old.stable else old
     left = old.stable != new.stable and old.doubling == new.doubling
     if left and unstable.value.imag > 0.0:
-        found.append(("neimark_sacker", where(_pair)))
+        found.append(
+            ("neimark_sacker", where(lambda at: _pair(ask(PiecewiseFlow.multipliers, at))))
+        )
     return found
 
 
