@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -58,27 +57,30 @@ def multipliers_cross(
     family: Family,
     before: tuple[PathPoint, LeadingMultiplier],
     after: tuple[PathPoint, LeadingMultiplier],
-    ask: Callable[[Callable[[PiecewiseFlow, np.ndarray, float], Any], PathPoint], Any],
+    ask: Callable[[Callable[[PiecewiseFlow, np.ndarray, float], Any], np.ndarray, float], Any],
 ) -> Special:
     """Where multipliers cross the unit circle at -1, or as a pair, between two points.
 
-    ``ask`` asks the flow at a point.
+    ``ask`` asks the flow at a gap and a value of the parameter.
     """
     (first, old), (second, new) = before, after
 
-    def where(test: Callable[[PathPoint], float]) -> PathPoint:
+    def where(
+        what: Callable[[PiecewiseFlow, np.ndarray, float], Any], test: Callable[[Any], float]
+    ) -> PathPoint:
+        def value(at: PathPoint) -> float:
+            return test(ask(what, at.unknown, family.value(at.parameter)))
+
         sharp = attainable(family, second.parameter, 1e-11)
-        return locate(family, first, second, test, sharp)
+        return locate(family, first, second, value, sharp)
 
     found = []
     if old.doubling * new.doubling < 0.0:
-        found.append(("period_doubling", where(partial(ask, PiecewiseFlow.doubling))))
+        found.append(("period_doubling", where(PiecewiseFlow.doubling, float)))
     unstable = new if old.stable else old
     left = old.stable != new.stable and old.doubling == new.doubling
     if left and unstable.value.imag > 0.0:
-        found.append(
-            ("neimark_sacker", where(lambda at: _pair(ask(PiecewiseFlow.multipliers, at))))
-        )
+        found.append(("neimark_sacker", where(PiecewiseFlow.multipliers, _pair)))
     return found
 
 
