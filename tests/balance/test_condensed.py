@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import scipy.linalg
 from helpers import (
+    BILINEAR_ORBITS,
     DAMPINGS,
     OMEGA_0,
-    VERIFICATION_A,
     amplitudes,
     chain,
     dense_matrices,
@@ -254,11 +254,12 @@ def test_determinant_sign_against_numpy() -> None:
 # --- published orbits -----------------------------------------------------------------------------
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize("form", ["condensed", "full"])
-@pytest.mark.parametrize("omega", VERIFICATION_A, ids=["w0/2", "1"])
-def test_verification_a(omega: float, form: str) -> None:
-    """Bilinear oscillator, event-driven reference values, H = 20, to 1e-5."""
-    mean, harmonics, largest, smallest = VERIFICATION_A[omega]
+@pytest.mark.parametrize("omega", BILINEAR_ORBITS, ids=["w0/2", "1"])
+def test_bilinear_oscillator(omega: float, form: str) -> None:
+    """Event-driven reference values at half and full frequency, H = 20, to 1e-5."""
+    mean, harmonics, largest, smallest = BILINEAR_ORBITS[omega]
     law = fc.UnilateralPenalty(1.0)
     solution = solve_form(Problem(oscillator(), omega, law, 20), form=form)
     rows = solution.gap_coefficients[:, 0]
@@ -269,8 +270,9 @@ def test_verification_a(omega: float, form: str) -> None:
     assert wave.min() == pytest.approx(smallest, rel=1e-5)
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize("samples", [None, 8192])
-def test_verification_a_error_falls_with_the_harmonics(samples: int | None) -> None:
+def test_bilinear_oscillator_error_falls_with_the_harmonics(samples: int | None) -> None:
     """Relative L2 errors 3.1e-4, 3.7e-5, 4.0e-6, 3.9e-7 at H = 5, 10, 20, 40: order 3.2."""
     law, t = fc.UnilateralPenalty(1.0), np.linspace(0.0, 2.0 * np.pi, 4001)
     counts = (5, 10, 20, 40)
@@ -283,7 +285,8 @@ def test_verification_a_error_falls_with_the_harmonics(samples: int | None) -> N
     assert log_slope(counts, errors) == pytest.approx(-3.2, abs=0.2)
 
 
-def test_verification_b_period_doubled_orbit() -> None:
+@pytest.mark.verification
+def test_period_doubled_orbit() -> None:
     """W = 2 w0: |X1| = 0.2419996 of period 1; |X_1/2| = 0.7790634, X0 = -0.1735445 of period 2."""
     law, omega = fc.UnilateralPenalty(1.0), 2.0 * OMEGA_0
     once = fc.solve_harmonic_balance(oscillator(), omega, law, harmonics=20)
@@ -304,7 +307,8 @@ def test_verification_b_period_doubled_orbit() -> None:
         assert rows[0] == pytest.approx(-0.1735445, rel=near)
 
 
-def test_verification_c_two_orbits_coexist() -> None:
+@pytest.mark.verification
+def test_two_masses_and_a_stop_have_two_orbits() -> None:
     """At W = 0.70: 0.22134025 without contact, 0.77839461 with it, followed from 4 times the load.
 
     H = 21 has 0.77922, within 1e-3; H = 200 agrees to 1e-7.

@@ -38,8 +38,9 @@ def assert_estimated(
 # --- truncation -----------------------------------------------------------------------------------
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize("omega", [0.5 * OMEGA_0, 1.0, 2.0 * OMEGA_0], ids=["w0/2", "1", "2 w0"])
-def test_truncation_on_verification_a(omega: float) -> None:
+def test_truncation_on_the_bilinear_oscillator(omega: float) -> None:
     """H = 5, 10, 20, 40 against H = 300: within a factor 3 (it is 1 %)."""
     law = fc.UnilateralPenalty(1.0)
     exact = fc.solve_harmonic_balance(oscillator(), omega, law, harmonics=300)
@@ -158,8 +159,9 @@ def test_total_is_the_sum_of_the_errors() -> None:
 # --- to a tolerance -------------------------------------------------------------------------------
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize("omega", [0.5 * OMEGA_0, 1.0], ids=["w0/2", "1"])
-def test_tolerance_on_verification_a(omega: float) -> None:
+def test_tolerance_on_the_bilinear_oscillator(omega: float) -> None:
     """1e-2 to 1e-6: the true error is below; looser takes fewer harmonics; the status says it."""
     law = fc.UnilateralPenalty(1.0)
     exact = fc.solve_harmonic_balance(oscillator(), omega, law, harmonics=300)

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import (
+    BILINEAR_ORBITS,
     DAMPINGS,
     OMEGA_0,
-    VERIFICATION_A,
     Cubic,
     chain,
     dense_matrices,
@@ -133,7 +133,7 @@ def test_refusals() -> None:
 
 
 def duffing() -> fc.Structure:
-    """VERIFICATION H: x'' + 0.2 x' + x (+ x^3) = 1.25 sin 2 t."""
+    """x'' + 0.2 x' + x (+ x^3) = 1.25 sin 2 t."""
     one = np.ones((1, 1))
     return fc.Structure.from_matrices(one, one, one, force_sin=[1.25], damping=0.2 * one)
 
@@ -204,7 +204,8 @@ def classical_amplitudes() -> np.ndarray:
     return np.sort(np.sqrt(squares.real))
 
 
-def test_verification_h() -> None:
+@pytest.mark.verification
+def test_duffing_with_spurious_roots() -> None:
     """3 roots by the classical form, 9 by collocation: by algebra, and by the package's equations.
 
     From 4H+1 = 5 samples on, which give the coefficients of a cube exactly, the 6 others are gone.
@@ -275,7 +276,7 @@ def collocated_states(structure: fc.Structure, omega: float, k: float, harmonics
 
 def test_spurious_solutions_of_contact(soft_plate: fc.Structure) -> None:
     """Soft contact has one solution at 2H+1 instants, stiff contact the more the more harmonics."""
-    for omega in VERIFICATION_A:
+    for omega in BILINEAR_ORBITS:
         assert collocated_states(oscillator(), omega, 1.0, 5) == 1
     assert collocated_states(oscillator(), 0.5 * OMEGA_0, 1.0, 3) == 3
     assert collocated_states(soft_plate, 2000.0, 1e9, 5) == 1

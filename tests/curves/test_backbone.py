@@ -18,7 +18,7 @@ HARMONICS = (10, 20, 40, 80)
 
 
 def two_masses(clearance: float = 1.0) -> fc.Structure:
-    """VERIFICATION C without load and damping: a stop at mass 1, natural frequencies 0.62, 1.62."""
+    """A stop at mass 1, without load and damping; natural frequencies 0.62 and 1.62."""
     stiffness = chain_stiffness(np.array([0.0, 1.0, 1.0]))
     return fc.Structure.from_matrices(np.eye(2), stiffness, [1.0, 0.0], clearance=clearance)
 

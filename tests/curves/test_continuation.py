@@ -97,8 +97,9 @@ def test_fold_of_a_duffing_oscillator() -> None:
     assert np.allclose(sorted(folds(curve)), exact, atol=1e-3)
 
 
+@pytest.mark.verification
 def test_both_stable_orbits_of_two_masses_and_a_stop() -> None:
-    """VERIFICATION C: three crossings of W = 0.70, the outer two as published."""
+    """The curve crosses W = 0.70 three times; the outer two solutions are as published."""
     structure, law = two_masses(), fc.UnilateralPenalty(100.0)
     curve = continue_frequency(structure, 0.6, 0.9, law, harmonics=21)
     crossing = np.flatnonzero((curve.omega[:-1] - 0.7) * (curve.omega[1:] - 0.7) < 0.0)
@@ -112,8 +113,9 @@ def test_both_stable_orbits_of_two_masses_and_a_stop() -> None:
     assert min(found) == pytest.approx(0.22134025, abs=1e-6)
 
 
+@pytest.mark.verification
 def test_period_doubling_of_two_masses_and_a_stop() -> None:
-    """VERIFICATION C: at W = 0.7387830; the located points approach it like H^-3."""
+    """Published at W = 0.7387830; the located points approach it like H^-3."""
     structure, law = two_masses(), fc.UnilateralPenalty(100.0)
     errors, counts = [], (61, 81, 121)
     for harmonics in counts:
@@ -289,8 +291,9 @@ def test_load_only_scales_without_clearance() -> None:
 # --- branches, loops, resuming --------------------------------------------------------------------
 
 
+@pytest.mark.verification
 def test_doubled_branch() -> None:
-    """VERIFICATION B: from the period doubling to the stable orbit of period 2 at W = 2 w0.
+    """From the oscillator's period doubling to the stable orbit of period 2 at W = 2 w0.
 
     The branch is stable, and joins the old one again at the other period doubling.
     """

@@ -22,8 +22,9 @@ from fenics_crack.stability.floquet import PiecewiseFlow, floquet
 from fenics_crack.time.events import EventFlow
 
 
-def test_verification_b() -> None:
-    """W = 2 w0: multiplier -1.23694, unstable; confirmed by Hill."""
+@pytest.mark.verification
+def test_multiplier_of_the_unstable_orbit() -> None:
+    """Bilinear oscillator at W = 2 w0: multiplier -1.23694; Hill's determinant agrees."""
     structure, law = oscillator(), fc.UnilateralPenalty(1.0)
     solution = fc.solve_harmonic_balance(structure, 2.0 * OMEGA_0, law, harmonics=20)
     found = floquet(structure, solution, law)
@@ -32,8 +33,9 @@ def test_verification_b() -> None:
     assert found.uncertainty < 1e-5
 
 
+@pytest.mark.verification
 def test_stable_orbit_of_twice_the_period() -> None:
-    """VERIFICATION B: the orbit that takes over where the other is unstable."""
+    """Stable at W = 2 w0, where the orbit of period 1 is not."""
     orbit = period_two_orbit(40)
     assert floquet(orbit.structure, orbit).verdict == "stable"
 

@@ -16,11 +16,12 @@ EXACT = {
     "fold": (0.7556273526, 0.6534401345),
     "neimark_sacker": (0.6186068743,),
 }
-"""VERIFICATION C: by kind, along the curve. Found alike from 21, 41, 81 and 121 harmonics."""
+"""Two masses and a stop: by kind, along the curve; the same from 21, 41, 81 and 121 harmonics."""
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize("harmonics", [21, 61])
-def test_verification_c(harmonics: int) -> None:
+def test_bifurcations_of_two_masses_and_a_stop(harmonics: int) -> None:
     """All special points of the contact branch, from wherever harmonic balance puts them."""
     curve = fc.continue_frequency(two_masses(), **CURVE, harmonics=harmonics, stability=True)
     for kind, expected in EXACT.items():
@@ -41,7 +42,7 @@ def test_verification_c(harmonics: int) -> None:
 
 
 def test_multiplier_seen_in_the_motion() -> None:
-    """At the period doubling of VERIFICATION C the critical direction alternates, undamped."""
+    """At the period doubling the critical direction changes its sign each period, undamped."""
     structure, law = two_masses(), fc.UnilateralPenalty(100.0)
     curve = fc.continue_frequency(structure, **CURVE, harmonics=61, stability=True)
     doubling = next(b for b in curve.bifurcations if b.kind == "period_doubling")
@@ -59,7 +60,7 @@ def test_multiplier_seen_in_the_motion() -> None:
 
 
 def test_order_of_the_location_by_harmonic_balance() -> None:
-    """The error of the period doubling of VERIFICATION C falls like H^-3."""
+    """Two masses and a stop: the error of the period doubling falls like H^-3."""
     harmonics, errors = (21, 41, 61, 81, 121, 161), []
     for count in harmonics:
         curve = fc.continue_frequency(two_masses(), **CURVE, harmonics=count, stability=True)
@@ -71,7 +72,7 @@ def test_order_of_the_location_by_harmonic_balance() -> None:
 
 
 def test_doublings_of_the_oscillator() -> None:
-    """VERIFICATION B lies between them, and its orbit is unstable there."""
+    """W = 2 w0 lies between them, and the orbit of period 1 is unstable there."""
     structure, law = oscillator(), fc.UnilateralPenalty(1.0)
     found = []
     for harmonics in (5, 20):
