@@ -9,12 +9,12 @@ from fenics_crack.curves.backbone import Backbone as Backbone
 from fenics_crack.curves.backbone import follow_backbone as follow_backbone
 from fenics_crack.curves.continuation import Continuation as Continuation
 from fenics_crack.curves.continuation import CurvePoint as CurvePoint
-from fenics_crack.curves.continuation import continue_frequency as continue_frequency
-from fenics_crack.curves.continuation import continue_parameter as continue_parameter
-from fenics_crack.curves.continuation import follow_branch as follow_branch
 from fenics_crack.curves.curve import Bifurcation as Bifurcation
 from fenics_crack.curves.curve import ResponseCurve as ResponseCurve
-from fenics_crack.curves.refine import fill_curve as fill_curve
+from fenics_crack.curves.follow import continue_frequency as continue_frequency
+from fenics_crack.curves.follow import continue_parameter as continue_parameter
+from fenics_crack.curves.follow import follow_branch as follow_branch
+from fenics_crack.curves.refine import refine_curve as refine_curve
 from fenics_crack.draw.animation import animate_period as animate_period
 from fenics_crack.draw.animation import show_period as show_period
 from fenics_crack.draw.paraview import write_modes as write_modes

@@ -106,6 +106,7 @@ def solve_in_plane(
     iterations: int = MOST_ITERATIONS,
     reach: float = np.inf,
     damped: bool = True,
+    history: list[float] | None = None,
 ) -> PathPoint | None:
     """Newton's method from a guess in the plane across a tangent; None where it does not converge.
 
@@ -125,6 +126,8 @@ def solve_in_plane(
         How far from the guess the parameter may go.
     damped : bool
         Shorten steps where the residual would grow.
+    history : list, optional
+        Gets |F| / |x| of the guess and after each step, but for the last one of a solution.
     """
     guess = parameter
     change, shift, damping, before = np.zeros_like(unknown), 0.0, 1.0, np.inf
@@ -147,6 +150,8 @@ def solve_in_plane(
                 return None
             unknown, parameter = unknown - damping * change, parameter - damping * shift
             continue
+        if history is not None:
+            history.append(size)
         if linearised == iterations:
             return None
         change, shift = -at.solve(at.residual), 0.0
