@@ -20,7 +20,9 @@ from fenics_crack.cli.command_line import parser
 MPIRUN = "mpirun --oversubscribe"
 
 SHELL = re.compile(r"```sh\n(.*?)```", re.S)
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [
+    ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), ROOT / "benchmarks" / "README.md",
+]  # fmt: skip
 BLOCKS = [
     pytest.param(code, id=f"{page.name} {number}")
     for page in PAGES
