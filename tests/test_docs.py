@@ -103,6 +103,20 @@ def test_links_lead_somewhere() -> None:
         assert (ROOT / name).exists(), name
 
 
+def test_verification_names_its_tests() -> None:
+    """Each line of the page ends with files of tests, and parts of the names of tests in them."""
+    lines = (ROOT / "docs" / "verification.md").read_text().split("## Hard cases")[0].splitlines()
+    cells = [line.strip("| ").split(" | ")[-1] for line in lines if line.startswith("| ")]
+    named = [cell for cell in cells if cell not in ("test", "---")]
+    assert len(named) > 60
+    for cell in named:
+        for place in cell.split("; "):
+            file, _, parts = place.partition(", ")
+            tests = re.findall(r"^def (test_\w+)", (ROOT / "tests" / file.strip("`")).read_text(), re.M)
+            for part in parts.split(" or "):
+                assert any(part in name for name in tests), place
+
+
 def test_readme_starts_with_the_two_commands() -> None:
     """Exactly the two lines that a newcomer needs."""
     commands = re.findall(r"^    (sh install\.sh && .*)$", PAGES[0].read_text(), re.M)
