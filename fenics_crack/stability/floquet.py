@@ -61,7 +61,7 @@ SQUARINGS = (4, 7, 9, 11)
 """Of M, after which it is sought."""
 MOST_SECANTS = 12
 FARTHEST = 0.05
-"""From the exponent of a multiplier to the root of Hill's determinant, relative to the frequency."""
+"""From a multiplier's exponent to the root of Hill's determinant, relative to the frequency."""
 
 
 def floquet(
