@@ -6,10 +6,12 @@ paper : ``demos/paper_plate.toml``, 1e9 and 1e11 N/m, damping ratios 0.01 and 0.
     rad/s (past the third natural frequency), H = 20; also with the leading Floquet multiplier.
 breathing : ``demos/breathing_plate.toml`` reduced, contact on all 18 pairs, 1e9 and 1e11 N/m,
     1000 to 9063 rad/s (1.1 times the third natural frequency), H = 5.
+newton : the same Newton steps by PETSc's SNES and by the loop of curves, at a given frequency, from
+    the neighbouring point; on the oscillator and on the paper's plate, H = 5 and 20.
 
 Times are the process's own. "LAPACK" is one factorisation and solution of a dense real matrix as
-large as the condensed equations (dgetrf, dgetrs), measured between the curves. "filled" is the cost
-of a point that :func:`refine_curve` puts between two others.
+large as the condensed equations (dgetrf, dgetrs), measured between the curves. "refined" is the
+cost of a point that :func:`refine_curve` puts between two others.
 
     OMP_NUM_THREADS=1 python benchmarks/curves.py [--quick] [--only PART] [folder]
 """
@@ -24,17 +26,21 @@ import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
 
 import fenics_crack as fc
+from fenics_crack.balance.bordered import solve_at
+from fenics_crack.balance.family import FAMILIES, Family
+from fenics_crack.balance.newton import Newton
 from fenics_crack.draw.figure import COLOURS
 
 COLUMNS = (
     "case", "k", "xi", "H", "unknowns", "complete", "points", "folds", "iterations",
-    "ms a point", "LAPACK", "filled / point", "stability / point",
+    "ms a point", "LAPACK", "refined / point", "stability / point",
 )  # fmt: skip
 
 
 def main() -> None:
     """Run the parts asked for."""
-    common.run(__doc__, {"oscillator": oscillator, "paper": paper, "breathing": breathing})
+    parts = {"oscillator": oscillator, "paper": paper, "breathing": breathing, "newton": newton}
+    common.run(__doc__, parts)
 
 
 def oscillator(arguments: common.Arguments) -> None:
@@ -83,6 +89,44 @@ def breathing(arguments: common.Arguments) -> None:
     common.save_table(arguments.folder / "curves_breathing.csv", "Breathing plate", COLUMNS, rows)
 
 
+def newton(arguments: common.Arguments) -> None:
+    """SNES against the loop of curves, on the same steps."""
+    plate = common.plate("paper_plate", {"damping.ratio": 0.01})
+    cases = (("oscillator", common.oscillator(), 2.0, 0.6, 1.0), ("paper", plate, 2e3, 1.5e3, 1e9))
+    rows = []
+    for name, structure, start, end, k in cases:
+        for harmonics in (5,) if arguments.quick else (5, 20):
+            problem = fc.Problem(structure, start, fc.UnilateralPenalty(k), harmonics)
+            curve = fc.continue_frequency(
+                structure, start, end, problem.contact, harmonics=harmonics
+            )
+            times, steps = race(FAMILIES["omega"](problem, start, end), curve)
+            rows.append((
+                name, harmonics, steps, *(1e3 * np.median(t) for t in times.values()),
+                common.ratio(times, "SNES", "curves"),
+            ))  # fmt: skip
+    columns = ("case", "H", "steps", "SNES, ms", "curves, ms", "SNES / curves")
+    common.save_table(arguments.folder / "curves_newton.csv", "Newton's method", columns, rows)
+
+
+def race(family: Family, curve: fc.ResponseCurve) -> tuple[dict[str, np.ndarray], float]:
+    """Times [s] of a solution by SNES and by the loop of curves, and their mean steps."""
+    chosen = range(5, len(curve), max(1, len(curve) // 60))
+    tasks = [(curve.gap_coefficients[i - 1], family.parameter(curve.omega[i])) for i in chosen]
+    tolerance, steps = 1e-9, []
+    with Newton(family) as snes:
+
+        def by_snes() -> None:
+            steps[:] = [snes.solve(gap, where, tolerance, 20)[2] for gap, where in tasks]
+
+        def by_loop() -> None:
+            found = [solve_at(family, gap, where, tolerance=tolerance) for gap, where in tasks]
+            assert [point and point.iterations for point in found] == steps
+
+        times = common.alternate({"SNES": by_snes, "curves": by_loop}, 9)
+    return {name: t / len(tasks) for name, t in times.items()}, float(np.mean(steps))
+
+
 def measure(
     structure: fc.Structure,
     span: tuple[float, float],
@@ -91,7 +135,7 @@ def measure(
     names: tuple[object, ...],
     stability: bool,
 ) -> tuple[tuple[object, ...], fc.ResponseCurve]:
-    """One curve: followed, filled, and followed with its stability."""
+    """One curve: followed, refined, and followed with its stability."""
     law = fc.UnilateralPenalty(k)
     follow = partial(fc.continue_frequency, structure, *span, law, harmonics=harmonics, throw=False)
     unknowns = (2 * harmonics + 1) * structure.n_pairs
@@ -100,8 +144,8 @@ def measure(
     curve = follow()
     point = (time.process_time() - started) / len(curve)
     started = time.process_time()
-    filled = fc.refine_curve(curve, 3)
-    between = (time.process_time() - started) / (len(filled) - len(curve))
+    fine = fc.refine_curve(curve, 3)
+    between = (time.process_time() - started) / (len(fine) - len(curve))
     lapack = 0.5 * (lapack + solve_once(unknowns))
     ratio = float("nan")
     if stability:
