@@ -6,8 +6,8 @@ The plate obeys
 
     M u'' + C u' + K u + B lambda(g) = f(t),      g = B^T u,
 
-and the crack breathes: the contact force lambda acts while its two faces, the lips, touch. This demo
-follows the paper of V. Kharyton and others, "Harmonic balance method implementation for crack
+and the crack breathes: the contact force lambda acts while its two faces, the lips, touch. This
+demo follows the paper of V. Kharyton and others, "Harmonic balance method implementation for crack
 breathing process simulation" (about 2007): natural frequencies, linear solution, contact laws,
 harmonic balance, direct integration, and the comparison of the two. At the paper's own data
 (k = 1e11 N/m, xi = 0.001) the motion never settles; with k = 1e9 N/m and xi = 0.01 it does, and

@@ -1,4 +1,4 @@
-"""The documentation's code runs, and its lists are whole."""
+"""The code in the documentation runs, and the files and tests that it names exist."""
 
 import dataclasses
 import json

@@ -226,7 +226,7 @@ def newton(system: CondensedSystem | ConstraintSystem, start: np.ndarray) -> Con
 
 @pytest.mark.parametrize("kind", ["exact", "smoothed", "constraint"])
 def test_sensitivity_of_the_gap(kind: str) -> None:
-    """How a solution's gap follows another free gap: by solving again, to 1e-5."""
+    """Change of the gap with the gap without contact, against solving again, to 1e-5."""
     system = systems()[kind]()
     start = system.linear if kind != "constraint" else np.zeros(system.shape)
     solution = newton(system, start)
@@ -387,8 +387,8 @@ def test_undamped_resonance_is_an_error(form: str, omega: float) -> None:
 
 
 @pytest.mark.parametrize("damping", [None, 0.1 * np.eye(2), fc.ModalDamping(0.01)])
-def test_loose_structure_is_an_error(damping: object) -> None:
-    """Nothing holds the masses: the mean of the contact force moves them away."""
+def test_unconstrained_structure_is_an_error(damping: object) -> None:
+    """Nothing holds the masses: the mean contact force moves them without limit."""
     loose = fc.Structure.from_matrices(
         np.eye(2), [[1.0, -1.0], [-1.0, 1.0]], [1.0, 0.0], force_cos=[1.0, 0.0], damping=damping
     )
@@ -398,7 +398,7 @@ def test_loose_structure_is_an_error(damping: object) -> None:
 
 
 def test_without_any_stiffness_is_an_error() -> None:
-    """K = 0: no pivot to be found null, but nothing to stand on either."""
+    """K = 0: the factorisation meets no zero pivot, and yet there is no static answer."""
     free = fc.Structure.from_matrices(np.eye(1), np.zeros((1, 1)), [1.0], force_cos=[1.0])
     for form in ("condensed", "full"):
         with pytest.raises(fc.ConvergenceError, match="singular"):
@@ -407,7 +407,7 @@ def test_without_any_stiffness_is_an_error() -> None:
 
 @pytest.mark.parametrize("form", ["condensed", "full"])
 def test_close_to_an_undamped_resonance(form: str) -> None:
-    """Resonance met but for rounding: the solution that a little damping gives, or an error."""
+    """At a resonance except for rounding: the solution with a little damping, or an error."""
     whole = chain("none", n=8, pairs=1)
     law = fc.UnilateralPenalty(1.0)
     omega = fc.solve_modes(whole, 1).omega[0]
@@ -433,7 +433,7 @@ def test_close_to_an_undamped_resonance(form: str) -> None:
 
 
 def test_structure_without_pairs_is_refused() -> None:
-    """Without lips there is nothing to condense onto."""
+    """Without pairs there are no equations to condense onto."""
     one = np.ones((1, 1))
     free = fc.Structure.from_matrices(one, one, None, force_cos=[1.0], damping=0.1 * one)
     for contact in (fc.UnilateralPenalty(1.0), fc.UnilateralConstraint()):

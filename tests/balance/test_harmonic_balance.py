@@ -222,7 +222,7 @@ def test_cold_start_on_the_paper_plate(
 
 
 def test_continues_from_a_given_solution() -> None:
-    """From the converged solution itself there is nothing to do; harmonics may differ."""
+    """From the solution itself no iteration is needed; the number of harmonics may differ."""
     law = fc.UnilateralPenalty(1.0)
     first = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=6)
     again = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=6, initial=first)

@@ -236,7 +236,7 @@ def test_both_pieces_of_the_paper_plate(paper_structure: fc.Structure) -> None:
 
 
 def test_another_modes_motion_is_no_backbone(paper_structure: fc.Structure) -> None:
-    """Tongues too broad to pass over: an error, though motions of other modes are met."""
+    """Tongues too broad to pass over: an error, although motions of other modes are found."""
     with pytest.raises(fc.ConvergenceError, match="mode 2"):
         fc.follow_backbone(paper_structure, fc.UnilateralPenalty(1e9), 2, 1e-4, 1e-3)
 

@@ -316,7 +316,7 @@ def test_doubled_branch() -> None:
 
 
 def test_closed_loop() -> None:
-    """An orbit of three periods lives on a closed curve of its own: found, and followed once."""
+    """Orbits of three periods form a closed curve of their own, which is followed once."""
     law = fc.UnilateralPenalty(10.0)
     omega = 6.0 * np.sqrt(11.0) / (1.0 + np.sqrt(11.0))
     structure = oscillator(0.1, 1.0)
@@ -434,7 +434,7 @@ def test_bad_arguments_of_a_continuation(key: str, arguments: dict[str, object])
 
 
 def test_damping_that_is_not_there_cannot_vary() -> None:
-    """A factor of nothing."""
+    """A factor of the damping is refused where there is no damping."""
     one = np.ones((1, 1))
     bare = fc.Structure.from_matrices(one, one, one, force_cos=[1.0])
     with pytest.raises(fc.InputError, match="no damping"):
@@ -492,7 +492,7 @@ def test_curve_with_contact_stiffer_than_rounding_resolves(stiffness: float) -> 
 
 
 def test_load_does_not_pass_zero_without_clearance() -> None:
-    """There the motion vanishes; with a clearance it passes."""
+    """At zero load the motion vanishes; with a clearance the curve passes."""
     law = fc.UnilateralPenalty(1.0)
     with pytest.raises(fc.InputError, match="one sign"):
         fc.continue_parameter(oscillator(0.1, 1.0), 1.2, law, "load", 1.0, -1.0)

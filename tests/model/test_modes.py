@@ -322,7 +322,7 @@ def test_unreachable_first_frequency(breathing: Scene, target: float) -> None:
 
 
 def test_length_without_a_frequency(paper_scene: Scene) -> None:
-    """Without crack.first_omega there is nothing to find."""
+    """Without crack.first_omega no length can be found."""
     with pytest.raises(InputError) as caught:
         find_crack_length(paper_scene, MPI.COMM_SELF)
     assert caught.value.key == "crack.first_omega"

@@ -196,7 +196,7 @@ def test_leading_multiplier(paper_scene: fc.Scene, ratio: float, stiffness: floa
 
 
 def test_poor_truncation_is_not_decided(paper_structure: fc.Structure) -> None:
-    """The paper's data with few harmonics: the check disagrees, and the verdict says so."""
+    """The paper's data with few harmonics: the checks disagree, and the verdict is undecided."""
     plate = fc.reduce_structure(paper_structure, modes=10)
     solution = fc.solve_harmonic_balance(plate, 2000.0, fc.UnilateralPenalty(1e11), harmonics=5)
     found = floquet(plate, solution, refine=False)
@@ -221,7 +221,7 @@ def test_period_doubling_is_found_on_a_curve() -> None:
 
 
 def test_what_cannot_be_judged_is_refused() -> None:
-    """No law of the gap, no multipliers."""
+    """Multipliers need a law that gives the force from the gap."""
     structure = oscillator()
     linear = fc.solve_linear(structure, 1.0)
     with pytest.raises(fc.InputError, match="contact"):

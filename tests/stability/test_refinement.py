@@ -91,8 +91,8 @@ def test_doublings_of_the_oscillator() -> None:
 def test_paper_plate(soft_plate: fc.Structure) -> None:
     """All 50 modes, k = 1e9: 20 and 40 harmonics lead to the same points.
 
-    The folds between which 20 harmonics see two more, and the pairs that they see there crossing
-    the unit circle, are none of the exact branch: its fold is one.
+    With 20 harmonics the curve has more folds, and pairs that cross the unit circle between them;
+    the exact branch has one fold there.
     """
     law, found = fc.UnilateralPenalty(1e9), []
     for harmonics in (20, 40):
@@ -119,7 +119,7 @@ class Special:
     solution: fc.PeriodicSolution
 
 
-def test_what_is_not_there_is_not_found() -> None:
+def test_bifurcations_that_do_not_exist() -> None:
     """One error that says what was looked for, or which argument cannot be used."""
     structure, law = oscillator(), fc.UnilateralPenalty(1.0)
     solution = fc.solve_harmonic_balance(structure, 1.0, law, harmonics=10)

@@ -197,7 +197,7 @@ def test_brief_contacts_are_not_missed() -> None:
 
 
 def test_the_papers_data_are_unstable(paper_structure: fc.Structure) -> None:
-    """k = 1e11, xi = 0.001 on ten modes: harmonics cannot tell, the exact orbit can."""
+    """k = 1e11, xi = 0.001 on ten modes: undecided by harmonics, decided by the exact orbit."""
     plate = fc.reduce_structure(paper_structure, modes=10)
     solution = fc.solve_harmonic_balance(plate, 2000.0, fc.UnilateralPenalty(1e11), harmonics=20)
     assert floquet(plate, solution, refine=False).verdict == "undecided"
@@ -220,7 +220,7 @@ def test_what_it_cannot_do_is_refused() -> None:
 
 @pytest.mark.parametrize("rounding", [-1e-17, 0.0, 1e-17])
 def test_pairs_that_touch_at_the_start(rounding: float) -> None:
-    """At rest on the stop, pressed into it: contact begins at once, whatever rounding says."""
+    """At rest on the stop, pressed into it: contact begins at once, despite rounding."""
     structure = fc.Structure.from_matrices(
         np.eye(2),
         np.array([[2.0, -1.0], [-1.0, 2.0]]),
@@ -238,7 +238,7 @@ def test_pairs_that_touch_at_the_start(rounding: float) -> None:
 
 
 def test_many_pairs_are_refused() -> None:
-    """2^n regimes: a clear error that says what to use instead."""
+    """With n pairs there are 2^n regimes: an error that says what to use instead."""
     n = 13
     structure = fc.Structure.from_matrices(np.eye(n), 2.0 * np.eye(n), np.eye(n))
     with pytest.raises(fc.InputError, match=r"13 pairs.*at most 12.*integrate_implicit"):
