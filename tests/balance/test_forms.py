@@ -233,8 +233,10 @@ def test_spurious_roots_of_two_harmonics() -> None:
 
 
 def test_the_report_reveals_spurious_solutions() -> None:
-    """All 9 roots are returned as solutions. One is 2 % off and reports that; the others report 11 %
-    and more, and are 30 % and more off the solution to which the classical form leads from there.
+    """All 9 roots are returned as solutions; their reports tell them apart.
+
+    One is 2 % off and reports that; the others report 11 % and more, and are 30 % and more off the
+    solution to which the classical form leads from there.
     """
     structure, law, exact = duffing(), Cubic(1.0), classical_amplitudes()
     problem = Problem(structure, 2.0, law, 1)

@@ -311,6 +311,7 @@ def test_bad_arguments_and_unfinished_backbones() -> None:
         ("samples", (1, 1.0, 2.0), {"samples": 40}),
         ("longest_step", (1, 1.0, 2.0), {"longest_step": 0.0}),
         ("most_points", (1, 1.0, 2.0), {"most_points": 0}),
+        ("points", (1, 1.0, 2.0), {"points": 5}),
     ):
         with pytest.raises(fc.InputError) as caught:
             fc.follow_backbone(structure, law, *arguments, **options)  # type: ignore[arg-type]

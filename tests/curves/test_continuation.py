@@ -441,6 +441,27 @@ def test_damping_that_is_not_there_cannot_vary() -> None:
         fc.continue_parameter(bare, 1.2, fc.UnilateralPenalty(1.0), "damping", 1.0, 2.0)
 
 
+@pytest.mark.parametrize("seed", [6, 7])
+def test_branch_where_rounding_leaves_much(seed: int) -> None:
+    """k R of 1e8, masses that float on their stops: the first step leads to the branch."""
+    rng = np.random.default_rng(seed)
+    floating = 6.0 * (np.diag([1.0, 2.0, 2.0, 1.0]) - np.eye(4, k=1) - np.eye(4, k=-1))
+    structure = fc.Structure.from_matrices(
+        np.eye(4),
+        floating + 1e-8 * np.eye(4),
+        np.eye(4) + 0.3 * rng.random((4, 4)),
+        force_cos=2.5 * (1.0 + 0.1 * rng.random(4)),
+        force_mean=1.0 + 0.2 * rng.random(4),
+        damping=0.1 * np.eye(4),
+    )
+    law = fc.UnilateralPenalty(1.0)
+    curve = continue_frequency(structure, 3.2, 2.5, law, harmonics=8, stability=True)
+    doubling = next(b for b in curve.bifurcations if b.kind == "period_doubling")
+    branch = fc.follow_branch(curve, doubling, throw=False, most_points=5)
+    assert len(branch) == 6 and branch.iterations[0] <= 4
+    assert np.all(np.linalg.norm(branch.gap_coefficients[:, 1:3], axis=(1, 2)) > 0.0)
+
+
 def test_branch_only_from_where_one_begins() -> None:
     """Not from a fold, and not without room on both sides."""
     structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
@@ -452,6 +473,8 @@ def test_branch_only_from_where_one_begins() -> None:
         fc.follow_branch(curve, wrong, 1.9, 2.0)
     with pytest.raises(fc.InputError, match="harmonics"):
         fc.follow_branch(curve, wrong, harmonics=7)
+    with pytest.raises(fc.InputError, match="step"):
+        fc.follow_branch(curve, wrong, step=0.1)  # type: ignore[call-arg]
 
 
 @pytest.mark.parametrize("name", ["stiffness", "damping"])
