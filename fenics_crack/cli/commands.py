@@ -52,11 +52,7 @@ def solution(scene: Scene, folder: Path, console: Console) -> Exit:
     if not found.converged:
         console.warn(f"not converged: {found.status}")
         return Exit.NOT_CONVERGED
-    if not found.report.total <= LARGE_ERROR:
-        console.warn(
-            f"the estimated error is {found.report.total:.2g} of the gap: more harmonics "
-            "(harmonic_balance.harmonics) or more modes (reduction.modes) are needed"
-        )
+    _judge_error(found.report.total, "", console)
     if found.stability is not None and found.stability.verdict != "stable":
         console.warn(
             f"the orbit is {found.stability.verdict}: it may not be what is seen in time"
@@ -95,10 +91,15 @@ def _judge_errors(run: Run[ResponseCurve], console: Console) -> None:
     errors = {index: found.solution(index).report.total for index in sorted(looked_at)}
     worst = max(errors, key=errors.__getitem__)
     console.note(f"estimated error at {len(errors)} of the points: at most {errors[worst]:.2g}")
-    if not errors[worst] <= LARGE_ERROR:
+    _judge_error(errors[worst], f" at {found.values[worst]:g}", console)
+
+
+def _judge_error(error: float, where: str, console: Console) -> None:
+    """Warn of a large estimated error."""
+    if not error <= LARGE_ERROR:
         console.warn(
-            f"the estimated error is {errors[worst]:.2g} at {found.values[worst]:g}: more "
-            "harmonics (harmonic_balance.harmonics) or modes (reduction.modes) are needed there"
+            f"the estimated error is {error:.2g} of the gap{where}: more harmonics "
+            "(harmonic_balance.harmonics) or modes (reduction.modes) are needed"
         )
 
 

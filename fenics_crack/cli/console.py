@@ -21,22 +21,12 @@ __all__ = ["Console", "make_writable"]
 
 @dataclass(frozen=True)
 class Console:
-    """Prints a command's table to standard output, all else to standard error.
+    """Prints a command's table to standard output, all else to standard error."""
 
-    Attributes
-    ----------
-    comm : MPI.Comm
-        The ranks; rank 0 writes files.
-    form : str
-        Format of the table: "text", "csv" or "json".
-    quiet, verbose : bool
-        Print the table alone; print how long each part took.
-    """
-
-    comm: MPI.Comm
-    form: str = "text"
-    quiet: bool = False
-    verbose: bool = False
+    comm: MPI.Comm  # rank 0 writes files
+    form: str  # of the table: "text", "csv" or "json"
+    quiet: bool  # print the table alone
+    verbose: bool  # print how long each part took
 
     @property
     def progress(self) -> bool:

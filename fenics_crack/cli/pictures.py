@@ -37,26 +37,9 @@ __all__ = ["draw_run", "draw_sweep"]
 
 
 def draw_run(run: Run, folder: Path, *, show: bool = False) -> list[Path]:
-    """Draw all that fits a result, which one rank has loaded.
+    """Draw all that fits a result, which one rank has loaded; return the files.
 
-    Parameters
-    ----------
-    run : Run
-        What to draw.
-    folder : Path
-        Of the files; their names begin with what is drawn.
-    show : bool
-        Show a periodic solution in a window, too.
-
-    Returns
-    -------
-    list of Path
-        The files.
-
-    Raises
-    ------
-    InputError
-        The result cannot be shown in a window, or there is no screen.
+    With ``show`` a periodic solution is shown in a window, too; InputError if that is impossible.
     """
     found = run.result
     if show and not isinstance(found, PeriodicSolution):
@@ -143,16 +126,11 @@ def _waves(
 
 
 def draw_sweep(found: SweepResult, folder: Path) -> list[Path]:
-    """Draw the response and the opening over the swept numbers.
+    """Draw the response and the opening over the swept numbers; return the files.
 
     To the right goes the frequency, else the longest axis. The next in length gets a line for each
     value, or makes a map if it has many. Each combination of the other axes has its own pictures,
-    up to a limit.
-
-    Raises
-    ------
-    InputError
-        No axis has two or more numbers, or no case has converged.
+    up to a limit. Raises InputError if no axis has two or more numbers, or no case has converged.
     """
     axes = found.axes
     numbers = [

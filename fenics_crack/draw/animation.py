@@ -173,8 +173,9 @@ class _Plate:
             self.plotter.add_points(above, name="contact", color=INK["contact"], **dots, **flat)
         start, arrow = _load_arrow(self.fields, frame)
         if np.any(arrow):
-            form = {"tip_length": 0.45, "tip_radius": 0.16, "shaft_radius": 0.055}
-            head = pyvista.Arrow((*start, 2.0 * self.height), (*arrow, 0.0), scale="auto", **form)
+            place = {"start": (*start, 2.0 * self.height), "direction": (*arrow, 0.0)}
+            form = {"tip_length": 0.45, "tip_radius": 0.16, "shaft_radius": 0.055, "scale": "auto"}
+            head = pyvista.Arrow(**place, **form)
             self.plotter.add_mesh(head, name="load", color=INK["load"], **flat)
 
     def _surface(self, frame: int) -> Any:

@@ -41,25 +41,10 @@ def make_axes(
     size: tuple[float, float] = (7.0, 4.2),
     **options: Any,
 ) -> list[Axes]:
-    """The axes that were given, or those of a new figure.
+    """The axes that were given, or ``count`` panels of a new figure, ``columns`` side by side.
 
-    Parameters
-    ----------
-    axes : Axes, sequence or array of them, or None
-        The argument of a ``draw_*``.
-    path : path or None
-        Likewise.
-    count, columns : int
-        Number of panels, and of columns in a new figure.
-    size : (float, float) [in]
-        Of a new figure.
-    options
-        Of ``Figure.subplots``.
-
-    Raises
-    ------
-    InputError
-        The number of axes is not that of the panels, or there are both axes and a path.
+    ``size`` [in] and ``options`` (of ``Figure.subplots``) are of a new figure. Raises InputError
+    if the number of axes is not that of the panels, or if there are both axes and a path.
     """
     if axes is None:
         figure = Figure(figsize=size, dpi=150, layout="constrained")

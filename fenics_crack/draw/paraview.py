@@ -51,39 +51,17 @@ def write_modes(modes: Modes, path: str | Path) -> None:
 
 @dataclass(frozen=True)
 class PeriodFields:
-    """Nodal fields of a vibration at instants of one period, on every rank.
-
-    Attributes
-    ----------
-    mesh : NodalMesh
-        The nodes and cells.
-    time : (n,) [s]
-        Equally spaced from 0; the period itself is left out.
-    displacement : (n, n_nodes, 2) [m]
-        True to scale.
-    force : (n, n_pairs) [N]
-        Contact force of the pairs.
-    areas : (n_pairs,) [m^2]
-        Area of the lip that belongs to each pair.
-    load : (n, n_nodes, 2) [N]
-        Of the structure.
-    pair_nodes : (n_nodes, n_pairs)
-        1 where a node belongs to a pair, else 0.
-    magnification : float
-        Factor of the displacement in pictures.
-    material : Material or None
-        For stresses.
-    """
+    """Nodal fields of a vibration at n instants of one period, on every rank."""
 
     mesh: NodalMesh
-    time: np.ndarray
-    displacement: np.ndarray
-    force: np.ndarray
-    areas: np.ndarray
-    load: np.ndarray
-    pair_nodes: np.ndarray
-    magnification: float
-    material: Material | None
+    time: np.ndarray  # (n,) [s], equally spaced from 0; the period itself is left out
+    displacement: np.ndarray  # (n, n_nodes, 2) [m], true to scale
+    force: np.ndarray  # (n, n_pairs) [N], of the contact
+    areas: np.ndarray  # (n_pairs,) [m^2], of one lip
+    load: np.ndarray  # (n, n_nodes, 2) [N]
+    pair_nodes: np.ndarray  # (n_nodes, n_pairs), 1 where a node belongs to a pair, else 0
+    magnification: float  # of the displacement in pictures
+    material: Material | None  # for stresses
 
     @classmethod
     def of(
@@ -93,13 +71,7 @@ class PeriodFields:
         magnification: float | None = None,
         material: Material | None = None,
     ) -> PeriodFields:
-        """The fields of a solution (collective); arguments as of :func:`write_period`.
-
-        Raises
-        ------
-        InputError
-            The structure has no mesh, or an argument cannot be used.
-        """
+        """The fields of a solution, arguments as of :func:`write_period` (collective)."""
         check_count("frames", frames, 1)
         if magnification is not None:
             check_number("magnification", magnification, 0.0, above=True)
@@ -169,17 +141,7 @@ class PeriodFields:
 
 
 def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) -> np.ndarray:
-    """Stresses xx, yy, xy of plane stress at the nodes: (n_nodes, 3) [Pa].
-
-    Parameters
-    ----------
-    mesh : NodalMesh
-        The nodes and cells.
-    displacement : (n_nodes, 2) [m]
-        Nodal vectors.
-    material : Material
-        Young's modulus and Poisson's ratio.
-    """
+    """Plane stresses xx, yy, xy of nodal displacements (n_nodes, 2) [m]: (n_nodes, 3) [Pa]."""
     grid = moved_grid(mesh)
     grid["displacement"] = np.pad(displacement, ((0, 0), (0, 1)))
     gradient = grid.compute_derivative("displacement", gradient="gradient")["gradient"]
