@@ -25,7 +25,7 @@ from PIL import Image
 from vtkmodules.vtkInteractionWidgets import vtkSliderRepresentation2D, vtkSliderWidget
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.draw.figure import COLOURS, label_axis
+from fenics_crack.draw.figure import COLOURS
 from fenics_crack.draw.nodal import edge_lines, moved_grid, off_screen_plotter
 from fenics_crack.draw.paraview import PeriodFields
 from fenics_crack.errors import InputError
@@ -383,14 +383,15 @@ class _Page:
             self.values = np.linalg.norm(fields.displacement, axis=2).max(axis=1)
             quantity, wave = "largest\ndisplacement", np.append(self.values, self.values[0])
             loads = np.append(self.loads, loads[-1])
+        factor, unit = readable(float(np.abs(wave).max()), "m")
+        self.values = factor * self.values
         axes.axhline(0.0, color=COLOURS["grey"], lw=0.8)
-        axes.plot(loads, wave, color=COLOURS["blue"], lw=2)
+        axes.plot(loads, factor * wave, color=COLOURS["blue"], lw=2)
         self.line = axes.axvline(0.0, color=COLOURS["grey"], lw=1)
         (self.dot,) = axes.plot([0.0], [0.0], "o", color="black", ms=8, clip_on=False, zorder=5)
         axes.set_xlim(0.0, loads[-1])
         axes.margins(y=0.12)
         axes.set_xlabel("time / load period", fontsize=12)
-        label_axis(axes.yaxis, quantity, "m")
-        axes.yaxis.label.set_fontsize(12)
+        axes.set_ylabel(f"{quantity} [{unit}]", fontsize=12)
         axes.yaxis.set_label_coords(-0.09, 0.5)
         axes.tick_params(labelsize=11)
