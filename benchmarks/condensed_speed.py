@@ -490,7 +490,7 @@ def race(python: str, case: dict[str, Any], harmonics: int, turns: int) -> list[
                 longest_step=longest,
             )  # fmt: skip
             if between:
-                curve = fc.fill_curve(curve, between)
+                curve = fc.refine_curve(curve, between)
             seconds = time.process_time() - started
             converged[who] = len(curve)
             times.setdefault(who, []).append(seconds / len(curve))

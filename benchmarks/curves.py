@@ -9,7 +9,7 @@ breathing : ``demos/breathing_plate.toml`` reduced, contact on all 18 pairs, 1e9
 
 Times are the process's own. "LAPACK" is one factorisation and solution of a dense real matrix as
 large as the condensed equations (dgetrf, dgetrs), measured between the curves. "filled" is the cost
-of a point that :func:`fill_curve` puts between two others.
+of a point that :func:`refine_curve` puts between two others.
 
     OMP_NUM_THREADS=1 python benchmarks/curves.py [--quick] [--only PART] [folder]
 """
@@ -51,7 +51,7 @@ def oscillator(arguments: common.Arguments) -> None:
     common.save_table(arguments.folder / "curves_oscillator.csv", "Oscillator", COLUMNS, rows)
     figure, (axes,) = common.figure(1)
     for (label, curve), colour in zip(curves.items(), COLOURS.values(), strict=False):
-        fine = fc.fill_curve(curve, 3)
+        fine = fc.refine_curve(curve, 3)
         axes.semilogy(fine.omega, fine.amplitude(0), color=colour, lw=1.1, label=label)
     axes.set_xlabel("load frequency [rad/s]")
     axes.set_ylabel("half peak-to-peak displacement [m]")
@@ -100,7 +100,7 @@ def measure(
     curve = follow()
     point = (time.process_time() - started) / len(curve)
     started = time.process_time()
-    filled = fc.fill_curve(curve, 3)
+    filled = fc.refine_curve(curve, 3)
     between = (time.process_time() - started) / (len(filled) - len(curve))
     lapack = 0.5 * (lapack + solve_once(unknowns))
     ratio = float("nan")

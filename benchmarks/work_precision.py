@@ -31,7 +31,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -202,25 +201,25 @@ def kernel(arguments: common.Arguments) -> None:
         bare = plate.damped(None)
         damped = f"{len(damped_modes(plate).omega)} damped modes"
         rows += [
-            (name, plate.n_dofs, "lumped mass, no damping", *step_and_product(bare, "lumped")),
-            (name, plate.n_dofs, "no damping", *step_and_product(bare, "consistent")),
-            (name, plate.n_dofs, damped, *step_and_product(plate, "consistent")),
+            (name, plate.n_dofs, "lumped mass, no damping", *step_and_product(bare.lumped())),
+            (name, plate.n_dofs, "no damping", *step_and_product(bare)),
+            (name, plate.n_dofs, damped, *step_and_product(plate)),
         ]
     columns = ("plate", "dofs", "scheme", "step [us]", "product with K [us]", "ratio")
     path = arguments.folder / "work_precision_kernel.csv"
     common.save_table(path, "A step of central differences", columns, rows)
 
 
-def step_and_product(structure: fc.Structure, mass: str) -> tuple[float, float, float]:
+def step_and_product(structure: fc.Structure) -> tuple[float, float, float]:
     """Microseconds of a step and of one product with K, and their ratio, by turns."""
     law = fc.UnilateralPenalty(1e9)
-    steps = int(1.3 * fc.stable_steps_per_period(structure, 2000.0, law, mass=mass))
+    steps = int(1.3 * fc.stable_steps_per_period(structure, 2000.0, law))
     source, target = structure.stiffness.createVecs()
     source.set(1.0)
 
     def march(periods: int) -> None:
         fc.integrate_central_difference(
-            structure, 2000.0, law, periods=periods, steps_per_period=steps, mass=mass, dofs=()
+            structure, 2000.0, law, periods=periods, steps_per_period=steps, dofs=()
         )
 
     def multiply() -> None:
@@ -285,11 +284,8 @@ def in_time(
 ) -> list[tuple[Any, ...]]:
     """A scheme with ever more steps, from rest until it has settled."""
     rows = []
-    integrate = (
-        partial(fc.integrate_implicit, record_dofs=())
-        if method.startswith("implicit")
-        else partial(fc.integrate_central_difference, dofs=())
-    )
+    implicit = method.startswith("implicit")
+    integrate = fc.integrate_implicit if implicit else fc.integrate_central_difference
     settle = 1e-2
     for count in steps:
         memory = common.PeakMemory()
@@ -297,7 +293,7 @@ def in_time(
         try:
             history = integrate(
                 structure, scene.omega, scene.law, periods=most, steps_per_period=count,
-                settle=settle, record_periods=1,
+                settle=settle, record_periods=1, dofs=(),
             )  # fmt: skip
         except fc.ConvergenceError as failed:
             rows.append((scene.name, method, f"{count} steps", float("nan"), float("nan"),
@@ -310,7 +306,7 @@ def in_time(
             started = time.process_time()
             history = integrate(
                 structure, scene.omega, scene.law, periods=most, steps_per_period=count,
-                settle=0.01 * error, record_periods=1,
+                settle=0.01 * error, record_periods=1, dofs=(),
             )  # fmt: skip
             cpu, peak = time.process_time() - started, memory.mib()
             error = scene.error(history.gap)

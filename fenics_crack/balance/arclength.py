@@ -103,7 +103,7 @@ def follow_path(
                     return
                 found, ahead, step = turned
                 break
-        before, here = here, replace(found, tangent=ahead, at=None)
+        before, here = here, replace(found, tangent=ahead)
         yield here
         if here.iterations <= 3:
             step = min(stepping.longest, 1.7 * step)

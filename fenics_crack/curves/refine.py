@@ -30,7 +30,7 @@ from fenics_crack.model.modal import AllModes, all_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.stability.floquet import PiecewiseFlow
 
-__all__ = ["fill_curve"]
+__all__ = ["refine_curve"]
 
 TOLERANCE = 1e-9
 MOST_ITERATIONS, MOST_BETWEEN = 6, 1000
@@ -38,7 +38,7 @@ MOST_NUMBERS = 4_000_000
 """In the Jacobians of the points that are treated together."""
 
 
-def fill_curve(curve: ResponseCurve, between: int) -> ResponseCurve:
+def refine_curve(curve: ResponseCurve, between: int) -> ResponseCurve:
     """Return a curve in frequency with more points between each two.
 
     Parameters

@@ -11,8 +11,8 @@ from mpi4py import MPI
 
 from fenics_crack.balance.harmonic_balance import solve_harmonic_balance, solve_linear
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.continuation import continue_frequency, continue_parameter
 from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.curves.follow import continue_frequency, continue_parameter
 from fenics_crack.errors import InputError
 from fenics_crack.files.results import Result, load, type_of
 from fenics_crack.files.store import read_scene

@@ -16,7 +16,6 @@ from helpers import (
 from scipy.integrate import solve_ivp
 
 import fenics_crack as fc
-from fenics_crack.curves.continuation import continue_frequency
 from fenics_crack.model.modal import all_modes, flow_matrix
 from fenics_crack.stability.floquet import PiecewiseFlow, floquet
 from fenics_crack.time.events import EventFlow
@@ -207,7 +206,7 @@ def test_poor_truncation_is_not_decided(paper_structure: fc.Structure) -> None:
 def test_period_doubling_is_found_on_a_curve() -> None:
     """Between its two period doublings the orbit is unstable, and W = 2 w0 lies there."""
     structure, law = oscillator(), fc.UnilateralPenalty(1.0)
-    curve = continue_frequency(structure, 1.5, 3.0, law, harmonics=20, stability=True)
+    curve = fc.continue_frequency(structure, 1.5, 3.0, law, harmonics=20, stability=True)
     doublings = [b for b in curve.bifurcations if b.kind == "period_doubling"]
     assert len(doublings) == 2
     first, second = (b.omega for b in doublings)

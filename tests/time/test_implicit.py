@@ -312,7 +312,7 @@ def test_reduced_structure(wide_plate: fc.Structure, method: str, law: Any) -> N
     corner = wide_plate.find_dof((0.1, 0.1), "x")
     whole, small = (
         fc.integrate_implicit(
-            structure, 2000.0, law, periods=2, steps_per_period=128, record_dofs=[corner]
+            structure, 2000.0, law, periods=2, steps_per_period=128, dofs=[corner]
         )
         for structure in (wide_plate, reduced)
     )
@@ -339,23 +339,6 @@ def test_a_run_goes_on_from_another(law: Any) -> None:
         errors.append(relative(second.gap, whole.gap))
     order = 1.8 if law is not RIGID else 0.8
     assert errors[-1] < 1e-2 and log_slope(counts, errors) < -order
-
-
-def test_recording(soft_plate: fc.Structure) -> None:
-    """Some dofs of the last periods are the same numbers as everything."""
-    options = {"periods": 4, "steps_per_period": 64}
-    everything = fc.integrate_implicit(soft_plate, 2000.0, LAW, **options)  # type: ignore[arg-type]
-    some = fc.integrate_implicit(
-        soft_plate,
-        2000.0,
-        LAW,
-        record_periods=2,
-        record_dofs=[3, 40],
-        **options,  # type: ignore[arg-type]
-    )
-    assert np.array_equal(some.gap, everything.gap[-128:])
-    assert np.array_equal(some.contact_force, everything.contact_force[-128:])
-    assert np.array_equal(some.displacement([40, 3]), everything.displacement([40, 3])[-128:])
 
 
 def test_no_pairs() -> None:
@@ -394,37 +377,13 @@ def test_same_motion_on_one_and_two_ranks(
     assert relative(on_ranks(motion, scene), motion(scene, MPI.COMM_SELF)) < 1e-7
 
 
-@pytest.mark.parametrize(
-    ("key", "arguments"),
-    [
-        ("periods", {"periods": 0}),
-        ("steps_per_period", {"steps_per_period": 1.5}),
-        ("omega", {"omega": -3.0}),
-        ("omega", {"omega": "fast"}),
-        ("spectral_radius", {"spectral_radius": -0.1}),
-        ("spectral_radius", {"spectral_radius": 1.1}),
-        ("spectral_radius", {"spectral_radius": np.nan}),
-        ("spectral_radius", {"spectral_radius": "none"}),
-        ("contact", {"contact": "rigid"}),
-        ("contact", {"contact": fc.UnilateralConstraint}),
-        ("contact stiffness", {"contact": fc.UnilateralPenalty([1e9, 1e9, 1e9])}),
-        ("initial", {"initial": (np.zeros(3), np.zeros(3))}),
-        ("record_dofs", {"record_dofs": [1000]}),
-        ("record_periods", {"periods": 10**7}),
-        ("record_periods", {"record_periods": 0}),
-        ("settle", {"settle": "soon"}),
-    ],
-)
-def test_bad_arguments_are_named(
-    soft_plate: fc.Structure, key: str, arguments: dict[str, object]
-) -> None:
-    """One error that names the key."""
-    given: dict[str, Any] = {
-        "omega": 2000.0, "contact": LAW, "periods": 1, "steps_per_period": 64,
-    } | arguments  # fmt: skip
-    with pytest.raises(fc.InputError) as caught:
-        fc.integrate_implicit(soft_plate, given.pop("omega"), given.pop("contact"), **given)
-    assert caught.value.key == key
+@pytest.mark.parametrize("radius", [-0.1, 1.1, np.nan, "none"])
+def test_a_spectral_radius_beyond_0_to_1_is_refused(soft_plate: fc.Structure, radius: Any) -> None:
+    """One error that names it; what all schemes refuse is in test_march.py."""
+    with pytest.raises(fc.InputError, match=r"^spectral_radius"):
+        fc.integrate_implicit(
+            soft_plate, 2000.0, LAW, periods=1, steps_per_period=64, spectral_radius=radius
+        )
 
 
 # --- the contact of one step ----------------------------------------------------------------------
