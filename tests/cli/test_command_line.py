@@ -182,6 +182,17 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def test_points_of_a_curve(results: Path) -> None:
+    """The columns that the curve itself writes, and the amplitude at the load."""
+    run = fc.load_run(results / "curve.h5")
+    assert isinstance(run.result, fc.ResponseCurve)
+    rows = table(results / "curve.csv")
+    assert len(rows) == len(run.result) and run.watched_name in list(rows[0])[-1]
+    assert list(rows[0])[:-1] == run.result.table().columns
+    heights = [float(list(row.values())[-1]) for row in rows]
+    np.testing.assert_allclose(heights, run.result.amplitude(run.watched_dof), rtol=1e-9)
+
+
 @pytest.mark.parametrize("name", ["solution", "curve"])
 def test_file_with_another_law_or_structure(results: Path, name: str) -> None:
     """With another structure or law than its own a result would be wrong: it is refused."""
