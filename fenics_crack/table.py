@@ -1,7 +1,7 @@
-"""Tables for people (text, HTML), for shells (CSV) and for programs (JSON); results as tables.
+"""Tables for people (text, HTML), shells (CSV) and programs (JSON), and results that become tables.
 
-A result derives from :class:`Described`, or from :class:`Tabular` where it is a table, and writes
-``to_dict``: from it follow its one line, its table in a notebook, and its CSV file.
+A result derives from :class:`Described`, or from :class:`Tabular` where it is a table, and defines
+``to_dict``. Its one line, its table in a notebook and its CSV file follow from that.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import html
 import io
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,27 +22,23 @@ from fenics_crack.errors import InputError
 
 __all__ = ["Described", "Table", "Tabular", "counted", "quantity", "readable", "with_unit"]
 
-SHOWN_ROWS = 40
-"""More are left to the file."""
-NOTEBOOK_ROWS = 20
-"""Likewise, in a notebook."""
-UNITS = {
-    "omega": "rad/s", "frequency": "Hz", "energy": "J", "opening": "m", "penetration": "m",
-    "clearance": "m",
-}  # fmt: skip
-"""Of what results name so; all else has none."""
+SHOWN_ROWS, NOTEBOOK_ROWS = 40, 20
+"""Rows shown as text and in a notebook; files have all of them."""
+UNITS = {"omega": "rad/s", "frequency": "Hz", "energy": "J", "contact_force": "N"}
+UNITS |= dict.fromkeys(("opening", "penetration", "clearance"), "m")
+"""Units of the entries of ``to_dict``; all others have none."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows under names of columns.
+    """Named columns of numbers and words.
 
     Attributes
     ----------
     columns : sequence of str
         Names with their units.
     rows : sequence of sequences
-        Numbers, words, truth values; nan for what is not known.
+        Numbers, words, truth values; nan where a value is unknown.
     """
 
     columns: Sequence[str]
@@ -50,16 +46,11 @@ class Table:
 
     @classmethod
     def of(cls, values: Mapping[str, Any], units: Mapping[str, str]) -> Table:
-        """Columns given as lists of equal length; single values as rows under each other."""
+        """A table of lists, one for each column, or of single values, one for each row."""
         names = [with_unit(name, units.get(name, "")) for name in values]
         if any(isinstance(value, list) for value in values.values()):
             return cls(names, [list(row) for row in zip(*values.values(), strict=True)])
         return cls(("quantity", "value"), list(zip(names, values.values(), strict=True)))
-
-    def of_columns(self, places: Sequence[int]) -> Table:
-        """Some of the columns."""
-        columns = [self.columns[place] for place in places]
-        return Table(columns, [[row[place] for place in places] for row in self.rows])
 
     def formatted(self, how: str) -> str:
         """The table as "text" (the first rows of a long one), "csv" or "json"."""
@@ -67,14 +58,16 @@ class Table:
 
     def html(self, caption: str) -> str:
         """The table for a notebook (the first rows of a long one)."""
-        rows = [_html_row("th", self.columns)]
-        rows += [_html_row("td", map(_words, row)) for row in self.rows[:NOTEBOOK_ROWS]]
+        rows = [("th", self.columns)]
+        rows += [("td", [_words(value) for value in row]) for row in self.rows[:NOTEBOOK_ROWS]]
         if len(self.rows) > NOTEBOOK_ROWS:
             caption += f"; the first {NOTEBOOK_ROWS} of {len(self.rows)} rows"
-        return f"<table><caption>{html.escape(caption)}</caption>{''.join(rows)}</table>"
+        lines = ("".join(f"<{tag}>{html.escape(c)}</{tag}>" for c in cells) for tag, cells in rows)
+        body = "".join(f"<tr>{line}</tr>" for line in lines)
+        return f"<table><caption>{html.escape(caption)}</caption>{body}</table>"
 
     def save(self, path: str | Path) -> None:
-        """Write it as CSV, or as JSON where the name ends so.
+        """Write the table as JSON if the name ends in ``.json``, else as CSV.
 
         Raises
         ------
@@ -90,20 +83,15 @@ class Table:
 
     def _text(self) -> str:
         shown = self.rows[:SHOWN_ROWS]
-        cells = [list(map(str, self.columns)), *([_words(v) for v in row] for row in shown)]
-        widths = [max(len(row[i]) for row in cells) for i in range(len(self.columns))]
-        right = [
-            all(isinstance(row[i], float | int | np.number) for row in shown)
-            for i in range(len(widths))
-        ]
-        lines = [
-            "  ".join(
-                cell.rjust(width) if numbers else cell.ljust(width)
-                for cell, width, numbers in zip(row, widths, right, strict=True)
-            ).rstrip()
-            for row in cells
-        ]
-        lines.insert(1, "  ".join("-" * width for width in widths))
+        columns = []
+        for place, name in enumerate(self.columns):
+            values = [row[place] for row in shown]
+            words = [name, *map(_words, values)]
+            width = max(map(len, words))
+            words.insert(1, width * "-")
+            numbers = all(isinstance(value, float | int | np.number) for value in values)
+            columns.append([w.rjust(width) if numbers else w.ljust(width) for w in words])
+        lines = ["  ".join(line).rstrip() for line in zip(*columns, strict=True)]
         if len(self.rows) > len(shown):
             lines.append(f"... and {len(self.rows) - len(shown)} more")
         return "\n".join(lines) + "\n"
@@ -112,37 +100,35 @@ class Table:
         file = io.StringIO()
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(self.columns)
-        writer.writerows([_plain(value) for value in row] for row in self.rows)
+        writer.writerows(map(_plain, row) for row in self.rows)
         return file.getvalue()
 
     def _json(self) -> str:
-        records = [
-            {name: _known(_plain(value)) for name, value in zip(self.columns, row, strict=True)}
-            for row in self.rows
-        ]
+        records = [dict(zip(self.columns, map(_known, row), strict=True)) for row in self.rows]
         return json.dumps(records, indent=1, ensure_ascii=False) + "\n"
 
 
 class Described:
-    """A result that says what it is: in one line, as a small table in a notebook, as a dict."""
+    """A result that describes itself: in one line, as a table in a notebook, as a dict."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and words by their names, or lists of equal length; SI units.
+        """Numbers and words by name, or lists of equal length; SI units.
 
-        ``pandas.DataFrame`` takes a dict of lists, and a list of dicts of numbers, as they are.
+        ``pandas.DataFrame`` takes such a dict of lists, and a list of dicts of numbers.
         """
         raise NotImplementedError
 
-    def table(self) -> Table:
-        """The same as a table, whose names have their units."""
-        return Table.of(self.to_dict(), self._units())
+    def table(self, *names: str) -> Table:
+        """:meth:`to_dict`, or some entries of it, as a table with units."""
+        values = self.to_dict()
+        return Table.of({name: values[name] for name in names or values}, self._units())
 
     def _units(self) -> Mapping[str, str]:
-        """Units by the names of the dict."""
+        """Units of the entries of :meth:`to_dict`."""
         return UNITS
 
     def _title(self) -> str:
-        """What stands between the brackets of the one line."""
+        """The text between the brackets of the one line."""
         return ", ".join(f"{name} = {_words(value)}" for name, value in self.to_dict().items())
 
     def __repr__(self) -> str:
@@ -153,7 +139,7 @@ class Described:
 
 
 class Tabular(Described):
-    """A result that is a table: its dict has lists of equal length."""
+    """A result that is a table: :meth:`to_dict` has lists of equal length."""
 
     def to_csv(self, path: str | Path) -> None:
         """Write :meth:`table` as CSV.
@@ -172,7 +158,7 @@ _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"
 
 
 def readable(largest: float, unit: str) -> tuple[float, str]:
-    """Factor and unit with which numbers up to a largest one read well: (1e6, "µm")."""
+    """Factor and prefixed unit for numbers up to a largest one: (1e6, "µm")."""
     exponent = 3 * int(np.floor(np.log10(largest) / 3.0)) if 0.0 < largest < math.inf else 0
     prefix = _PREFIXES.get(exponent)
     return 10.0 ** (-exponent), f"10^{exponent} {unit}" if prefix is None else prefix + unit
@@ -194,18 +180,14 @@ def counted(count: int, thing: str) -> str:
     return f"{count} {thing}{'' if count == 1 else 's'}"
 
 
-def _html_row(tag: str, cells: Iterable[str]) -> str:
-    inner = "".join(f"<{tag}>{html.escape(cell)}</{tag}>" for cell in cells)
-    return f"<tr>{inner}</tr>"
-
-
 def _plain(value: Any) -> Any:
-    """A value of Python's own kinds."""
+    """A value as one of Python's own types."""
     return value.item() if isinstance(value, np.generic) else value
 
 
 def _known(value: Any) -> Any:
-    """None for what JSON has no number for."""
+    """A value for JSON: None where a number is nan or infinite."""
+    value = _plain(value)
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

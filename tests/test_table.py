@@ -131,6 +131,23 @@ def test_dicts_say_what_the_results_are(results: dict[str, Any]) -> None:
     assert solution["total_error"] == results["report"].to_dict()["total"]
 
 
+def test_entries_of_contact(results: dict[str, Any]) -> None:
+    """Extremes over the period as sampled by hand; without pairs there is no entry of contact."""
+    solution = results["bifurcation"].solution
+    time = np.linspace(0.0, solution.period, 1024, endpoint=False)
+    gap, force = solution.gap(time), solution.contact_force(time)
+    found = solution.to_dict()
+    assert found["penetration"] == gap.max() > 0.0 and found["contact_force"] == force.max()
+    assert found["closed_share"] == np.mean(force > 0.0)
+    assert solution.amplitude(1) == np.ptp(solution.displacement(time, [1])) / 2.0
+    free = fc.solve_linear(fc.Structure.from_matrices(np.eye(1), np.eye(1), None), 0.5)
+    assert found.keys() - free.to_dict().keys() == {
+        "opening", "penetration", "contact_force", "closed_share",
+    }  # fmt: skip
+    table = solution.table("contact_force", "omega")
+    assert table.rows == [("contact_force [N]", force.max()), ("omega [rad/s]", solution.omega)]
+
+
 def test_long_tables_are_cut_for_eyes_only() -> None:
     """In text and in a notebook; CSV and JSON have all rows."""
     table = Table(("n [<m>]", "word"), [[n, "<b>"] for n in range(50)])

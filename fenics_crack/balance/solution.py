@@ -16,7 +16,7 @@ from fenics_crack.model.contact import ContactLaw, force_in_time
 from fenics_crack.model.structure import Structure
 from fenics_crack.table import Described, counted, quantity
 
-__all__ = ["PeriodicSolution", "Stability", "solution_of"]
+__all__ = ["PeriodicSolution", "Stability", "contact_extremes", "solution_of"]
 
 
 @dataclass(frozen=True, repr=False)
@@ -143,6 +143,10 @@ class PeriodicSolution(Described):
         """Displacement of dofs at times [s]: (len(time), len(dofs)) [m] (collective)."""
         return evaluate(self.coefficients_at(dofs), self.base_omega, time)
 
+    def amplitude(self, dof: int) -> float:
+        """Half the peak-to-peak displacement of a dof [m], of 1024 instants (collective)."""
+        return float(np.ptp(self.displacement(self._instants(), [dof])) / 2.0)
+
     def coefficients_at(self, dofs: Sequence[int]) -> np.ndarray:
         """Coefficients of the displacement of dofs: (2H+1, len(dofs)) [m] (collective)."""
         return self.structure.values_at(self.displacement_coefficients, dofs)
@@ -152,32 +156,29 @@ class PeriodicSolution(Described):
         rows = self.structure.expand(self.displacement_coefficients)
         return evaluate(rows, self.base_omega, time)
 
+    def _instants(self) -> np.ndarray:
+        return np.linspace(0.0, self.period, 1024, endpoint=False)
+
     # --- shown ------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """Frequency, extremes of the gap [m] of all pairs, errors, and how it was found."""
-        gap = self.gap(np.linspace(0.0, self.period, 1024, endpoint=False))
+        """Frequency, extremes of the contact, errors, and how the solution was found."""
         found: dict[str, Any] = {
             "omega": float(self.omega),
             "harmonics": self.harmonics,
             "subharmonic": self.subharmonic,
-            "pairs": gap.shape[1],
-            "opening": float(max(0.0, -gap.min(initial=0.0))),
-            "penetration": float(gap.max(initial=0.0)),
+            "pairs": self.gap_coefficients.shape[1],
         }
+        if found["pairs"]:
+            time = self._instants()
+            found |= contact_extremes(self.gap(time), self.contact_force(time))
         found |= {f"{name}_error": value for name, value in self.report.to_dict().items()}
         found["penetration_share"] = found.pop("penetration_error")
         if self.stability is not None:
-            found |= {
-                "verdict": self.stability.verdict,
-                "multiplier": float(abs(self.stability.multipliers[0])),
-            }
-        found |= {
-            "converged": self.converged,
-            "iterations": int(self.iterations),
-            "status": str(self.status),
-        }
-        return found
+            found["verdict"] = self.stability.verdict
+            found["multiplier"] = float(abs(self.stability.multipliers[0]))
+        found |= {"converged": self.converged, "iterations": int(self.iterations)}
+        return found | {"status": str(self.status)}
 
     def _title(self) -> str:
         found = self.to_dict()
@@ -194,6 +195,19 @@ class PeriodicSolution(Described):
         if self.stability is not None:
             parts.append(self.stability.verdict)
         return ", ".join([*parts, "converged" if self.converged else "NOT CONVERGED"])
+
+
+def contact_extremes(gap: np.ndarray, force: np.ndarray) -> dict[str, float]:
+    """Opening [m], penetration [m] and force [N], the largest of any pair, and the time closed.
+
+    The last is a share, mean over the pairs, of gaps and forces over time, (n, n_pairs) each.
+    """
+    return {
+        "opening": max(0.0, -float(gap.min())),
+        "penetration": max(0.0, float(gap.max())),
+        "contact_force": float(force.max()),
+        "closed_share": float(np.mean(force > 0.0)),
+    }
 
 
 def solution_of(

@@ -1,4 +1,4 @@
-"""The commands that solve a scene, and ``plot``: each computes, writes its files and speaks."""
+"""The commands that solve a scene, and ``plot``: each computes, writes its files and reports."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
 from fenics_crack.files.results import save
 from fenics_crack.files.store import kind_of
+from fenics_crack.model.modes import Modes
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Integration, Scene
 from fenics_crack.study.run import Run, find_modes, follow_curve, integrate, load_run, solve
 from fenics_crack.sweep.file import KIND as SWEEP
 from fenics_crack.sweep.result import SweepResult, run_sweep
+from fenics_crack.table import Table
 from fenics_crack.time.march import TimeHistory
 
 __all__ = ["curve", "integration", "modes", "plot", "solution", "sweep"]
 
-IN_SHORT = ("state", "response [m]", "opening [m]", "multiplier", "verdict", "truncation_error")
-"""Columns of a sweep that are shown as text, beside the swept values."""
+IN_SHORT = ("state", "response", "opening", "multiplier", "verdict", "truncation_error")
+"""Columns of a sweep printed as text, beside the swept values."""
 UNDECIDED = "; more harmonics may decide it, or damping of all modes (damping.modes = 'all')"
 SHOWN_FAILURES = 10
-"""Of a sweep; all are in its table."""
+"""Failures of a sweep that are printed; its table has all."""
 
 
 def modes(scene: Scene, count: int, folder: Path, console: Console) -> Exit:
     """Natural frequencies and mode shapes with the crack open."""
     with console.stage("modes"):
         run = find_modes(scene, count, console.comm)
-    save(run.result, folder / "modes.h5", run.scene)
-    table = tables.mode_frequencies(run)
-    console.finish(folder, "modes", table, table, table)
+    _finish(run, folder, "modes", console, run.result.table())
     return Exit.DONE
 
 
@@ -47,17 +47,12 @@ def solution(scene: Scene, folder: Path, console: Console) -> Exit:
     with console.stage("solution"):
         run = solve(scene, console.comm)
     found = run.result
-    _save(run, folder / "solution.h5", console)
-    table = tables.solution_quantities(run)
-    console.finish(folder, "solution", table, tables.solution_waves(run), table)
+    table, waves = tables.solution_quantities(run), tables.solution_waves(run)
+    _finish(run, folder, "solution", console, table, waves)
     if not found.converged:
         console.warn(f"not converged: {found.status}")
         return Exit.NOT_CONVERGED
-    if not found.report.total <= LARGE_ERROR:
-        console.warn(
-            f"the estimated error is {found.report.total:.2g} of the gap: more harmonics "
-            "(harmonic_balance.harmonics) or more modes (reduction.modes) are needed"
-        )
+    _judge_error(found.report.total, "", console)
     if found.stability is not None and found.stability.verdict != "stable":
         console.warn(
             f"the orbit is {found.stability.verdict}: it may not be what is seen in time"
@@ -71,9 +66,8 @@ def curve(scene: Scene, folder: Path, console: Console) -> Exit:
     with console.stage("curve"):
         run = follow_curve(scene, console.comm, progress=console.progress)
     found = run.result
-    _save(run, folder / "curve.h5", console)
-    table = tables.special_points(run)
-    console.finish(folder, "curve", table, tables.curve_points(run), table)
+    table, points = tables.special_points(run), tables.curve_points(run)
+    _finish(run, folder, "curve", console, table, points)
     _judge_errors(run, console)
     special = [point.value for point in found.bifurcations]
     for index in tables.stability_changes(found):
@@ -90,17 +84,22 @@ def curve(scene: Scene, folder: Path, console: Console) -> Exit:
 
 
 def _judge_errors(run: Run[ResponseCurve], console: Console) -> None:
-    """Say what a few points of a curve, the largest among them, estimate as their errors."""
+    """Report the estimated errors of a few points of a curve, the largest among them."""
     found = run.result
     peak = int(np.argmax(found.amplitude(run.watched_dof)))
     looked_at = {peak, *np.linspace(0, len(found) - 1, 8).astype(int).tolist()}
     errors = {index: found.solution(index).report.total for index in sorted(looked_at)}
     worst = max(errors, key=errors.__getitem__)
     console.note(f"estimated error at {len(errors)} of the points: at most {errors[worst]:.2g}")
-    if not errors[worst] <= LARGE_ERROR:
+    _judge_error(errors[worst], f" at {found.values[worst]:g}", console)
+
+
+def _judge_error(error: float, where: str, console: Console) -> None:
+    """Warn of a large estimated error."""
+    if not error <= LARGE_ERROR:
         console.warn(
-            f"the estimated error is {errors[worst]:.2g} at {found.values[worst]:g}: more "
-            "harmonics (harmonic_balance.harmonics) or modes (reduction.modes) are needed there"
+            f"the estimated error is {error:.2g} of the gap{where}: more harmonics "
+            "(harmonic_balance.harmonics) or modes (reduction.modes) are needed"
         )
 
 
@@ -109,9 +108,8 @@ def integration(scene: Scene, folder: Path, console: Console) -> Exit:
     with console.stage("integration"):
         run = integrate(scene, console.comm, progress=console.progress)
     found = run.result
-    _save(run, folder / "integration.h5", console)
-    table = tables.history_quantities(run)
-    console.finish(folder, "integration", table, tables.history_waves(run), table)
+    table, waves = tables.history_quantities(run), tables.history_waves(run)
+    _finish(run, folder, "integration", console, table, waves)
     asked = scene.integration or Integration()
     if not found.settled <= asked.settle:
         console.warn(
@@ -123,7 +121,7 @@ def integration(scene: Scene, folder: Path, console: Console) -> Exit:
 
 
 def _longer_period(found: TimeHistory) -> str:
-    """A hint where the motion repeats after two or three load periods."""
+    """A hint, also whether the motion repeats after two or three load periods."""
     waves = found.by_period(found.gap)
     for count in range(2, len(waves)):
         change = np.linalg.norm(waves[-1] - waves[-1 - count]) / np.linalg.norm(waves[-1])
@@ -132,14 +130,16 @@ def _longer_period(found: TimeHistory) -> str:
     return "; it may need more of them (integration.periods), or be irregular"
 
 
-def _save(
-    run: Run[PeriodicSolution] | Run[ResponseCurve] | Run[TimeHistory], path: Path, console: Console
+def _finish(
+    run: Run, folder: Path, name: str, console: Console, table: Table, rows: Table | None = None
 ) -> None:
-    """Write a result: together where its structure is spread over the ranks, else on rank 0."""
-    if run.structure.comm.size > 1 and isinstance(run.result, PeriodicSolution):
+    """Write and print a result; save it together if its structure is spread over the ranks."""
+    path = folder / f"{name}.h5"
+    if run.structure.comm.size > 1 and isinstance(run.result, PeriodicSolution | Modes):
         save(run.result, path, run.scene)
     else:
         on_root(console.comm, lambda: save(run.result, path, run.scene))
+    console.finish(folder, name, table, rows or table, table)
 
 
 def sweep(scene: Scene, folder: Path, console: Console) -> Exit:
@@ -147,8 +147,8 @@ def sweep(scene: Scene, folder: Path, console: Console) -> Exit:
     with console.stage("sweep"):
         found = run_sweep(scene, folder / "sweep.h5", console.comm, progress=console.progress)
     table = found.table()
-    short = [*range(len(found.axes)), *(table.columns.index(name) for name in IN_SHORT)]
-    shown = table.of_columns(short) if console.form == "text" else table
+    keys = [axis.key for axis in found.axes]
+    shown = found.table(*keys, *IN_SHORT) if console.form == "text" else table
     console.finish(folder, "sweep", shown, table, table)
     counts = {"converged": int(found.converged.sum()), "failed": len(found.failed)}
     counts["pending"] = found.converged.size - sum(counts.values())
@@ -169,18 +169,18 @@ def sweep(scene: Scene, folder: Path, console: Console) -> Exit:
 
 def plot(result: Path, folder: Path, console: Console, *, show: bool) -> Exit:
     """Pictures of a result, and files for ParaView: by rank 0."""
+
+    def draw() -> list[Path]:
+        from fenics_crack.cli.pictures import draw_run, draw_sweep  # VTK and matplotlib
+
+        if kind_of(result) != SWEEP:
+            return draw_run(load_run(result, MPI.COMM_SELF), folder, show=show)
+        if show:
+            raise InputError("--show", "sweep", "used with a periodic solution")
+        return draw_sweep(SweepResult.load(result), folder)
+
     with console.stage("pictures"):
-        files = on_root(console.comm, lambda: _draw(result, folder, show))
+        files = on_root(console.comm, draw)
     for file in files:
         console.note(str(file))
     return Exit.DONE
-
-
-def _draw(result: Path, folder: Path, show: bool) -> list[Path]:
-    from fenics_crack.cli.pictures import draw_run, draw_sweep  # VTK and matplotlib
-
-    if kind_of(result) != SWEEP:
-        return draw_run(load_run(result, MPI.COMM_SELF), folder, show=show)
-    if show:
-        raise InputError("--show", "sweep", "used with a periodic solution")
-    return draw_sweep(SweepResult.load(result), folder)

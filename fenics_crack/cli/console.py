@@ -21,26 +21,16 @@ __all__ = ["Console", "make_writable"]
 
 @dataclass(frozen=True)
 class Console:
-    """A command's table goes to standard output, its remarks to standard error.
+    """Prints a command's table to standard output, all else to standard error."""
 
-    Attributes
-    ----------
-    comm : MPI.Comm
-        The ranks; rank 0 writes files.
-    form : str
-        Of the table: "text", "csv" or "json".
-    quiet, verbose : bool
-        Print the table alone; say how long each part took.
-    """
-
-    comm: MPI.Comm
-    form: str = "text"
-    quiet: bool = False
-    verbose: bool = False
+    comm: MPI.Comm  # rank 0 writes files
+    form: str  # of the table: "text", "csv" or "json"
+    quiet: bool  # print the table alone
+    verbose: bool  # print how long each part took
 
     @property
     def progress(self) -> bool:
-        """Whether long work shows a bar."""
+        """Whether to show a progress bar."""
         return not self.quiet and (self.verbose or sys.stderr.isatty())
 
     def table(self, table: Table) -> None:
@@ -48,24 +38,24 @@ class Console:
         print(table.formatted(self.form), end="", flush=True)
 
     def note(self, text: str) -> None:
-        """Say something, unless it is to be quiet."""
+        """Print a remark, unless quiet."""
         if not self.quiet:
             print(text, file=sys.stderr, flush=True)
 
     def warn(self, text: str) -> None:
-        """Say something that must not be missed."""
+        """Print a warning, even if quiet."""
         print(f"fenics-crack: warning: {text}", file=sys.stderr, flush=True)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Say how long a part took, if it is to be verbose."""
+        """Print how long a part took, if verbose."""
         started = time.perf_counter()
         yield
         if self.verbose:
             print(f"{name}: {time.perf_counter() - started:.2f} s", file=sys.stderr, flush=True)
 
     def finish(self, folder: Path, name: str, shown: Table, rows: Table, summary: Table) -> None:
-        """Print a table; write the rows as CSV and the summary as JSON; say where they are."""
+        """Write rows as CSV and a summary as JSON; print a table, and where the files are."""
 
         def write() -> None:
             summary.save(folder / f"{name}.json")
@@ -78,7 +68,7 @@ class Console:
 
 
 def make_writable(folder: Path, comm: MPI.Comm) -> None:
-    """Make a folder for results; InputError unless a file can be written there."""
+    """Make a folder for results; raise InputError unless a file can be written there."""
 
     def work() -> None:
         try:

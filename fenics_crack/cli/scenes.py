@@ -14,7 +14,6 @@ from fenics_crack.cli.exit_codes import Exit
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import make_folder
 from fenics_crack.model.contact import is_rigid
-from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows, on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import prepare, reduction_of
@@ -24,7 +23,7 @@ from fenics_crack.table import Table
 __all__ = ["check", "new"]
 
 MOST_CHECKED = 10_000
-"""Cases of a sweep that are looked at before it is run."""
+"""Cases of a sweep that are checked before it is run."""
 
 
 def new(path: Path, console: Console) -> Exit:
@@ -48,53 +47,47 @@ def new(path: Path, console: Console) -> Exit:
 
 
 def check(scene: Scene, console: Console) -> Exit:
-    """Mesh and assemble, solve nothing, and say what there is."""
+    """Mesh and assemble a scene, and print what it has."""
     study = prepare(scene, console.comm, whole=True)
     whole, law, crack = study.structure, study.contact, study.scene.crack
     harmonics = scene.harmonic_balance.harmonics
     check_memory(whole, harmonics)
     assert whole.nodes is not None
     points = gather_rows(console.comm, whole.nodes.points)
-    rows: list[tuple[str, object]] = [
-        ("width x height [m]", "{:g} x {:g}".format(*np.ptp(points, axis=0))),
-        ("degrees of freedom", whole.n_dofs),
-    ]
+    rows: dict[str, object] = {
+        "width x height [m]": "{:g} x {:g}".format(*np.ptp(points, axis=0)),
+        "degrees of freedom": whole.n_dofs,
+    }
     if law is not None:
-        rows.append(("contact law", scene.contact.law))  # type: ignore[union-attr]
+        rows["contact law"] = scene.contact.law  # type: ignore[union-attr]
     if law is not None and not is_rigid(law):
         stiffness = np.broadcast_to(law.stiffness, whole.n_pairs)
-        rows.append(("softest pair [N/m]", float(stiffness.min())))
-        rows.append(("stiffest pair [N/m]", float(stiffness.max())))
+        rows["softest pair [N/m]"] = float(stiffness.min())
+        rows["stiffest pair [N/m]"] = float(stiffness.max())
     if crack is not None and crack.length is not None:
-        rows.append(("crack length [m]", crack.length))
-    rows += [
-        ("contact pairs", whole.n_pairs),
-        ("harmonics", harmonics),
-        ("unknowns of harmonic balance", (2 * harmonics + 1) * whole.n_pairs),
-        ("solved", _how_solved(scene, whole)),
-    ]
+        rows["crack length [m]"] = crack.length
+    rows["contact pairs"] = whole.n_pairs
+    rows["harmonics"] = harmonics
+    rows["unknowns of harmonic balance"] = (2 * harmonics + 1) * whole.n_pairs
+    rows["solved"] = "as it is"
+    if reduction := reduction_of(scene, whole):
+        count = reduction.modes or scene.damping.modes
+        rows["solved"] = f"reduced, {reduction.method}, {count} modes"
     if scene.curve is not None:
-        span = f"{scene.curve.parameter} from {scene.curve.start:g} to {scene.curve.stop:g}"
-        rows.append(("curve", span))
+        span = f"{scene.curve.start:g} to {scene.curve.stop:g}"
+        rows["curve"] = f"{scene.curve.parameter} from {span}"
     if scene.sweep is not None:
-        axes = " x ".join(f"{len(axis.values)} {axis.key}" for axis in scene.sweep.over)
-        rows += [("sweep", axes), ("cases of the sweep", scene.sweep.n_cases)]
-        rows.append(("of them impossible", on_root(console.comm, lambda: _impossible(scene))))
-    console.table(Table(("what", "value"), rows))
+        rows["sweep"] = " x ".join(f"{len(axis.values)} {axis.key}" for axis in scene.sweep.over)
+        rows["cases of the sweep"] = scene.sweep.n_cases
+        rows["of them impossible"] = on_root(console.comm, lambda: _impossible(scene))
+    console.table(Table(("what", "value"), [*rows.items()]))
     return Exit.DONE
 
 
 def _impossible(scene: Scene) -> str:
-    """How many cases of a sweep are no scenes, and why the first one is not."""
+    """How many cases of a sweep cannot be scenes, and why the first one cannot."""
     plan = Plan(scene)
     places = itertools.islice(np.ndindex(*plan.shape), MOST_CHECKED)
     reasons = [case for case in map(plan.case, places) if isinstance(case, str)]
     more = f" of the first {MOST_CHECKED}" if np.prod(plan.shape) > MOST_CHECKED else ""
     return f"{len(reasons)}{more}" + (f": {reasons[0]}" if reasons else "")
-
-
-def _how_solved(scene: Scene, whole: Structure) -> str:
-    table = reduction_of(scene, whole)
-    if table is None:
-        return "as it is"
-    return f"reduced, {table.method}, {table.modes or scene.damping.modes} modes"

@@ -1,8 +1,8 @@
-"""What all pictures share: axes, given or new, labels with units that read well, and colours.
+"""What all pictures share: axes, labels with units, colours, and the end of every ``draw_*``.
 
-Every ``draw_*`` draws onto the ``axes`` it is given and then saves nothing; without them it makes a
-figure and saves it where a ``path`` is given. It returns the figure, of which pyplot knows nothing.
-Lines are drawn in SI units, whatever prefix their axes show: more can be drawn onto the same axes.
+Every ``draw_*`` draws onto the ``axes`` it is given and saves nothing. Without them it makes a new
+figure, outside pyplot, and saves it if a ``path`` is given. It returns the figure. Lines are drawn
+in SI units, whatever prefix their axes show, so that more can be drawn onto the same axes.
 """
 
 from __future__ import annotations
@@ -25,16 +25,11 @@ from fenics_crack.table import readable
 
 __all__ = ["COLOURS", "figure_of", "finish", "label_axis", "make_axes"]
 
-COLOURS = {
-    "blue": "#0072B2",
-    "orange": "#D55E00",
-    "green": "#009E73",
-    "pink": "#CC79A7",
-    "grey": "#5C5C5C",
-}
-"""Okabe and Ito's palette, told apart by colour-blind readers."""
+COLOURS = {"blue": "#0072B2", "orange": "#D55E00", "green": "#009E73", "pink": "#CC79A7"}
+COLOURS["grey"] = "#5C5C5C"
+"""Okabe and Ito's palette, which colour-blind readers can tell apart, and a grey."""
 MANY = 1e5
-"""Span of a logarithmic axis beyond which its numbers are powers of ten."""
+"""Ratio of the ends of a logarithmic axis beyond which its labels are powers of ten."""
 
 
 def make_axes(
@@ -46,25 +41,10 @@ def make_axes(
     size: tuple[float, float] = (7.0, 4.2),
     **options: Any,
 ) -> list[Axes]:
-    """The axes given, or those of a new figure.
+    """The axes that were given, or ``count`` panels of a new figure, ``columns`` side by side.
 
-    Parameters
-    ----------
-    axes : Axes, sequence or array of them, or None
-        What was given.
-    path : path or None
-        Where to save the picture.
-    count, columns : int
-        Panels, and how many of them a new figure has side by side.
-    size : (float, float)
-        Of a new figure [in].
-    options
-        For matplotlib's ``Figure.subplots``.
-
-    Raises
-    ------
-    InputError
-        There are not as many axes as panels, or both axes and a path.
+    ``size`` [in] and ``options`` (of ``Figure.subplots``) are of a new figure. Raises InputError
+    if the number of axes is not that of the panels, or if there are both axes and a path.
     """
     if axes is None:
         figure = Figure(figsize=size, dpi=150, layout="constrained")
@@ -82,22 +62,21 @@ def make_axes(
 
 
 def label_axis(axis: Axis, quantity: str, unit: str) -> None:
-    """Name an axis on which everything is drawn, and show its SI values with a prefix."""
+    """Label an axis after all is drawn, and show its SI values in a unit with a prefix."""
     factor, prefixed = readable(float(np.abs(axis.get_data_interval()).max()), unit)
     axis.set_label_text(f"{quantity} [{prefixed}]")
+    low, high = axis.get_view_interval()
     if axis.get_scale() != "log":
         axis.set_major_formatter(FuncFormatter(lambda x, _: _plain(round(factor * x, 12))))
-        return
-    low, high = axis.get_view_interval()
-    if high > MANY * low:
+    elif high > MANY * low:
         axis.set_major_formatter(FuncFormatter(lambda x, _: _power(factor * x)))
-    else:  # numbers within a decade, too, where there are few decades
+    else:  # few decades: labels within them, too
         axis.set_major_formatter(_Decades(factor))
         axis.set_minor_formatter(_Decades(factor, minor_thresholds=(2.0, 0.8)))
 
 
 class _Decades(LogFormatter):
-    """Numbers as they are written, 0.1, 1, 10, times a factor."""
+    """Plain numbers, 0.1, 1, 10, times a factor."""
 
     def __init__(self, factor: float, **options: Any) -> None:
         super().__init__(**options)
@@ -117,13 +96,11 @@ def _power(value: float) -> str:
 
 
 def finish(axes: Axes, path: str | Path | None, title: str | None) -> Figure:
-    """Give a panel its title, grid and legend; save its figure where there is a path.
+    """Give a panel its grid and legend, and finish its figure.
 
-    The legend stands below the panel where the figure makes room for it (``layout="constrained"``),
-    else where it hides least.
+    The legend stands below the panel where the figure has a constrained layout, else where it hides
+    least.
     """
-    if title is not None:
-        axes.set_title(title)
     axes.grid(alpha=0.3)
     handles, labels = axes.get_legend_handles_labels()
     named = dict(zip(labels, handles, strict=True))
@@ -135,11 +112,15 @@ def finish(axes: Axes, path: str | Path | None, title: str | None) -> Figure:
         where = {"loc": "upper center", "ncol": columns, "frameon": False, **below}
     if named:
         axes.legend(list(named.values()), list(named), fontsize=8, **where)
-    return figure_of(axes, path)
+    return figure_of(axes, path, title)
 
 
-def figure_of(axes: Axes, path: str | Path | None, comm: MPI.Comm = MPI.COMM_SELF) -> Figure:
-    """The figure of some axes; rank 0 saves it where there is a path (collective)."""
+def figure_of(
+    axes: Axes, path: str | Path | None, title: str | None, comm: MPI.Comm = MPI.COMM_SELF
+) -> Figure:
+    """Set the title of a panel; save its figure on rank 0 and return it (collective)."""
+    if title is not None:
+        axes.set_title(title)
 
     def save() -> None:
         if path is not None:

@@ -42,16 +42,16 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Wave:
-    """One curve: values [m] over time [s], and for averaged waves their spread.
+    """A displacement over time.
 
     Attributes
     ----------
     label, colour, style : str
-        Legend, name in :data:`COLOURS`, matplotlib's line style.
+        Legend entry, name in :data:`COLOURS`, line style of matplotlib.
     time, values : (n,)
         [s], [m].
     spread : (n,) [m] or None
-        Half-width of the band drawn around the curve.
+        Half-width of a band around the curve, for example the standard deviation of a mean wave.
     """
 
     label: str
@@ -79,17 +79,17 @@ def draw_waves(
     waves : sequence of Wave
         The curves.
     quantity : str
-        Name of the vertical axis without its unit.
+        Label of the vertical axis without its unit.
     axes : Axes, optional
         Where to draw; default: a new figure.
     path : str or Path, optional
         Where to save the new figure.
     title : str, optional
-        Heading.
-    period : float, optional
-        Show time in periods of this length [s]; default: in seconds.
+        Title of the picture.
+    period : float [s], optional
+        Unit of the time axis; default: seconds.
     zero : str, optional
-        Name a line at zero, for example "lips touch".
+        Legend entry of a line at zero, for example "lips touch".
     """
     [panel] = make_axes(axes, path)
     for wave in waves:
@@ -117,7 +117,7 @@ def draw_laws(
     path: str | Path | None = None,
     title: str | None = None,
 ) -> Figure:
-    """Draw contact forces [N] over the closing of a pair [m], one curve a law.
+    """Draw the contact forces [N] of laws, by their labels, over the closing of a pair [m].
 
     ``axes``, ``path`` and ``title`` as of :func:`draw_waves`.
     """
@@ -141,20 +141,19 @@ def draw_contact_map(
 ) -> Figure:
     """Draw where along the crack and when in the period the lips touch, and how hard.
 
-    Colours are the pressure on the lips where the contact stiffness is one per area, else the force
-    of a pair; grey: open. ``axes``, ``path`` and ``title`` as of :func:`draw_waves`.
+    Colours show the contact pressure if the stiffness is given per area, else the force of each
+    pair; grey is open. ``axes``, ``path`` and ``title`` as of :func:`draw_waves`.
 
     Raises
     ------
     InputError
-        The structure has no positions of its pairs, or fewer than two pairs.
+        The structure has fewer than two pairs, or does not know where they are.
     """
     structure, law = solution.structure, solution.contact
     points = structure.pair_points
     if points is None or len(points) < 2:
-        raise InputError(
-            "pairs", None if points is None else len(points), "two or more, with a mesh"
-        )
+        found = None if points is None else len(points)
+        raise InputError("pairs", found, "two or more, with a mesh")
     time = np.linspace(0.0, solution.period, instants + 1)
     values, label, unit = solution.contact_force(time), "contact force of a pair", "N"
     if structure.pair_areas is not None and law is not None and np.ndim(law.stiffness):
@@ -163,16 +162,12 @@ def draw_contact_map(
     depth = np.linalg.norm(points - points[0], axis=1)
     loads = time * solution.omega / (2.0 * np.pi)
     [panel] = make_axes(axes, path)
-    panel.set_facecolor(OPEN)
     shown = np.ma.masked_less_equal(scale * values.T, 0.0)
-    image = panel.pcolormesh(loads, depth, shown, cmap="viridis", shading="nearest")
+    _colour(panel, loads, depth, shown, f"{label} [{unit}] (grey: open)", OPEN)
     panel.set_ylim(bottom=0.0)
-    panel.figure.colorbar(image, ax=panel, label=f"{label} [{unit}] (grey: open)")
     panel.set_xlabel("time / load period")
     label_axis(panel.yaxis, "distance from the crack's mouth", "m")
-    if title is not None:
-        panel.set_title(title)
-    return figure_of(panel, path)
+    return figure_of(panel, path, title)
 
 
 def draw_response(
@@ -186,9 +181,9 @@ def draw_response(
     over: str = "load frequency [rad/s]",
     doubtful: Mapping[str, np.ndarray] | None = None,
 ) -> Figure:
-    """Draw amplitudes [m] over the load's frequency [rad/s] or something else; gaps where nan.
+    """Draw amplitudes [m] on a logarithmic scale over the load frequency [rad/s] or other values.
 
-    The amplitudes are drawn logarithmically; those of curves that are doubtful (bool) have a ring.
+    A curve has a gap where it is nan, and rings where ``doubtful`` (by label, bool) is true.
     ``axes``, ``path``, ``title`` and ``quantity`` as of :func:`draw_waves`.
     """
     [panel] = make_axes(axes, path)
@@ -220,20 +215,20 @@ def draw_map(
 ) -> Figure:
     """Draw values over two swept quantities, such as load frequency and crack length, as colours.
 
-    The colours are logarithmic where the values are positive and span two decades or more.
+    The scale is logarithmic if the values are positive and span two decades or more.
 
     Parameters
     ----------
     x, y : (n,), (m,)
         The swept quantities, rising; two or more of each.
     values : (m, n)
-        What was found; nan where nothing was, drawn grey.
+        Grey where nan.
     x_label, y_label, value_label : str
-        Names of the axes and of the colours, with their units.
+        With units.
     axes, path, title
         As of :func:`draw_waves`.
     missing : str
-        What a grey cell means.
+        What grey means.
 
     Raises
     ------
@@ -241,36 +236,39 @@ def draw_map(
         The shapes do not fit, a quantity does not rise, or there is no finite value.
     """
     x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
-    values = np.asarray(values, dtype=float)
     for name, swept in (("x", x), ("y", y)):
         if swept.ndim != 1 or len(swept) < 2 or not np.all(np.diff(swept) > 0.0):
             raise InputError(name, swept, "two or more rising numbers")
-    if values.shape != (len(y), len(x)):
-        raise InputError("values", values.shape, f"of shape (len(y), len(x)) = {len(y), len(x)}")
-    shown = np.ma.masked_invalid(values)
+    shown = np.ma.masked_invalid(np.asarray(values, dtype=float))
+    if shown.shape != (len(y), len(x)):
+        raise InputError("values", shown.shape, f"of shape (len(y), len(x)) = {len(y), len(x)}")
     if not shown.count():
         raise InputError("values", "nan", "finite somewhere")
     low, high = float(shown.min()), float(shown.max())
     scale = LogNorm if 0.0 < 100.0 * low <= high else Normalize
+    explained = f"\n(grey: {missing})" if shown.count() < shown.size else ""
     [panel] = make_axes(axes, path)
-    panel.set_facecolor(MISSING)
-    image = panel.pcolormesh(
-        x, y, shown, cmap="viridis", norm=scale(low, high), shading="nearest", rasterized=True
-    )
-    explained = f"\n(grey: {missing})" if shown.count() < values.size else ""
-    panel.figure.colorbar(image, ax=panel, label=value_label + explained)
-    panel.set_xlabel(x_label)
-    panel.set_ylabel(y_label)
-    if title is not None:
-        panel.set_title(title)
-    return figure_of(panel, path)
+    _colour(panel, x, y, shown, value_label + explained, MISSING, norm=scale(low, high))
+    panel.set(xlabel=x_label, ylabel=y_label)
+    return figure_of(panel, path, title)
+
+
+def _colour(
+    axes: Axes, x: np.ndarray, y: np.ndarray, values: Any, label: str, grey: str, **options: Any
+) -> None:
+    """Draw values (len(y), len(x)) as coloured cells; masked ones are grey."""
+    axes.set_facecolor(grey)
+    image = axes.pcolormesh(x, y, values, cmap="viridis", shading="nearest", **options)
+    axes.figure.colorbar(image, ax=axes, label=label)
 
 
 DOUBTFUL = f"not stable, or estimated error above {100 * LARGE_ERROR:g} %"
 FARTHEST = 2.0
-"""Modulus of the largest multiplier shown."""
+"""Largest real or imaginary part of the multipliers shown."""
 MISSING, OPEN = "#b5b5b5", "#e8e8e8"
-"""Greys of cells without a value, and of an open crack."""
+"""Cells without a value; an open crack."""
+BEHIND = ("#9a9a9a", "#c8a2b8", "#a9c7bb")
+"""Other curves, drawn behind the one in question."""
 
 MARKERS = {
     "fold": ("v", "fold"),
@@ -292,11 +290,10 @@ def draw_curve(
     behind: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
     points: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
 ) -> Figure:
-    """Draw a response curve: half the peak-to-peak displacement of a dof over the
-    curve's parameter.
+    """Draw half the peak-to-peak displacement of a dof along a response curve.
 
-    Stable parts are solid and unstable ones dashed where the curve knows; bifurcations are marked,
-    and peaks whose largest harmonic is not the load's carry that harmonic's order.
+    Stable parts are solid and unstable ones dashed, if the curve has multipliers. Bifurcations are
+    marked, and so is the order of the largest harmonic at superharmonic peaks.
 
     Parameters
     ----------
@@ -307,8 +304,7 @@ def draw_curve(
     axes, path, title
         As of :func:`draw_waves`.
     colour, label : str
-        Name in :data:`COLOURS`, and what the legend calls the curve, to tell several on the same
-        axes apart.
+        Name in :data:`COLOURS` and legend entry, for several curves on the same axes.
     behind, points : mapping, optional
         Other curves, and single points, by their labels: values of the parameter, amplitudes [m].
     """
@@ -316,9 +312,7 @@ def draw_curve(
     if curve.parameter == "omega":
         panel.set_yscale("log")
     amplitude = curve.amplitude(dof)
-    for (name, (values, others)), grey in zip(
-        (behind or {}).items(), ("#9a9a9a", "#c8a2b8", "#a9c7bb"), strict=False
-    ):
+    for (name, (values, others)), grey in zip((behind or {}).items(), BEHIND, strict=False):
         panel.plot(values, others, color=grey, lw=1.2, label=name)
     for style, state, shown in _by_stability(curve, amplitude):
         name = ", ".join(filter(None, (label, state))) or "with contact"
@@ -327,11 +321,7 @@ def draw_curve(
     for (name, (values, others)), marker in zip((points or {}).items(), "^v", strict=False):
         panel.plot(values, others, marker, color=COLOURS["green"], ms=4.5, mfc="none", label=name)
     if curve.parameter == "omega":
-        for at_omega, height, order in _superharmonic_peaks(curve, dof, amplitude):
-            panel.annotate(
-                f"{order}$\\omega$", (at_omega, height), (0, 5), textcoords="offset points",
-                ha="center", fontsize=8, color=COLOURS["grey"],
-            )  # fmt: skip
+        _mark_superharmonics(panel, curve, dof, amplitude)
     _label_parameter(panel, curve)
     panel.margins(y=0.1)
     label_axis(panel.yaxis, "half peak-to-peak displacement", "m")
@@ -339,18 +329,23 @@ def draw_curve(
 
 
 def _mark_bifurcations(axes: Axes, curve: ResponseCurve, dof: int) -> None:
-    size = 4.0 if len(curve.bifurcations) <= 20 else 2.0
+    style = {"color": COLOURS["orange"], "ms": 4.0 if len(curve.bifurcations) <= 20 else 2.0}
     for kind, (marker, label) in MARKERS.items():
         at = [b for b in curve.bifurcations if b.kind == kind]
-        heights = []
-        for solution in (b.solution for b in at):
-            time = np.linspace(0.0, solution.period, 257)
-            heights.append(0.5 * np.ptp(solution.displacement(time, [dof])))
+        heights = [b.solution.amplitude(dof) for b in at]
         if at:
-            axes.plot(
-                [b.value for b in at], heights, marker, color=COLOURS["orange"], ms=size,
-                label=label,
-            )  # fmt: skip
+            axes.plot([b.value for b in at], heights, marker, label=label, **style)
+
+
+def _mark_superharmonics(axes: Axes, curve: ResponseCurve, dof: int, amplitude: np.ndarray) -> None:
+    """Write at each peak the order of its largest harmonic, if that is above the load's."""
+    style = {"ha": "center", "fontsize": 8, "color": COLOURS["grey"]}
+    peaks, _ = find_peaks(np.log10(np.maximum(amplitude, 1e-300)), prominence=0.05)
+    for peak, sizes in zip(peaks, _harmonic_amplitudes(curve, dof)[peaks], strict=True):
+        order, rest = divmod(int(np.argmax(sizes)) + 1, curve.subharmonic)
+        if order > 1 and not rest:
+            at = curve.omega[peak], amplitude[peak]
+            axes.annotate(f"{order}$\\omega$", at, (0, 5), textcoords="offset points", **style)
 
 
 def _label_parameter(axes: Axes, curve: ResponseCurve) -> None:
@@ -362,16 +357,13 @@ def _label_parameter(axes: Axes, curve: ResponseCurve) -> None:
 
 
 def _by_stability(curve: ResponseCurve, values: np.ndarray) -> list[tuple[str, str, np.ndarray]]:
-    """Line styles, labels, and the values shown so: nan elsewhere."""
+    """Line styles, legend entries, and the values drawn so: nan elsewhere."""
     if curve.multipliers is None:
         return [("-", "", values)]
     parts = []
-    for stable, style, label in ((True, "-", "stable"), (False, "--", "unstable")):
-        # A stretch between two points belongs to the state of its first one.
-        shown = np.where(curve.stable == stable, values, np.nan)
-        shown[1:] = np.where(curve.stable[:-1] == stable, values[1:], shown[1:])
-        if not np.all(np.isnan(shown)):
-            parts.append((style, label, shown))
+    for style, label, at in (("-", "stable", curve.stable), ("--", "unstable", ~curve.stable)):
+        if at.any():  # the stretch between two points is in the state of the first
+            parts.append((style, label, np.where(at | np.append(False, at[:-1]), values, np.nan)))
     return parts
 
 
@@ -379,20 +371,6 @@ def _harmonic_amplitudes(curve: ResponseCurve, dof: int) -> np.ndarray:
     """Amplitudes of the harmonics 1 to H of the response at every point: (n, H) [m]."""
     rows = curve.coefficients_at(dof)
     return np.asarray(np.hypot(rows[:, 1::2], rows[:, 2::2]))
-
-
-def _superharmonic_peaks(
-    curve: ResponseCurve, dof: int, amplitude: np.ndarray
-) -> list[tuple[float, float, int]]:
-    """Frequency and height of peaks, and the order > 1 of the harmonic that makes them."""
-    peaks, _ = find_peaks(np.log10(np.maximum(amplitude, 1e-300)), prominence=0.05)
-    harmonics = _harmonic_amplitudes(curve, dof)[peaks]
-    found = []
-    for peak, sizes in zip(peaks, harmonics, strict=True):
-        order = int(np.argmax(sizes)) + 1
-        if order > curve.subharmonic and order % curve.subharmonic == 0:
-            found.append((curve.omega[peak], amplitude[peak], order // curve.subharmonic))
-    return found
 
 
 def draw_content(
@@ -411,7 +389,7 @@ def draw_content(
     curve, dof, axes, path, title
         As of :func:`draw_curve`.
     highest : int
-        How many harmonics of the load.
+        Highest harmonic of the load that is drawn.
     """
     [panel] = make_axes(axes, path)
     panel.set_yscale("log")
@@ -435,7 +413,7 @@ def draw_multipliers(
 ) -> Figure:
     """Draw all Floquet multipliers along a curve in the complex plane, with the unit circle.
 
-    They are computed for at most so many points, spread evenly along a curve in frequency.
+    They are computed at ``points`` points at most, spread evenly along a curve in frequency.
     ``axes``, ``path`` and ``title`` as of :func:`draw_waves`.
 
     Raises
@@ -451,21 +429,18 @@ def draw_multipliers(
     multipliers = np.array(
         [flow.multipliers(curve.gap(i), curve.omega[i] / curve.subharmonic) for i in chosen]
     )
-    shown = panel.scatter(
-        multipliers.real.ravel(), multipliers.imag.ravel(), s=4.0, cmap="viridis",
-        c=np.repeat(curve.omega[chosen], multipliers.shape[1]), linewidths=0.0,
-    )  # fmt: skip
+    x, y = multipliers.real.ravel(), multipliers.imag.ravel()
+    omega = np.repeat(curve.omega[chosen], multipliers.shape[1])
+    shown = panel.scatter(x, y, s=4.0, c=omega, cmap="viridis", linewidths=0.0)
     angle = np.linspace(0.0, 2.0 * np.pi, 361)
     label = "unit circle"
     far = int(np.sum(np.abs(multipliers) > FARTHEST))
     if far:  # else the unit circle would be a dot
-        panel.set_xlim(-FARTHEST, FARTHEST)
-        panel.set_ylim(-FARTHEST, FARTHEST)
+        panel.set(xlim=(-FARTHEST, FARTHEST), ylim=(-FARTHEST, FARTHEST))
         label += f" ({far} of {multipliers.size} multipliers lie outside the picture)"
     panel.plot(np.cos(angle), np.sin(angle), color=COLOURS["orange"], lw=1.2, label=label)
+    panel.set(xlabel="real part of the multiplier [-]", ylabel="imaginary part [-]")
     panel.set_aspect("equal")
-    panel.set_xlabel("real part of the multiplier [-]")
-    panel.set_ylabel("imaginary part [-]")
     panel.figure.colorbar(shown, ax=panel, label="load frequency [rad/s]")
     return finish(panel, path, title)
 
@@ -476,7 +451,7 @@ TRIANGLES = {
     6: [(0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)],
     9: [(0, 4, 8), (4, 1, 8), (1, 5, 8), (5, 2, 8), (2, 6, 8), (6, 3, 8), (3, 7, 8), (7, 0, 8)],
 }
-"""Into which cells with so many nodes are cut to be coloured; VTK's order of nodes."""
+"""Into which a cell is cut to be coloured, by its number of nodes, in VTK's order."""
 
 
 def draw_modes(
@@ -495,18 +470,18 @@ def draw_modes(
     modes : Modes
         Of a structure with a mesh.
     numbers : sequence of int, optional
-        Which, from 1; default: all.
+        Which modes, from 1; default: all.
     axes : Axes or sequence of them, optional
         One for each mode; default: a new figure.
     path, title
         As of :func:`draw_waves`.
     columns : int
-        Of the new figure.
+        Panels side by side in a new figure.
 
     Raises
     ------
     InputError
-        The structure has no mesh, there is no such mode, or the axes do not fit.
+        The structure has no mesh, there is no such mode, or the number of axes is wrong.
     """
     every = range(1, len(modes.omega) + 1)
     numbers = list(every if numbers is None else numbers)
@@ -522,11 +497,11 @@ def draw_modes(
         panel.set_title(f"mode {number}: {modes.omega[number - 1] / (2.0 * np.pi):.1f} Hz")
     if title is not None:
         panels[0].figure.suptitle(title, fontsize="large")
-    return figure_of(panels[0], path, mesh.structure.comm)
+    return figure_of(panels[0], path, None, mesh.structure.comm)
 
 
 def _mode_shape(axes: Axes, mesh: NodalMesh, shape: np.ndarray) -> None:
-    """Draw a displacement (n_nodes, 2), magnified, its size in colours."""
+    """Draw a displacement (n_nodes, 2), magnified and coloured by its length."""
     amplitude = np.linalg.norm(shape, axis=1)
     moved = mesh.points + 0.12 * mesh.size / amplitude.max() * shape
     triangles = mesh.cells[:, TRIANGLES[mesh.cells.shape[1]]].reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""Pictures of one vibration: the harmonics it is made of, and its orbit in the phase plane."""
+"""Pictures of one vibration: its spectrum, and its orbit in the phase plane."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fenics_crack.errors import InputError
 __all__ = ["draw_orbits", "draw_spectrum"]
 
 DECADES = 9
-"""Of a spectrum: what is smaller than the largest by more is left out as rounding."""
+"""Range of a spectrum below its largest amplitude; what is smaller is rounding."""
 
 
 def draw_spectrum(
@@ -30,10 +30,10 @@ def draw_spectrum(
 ) -> Figure:
     """Draw the amplitudes of the harmonics, logarithmically, over their orders (collective).
 
-    Above, of the gap of the pair that moves most and of the displacement of a dof; below, of the
-    contact force, the sum of all pairs. Order 1 is the load's, 0 the mean;
-    the orders of a subharmonic response are fractions. How fast the amplitudes fall says whether
-    there are enough harmonics.
+    The upper panel shows the gap of the pair that moves most and the displacement of a dof, the
+    lower one the contact force, summed over the pairs. Order 1 is the load's, 0 the mean; the
+    orders of a subharmonic response are fractions. There are enough harmonics where the amplitudes
+    have fallen far.
 
     Parameters
     ----------
@@ -42,16 +42,16 @@ def draw_spectrum(
     dof : int, optional
         Whose displacement.
     axes : Axes or sequence of them, optional
-        One for the displacements, or two; default: a new figure, with both where there is contact.
+        One or two; default: a new figure with a second panel if there is contact.
     path : str or Path, optional
         Where to save the new figure.
     title : str, optional
-        Heading.
+        Title of the picture.
 
     Raises
     ------
     InputError
-        There is neither a pair nor a dof, or the axes do not fit.
+        There is neither a pair nor a dof, or the number of axes is wrong.
     """
     lengths: dict[str, np.ndarray] = {}
     if solution.structure.n_pairs:
@@ -60,9 +60,8 @@ def draw_spectrum(
         name = "gap at the mouth" if pair == 0 else f"gap of pair {pair + 1} from the mouth"
         lengths[name] = _amplitudes(solution.gap_coefficients[:, pair])
     if dof is not None:
-        lengths[solution.structure.dof_name(dof)] = _amplitudes(
-            solution.coefficients_at([dof])[:, 0]
-        )
+        name = solution.structure.dof_name(dof)
+        lengths[name] = _amplitudes(solution.coefficients_at([dof])[:, 0])
     if not lengths:
         raise InputError("dof", None, "given where there is no contact pair")
     force = _amplitudes(solution.force_coefficients.sum(axis=1))
@@ -74,11 +73,9 @@ def draw_spectrum(
     for panel, content in zip(panels, series, strict=True):
         _stems(panel, *content, solution.subharmonic)
     panels[-1].set_xlabel("order of the harmonic, in load frequencies (0: mean)")
-    if title is not None:
-        panels[0].set_title(title)
     if axes is None:
         panels[0].figure.align_ylabels()
-    return figure_of(panels[0], path, solution.structure.comm)
+    return figure_of(panels[0], path, title, solution.structure.comm)
 
 
 def _amplitudes(column: np.ndarray) -> np.ndarray:
@@ -89,8 +86,8 @@ def _amplitudes(column: np.ndarray) -> np.ndarray:
 def _stems(
     axes: Axes, series: dict[str, np.ndarray], quantity: str, unit: str, subharmonic: int
 ) -> None:
-    """Draw amplitudes as stems; several series side by side."""
-    seen = np.concatenate(list(series.values()))
+    """Draw amplitudes as stems, several series side by side."""
+    seen = np.concatenate([*series.values()])
     top = float(seen.max()) or 1.0
     lowest = np.min(seen, where=seen > 10.0**-DECADES * top, initial=0.1 * top)
     bottom = 10.0 ** np.floor(np.log10(0.5 * lowest))
@@ -121,16 +118,16 @@ def draw_orbits(
     title: str | None = None,
     instants: int = 2000,
 ) -> Figure:
-    """Draw the motion in the phase plane: velocity over displacement (collective).
+    """Draw the motion in the phase plane, velocity over displacement (collective).
 
-    Of the gap at the mouth, and of a dof; where the lips touch the orbit is drawn thick: at the
-    mouth, for the dof anywhere. A dot marks the beginning of every period of the load; the motion
-    goes round clockwise.
+    One panel shows the gap at the mouth, one the displacement of a dof. The orbit is thick where
+    the lips touch: at the mouth, or in the panel of the dof anywhere. A dot marks the beginning of
+    each load period; the motion runs clockwise.
 
     Parameters
     ----------
     solution, dof, axes, path, title
-        As of :func:`draw_spectrum`; the panels are side by side.
+        As of :func:`draw_spectrum`.
     instants : int
         Points of the orbit.
 
@@ -145,8 +142,7 @@ def draw_orbits(
         mouth = solution.gap_coefficients[:, :1]
         orbits.append((mouth, closed[:, 0], "closing of the mouth", "mouth closed"))
     if dof is not None:
-        column = solution.coefficients_at([dof])
-        name = solution.structure.dof_name(dof)
+        column, name = solution.coefficients_at([dof]), solution.structure.dof_name(dof)
         orbits.append((column, np.any(closed, axis=1), name, "lips touch somewhere"))
     if not orbits:
         raise InputError("dof", None, "given where there is no contact pair")
@@ -156,7 +152,7 @@ def draw_orbits(
         _orbit(panel, solution, *content)
     if title is not None:
         panels[0].figure.suptitle(title, fontsize="large")
-    return figure_of(panels[0], path, solution.structure.comm)
+    return figure_of(panels[0], path, None, solution.structure.comm)
 
 
 def _orbit(
@@ -172,24 +168,18 @@ def _orbit(
     order = base * np.arange(1, solution.harmonics + 1)[:, None]
     rates = np.zeros_like(coefficients)
     rates[1::2], rates[2::2] = order * coefficients[2::2], -order * coefficients[1::2]
-    time = np.linspace(0.0, solution.period, len(closed))
-    place, speed = evaluate(coefficients, base, time)[:, 0], evaluate(rates, base, time)[:, 0]
-    axes.plot(place, speed, color=COLOURS["blue"], lw=1.4, label="orbit")
+    both = np.hstack([coefficients, rates])
+    orbit = evaluate(both, base, np.linspace(0.0, solution.period, len(closed))).T
+    axes.plot(*orbit, color=COLOURS["blue"], lw=1.4, label="orbit")
     if closed.any():
-        axes.plot(
-            np.where(closed, place, np.nan), np.where(closed, speed, np.nan),
-            color=COLOURS["orange"], lw=3.2, label=touching,
-        )  # fmt: skip
+        touch = np.where(closed, orbit, np.nan)
+        axes.plot(*touch, color=COLOURS["orange"], lw=3.2, label=touching)
     starts = 2.0 * np.pi / solution.omega * np.arange(solution.subharmonic)
-    axes.plot(
-        evaluate(coefficients, base, starts)[:, 0], evaluate(rates, base, starts)[:, 0],
-        "o", color="black", ms=5.5, label="a load period begins",
-    )  # fmt: skip
+    beginnings = evaluate(both, base, starts).T
+    axes.plot(*beginnings, "o", color="black", ms=5.5, label="a load period begins")
     label_axis(axes.xaxis, quantity, "m")
     label_axis(axes.yaxis, "its velocity", "m/s")
     axes.margins(0.08)
     axes.grid(alpha=0.3)
-    axes.legend(
-        loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=3, fontsize=7.5, frameon=False,
-        columnspacing=1.2, handletextpad=0.5,
-    )  # fmt: skip
+    above = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "ncol": 3, "frameon": False}
+    axes.legend(fontsize=7.5, columnspacing=1.2, handletextpad=0.5, **above)

@@ -1,23 +1,23 @@
-"""Sweeps: many cases of a scene, spread over ranks, in a file from which a killed run goes on.
+"""Sweeps: many cases of a scene, spread over ranks, in a file from which a killed run continues.
 
 The cases are the product of the axes in ``[sweep.over]``, numbered with the last axis fastest.
 
-*Geometries.* What changes mesh, matrices, modes, damping or the place of the load makes another
-geometry; frequency, force, contact law, clearance and truncation do not. A geometry is built once,
-and is then a small structure in plain arrays that any rank can solve.
+*Geometries.* Each combination of mesh, matrices, modes, damping and place of the load is a
+geometry; frequency, force, contact law, clearance and truncation do not change it. A geometry is
+built once and is then a small structure in plain arrays that any rank can solve.
 
-*Chunks.* The cases of a geometry are cut into chunks of up to 12 along the frequency (or, where it
-is not swept, along the last axis that leaves the geometry alone). The first case of a chunk starts
-from the linear solution, each further one from its neighbour. Chunks depend on the scene alone: so
-do the results, whatever the number of ranks (that share the cases, not a mesh) and interruptions;
-to the bit, if the number of BLAS threads is the same.
+*Chunks.* The cases of a geometry are cut into chunks of up to 12 along the frequency (if it is not
+swept, along the last axis that leaves the geometry alone). The first case of a chunk starts from
+the linear solution, each further one from its neighbour. Chunks depend on the scene alone, and so
+do the results, to the bit with the same number of BLAS threads: neither interruptions nor the
+number of ranks change them, as long as the ranks share the cases and not a mesh.
 
-*Jobs.* Rank 0 hands jobs to the other ranks by mpi4py.futures and takes jobs itself: some chunks of
-a geometry that is built, or a geometry to be built. Jobs shrink towards the end, so that all ranks
-finish together. Finished jobs arrive in the executor's own thread, which writes them and sends the
-next one, also while rank 0 computes; MPI must allow this (``THREAD_MULTIPLE``), else rank 0 only
-hands out jobs. With ``sweep.ranks = s`` the ranks form groups of s: a group builds a geometry
-together, and shares its chunks.
+*Jobs.* A job is some chunks of a geometry that is built, or a geometry to be built. Rank 0 hands
+jobs to the other ranks by mpi4py.futures and takes some itself. They shrink towards the end, so
+that all ranks finish together. The executor's own thread writes the results of a finished job and
+sends the next one while rank 0 computes. If MPI does not allow this (``THREAD_MULTIPLE``), rank 0
+only hands out jobs. With ``sweep.ranks = s`` groups of s ranks build a geometry together and share
+its chunks.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ UNITS = {
 }  # fmt: skip
 
 STATES = np.array(["pending", "converged", "failed"])
-"""Words for the numbers of the states."""
+"""Words for PENDING, CONVERGED and FAILED."""
 
 
 def run_sweep(
@@ -80,16 +80,16 @@ def run_sweep(
 ) -> SweepResult:
     """Solve all cases of a scene's sweep by harmonic balance (collective).
 
-    A case that cannot be solved is recorded with its reason. Ctrl-C stops after the jobs at hand;
-    the same call goes on with what is missing.
+    A case that cannot be solved is recorded with the reason. Ctrl-C stops after the present jobs;
+    the same call continues with the cases that are missing.
 
     Parameters
     ----------
     scene : Scene
         With its table ``[sweep]``.
     path : path
-        The file for the results. If it exists and is of the same scene, what it has is kept,
-        failed cases too; a mesh file is taken to be the same.
+        The file for the results. If it exists, it must be of the same scene and mesh files; its
+        cases are kept, failed ones too.
     comm : MPI.Comm
         The ranks; with ``sweep.ranks = s`` a multiple of s.
     progress : bool
@@ -104,7 +104,7 @@ def run_sweep(
     ------
     InputError
         The scene has no sweep, no combination of its values is a scene, the number of ranks does
-        not fit, a structure is not to be reduced and too large, or the file cannot be used.
+        not fit, a structure is too large and not to be reduced, or the file cannot be used.
     """
     if scene.sweep is None:
         raise InputError("sweep", None, "given: what to vary")
@@ -151,7 +151,7 @@ def run_sweep(
 
 
 def manage(manager: Manager, leaders: MPI.Comm, stop: StopRequest) -> None:
-    """Run all jobs from rank 0; whatever happens is kept as the manager's error."""
+    """Run all jobs from rank 0; keep any error as the manager's."""
     try:
         if leaders.size == 1:
             manager.run(None, stop)
@@ -172,24 +172,24 @@ def manage(manager: Manager, leaders: MPI.Comm, stop: StopRequest) -> None:
 
 @dataclass(frozen=True, repr=False)
 class SweepResult(Tabular):
-    """The table of a sweep; the waves are read from its file when they are asked for.
+    """The table of a sweep; its waves are read from the file on request.
 
     Attributes
     ----------
     path : Path
         The file.
     scene : Scene
-        What was swept.
+        With the axes of the sweep.
     columns : dict of str to array
-        Numbers and words by their names, in the shape of the axes; nan where there is none:
+        Numbers and words by name, in the shape of the axes, nan where there is no value:
         ``response``, half the peak-to-peak displacement of the load's point in the load's direction
         [m]; ``opening`` and ``penetration``, the largest of any pair [m]; ``contact_force``, the
-        largest on a pair [N]; ``closed_share`` of the period, mean over the pairs; ``multiplier``,
-        largest modulus, and the ``verdict`` that follows, empty where there is no contact law;
+        largest of any pair [N]; ``closed_share`` of the period, mean over the pairs;
+        ``multiplier``, largest modulus, and the ``verdict`` from it, empty without a contact law;
         ``residual_error`` to ``reduction_error`` and ``penetration_share`` as in
         :class:`ErrorReport`; ``harmonics``; Newton ``iterations``; ``crack_length``, given or found
-        [m]; ``seconds`` on the clock; ``status``, how it was solved or why not; ``state``: 0
-        pending, 1 converged, 2 failed.
+        [m]; ``seconds`` of wall-clock time; ``status``, how the case was solved or why not;
+        ``state``: 0 pending, 1 converged, 2 failed.
     """
 
     path: Path
@@ -219,7 +219,7 @@ class SweepResult(Tabular):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """How many values each axis has."""
+        """Number of values on each axis."""
         return shape_of(self.scene)
 
     @property
@@ -229,12 +229,12 @@ class SweepResult(Tabular):
 
     @property
     def converged(self) -> np.ndarray:
-        """Which cases were solved, bool in the shape of the axes."""
+        """Which cases were solved: bool in the shape of the axes."""
         return self["state"] == CONVERGED
 
     @property
     def inexact(self) -> np.ndarray:
-        """Which cases estimate a large error of the harmonics left out, likewise."""
+        """Which cases have a large estimated truncation error, likewise."""
         return np.asarray(self["truncation_error"] > LARGE_ERROR)
 
     @property
@@ -244,7 +244,7 @@ class SweepResult(Tabular):
 
     @property
     def failed(self) -> list[tuple[tuple[int, ...], str]]:
-        """Index and reason of every case that could not be solved."""
+        """Index and reason of each case that could not be solved."""
         places = np.argwhere(self["state"] == FAILED)
         return [(tuple(map(int, at)), str(self["status"][tuple(at)])) for at in places]
 
@@ -289,9 +289,10 @@ class SweepResult(Tabular):
         compliance = dynamic_compliance(structure, omega, len(gap) // 2)
         if is_rigid(law):
             law = UnilateralConstraint(default_weight(compliance))
-        found = {name: float(self[name][place]) for name in COLUMNS if self[name].dtype.kind == "f"}
+        names = ("residual", "truncation", "sampling", "reduction")
+        errors = {name: float(self[f"{name}_error"][place]) for name in names}
         displacement = compliance.displacement(force)
-        check_gap(structure, displacement, gap, max(1e-6, 10.0 * found["residual_error"]))
+        check_gap(structure, displacement, gap, max(1e-6, 10.0 * errors["residual"]))
         solution = PeriodicSolution(
             structure,
             omega,
@@ -301,13 +302,7 @@ class SweepResult(Tabular):
             force,
             status=str(self["status"][place]),
             iterations=int(self["iterations"][place]),
-            report=ErrorReport(
-                residual=found["residual_error"],
-                truncation=found["truncation_error"],
-                sampling=found["sampling_error"],
-                reduction=found["reduction_error"],
-                penetration=found["penetration_share"],
-            ),
+            report=ErrorReport(**errors, penetration=float(self["penetration_share"][place])),
         )
         compliance.destroy()
         return solution
@@ -328,7 +323,7 @@ class SweepResult(Tabular):
     # --- shown ------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """The values of the axes by their keys, then the columns: a row for every case."""
+        """The values of the axes by their keys, then the columns; a row for each case."""
         values = zip(*itertools.product(*(axis.values for axis in self.axes)), strict=True)
         found = {axis.key: list(swept) for axis, swept in zip(self.axes, values, strict=True)}
         found["state"] = STATES[self["state"]].ravel().tolist()
@@ -339,14 +334,10 @@ class SweepResult(Tabular):
 
     def _title(self) -> str:
         counts = zip(STATES, np.bincount(self["state"].ravel(), minlength=3), strict=True)
-        return ", ".join(
-            [
-                " x ".join(f"{len(axis.values)} {axis.key}" for axis in self.axes),
-                *(f"{count} {state}" for state, count in counts if count),
-            ]
-        )
+        swept = " x ".join(f"{len(axis.values)} {axis.key}" for axis in self.axes)
+        return ", ".join([swept, *(f"{count} {state}" for state, count in counts if count)])
 
 
 def axis_name(axis: Axis) -> str:
-    """Its key, with the unit."""
+    """The key of an axis with its unit."""
     return with_unit(axis.key, UNITS.get(axis.key, ""))

@@ -13,11 +13,10 @@ cycles, the same solution is the minimum of lambda^T D lambda / 2 - lambda^T g_f
 lambda >= 0, a least-squares problem with bounds, for which the method of Lawson and Hanson ends.
 
 With forces that follow from the gap, lambda = h(g) pair by pair, Newton's method solves
-lambda = h(g_free - D lambda), the package's only Newton loop besides those of
-:mod:`fenics_crack.balance`. With h = max(0, lambda + c g) it would go through the same active sets;
-that they are searched on their own is for speed: their solution is recognised by the set alone and
-needs the closed pairs alone, 12 us for up to 4 pairs, where the general loop takes 27 to 45 us, of
-steps of central differences that take 27 us.
+lambda = h(g_free - D lambda). With h = max(0, lambda + c g) it would go through the same active
+sets. They have a loop of their own since their solution is recognised by the set alone and takes
+the closed pairs alone: 12 us with 1 to 4 pairs, where the general loop takes 27 to 45 us, in steps
+of central differences of 27 us altogether.
 
 Sources: Hintermueller, Ito and Kunisch, SIAM Journal on Optimization 13 (2002) 865; Lawson and
 Hanson, Solving Least Squares Problems (1974), chapter 23.
