@@ -105,7 +105,7 @@ class ModalCompliance:
     def _set(self, base_omega: float, load: float, damping: float, clearance: float) -> None:
         self._base, self._damping = base_omega, damping
         self._receptance = self._modes.receptance(base_omega * self._order, damping)
-        self.matrices = self._seen_by_pairs(self._receptance)
+        self.matrices = self._modes.seen_by_pairs(self._receptance)
         self._modal_load = load * self._unit_load
         self.linear_gap = self._gap(self._modal_load)
         self.linear_gap[0] -= self._clearance + clearance
@@ -121,7 +121,7 @@ class ModalCompliance:
     def beyond(self, highest: int) -> np.ndarray:
         """R_k for k = H+1 to ``highest``."""
         order = np.arange(len(self.matrices), highest + 1)
-        return self._seen_by_pairs(self._modes.receptance(self._base * order, self._damping))
+        return self._modes.seen_by_pairs(self._modes.receptance(self._base * order, self._damping))
 
     def displacement(self, force: np.ndarray) -> np.ndarray:
         """u = A^-1 (c - B lambda)."""
@@ -130,7 +130,7 @@ class ModalCompliance:
     def seen_through(self, shapes: np.ndarray, force: np.ndarray) -> np.ndarray:
         """The displacement of some dofs, from their rows of all modes (m, n_modes): (2H+1, m)."""
         drive = self._modal_load - to_complex(force) @ self._modes.pairs.T
-        return from_complex(_respond(self._receptance, drive) @ shapes.T)
+        return from_complex(self._modes.respond(self._receptance, drive) @ shapes.T)
 
     # Derivatives of R lambda - g_lin for fixed forces (2H+1, n_pairs): (2H+1, n_pairs).
 
@@ -150,12 +150,12 @@ class ModalCompliance:
 
     def _gap(self, drive: np.ndarray) -> np.ndarray:
         """Gap coefficients (2H+1, n_pairs) under modal forces (H+1, n_modes)."""
-        return from_complex(_respond(self._receptance, drive) @ self._modes.pairs)
+        return from_complex(self._modes.respond(self._receptance, drive) @ self._modes.pairs)
 
     def _moved(self, force: np.ndarray) -> np.ndarray:
         """Modal response to the contact forces less the load."""
         drive = to_complex(force) @ self._modes.pairs.T - self._modal_load
-        return _respond(self._receptance, drive)
+        return self._modes.respond(self._receptance, drive)
 
     def _damped(self, modal: np.ndarray) -> np.ndarray:
         rate = self._modes.damping
@@ -164,19 +164,6 @@ class ModalCompliance:
 
     def destroy(self) -> None:
         """Nothing is held."""
-
-    def _seen_by_pairs(self, receptance: np.ndarray) -> np.ndarray:
-        pairs = self._modes.pairs
-        if receptance.ndim == 2:
-            return np.matmul(pairs.T * receptance[:, None, :], pairs)
-        return pairs.T @ receptance @ pairs
-
-
-def _respond(receptance: np.ndarray, drive: np.ndarray) -> np.ndarray:
-    """Modal response to modal forces, both (H+1, n_modes)."""
-    if receptance.ndim == 2:
-        return receptance * drive
-    return np.matmul(receptance, drive[:, :, None])[:, :, 0]
 
 
 class FactoredCompliance:

@@ -87,6 +87,22 @@ class AllModes:
             )
         return 1.0 / impedance if diagonal else np.linalg.inv(impedance)
 
+    def damped(self, modal: np.ndarray) -> np.ndarray:
+        """Phi^T C Phi q of modal coordinates (..., n)."""
+        return modal * self.damping if self.damping.ndim == 1 else modal @ self.damping.T
+
+    def respond(self, receptance: np.ndarray, drive: np.ndarray) -> np.ndarray:
+        """Modal response to modal forces (..., n)."""
+        if self.damping.ndim == 1:
+            return receptance * drive
+        return np.matmul(receptance, drive[..., None])[..., 0]
+
+    def seen_by_pairs(self, receptance: np.ndarray) -> np.ndarray:
+        """B^T Phi H Phi^T B: (..., n_pairs, n_pairs)."""
+        if self.damping.ndim == 1:
+            return np.matmul(self.pairs.T * receptance[..., None, :], self.pairs)
+        return self.pairs.T @ receptance @ self.pairs
+
 
 def all_modes(structure: Structure) -> AllModes:
     """All modes of a small structure, computed once for it and its varied copies."""
