@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -57,7 +56,7 @@ def multipliers_cross(
     family: Family,
     before: tuple[PathPoint, LeadingMultiplier],
     after: tuple[PathPoint, LeadingMultiplier],
-    ask: Callable[[Callable[[PiecewiseFlow, np.ndarray, float], Any], np.ndarray, float], Any],
+    ask: Callable[[Callable[[PiecewiseFlow, np.ndarray, float], float], np.ndarray, float], float],
 ) -> Special:
     """Where multipliers cross the unit circle at -1, or as a pair, between two points.
 
@@ -65,29 +64,21 @@ def multipliers_cross(
     """
     (first, old), (second, new) = before, after
 
-    def where(
-        what: Callable[[PiecewiseFlow, np.ndarray, float], Any], test: Callable[[Any], float]
-    ) -> PathPoint:
-        def value(at: PathPoint) -> float:
-            return test(ask(what, at.unknown, family.value(at.parameter)))
+    def where(what: Callable[[PiecewiseFlow, np.ndarray, float], float]) -> PathPoint:
+        def test(at: PathPoint) -> float:
+            return ask(what, at.unknown, family.value(at.parameter))
 
         sharp = attainable(family, second.parameter, 1e-11)
-        return locate(family, first, second, value, sharp)
+        return locate(family, first, second, test, sharp)
 
     found = []
     if old.doubling * new.doubling < 0.0:
-        found.append(("period_doubling", where(PiecewiseFlow.doubling, float)))
+        found.append(("period_doubling", where(PiecewiseFlow.doubling)))
     unstable = new if old.stable else old
     left = old.stable != new.stable and old.doubling == new.doubling
     if left and unstable.value.imag > 0.0:
-        found.append(("neimark_sacker", where(PiecewiseFlow.multipliers, _pair)))
+        found.append(("neimark_sacker", where(PiecewiseFlow.growth)))
     return found
-
-
-def _pair(multipliers: np.ndarray) -> float:
-    """Largest modulus of the complex multipliers less one."""
-    paired = multipliers[np.abs(multipliers.imag) > 1e-6 * np.abs(multipliers)]
-    return float(np.abs(paired).max() - 1.0) if len(paired) else -1.0
 
 
 # --- branches -------------------------------------------------------------------------------------

@@ -223,6 +223,12 @@ class PiecewiseFlow:
         """det(I + M): it changes its sign where a multiplier passes through -1."""
         return _doubling(self._product(gap, base_omega)[0])
 
+    def growth(self, gap: np.ndarray, base_omega: float) -> float:
+        """Modulus of the leading multiplier less one, to locate where it vanishes."""
+        product = self._product(gap, base_omega)[0]
+        value = _leading(product, proven=False) if len(product) > FULL else None
+        return float(np.abs(np.linalg.eigvals(product) if value is None else value).max()) - 1.0
+
     def monodromy(self, gap: np.ndarray, base_omega: float) -> np.ndarray:
         """M over one period of the gap (2H+1, n_pairs), from phase zero: (2n, 2n).
 
@@ -306,8 +312,11 @@ def make_room(kept: dict) -> None:
         kept.clear()
 
 
-def _leading(matrix: np.ndarray) -> complex | None:
-    """The eigenvalue of largest modulus by powers of a matrix; None where they do not tell."""
+def _leading(matrix: np.ndarray, *, proven: bool = True) -> complex | None:
+    """The eigenvalue of largest modulus by powers of a matrix; None where they do not tell.
+
+    ``proven``: none inside the unit circle unless all are.
+    """
     columns = np.random.default_rng(0).normal(size=(len(matrix), BLOCK))
     power, logarithm = matrix, 0.0  # matrix^m = exp(logarithm) power
     for squaring in range(1, SQUARINGS[-1] + 1):
@@ -325,7 +334,7 @@ def _leading(matrix: np.ndarray) -> complex | None:
         place = np.argmax(np.abs(values))
         value, vector = complex(values[place]), vectors[:, place]
         error = np.linalg.norm(image @ vector - value * (columns @ vector))
-        if error < 1e-10 * abs(value) and (abs(value) > 1.0 or logarithm < 0.0):
+        if error < 1e-10 * abs(value) and (not proven or abs(value) > 1.0 or logarithm < 0.0):
             return value
     return None
 
