@@ -123,6 +123,8 @@ def _corrected(squares: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np
     if not (np.all(radicand > 0.0) and np.abs(damping - damping.T).max() <= 1e-13 * size):
         return None
     values = -0.5 * rate + 1j * np.sqrt(radicand)
+    if not np.any(damping - np.diag(rate)):  # nothing closed, modal damping
+        return values, np.eye(len(values), dtype=complex)
     # What the coupling makes of the uncoupled shapes: Q(l_j) x_j = 0 to first order in it.
     impedance = (values + rate[:, None]) * values + squares[:, None]
     shapes = _share(-damping * values, impedance, np.abs(values) ** 2)
