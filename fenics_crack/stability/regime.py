@@ -36,9 +36,9 @@ from fenics_crack.model.modal import AllModes, flow_matrix
 __all__ = ["Regime", "UndampedModes", "damped_regime", "undamped_modes"]
 
 MOST_CORRECTIONS = 8
-LARGEST_LAST = 1e-7
+LARGEST_LAST = 1e-6
 """Of the corrections relative to the shapes; what these leave is its square."""
-ORTHOGONAL = 1e-9
+ORTHOGONAL = 1e-10
 """V^-1 V differs from I by at most so much."""
 ALIKE = 1e-9
 """Relative distance of eigenvalues whose shapes are not corrected by each other."""
@@ -125,9 +125,13 @@ def _corrected(squares: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np
     values = -0.5 * rate + 1j * np.sqrt(radicand)
     # What the coupling makes of the uncoupled shapes: Q(l_j) x_j = 0 to first order in it.
     impedance = (values + rate[:, None]) * values + squares[:, None]
-    shapes = _share(-damping * values, impedance, np.abs(values) ** 2)
+    coupling = damping - np.diag(rate)
+    shapes = _share(-coupling * values, impedance, np.abs(values) ** 2)
+    largest = np.abs(shapes).max()
     np.fill_diagonal(shapes, 1.0)
     for _ in range(MOST_CORRECTIONS):
+        if largest < LARGEST_LAST:
+            return values, shapes
         damped, moved = damping @ shapes, shapes * values
         norms = (shapes * (2.0 * moved + damped)).sum(axis=0)[:, None]
         residual = (moved + damped) * values + squares[:, None] * shapes
@@ -136,10 +140,7 @@ def _corrected(squares: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np
         other /= values - values.conj()[:, None]
         shapes = shapes - shapes @ change - shapes.conj() @ other
         values = values - np.diag(own)
-        if max(np.abs(change).max(), np.abs(other).max()) < LARGEST_LAST:
-            return values, shapes
-        if not np.all(np.isfinite(values)):
-            break
+        largest = max(np.abs(change).max(), np.abs(other).max())
     return None
 
 
