@@ -45,8 +45,8 @@ from fenics_crack.balance.contact_integrals import contact_integrals
 from fenics_crack.draw.figure import COLOURS
 
 CONTINUED = "this, continued, exact"
-FILLED = "this, continued and filled"
-CURVES = {CONTINUED: (0.05, 0), FILLED: (0.2, 4)}
+REFINED = "this, continued and refined"
+CURVES = {CONTINUED: (0.05, 0), REFINED: (0.2, 4)}
 """Longest step, and points put between each two."""
 WORKER = Path(__file__).absolute().with_name("pyharm_worker.py")
 
@@ -401,8 +401,8 @@ def run_pyharm(arguments: common.Arguments) -> None:
                 lw=0.8,
                 fillstyle=filled[case],
             )
-            for row in chosen if who in ("pyHarm", FILLED) else []:
-                left = who == FILLED
+            for row in chosen if who in ("pyHarm", REFINED) else []:
+                left = who == REFINED
                 axes.annotate(
                     f"H = {row[1]}",
                     (row[5], row[7]),
@@ -489,7 +489,7 @@ def race(python: str, case: dict[str, Any], harmonics: int, turns: int) -> list[
                 longest_step=longest,
             )  # fmt: skip
             if between:
-                curve = fc.fill_curve(curve, between)
+                curve = fc.refine_curve(curve, between)
             seconds = time.process_time() - started
             converged[who] = len(curve)
             times.setdefault(who, []).append(seconds / len(curve))

@@ -15,18 +15,19 @@ if TYPE_CHECKING:  # for editors and mypy: what the table below says
     from fenics_crack.balance.error_report import ErrorReport as ErrorReport
     from fenics_crack.balance.harmonic_balance import solve_harmonic_balance as solve_harmonic_balance
     from fenics_crack.balance.harmonic_balance import solve_linear as solve_linear
+    from fenics_crack.balance.problem import Problem as Problem
     from fenics_crack.balance.solution import PeriodicSolution as PeriodicSolution
     from fenics_crack.balance.solution import Stability as Stability
     from fenics_crack.curves.backbone import Backbone as Backbone
     from fenics_crack.curves.backbone import follow_backbone as follow_backbone
     from fenics_crack.curves.continuation import Continuation as Continuation
     from fenics_crack.curves.continuation import CurvePoint as CurvePoint
-    from fenics_crack.curves.continuation import continue_frequency as continue_frequency
-    from fenics_crack.curves.continuation import continue_parameter as continue_parameter
-    from fenics_crack.curves.continuation import follow_branch as follow_branch
     from fenics_crack.curves.curve import Bifurcation as Bifurcation
     from fenics_crack.curves.curve import ResponseCurve as ResponseCurve
-    from fenics_crack.curves.refine import fill_curve as fill_curve
+    from fenics_crack.curves.follow import continue_frequency as continue_frequency
+    from fenics_crack.curves.follow import continue_parameter as continue_parameter
+    from fenics_crack.curves.follow import follow_branch as follow_branch
+    from fenics_crack.curves.refine import refine_curve as refine_curve
     from fenics_crack.draw.animation import animate_period as animate_period
     from fenics_crack.draw.animation import show_period as show_period
     from fenics_crack.draw.paraview import write_modes as write_modes
@@ -79,11 +80,13 @@ if TYPE_CHECKING:  # for editors and mypy: what the table below says
 _NAMES = {
     "balance.error_report": "ErrorReport",
     "balance.harmonic_balance": "solve_harmonic_balance solve_linear",
+    "balance.problem": "Problem",
     "balance.solution": "PeriodicSolution Stability",
     "curves.backbone": "Backbone follow_backbone",
-    "curves.continuation": "Continuation CurvePoint continue_frequency continue_parameter follow_branch",
+    "curves.continuation": "Continuation CurvePoint",
     "curves.curve": "Bifurcation ResponseCurve",
-    "curves.refine": "fill_curve",
+    "curves.follow": "continue_frequency continue_parameter follow_branch",
+    "curves.refine": "refine_curve",
     "draw.animation": "animate_period show_period",
     "draw.paraview": "write_modes write_period",
     "draw.plot": "Wave draw_contact_map draw_content draw_curve draw_laws draw_map draw_modes draw_multipliers draw_response draw_waves",

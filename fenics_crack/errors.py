@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from numbers import Integral, Real
 
 __all__ = [
@@ -14,6 +14,7 @@ __all__ = [
     "check_count",
     "check_number",
     "check_omega",
+    "check_options",
 ]
 
 LONGEST_VALUE = 1000
@@ -91,3 +92,10 @@ def check_count(key: str, value: object, least: int) -> None:
         raise InputError(key, value, f"a whole number >= {least}")
     if int(value) > LARGEST_COUNT:
         raise InputError(key, value, f"at most {LARGEST_COUNT:.0e}")
+
+
+def check_options(options: Mapping[str, object], known: Iterable[str]) -> None:
+    """Raise InputError for a keyword that is no option."""
+    for key, value in options.items():
+        if key not in known:
+            raise InputError(key, value, "left out; the options are " + ", ".join(known))

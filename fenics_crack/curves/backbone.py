@@ -19,10 +19,17 @@ live. Contact couples the z_jk through few pairs only: the Jacobian is diagonal 
 entries are eliminated but those with k w close to omega_j; what is left is a dense system in the
 gaps, these entries and w, whose size does not depend on the number of dofs.
 
-Where a multiple of w meets another mode's frequency, two pieces of the family end in that mode's
-motion, from either side: a tongue. Newton's method at the next energy passes over a narrow one,
-for the motion found there has the same shape but for the entry in resonance, whose sign is the
-opposite; det J changes its sign.
+Where a multiple of w meets another mode's frequency (an internal resonance), two pieces of the
+family end in that mode's motion, from either side: a tongue. Without damping there are many of
+them, most of them narrow. Newton's method at the next energy passes over a narrow one, for the
+motion found there has the same shape but for the entry in resonance, whose sign is the opposite;
+det J changes its sign. Where no motion of the same shape is found beyond, the tongue is followed.
+Broad ones, with stiff contact, many modes and many harmonics, can end the path: fewer harmonics, or
+a structure reduced to fewer modes, have fewer of them.
+
+Where all clearances are zero, the penalty law makes the equations homogeneous: a motion times any
+positive factor is a motion, and the frequency does not depend on the energy. The backbone is then a
+straight line, one motion at growing energies.
 
 Source: Kerschen, Peeters, Golinval, Vakakis, Mechanical Systems and Signal Processing 23 (2009)
 170-194; Krack, Gross, Harmonic Balance for Nonlinear Vibration Problems, 2019, section 2.6.
@@ -32,29 +39,41 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from dataclasses import dataclass, replace
+from typing import ClassVar, TypedDict, Unpack
 
 import numpy as np
 from tqdm import tqdm
 
-from fenics_crack.balance.arclength import follow_path
+from fenics_crack.balance.arclength import Stepping, follow_path
+from fenics_crack.balance.bordered import PathPoint, Tangent, land, solve_at
 from fenics_crack.balance.contact_integrals import (
-    ContactIntegrals,
     contact_integrals,
 )
 from fenics_crack.balance.error_report import ErrorReport, mean_square
 from fenics_crack.balance.fourier import resized, to_complex
-from fenics_crack.balance.search import SOFT
+from fenics_crack.balance.rounding import SOFT
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.free_motion import EnergyMotion, Equilibrium, StiffnessMotion, cosine_rows
-from fenics_crack.errors import ConvergenceError, InputError, check_count, check_number
+from fenics_crack.curves.free_motion import (
+    EnergyMotion,
+    Equilibrium,
+    FreeMotion,
+    StiffnessMotion,
+    cosine_rows,
+)
+from fenics_crack.errors import (
+    ConvergenceError,
+    InputError,
+    check_count,
+    check_number,
+    check_options,
+)
 from fenics_crack.model.contact import ContactLaw, check_law
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 
-__all__ = ["Backbone", "follow_backbone"]
+__all__ = ["Backbone", "BackboneOptions", "follow_backbone"]
 
 
 FAST = 0.5
@@ -151,26 +170,26 @@ class Backbone:
     def _report(self, index: int) -> ErrorReport:
         """The first Newton step with more harmonics, at the same energy."""
         rest = Equilibrium(self.structure, self.contact)
-        harmonics = max(4 * self.harmonics, self.harmonics + 8)
+        kept, harmonics = self.harmonics + 1, max(4 * self.harmonics, self.harmonics + 8)
         integrals = contact_integrals(self.contact, self.harmonics, self.samples)
         motion = EnergyMotion(rest, integrals.widened(harmonics), float(self.omega[index]))
-        motion.energy = float(self.energy[index]) - self.rest_energy
+        energy = float(self.energy[index]) - self.rest_energy
         modal = np.linalg.solve(rest.modes.shapes, self.cosines[index].T).T
         modal[0] -= rest.modal
         start = np.append(np.zeros((harmonics + 1) * len(rest.modes.squares)), 1.0)
         z = start[:-1].reshape(harmonics + 1, -1)
-        z[: self.harmonics + 1] = modal * rest.frequencies / motion.amplitude
-        motion.linearise(start)
+        z[:kept] = modal * rest.frequencies / math.sqrt(2.0 * energy)
+        at = motion.linearise(start, math.log(energy))
         wave = np.zeros((2 * harmonics + 1, self.structure.n_pairs))
-        wave[cosine_rows(harmonics)] = z @ motion.gap_rows
+        wave[motion.rows] = z @ motion.gap_rows
         size = mean_square(wave)
-        missing = motion.residual(start)
+        missing = at.residual.copy()
         blocks = missing[:-1].reshape(harmonics + 1, -1)
-        known = np.append(blocks[: self.harmonics + 1].ravel(), missing[-1])
-        blocks[: self.harmonics + 1] = 0.0
+        known = np.append(blocks[:kept].ravel(), missing[-1])
+        blocks[:kept] = 0.0
         missing[-1] = 0.0
-        step = motion.solve_jacobian(missing)[:-1].reshape(harmonics + 1, -1)
-        wave[cosine_rows(harmonics)] = step @ motion.gap_rows
+        step = at.solve(missing)[:-1].reshape(harmonics + 1, -1)
+        wave[motion.rows] = step @ motion.gap_rows
         truncation = math.sqrt(mean_square(wave) / size) if size > 0.0 else 0.0
         residual = float(np.linalg.norm(known) / np.linalg.norm(start))
         return ErrorReport(residual, truncation, math.nan, math.nan, math.nan)
@@ -184,6 +203,35 @@ class Backbone:
         return np.ptp(waves, axis=1) / 2.0
 
 
+class BackboneOptions(TypedDict, total=False):
+    """Options of :func:`follow_backbone`.
+
+    initial : PeriodicSolution
+        Start from the motion next to this solution, scaled to ``energy_start``, and not from the
+        linear mode: for example from a peak of the response with little damping.
+    internal_resonances : bool
+        Follow all tongues that the steps resolve; a path need not come out of them again. Default:
+        pass over them where a motion of the same shape is found beyond.
+    longest_step : float
+        Longest step, relative to the size of the motion's shape and in ln E; default: 0.2.
+    most_points : int
+        Give up after so many; default: 2000.
+    """
+
+    initial: PeriodicSolution | None
+    internal_resonances: bool
+    longest_step: float
+    most_points: int
+
+
+DEFAULTS: BackboneOptions = {
+    "initial": None,
+    "internal_resonances": False,
+    "longest_step": 0.2,
+    "most_points": 2000,
+}
+
+
 def follow_backbone(
     structure: Structure,
     contact: ContactLaw,
@@ -193,32 +241,18 @@ def follow_backbone(
     *,
     harmonics: int = 10,
     samples: int | None = None,
-    initial: PeriodicSolution | None = None,
-    internal_resonances: bool = False,
-    longest_step: float = 0.2,
-    most_points: int = 2000,
     progress: bool = False,
     throw: bool = True,
+    **options: Unpack[BackboneOptions],
 ) -> Backbone:
     """Follow a nonlinear normal mode over its energy: the backbone of its resonance.
 
     The linear mode of the structure without contact is followed in ln k, the contact stiffness, at
     ``energy_start``, and from there in ln E: by steps in the parameter, and by arc-length, through
-    folds, where there is no motion of the same shape a step further.
-
-    Where a multiple of the frequency meets that of another mode (an internal resonance), the
-    backbone goes over into the motion of that mode, and on the other side another piece of it comes
-    from there. Without damping there are many such tongues, most of them narrow. They are passed
-    over where a motion of the same shape is found beyond; else they are followed. Broad ones,
-    with stiff contact, many modes and many harmonics, can end the path: fewer harmonics, or a
-    structure reduced to fewer modes, have fewer of them.
-    At the start, a motion whose first harmonic is small is taken for another mode's, and refused;
-    on the way, :attr:`Backbone.fundamental` tells it. Next to a tongue, and where one was passed
-    over, another motion of the same energy may exist.
-
-    Where all clearances are zero, the penalty law makes the equations homogeneous: a motion times
-    any positive factor is a motion, and the frequency does not depend on the energy. The backbone
-    is then a straight line, one motion at growing energies.
+    folds, where there is no motion of the same shape a step further. At the start, a motion whose
+    first harmonic is small is taken for another mode's, and refused; on the way,
+    :attr:`Backbone.fundamental` tells it. Next to an internal resonance, and where one was passed
+    over, another motion of the same energy may exist: see :mod:`fenics_crack.curves.backbone`.
 
     Parameters
     ----------
@@ -233,20 +267,14 @@ def follow_backbone(
         Energy of the motion [J], above that of the equilibrium; the end is above the start.
     harmonics, samples : int, int or None
         As in :func:`solve_harmonic_balance`.
-    initial : PeriodicSolution, optional
-        Start from the motion next to this solution, scaled to ``energy_start``, and not from the
-        linear mode: for example from a peak of the response with little damping.
-    internal_resonances : bool
-        Follow all tongues that the steps resolve; a path need not come out of them again.
-    longest_step : float
-        Longest step, relative to the size of the motion's shape and in ln E.
-    most_points : int
-        Give up after so many.
     progress : bool
         Show a progress bar.
     throw : bool
         Raise if the end is not reached; else return what was found, ``complete`` being False.
         Ctrl-C always returns what was found.
+    **options
+        As :class:`BackboneOptions` lists them: initial, internal_resonances, longest_step,
+        most_points.
 
     Returns
     -------
@@ -260,19 +288,16 @@ def follow_backbone(
         An argument cannot be used, or the structure can move as a rigid body.
     ConvergenceError
         No equilibrium or no first motion was found, or the end was not reached.
-
-    Notes
-    -----
-    Source: Kerschen, Peeters, Golinval, Vakakis, Mechanical Systems and Signal Processing 23 (2009)
-    170-194.
     """
     check_number("energy_start", energy_start, 0.0, above=True)
     check_number("energy_end", energy_end, energy_start, above=True)
-    check_number("longest_step", longest_step, 0.0, above=True)
-    check_count("most_points", most_points, 1)
     check_count("harmonics", harmonics, 1)
     if samples is not None:
         check_count("samples", samples, 4 * harmonics + 1)
+    check_options(options, DEFAULTS)
+    given: BackboneOptions = {**DEFAULTS, **options}
+    check_number("longest_step", given["longest_step"], 0.0, above=True)
+    check_count("most_points", given["most_points"], 1)
     check_law(structure, contact)
     check_count("mode", mode, 1)
     if not is_small(structure):
@@ -282,84 +307,113 @@ def follow_backbone(
     rest = Equilibrium(structure, contact)
     integrals = contact_integrals(contact, harmonics, samples)
     family = EnergyMotion(rest, integrals, float(rest.frequencies[mode - 1]))
+    start, initial = math.log(energy_start), given["initial"]
     if initial is None:
-        unknown = _first_motion(rest, integrals, mode, energy_start)
+        soft = StiffnessMotion(rest, integrals, family.reference, energy_start)
+        unknown = _from_linear_mode(soft, mode)
     else:
-        unknown = _next_to(family, structure, initial, mode, energy_start)
-    start, end = math.log(energy_start), math.log(energy_end)
-    found = [_Motion(unknown, start)]
-    status, complete = "the steps became too short", False
-    hidden = not progress or structure.whole.comm.rank != 0
-    bar = tqdm(total=100.0, desc="backbone", unit="%", disable=hidden, bar_format="{l_bar}{bar}")
-    try:
-        for motion in _follow(family, found[0], longest_step, most_points, not internal_resonances):
-            if motion.parameter >= end:
-                landed = _land(family, found[-1], motion, end)
-                status = "no motion at the very end"
-                if landed is not None:
-                    found.append(landed)
-                    complete = family.fundamental(landed.unknown) > family.least_fundamental
-                    status = "reached the end" if complete else ELSEWHERE
-                break
-            found.append(motion)
-            share = (motion.parameter - start) / (end - start)
-            bar.update(max(0.0, 100.0 * share - bar.n))
-            if motion.parameter < start - 0.02:
-                status = "the backbone turned back past its start"
-                break
-        else:
-            if len(found) > most_points:
-                status = f"{most_points} points were not enough"
-    except KeyboardInterrupt:
-        status, throw = "interrupted", False
-    except ConvergenceError as error:
-        status = str(error)
-    finally:
-        bar.close()
-    unknowns = np.array([motion.unknown for motion in found])
-    energy = np.exp([motion.parameter for motion in found])
-    modal = unknowns[:, :-1].reshape(len(found), harmonics + 1, -1) / rest.frequencies
-    modal *= np.sqrt(2.0 * energy)[:, None, None]
-    modal[:, 0] += rest.modal
-    backbone = Backbone(
-        structure,
-        contact,
-        mode,
-        unknowns[:, -1] * family.reference,
-        rest.energy + energy,
-        rest.energy,
-        modal @ rest.modes.shapes.T,
-        np.array([motion.iterations for motion in found]),
-        complete,
-        status,
-        np.array([motion.jump for motion in found]),
-        samples,
-    )
-    if throw and not complete:
+        unknown = _next_to(family, structure, initial, mode, start)
+    growing = _Growing(family, math.log(energy_end), [_bare(unknown, start)])
+    growing.follow(given, progress and structure.whole.comm.rank == 0)
+    backbone = growing.backbone(structure, mode, samples)
+    if throw and not (backbone.complete or growing.interrupted):
         raise ConvergenceError(
-            f"backbone of mode {mode} from {energy_start:g} to {energy_end:g} J: {status} at "
-            f"{energy[-1]:g} J after {len(energy)} points"
+            f"backbone of mode {mode} from {energy_start:g} to {energy_end:g} J: {backbone.status} "
+            f"at {math.exp(growing.found[-1].parameter):g} J after {len(backbone.energy)} points"
         )
     return backbone
 
 
-class _Motion(NamedTuple):
-    """A point of a path."""
+@dataclass
+class _Growing:
+    """A backbone as it grows: its points, and how it ended."""
 
-    unknown: np.ndarray
-    parameter: float
-    iterations: int = 0
-    jump: bool = False
+    family: EnergyMotion
+    end: float
+    found: list[PathPoint]
+    complete: bool = False
+    interrupted: bool = False
+    status: str = "the steps became too short"
+
+    def follow(self, options: BackboneOptions, shown: bool) -> None:
+        """Take points until one is the last, with a progress bar if it is to be shown."""
+        form = "{l_bar}{bar}"
+        bar = tqdm(total=100.0, desc="backbone", unit="%", disable=not shown, bar_format=form)
+        start, most = self.found[0].parameter, options["most_points"]
+        pass_over = not options["internal_resonances"]
+        path = _follow(self.family, self.found[0], options["longest_step"], most, pass_over)
+        try:
+            for point in path:
+                if self._ends(point):
+                    break
+                share = (point.parameter - start) / (self.end - start)
+                bar.update(max(0.0, 100.0 * share - bar.n))
+            else:
+                if len(self.found) > most:
+                    self.status = f"{most} points were not enough"
+        except KeyboardInterrupt:
+            self.interrupted, self.status = True, "interrupted"
+        except ConvergenceError as error:
+            self.status = str(error)
+        finally:
+            bar.close()
+
+    def _ends(self, point: PathPoint) -> bool:
+        """Take a point; whether it was the last."""
+        family = self.family
+        if point.parameter >= self.end:
+            landed = _land(family, self.found[-1], point, self.end)
+            self.status = "no motion at the very end"
+            if landed is not None:
+                self.found.append(landed)
+                self.complete = family.fundamental(landed.unknown) > family.least_fundamental
+                self.status = "reached the end" if self.complete else ELSEWHERE
+            return True
+        self.found.append(replace(point, at=None))
+        if point.parameter < self.found[0].parameter - 0.02:
+            self.status = "the backbone turned back past its start"
+            return True
+        return False
+
+    def backbone(self, structure: Structure, mode: int, samples: int | None) -> Backbone:
+        """The points so far as displacements."""
+        found, rest = self.found, self.family.rest
+        unknowns = np.array([point.unknown for point in found])
+        energy = np.exp([point.parameter for point in found])
+        modal = unknowns[:, :-1].reshape(len(found), -1, len(rest.frequencies)) / rest.frequencies
+        modal *= np.sqrt(2.0 * energy)[:, None, None]
+        modal[:, 0] += rest.modal
+        return Backbone(
+            structure,
+            rest.contact,
+            mode,
+            unknowns[:, -1] * self.family.reference,
+            rest.energy + energy,
+            rest.energy,
+            modal @ rest.modes.shapes.T,
+            np.array([point.iterations for point in found]),
+            self.complete,
+            self.status,
+            np.array([point.crosses_branch for point in found]),
+            samples,
+        )
+
+
+def _bare(unknown: np.ndarray, parameter: float) -> PathPoint:
+    """A point whose tangent nobody asks for."""
+    return PathPoint(unknown, parameter, 0, Tangent(np.zeros_like(unknown), 1.0, 0.0))
+
+
+def _solve(family: FreeMotion, guess: np.ndarray, parameter: float) -> PathPoint | None:
+    """The motion near a guess at a parameter, or None."""
+    tolerance = max(1e-12, family.rounding)
+    return solve_at(family, guess, parameter, tolerance=tolerance, iterations=11)
 
 
 def _follow(
-    family: StiffnessMotion | EnergyMotion,
-    here: _Motion,
-    longest_step: float,
-    most_steps: int,
-    pass_over: bool,
-) -> Iterator[_Motion]:
-    """Yield the points that follow a solution.
+    family: FreeMotion, here: PathPoint, longest_step: float, most_steps: int, pass_over: bool
+) -> Iterator[PathPoint]:
+    """Yield the points that follow a solution; ``crosses_branch`` where a tongue was passed over.
 
     Steps in the parameter itself pass over tongues; where there is none to a motion of the same
     shape, arc-length leads on.
@@ -374,45 +428,36 @@ def _follow(
             here = ahead
             yield here
             continue
-        path = follow_path(
-            family,
-            here.unknown,
-            here.parameter,
-            step=0.2 * longest_step,
-            longest_step=longest_step,
-            most_steps=most_steps - count,
+        stepping = Stepping(
+            first=0.2 * longest_step,
+            longest=longest_step,
+            shortest=1e-10,
+            most=most_steps - count,
             tolerance=1e-10,
-            shortest_step=1e-10,
             least_cosine=0.85,
             rounding=family.rounding,
         )
-        for point in path:
+        for point in follow_path(family, here.unknown, here.parameter, stepping):
             count += 1
-            motion = _Motion(point.unknown, point.parameter, point.iterations, point.crosses_branch)
-            yield motion
-            outside = point.tangent.p > FAST and motion.parameter > here.parameter
-            if (
-                pass_over
-                and outside
-                and family.fundamental(point.unknown) > family.least_fundamental
-            ):
-                here = motion
+            yield point
+            outside = point.tangent.p > FAST and point.parameter > here.parameter
+            whole = family.fundamental(point.unknown) > family.least_fundamental
+            if pass_over and outside and whole:
+                here = point
                 break
         else:
             return
 
 
 def _step(
-    family: StiffnessMotion | EnergyMotion, here: _Motion, step: float, longest_step: float
-) -> _Motion | None:
+    family: FreeMotion, here: PathPoint, step: float, longest_step: float
+) -> PathPoint | None:
     """A motion of the same shape further on, about a step away; None where there is none.
 
     The sign of det J changes where an odd number of tongues has been passed.
     """
-    family.set_parameter(here.parameter)
-    family.linearise(here.unknown)
-    sign = family.determinant_sign()
-    slope = -family.solve_jacobian(family.parameter_derivative(here.unknown))
+    at = here.at or family.linearise(here.unknown, here.parameter)
+    slope = -at.solve(at.by_parameter)
     near = family.near(here.unknown)
     # What grows on this side of a resonance has the opposite sign on the other one.
     across = np.where(near & (slope * here.unknown > 0.0), -here.unknown, here.unknown)
@@ -425,14 +470,13 @@ def _step(
         *((here.unknown, factor, 0.99) for factor in (0.1, 0.03, 0.01)),
     )
     for base, factor, cosine in trials:
-        ahead, guess = here.parameter + factor * step, base + factor * step * slope
-        family.set_parameter(ahead)
-        unknown, iterations = family.newton(guess)
-        if unknown is None or family.fundamental(unknown) < family.least_fundamental:
+        guess = base + factor * step * slope
+        found = _solve(family, guess, here.parameter + factor * step)
+        if found is None or family.fundamental(found.unknown) < family.least_fundamental:
             continue
-        if _alike(unknown, guess, cosine):
-            family.linearise(unknown)
-            return _Motion(unknown, ahead, iterations, family.determinant_sign() != sign)
+        if _alike(found.unknown, guess, cosine):
+            assert found.at is not None
+            return replace(found, crosses_branch=found.at.sign != at.sign)
     return None
 
 
@@ -442,18 +486,17 @@ def _alike(unknown: np.ndarray, other: np.ndarray, cosine: float) -> bool:
     return bool(one @ two > cosine * np.linalg.norm(one) * np.linalg.norm(two))
 
 
-def _land(
-    family: StiffnessMotion | EnergyMotion, first: _Motion, second: _Motion, end: float
-) -> _Motion | None:
+def _land(family: FreeMotion, before: PathPoint, after: PathPoint, end: float) -> PathPoint | None:
     """The motion at a parameter between those of two others; None if not found."""
-    share = (end - first.parameter) / (second.parameter - first.parameter)
-    between = first.unknown + share * (second.unknown - first.unknown)
-    family.set_parameter(end)
-    for nearby in (between, first.unknown, second.unknown):
-        found, _ = family.newton(nearby)
-        if found is not None and _alike(found, between, 0.9):
-            return _Motion(found, end, second.iterations, second.jump)
-    return None
+
+    def alike(nearby: np.ndarray) -> PathPoint | None:
+        found = _solve(family, nearby, end)
+        return found if found and _alike(found.unknown, nearby, 0.9) else None
+
+    landed = land(before, after, end, alike)
+    return landed and replace(
+        landed, iterations=after.iterations, crosses_branch=after.crosses_branch, at=None
+    )
 
 
 def _next_to(
@@ -461,7 +504,7 @@ def _next_to(
     structure: Structure,
     initial: PeriodicSolution,
     mode: int,
-    energy: float,
+    start: float,
 ) -> np.ndarray:
     """The motion next to a solution, whose mode is made a cosine in the first harmonic."""
     if not isinstance(initial, PeriodicSolution):
@@ -472,39 +515,37 @@ def _next_to(
     rest, order = family.rest, np.arange(family.harmonics + 1)
     modal = to_complex(resized(rows, family.harmonics)) @ np.linalg.inv(rest.modes.shapes).T
     modal[0] -= rest.modal
-    opens = rest.modes.pairs[mode - 1].sum() <= 0.0
-    phase = np.angle(modal[1, mode - 1]) + (0.0 if opens else np.pi)
+    phase = np.angle(modal[1, mode - 1]) + (0.0 if _opens(rest, mode) else np.pi)
     z = (modal * np.exp(-1j * phase * order)[:, None]).real * rest.frequencies
-    family.set_parameter(math.log(energy))
-    start = np.append(z.ravel() / family.amplitude, initial.base_omega / family.reference)
-    ratio = 1.0 + family.residual(start)[-1]
+    amplitude = math.sqrt(2.0 * math.exp(start))
+    guess = np.append(z.ravel() / amplitude, initial.base_omega / family.reference)
+    ratio = 1.0 + float(family.linearise(guess, start).residual[-1])
     if ratio > 0.0:
-        start[:-1] /= math.sqrt(ratio)
-        found, _ = family.newton(start)
-        if found is not None and _alike(found, start, 0.7):
-            return found
+        guess[:-1] /= math.sqrt(ratio)
+        found = _solve(family, guess, start)
+        if found is not None and _alike(found.unknown, guess, 0.7):
+            return found.unknown
     raise ConvergenceError(f"backbone of mode {mode}: no motion next to the initial solution")
 
 
-def _first_motion(
-    rest: Equilibrium, integrals: ContactIntegrals, mode: int, energy: float
-) -> np.ndarray:
+def _opens(rest: Equilibrium, mode: int) -> bool:
+    """Whether a mode opens the pairs where it is positive."""
+    return bool(rest.modes.pairs[mode - 1].sum() <= 0.0)
+
+
+def _from_linear_mode(family: StiffnessMotion, mode: int) -> np.ndarray:
     """From the linear mode without contact to the whole contact stiffness at one energy."""
-    family = StiffnessMotion(rest, integrals, float(rest.frequencies[mode - 1]))
-    family.energy = energy
-    count = len(rest.frequencies)
-    unknown = np.zeros((integrals.harmonics + 1) * count + 1)
-    opens = rest.modes.pairs[mode - 1].sum() <= 0.0
-    unknown[count + mode - 1], unknown[-1] = (1.0 if opens else -1.0), 1.0
+    rest, count = family.rest, len(family.rest.frequencies)
+    unknown = np.zeros((family.harmonics + 1) * count + 1)
+    unknown[count + mode - 1], unknown[-1] = (1.0 if _opens(rest, mode) else -1.0), 1.0
     soft = min(0.0, math.log(SOFT / max(rest.stiffness, SOFT)))
-    family.set_parameter(soft)
-    first, _ = family.newton(unknown)
+    first = _solve(family, unknown, soft)
     if first is None:
         raise ConvergenceError(f"backbone of mode {mode}: no motion with soft contact")
     if soft == 0.0:
-        return first
-    last, furthest = _Motion(first, soft), soft
-    for motion in _follow(family, last, 1.0, 400, True):
+        return first.unknown
+    last, furthest = first, soft
+    for motion in _follow(family, first, 1.0, 400, True):
         if motion.parameter >= 0.0:
             landed = _land(family, last, motion, 0.0)
             if landed is not None:

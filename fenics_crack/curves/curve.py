@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from fenics_crack.balance.compliance import dynamic_compliance
+from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.condensed import CondensedSystem
-from fenics_crack.balance.contact_integrals import contact_integrals
-from fenics_crack.balance.error_report import estimate_errors
-from fenics_crack.balance.family import FAMILIES, Family
+from fenics_crack.balance.family import FAMILIES
 from fenics_crack.balance.fourier import evaluate
-from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.balance.problem import Problem
+from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
 
-__all__ = ["Bifurcation", "ResponseCurve", "expand_gap"]
+__all__ = ["Bifurcation", "ResponseCurve"]
 
 
 @dataclass(frozen=True)
@@ -126,22 +124,25 @@ class ResponseCurve:
             raise InputError("stability", False, "True when the curve is followed")
         return np.abs(self.multipliers) < 1.0
 
+    @property
+    def problem(self) -> Problem:
+        """What was solved at the first point, with the harmonics of the last one."""
+        return Problem(
+            self.structure,
+            float(self.omega[0]),
+            self.contact,
+            int(self.harmonics[-1]),
+            self.samples,
+            self.subharmonic,
+        )
+
     def gap(self, index: int) -> np.ndarray:
         """Gap coefficients of a point with its own harmonics: (2H+1, n_pairs) [m]."""
         return self.gap_coefficients[index, : 2 * self.harmonics[index] + 1]
 
     def solution(self, index: int) -> PeriodicSolution:
         """The solution at a point, with its displacement and error report."""
-        return expand_gap(
-            self.structure,
-            self.contact,
-            self.parameter,
-            float(self.values[index]),
-            float(self.omega[index]),
-            self.gap(index),
-            self.samples,
-            self.subharmonic,
-        )
+        return self._expanded(float(self.values[index]), self.gap(index))
 
     @property
     def solutions(self) -> list[PeriodicSolution]:
@@ -153,11 +154,15 @@ class ResponseCurve:
         rows = self.structure.values_at(all_modes(self.structure).shapes.T, [dof]).T
         found = np.zeros(self.gap_coefficients.shape[:2])
         for count in np.unique(self.harmonics):
-            family = self._family(int(count))
+            problem = self.problem.with_harmonics(int(count))
+            family = FAMILIES[self.parameter](
+                problem, float(self.values[0]), float(self.values[-1])
+            )
             for index in np.flatnonzero(self.harmonics == count):
-                family.set_value(float(self.values[index]))
-                force = family.system.gap_and_force(self.gap(index))[1]
-                seen = family.compliance(float(self.values[index])).seen_through(rows, force)
+                system = family.system(float(self.values[index]))
+                assert isinstance(system.compliance, ModalCompliance)
+                force = system.integrals.force(self.gap(index))
+                seen = system.compliance.seen_through(rows, force)
                 found[index, : len(seen)] = seen[:, 0]
         return found
 
@@ -167,72 +172,20 @@ class ResponseCurve:
         wave = evaluate(self.coefficients_at(dof).T, 1.0, time)
         return np.asarray(np.ptp(wave, axis=0) / 2.0)
 
-    def _family(self, harmonics: int) -> Family:
-        return FAMILIES[self.parameter](
-            self.structure,
-            float(self.omega[0]),
-            self.contact,
-            float(self.values[0]),
-            float(self.values[-1]),
-            harmonics,
-            self.samples,
-            self.subharmonic,
-        )
-
-    # --- on disk ----------------------------------------------------------------------------------
-
     def expand_bifurcations(
         self, special: list[tuple[str, float, np.ndarray]]
     ) -> tuple[Bifurcation, ...]:
         """Bifurcations of this curve from their kinds, parameters and gaps."""
-        omega_at: Callable[[float], float] = self._family(int(self.harmonics[0])).omega
         return tuple(
-            Bifurcation(
-                kind,
-                value,
-                gap,
-                expand_gap(
-                    self.structure,
-                    self.contact,
-                    self.parameter,
-                    value,
-                    omega_at(value),
-                    gap,
-                    self.samples,
-                    self.subharmonic,
-                ),
-            )
+            Bifurcation(kind, value, gap, self._expanded(value, gap))
             for kind, value, gap in special
         )
 
-
-def expand_gap(
-    structure: Structure,
-    contact: ContactLaw,
-    parameter: str,
-    value: float,
-    omega: float,
-    gap: np.ndarray,
-    samples: int | None,
-    subharmonic: int,
-) -> PeriodicSolution:
-    """Expand a gap to the solution that it belongs to."""
-    structure, contact = FAMILIES[parameter].vary(structure, contact, value)
-    harmonics = len(gap) // 2
-    integrals = contact_integrals(contact, harmonics, samples, subharmonic)
-    base = omega / subharmonic
-    compliance = dynamic_compliance(structure, base, harmonics, subharmonic)
-    system = CondensedSystem(compliance, integrals)
-    force = integrals.force(gap)
-    displacement = compliance.displacement(force)
-    return PeriodicSolution(
-        structure,
-        omega,
-        contact,
-        displacement,
-        gap,
-        force,
-        subharmonic=subharmonic,
-        status="point of a curve",
-        report=estimate_errors(system, gap, structure, displacement, base, subharmonic),
-    )
+    def _expanded(self, value: float, gap: np.ndarray) -> PeriodicSolution:
+        """The solution that belongs to a gap where the parameter has a value."""
+        problem = FAMILIES[self.parameter].vary(self.problem.with_harmonics(len(gap) // 2), value)
+        compliance = problem.compliance()
+        at = CondensedSystem(compliance, problem.integrals()).linearise(gap)
+        found = solution_of(problem, at, status="point of a curve")
+        compliance.destroy()
+        return found

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
+from abc import ABC, abstractmethod
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
 
 from fenics_crack.balance.compliance import ModalCompliance
-from fenics_crack.balance.condensed import CondensedSystem, determinant_sign
+from fenics_crack.balance.condensed import CondensedSystem
 from fenics_crack.balance.contact_integrals import (
     ContactIntegrals,
     apply_to_pairs,
     contact_integrals,
 )
+from fenics_crack.balance.linearisation import Linearisation, determinant_sign
 from fenics_crack.balance.rounding import EPSILON, ROUNDING
 from fenics_crack.balance.search import Search
 from fenics_crack.errors import ConvergenceError, InputError
@@ -22,7 +24,14 @@ from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import AllModes, all_modes
 from fenics_crack.model.structure import Structure
 
-__all__ = ["EnergyMotion", "Equilibrium", "FreeMotion", "StiffnessMotion", "cosine_rows"]
+__all__ = [
+    "EnergyMotion",
+    "Equilibrium",
+    "FreeMotion",
+    "MotionPoint",
+    "StiffnessMotion",
+    "cosine_rows",
+]
 
 
 RESONANT = 1e-3
@@ -91,158 +100,53 @@ def cosine_rows(harmonics: int) -> np.ndarray:
     return np.maximum(2 * np.arange(harmonics + 1) - 1, 0)
 
 
-class FreeMotion:
-    """F(x) = 0 for x = (z_00, ..., z_0n, z_10, ..., z_Hn, w / reference), at an energy.
+class FreeMotion(ABC):
+    """F(x, p) = 0 for x = (z_00, ..., z_0n, z_10, ..., z_Hn, w / reference), a system for paths.
 
     Row (k, j) is divided by (omega_j^2 + (k reference)^2) a / omega_j, the last one by E: they are
-    numbers. ``share`` multiplies the contact force. Motions with less than ``least_fundamental`` of
-    the first harmonic are a tongue's: another mode's.
+    numbers. Motions with less than ``least_fundamental`` of the first harmonic are a tongue's:
+    another mode's.
     """
 
     least_fundamental: float
 
     def __init__(self, rest: Equilibrium, integrals: ContactIntegrals, reference: float) -> None:
-        self.rest, self.reference = rest, reference
-        self.energy, self.share = 1.0, 1.0
+        self.rest, self.integrals, self.reference = rest, integrals, reference
         self.rounding = max(ROUNDING, EPSILON * rest.stiffness)
         self.harmonics = integrals.harmonics
-        self._integrals = integrals
-        self._rows = cosine_rows(integrals.harmonics)
-        self._squares = rest.modes.squares
-        self._order = (np.arange(integrals.harmonics + 1.0) * reference)[:, None] ** 2
-        self._scale = 1.0 / (self._squares + self._order)
-        self._left = self._scale * rest.frequencies
+        self.rows = cosine_rows(integrals.harmonics)
+        self.order = (np.arange(integrals.harmonics + 1.0) * reference)[:, None] ** 2
+        self.scale = 1.0 / (rest.modes.squares + self.order)
+        self.left = self.scale * rest.frequencies
         self.gap_rows = rest.modes.pairs / rest.frequencies[:, None]
         """d (gap / a) / dz: (n_modes, n_pairs)."""
-        self._at: np.ndarray | None = None
 
-    @property
-    def amplitude(self) -> float:
-        """a."""
-        return math.sqrt(2.0 * self.energy)
+    @abstractmethod
+    def linearise(self, unknown: np.ndarray, parameter: float) -> MotionPoint:
+        """The equations at (x, p)."""
 
-    def _evaluate(self, unknown: np.ndarray) -> None:
-        """Contact force, its tangent and the work that went into it, where not known yet."""
-        if self._at is not None and np.array_equal(unknown, self._at):
-            return
-        rest, rows, scale = self.rest, self._rows, self.amplitude
-        z = unknown[:-1].reshape(len(rows), -1)
-        moved = scale * (z @ self.gap_rows)
-        gap = np.zeros((2 * len(rows) - 1, moved.shape[1]))
-        gap[rows] = moved
-        gap[0] += rest.gap
-        force, tangent = self._integrals.linearise(gap)
-        self._force = force[rows]
-        self._force[0] -= rest.force
-        self._force *= self.share / scale
-        self._tangent = self.share * tangent[:, rows[:, None], rows]
-        first = moved.sum(axis=0)
-        law = rest.contact
-        self._push = (self.share / scale) * (law.force(rest.gap + first) - rest.force)
-        self._work = self.share * _work(law, rest.gap, first, rest.force) / self.energy
-        self._change = moved / scale
-        self._at = unknown.copy()
+    @abstractmethod
+    def derivative(self, at: MotionPoint) -> np.ndarray:
+        """dF/dp."""
 
-    def _stiffness(self, unknown: np.ndarray) -> np.ndarray:
+    def stiffness(self, unknown: np.ndarray) -> np.ndarray:
         """Scaled omega_j^2 - (k w)^2: (H+1, n_modes)."""
-        return (self._squares - self._order * unknown[-1] ** 2) * self._scale
-
-    def _join(self, blocks: np.ndarray, last: float) -> np.ndarray:
-        return np.append(blocks.ravel(), last)
-
-    def residual(self, unknown: np.ndarray) -> np.ndarray:
-        """F(x)."""
-        self._evaluate(unknown)
-        z = unknown[:-1].reshape(self._scale.shape)
-        blocks = self._stiffness(unknown) * z
-        blocks += self._left * (self._force @ self.rest.modes.pairs.T)
-        first = z.sum(axis=0)
-        return self._join(blocks, float(first @ first) + self._work - 1.0)
-
-    def linearise(self, unknown: np.ndarray) -> None:
-        """Evaluate J, reduced to the gaps, the resonant entries and w."""
-        self._evaluate(unknown)
-        pairs, right, tangent = self.rest.modes.pairs, self.gap_rows, self._tangent
-        z = unknown[:-1].reshape(self._scale.shape)
-        stiffness = self._stiffness(unknown)
-        resonant = np.abs(stiffness) < RESONANT
-        inverse = np.where(resonant, 0.0, 1.0 / np.where(resonant, 1.0, stiffness))
-        at, which = np.nonzero(resonant)
-        column = -2.0 * unknown[-1] * self._order * self._scale * z
-        row = 2.0 * (z.sum(axis=0) + right @ self._push)
-        n_rows, n_pairs, kept = len(z), pairs.shape[1], len(at)
-        gaps = n_rows * n_pairs
-        matrix = np.zeros((gaps + kept + 1, gaps + kept + 1))
-        # The gaps: 1 + R T, R the compliance without the resonant entries.
-        compliance = np.matmul(right.T * (inverse * self._left)[:, None, :], pairs)
-        by_row = tangent.transpose(1, 2, 0)[:, None]
-        matrix[:gaps, :gaps] = (compliance[:, :, None, :] * by_row).reshape(gaps, gaps)
-        matrix.flat[: gaps * (len(matrix) + 1) : len(matrix) + 1] += 1.0
-        place = at[:, None] * n_pairs + np.arange(n_pairs)
-        matrix[place, gaps + np.arange(kept)[:, None]] = -right[which]
-        matrix[:gaps, -1] = ((inverse * column) @ right).ravel()
-        # The resonant entries.
-        drive = (self._left[resonant][:, None] * pairs[which])[:, None, :]
-        matrix[gaps:-1, :gaps] = (drive * tangent[:, at].transpose(1, 2, 0)).reshape(kept, gaps)
-        matrix[gaps + np.arange(kept), gaps + np.arange(kept)] = stiffness[resonant]
-        matrix[gaps:-1, -1] = column[resonant]
-        # The energy.
-        through = (row * inverse * self._left) @ pairs
-        matrix[-1, :gaps] = -np.einsum("kq,qkl->lq", through, tangent).ravel()
-        matrix[-1, gaps:-1] = row[which]
-        matrix[-1, -1] = -np.sum(row * inverse * column)
-        lu, pivots, _ = dgetrf(matrix)
-        self._factors = lu, pivots
-        self._parts = inverse, resonant, column, row
-        flips = np.count_nonzero(stiffness[~resonant] < 0.0)
-        self._sign = determinant_sign(self._factors) * (-1.0 if flips % 2 else 1.0)
-
-    def solve_jacobian(self, residual: np.ndarray) -> np.ndarray:
-        """J^-1 r."""
-        inverse, resonant, column, row = self._parts
-        blocks = residual[:-1].reshape(inverse.shape)
-        free = inverse * blocks
-        seen = (free @ self.gap_rows).ravel()
-        last = residual[-1] - np.sum(row * free)
-        found, _ = dgetrs(*self._factors, np.concatenate([seen, blocks[resonant], [last]]))
-        n_pairs = self.gap_rows.shape[1]
-        force = apply_to_pairs(self._tangent, found[: len(seen)].reshape(-1, n_pairs))
-        change = blocks - self._left * (force @ self.rest.modes.pairs.T) - column * found[-1]
-        change *= inverse
-        change[resonant] = found[len(seen) : -1]
-        return self._join(change, found[-1])
-
-    def determinant_sign(self) -> float:
-        """Sign of det J where :meth:`linearise` was called last."""
-        return self._sign
+        return (self.rest.modes.squares - self.order * unknown[-1] ** 2) * self.scale
 
     def near(self, unknown: np.ndarray) -> np.ndarray:
         """Which entries of x are close to resonance, the fundamental ones left out."""
-        close = np.abs(self._stiffness(unknown)) < NEAR
+        close = np.abs(self.stiffness(unknown)) < NEAR
         close[1] = False
         return np.append(close.ravel(), False)
 
     def fundamental(self, unknown: np.ndarray) -> float:
         """Share of the first harmonic in the square of z, the mean left out."""
-        z = unknown[:-1].reshape(self._scale.shape)
+        z = unknown[:-1].reshape(self.scale.shape)
         return float(np.sum(z[1] ** 2) / max(np.sum(z[1:] ** 2), 1e-300))
 
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
         """Inner product."""
         return float(first @ second)
-
-    def newton(self, unknown: np.ndarray) -> tuple[np.ndarray | None, int]:
-        """Solution near an unknown by full steps, or None, and their number."""
-        for iterations in range(12):
-            residual = self.residual(unknown)
-            size = np.linalg.norm(residual) / np.linalg.norm(unknown)
-            if size <= max(1e-12, self.rounding):
-                return unknown, iterations
-            if not np.isfinite(size):
-                break
-            self.linearise(unknown)
-            unknown = unknown - self.solve_jacobian(residual)
-        return None, iterations
 
 
 class StiffnessMotion(FreeMotion):
@@ -250,15 +154,19 @@ class StiffnessMotion(FreeMotion):
 
     least_fundamental = 0.25
 
-    def set_parameter(self, parameter: float) -> None:
-        """Set ln share."""
-        if math.exp(parameter) != self.share:
-            self.share, self._at = math.exp(parameter), None
+    def __init__(
+        self, rest: Equilibrium, integrals: ContactIntegrals, reference: float, energy: float
+    ) -> None:
+        super().__init__(rest, integrals, reference)
+        self.energy = energy
 
-    def parameter_derivative(self, unknown: np.ndarray) -> np.ndarray:
+    def linearise(self, unknown: np.ndarray, parameter: float) -> MotionPoint:
+        """The equations at x and ln share."""
+        return MotionPoint(self, unknown, self.energy, math.exp(parameter))
+
+    def derivative(self, at: MotionPoint) -> np.ndarray:
         """dF / d ln share."""
-        self._evaluate(unknown)
-        return self._join(self._left * (self._force @ self.rest.modes.pairs.T), self._work)
+        return at.joined(self.left * (at.force @ self.rest.modes.pairs.T), at.work)
 
 
 class EnergyMotion(FreeMotion):
@@ -266,14 +174,149 @@ class EnergyMotion(FreeMotion):
 
     least_fundamental = 0.02
 
-    def set_parameter(self, parameter: float) -> None:
-        """Set ln E."""
-        if math.exp(parameter) != self.energy:
-            self.energy, self._at = math.exp(parameter), None
+    def linearise(self, unknown: np.ndarray, parameter: float) -> MotionPoint:
+        """The equations at x and ln E."""
+        return MotionPoint(self, unknown, math.exp(parameter), 1.0)
 
-    def parameter_derivative(self, unknown: np.ndarray) -> np.ndarray:
+    def derivative(self, at: MotionPoint) -> np.ndarray:
         """dF / d ln E: of b(g_e + a c) / a, with da = a / 2, and of the work over E."""
-        self._evaluate(unknown)
-        change = 0.5 * (apply_to_pairs(self._tangent, self._change) - self._force)
-        blocks = self._left * (change @ self.rest.modes.pairs.T)
-        return self._join(blocks, float(self._push @ self._change.sum(axis=0)) - self._work)
+        change = 0.5 * (apply_to_pairs(at.tangent, at.change) - at.force)
+        blocks = self.left * (change @ self.rest.modes.pairs.T)
+        return at.joined(blocks, float(at.push @ at.change.sum(axis=0)) - at.work)
+
+
+class MotionPoint(Linearisation):
+    """The equations of free motions at a point.
+
+    Parameters
+    ----------
+    motion : FreeMotion
+        Whose point it is.
+    unknown : ((H+1) n_modes + 1,)
+        x.
+    energy : float [J]
+        E.
+    share : float
+        Multiplies the contact force.
+
+    Attributes
+    ----------
+    force, tangent : (H+1, n_pairs), (n_pairs, H+1, H+1)
+        Coefficients of the contact force less that of the equilibrium, over a, and their derivative
+        by those of the gap.
+    change : (H+1, n_pairs)
+        Coefficients of the gap less that of the equilibrium, over a.
+    push : (n_pairs,)
+        Contact force at t = 0 less that of the equilibrium, over a.
+    work : float
+        Work of the contact force from the equilibrium to t = 0, over E.
+    """
+
+    def __init__(
+        self, motion: FreeMotion, unknown: np.ndarray, energy: float, share: float
+    ) -> None:
+        rest, rows, scale = motion.rest, motion.rows, math.sqrt(2.0 * energy)
+        self._motion, self._unknown = motion, unknown
+        self._z = unknown[:-1].reshape(len(rows), -1)
+        moved = scale * (self._z @ motion.gap_rows)
+        gap = np.zeros((2 * len(rows) - 1, moved.shape[1]))
+        gap[rows] = moved
+        gap[0] += rest.gap
+        force, tangent = motion.integrals.linearise(gap)
+        self.force = force[rows]
+        self.force[0] -= rest.force
+        self.force *= share / scale
+        self.tangent = share * tangent[:, rows[:, None], rows]
+        first, law = moved.sum(axis=0), rest.contact
+        self.push = (share / scale) * (law.force(rest.gap + first) - rest.force)
+        self.work = share * _work(law, rest.gap, first, rest.force) / energy
+        self.change = moved / scale
+        self._stiffness = motion.stiffness(unknown)
+        blocks = self._stiffness * self._z + motion.left * (self.force @ rest.modes.pairs.T)
+        start = self._z.sum(axis=0)
+        self.residual = self.joined(blocks, float(start @ start) + self.work - 1.0)
+
+    def joined(self, blocks: np.ndarray, last: float) -> np.ndarray:
+        """A vector like x from its entries (H+1, n_modes) and the last one."""
+        return np.append(blocks.ravel(), last)
+
+    @cached_property
+    def by_parameter(self) -> np.ndarray:
+        """dF/dp."""
+        return self._motion.derivative(self)
+
+    @cached_property
+    def _resonant(self) -> np.ndarray:
+        """Entries that are kept, (H+1, n_modes) bool; the others are eliminated."""
+        return np.abs(self._stiffness) < RESONANT
+
+    @cached_property
+    def _inverse(self) -> np.ndarray:
+        """1 / stiffness of the entries eliminated, 0 of those kept."""
+        kept = self._resonant
+        return np.where(kept, 0.0, 1.0 / np.where(kept, 1.0, self._stiffness))
+
+    @cached_property
+    def _by_frequency(self) -> np.ndarray:
+        """Column of J of the frequency, but for its last entry, 0."""
+        motion = self._motion
+        return -2.0 * self._unknown[-1] * motion.order * motion.scale * self._z
+
+    @cached_property
+    def _by_amplitude(self) -> np.ndarray:
+        """Row of J of the energy, the same for all harmonics: (n_modes,)."""
+        return 2.0 * (self._z.sum(axis=0) + self._motion.gap_rows @ self.push)
+
+    @cached_property
+    def _factors(self) -> tuple[np.ndarray, np.ndarray]:
+        """J reduced to the gaps, the resonant entries and w, factored."""
+        motion, tangent, stiffness = self._motion, self.tangent, self._stiffness
+        pairs, right, left = motion.rest.modes.pairs, motion.gap_rows, motion.left
+        resonant, inverse = self._resonant, self._inverse
+        column, row = self._by_frequency, self._by_amplitude
+        at, which = np.nonzero(resonant)
+        n_rows, n_pairs, kept = len(self._z), pairs.shape[1], len(at)
+        gaps = n_rows * n_pairs
+        matrix = np.zeros((gaps + kept + 1, gaps + kept + 1))
+        # The gaps: 1 + R T, R the compliance without the resonant entries.
+        compliance = np.matmul(right.T * (inverse * left)[:, None, :], pairs)
+        by_row = tangent.transpose(1, 2, 0)[:, None]
+        matrix[:gaps, :gaps] = (compliance[:, :, None, :] * by_row).reshape(gaps, gaps)
+        matrix.flat[: gaps * (len(matrix) + 1) : len(matrix) + 1] += 1.0
+        place = at[:, None] * n_pairs + np.arange(n_pairs)
+        matrix[place, gaps + np.arange(kept)[:, None]] = -right[which]
+        matrix[:gaps, -1] = ((inverse * column) @ right).ravel()
+        # The resonant entries.
+        drive = (left[resonant][:, None] * pairs[which])[:, None, :]
+        matrix[gaps:-1, :gaps] = (drive * tangent[:, at].transpose(1, 2, 0)).reshape(kept, gaps)
+        matrix[gaps + np.arange(kept), gaps + np.arange(kept)] = stiffness[resonant]
+        matrix[gaps:-1, -1] = column[resonant]
+        # The energy.
+        through = (row * inverse * left) @ pairs
+        matrix[-1, :gaps] = -np.einsum("kq,qkl->lq", through, tangent).ravel()
+        matrix[-1, gaps:-1] = row[which]
+        matrix[-1, -1] = -np.sum(row * inverse * column)
+        lu, pivots, _ = dgetrf(matrix)
+        return lu, pivots
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """J^-1 r."""
+        motion, inverse, resonant = self._motion, self._inverse, self._resonant
+        blocks = right[:-1].reshape(inverse.shape)
+        free = inverse * blocks
+        seen = (free @ motion.gap_rows).ravel()
+        last = right[-1] - np.sum(self._by_amplitude * free)
+        found, _ = dgetrs(*self._factors, np.concatenate([seen, blocks[resonant], [last]]))
+        n_pairs = motion.gap_rows.shape[1]
+        force = apply_to_pairs(self.tangent, found[: len(seen)].reshape(-1, n_pairs))
+        change = blocks - motion.left * (force @ motion.rest.modes.pairs.T)
+        change -= self._by_frequency * found[-1]
+        change *= inverse
+        change[resonant] = found[len(seen) : -1]
+        return self.joined(change, found[-1])
+
+    @property
+    def sign(self) -> float:
+        """Sign of det J."""
+        flips = np.count_nonzero(self._stiffness[~self._resonant] < 0.0)
+        return determinant_sign(self._factors) * (-1.0 if flips % 2 else 1.0)

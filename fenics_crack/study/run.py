@@ -10,7 +10,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.harmonic_balance import solve_harmonic_balance, solve_linear
-from fenics_crack.curves.continuation import continue_frequency, continue_parameter
+from fenics_crack.curves.follow import continue_frequency, continue_parameter
 from fenics_crack.errors import InputError
 from fenics_crack.fem.assembly import build_structure
 from fenics_crack.files.results import Result, load

@@ -10,8 +10,8 @@ import scipy.special
 from helpers import Cubic, chain, chain_stiffness, dense, log_slope, oscillator
 
 import fenics_crack as fc
-from fenics_crack.balance.arclength import ParametricSystem
 from fenics_crack.balance.contact_integrals import contact_integrals
+from fenics_crack.balance.linearisation import System
 from fenics_crack.curves import backbone, free_motion
 
 HARMONICS = (10, 20, 40, 80)
@@ -249,33 +249,31 @@ def test_another_modes_motion_is_no_backbone(paper_structure: fc.Structure) -> N
     [fc.UnilateralPenalty(3.0), Cubic(0.5), fc.SmoothedPenalty(3.0, 20.0)],
     ids=["penalty", "cubic", "smoothed"],
 )
-@pytest.mark.parametrize("family", [free_motion.StiffnessMotion, free_motion.EnergyMotion])
-def test_jacobian(
-    law: fc.UnilateralPenalty, family: type[free_motion.StiffnessMotion | free_motion.EnergyMotion]
-) -> None:
+@pytest.mark.parametrize("parameter", ["stiffness", "energy"])
+def test_jacobian(law: fc.UnilateralPenalty, parameter: str) -> None:
     """Its inverse, the sign of its determinant and dF/dp against finite differences."""
     rest = free_motion.Equilibrium(chain("none"), law)
-    system = family(rest, contact_integrals(law, 4), float(rest.frequencies[1]))
-    system.energy = 2.0
-    parametric: ParametricSystem = system
-    parametric.set_parameter(0.1)
+    given = rest, contact_integrals(law, 4), float(rest.frequencies[1])
+    system: System = free_motion.EnergyMotion(*given)
+    if parameter == "stiffness":
+        system = free_motion.StiffnessMotion(*given, energy=2.0)
     rng = np.random.default_rng(0)
     unknown = 0.3 * rng.normal(size=51)
     unknown[-1] = 0.5 * rest.frequencies[4] / rest.frequencies[1] * (1.0 + 1e-6)  # in resonance
     step = 1e-6
+
+    def residual(unknown: np.ndarray, parameter: float = 0.1) -> np.ndarray:
+        return system.linearise(unknown, parameter).residual
+
     matrix = np.array([
-        (system.residual(unknown + step * row) - system.residual(unknown - step * row))
-        for row in np.eye(51)
+        (residual(unknown + step * row) - residual(unknown - step * row)) for row in np.eye(51)
     ]).T / (2.0 * step)  # fmt: skip
-    system.linearise(unknown)
-    residual = rng.normal(size=51)
-    assert np.allclose(matrix @ system.solve_jacobian(residual), residual, atol=2e-6)
-    assert system.determinant_sign() == np.sign(np.linalg.det(matrix))
-    slope = system.parameter_derivative(unknown)
-    parametric.set_parameter(0.1 + step)
-    above = system.residual(unknown)
-    parametric.set_parameter(0.1 - step)
-    assert np.allclose(slope, (above - system.residual(unknown)) / (2.0 * step), atol=1e-8)
+    at = system.linearise(unknown, 0.1)
+    right = rng.normal(size=51)
+    assert np.allclose(matrix @ at.solve(right), right, atol=2e-6)
+    assert at.sign == np.sign(np.linalg.det(matrix))
+    slope = (residual(unknown, 0.1 + step) - residual(unknown, 0.1 - step)) / (2.0 * step)
+    assert np.allclose(at.by_parameter, slope, atol=1e-8)
 
 
 # --- files, bad input -----------------------------------------------------------------------------
@@ -313,6 +311,7 @@ def test_bad_arguments_and_unfinished_backbones() -> None:
         ("samples", (1, 1.0, 2.0), {"samples": 40}),
         ("longest_step", (1, 1.0, 2.0), {"longest_step": 0.0}),
         ("most_points", (1, 1.0, 2.0), {"most_points": 0}),
+        ("points", (1, 1.0, 2.0), {"points": 5}),
     ):
         with pytest.raises(fc.InputError) as caught:
             fc.follow_backbone(structure, law, *arguments, **options)  # type: ignore[arg-type]

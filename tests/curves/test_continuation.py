@@ -21,7 +21,7 @@ from fenics_crack.balance.compliance import ModalCompliance, load_coefficients
 from fenics_crack.balance.condensed import respond
 from fenics_crack.balance.family import FAMILIES
 from fenics_crack.balance.fourier import from_complex
-from fenics_crack.curves.continuation import continue_frequency
+from fenics_crack.curves.follow import continue_frequency
 
 
 def folds(curve: fc.ResponseCurve) -> list[float]:
@@ -234,15 +234,11 @@ def test_derivative_by_each_parameter(name: str) -> None:
     """dF/dp against central differences, along the whole range."""
     structure, (start, end) = two_masses(), RANGES[name]
     law = fc.UnilateralPenalty(np.array([3.0]))
-    family = FAMILIES[name](structure, 0.9, law, start, end, 4, None, 1)
+    family = FAMILIES[name](fc.Problem(structure, 0.9, law, 4), start, end)
     gap = np.random.default_rng(2).normal(size=(9, 1))
     for parameter in (0.0, 0.4, 1.0):
-        family.set_parameter(parameter)
-        exact = family.parameter_derivative(gap)
-        sides = []
-        for step in (1e-6, -1e-6):
-            family.set_parameter(parameter + step)
-            sides.append(family.residual(gap))
+        exact = family.linearise(gap, parameter).by_parameter
+        sides = [family.linearise(gap, parameter + step).residual for step in (1e-6, -1e-6)]
         slope = (sides[0] - sides[1]) / 2e-6
         assert np.allclose(slope, exact, rtol=1e-5, atol=1e-7 * np.abs(exact).max())
 
@@ -348,9 +344,8 @@ def test_points_come_one_by_one_and_go_on_later(tmp_path: Path) -> None:
     """Stopped, written, read and resumed: the same curve, though not the same points."""
     structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
     whole = continue_frequency(structure, 2.0, 0.3, law, harmonics=6, stability=True)
-    growing = fc.Continuation(
-        structure, law, "omega", 2.0, 0.3, harmonics=6, stability=True, longest_step=0.05
-    )
+    problem = fc.Problem(structure, 2.0, law, harmonics=6)
+    growing = fc.Continuation(problem, "omega", 2.0, 0.3, stability=True, longest_step=0.05)
     turned = whole.omega[:-1] < whole.omega[1:]  # on the way back between the folds
     stop = int(np.argmax(turned)) + 2
     points = list(islice(growing, stop))
@@ -418,15 +413,20 @@ def test_harmonics_follow_the_truncation(tmp_path: Path) -> None:
         ("turning_back", {"turning_back": -1.0}),
         ("longest_step", {"longest_step": 2.0}),
         ("samples", {"tolerance": 1e-3, "samples": 64}),
-        ("leaving", {"leaving": 3}),
+        ("samples", {"harmonics": 5, "samples": 20}),
+        ("initial", {"initial": 3}),
+        ("resume", {"resume": 3}),
         ("harmonics", {"harmonics": 0}),
+        ("subharmonic", {"subharmonic": 1.5}),
+        ("harmonic", {"harmonic": 5}),
     ],
 )
 def test_bad_arguments_of_a_continuation(key: str, arguments: dict[str, object]) -> None:
     """One error names the argument."""
     good = {"parameter": "stiffness", "start": 1.0, "end": 10.0, "omega": 1.2}
+    structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(1.0)
     with pytest.raises(fc.InputError) as caught:
-        fc.Continuation(oscillator(0.1, 1.0), fc.UnilateralPenalty(1.0), **(good | arguments))  # type: ignore[arg-type]
+        fc.continue_parameter(structure, contact=law, **(good | arguments))  # type: ignore[arg-type]
     assert caught.value.key == key
 
 
@@ -436,6 +436,27 @@ def test_damping_that_is_not_there_cannot_vary() -> None:
     bare = fc.Structure.from_matrices(one, one, one, force_cos=[1.0])
     with pytest.raises(fc.InputError, match="no damping"):
         fc.continue_parameter(bare, 1.2, fc.UnilateralPenalty(1.0), "damping", 1.0, 2.0)
+
+
+@pytest.mark.parametrize("seed", [6, 7])
+def test_branch_where_rounding_leaves_much(seed: int) -> None:
+    """k R of 1e8, masses that float on their stops: the first step leads to the branch."""
+    rng = np.random.default_rng(seed)
+    floating = 6.0 * (np.diag([1.0, 2.0, 2.0, 1.0]) - np.eye(4, k=1) - np.eye(4, k=-1))
+    structure = fc.Structure.from_matrices(
+        np.eye(4),
+        floating + 1e-8 * np.eye(4),
+        np.eye(4) + 0.3 * rng.random((4, 4)),
+        force_cos=2.5 * (1.0 + 0.1 * rng.random(4)),
+        force_mean=1.0 + 0.2 * rng.random(4),
+        damping=0.1 * np.eye(4),
+    )
+    law = fc.UnilateralPenalty(1.0)
+    curve = continue_frequency(structure, 3.2, 2.5, law, harmonics=8, stability=True)
+    doubling = next(b for b in curve.bifurcations if b.kind == "period_doubling")
+    branch = fc.follow_branch(curve, doubling, throw=False, most_points=5)
+    assert len(branch) == 6 and branch.iterations[0] <= 4
+    assert np.all(np.linalg.norm(branch.gap_coefficients[:, 1:3], axis=(1, 2)) > 0.0)
 
 
 def test_branch_only_from_where_one_begins() -> None:
@@ -449,6 +470,8 @@ def test_branch_only_from_where_one_begins() -> None:
         fc.follow_branch(curve, wrong, 1.9, 2.0)
     with pytest.raises(fc.InputError, match="harmonics"):
         fc.follow_branch(curve, wrong, harmonics=7)
+    with pytest.raises(fc.InputError, match="step"):
+        fc.follow_branch(curve, wrong, step=0.1)  # type: ignore[call-arg]
 
 
 @pytest.mark.parametrize("name", ["stiffness", "damping"])
@@ -469,7 +492,7 @@ def test_resumed_curve_keeps_its_multipliers(name: str) -> None:
 def test_iterating_again_goes_on() -> None:
     """A few points at a time: the same curve, through its folds; at the end nothing more comes."""
     structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
-    growing = fc.Continuation(structure, law, "omega", 2.0, 0.3, harmonics=6)
+    growing = fc.Continuation(fc.Problem(structure, 2.0, law, harmonics=6), "omega", 2.0, 0.3)
     for _ in range(2000):
         list(islice(growing, 12))
         if growing.complete:

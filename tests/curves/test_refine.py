@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers import chain, oscillator
+from helpers import Cubic, chain, oscillator
 
 import fenics_crack as fc
 
@@ -24,11 +24,11 @@ def assert_solutions(curve: fc.ResponseCurve, every: int) -> None:
         assert np.abs(difference).max() < 1e-6 * np.abs(solution.gap_coefficients).max()
 
 
-def test_filled_curve_over_folds() -> None:
+def test_refined_curve_over_folds() -> None:
     """Nine points in each gap of a coarse curve: in order, over both folds, all of them right."""
     structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
     coarse = fc.continue_frequency(structure, 2.0, 0.3, law, harmonics=6, longest_step=0.2)
-    fine = fc.fill_curve(coarse, 9)
+    fine = fc.refine_curve(coarse, 9)
     assert len(fine) == 10 * len(coarse) - 9
     assert np.all(np.isin(coarse.omega, fine.omega))
     assert np.mean(fine.iterations) < 3.0
@@ -47,12 +47,12 @@ def test_several_pairs_and_kinds_of_contact() -> None:
     for law, samples in (
         (fc.UnilateralPenalty(np.array([2.0, 5.0])), None),
         (fc.UnilateralPenalty(3.0), 256),
-        (fc.SmoothedPenalty(3.0, 20.0), None),
+        (fc.SmoothedPenalty(np.array([3.0, 2.0]), 20.0), None),
     ):
         coarse = fc.continue_frequency(
             structure, 0.5, 1.5, law, harmonics=4, samples=samples, longest_step=0.1
         )
-        fine = fc.fill_curve(coarse, 3)
+        fine = fc.refine_curve(coarse, 3)
         assert len(fine) > 3.5 * len(coarse)
         assert_solutions(fine, 17)
 
@@ -63,7 +63,7 @@ def test_harmonics_and_multipliers_come_along() -> None:
     coarse = fc.continue_frequency(
         structure, 0.4, 2.5, law, harmonics=4, tolerance=1e-3, stability=True
     )
-    fine = fc.fill_curve(coarse, 2)
+    fine = fc.refine_curve(coarse, 2)
     assert set(fine.harmonics) == set(coarse.harmonics)
     assert fine.multipliers is not None and np.all(np.isfinite(fine.multipliers))
     for index in range(0, len(fine), 9):
@@ -77,14 +77,13 @@ def test_bad_arguments() -> None:
     structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(1.0)
     curve = fc.continue_frequency(structure, 1.0, 1.5, law)
     with pytest.raises(fc.InputError, match="between"):
-        fc.fill_curve(curve, 0)
+        fc.refine_curve(curve, 0)
     load = fc.continue_parameter(structure, 1.0, law, "load", 1.0, 2.0)
     with pytest.raises(fc.InputError, match="omega"):
-        fc.fill_curve(load, 1)
+        fc.refine_curve(load, 1)
     short = fc.continue_frequency(structure, 1.0, 1.5, law, most_points=2, throw=False)
     with pytest.raises(fc.InputError, match="points"):
-        fc.fill_curve(short, 1)
-    smoothed = fc.SmoothedPenalty(np.array([1.0]), 10.0)
-    each = fc.continue_frequency(structure, 1.0, 1.5, smoothed)
+        fc.refine_curve(short, 1)
+    each = fc.continue_frequency(structure, 1.0, 1.5, Cubic(np.array([1.0])))
     with pytest.raises(fc.InputError, match="contact"):
-        fc.fill_curve(each, 1)
+        fc.refine_curve(each, 1)

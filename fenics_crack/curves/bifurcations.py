@@ -1,0 +1,146 @@
+"""Special points of a curve: what they are, where they lie, and the branch that begins there.
+
+Between two points of a curve lies
+
+- a fold, where the parameter turns back: t_p changes its sign;
+- a branch point, where another branch crosses: :mod:`arclength` tells it;
+- a period doubling, where a Floquet multiplier passes through -1: det(I + M) changes its sign;
+- a Neimark-Sacker point, where a pair of multipliers leaves the unit circle anywhere else.
+
+Sources: Keller, in Applications of Bifurcation Theory, 1977; Seydel, Practical Bifurcation and
+Stability Analysis, chapters 4, 5 and 7.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import scipy.linalg
+
+from fenics_crack.balance.bordered import PathPoint, Tangent, correct, distance, locate, tangent_of
+from fenics_crack.balance.family import Family
+from fenics_crack.balance.fourier import stretched
+from fenics_crack.balance.rounding import least_residual, stiffness_times_compliance
+from fenics_crack.curves.curve import Bifurcation
+from fenics_crack.errors import ConvergenceError
+from fenics_crack.stability.floquet import LeadingMultiplier, doubling_test
+
+__all__ = ["attainable", "first_of_branch", "multipliers_cross", "odd_rows", "turns_or_branches"]
+
+Special = list[tuple[str, PathPoint]]
+
+
+def attainable(family: Family, parameter: float, tolerance: float) -> float:
+    """A tolerance of |F| / |x|, or what rounding leaves of it near a point of a curve."""
+    ends = [family.at(value).contact for value in (family.start, family.end)]
+    stiffest = max(ends, key=lambda law: float(np.max(law.stiffness)))
+    compliance = family.system(family.value(parameter)).compliance
+    return max(tolerance, least_residual(4.0 * stiffness_times_compliance(compliance, stiffest)))
+
+
+def turns_or_branches(family: Family, before: PathPoint, after: PathPoint) -> Special:
+    """Branch points and folds between two points."""
+    found = []
+    if after.crosses_branch:
+        found.append(("branch_point", after))
+    if after.tangent.p * before.tangent.p < 0.0:
+        sharp = attainable(family, after.parameter, 1e-11)
+        found.append(("fold", locate(family, before, after, lambda at: at.tangent.p, sharp)))
+    return found
+
+
+def multipliers_cross(
+    family: Family,
+    before: tuple[PathPoint, LeadingMultiplier],
+    after: tuple[PathPoint, LeadingMultiplier],
+    multipliers: Callable[[PathPoint], np.ndarray],
+) -> Special:
+    """Where multipliers cross the unit circle at -1, or as a pair, between two points."""
+    (first, old), (second, new) = before, after
+
+    def where(test: Callable[[np.ndarray], float]) -> PathPoint:
+        sharp = attainable(family, second.parameter, 1e-11)
+        return locate(family, first, second, lambda at: test(multipliers(at)), sharp)
+
+    found = []
+    if old.doubling * new.doubling < 0.0:
+        found.append(("period_doubling", where(doubling_test)))
+    unstable = new if old.stable else old
+    left = old.stable != new.stable and old.doubling == new.doubling
+    if left and unstable.value.imag > 0.0:
+        found.append(("neimark_sacker", where(_pair)))
+    return found
+
+
+def _pair(multipliers: np.ndarray) -> float:
+    """Largest modulus of the complex multipliers less one."""
+    paired = multipliers[np.abs(multipliers.imag) > 1e-6 * np.abs(multipliers)]
+    return float(np.abs(paired).max() - 1.0) if len(paired) else -1.0
+
+
+# --- branches -------------------------------------------------------------------------------------
+
+
+def odd_rows(family: Family) -> np.ndarray:
+    """Rows of the odd harmonics where the subharmonic is even, else none: (2H+1,) bool.
+
+    They are zero in a response of half the period.
+    """
+    row = np.arange(2 * family.problem.harmonics + 1)
+    even = family.problem.subharmonic % 2 == 0
+    return ((row + 1) // 2) % 2 == 1 if even else np.zeros(len(row), dtype=bool)
+
+
+def first_of_branch(
+    family: Family, bifurcation: Bifurcation, longest_step: float
+) -> tuple[PathPoint, Tangent]:
+    """The first point on the branch that begins at a bifurcation, and the direction to it.
+
+    The new direction is the null vector of the Jacobian [J, F_p] across the old branch; for a
+    period doubling it lies in the odd harmonics of twice the period.
+
+    Raises
+    ------
+    ConvergenceError
+        No point of another branch was found.
+    """
+    factor = family.problem.harmonics // (len(bifurcation.gap_coefficients) // 2)
+    unknown = stretched(bifurcation.gap_coefficients, factor)
+    parameter = family.parameter(bifurcation.value)
+    away = _across(family, unknown, parameter, doubled=factor > 1)
+    start = PathPoint(unknown, parameter, 0, away)
+    sharp = attainable(family, parameter, 1e-9)
+    for share in (0.1, 0.03, 0.3, 0.01, 1.0):
+        step = share * longest_step
+        found = correct(family, start, step, sharp, reach=longest_step)
+        if found is not None and distance(family, start, found) < 3.0 * step:
+            change, rise = found.unknown - unknown, found.parameter - parameter
+            return found, Tangent(change, rise, away.weight)
+    raise ConvergenceError(
+        f"branch from {bifurcation.kind} at {family.name} = {bifurcation.value:g}: "
+        "no point of another branch was found next to it"
+    )
+
+
+def _across(family: Family, unknown: np.ndarray, parameter: float, doubled: bool) -> Tangent:
+    """Unit direction in the null space of [J, F_p], across the old branch."""
+    at = family.linearise(unknown, parameter)
+    old = tangent_of(family, unknown, at)
+    if doubled:
+        places = np.flatnonzero(np.repeat(odd_rows(family), unknown.shape[1]))
+        across = np.zeros(unknown.size)
+        across[places] = scipy.linalg.svd(at.jacobian[np.ix_(places, places)])[2][-1]
+        slope = 0.0
+    else:
+        size = math.sqrt(old.weight)  # the parameter in the units of the gap
+        derivative = at.by_parameter.reshape(-1, 1)
+        null = scipy.linalg.svd(np.hstack([at.jacobian, derivative * size]))[2][-2:]
+        mix = null @ np.append(old.x.ravel(), old.p / size)
+        vector = mix[1] * null[0] - mix[0] * null[1]
+        across, slope = vector[:-1], float(vector[-1]) * size
+    away = Tangent(across.reshape(unknown.shape), slope, old.weight)
+    length = math.sqrt(away.weight * family.inner(away.x, away.x) + away.p**2)
+    return replace(away, x=away.x / length, p=away.p / length)

@@ -1,0 +1,88 @@
+"""Going on with a curve that has not reached its end, from a file for instance."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from fenics_crack.balance.bordered import PathPoint, Tangent, tangent_of
+from fenics_crack.balance.family import Family
+from fenics_crack.balance.fourier import resized
+from fenics_crack.balance.problem import Problem
+from fenics_crack.curves.bifurcations import attainable
+from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.errors import InputError
+from fenics_crack.model.contact import ContactLaw
+from fenics_crack.model.structure import Structure
+
+__all__ = ["check_resumed", "directions", "point_towards", "unfinished_problem"]
+
+
+def unfinished_problem(
+    curve: ResponseCurve, structure: Structure, omega: float, contact: ContactLaw
+) -> Problem:
+    """The problem of a curve that is not complete, with a structure and a law given anew.
+
+    Raises
+    ------
+    InputError
+        It is no curve, or a complete one.
+    """
+    if not isinstance(curve, ResponseCurve) or curve.complete:
+        raise InputError("resume", type(curve).__name__, "a ResponseCurve that is not complete")
+    return replace(curve.problem, structure=structure, omega=omega, contact=contact)
+
+
+def check_resumed(curve: ResponseCurve, family: Family) -> None:
+    """Raise InputError unless a family goes on where a curve ends."""
+    span = family.start, family.end
+    pairs = family.problem.structure.n_pairs
+    if curve.structure.n_pairs != pairs or curve.parameter != family.name:
+        raise InputError("resume", f"curve in {curve.parameter}", "a curve of this problem")
+    first, last = float(curve.values[0]), float(curve.values[-1])
+    if curve.branch:
+        if not min(span) < last < max(span):
+            raise InputError("start, end", span, f"on either side of {last:g}")
+    elif not math.isclose(span[0], first, rel_tol=1e-9):
+        raise InputError("start", span[0], f"where the resumed curve starts, {first:g}")
+    gap, parameter = curve.gap(-1), family.parameter(last)
+    residual = family.linearise(gap, parameter).residual
+    if not np.linalg.norm(residual) <= attainable(family, parameter, 1e-6) * np.linalg.norm(gap):
+        raise InputError("resume", "a curve of another problem", "of this structure and law")
+
+
+def directions(family: Family, curve: ResponseCurve) -> tuple[Tangent | None, PathPoint | None]:
+    """Where a curve goes on from its last point, and its first point as :mod:`arclength` has it.
+
+    The latter only where both have the same harmonics.
+    """
+    if len(curve) < 2:
+        return None, None
+    towards, origin = _chord(family, curve, -2, -1), None
+    if len(curve.gap(0)) == len(curve.gap(-1)):
+        away = _chord(family, curve, 0, 1)
+        origin = point_towards(family, curve.gap(0), float(curve.values[0]), away)
+    return towards, origin
+
+
+def point_towards(
+    family: Family, gap: np.ndarray, value: float, towards: Tangent | None
+) -> PathPoint:
+    """A point with its tangent, in a direction that is known roughly."""
+    parameter = family.parameter(value)
+    tangent = tangent_of(family, gap, family.linearise(gap, parameter))
+    if towards is not None and tangent.along(towards, family) < 0.0:
+        tangent = tangent.reversed()
+    return PathPoint(gap, parameter, 0, tangent)
+
+
+def _chord(family: Family, curve: ResponseCurve, first: int, second: int) -> Tangent:
+    """From one point of a curve to another."""
+    after = curve.gap(second)
+    before = resized(curve.gap(first), len(after) // 2)
+    rise = family.parameter(float(curve.values[second])) - family.parameter(
+        float(curve.values[first])
+    )
+    return Tangent(after - before, rise, 1.0 / max(float(np.vdot(after, after)), 1e-300))
