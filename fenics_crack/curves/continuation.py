@@ -278,7 +278,7 @@ class Continuation:
             last = self._points[-1].multiplier
             if last is not None and found.multiplier is not None:
                 sides = (before, last), (point, found.multiplier)
-                special += multipliers_cross(family, *sides, self._multipliers)
+                special += multipliers_cross(family, *sides, self._monodromy)
             self._special += [
                 (kind, family.value(at.parameter), at.unknown) for kind, at in special
             ]
