@@ -317,8 +317,8 @@ class Continuation:
     def _omega(self, value: float) -> float:
         return value if self._family.name == "omega" else self._family.problem.omega
 
-    def _multipliers(self, point: PathPoint) -> np.ndarray:
-        return self._ask(PiecewiseFlow.multipliers, point)
+    def _monodromy(self, point: PathPoint) -> np.ndarray:
+        return self._ask(PiecewiseFlow.monodromy, point)
 
     def _ask(
         self, what: Callable[[PiecewiseFlow, np.ndarray, float], Answer], point: PathPoint
