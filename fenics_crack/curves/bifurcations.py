@@ -56,14 +56,14 @@ def multipliers_cross(
     family: Family,
     before: tuple[PathPoint, LeadingMultiplier],
     after: tuple[PathPoint, LeadingMultiplier],
-    monodromy: Callable[[PathPoint], np.ndarray],
+    multipliers: Callable[[PathPoint], np.ndarray],
 ) -> Special:
     """Where multipliers cross the unit circle at -1, or as a pair, between two points."""
     (first, old), (second, new) = before, after
 
     def where(test: Callable[[np.ndarray], float]) -> PathPoint:
         sharp = attainable(family, second.parameter, 1e-11)
-        return locate(family, first, second, lambda at: test(monodromy(at)), sharp)
+        return locate(family, first, second, lambda at: test(multipliers(at)), sharp)
 
     found = []
     if old.doubling * new.doubling < 0.0:
@@ -75,9 +75,8 @@ def multipliers_cross(
     return found
 
 
-def _pair(monodromy: np.ndarray) -> float:
+def _pair(multipliers: np.ndarray) -> float:
     """Largest modulus of the complex multipliers less one."""
-    multipliers = np.linalg.eigvals(monodromy)
     paired = multipliers[np.abs(multipliers.imag) > 1e-6 * np.abs(multipliers)]
     return float(np.abs(paired).max() - 1.0) if len(paired) else -1.0
 

@@ -278,7 +278,7 @@ class Continuation:
             last = self._points[-1].multiplier
             if last is not None and found.multiplier is not None:
                 sides = (before, last), (point, found.multiplier)
-                special += multipliers_cross(family, *sides, self._monodromy)
+                special += multipliers_cross(family, *sides, self._multipliers)
             self._special += [
                 (kind, family.value(at.parameter), at.unknown) for kind, at in special
             ]
@@ -317,8 +317,8 @@ class Continuation:
     def _omega(self, value: float) -> float:
         return value if self._family.name == "omega" else self._family.problem.omega
 
-    def _monodromy(self, point: PathPoint) -> np.ndarray:
-        return self._ask(PiecewiseFlow.monodromy, point)
+    def _multipliers(self, point: PathPoint) -> np.ndarray:
+        return self._ask(PiecewiseFlow.multipliers, point)
 
     def _ask(
         self, what: Callable[[PiecewiseFlow, np.ndarray, float], Answer], point: PathPoint

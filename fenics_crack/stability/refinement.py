@@ -5,7 +5,7 @@ harmonics, to some per cent. Here the branch of exact orbits, F(z / |z_0|, w / w
 :mod:`shooting`, is followed from there by pseudo-arc-length in both directions, until the test
 function of the bifurcation changes its sign:
 
-    period doubling     det(I + M), over the norm of the adjugate,
+    period doubling     det(I + M), scaled by the product of 1 + |mu_j|,
     Neimark-Sacker      |mu| - 1 of a complex pair,
     fold                t_w, the tangent's component along the frequency,
 
@@ -203,7 +203,7 @@ def _turning(point: PathPoint) -> float:
 
 def _doubling(point: PathPoint) -> float:
     """det(I + M), scaled."""
-    return doubling_test(_orbit(point).monodromy)
+    return doubling_test(_multipliers(point))
 
 
 class _PairTest:
@@ -216,7 +216,7 @@ class _PairTest:
         self._followed: complex | None = None
 
     def __call__(self, point: PathPoint) -> float:
-        values = _orbit(point).multipliers
+        values = _multipliers(point)
         pairs = values[values.imag > 1e-6 * np.abs(values)]
         if not len(pairs):
             return np.nan
@@ -225,6 +225,6 @@ class _PairTest:
         return abs(self._followed) - 1.0
 
 
-def _orbit(point: PathPoint) -> OrbitPoint:
+def _multipliers(point: PathPoint) -> np.ndarray:
     assert isinstance(point.at, OrbitPoint)
-    return point.at
+    return point.at.multipliers
