@@ -99,19 +99,17 @@ def _from_undamped(undamped: UndampedModes, damping: np.ndarray, scale: float) -
     if found is None:
         return None
     values, shapes = found
-    damped = coupled @ shapes
+    shapes = shapes / (np.linalg.norm(shapes, axis=0) * np.hypot(scale, np.abs(values)))
+    damped = _times(coupled, shapes)
     norms = (shapes * (2.0 * shapes * values + damped)).sum(axis=0)
-    right = basis @ shapes
-    left = np.vstack([basis @ (shapes * values + damped) / scale, right]) / norms
-    right = np.vstack([scale * right, right * values])
-    length = np.linalg.norm(right, axis=0)
-    right, left = right / length, 2.0 * length * left
-    # z = Re sum_j a_j v_j, so that a real basis has rows Re and -Im of those that give a_j.
-    vectors = np.stack([right.real, right.imag], axis=-1).reshape(len(right), -1)
-    inverse = np.stack([left.real, 0.0 - left.imag], axis=-1).reshape(len(right), -1).T
-    if not np.abs(inverse @ vectors - np.eye(len(right))).max() < ORTHOGONAL:
+    right, left = _times(basis, shapes), _times(basis, (shapes * values + damped) / norms)
+    # z = Re sum_j a_j v_j: the real basis has columns Re v and Im v, its inverse rows Re and -Im.
+    vectors = np.vstack([scale * right, right * values]).view(float)
+    inverse = np.vstack([2.0 / scale * left, 2.0 / norms * right]).conj().view(float).T
+    if not np.abs(inverse @ vectors - np.eye(len(vectors))).max() < ORTHOGONAL:
         return None
-    turn = np.stack([values.imag, 0.0 - values.imag], axis=-1).ravel()
+    turn = np.repeat(values.imag, 2)
+    turn[1::2] *= -1.0
     return Regime(np.repeat(values.real, 2), turn, vectors, inverse)
 
 
@@ -132,7 +130,7 @@ def _corrected(squares: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np
     for _ in range(MOST_CORRECTIONS):
         if largest < LARGEST_LAST:
             return values, shapes
-        damped, moved = damping @ shapes, shapes * values
+        damped, moved = _times(damping, shapes), shapes * values
         norms = (shapes * (2.0 * moved + damped)).sum(axis=0)[:, None]
         residual = (moved + damped) * values + squares[:, None] * shapes
         own, other = shapes.T @ residual / norms, shapes.conj().T @ residual / norms.conj()
@@ -142,6 +140,12 @@ def _corrected(squares: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np
         values = values - np.diag(own)
         largest = max(np.abs(change).max(), np.abs(other).max())
     return None
+
+
+def _times(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """A real matrix times complex columns."""
+    product: np.ndarray = (matrix @ columns.view(float)).view(complex)
+    return product
 
 
 def _share(part: np.ndarray, apart: np.ndarray, size: np.ndarray) -> np.ndarray:
