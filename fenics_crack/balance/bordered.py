@@ -115,26 +115,10 @@ def solve_in_plane(
 ) -> PathPoint | None:
     """Newton's method from a guess in the plane across a tangent; None where it does not converge.
 
-    Parameters
-    ----------
-    system : System
-        F(x, p).
-    unknown, parameter : array, float
-        The guess, through which the plane goes.
-    plane : Tangent or None
-        To which the plane is orthogonal; None: the parameter stays.
-    tolerance : float
-        |F| / |x| of the solution, |x| that of the tangent's point.
-    iterations : int
-        At most so many.
-    reach : float
-        How far from the guess the parameter may go.
-    damped : bool
-        Shorten steps where the residual would grow.
-    least_damping : float
-        Share of a step below which Newton's method has failed.
-    history : list, optional
-        Gets |F| / |x| of the guess and after each step, but for the last one of a solution.
+    Without a plane the parameter stays. ``tolerance`` is |F| / |x| of the solution, |x| that of the
+    tangent's point; ``reach``: how far from the guess the parameter may go; ``damped``: shorten
+    steps where the residual would grow, to ``least_damping`` of them; ``history`` gets |F| / |x| of
+    the guess and after each step, but for the last one of a solution.
     """
     guess = parameter
     change, shift, damping, before = np.zeros_like(unknown), 0.0, 1.0, np.inf
@@ -200,20 +184,8 @@ def correct(
 ) -> PathPoint | None:
     """The point of a path at a distance from another one; None where it is not found.
 
-    Parameters
-    ----------
-    system : System
-        F(x, p).
-    start, step : PathPoint, float
-        Where the prediction starts, and how far it goes.
-    tolerance : float
-        |F| / |x| of the solution.
-    tangent : Tangent, optional
-        Where it goes; default: the point's own.
-    bend : array and float, optional
-        Added to the prediction.
-    reach : float, optional
-        How far from the prediction the parameter may go; default: 3 steps.
+    The prediction goes along ``tangent``, by default the point's own; ``bend``, a change of x and
+    of p, is added to it. ``reach``: how far from it the parameter may go, by default 3 steps.
     """
     tangent = tangent or start.tangent
     unknown, parameter = start.unknown + step * tangent.x, start.parameter + step * tangent.p
@@ -239,12 +211,7 @@ def step_along(
 
 
 def solve_at(
-    system: System,
-    unknown: np.ndarray,
-    parameter: float,
-    *,
-    tolerance: float,
-    iterations: int = 20,
+    system: System, unknown: np.ndarray, parameter: float, *, tolerance: float, iterations: int = 20
 ) -> PathPoint | None:
     """Full Newton steps from a guess at a given parameter; None where they do not converge."""
     return solve_in_plane(
@@ -252,10 +219,9 @@ def solve_at(
     )
 
 
-Lander = Callable[[np.ndarray], PathPoint | None]
-
-
-def land(before: PathPoint, after: PathPoint, end: float, solve: Lander) -> PathPoint | None:
+def land(
+    before: PathPoint, after: PathPoint, end: float, solve: Callable[[np.ndarray], PathPoint | None]
+) -> PathPoint | None:
     """The solution at a value of the parameter between two points of a path; None if not found.
 
     From the chord; where the path bends, one of the two points may be nearer. ``solve`` finds the

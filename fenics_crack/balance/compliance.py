@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from copy import copy
 from typing import Protocol
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -71,10 +70,10 @@ def dynamic_compliance(
     Raises
     ------
     ConvergenceError
-        The structure has no damping and is met in resonance, or is loose.
+        The structure has no damping and is met in resonance, or can move as a rigid body.
     """
     load = load_coefficients(structure, harmonics, subharmonic)
-    if is_small(structure) and not all_modes(structure).spread:
+    if is_small(structure) and not all_modes(structure).drowned:
         return ModalCompliance(structure, base_omega, load)
     return FactoredCompliance(structure, base_omega, load)
 
@@ -113,12 +112,7 @@ class ModalCompliance:
         self.linear_gap[0] -= self._clearance + clearance
 
     def at(
-        self,
-        base_omega: float,
-        *,
-        load: float = 1.0,
-        damping: float = 1.0,
-        clearance: float = 0.0,
+        self, base_omega: float, *, load: float = 1.0, damping: float = 1.0, clearance: float = 0.0
     ) -> ModalCompliance:
         """The same at another frequency, and of a varied structure (:meth:`Structure.varied`)."""
         other = copy(self)
@@ -213,7 +207,8 @@ class FactoredCompliance:
 
     def beyond(self, highest: int) -> np.ndarray:
         """R_k for k = H+1 to ``highest``: modes known, and what they leave of the static R_0."""
-        omega, rate, pairs = _known_modes(self.structure)
+        omega, rate, pairs = self.structure.once(_lowest_modes)
+        rate = self.structure.damping_factor * rate
         static = self.matrices[0].real - (pairs.T / omega**2) @ pairs
         frequency = self._base * np.arange(len(self.matrices), highest + 1)[:, None]
         receptance = 1.0 / (omega**2 - frequency**2 + 1j * frequency * rate)
@@ -249,30 +244,19 @@ class WidenedCompliance:
         self.destroy = compliance.destroy
 
 
-_KNOWN_MODES: WeakKeyDictionary[Structure, tuple[np.ndarray, np.ndarray, np.ndarray]] = (
-    WeakKeyDictionary()
-)
-
-
-def _known_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """omega, damping rate and B^T phi of the damped modes, or of the 20 lowest if these are more.
-
-    They are computed once for a structure.
-    """
-    if structure not in _KNOWN_MODES:
-        known, count = damped_modes(structure), min(20, structure.n_dofs)
-        if known is not None and len(known.omega) >= count:
-            omega, rate, shapes = known.omega, known.rate, known.shapes
-        else:
-            modes = solve_modes(structure, count)
-            omega, shapes = modes.omega, modes.shapes
-            rate = np.zeros(count)
-            if known is not None:
-                rate[: len(known.rate)] = known.rate
-            elif structure.damping_matrix is not None:
-                damping = times(structure.damping_matrix, shapes)
-                rate = structure.sum_over_ranks((shapes * damping).sum(axis=0))
-        found = omega > 0.0  # the lowest may have drowned in rounding
-        pairs = structure.closing(shapes.T)[found]
-        _KNOWN_MODES[structure] = omega[found], rate[found], pairs
-    return _KNOWN_MODES[structure]
+def _lowest_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """omega, damping rate and B^T phi of the damped modes, of 20 at least."""
+    known, count = damped_modes(structure), min(20, structure.n_dofs)
+    if known is not None and len(known.omega) >= count:
+        omega, rate, shapes = known.omega, known.rate, known.shapes
+    else:
+        modes = solve_modes(structure, count)
+        omega, shapes = modes.omega, modes.shapes
+        rate = np.zeros(count)
+        if known is not None:
+            rate[: len(known.rate)] = known.rate
+        elif structure.damping_matrix is not None:
+            damping = times(structure.damping_matrix, shapes)
+            rate = structure.sum_over_ranks((shapes * damping).sum(axis=0))
+    found = omega > 0.0  # the lowest may have drowned in rounding
+    return omega[found], rate[found], structure.closing(shapes.T)[found]

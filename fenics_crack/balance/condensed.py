@@ -23,11 +23,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.compliance import Compliance, WidenedCompliance
-from fenics_crack.balance.contact_integrals import (
-    ContactIntegrals,
-    ExactIntegrals,
-    apply_to_pairs,
-)
+from fenics_crack.balance.contact_integrals import ContactIntegrals, ExactIntegrals, apply_to_pairs
 from fenics_crack.balance.fourier import from_complex, to_complex
 from fenics_crack.balance.linearisation import DenseLinearisation
 from fenics_crack.errors import InputError
@@ -100,7 +96,6 @@ class CondensedPoint(DenseLinearisation, ABC):
     """
 
     system: CondensedSystem | ConstraintSystem
-    unknown: np.ndarray
     tangent: np.ndarray
     gap: np.ndarray
     force: np.ndarray
@@ -177,15 +172,20 @@ class _GapPoint(CondensedPoint):
         integrals: ContactIntegrals,
         by_parameter: Callable[[CondensedPoint], np.ndarray],
     ) -> None:
-        self.system, self.unknown, self.gap = system, gap, gap
+        self.system, self.gap, self._derivative = system, gap, by_parameter
         self.force, self.tangent = integrals.linearise(gap)
         residual = gap - system.linear + respond(system.compliance.matrices, self.force)
-        super().__init__(residual, self._jacobian, lambda: by_parameter(self))
+        super().__init__(gap, residual)
 
-    def _jacobian(self) -> np.ndarray:
+    def assemble(self) -> np.ndarray:
+        """I + R T."""
         jacobian = respond_to_columns(self.system.compliance.matrices, self.tangent)
         jacobian.flat[:: len(jacobian) + 1] += 1.0
         return jacobian
+
+    def differentiate(self) -> np.ndarray:
+        """dF/dp."""
+        return self._derivative(self)
 
     def gap_of(self, change: np.ndarray) -> np.ndarray:
         """The unknown is the gap."""
@@ -248,15 +248,14 @@ class _ConstraintPoint(CondensedPoint):
     system: ConstraintSystem
 
     def __init__(self, system: ConstraintSystem, unknown: np.ndarray, share: float) -> None:
-        self.system, self.unknown, self._share = system, unknown, share
+        self.system, self._share = system, share
         self.force = system.weight * unknown
         self.gap = system.linear - respond(system.compliance.matrices, self.force)
         projected, self.tangent = system.integrals.linearise(self.gap + share * unknown)
-        super().__init__(
-            unknown - projected, self._jacobian, lambda: -apply_to_pairs(self.tangent, unknown)
-        )
+        super().__init__(unknown, unknown - projected)
 
-    def _jacobian(self) -> np.ndarray:
+    def assemble(self) -> np.ndarray:
+        """I - T (t I - eps R)."""
         rows, pairs = self.unknown.shape
         identity = np.broadcast_to(np.eye(rows), (pairs, rows, rows))
         matrices = self.system.compliance.matrices
@@ -267,6 +266,10 @@ class _ConstraintPoint(CondensedPoint):
         jacobian: np.ndarray = -product.reshape(rows * pairs, rows * pairs)
         jacobian.flat[:: len(jacobian) + 1] += 1.0
         return jacobian
+
+    def differentiate(self) -> np.ndarray:
+        """dF/dt = -T y."""
+        return -apply_to_pairs(self.tangent, self.unknown)
 
     def gap_of(self, change: np.ndarray) -> np.ndarray:
         """-eps R dy."""

@@ -21,6 +21,7 @@ a Toeplitz plus a Hankel matrix for each pair, with c_0, c_j, s_j in the row of 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -40,6 +41,7 @@ __all__ = [
 ]
 
 
+@dataclass(frozen=True)
 class ContactIntegrals(ABC):
     """A way of integrating the contact force. Gaps are (2H+1, n_pairs).
 
@@ -66,9 +68,9 @@ class ContactIntegrals(ABC):
     def widened(self, harmonics: int) -> ContactIntegrals:
         """The same with more harmonics."""
 
-    @abstractmethod
     def of_law(self, law: ContactLaw) -> ContactIntegrals:
         """The same of another law of the same kind."""
+        return replace(self, law=law)
 
 
 def contact_integrals(
@@ -88,25 +90,17 @@ def default_samples(harmonics: int) -> int:
     return max(1024, 1 << (32 * harmonics - 1).bit_length())
 
 
+@dataclass(frozen=True)
 class SampledIntegrals(ContactIntegrals):
     """Trapezoidal rule on N equally spaced instants, by the fast Fourier transform.
 
     N > 4 H is the usual choice. N = 2H+1 is the least: as many instants as coefficients, and then
     the transform is square, so that the equations of harmonic balance say no more and no less than
-    that the equation of motion holds at these instants (collocation, :mod:`harmonic_balance`).
-
-    Parameters
-    ----------
-    law : ContactLaw
-        Any law.
-    harmonics, samples : int
-        H and N.
+    that the equation of motion holds at these instants (collocation).
     """
 
-    def __init__(self, law: ContactLaw, harmonics: int, samples: int) -> None:
-        self.law = law
-        self.harmonics = harmonics
-        self.samples = samples
+    samples: int
+    """N."""
 
     def sample(self, gap: np.ndarray) -> np.ndarray:
         """Values (N, n_pairs) at the instants i T / N of coefficients (2H+1, n_pairs)."""
@@ -135,10 +129,6 @@ class SampledIntegrals(ContactIntegrals):
         samples = max(self.samples, 1 << (8 * harmonics - 1).bit_length())
         return SampledIntegrals(self.law, harmonics, samples)
 
-    def of_law(self, law: ContactLaw) -> SampledIntegrals:
-        """The same of another law."""
-        return SampledIntegrals(law, self.harmonics, self.samples)
-
     def _means(self, values: np.ndarray, highest: int) -> np.ndarray:
         """Complex c_m + i s_m of the slope, m = 0 to highest < N: (n_pairs, highest + 1).
 
@@ -160,18 +150,7 @@ class ExactIntegrals(ContactIntegrals):
         c_m + i s_m = k / (2 pi) sum int exp(i m theta) d theta,
 
     and since lambda = kappa g, the coefficients of the force are just the tangent times the gap's.
-
-    Parameters
-    ----------
-    law : UnilateralPenalty
-        Only its stiffness is used, one for all or pair by pair.
-    harmonics : int
-        H.
     """
-
-    def __init__(self, law: ContactLaw, harmonics: int) -> None:
-        self.law = law
-        self.harmonics = harmonics
 
     def force(self, gap: np.ndarray) -> np.ndarray:
         """Coefficients of the contact force."""
@@ -185,10 +164,6 @@ class ExactIntegrals(ContactIntegrals):
     def widened(self, harmonics: int) -> ExactIntegrals:
         """The same with more harmonics."""
         return ExactIntegrals(self.law, harmonics)
-
-    def of_law(self, law: ContactLaw) -> ExactIntegrals:
-        """The same of another penalty law."""
-        return ExactIntegrals(law, self.harmonics)
 
     def _means(self, gap: np.ndarray, highest: int) -> np.ndarray:
         stiffness = np.broadcast_to(np.asarray(self.law.stiffness, dtype=float), gap.shape[1:])

@@ -15,7 +15,8 @@ All are root mean squares over the period and the pairs, relative to that of B^T
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.problem import Problem
 from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear
 from fenics_crack.model.reduction import ReducedStructure
+from fenics_crack.table import Described
 
 __all__ = [
     "LARGE_ERROR",
@@ -47,8 +49,8 @@ MANY = 600
 """Unknowns beyond which the truncation is judged with twice instead of four times the harmonics."""
 
 
-@dataclass(frozen=True)
-class ErrorReport:
+@dataclass(frozen=True, repr=False)
+class ErrorReport(Described):
     """Estimated errors of the gap, relative to the root mean square of B^T u.
 
     Attributes
@@ -75,6 +77,13 @@ class ErrorReport:
     def total(self) -> float:
         """Sum of the errors made in solving the law given (without the penetration)."""
         return self.residual + self.truncation + self.sampling + self.reduction
+
+    def to_dict(self) -> dict[str, Any]:
+        """All of them by their names, and the total."""
+        return {**asdict(self), "total": self.total}
+
+    def _title(self) -> str:
+        return ", ".join(f"{name} {value:.2g}" for name, value in self.to_dict().items())
 
 
 def estimate_errors(at: CondensedPoint, displacement: np.ndarray, problem: Problem) -> ErrorReport:

@@ -65,18 +65,18 @@ class Family(ABC):
         """dv/dp."""
         return self.end - self.start
 
-    @staticmethod
+    @classmethod
     @abstractmethod
-    def vary(problem: Problem, value: float) -> Problem:
-        """The problem where the parameter has a value."""
+    def vary(cls, problem: Problem, value: float) -> Problem:
+        """A problem where the parameter has a value."""
 
     def at(self, value: float) -> Problem:
-        """The problem where the parameter has a value."""
+        """The family's own problem where the parameter has a value."""
         return self.vary(self.problem, value)
 
-    @abstractmethod
     def _make(self, value: float) -> CondensedSystem:
         """The equations where the parameter has a value."""
+        return CondensedSystem(self.compliance(value), self._integrals)
 
     @abstractmethod
     def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
@@ -92,6 +92,12 @@ class Family(ABC):
         """Dynamic compliance where the parameter has a value."""
         return self._compliance
 
+    @staticmethod
+    def _compliance_of(at: CondensedPoint) -> ModalCompliance:
+        """That of a point."""
+        assert isinstance(at.system.compliance, ModalCompliance)
+        return at.system.compliance
+
     # --- what paths ask for -----------------------------------------------------------------------
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> CondensedPoint:
@@ -106,14 +112,7 @@ class Family(ABC):
         return float(np.vdot(first, second))
 
 
-class _ComplianceFamily(Family):
-    """The parameter changes the dynamic compliance or the linear gap."""
-
-    def _make(self, value: float) -> CondensedSystem:
-        return CondensedSystem(self.compliance(value), self._integrals)
-
-
-class FrequencyFamily(_ComplianceFamily):
+class FrequencyFamily(Family):
     """v: load frequency [rad/s]."""
 
     name = "omega"
@@ -123,8 +122,8 @@ class FrequencyFamily(_ComplianceFamily):
         """Raise InputError unless it is a frequency."""
         check_omega(value, key)
 
-    @staticmethod
-    def vary(problem: Problem, value: float) -> Problem:
+    @classmethod
+    def vary(cls, problem: Problem, value: float) -> Problem:
         """At another frequency."""
         return replace(problem, omega=value)
 
@@ -133,13 +132,21 @@ class FrequencyFamily(_ComplianceFamily):
         return self._compliance.at(value / self.problem.subharmonic)
 
     def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
-        compliance = at.system.compliance
-        assert isinstance(compliance, ModalCompliance)
-        return compliance.frequency_derivative(at.force) / self.problem.subharmonic
+        return self._compliance_of(at).frequency_derivative(at.force) / self.problem.subharmonic
 
 
-class _VariedFamily(_ComplianceFamily):
+class _VariedFamily(Family):
     """The parameter is one of those of :meth:`Structure.varied`, by its name."""
+
+    @classmethod
+    def check(cls, structure: Structure, key: str, value: float) -> None:
+        """Raise InputError unless it is a number."""
+        check_number(key, value)
+
+    @classmethod
+    def vary(cls, problem: Problem, value: float) -> Problem:
+        """With the varied structure."""
+        return replace(problem, structure=problem.structure.varied(**{cls.name: value}))
 
     def compliance(self, value: float) -> ModalCompliance:
         """Of the varied structure."""
@@ -147,19 +154,9 @@ class _VariedFamily(_ComplianceFamily):
 
 
 class LoadFamily(_VariedFamily):
-    """v: factor of the load."""
+    """v: factor of the load; a negative one reverses it."""
 
     name = "load"
-
-    @classmethod
-    def check(cls, structure: Structure, key: str, value: float) -> None:
-        """Raise InputError unless it is a number; a negative one reverses the load."""
-        check_number(key, value)
-
-    @staticmethod
-    def vary(problem: Problem, value: float) -> Problem:
-        """With another load."""
-        return replace(problem, structure=problem.structure.varied(load=value))
 
     def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
         return self._compliance.load_derivative()
@@ -177,31 +174,14 @@ class DampingFamily(_VariedFamily):
         if structure.damping is None:
             raise InputError("parameter", "damping", "another one: the structure has no damping")
 
-    @staticmethod
-    def vary(problem: Problem, value: float) -> Problem:
-        """With other damping."""
-        return replace(problem, structure=problem.structure.varied(damping=value))
-
     def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
-        compliance = at.system.compliance
-        assert isinstance(compliance, ModalCompliance)
-        return compliance.damping_derivative(at.force)
+        return self._compliance_of(at).damping_derivative(at.force)
 
 
 class ClearanceFamily(_VariedFamily):
     """v: clearance [m] added to that of every pair."""
 
     name = "clearance"
-
-    @classmethod
-    def check(cls, structure: Structure, key: str, value: float) -> None:
-        """Raise InputError unless it is a number."""
-        check_number(key, value)
-
-    @staticmethod
-    def vary(problem: Problem, value: float) -> Problem:
-        """With other clearances."""
-        return replace(problem, structure=problem.structure.varied(clearance=value))
 
     def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
         change = np.zeros_like(at.gap)
@@ -226,8 +206,8 @@ class StiffnessFamily(Family):
         """dv/dp = v ln(v_end / v_start)."""
         return value * float(np.log(self.end / self.start))
 
-    @staticmethod
-    def vary(problem: Problem, value: float) -> Problem:
+    @classmethod
+    def vary(cls, problem: Problem, value: float) -> Problem:
         """With another law."""
         return replace(problem, contact=problem.contact.scaled(value))
 

@@ -71,19 +71,19 @@ class Newton:
 
     def solve(
         self, start: np.ndarray, parameter: float, tolerance: float, most_iterations: int
-    ) -> tuple[np.ndarray, bool, int]:
-        """The last iterate at a parameter, whether it converged, and the number of iterations."""
+    ) -> tuple[Linearisation, bool, int]:
+        """The system at the last iterate, whether that converged, and the number of iterations."""
         self._parameter, self._tolerance, self._at = parameter, tolerance, None
         self._unknown.array_w[:] = start.ravel()
         self._snes.setTolerances(max_it=most_iterations)
         self._snes.solve(None, self._unknown)
-        found = self._unknown.array_r.reshape(self.system.shape).copy()
+        found = self._point(self._unknown)
         return found, self._snes.getConvergedReason() > 0, self._snes.getIterationNumber()
 
     def _point(self, unknown: Any) -> Linearisation:
         """The system at a vector; SNES asks for residual and Jacobian at the same one."""
         values, comm = unknown.array_r, self.system.comm
-        known = self._at is not None and np.array_equal(values, self._at[0])
+        known = self._at is not None and bool((values == self._at[0]).all())
         if comm.size > 1:  # a rank alone cannot tell
             known = comm.allreduce(known, MPI.LAND)
         if self._at is None or not known:

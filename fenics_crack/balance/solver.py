@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.block import BlockSystem
-from fenics_crack.balance.compliance import Compliance, FactoredCompliance
+from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.condensed import (
     CondensedPoint,
     CondensedSystem,
@@ -22,7 +22,7 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.search import Search
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.model.contact import UnilateralConstraint, is_rigid
+from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
 
 __all__ = ["Solver"]
@@ -40,14 +40,11 @@ class Solver:
         |F| / |x| at which a solution is accepted.
     throw : bool
         Raise if nothing converged; else return the last iterate.
-    full : bool
-        Solve for all degrees of freedom instead of the gaps: the reference.
     """
 
     problem: Problem
     residual_tolerance: float = 1e-10
     throw: bool = True
-    full: bool = False
 
     def solve(self, initial: PeriodicSolution | None = None) -> PeriodicSolution:
         """Solve from a solution nearby, or from the linear one (collective).
@@ -70,9 +67,11 @@ class Solver:
     def attempt(self, initial: PeriodicSolution | None) -> tuple[Search, PeriodicSolution]:
         """The same; the search tells whether it converged."""
         search = Search(self.residual_tolerance)
-        with self._compliance() as compliance:
-            find = self._constrained if is_rigid(self.problem.contact) else self._penalised
-            problem, at = find(search, compliance, initial)
+        with self.compliance() as compliance:
+            if is_rigid(self.problem.contact):
+                problem, at = self._constrained(search, compliance, initial)
+            else:
+                problem, at = self.problem, self.penalised(search, compliance, initial)
             return search, solution_of(
                 problem,
                 at,
@@ -82,20 +81,15 @@ class Solver:
             )
 
     @contextmanager
-    def _compliance(self) -> Iterator[Compliance]:
-        problem = self.problem
-        if self.full:
-            compliance: Compliance = FactoredCompliance(
-                problem.structure, problem.base_omega, problem.load
-            )
-        else:
-            compliance = problem.compliance()
+    def compliance(self) -> Iterator[Compliance]:
+        """Compliance of the structure, freed afterwards (collective)."""
+        found = self.problem.compliance()
         try:
-            yield compliance
+            yield found
         finally:
-            compliance.destroy()
+            found.destroy()
 
-    def _start(self, initial: PeriodicSolution, name: str) -> np.ndarray:
+    def start(self, initial: PeriodicSolution, name: str) -> np.ndarray:
         """Coefficients of a solution with the harmonics of this response."""
         factor = self.problem.subharmonic // initial.subharmonic
         return resized(stretched(getattr(initial, name), factor), self.problem.harmonics)
@@ -103,36 +97,28 @@ class Solver:
     def _constrained(
         self, search: Search, compliance: Compliance, initial: PeriodicSolution | None
     ) -> tuple[Problem, CondensedPoint]:
-        contact = self.problem.contact
-        assert isinstance(contact, UnilateralConstraint)
+        contact: Any = self.problem.contact
         weight = contact.weight or default_weight(compliance)
         system = ConstraintSystem(compliance, self.problem.harmonics, weight)
         start = None
         if initial is not None:
-            start = system.from_force(self._start(initial, "force_coefficients"))
-        found = search.constraint(system, start)
-        problem = replace(self.problem, contact=replace(contact, weight=weight))
-        return problem, system.linearise(found)
+            start = system.from_force(self.start(initial, "force_coefficients"))
+        at = search.constraint(system, start)
+        assert isinstance(at, CondensedPoint)
+        return replace(self.problem, contact=replace(contact, weight=weight)), at
 
-    def _penalised(
+    def penalised(
         self, search: Search, compliance: Compliance, initial: PeriodicSolution | None
-    ) -> tuple[Problem, CondensedPoint]:
-        integrals = self.problem.integrals()
-        system = CondensedSystem(compliance, integrals)
-        if self.full:
-            assert isinstance(compliance, FactoredCompliance)
-            block = BlockSystem(compliance, integrals)
-            start = block.linear
-            if initial is not None:
-                start = compliance.displacement(self._start(initial, "force_coefficients"))
-            gap = block.gap(search.penalty(block, start))
-        else:
-            start = system.linear
-            if initial is not None:
-                start = self._start(initial, "gap_coefficients")
-            small = is_small(self.problem.structure)
-            gap = search.penalty(system, start, self._family_from if small else None)
-        return self.problem, system.linearise(gap)
+    ) -> CondensedPoint:
+        """Solve for a law that gives the force from the gap."""
+        system = CondensedSystem(compliance, self.problem.integrals())
+        start = system.linear
+        if initial is not None:
+            start = self.start(initial, "gap_coefficients")
+        small = is_small(self.problem.structure)
+        at = search.penalty(system, start, self._family_from if small else None)
+        assert isinstance(at, CondensedPoint)
+        return at
 
     def _family_from(self, factor: float) -> FrequencyFamily:
         """The same equations along the frequency, from a factor of it to itself."""

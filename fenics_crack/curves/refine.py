@@ -82,7 +82,8 @@ def refine_curve(curve: ResponseCurve, between: int) -> ResponseCurve:
             guess, slope = (
                 _split(spline(wanted[some], order), size, pairs, rows) for order in (0, 1)
             )
-            found = system.correct(*guess, Tangent(*slope, size**-2))
+            plane = Tangent(*slope, size**-2)  # type: ignore[arg-type]  # of many points
+            found = system.correct(*guess, plane)
             gaps[:rows, some], omegas[some], iterations[some] = found
     return _merged(curve, (along, wanted), gaps.transpose(1, 0, 2), omegas, counts, iterations)
 

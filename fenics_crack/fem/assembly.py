@@ -13,109 +13,54 @@ from typing import Any
 
 import dolfinx
 import numpy as np
-import scipy.optimize
 import scipy.sparse as sparse
 import ufl
 from mpi4py import MPI
 from petsc4py import PETSc
 from scipy.spatial import cKDTree
 
-from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.errors import InputError
 from fenics_crack.fem import compat
 from fenics_crack.fem.plate import PlateMesh, build_mesh
-from fenics_crack.model.modes import solve_modes
-from fenics_crack.model.structure import ModalDamping, Nodes, Structure
+from fenics_crack.model.nodes import Nodes
+from fenics_crack.model.structure import ModalDamping, Structure
 from fenics_crack.parallel import collect_garbage, gather_rows
 from fenics_crack.scene.scene import Scene
 
-__all__ = ["build_structure", "find_crack_length"]
+__all__ = ["assemble"]
 
 
-def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
-    """Mesh a scene and assemble its structure (collective).
+def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
+    """Mesh a scene whose crack length is known, and assemble its structure (collective).
 
-    A crack that is given by ``first_omega`` gets the length found by :func:`find_crack_length`.
-
-    Parameters
-    ----------
-    scene : Scene
-        What to build.
-    comm : MPI.Comm
-        Ranks that share the mesh.
-
-    Raises
-    ------
-    InputError
-        The mesh file is unusable, the load is off the mesh or clamped, or the lips do not match.
+    Parameters and errors are those of :func:`fenics_crack.build_structure`.
     """
-    if scene.crack is not None and scene.crack.first_omega is not None:
-        scene = scene.replace(
-            {"crack.length": find_crack_length(scene, comm), "crack.first_omega": None}
-        )
     plate = build_mesh(scene, comm)
     if not plate.cracked and scene.mesh.layout == "file" and (scene.contact or scene.crack):
         allowed = "a mesh with curves named 'lower_lip' and 'upper_lip', as the scene has contact"
         raise InputError("mesh.file", scene.mesh.file, allowed)
     space = compat.function_space(plate.mesh, scene.mesh.order)
     dofs = _Dofs(plate, space)
-    stiffness, mass = _assemble(scene, space)
+    stiffness, mass = _matrices(scene, space)
     if not all(np.isfinite(matrix.norm()) for matrix in (stiffness, mass)):
         raise InputError("mesh", "cells of no area", "one whose cells all have an area")
     lips = _pair_lips(scene, plate, space, dofs)
-    damping = ModalDamping(
-        scene.damping.ratio, None if scene.damping.modes == "all" else int(scene.damping.modes)
-    )
+    blocks = dofs.free_block(mass), dofs.free_block(stiffness)
+    mass.destroy()
+    stiffness.destroy()
+    modes = None if scene.damping.modes == "all" else int(scene.damping.modes)
     structure = Structure(
-        dofs.free_block(mass),
-        dofs.free_block(stiffness),
+        *blocks,
         lips.gap,
         force=_load(scene, plate, space, dofs),
         clearance=np.full(lips.gap.shape[1], scene.crack.clearance if scene.crack else 0.0),
-        damping=damping,
+        damping=ModalDamping(scene.damping.ratio, modes),
         nodes=dofs.nodes(),
         pair_points=lips.points,
         pair_areas=lips.areas,
     )
-    mass.destroy()
-    stiffness.destroy()
     collect_garbage(comm)
     return structure
-
-
-def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
-    """Find the crack length [m] at which the first natural frequency is ``crack.first_omega``.
-
-    The frequency of the open crack falls with its length; Brent's method over re-meshed plates, to
-    1e-5 of the width.
-
-    Raises
-    ------
-    InputError
-        No length between 1 % and 95 % of the width gives that frequency.
-    """
-    crack, width = scene.crack, scene.geometry.width
-    if crack is None or crack.first_omega is None or width is None:
-        raise InputError("crack.first_omega", None, "given: a finite number > 0")
-    target = crack.first_omega
-
-    def excess(length: float) -> float:
-        cut = scene.replace({"crack.length": length, "crack.first_omega": None})
-        return float(solve_modes(build_structure(cut, comm), 1).omega[0]) - target
-
-    shortest, longest = 0.01 * width, 0.95 * width
-    highest, lowest = target + excess(shortest), target + excess(longest)
-    if not lowest <= target <= highest:
-        raise InputError(
-            "crack.first_omega",
-            target,
-            f"between {lowest:.1f} and {highest:.1f} rad/s: cracks of 95 % and 1 % of the width",
-        )
-    length, result = scipy.optimize.brentq(
-        excess, shortest, longest, xtol=1e-5 * width, full_output=True
-    )
-    if not result.converged:
-        raise ConvergenceError(f"crack length: {result.flag}")
-    return float(length)
 
 
 # --- numbering ------------------------------------------------------------------------------------
@@ -171,7 +116,7 @@ def nodes_on(plate: PlateMesh, space: Any, group: str) -> np.ndarray:
 # --- matrices and load ----------------------------------------------------------------------------
 
 
-def _assemble(scene: Scene, space: Any) -> tuple[Any, Any]:
+def _matrices(scene: Scene, space: Any) -> tuple[Any, Any]:
     """Stiffness and mass matrix of all dofs, clamped ones included."""
     mesh = space.mesh
     scalar = PETSc.ScalarType

@@ -48,7 +48,7 @@ _JIT = {"timeout": 300}  # [s] while another process compiles the same form
 
 @contextmanager
 def kept_interrupts() -> Iterator[None]:
-    """What Ctrl-C does is as before: gmsh sets it, and 4.8 does not set it back."""
+    """Restore the handler of Ctrl-C afterwards: gmsh 4.8 replaces it and leaves it so."""
     handler = signal.getsignal(signal.SIGINT)
     try:
         yield
@@ -58,7 +58,7 @@ def kept_interrupts() -> Iterator[None]:
 
 
 def gmsh_is_running() -> bool:
-    """Whether somebody else has initialised gmsh; gmsh 4.8 cannot tell, so there nobody has."""
+    """Whether gmsh is initialised already; gmsh 4.8 cannot tell, taken as no."""
     return bool(getattr(gmsh, "isInitialized", lambda: False)())
 
 

@@ -1,4 +1,4 @@
-"""Mesh files: read by gmsh where a damaged one does no harm, and checked before they are used."""
+"""Mesh files: gmsh reads them in a process of its own, and they are checked before use."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from fenics_crack.fem.compat import gmsh
 __all__ = ["read_file"]
 
 FARTHEST = 1e6
-"""A node of a mesh file [m]."""
+"""Largest coordinate of a node [m]."""
 LONGEST_READING = 300
-"""Of a mesh file by gmsh [s]."""
+"""Time allowed for reading a file [s]."""
 _POINT, _TRIANGLES = 15, (2, 9, 21)
 _EDGES = {2: 1, 3: 1, 9: 8, 10: 8, 21: 26, 36: 26}
 """gmsh's kinds of cells that DOLFINx reads, and of their edges, order by order; and of points."""

@@ -37,9 +37,9 @@ from fenics_crack.scene.scene import Scene
 __all__ = ["PlateMesh", "build_mesh", "write_msh"]
 
 MOST_CELLS = 5_000_000
-"""Of a plate; a mesh file may have any number."""
+"""Cells of a plate, at most; a mesh file may have any number."""
 SMALLEST_CELL = 1e-7
-"""Relative to the plate; gmsh and the elements' matrices need it."""
+"""Size of the smallest cell relative to the plate: gmsh and the matrices need it."""
 _GROUPS = {"plate": 1, "clamp": 2, "lower_lip": 3, "upper_lip": 4, "load": 5}
 
 

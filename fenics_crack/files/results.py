@@ -1,4 +1,4 @@
-"""Every kind of result to an HDF5 file and back: one :func:`save`, one :func:`load`."""
+"""Write and read every kind of result (HDF5): one :func:`save`, one :func:`load`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
 from fenics_crack.files.modes_file import pack_modes, unpack_modes
 from fenics_crack.files.store import kind_of, reading, write
-from fenics_crack.model.contact import ContactLaw, UnilateralConstraint
+from fenics_crack.model.contact import ContactLaw, UnilateralConstraint, is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.reduction import reduce_structure
@@ -26,10 +26,10 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.time.march import TimeHistory
 
-__all__ = ["Result", "check_gap", "check_pairs", "load", "save"]
+__all__ = ["Result", "check_gap", "check_pairs", "load", "save", "type_of"]
 
 Result = Modes | PeriodicSolution | ResponseCurve | Backbone | TimeHistory
-Law = ContactLaw | UnilateralConstraint | None
+Law = ContactLaw | None
 Parts = dict[str, Any]
 
 CURVE = (
@@ -67,17 +67,20 @@ def save(result: Result, path: str | Path, scene: Scene | None = None) -> None:
         names = ", ".join(kind.__name__ for kind in _FORMS)
         raise InputError("result", type(result).__name__, f"one of {names}")
     pack = _FORMS[type(result)][0]
-    write(path, result.KIND, pack(result), scene, result.structure.comm)
+    write(pack(result), path, result.KIND, scene, result.structure.comm)
 
 
 def load(path: str | Path, structure: Structure, contact: Law = None) -> Result:
     """Read a result written by :func:`save`; nothing is solved again (collective).
 
+    A file with a scene needs no structure at hand: :func:`fenics_crack.load_run`. A sweep has its
+    own ``SweepResult.load``.
+
     Parameters
     ----------
     path : path
         The file.
-    structure, contact : Structure, ContactLaw, UnilateralConstraint or None
+    structure, contact : Structure, ContactLaw or None
         Those with which it was found; of a curve, a structure with many dofs is reduced by
         :func:`reduce_structure`, as it was then. Modes and time histories need no law.
 
@@ -86,12 +89,25 @@ def load(path: str | Path, structure: Structure, contact: Law = None) -> Result:
     InputError
         The file is not one of :func:`save`, or the structure or the law is another.
     """
-    kind = kind_of(path)
-    for result, (_, unpack) in _FORMS.items():
-        if kind == result.KIND:
-            with reading(path, kind) as parts:
-                return unpack(parts, structure, contact)
-    raise InputError("path", str(path), f"a result written by save; in it is a {kind}")
+    kind = type_of(path)
+    with reading(path, kind.KIND) as parts:
+        return _FORMS[kind][1](parts, structure, contact)
+
+
+def type_of(path: str | Path) -> type[Result]:
+    """Class of the result in a file written by :func:`save`.
+
+    Raises
+    ------
+    InputError
+        The file holds something else.
+    """
+    found = kind_of(path)
+    for kind in _FORMS:
+        if kind.KIND == found:
+            return kind
+    allowed = f"a result written by save; this is a {found} (SweepResult.load reads sweeps)"
+    raise InputError("path", str(path), allowed)
 
 
 # --- solutions ------------------------------------------------------------------------------------
@@ -109,8 +125,8 @@ def _pack_solution(solution: PeriodicSolution) -> Parts:
         **{f"error_{name}": value for name, value in asdict(solution.report).items()},
         **_law_parts(solution.contact),
     }
-    if isinstance(solution.contact, UnilateralConstraint):
-        parts["weight"] = solution.contact.weight
+    if is_rigid(solution.contact):
+        parts["weight"] = solution.contact.weight  # type: ignore[union-attr]
     if solution.stability is not None:
         parts |= asdict(solution.stability)
     return parts
@@ -122,7 +138,7 @@ def _unpack_solution(parts: Parts, structure: Structure, contact: Law) -> Period
         raise ValueError("coefficients do not fit")
     check_pairs(structure, gap)
     _check_law_parts(parts, contact)
-    if isinstance(contact, UnilateralConstraint):
+    if is_rigid(contact):
         contact = UnilateralConstraint(float(parts["weight"]))
     omega, subharmonic = float(parts["omega"]), int(parts["subharmonic"])
     stability = None
@@ -158,7 +174,7 @@ def _unpack_solution(parts: Parts, structure: Structure, contact: Law) -> Period
 
 
 def check_pairs(structure: Structure, gaps: np.ndarray) -> None:
-    """Raise InputError unless a structure has as many pairs as gaps (..., n_pairs)."""
+    """Raise InputError unless gaps (..., n_pairs) have as many pairs as the structure."""
     if gaps.shape[-1] != structure.n_pairs:
         allowed = f"one with {gaps.shape[-1]} pairs"
         raise InputError("structure", f"{structure.n_pairs} pairs", allowed)
@@ -167,7 +183,7 @@ def check_pairs(structure: Structure, gaps: np.ndarray) -> None:
 def check_gap(
     structure: Structure, displacement: np.ndarray, gap: np.ndarray, tolerance: float
 ) -> None:
-    """Raise InputError unless coefficients of displacement and gap belong together (collective)."""
+    """Raise InputError unless displacement and gap coefficients agree (collective)."""
     closing = structure.closing(displacement)
     size = np.linalg.norm(closing)
     closing[0] -= structure.clearance
@@ -280,7 +296,7 @@ def _unpack_history(parts: Parts, structure: Structure, contact: Law) -> TimeHis
 
 
 def _law_parts(contact: Law) -> Parts:
-    """By which a file knows the law: its name, stiffness and sharpness."""
+    """Name, stiffness and sharpness of a law, by which a file identifies it."""
     parts: Parts = {"law": type(contact).__name__}
     for name in ("stiffness", "sharpness"):
         if getattr(contact, name, None) is not None:
@@ -289,7 +305,7 @@ def _law_parts(contact: Law) -> Parts:
 
 
 def _check_law_parts(parts: Mapping[str, Any], contact: Law) -> None:
-    """Raise InputError unless a law is the one of a file."""
+    """Raise InputError unless a law is that of a file."""
     now = _law_parts(contact)
     then = {
         name: parts[name] for name in ("law", "law_stiffness", "law_sharpness") if name in parts

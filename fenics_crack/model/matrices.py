@@ -24,6 +24,7 @@ __all__ = [
     "numbers",
     "per_pair",
     "petsc_matrix",
+    "read_only",
     "whole_rows",
 ]
 
@@ -43,15 +44,23 @@ def distributed(rows: Any, comm: MPI.Comm) -> Any:
 
 
 def numbers(given: Any) -> np.ndarray:
-    """What was given as an array of floats; nan if it is something else."""
+    """Convert to an array of floats; nan where that cannot be done."""
     try:
         return np.asarray(np.nan if np.iscomplexobj(given) else given, dtype=float)
     except (TypeError, ValueError, OverflowError):
         return np.asarray(np.nan)
 
 
+def read_only(array: np.ndarray) -> np.ndarray:
+    """The array itself if it cannot be written to, else a copy that cannot."""
+    if array.flags.writeable:
+        array = array.copy(order="K")
+        array.flags.writeable = False
+    return array
+
+
 def per_pair(name: str, given: Any, pairs: int) -> np.ndarray:
-    """One finite number for each pair, of one for all or of as many: (pairs,)."""
+    """A finite number for each pair, given one for all or one each: (pairs,)."""
     values = numbers(given)
     if values.shape not in ((), (pairs,)) or not np.all(np.isfinite(values)):
         raise InputError(name, given, f"one finite number, or {pairs}")

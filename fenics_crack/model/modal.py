@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from weakref import WeakKeyDictionary
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -12,7 +13,7 @@ from fenics_crack.model.factor import Factor
 from fenics_crack.model.modes import damped_modes
 from fenics_crack.model.structure import Structure
 
-__all__ = ["AllModes", "all_modes", "flow_matrix", "is_small"]
+__all__ = ["SMALL", "AllModes", "all_modes", "flow_matrix", "is_small"]
 
 
 SMALL = 600
@@ -24,49 +25,49 @@ def is_small(structure: Structure) -> bool:
     return structure.comm.size == 1 and structure.n_dofs <= SMALL
 
 
+@dataclass(frozen=True)
 class AllModes:
-    """All modes of a small structure, its pairs and its damping in modal coordinates."""
+    """All modes of a small structure, its pairs and its damping in modal coordinates.
 
-    def __init__(self, structure: Structure) -> None:
-        known = damped_modes(structure)
-        if known is not None and len(known.omega) == structure.n_dofs:
-            self.squares, self.shapes = known.omega**2, known.shapes
-            self.damping: np.ndarray = known.rate
-        else:
-            mass, stiffness = (
-                matrix.getValues(range(structure.n_dofs), range(structure.n_dofs))
-                for matrix in (structure.mass, structure.stiffness)
-            )
-            self.squares, self.shapes = scipy.linalg.eigh(stiffness, mass)
-            if structure.damping_matrix is not None:
-                everywhere = range(structure.n_dofs)
-                matrix = structure.damping_matrix.getValues(everywhere, everywhere)
-                coupled = self.shapes.T @ matrix @ self.shapes
-            elif known is not None:  # of the lowest modes alone
-                projected = self.shapes.T @ known.mass_shapes
-                coupled = (projected * known.rate) @ projected.T
-            else:
-                coupled = np.zeros((structure.n_dofs, structure.n_dofs))
-            rate = np.diag(coupled).copy()
-            coupling = np.abs(coupled - np.diag(rate)).max()
-            self.damping = rate if coupling <= 1e-14 * np.abs(rate).max() else coupled
-        self.pairs = (structure.gap.T @ self.shapes).T
-        """(n_modes, n_pairs)"""
-        # Loose: it can move as a rigid body.
-        with Factor(structure.stiffness, symmetric=True) as factor:
-            self._loose = factor.null_pivots > 0
-        # The lowest modes may have drowned in the rounding of the highest ones.
-        self.spread = not self._loose and bool(self.squares[0] < 1e-12 * self.squares[-1])
+    Attributes
+    ----------
+    squares : (n,) [rad^2/s^2]
+        omega_j^2, ascending.
+    shapes : (n, n)
+        Phi, mass-normalised.
+    damping : (n,) or (n, n) [1/s]
+        Phi^T C Phi: its diagonal, where it has nothing else.
+    pairs : (n, n_pairs)
+        Phi^T B.
+    unconstrained : bool
+        Whether the structure can move as a rigid body.
+    """
+
+    squares: np.ndarray
+    shapes: np.ndarray
+    damping: np.ndarray
+    pairs: np.ndarray
+    unconstrained: bool
+
+    @property
+    def drowned(self) -> bool:
+        """Whether the lowest modes may have drowned in the rounding of the highest ones."""
+        return not self.unconstrained and bool(self.squares[0] < 1e-12 * self.squares[-1])
 
     def receptance(self, omega: np.ndarray, factor: float = 1.0) -> np.ndarray:
         """Inverse impedance at frequencies (m,): (m, n_modes), or with coupling (m, n, n).
 
         ``factor`` multiplies the damping.
+
+        Raises
+        ------
+        ConvergenceError
+            The structure is singular at a frequency.
         """
         square = (omega * omega)[:, None]
         stiffness = self.squares - square
         diagonal = self.damping.ndim == 1
-        singular = self._loose & (omega == 0.0)
+        singular = self.unconstrained & (omega == 0.0)
         if diagonal:
             impedance = stiffness + (1j * factor * omega)[:, None] * self.damping
             tiny = np.abs(impedance) <= 1e-15 * (np.abs(self.squares) + square)
@@ -87,14 +88,37 @@ class AllModes:
         return 1.0 / impedance if diagonal else np.linalg.inv(impedance)
 
 
-_ALL_MODES: WeakKeyDictionary[Structure, AllModes] = WeakKeyDictionary()
-
-
 def all_modes(structure: Structure) -> AllModes:
-    """All modes of a small structure, computed once."""
-    if structure not in _ALL_MODES:
-        _ALL_MODES[structure] = AllModes(structure)
-    return _ALL_MODES[structure]
+    """All modes of a small structure, computed once for it and its varied copies."""
+    modes, factor = structure.once(_all_modes), structure.damping_factor
+    return modes if factor == 1.0 else replace(modes, damping=factor * modes.damping)
+
+
+def _all_modes(structure: Structure) -> AllModes:
+    known = damped_modes(structure)
+    if known is not None and len(known.omega) == structure.n_dofs:
+        squares, shapes, damping = known.omega**2, known.shapes, known.rate
+    else:
+        squares, shapes = scipy.linalg.eigh(*map(_dense, (structure.stiffness, structure.mass)))
+        if structure.damping_matrix is not None:
+            coupled = shapes.T @ _dense(structure.damping_matrix) @ shapes
+        elif known is not None:  # of the lowest modes alone
+            projected = shapes.T @ known.mass_shapes
+            coupled = (projected * known.rate) @ projected.T
+        else:
+            coupled = np.zeros((structure.n_dofs, structure.n_dofs))
+        rate = np.diag(coupled).copy()
+        coupling = np.abs(coupled - np.diag(rate)).max()
+        damping = rate if coupling <= 1e-14 * np.abs(rate).max() else coupled
+    with Factor(structure.stiffness, symmetric=True) as factor:
+        unconstrained = factor.null_pivots > 0
+    pairs = (structure.gap.T @ shapes).T
+    return AllModes(squares, shapes, damping, pairs, unconstrained)
+
+
+def _dense(matrix: Any) -> np.ndarray:
+    """A PETSc matrix on one rank as an array."""
+    return np.asarray(matrix.getValues(range(matrix.size[0]), range(matrix.size[1])))
 
 
 def flow_matrix(modes: AllModes, stiffness: np.ndarray, scale: float) -> np.ndarray:

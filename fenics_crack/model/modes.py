@@ -9,10 +9,9 @@ rigid-body modes are found too.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Integral
 from typing import Any, ClassVar
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from slepc4py import SLEPc
@@ -21,14 +20,13 @@ from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.structure import ModalDamping, Structure
 from fenics_crack.parallel import gather_rows
+from fenics_crack.table import Tabular, counted
 
 __all__ = ["DampedModes", "Modes", "by_columns", "damped_modes", "largest_frequency", "solve_modes"]
 
-_CACHE: WeakKeyDictionary[Structure, DampedModes] = WeakKeyDictionary()
 
-
-@dataclass(frozen=True)
-class Modes:
+@dataclass(frozen=True, repr=False)
+class Modes(Tabular):
     """Natural frequencies and mode shapes.
 
     Attributes
@@ -47,6 +45,18 @@ class Modes:
     structure: Structure
 
     KIND: ClassVar[str] = "set of modes"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Columns, a row for every mode: its number, omega [rad/s] and frequency [Hz]."""
+        return {
+            "mode": list(range(1, len(self.omega) + 1)),
+            "omega": self.omega.tolist(),
+            "frequency": (self.omega / (2.0 * np.pi)).tolist(),
+        }
+
+    def _title(self) -> str:
+        span = " to ".join(f"{omega:.6g}" for omega in self.omega[[0, -1]])
+        return f"{counted(len(self.omega), 'mode')}, {span} rad/s, of {self.structure.n_dofs} dofs"
 
 
 def solve_modes(structure: Structure, count: int) -> Modes:
@@ -239,28 +249,27 @@ class DampedModes:
 def damped_modes(structure: Structure) -> DampedModes | None:
     """Modes that carry the structure's modal damping; None without modal damping (collective).
 
-    They are computed once for a structure.
+    They are computed once for a structure and its varied copies.
 
     Raises
     ------
     InputError
         The number of ratios or of modes does not fit the structure.
     """
-    damping = structure.damping
-    if not isinstance(damping, ModalDamping):
+    if not isinstance(structure.original.damping, ModalDamping):
         return None
-    if structure not in _CACHE:
-        count = structure.n_dofs if damping.modes is None else damping.modes
-        if count > structure.n_dofs:
-            raise InputError("damping modes", count, f"at most n_dofs = {structure.n_dofs}")
-        ratio = np.asarray(damping.ratio, dtype=float)
-        if ratio.ndim == 1 and len(ratio) != count:
-            raise InputError(
-                "damping ratio", f"{len(ratio)} ratios", f"one or {count}, one per mode"
-            )
-        modes = solve_modes(structure, count)
-        rate = 2.0 * ratio * modes.omega
-        _CACHE[structure] = DampedModes(
-            modes.omega, rate, modes.shapes, mass_times(structure, modes.shapes)
-        )
-    return _CACHE[structure]
+    modes, factor = structure.once(_damped_modes), structure.damping_factor
+    return modes if factor == 1.0 else replace(modes, rate=factor * modes.rate)
+
+
+def _damped_modes(structure: Structure) -> DampedModes:
+    damping = structure.damping
+    count = structure.n_dofs if damping.modes is None else damping.modes
+    if count > structure.n_dofs:
+        raise InputError("damping modes", count, f"at most n_dofs = {structure.n_dofs}")
+    ratio = np.asarray(damping.ratio, dtype=float)
+    if ratio.ndim == 1 and len(ratio) != count:
+        raise InputError("damping ratio", f"{len(ratio)} ratios", f"one or {count}, one per mode")
+    modes = solve_modes(structure, count)
+    mass_shapes = mass_times(structure, modes.shapes)
+    return DampedModes(modes.omega, 2.0 * ratio * modes.omega, modes.shapes, mass_shapes)

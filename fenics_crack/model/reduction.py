@@ -30,12 +30,15 @@ import scipy.sparse as sparse
 
 from fenics_crack.errors import InputError
 from fenics_crack.model.factor import Factor, weighted_sum
+from fenics_crack.model.modal import SMALL
 from fenics_crack.model.modes import damped_modes, mass_times, solve_modes, times
 from fenics_crack.model.structure import ModalDamping, Structure
 
 __all__ = ["ReducedStructure", "reduce_structure"]
 
 METHODS = ("free_interface", "craig_bampton", "truncation")
+MODES = 50
+"""Kept of a large structure whose modes are all damped."""
 
 
 class ReducedStructure(Structure):
@@ -56,6 +59,13 @@ class ReducedStructure(Structure):
         The same with a larger basis, against which the reduction error is estimated.
     """
 
+    basis: np.ndarray
+    omega: np.ndarray
+    reference: ReducedStructure | None
+
+    _whole: Structure
+    _VARIED_TOO = ("_whole", "reference")
+
     def __init__(
         self,
         whole: Structure,
@@ -68,7 +78,6 @@ class ReducedStructure(Structure):
             sparse.identity(len(squares)),
             sparse.diags(squares),
             whole.closing(basis.T),
-            clearance=whole.clearance,
             damping=damping,
         )
         super().__init__(
@@ -82,10 +91,12 @@ class ReducedStructure(Structure):
             pair_points=whole.pair_points,
             pair_areas=whole.pair_areas,
         )
-        self.basis = basis
-        self.omega = np.sqrt(np.maximum(squares, 0.0))
-        self.reference = reference
-        self._whole = whole
+        omega = np.sqrt(np.maximum(squares, 0.0))
+        self._hold(basis=basis, omega=omega, reference=reference, _whole=whole)
+
+    @property
+    def _size_words(self) -> str:
+        return f"{self.n_dofs} coordinates of {self.whole.n_dofs} dofs"
 
     @property
     def whole(self) -> Structure:
@@ -99,22 +110,6 @@ class ReducedStructure(Structure):
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int]) -> np.ndarray:
         """Displacement of dofs of the whole structure from coordinates (m, n_dofs) (collective)."""
         return displacement @ self._whole.values_at(self.basis.T, dofs)
-
-    def find_dof(self, point: Sequence[float], component: int | str) -> int:
-        """Return a dof of the whole structure (collective)."""
-        return self._whole.find_dof(point, component)
-
-    def varied(
-        self, *, load: float = 1.0, damping: float = 1.0, clearance: float = 0.0
-    ) -> Structure:
-        """Return this structure with its load and damping multiplied, and a clearance added."""
-        other = super().varied(load=load, damping=damping, clearance=clearance)
-        assert isinstance(other, ReducedStructure)
-        if self.reference is not None:
-            reference = self.reference.varied(load=load, damping=damping, clearance=clearance)
-            assert isinstance(reference, ReducedStructure)
-            other.reference = reference
-        return other
 
     def damped(self, damping: ModalDamping | None) -> ReducedStructure:
         """Return this structure with a modal damping of its own coordinates, or none."""
@@ -133,55 +128,85 @@ def reduce_structure(
 ) -> ReducedStructure:
     """Reduce a structure to a few coordinates (collective).
 
+    Where one ratio damps all modes, it damps all coordinates: these are the modes of the reduced
+    structure. Any other damping is projected.
+
     Parameters
     ----------
     structure : Structure
         What to reduce.
     modes : int, optional
-        Lowest modes to keep; default: those that are damped, else 20.
+        Lowest modes to keep; default: those that are damped, but 50 where all of more than 600
+        are damped; without modal damping 20.
     method : "free_interface", "craig_bampton" or "truncation"
         The basis, see the module's text.
 
     Raises
     ------
     InputError
-        The method is unknown, or there are fewer modes than asked for.
+        The method is unknown, there are fewer modes than asked for, or all modes of a structure
+        with more than 600 dofs are damped, each with a ratio of its own.
 
     Source: Craig and Kurdila, Fundamentals of Structural Dynamics, chapter 17.
     """
     if method not in METHODS:
         raise InputError("method", method, "one of " + ", ".join(map(repr, METHODS)))
-    damped = damped_modes(structure)
+    ratio = _ratio_of_all(structure)
+    damped = damped_modes(structure) if ratio is None else None
     if modes is None:
         modes = min(20, structure.n_dofs) if damped is None else len(damped.omega)
+        if ratio is not None:
+            modes = MODES if structure.n_dofs > SMALL else structure.n_dofs
     whole = isinstance(modes, int | np.integer) and not isinstance(modes, bool)
     if not (whole and 1 <= modes <= structure.n_dofs):
         raise InputError("modes", modes, f"a whole number from 1 to n_dofs = {structure.n_dofs}")
 
-    attachments = _sources(structure)
+    kept: np.ndarray = np.zeros((structure.n_local, 0))
+    squares: np.ndarray = np.zeros(0)
+    if method != "craig_bampton":
+        if damped is not None and len(damped.omega) >= modes:
+            kept, squares = damped.shapes[:, :modes], damped.omega[:modes] ** 2
+        else:
+            found = solve_modes(structure, modes)
+            kept, squares = found.shapes, found.omega**2
     with _StaticSolver(structure) as static:
-        kept: np.ndarray = np.zeros((structure.n_local, 0))
-        squares: np.ndarray = np.zeros(0)
+        response = static.solve(_sources(structure))
+        extra = response if method == "free_interface" else response[:, :0]
         if method == "craig_bampton":
-            response = static.solve(attachments)
             compliance = structure.closing(response[:, : structure.n_pairs].T)
             scale = 1e3 / np.abs(compliance).max(initial=1e-300)
             tied = solve_modes(structure.tied(scale), modes).shapes
             extra = np.hstack([response, tied])
-        else:
-            if damped is not None and len(damped.omega) >= modes:
-                kept, squares = damped.shapes[:, :modes], damped.omega[:modes] ** 2
-            else:
-                found = solve_modes(structure, modes)
-                kept, squares = found.shapes, found.omega**2
-            response = static.solve(attachments)
-            extra = response if method == "free_interface" else response[:, :0]
         following = [extra, response, static.solve(mass_times(structure, response))]
         if structure.damping_matrix is not None:
             damping = times(structure.damping_matrix, np.hstack([kept, extra, response]))
             following.append(static.solve(damping))
     reference = _reduced(structure, kept, squares, np.hstack(following), None)
     return _reduced(structure, kept, squares, extra, reference)
+
+
+def _ratio_of_all(structure: Structure) -> float | None:
+    """The one ratio that damps all modes of a structure, or None.
+
+    Raises
+    ------
+    InputError
+        All modes are damped, each with a ratio of its own, and they are too many to be computed.
+    """
+    damping = structure.damping
+    if not isinstance(damping, ModalDamping):
+        return None
+    if damping.modes not in (None, structure.n_dofs):
+        return None
+    if isinstance(damping.ratio, float):
+        return damping.ratio
+    if structure.n_dofs <= SMALL:
+        return None
+    raise InputError(
+        "damping ratio",
+        f"{len(damping.ratio)} ratios for all {structure.n_dofs} modes",
+        f"one ratio, or ratios of the lowest damping.modes, as there are more than {SMALL} dofs",
+    )
 
 
 def _sources(structure: Structure) -> np.ndarray:
@@ -192,7 +217,7 @@ def _sources(structure: Structure) -> np.ndarray:
 
 
 class _StaticSolver:
-    """K^-1; where the structure is loose, (K + s M)^-1 with s the size of its smallest quotient."""
+    """K^-1; of an unconstrained structure (K + s M)^-1, s one of its lowest eigenvalues."""
 
     def __init__(self, structure: Structure) -> None:
         self._structure = structure
@@ -254,7 +279,10 @@ def _norms(structure: Structure, columns: np.ndarray) -> np.ndarray:
 def _damping(
     structure: Structure, basis: np.ndarray, squares: np.ndarray
 ) -> ModalDamping | np.ndarray | None:
-    """T^T C T: modal where it is diagonal, else a matrix."""
+    """T^T C T, or one ratio for all; modal where it is diagonal, else a matrix."""
+    one = _ratio_of_all(structure)
+    if one is not None:
+        return ModalDamping(one)
     damped = damped_modes(structure)
     if damped is not None:
         projected = structure.sum_over_ranks(damped.mass_shapes.T @ basis)

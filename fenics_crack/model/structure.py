@@ -6,21 +6,25 @@
 of the lower lip's node and -1 on the upper lip's. Matrices are PETSc's and distributed by rows;
 every array that stands for a displacement holds the rows that this rank owns ("n_local"), which on
 one rank are all.
+
+A structure never changes: what is computed from it stays true. Copies that differ in load,
+clearance, or a factor of the damping share its matrices, and its modes once they are computed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 from numbers import Integral
-from typing import Any
+from typing import Any, ClassVar, NoReturn, Self, TypeVar
 
 import numpy as np
 import scipy.sparse as sparse
 from mpi4py import MPI
 
-from fenics_crack.errors import InputError
+from fenics_crack.errors import InputError, check_number
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.matrices import (
     check_positive_definite,
@@ -30,11 +34,14 @@ from fenics_crack.model.matrices import (
     numbers,
     per_pair,
     petsc_matrix,
+    read_only,
     whole_rows,
 )
-from fenics_crack.parallel import gather_rows
+from fenics_crack.model.nodes import Nodes
 
-__all__ = ["ModalDamping", "Nodes", "Structure"]
+__all__ = ["ModalDamping", "Structure"]
+
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True)
@@ -43,10 +50,15 @@ class ModalDamping:
 
     Attributes
     ----------
-    ratio : float or sequence of float
+    ratio : float or tuple of float
         xi_j of critical damping: one for all, or one per mode.
     modes : int or None
         The lowest so many modes; None: all.
+
+    Raises
+    ------
+    InputError
+        A ratio is negative or not finite, or the number of modes is not a whole number >= 1.
     """
 
     ratio: float | Sequence[float]
@@ -59,32 +71,23 @@ class ModalDamping:
         whole = isinstance(self.modes, Integral) and not isinstance(self.modes, bool)
         if self.modes is not None and not (whole and self.modes >= 1):
             raise InputError("damping modes", self.modes, "None (all) or a whole number >= 1")
+        given = tuple(ratio.tolist()) if ratio.ndim else float(ratio)
+        object.__setattr__(self, "ratio", given)
 
+    def scaled(self, factor: float) -> ModalDamping:
+        """The same with every ratio multiplied."""
+        ratio = factor * np.asarray(self.ratio)
+        return replace(self, ratio=ratio.tolist())
 
-@dataclass(frozen=True)
-class Nodes:
-    """Where the dofs of a meshed structure are: the nodes that this rank owns.
-
-    Attributes
-    ----------
-    points : (m, 2) [m]
-        Positions.
-    dofs : (m, 2) int
-        Number of the x and the y displacement in the structure; -1 where it is clamped.
-    cells : (n_cells, k) int
-        This rank's cells in VTK's node order; nodes are numbered through all ranks.
-    vtk_type : int
-        VTK's number for the kind of cells.
-    """
-
-    points: np.ndarray
-    dofs: np.ndarray
-    cells: np.ndarray
-    vtk_type: int
+    def __str__(self) -> str:
+        percent = 100.0 * np.asarray(self.ratio)
+        low, high = f"{percent.min():.3g}", f"{percent.max():.3g}"
+        modes = "" if self.modes is None else f" of {self.modes} modes"
+        return f"modal damping {low if low == high else f'{low} to {high}'} %{modes}"
 
 
 class Structure:
-    """A linear structure with contact pairs.
+    """A linear structure with contact pairs; none of its attributes can be set.
 
     Made by :func:`fenics_crack.build_structure` from a scene or by :meth:`from_matrices`.
 
@@ -108,7 +111,28 @@ class Structure:
         Positions of the contact pairs where there is a mesh.
     pair_areas : (n_pairs,) [m^2] or None
         Area of the lip that belongs to each pair, where there is a mesh.
+    damping_factor : float
+        Of a varied copy: what the damping of :attr:`original` is multiplied by; else 1.
     """
+
+    comm: MPI.Comm
+    mass: Any
+    stiffness: Any
+    gap: sparse.csr_matrix
+    clearance: np.ndarray
+    nodes: Nodes | None
+    pair_points: np.ndarray | None
+    pair_areas: np.ndarray | None
+    damping_factor: float
+
+    _gap_transposed: sparse.csr_matrix
+    _original: Structure | None
+    """None: itself. A reference to itself would keep it alive."""
+    _load: np.ndarray
+    """What the load of the original is multiplied by: (3, 3)."""
+    _known: dict[Callable[[Structure], Any], Any]
+    _VARIED_TOO: ClassVar[tuple[str, ...]] = ()
+    """Attributes that are structures, varied with this one."""
 
     def __init__(
         self,
@@ -123,39 +147,77 @@ class Structure:
         pair_points: np.ndarray | None = None,
         pair_areas: np.ndarray | None = None,
     ) -> None:
-        self.comm: MPI.Comm = mass.comm.tompi4py()
-        self._mass = mass
-        self._stiffness = stiffness
-        self._gap = sparse.csr_matrix(gap)
-        self._gap_transposed = sparse.csr_matrix(self._gap.T)
-        self.force = force
-        self.clearance = clearance
-        self._damping = damping
-        self.nodes = nodes
-        self.pair_points = pair_points
-        self.pair_areas = pair_areas
+        self._hold(
+            comm=mass.comm.tompi4py(),
+            mass=mass,
+            stiffness=stiffness,
+            gap=_read_only_rows(gap),
+            force=force,
+            clearance=clearance,
+            damping=damping,
+            nodes=nodes,
+            pair_points=pair_points,
+            pair_areas=pair_areas,
+            damping_factor=1.0,
+            _gap_transposed=_read_only_rows(gap.T),
+            _original=None,
+            _load=np.eye(3),
+            _known={},
+        )
 
-    # What modes and compliances have been computed from may not change under them.
+    def _hold(self, **values: Any) -> None:
+        """Set attributes of a structure that is being made; arrays become read-only."""
+        for name, value in values.items():
+            vars(self)[name] = read_only(value) if isinstance(value, np.ndarray) else value
+
+    def __setattr__(self, name: str, value: object) -> NoReturn:
+        raise AttributeError(
+            f"{name}: a structure cannot be changed; varied() and damped() make another one"
+        )
+
+    def __repr__(self) -> str:
+        pairs = f"{self.n_pairs} pair{'' if self.n_pairs == 1 else 's'}"
+        damping = self.original.damping
+        if isinstance(damping, ModalDamping):
+            words = str(damping.scaled(self.damping_factor))
+        else:
+            words = "no damping" if damping is None else "damping matrix"
+        return f"{type(self).__name__}({self._size_words}, {pairs}, {words})"
 
     @property
-    def mass(self) -> Any:
-        """M, PETSc (n, n) [kg]."""
-        return self._mass
+    def _size_words(self) -> str:
+        return f"{self.n_dofs} dofs"
 
-    @property
-    def stiffness(self) -> Any:
-        """K, PETSc (n, n) [N/m]."""
-        return self._stiffness
+    # A varied copy computes these when they are first asked for: many copies are never asked.
 
-    @property
-    def gap(self) -> sparse.csr_matrix:
-        """B, the rows owned by this rank: (n_local, n_pairs)."""
-        return self._gap
+    @cached_property
+    def force(self) -> np.ndarray:
+        """Mean, cosine and sine part of the load on the first harmonic: (3, n_local) [N]."""
+        return read_only(self._load @ self.original.force)
 
-    @property
+    @cached_property
     def damping(self) -> Any:
-        """ModalDamping, the matrix C [N s/m], or None."""
-        return self._damping
+        """ModalDamping, the matrix C [N s/m], or None (collective)."""
+        given = self.original.damping
+        if given is None or self.damping_factor == 1.0:
+            return given
+        if isinstance(given, ModalDamping):
+            return given.scaled(self.damping_factor)
+        matrix = given.copy()
+        matrix.scale(self.damping_factor)
+        return matrix
+
+    @property
+    def original(self) -> Structure:
+        """The structure of which this is a varied copy: itself, if it is none."""
+        return self._original or self
+
+    def once(self, compute: Callable[[Structure], Found]) -> Found:
+        """What is computed of :attr:`original`, once for it and all of its varied copies."""
+        if compute not in self._known:
+            self._known[compute] = compute(self.original)
+        found: Found = self._known[compute]
+        return found
 
     @property
     def n_dofs(self) -> int:
@@ -243,7 +305,7 @@ class Structure:
         Parameters
         ----------
         point : (2,) [m]
-            Position of the node; up to 1e-6 of the structure's size may be missing.
+            Position of the node, to 1e-6 of the structure's size.
         component : 0, 1, "x" or "y"
             Direction.
 
@@ -253,51 +315,25 @@ class Structure:
             There is no node there, or two (on the lips), or the dof is clamped, or the structure
             was made from matrices and knows no positions.
         """
-        names: dict[int | str, int] = {0: 0, 1: 1, "x": 0, "y": 1}
-        if component not in list(names):
-            raise InputError("component", component, "0, 1, 'x' or 'y'")
         if self.nodes is None:
             raise InputError("point", point, "given only for a structure made from a mesh")
-        target = numbers(point)
-        if target.shape != (2,) or not np.all(np.isfinite(target)):
-            raise InputError("point", point, "[x, y], two finite numbers")
-        points = gather_rows(self.comm, self.nodes.points)
-        distance = np.linalg.norm(points - target, axis=1)
-        found = np.flatnonzero(distance <= 1e-6 * np.ptp(points, axis=0).max())
-        if len(found) != 1:
-            nearest = points[np.argmin(distance)]
-            raise InputError(
-                "point",
-                tuple(target),
-                f"at a node that exists once ({len(found)} found there; the nearest node is at "
-                f"({nearest[0]:g}, {nearest[1]:g}))",
-            )
-        dof = int(gather_rows(self.comm, self.nodes.dofs)[found[0], names[component]])
-        if dof < 0:
-            raise InputError(
-                "point", tuple(target), f"free in component {component!r}, not clamped"
-            )
-        return dof
+        return self.nodes.find_dof(self.whole.comm, point, component)
 
     def dof_name(self, dof: int) -> str:
         """What a dof is, for people: "x displacement at (0.1, 0.1) m" (collective)."""
         if self.nodes is None:
             return f"displacement of dof {dof}"
-        comm = self.whole.comm
-        node, component = np.argwhere(gather_rows(comm, self.nodes.dofs) == dof)[0]
-        points = gather_rows(comm, self.nodes.points)
-        x, y = np.round(points[node], 12) + 0.0  # no -1e-19
-        return f"{'xy'[component]} displacement at ({x:.4g}, {y:.4g}) m"
+        return self.nodes.dof_name(self.whole.comm, dof)
 
     @property
     def couplings(self) -> np.ndarray:
-        """What pairs and load see of each dof: (n_pairs + 3, n_local)."""
+        """B^T and the load, what tells the dofs apart: (n_pairs + 3, n_local)."""
         return np.vstack([self.gap.toarray().T, self.force])
 
     def signs_since(self, couplings: np.ndarray) -> np.ndarray:
-        """Signs (n_local,) that the dofs have changed since the structure had these couplings.
+        """Signs (n_local,) by which the dofs differ from those that had given couplings.
 
-        The coordinates of a reduction may come out with other signs when it is made anew.
+        A mode may change its sign when a structure is reduced again.
 
         Raises
         ------
@@ -370,49 +406,56 @@ class Structure:
         return self._changed(damping=damping)
 
     def varied(
-        self, *, load: float = 1.0, damping: float = 1.0, clearance: float = 0.0
-    ) -> Structure:
+        self,
+        *,
+        load: float | np.ndarray = 1.0,
+        damping: float = 1.0,
+        clearance: float | np.ndarray = 0.0,
+    ) -> Self:
         """Return this structure with its load and damping multiplied, and a clearance added.
+
+        The copy shares matrices, and modes once they are computed. Of a reduced structure the whole
+        one and the reference are varied too.
 
         Parameters
         ----------
-        load, damping : float
-            Factors; damping >= 0.
-        clearance : float [m]
-            Added to that of every pair.
+        load : float or (3, 3)
+            Factor, or the matrix that makes the new mean, cosine and sine part of the present
+            ones.
+        damping : float
+            Factor >= 0.
+        clearance : float or (n_pairs,) [m]
+            Added to that of the pairs.
+
+        Raises
+        ------
+        InputError
+            A value cannot be used.
         """
+        weights = numbers(load)
+        if weights.shape not in ((), (3, 3)) or not np.all(np.isfinite(weights)):
+            raise InputError("load", load, "a finite number, or a finite matrix of shape (3, 3)")
+        check_number("damping", damping, 0.0)
         other = copy(self)
-        other.force = load * self.force
-        other.clearance = self.clearance + clearance
-        if isinstance(self.damping, ModalDamping):
-            given = self.damping.ratio
-            if np.ndim(given):
-                ratio: float | tuple[float, ...] = tuple(damping * np.asarray(given, dtype=float))
-            else:
-                ratio = damping * float(given)  # type: ignore[arg-type]
-            other._damping = replace(self.damping, ratio=ratio)
-        elif self.damping is not None and damping != 1.0:
-            matrix = self.damping.copy()
-            matrix.scale(damping)
-            other._damping = matrix
+        for name in ("force", "damping"):
+            vars(other).pop(name, None)
+        other._hold(
+            clearance=self.clearance + per_pair("clearance", clearance, self.n_pairs),
+            damping_factor=damping * self.damping_factor,
+            _original=self.original,
+            _load=weights @ self._load if weights.ndim else weights * self._load,
+        )
+        for name in self._VARIED_TOO:
+            if (part := getattr(self, name)) is not None:
+                vars(other)[name] = part.varied(load=load, damping=damping, clearance=clearance)
         return other
 
     def _changed(self, **changes: Any) -> Structure:
-        parts = {
-            name: getattr(self, name)
-            for name in (
-                "mass",
-                "stiffness",
-                "gap",
-                "force",
-                "clearance",
-                "damping",
-                "nodes",
-                "pair_points",
-                "pair_areas",
-            )
-        }
-        return Structure(**(parts | changes))
+        names = (
+            *("mass", "stiffness", "gap", "force", "clearance", "damping"),
+            *("nodes", "pair_points", "pair_areas"),
+        )
+        return Structure(**({name: getattr(self, name) for name in names} | changes))
 
     @classmethod
     def from_matrices(
@@ -479,3 +522,12 @@ class Structure:
             clearance=per_pair("clearance", clearance, gap.shape[1]),
             damping=damping,
         )
+
+
+def _read_only_rows(matrix: Any) -> sparse.csr_matrix:
+    """A sparse matrix by rows, read-only."""
+    rows = sparse.csr_matrix(matrix, copy=True)
+    rows.sum_duplicates()
+    for part in (rows.data, rows.indices, rows.indptr):
+        part.flags.writeable = False
+    return rows

@@ -38,7 +38,7 @@ __all__ = [
 
 Vector = tuple[float, float]
 SMALLEST, LARGEST = 1e-30, 1e30
-"""Sizes of the numbers of a scene: their products and squares must not leave floating point."""
+"""Magnitudes allowed in a scene: their products and squares neither overflow nor underflow."""
 SIZES = f"{SMALLEST:g} to {LARGEST:g}"
 OR_ZERO = f"(0, or of size {SIZES})"
 
@@ -54,7 +54,7 @@ def boolean(value: object) -> bool:
 
 
 def real(value: object) -> float:
-    """A number that is zero or of a size that can be computed with."""
+    """A number, zero or of an allowed magnitude."""
     if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
         raise TypeError
     number = float(value)
@@ -64,7 +64,7 @@ def real(value: object) -> float:
 
 
 def integer(value: object) -> int:
-    """A whole number that 32 bits hold."""
+    """A whole number of at most 32 bits."""
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise TypeError
     number = int(value)
@@ -74,7 +74,7 @@ def integer(value: object) -> int:
 
 
 def text(value: object) -> str:
-    """A string that a file can hold."""
+    """A string that can be written as UTF-8."""
     if not isinstance(value, str) or any("\ud800" <= c <= "\udfff" for c in value):
         raise TypeError
     return value
@@ -114,7 +114,7 @@ class Axis:
 
 
 MOST_VALUES = 1_000_000
-"""On one axis."""
+"""Values of one axis, at most."""
 
 
 def axes(value: object) -> tuple[Axis, ...]:
@@ -179,7 +179,7 @@ def choice(*words: str, default: Any = MISSING) -> Any:
 
 
 def _as_toml(value: object) -> str:
-    """What JSON and TOML write alike; neither DEL nor half a character may stand in TOML."""
+    """A value as TOML, which is JSON but for DEL."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 

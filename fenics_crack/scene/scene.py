@@ -56,7 +56,7 @@ FORCE = f"[fx, fy], two finite numbers {OR_ZERO}"
 STEEPEST, THINNEST = 1e6, 1e4
 """Largest ``mesh.grading``, and largest ratio of the plate's sides."""
 NEAREST = 1e-4
-"""Of the plate's side: the least from the crack, or its tip, to an edge."""
+"""Least distance of the crack and its tip from the edges, relative to the plate's side."""
 
 # --- the tables -----------------------------------------------------------------------------------
 

@@ -61,7 +61,7 @@ SQUARINGS = (4, 7, 9, 11)
 """Of M, after which it is sought."""
 MOST_SECANTS = 12
 FARTHEST = 0.05
-"""From the exponent of a multiplier to the root of Hill's determinant, relative to the frequency."""
+"""From a multiplier's exponent to the root of Hill's determinant, relative to the frequency."""
 
 
 def floquet(
@@ -215,8 +215,13 @@ class PiecewiseFlow:
         if value is None:
             found = np.linalg.eigvals(product)
             value = complex(found[np.argmax(np.abs(found))])
-        doubling = float(np.linalg.slogdet(np.eye(len(product)) + product)[0])
-        return LeadingMultiplier(complex(value.real, abs(value.imag)), doubling)
+        return LeadingMultiplier(
+            complex(value.real, abs(value.imag)), float(np.sign(_doubling(product)))
+        )
+
+    def doubling(self, gap: np.ndarray, base_omega: float) -> float:
+        """det(I + M): it changes its sign where a multiplier passes through -1."""
+        return _doubling(self._product(gap, base_omega)[0])
 
     def monodromy(self, gap: np.ndarray, base_omega: float) -> np.ndarray:
         """M over one period of the gap (2H+1, n_pairs), from phase zero: (2n, 2n).
@@ -325,6 +330,11 @@ def _leading(matrix: np.ndarray) -> complex | None:
     return None
 
 
+def _doubling(monodromy: np.ndarray) -> float:
+    sign, logarithm = np.linalg.slogdet(np.eye(len(monodromy)) + monodromy)
+    return float(sign * np.exp(min(logarithm, 500.0)))
+
+
 def doubling_test(multipliers: np.ndarray) -> float:
     """det(I + M), scaled: changes its sign where a multiplier passes through -1."""
     return float(np.prod((1.0 + multipliers) / (1.0 + np.abs(multipliers))).real)
@@ -333,11 +343,7 @@ def doubling_test(multipliers: np.ndarray) -> float:
 def _wider(structure: Structure, solution: PeriodicSolution, contact: ContactLaw) -> np.ndarray:
     """The gap improved by a Newton step with more harmonics."""
     problem = Problem(
-        structure,
-        solution.omega,
-        contact,
-        solution.harmonics,
-        subharmonic=solution.subharmonic,
+        structure, solution.omega, contact, solution.harmonics, subharmonic=solution.subharmonic
     )
     compliance, gap = problem.compliance(), solution.gap_coefficients
     change = beyond_truncation(CondensedSystem(compliance, problem.integrals()).linearise(gap))
@@ -390,9 +396,7 @@ def _hill(
     return complex(np.exp(root * solution.period)) if report.converged else complex(np.nan)
 
 
-def _hill_matrix(
-    modes: AllModes, means: np.ndarray, exponent: complex, omega: float
-) -> np.ndarray:
+def _hill_matrix(modes: AllModes, means: np.ndarray, exponent: complex, omega: float) -> np.ndarray:
     """I + R(s) kappa for rows (harmonic -H..H, pair), from the harmonics of the stiffness."""
     harmonics, pairs = means.shape[1] // 2, len(means)
     order = np.arange(-harmonics, harmonics + 1)

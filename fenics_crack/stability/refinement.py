@@ -137,18 +137,31 @@ def refine_bifurcation(
     )
 
 
+class _NoFlow(DenseLinearisation):
+    """Where pairs chatter: no number is known."""
+
+    def assemble(self) -> np.ndarray:
+        """Not a number."""
+        return np.full(2 * self.unknown.shape, np.nan)
+
+    def differentiate(self) -> np.ndarray:
+        """Not a number."""
+        return np.full_like(self.unknown, np.nan)
+
+
 class _Branch(ExactOrbits):
     """Exact orbits as a branch; where pairs chatter there is none."""
 
     tolerance = TOLERANCE
 
-    def linearise(self, unknown: np.ndarray, parameter: float) -> DenseLinearisation:
+    def linearise(  # type: ignore[override]
+        self, unknown: np.ndarray, parameter: float
+    ) -> OrbitPoint | _NoFlow:
         """The equations at (x, p); without a residual where there is no flow over the period."""
         try:
             return super().linearise(unknown, parameter)
         except ConvergenceError:
-            nothing = np.full_like(unknown, np.nan)
-            return DenseLinearisation(nothing, lambda: np.diag(nothing), lambda: nothing)
+            return _NoFlow(unknown, np.full_like(unknown, np.nan))
 
     def first(self) -> PathPoint | None:
         """The point next to the solution, across the branch."""

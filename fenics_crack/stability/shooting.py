@@ -11,7 +11,8 @@ monodromy matrix M, dF/dp by central differences. Newton's method is that of :mo
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
+from fenics_crack.table import Described, counted
 from fenics_crack.time.events import EventFlow
 from fenics_crack.time.march import initial_state
 
@@ -32,8 +34,8 @@ DIFFERENCE = 1e-6
 """Of p, for dF/dp."""
 
 
-@dataclass(frozen=True)
-class PeriodicOrbit:
+@dataclass(frozen=True, repr=False)
+class PeriodicOrbit(Described):
     """A periodic orbit of the exact flow.
 
     Attributes
@@ -57,6 +59,23 @@ class PeriodicOrbit:
     iterations: int
     events: int
 
+    def to_dict(self) -> dict[str, Any]:
+        """Largest multiplier, extremes of the gap [m] of all pairs, and how it was found."""
+        return {
+            "multiplier": float(abs(self.multipliers[0])),
+            "opening": float(max(0.0, -self.gap.min(initial=0.0))),
+            "penetration": float(self.gap.max(initial=0.0)),
+            "events": int(self.events),
+            "residual": float(self.residual),
+            "iterations": int(self.iterations),
+        }
+
+    def _title(self) -> str:
+        return (
+            f"largest multiplier {abs(self.multipliers[0]):.6g} of {len(self.multipliers)}, "
+            f"{counted(self.events, 'event')}, residual {self.residual:.2g}"
+        )
+
 
 class OrbitPoint(DenseLinearisation):
     """The equations of exact orbits at a state and a frequency.
@@ -70,15 +89,18 @@ class OrbitPoint(DenseLinearisation):
     """
 
     def __init__(self, system: ExactOrbits, unknown: np.ndarray, parameter: float) -> None:
-        identity = np.eye(len(unknown))
-        moved, monodromy, self.events = system.moved(unknown, parameter, identity)
+        moved, monodromy, self.events = system.moved(unknown, parameter, np.eye(len(unknown)))
         assert monodromy is not None
-        self.monodromy = monodromy
-        super().__init__(
-            moved - unknown,
-            lambda: monodromy - identity,
-            partial(system.by_parameter, unknown, parameter),
-        )
+        self.monodromy, self._system, self._parameter = monodromy, system, parameter
+        super().__init__(unknown, moved - unknown)
+
+    def assemble(self) -> np.ndarray:
+        """M - I."""
+        return self.monodromy - np.eye(len(self.monodromy))
+
+    def differentiate(self) -> np.ndarray:
+        """dF/dp."""
+        return self._system.by_parameter(self.unknown, self._parameter)
 
     @cached_property
     def multipliers(self) -> np.ndarray:

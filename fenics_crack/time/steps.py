@@ -1,0 +1,135 @@
+"""What schemes share that march step by step: data, the loop over a period, linear algebra."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar
+
+import numpy as np
+from petsc4py import PETSc
+
+from fenics_crack.errors import ConvergenceError
+from fenics_crack.model.contact import is_rigid
+from fenics_crack.model.modes import by_columns, damped_modes
+from fenics_crack.model.structure import Structure
+from fenics_crack.time.complementarity import solve_complementarity
+from fenics_crack.time.march import March, Window
+
+__all__ = ["StepScheme", "inverse_of", "linear_energy", "solve_columns"]
+
+
+class StepScheme(ABC):
+    """A scheme of time steps, a :class:`fenics_crack.time.march.Scheme`."""
+
+    name: ClassVar[str]
+    remedy: ClassVar[str]
+    """What to do where contact creates energy."""
+    before: np.ndarray
+    """Displacement (n_local,) at the instant from which :meth:`advance` has started."""
+    gap: np.ndarray
+    """(n_pairs,) [m], at the same instant."""
+    force: np.ndarray
+    """(n_pairs,) [N], at the same instant; with a constraint the mean until the next."""
+
+    def __init__(self, asked: March) -> None:
+        self.structure = structure = asked.structure
+        self.contact, self.rigid = asked.contact, is_rigid(asked.contact)
+        self.step_size = asked.step_size
+        self.force = np.zeros(structure.n_pairs)
+        # Only few rows of B and of the load are not zero.
+        self._gap_rows = np.flatnonzero(np.diff(structure.gap.indptr))
+        self._gap_block = structure.gap[self._gap_rows].toarray()
+        self.load_rows = asked.load_rows
+        phase = 2.0 * np.pi * np.arange(asked.steps_per_period) / asked.steps_per_period
+        waves = np.column_stack([np.ones_like(phase), np.cos(phase), np.sin(phase)])
+        self.load = waves @ structure.force[:, self.load_rows]
+        """(N, rows) [N]"""
+        self._columns = asked.recorded_dofs - structure.first_dof
+        self._modes, self._damping = damped_modes(structure), structure.damping_matrix
+        self._put_in = self._created = 0.0
+
+    @abstractmethod
+    def advance(self, step: int) -> None:
+        """March from an instant, ``step`` of the period, to the next."""
+
+    @abstractmethod
+    def state(self) -> tuple[np.ndarray, np.ndarray]:
+        """Displacement and velocity, after whole periods."""
+
+    @abstractmethod
+    def free(self) -> None:
+        """Free PETSc's objects (collective)."""
+
+    @abstractmethod
+    def _book(self, window: Window) -> None:
+        """Add the energies put in and created in a period."""
+
+    def fill(self, window: Window, number: int) -> None:
+        """March a period and record it; an error where contact has created too much energy."""
+        gap, force, motion, load_motion = (
+            window.gap, window.force, window.motion, window.load_motion
+        )  # fmt: skip
+        for step in range(len(gap)):
+            self.advance(step)
+            gap[step], force[step] = self.gap, self.force
+            load_motion[step] = self.before[self.load_rows]
+            motion[step] = self.before[self._columns]
+        self._book(window)
+        if not np.isfinite(self._created) or self._created > 2.0 * self._put_in > 0.0:
+            raise ConvergenceError(
+                f"{self.name}: the steps are too long for this contact, which creates "
+                f"{self.created_share:.3g} times the energy put in; {self.remedy}"
+            )
+
+    @property
+    def created_share(self) -> float:
+        """Energy created relative to the energy put in."""
+        return self._created / self._put_in if self._put_in > 0.0 else 0.0
+
+    def _measured(self, displacement: np.ndarray) -> np.ndarray:
+        """Gap of a displacement (n_local,)."""
+        closing = displacement[self._gap_rows] @ self._gap_block
+        return self.structure.sum_over_ranks(closing) - self.structure.clearance
+
+    def _admissible(self, displacement: np.ndarray) -> np.ndarray:
+        """With a constraint, the displacement closest in the norm of M without penetration."""
+        gap = self._measured(displacement)
+        if not self.rigid or not np.any(gap > 0.0):
+            return displacement
+        structure = self.structure
+        inverse = inverse_of(structure.mass, symmetric=True)
+        push = solve_columns(inverse, structure.mass, structure.gap.toarray())
+        inverse.destroy()
+        return displacement - push @ solve_complementarity(structure.closing(push.T).T, gap)
+
+
+def linear_energy(structure: Structure, displacement: np.ndarray, velocity: np.ndarray) -> float:
+    """(u^T K u + v^T M v) / 2 of arrays (n_local,): [J] (collective)."""
+    energy = 0.0
+    for matrix, motion in ((structure.stiffness, displacement), (structure.mass, velocity)):
+        source, target = matrix.createVecs()
+        source.array_w[:] = motion
+        matrix.mult(source, target)
+        energy += 0.5 * source.dot(target)
+        source.destroy()
+        target.destroy()
+    return energy
+
+
+def solve_columns(inverse: Any, matrix: Any, columns: np.ndarray) -> np.ndarray:
+    """X with A X = columns (n_local, m), A factored, of the layout of a matrix (collective)."""
+    return by_columns(inverse.apply, matrix, columns)
+
+
+def inverse_of(matrix: Any, *, symmetric: bool) -> Any:
+    """Factorisation with little overhead a solution: PETSc's own on one rank, MUMPS on several."""
+    solver = PETSc.PC().create(matrix.comm)
+    solver.setOperators(matrix)
+    if matrix.comm.size > 1:
+        solver.setType("cholesky" if symmetric else "lu")
+        solver.setFactorSolverType("mumps")
+    else:  # its triangular solves are the quickest for LU ordered by nested dissection
+        solver.setType("lu")
+        solver.setFactorOrdering("nd")
+    solver.setUp()
+    return solver
