@@ -41,7 +41,7 @@ from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import ContactLaw, check_law, is_piecewise_linear
 from fenics_crack.model.modal import AllModes, all_modes, flow_matrix, is_small
 from fenics_crack.model.structure import Structure
-from fenics_crack.stability.regime import Regime, UndampedModes, damped_regime, undamped_modes
+from fenics_crack.stability.eigenbasis import Eigenbasis, UndampedModes, eigenbasis, undamped_modes
 from fenics_crack.stability.shooting import shoot
 
 __all__ = ["LeadingMultiplier", "PiecewiseFlow", "Stability", "doubling_test", "floquet"]
@@ -159,10 +159,10 @@ class PiecewiseFlow:
     """The linear flows between switching instants of one structure and one contact law.
 
     While a set of pairs is closed, the flow is made of decaying rotations in a real basis
-    (:mod:`regime`). So the product over a period needs, at every switching instant, one real matrix
-    V_next^-1 V, which is computed once for a curve: a point costs one product of real matrices for
-    each switching instant, and the eigenvalues of M: all of them (:meth:`multipliers`), or the
-    leading one for a fraction of that (:meth:`leading`).
+    (:mod:`eigenbasis`). So the product over a period needs, at every switching instant, one real
+    matrix V_next^-1 V, which is computed once for a curve: a point costs one product of real
+    matrices for each switching instant, and the eigenvalues of M: all of them
+    (:meth:`multipliers`), or the leading one for a fraction of that (:meth:`leading`).
     """
 
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
@@ -171,7 +171,7 @@ class PiecewiseFlow:
         self._pairs = structure.n_pairs
         self._scale = float(np.sqrt(np.abs(self._modes.squares).max())) or 1.0
         self._undamped: dict[bytes, UndampedModes] = {}
-        self._regimes: dict[bytes, Regime | None] = {}
+        self._bases: dict[bytes, Eigenbasis | None] = {}
         self._changes: dict[tuple[bytes, bytes], np.ndarray] = {}
 
     def varied(self, structure: Structure, contact: ContactLaw) -> PiecewiseFlow:
@@ -215,13 +215,12 @@ class PiecewiseFlow:
         if value is None:
             found = np.linalg.eigvals(product)
             value = complex(found[np.argmax(np.abs(found))])
-        return LeadingMultiplier(
-            complex(value.real, abs(value.imag)), float(np.sign(_doubling(product)))
-        )
+        doubling = float(np.sign(doubling_test(product)))
+        return LeadingMultiplier(complex(value.real, abs(value.imag)), doubling)
 
     def doubling(self, gap: np.ndarray, base_omega: float) -> float:
         """det(I + M): it changes its sign where a multiplier passes through -1."""
-        return _doubling(self._product(gap, base_omega)[0])
+        return doubling_test(self._product(gap, base_omega)[0])
 
     def growth(self, gap: np.ndarray, base_omega: float) -> float:
         """Modulus of the leading multiplier less one, to locate where it vanishes."""
@@ -237,28 +236,28 @@ class PiecewiseFlow:
         product, first = self._product(gap, base_omega)
         return product if first is None else first.vectors @ product @ first.inverse
 
-    def _product(self, gap: np.ndarray, base_omega: float) -> tuple[np.ndarray, Regime | None]:
+    def _product(self, gap: np.ndarray, base_omega: float) -> tuple[np.ndarray, Eigenbasis | None]:
         """M in the basis that holds at phase zero, and this basis; None: in (s q, q')."""
         intervals = self._intervals(gap, base_omega)
         keys = [stiffness.tobytes() for stiffness, _ in intervals]
-        regimes = [self._regime(stiffness) for stiffness, _ in intervals]
+        bases = [self._basis(stiffness) for stiffness, _ in intervals]
         product: np.ndarray = np.eye(2 * len(self._modes.squares))
-        if any(regime is None for regime in regimes):
-            for (stiffness, duration), regime in zip(intervals, regimes, strict=True):
-                if regime is None:
+        if any(basis is None for basis in bases):
+            for (stiffness, duration), basis in zip(intervals, bases, strict=True):
+                if basis is None:
                     matrix = flow_matrix(self._modes, stiffness, self._scale)
                     product = scipy.linalg.expm(duration * matrix) @ product
                 else:
-                    product = regime.vectors @ regime.advance(duration, regime.inverse @ product)
+                    product = basis.vectors @ basis.advance(duration, basis.inverse @ product)
             return product, None
-        for place, (regime, (_, duration)) in enumerate(zip(regimes, intervals, strict=True)):
-            assert regime is not None
+        for place, (basis, (_, duration)) in enumerate(zip(bases, intervals, strict=True)):
+            assert basis is not None
             if place > 0:
                 product = self._change(keys[place - 1], keys[place]) @ product
-            product = regime.advance(duration, product)
+            product = basis.advance(duration, product)
         if keys[-1] != keys[0]:
             product = self._change(keys[-1], keys[0]) @ product
-        return product, regimes[0]
+        return product, bases[0]
 
     def _intervals(self, gap: np.ndarray, base_omega: float) -> list[tuple[np.ndarray, float]]:
         """Contact stiffness of the pairs, and for how long, in order."""
@@ -281,32 +280,30 @@ class PiecewiseFlow:
         intervals.append((closed * stiffness, (2.0 * np.pi - reached) / base_omega))
         return intervals
 
-    def _regime(self, stiffness: np.ndarray) -> Regime | None:
-        """The flow with contact springs in its own basis; None where there is no good one."""
+    def _basis(self, stiffness: np.ndarray) -> Eigenbasis | None:
+        """Basis of the flow with contact springs; None where there is no good one."""
         if not is_piecewise_linear(self._contact):
             return None  # another one in each interval
         key = stiffness.tobytes()
-        if key not in self._regimes:
+        if key not in self._bases:
             if key not in self._undamped:
-                make_room(self._undamped)
+                _make_room(self._undamped)
                 self._undamped[key] = undamped_modes(self._modes, stiffness)
-            self._regimes[key] = damped_regime(
-                self._modes, stiffness, self._scale, self._undamped[key]
-            )
-        return self._regimes[key]
+            self._bases[key] = eigenbasis(self._modes, stiffness, self._scale, self._undamped[key])
+        return self._bases[key]
 
     def _change(self, before: bytes, after: bytes) -> np.ndarray:
         """V_after^-1 V_before."""
         key = (before, after)
         if key not in self._changes:
-            make_room(self._changes)
-            one, other = self._regimes[before], self._regimes[after]
+            _make_room(self._changes)
+            one, other = self._bases[before], self._bases[after]
             assert one is not None and other is not None
             self._changes[key] = other.inverse @ one.vectors
         return self._changes[key]
 
 
-def make_room(kept: dict) -> None:
+def _make_room(kept: dict) -> None:
     """Forget what is kept where it has become much."""
     if len(kept) >= MOST_KEPT:
         kept.clear()
@@ -339,14 +336,10 @@ def _leading(matrix: np.ndarray, *, proven: bool = True) -> complex | None:
     return None
 
 
-def _doubling(monodromy: np.ndarray) -> float:
+def doubling_test(monodromy: np.ndarray) -> float:
+    """det(I + M): changes its sign where a multiplier passes through -1."""
     sign, logarithm = np.linalg.slogdet(np.eye(len(monodromy)) + monodromy)
     return float(sign * np.exp(min(logarithm, 500.0)))
-
-
-def doubling_test(multipliers: np.ndarray) -> float:
-    """det(I + M), scaled: changes its sign where a multiplier passes through -1."""
-    return float(np.prod((1.0 + multipliers) / (1.0 + np.abs(multipliers))).real)
 
 
 def _wider(structure: Structure, solution: PeriodicSolution, contact: ContactLaw) -> np.ndarray:

@@ -5,7 +5,7 @@ harmonics, to some per cent. Here the branch of exact orbits, F(z / |z_0|, w / w
 :mod:`shooting`, is followed from there by pseudo-arc-length in both directions, until the test
 function of the bifurcation changes its sign:
 
-    period doubling     det(I + M), scaled by the product of 1 + |mu_j|,
+    period doubling     det(I + M),
     Neimark-Sacker      |mu| - 1 of a complex pair,
     fold                t_w, the tangent's component along the frequency,
 
@@ -48,7 +48,7 @@ Test = Callable[[PathPoint], float]
 
 
 class _Special(Protocol):
-    """What is asked of a bifurcation: as :class:`fenics_crack.curves.continuation.Bifurcation`."""
+    """What is asked of a bifurcation: as :class:`fenics_crack.curves.curve.Bifurcation`."""
 
     @property
     def kind(self) -> str: ...
@@ -215,8 +215,8 @@ def _turning(point: PathPoint) -> float:
 
 
 def _doubling(point: PathPoint) -> float:
-    """det(I + M), scaled."""
-    return doubling_test(_multipliers(point))
+    """det(I + M)."""
+    return doubling_test(_orbit(point).monodromy)
 
 
 class _PairTest:
@@ -229,7 +229,7 @@ class _PairTest:
         self._followed: complex | None = None
 
     def __call__(self, point: PathPoint) -> float:
-        values = _multipliers(point)
+        values = _orbit(point).multipliers
         pairs = values[values.imag > 1e-6 * np.abs(values)]
         if not len(pairs):
             return np.nan
@@ -238,6 +238,6 @@ class _PairTest:
         return abs(self._followed) - 1.0
 
 
-def _multipliers(point: PathPoint) -> np.ndarray:
+def _orbit(point: PathPoint) -> OrbitPoint:
     assert isinstance(point.at, OrbitPoint)
-    return point.at.multipliers
+    return point.at

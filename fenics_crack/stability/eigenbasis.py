@@ -1,4 +1,4 @@
-"""The free flow while a set of pairs stays closed, in the basis of its own damped modes.
+"""Free motion while a set of pairs stays closed, in the basis of its own damped modes.
 
 In the modal coordinates of the open structure, with z = (s q, q'), s a frequency that balances the
 two, the flow is exp(A t) = V E(t) V^-1, with a real basis V of the eigenvectors and E made of
@@ -33,24 +33,25 @@ import numpy as np
 
 from fenics_crack.model.modal import AllModes, flow_matrix
 
-__all__ = ["Regime", "UndampedModes", "damped_regime", "undamped_modes"]
+__all__ = ["Eigenbasis", "UndampedModes", "eigenbasis", "undamped_modes"]
 
 MOST_CORRECTIONS = 8
-LARGEST_LAST = 1e-7
-"""Of the corrections relative to the shapes; what these leave is its square."""
+ENOUGH, SMALLEST = 1e-11, 1e-8
+"""What the last correction may leave of the shapes' errors; smaller corrections are rounding."""
 ORTHOGONAL = 1e-9
 """V^-1 V differs from I by at most so much."""
-ALIKE = 1e-9
-"""Relative distance of eigenvalues whose shapes are not corrected by each other."""
+ALIKE = 1e-8
+"""Relative distance of eigenvalues below which corrections by each other's shapes are bounded."""
 WORST_CONDITION = 1e6
 """Of LAPACK's eigenvectors; with worse ones there is no basis."""
 
 UndampedModes = tuple[np.ndarray, np.ndarray]
-"""W^2 (n,) and the shapes (n, n) in the modal coordinates of the open structure."""
+"""Stiffness in undamped modes, W^2 but for rounding, and their shapes in the modal coordinates of
+the open structure, both (n, n)."""
 
 
 @dataclass(frozen=True)
-class Regime:
+class Eigenbasis:
     """Real basis in which exp(A t) is made of decaying rotations of two rows each.
 
     Attributes
@@ -80,44 +81,45 @@ class Regime:
 def undamped_modes(modes: AllModes, stiffness: np.ndarray) -> UndampedModes:
     """Modes without damping, with contact springs (n_pairs,) on the pairs."""
     contact = (modes.pairs * stiffness) @ modes.pairs.T
-    return np.linalg.eigh(np.diag(modes.squares) + contact)
+    _, shapes = np.linalg.eigh(np.diag(modes.squares) + contact)
+    # By eigh the lowest W^2 are known to the rounding of the highest, stiff contact's.
+    pairs = shapes.T @ modes.pairs
+    return (shapes.T * modes.squares) @ shapes + (pairs * stiffness) @ pairs.T, shapes
 
 
-def damped_regime(
+def eigenbasis(
     modes: AllModes, stiffness: np.ndarray, scale: float, undamped: UndampedModes
-) -> Regime | None:
-    """The flow with contact springs on the pairs; None where there is no good basis."""
+) -> Eigenbasis | None:
+    """Of the flow with contact springs on the pairs; None where there is no good one."""
     found = _from_undamped(undamped, modes.damping, scale)
     return found or _by_lapack(flow_matrix(modes, stiffness, scale))
 
 
-def _from_undamped(undamped: UndampedModes, damping: np.ndarray, scale: float) -> Regime | None:
+def _from_undamped(undamped: UndampedModes, damping: np.ndarray, scale: float) -> Eigenbasis | None:
     """The basis from undamped modes; None where corrections do not lead to a complete one."""
-    squares, basis = undamped
+    stiffness, basis = undamped
     coupled = (basis.T * damping if damping.ndim == 1 else basis.T @ damping) @ basis
-    found = _corrected(squares, coupled)
+    found = _corrected(stiffness, coupled)
     if found is None:
         return None
     values, shapes = found
-    damped = coupled @ shapes
+    shapes = shapes / (np.linalg.norm(shapes, axis=0) * np.hypot(scale, np.abs(values)))
+    damped = _times(coupled, shapes)
     norms = (shapes * (2.0 * shapes * values + damped)).sum(axis=0)
-    right = basis @ shapes
-    left = np.vstack([basis @ (shapes * values + damped) / scale, right]) / norms
-    right = np.vstack([scale * right, right * values])
-    length = np.linalg.norm(right, axis=0)
-    right, left = right / length, 2.0 * length * left
-    # z = Re sum_j a_j v_j, so that a real basis has rows Re and -Im of those that give a_j.
-    vectors = np.stack([right.real, right.imag], axis=-1).reshape(len(right), -1)
-    inverse = np.stack([left.real, 0.0 - left.imag], axis=-1).reshape(len(right), -1).T
-    if not np.abs(inverse @ vectors - np.eye(len(right))).max() < ORTHOGONAL:
+    right, left = _times(basis, shapes), _times(basis, (shapes * values + damped) / norms)
+    # z = Re sum_j a_j v_j: the real basis has columns Re v and Im v, its inverse rows Re and -Im.
+    vectors = np.vstack([scale * right, right * values]).view(float)
+    inverse = np.vstack([2.0 / scale * left, 2.0 / norms * right]).conj().view(float).T
+    if not np.abs(inverse @ vectors - np.eye(len(vectors))).max() < ORTHOGONAL:
         return None
-    turn = np.stack([values.imag, 0.0 - values.imag], axis=-1).ravel()
-    return Regime(np.repeat(values.real, 2), turn, vectors, inverse)
+    turn = np.repeat(values.imag, 2)
+    turn[1::2] *= -1.0
+    return Eigenbasis(np.repeat(values.real, 2), turn, vectors, inverse)
 
 
-def _corrected(squares: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+def _corrected(stiffness: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """Eigenvalues with positive imaginary part and shapes (n, n); None where they do not settle."""
-    rate = np.diag(damping).copy()
+    squares, rate = np.diag(stiffness), np.diag(damping)
     radicand = squares - 0.25 * rate**2
     size = np.abs(damping).max()
     if not (np.all(radicand > 0.0) and np.abs(damping - damping.T).max() <= 1e-13 * size):
@@ -126,32 +128,40 @@ def _corrected(squares: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np
     if not np.any(damping - np.diag(rate)):  # nothing closed, modal damping
         return values, np.eye(len(values), dtype=complex)
     # What the coupling makes of the uncoupled shapes: Q(l_j) x_j = 0 to first order in it.
+    coupling = (np.diag(rate) - damping) * values + (np.diag(squares) - stiffness)
     impedance = (values + rate[:, None]) * values + squares[:, None]
-    shapes = _share(-damping * values, impedance, np.abs(values) ** 2)
+    shapes: np.ndarray = np.zeros(damping.shape, complex)
+    np.divide(coupling, impedance, out=shapes, where=np.abs(impedance) > np.abs(coupling))
+    before = np.abs(shapes).max()
     np.fill_diagonal(shapes, 1.0)
+    if not np.any(coupling):
+        return values, shapes
     for _ in range(MOST_CORRECTIONS):
-        damped, moved = damping @ shapes, shapes * values
+        damped, moved = _times(damping, shapes), shapes * values
         norms = (shapes * (2.0 * moved + damped)).sum(axis=0)[:, None]
-        residual = (moved + damped) * values + squares[:, None] * shapes
+        residual = (moved + damped) * values + _times(stiffness, shapes)
         own, other = shapes.T @ residual / norms, shapes.conj().T @ residual / norms.conj()
-        change = _share(own, values - values[:, None], np.abs(values))
+        apart, alike = values - values[:, None], ALIKE * np.abs(values)
+        change = own / np.where(np.abs(apart) > alike, apart, alike)
+        np.fill_diagonal(change, 0.0)
         other /= values - values.conj()[:, None]
         shapes = shapes - shapes @ change - shapes.conj() @ other
         values = values - np.diag(own)
-        if max(np.abs(change).max(), np.abs(other).max()) < LARGEST_LAST:
+        largest = max(np.abs(change).max(), np.abs(other).max())
+        # Quadratic convergence: the next correction would be this one squared, over the last one's.
+        if largest < SMALLEST or largest**3 < ENOUGH * before**2:
             return values, shapes
-        if not np.all(np.isfinite(values)):
-            break
+        before = largest
     return None
 
 
-def _share(part: np.ndarray, apart: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Quotients; zero where eigenvalues are alike."""
-    zero = np.zeros(part.shape, complex)
-    return np.divide(part, apart, out=zero, where=np.abs(apart) > ALIKE * size)
+def _times(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """A real matrix times complex columns."""
+    product: np.ndarray = (matrix @ columns.view(float)).view(complex)
+    return product
 
 
-def _by_lapack(matrix: np.ndarray) -> Regime | None:
+def _by_lapack(matrix: np.ndarray) -> Eigenbasis | None:
     """Real and imaginary parts of eigenvectors; None where these are all but dependent."""
     values, vectors = np.linalg.eig(matrix)
     above, real = np.flatnonzero(values.imag > 0.0), np.flatnonzero(values.imag == 0.0)
@@ -166,4 +176,4 @@ def _by_lapack(matrix: np.ndarray) -> Regime | None:
     turn = np.zeros(len(values))
     turn[: 2 * len(above) : 2] = values[above].imag
     turn[1 : 2 * len(above) : 2] = -values[above].imag
-    return Regime(decay, turn, basis, np.linalg.inv(basis))
+    return Eigenbasis(decay, turn, basis, np.linalg.inv(basis))
