@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.linalg
 from helpers import (
     Cubic,
     amplitudes,
@@ -274,6 +275,22 @@ def test_curve_over_another_parameter(name: str) -> None:
         assert np.abs(difference).max() < 1e-8 * np.abs(curve.gap(index)).max()
         wave = found.displacement(np.linspace(0.0, found.period, 257), [0])
         assert np.ptp(wave) / 2.0 == pytest.approx(amplitude[index], rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["load", "stiffness", "damping", "clearance"])
+def test_one_eigensolution_for_a_curve(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many points it has, with their multipliers and solutions."""
+    calls = []
+    solve = scipy.linalg.eigh
+
+    def counted(*arguments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        calls.append(1)
+        return solve(*arguments)
+
+    monkeypatch.setattr(scipy.linalg, "eigh", counted)
+    structure, law, (start, end) = two_masses(), fc.UnilateralPenalty(2.0), RANGES[name]
+    curve = fc.continue_parameter(structure, 0.9, law, name, start, end, stability=True)
+    assert len(curve.solutions) > 5 and sum(calls) == 1
 
 
 def test_load_only_scales_without_clearance() -> None:
