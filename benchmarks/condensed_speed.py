@@ -4,12 +4,12 @@ newton : one Newton iteration (contact integrals, residual, Jacobian, factorisat
     multiple of one LAPACK factorisation and solution (``scipy.linalg.lu_factor``, ``lu_solve``) of
     a dense matrix of that size; and where the time goes.
 integrals : exact contact integrals against sampled ones, error against time, on the bilinear
-    oscillator of the verification (c = 0.1, kc = 1, f = 1) at w0/2 and 1, on the paper's plate
-    (k = 1e9 N/m, damping 0.01, 2000 rad/s) and on the reduced breathing plate (18 pairs, 1e9 N/m a
-    pair); the error is measured against exact integrals with H = 400, 320 and 40.
+    oscillator (c = 0.1, kc = 1, f = 1) at w0/2 and 1, on the paper's plate (k = 1e9 N/m, damping
+    0.01, 2000 rad/s) and on the reduced breathing plate (18 pairs, 1e9 N/m a pair); the error is
+    measured against exact integrals with H = 400, 320 and 40.
 full : the breathing plate, all pairs, 1e9 N/m a pair, 2000 rad/s: the condensed solution (on the
     reduced structure, prepared beforehand; and with the exact compliance, its factorisations
-    included) against ``form="full"``.
+    included) against the full form.
 pyharm : pyHarm's arc-length sweep of the bilinear oscillator (c = 0.02, kc = 1, f = 0.1) and of
     50 masses in a chain with one stop, against this package on the frequencies that pyHarm visited,
     each solution starting from its neighbour, its error report included; and against
@@ -47,8 +47,8 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.draw.figure import COLOURS
 
 CONTINUED = "this, continued, exact"
-FILLED = "this, continued and filled"
-CURVES = {CONTINUED: (0.05, 0), FILLED: (0.2, 4)}
+REFINED = "this, continued and refined"
+CURVES = {CONTINUED: (0.05, 0), REFINED: (0.2, 4)}
 """Longest step, and points put between each two."""
 WORKER = Path(__file__).absolute().with_name("pyharm_worker.py")
 
@@ -389,8 +389,8 @@ def run_pyharm(arguments: common.Arguments) -> None:
         zip(dict.fromkeys(row[2] for row in rows), ("o", "^", "*", "D", "s"), strict=False)
     )
     colours = dict(zip(dict.fromkeys(row[2] for row in rows), COLOURS.values(), strict=False))
-    filled = {"oscillator": "full", "50 masses": "none"}
-    for case in filled:
+    marks = {"oscillator": "full", "50 masses": "none"}
+    for case in marks:
         for who in looks:
             chosen = [row for row in rows if row[0] == case and row[2] == who]
             axes.loglog(
@@ -400,10 +400,10 @@ def run_pyharm(arguments: common.Arguments) -> None:
                 color=colours[who],
                 ms=9,
                 lw=0.8,
-                fillstyle=filled[case],
+                fillstyle=marks[case],
             )
-            for row in chosen if who in ("pyHarm", FILLED) else []:
-                left = who == FILLED
+            for row in chosen if who in ("pyHarm", REFINED) else []:
+                left = who == REFINED
                 axes.annotate(
                     f"H = {row[1]}",
                     (row[5], row[7]),

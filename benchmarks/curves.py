@@ -6,10 +6,12 @@ paper : ``demos/paper_plate.toml``, 1e9 and 1e11 N/m, damping ratios 0.01 and 0.
     rad/s (past the third natural frequency), H = 20; also with the leading Floquet multiplier.
 breathing : ``demos/breathing_plate.toml`` reduced, contact on all 18 pairs, 1e9 and 1e11 N/m,
     1000 to 9063 rad/s (1.1 times the third natural frequency), H = 5.
+newton : PETSc's SNES and the bordered Newton's method of curves at the points of two curves, each
+    from the neighbouring point and at its known frequency: time of an iteration.
 
 Times are the process's own. "LAPACK" is one factorisation and solution of a dense real matrix as
-large as the condensed equations (dgetrf, dgetrs), measured between the curves. "filled" is the cost
-of a point that :func:`refine_curve` puts between two others.
+large as the condensed equations (dgetrf, dgetrs), measured between the curves. "refined" is the
+cost of a point that :func:`refine_curve` puts between two others.
 
     OMP_NUM_THREADS=1 python benchmarks/curves.py [--quick] [--only PART] [folder]
 """
@@ -24,17 +26,24 @@ import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
 
 import fenics_crack as fc
+from fenics_crack.balance.bordered import solve_at
+from fenics_crack.balance.family import FrequencyFamily
+from fenics_crack.balance.newton import Newton
 from fenics_crack.draw.figure import COLOURS
+
+Pairs = list[tuple[np.ndarray, float]]
+TOLERANCE, MOST_ITERATIONS = 1e-9, 8
 
 COLUMNS = (
     "case", "k", "xi", "H", "unknowns", "complete", "points", "folds", "iterations",
-    "ms a point", "LAPACK", "filled / point", "stability / point",
+    "ms a point", "LAPACK", "refined / point", "stability / point",
 )  # fmt: skip
 
 
 def main() -> None:
     """Run the parts asked for."""
-    common.run(__doc__, {"oscillator": oscillator, "paper": paper, "breathing": breathing})
+    parts = {"oscillator": oscillator, "paper": paper, "breathing": breathing, "newton": newton}
+    common.run(__doc__, parts)
 
 
 def oscillator(arguments: common.Arguments) -> None:
@@ -91,7 +100,7 @@ def measure(
     names: tuple[object, ...],
     stability: bool,
 ) -> tuple[tuple[object, ...], fc.ResponseCurve]:
-    """One curve: followed, filled, and followed with its stability."""
+    """One curve: followed, refined, and followed with its stability."""
     law = fc.UnilateralPenalty(k)
     follow = partial(fc.continue_frequency, structure, *span, law, harmonics=harmonics, throw=False)
     unknowns = (2 * harmonics + 1) * structure.n_pairs
@@ -100,8 +109,8 @@ def measure(
     curve = follow()
     point = (time.process_time() - started) / len(curve)
     started = time.process_time()
-    filled = fc.refine_curve(curve, 3)
-    between = (time.process_time() - started) / (len(filled) - len(curve))
+    refined = fc.refine_curve(curve, 3)
+    between = (time.process_time() - started) / (len(refined) - len(curve))
     lapack = 0.5 * (lapack + solve_once(unknowns))
     ratio = float("nan")
     if stability:
@@ -114,6 +123,54 @@ def measure(
         float(curve.iterations.mean()), 1e3 * point, point / lapack, between / point, ratio,
     )  # fmt: skip
     return row, curve
+
+
+def newton(arguments: common.Arguments) -> None:
+    """What SNES costs at the points of a curve, where it has no border to take care of."""
+    plate = common.plate("paper_plate", {"damping.ratio": 0.01})
+    cases = (
+        ("oscillator, kc = 10", common.oscillator(), 10.0, (2.0, 0.3)),
+        ("paper's plate, k = 1e9", plate, 1e9, (1000.0, 4000.0)),
+    )
+    rows = []
+    for name, structure, k, span in cases:
+        curve = fc.continue_frequency(structure, *span, fc.UnilateralPenalty(k), harmonics=10)
+        family = FrequencyFamily(curve.problem, *span)
+        places = [family.parameter(value) for value in curve.values.tolist()]
+        pairs = [(curve.gap(i), place) for i, place in enumerate(places[1:])]
+        ways = {"SNES": partial(by_snes, family, pairs), "own": partial(by_own, family, pairs)}
+        (iterations, found), same = ways["SNES"](), ways["own"]()
+        assert same == (iterations, found)
+        times = common.alternate(ways, 3 if arguments.quick else 15, warm=False)
+        rows.append(
+            (name, 10, len(pairs), found, iterations,
+             *(1e6 * float(np.median(times[way])) / iterations for way in ways),
+             common.ratio(times, "SNES", "own"))
+        )  # fmt: skip
+    columns = (
+        "case", "H", "points", "converged", "iterations", "SNES us", "own us", "SNES / own",
+    )  # fmt: skip
+    common.save_table(arguments.folder / "curves_newton.csv", "An iteration", columns, rows)
+
+
+def by_snes(family: FrequencyFamily, pairs: Pairs) -> tuple[int, int]:
+    """Iterations and solutions by SNES."""
+    iterations = found = 0
+    with Newton(family) as snes:
+        for start, place in pairs:
+            _, converged, count = snes.solve(start, place, TOLERANCE, MOST_ITERATIONS)
+            iterations, found = iterations + count, found + converged
+    return iterations, found
+
+
+def by_own(family: FrequencyFamily, pairs: Pairs) -> tuple[int, int]:
+    """The same by the loop of curves."""
+    iterations = found = 0
+    for start, place in pairs:
+        point = solve_at(family, start, place, tolerance=TOLERANCE, iterations=MOST_ITERATIONS)
+        iterations += point.iterations if point else MOST_ITERATIONS
+        found += point is not None
+    return iterations, found
 
 
 def solve_once(size: int) -> float:

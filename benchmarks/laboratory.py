@@ -1,4 +1,4 @@
-"""Other forms of harmonic balance, to be compared with the one that is used.
+"""Other forms of harmonic balance, for comparison with that of the package.
 
 *Full* (``form="full"``): the unknowns are all displacements, see :class:`BlockSystem`; the same
 solutions as the condensed form, at a far higher cost.
@@ -10,9 +10,9 @@ matrix of the functions' values at the instants theta_n = 2 pi n / (2H+1),
     w^2 M D^2 U + w C D U + K U + B lambda(B^T U - g0) = f,      D = E (d/dtheta) E^-1,   U = E u,
 
 and E^-1 times that is A u + B b - c = 0 with b = E^-1 lambda(E g): harmonic balance whose contact
-force is sampled 2H+1 times, no more. It is cheap for any law, but harmonics of the force beyond H
-fold back onto those kept and can make spurious solutions, which betray themselves by a large
-``report.sampling`` (Liu, Thomas, Dowell, Attar, Hall, Journal of Computational Physics 215, 2006,
+force is sampled only 2H+1 times. It is cheap for any law, but harmonics of the force beyond H are
+folded back onto those kept and can create spurious solutions, which a large ``report.sampling``
+reveals (Liu, Thomas, Dowell, Attar, Hall, Journal of Computational Physics 215, 2006,
 298-320).
 """
 

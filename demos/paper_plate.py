@@ -6,10 +6,12 @@ The plate obeys
 
     M u'' + C u' + K u + B lambda(g) = f(t),      g = B^T u,
 
-and the crack breathes: the contact force lambda acts while its lips touch. This demo follows the
-paper: natural frequencies, linear solution, contact laws, harmonic balance, direct integration,
-and the comparison of the two. At the paper's own data (k = 1e11 N/m, xi = 0.001) the motion never
-settles; with k = 1e9 N/m and xi = 0.01 it does, and both methods agree.
+and the crack breathes: the contact force lambda acts while its two faces, the lips, touch. This
+demo follows the paper of V. Kharyton and others, "Harmonic balance method implementation for crack
+breathing process simulation" (about 2007): natural frequencies, linear solution, contact laws,
+harmonic balance, direct integration, and the comparison of the two. At the paper's own data
+(k = 1e11 N/m, xi = 0.001) the motion never settles; with k = 1e9 N/m and xi = 0.01 it does, and
+both methods agree.
 
     python demos/paper_plate.py [folder for the results]
 """
@@ -35,7 +37,7 @@ KEPT = 200  # load periods at the end of an integration over which waves are ave
 
 
 def main(output: Path = Path("output/paper_plate"), *, periods: int = 500) -> dict[str, Any]:
-    """Tell the whole story; pictures, ParaView files and summary.json go to ``output``."""
+    """Run the whole comparison; pictures, ParaView files and summary.json go to ``output``."""
     scene = fc.Scene.load(SCENE)
     plate = fc.build_structure(scene)
     uncracked = fc.build_structure(scene.replace({"crack": None, "contact": None}))

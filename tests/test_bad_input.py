@@ -1,6 +1,6 @@
 """Every bad input that a scene or a command can meet, and the one line that the program answers.
 
-Messages that end with a machine's or a library's own words are given up to these.
+Of messages that end with a library's own words only the beginning is compared.
 """
 
 # ruff: noqa: E501

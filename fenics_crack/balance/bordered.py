@@ -13,9 +13,11 @@ method is Newton's own. Where the residual would grow, as where lips begin to to
 changes like a square root, the step is shortened.
 
 Everything that follows a path corrects, lands and locates with this loop: response curves, paths
-to a cold start, backbones, and branches of exact orbits. Single solutions go through PETSc's SNES
-(:mod:`newton`). A curve does not: SNES takes a system of fixed size without a border, so the border
-would be a matrix of its own, and its calls cost more than a point (docs/performance.md).
+to a cold start, backbones, and branches of exact orbits; refined curves take its step. Single
+solutions go through PETSc's SNES (:mod:`newton`), so that PETSc's options reach them. A curve does
+not: SNES knows no border, and where none is needed, at the points of a curve in their known
+parameters, an iteration by SNES takes 11 to 13 % longer than one by this loop
+(``benchmarks/curves.py --only newton``, 21 unknowns).
 
 Source: Keller, in Applications of Bifurcation Theory, 1977; Seydel, Practical Bifurcation and
 Stability Analysis, chapter 4.
@@ -25,6 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import scipy.optimize
@@ -42,13 +45,14 @@ __all__ = [
     "solve_at",
     "solve_in_plane",
     "step_along",
+    "step_in_plane",
     "tangent_of",
 ]
 
 MOST_ITERATIONS = 8
 """Of one correction."""
 LEAST_DAMPING = 0.05
-"""Of a Newton step; with shorter ones it has failed."""
+"""Of a Newton step."""
 
 
 @dataclass(frozen=True)
@@ -106,14 +110,15 @@ def solve_in_plane(
     iterations: int = MOST_ITERATIONS,
     reach: float = np.inf,
     damped: bool = True,
+    least_damping: float = LEAST_DAMPING,
     history: list[float] | None = None,
 ) -> PathPoint | None:
     """Newton's method from a guess in the plane across a tangent; None where it does not converge.
 
     Without a plane the parameter stays. ``tolerance`` is |F| / |x| of the solution, |x| that of the
     tangent's point; ``reach``: how far from the guess the parameter may go; ``damped``: shorten
-    steps where the residual would grow; ``history`` gets |F| / |x| of the guess and after each
-    step, but for the last one of a solution.
+    steps where the residual would grow, to ``least_damping`` of them; ``history`` gets |F| / |x| of
+    the guess and after each step, but for the last one of a solution.
     """
     guess = parameter
     change, shift, damping, before = np.zeros_like(unknown), 0.0, 1.0, np.inf
@@ -132,7 +137,7 @@ def solve_in_plane(
             return None
         if damped and not size < before:
             damping *= 0.5
-            if damping < LEAST_DAMPING:
+            if damping < least_damping:
                 return None
             unknown, parameter = unknown - damping * change, parameter - damping * shift
             continue
@@ -143,15 +148,28 @@ def solve_in_plane(
         change, shift = -at.solve(at.residual), 0.0
         if plane is not None:
             slope = -at.solve(at.by_parameter)
-            along = plane.weight * system.inner(plane.x, slope) + plane.p
-            shift = -plane.weight * system.inner(plane.x, change) / along if along else np.inf
+            change, shift = step_in_plane(plane, change, slope, system.inner)
             if not abs(parameter + shift - guess) <= reach:
                 return None  # another branch, or none
-            change = change + shift * slope
         damping, before = 1.0, size
         linearised += 1
         unknown, parameter = unknown + change, parameter + shift
     return None
+
+
+def step_in_plane(
+    plane: Tangent,
+    change: np.ndarray,
+    slope: np.ndarray,
+    inner: Callable[[np.ndarray, np.ndarray], Any],
+) -> tuple[np.ndarray, Any]:
+    """Newton's step (dx, dp) from a = -J^-1 F and b = -J^-1 F_p.
+
+    Of many points at once where the plane holds arrays and ``inner`` gives one number for each.
+    """
+    along = plane.weight * inner(plane.x, slope) + plane.p + 1e-300  # not 0
+    shift = -plane.weight * inner(plane.x, change) / along
+    return change + shift * slope, shift
 
 
 def correct(
@@ -236,14 +254,14 @@ def locate(
 
     Where that fails, the point met at which the function is smallest.
     """
-    met = [before, after]
+    met: list[tuple[float, PathPoint]] = []
 
     def value(step: float) -> float:
         point = before if step == 0.0 else step_along(system, before, step, tolerance)
         if point is None:
             raise ConvergenceError("path: lost between two points")
-        met.append(point)
-        return test(point)
+        met.append((test(point), point))
+        return met[-1][0]
 
     length = distance(system, before, after)
     for reach in (1.0, 1.2, 0.8, 1.5):  # along the tangent the other point is not quite as far
@@ -252,4 +270,6 @@ def locate(
             break
         except (ConvergenceError, ValueError):
             continue
-    return min(met, key=lambda point: abs(test(point)))
+    else:
+        met.append((test(after), after))
+    return min(met, key=lambda found: abs(found[0]))[1]

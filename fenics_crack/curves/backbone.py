@@ -25,7 +25,9 @@ them, most of them narrow. Newton's method at the next energy passes over a narr
 motion found there has the same shape but for the entry in resonance, whose sign is the opposite;
 det J changes its sign. Where no motion of the same shape is found beyond, the tongue is followed.
 Broad ones, with stiff contact, many modes and many harmonics, can end the path: fewer harmonics, or
-a structure reduced to fewer modes, have fewer of them.
+a structure reduced to fewer modes, have fewer of them. At the start, a motion whose first harmonic
+is small is taken for another mode's, and refused; on the way, :attr:`Backbone.fundamental` tells
+it. Next to a tongue, and where one was passed over, another motion of the same energy may exist.
 
 Where all clearances are zero, the penalty law makes the equations homogeneous: a motion times any
 positive factor is a motion, and the frequency does not depend on the energy. The backbone is then a
@@ -46,7 +48,7 @@ import numpy as np
 from tqdm import tqdm
 
 from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import PathPoint, Tangent, land, solve_at
+from fenics_crack.balance.bordered import PathPoint, land, solve_at
 from fenics_crack.balance.contact_integrals import contact_integrals
 from fenics_crack.balance.error_report import ErrorReport, mean_square
 from fenics_crack.balance.fourier import resized, to_complex
@@ -244,14 +246,6 @@ class BackboneOptions(TypedDict, total=False):
     most_points: int
 
 
-DEFAULTS: BackboneOptions = {
-    "initial": None,
-    "internal_resonances": False,
-    "longest_step": 0.2,
-    "most_points": 2000,
-}
-
-
 def follow_backbone(
     structure: Structure,
     contact: ContactLaw,
@@ -269,10 +263,8 @@ def follow_backbone(
 
     The linear mode of the structure without contact is followed in ln k, the contact stiffness, at
     ``energy_start``, and from there in ln E: by steps in the parameter, and by arc-length, through
-    folds, where there is no motion of the same shape a step further. At the start, a motion whose
-    first harmonic is small is taken for another mode's, and refused; on the way,
-    :attr:`Backbone.fundamental` tells it. Next to an internal resonance, and where one was passed
-    over, another motion of the same energy may exist: see :mod:`fenics_crack.curves.backbone`.
+    folds, where there is no motion of the same shape a step further. What internal resonances do to
+    it is written in :mod:`fenics_crack.curves.backbone`.
 
     Parameters
     ----------
@@ -309,15 +301,12 @@ def follow_backbone(
     ConvergenceError
         No equilibrium or no first motion was found, or the end was not reached.
     """
+    given = _complete(options)
     check_number("energy_start", energy_start, 0.0, above=True)
     check_number("energy_end", energy_end, energy_start, above=True)
     check_count("harmonics", harmonics, 1)
     if samples is not None:
         check_count("samples", samples, 4 * harmonics + 1)
-    check_options(options, DEFAULTS)
-    given: BackboneOptions = {**DEFAULTS, **options}
-    check_number("longest_step", given["longest_step"], 0.0, above=True)
-    check_count("most_points", given["most_points"], 1)
     check_law(structure, contact)
     check_count("mode", mode, 1)
     if not is_small(structure):
@@ -327,13 +316,8 @@ def follow_backbone(
     rest = Equilibrium(structure, contact)
     integrals = contact_integrals(contact, harmonics, samples)
     family = EnergyMotion(rest, integrals, float(rest.frequencies[mode - 1]))
-    start, initial = math.log(energy_start), given["initial"]
-    if initial is None:
-        soft = StiffnessMotion(rest, integrals, family.reference, energy_start)
-        unknown = _from_linear_mode(soft, mode)
-    else:
-        unknown = _next_to(family, structure, initial, mode, start)
-    growing = _Growing(family, math.log(energy_end), [_bare(unknown, start)])
+    first = _first_motion(family, mode, energy_start, given["initial"])
+    growing = _Growing(family, math.log(energy_end), [first])
     growing.follow(given, progress and structure.whole.comm.rank == 0)
     backbone = growing.backbone(structure, mode, samples)
     if throw and not (backbone.complete or growing.interrupted):
@@ -342,6 +326,21 @@ def follow_backbone(
             f"at {math.exp(growing.found[-1].parameter):g} J after {len(backbone.energy)} points"
         )
     return backbone
+
+
+def _complete(options: BackboneOptions) -> BackboneOptions:
+    """Options with those left out at their defaults; raise InputError for what cannot be used."""
+    check_options(options, BackboneOptions.__annotations__)
+    given: BackboneOptions = {
+        "initial": None,
+        "internal_resonances": False,
+        "longest_step": 0.2,
+        "most_points": 2000,
+        **options,
+    }
+    check_number("longest_step", given["longest_step"], 0.0, above=True)
+    check_count("most_points", given["most_points"], 1)
+    return given
 
 
 @dataclass
@@ -417,11 +416,6 @@ class _Growing:
             np.array([point.crosses_branch for point in found]),
             samples,
         )
-
-
-def _bare(unknown: np.ndarray, parameter: float) -> PathPoint:
-    """A point whose tangent nobody asks for."""
-    return PathPoint(unknown, parameter, 0, Tangent(np.zeros_like(unknown), 1.0, 0.0))
 
 
 def _solve(family: FreeMotion, guess: np.ndarray, parameter: float) -> PathPoint | None:
@@ -519,28 +513,40 @@ def _land(family: FreeMotion, before: PathPoint, after: PathPoint, end: float) -
     )
 
 
+def _first_motion(
+    family: EnergyMotion, mode: int, energy: float, initial: PeriodicSolution | None
+) -> PathPoint:
+    """Where a backbone starts: next to a solution, or where the linear mode leads."""
+    if initial is None:
+        rest, integrals = family.rest, family.integrals
+        found = _from_linear_mode(StiffnessMotion(rest, integrals, family.reference, energy), mode)
+    else:
+        found = _next_to(family, initial, mode, energy)
+    return replace(found, parameter=math.log(energy), iterations=0, crosses_branch=False, at=None)
+
+
 def _next_to(
-    family: EnergyMotion, structure: Structure, initial: PeriodicSolution, mode: int, start: float
-) -> np.ndarray:
+    family: EnergyMotion, initial: PeriodicSolution, mode: int, energy: float
+) -> PathPoint:
     """The motion next to a solution, whose mode is made a cosine in the first harmonic."""
+    rest, order = family.rest, np.arange(family.harmonics + 1)
     if not isinstance(initial, PeriodicSolution):
         raise InputError("initial", initial, "a PeriodicSolution or None")
-    rows = initial.displacement_coefficients
-    if rows.shape[1:] != (structure.n_dofs,):
-        raise InputError("initial", rows.shape[1:], f"of shape ({structure.n_dofs},)")
-    rest, order = family.rest, np.arange(family.harmonics + 1)
+    rows, count = initial.displacement_coefficients, len(rest.frequencies)
+    if rows.shape[1:] != (count,):
+        raise InputError("initial", rows.shape[1:], f"of shape ({count},)")
     modal = to_complex(resized(rows, family.harmonics)) @ np.linalg.inv(rest.modes.shapes).T
     modal[0] -= rest.modal
     phase = np.angle(modal[1, mode - 1]) + (0.0 if _opens(rest, mode) else np.pi)
     z = (modal * np.exp(-1j * phase * order)[:, None]).real * rest.frequencies
-    amplitude = math.sqrt(2.0 * math.exp(start))
-    guess = np.append(z.ravel() / amplitude, initial.base_omega / family.reference)
+    start = math.log(energy)
+    guess = np.append(z.ravel() / math.sqrt(2.0 * energy), initial.base_omega / family.reference)
     ratio = 1.0 + float(family.linearise(guess, start).residual[-1])
     if ratio > 0.0:
         guess[:-1] /= math.sqrt(ratio)
         found = _solve(family, guess, start)
         if found is not None and _alike(found.unknown, guess, 0.7):
-            return found.unknown
+            return found
     raise ConvergenceError(f"backbone of mode {mode}: no motion next to the initial solution")
 
 
@@ -549,7 +555,7 @@ def _opens(rest: Equilibrium, mode: int) -> bool:
     return bool(rest.modes.pairs[mode - 1].sum() <= 0.0)
 
 
-def _from_linear_mode(family: StiffnessMotion, mode: int) -> np.ndarray:
+def _from_linear_mode(family: StiffnessMotion, mode: int) -> PathPoint:
     """From the linear mode without contact to the whole contact stiffness at one energy."""
     rest, count = family.rest, len(family.rest.frequencies)
     unknown = np.zeros((family.harmonics + 1) * count + 1)
@@ -559,7 +565,7 @@ def _from_linear_mode(family: StiffnessMotion, mode: int) -> np.ndarray:
     if first is None:
         raise ConvergenceError(f"backbone of mode {mode}: no motion with soft contact")
     if soft == 0.0:
-        return first.unknown
+        return first
     last, furthest = first, soft
     for motion in _follow(family, first, 1.0, 400, True):
         if motion.parameter >= 0.0:
@@ -567,7 +573,7 @@ def _from_linear_mode(family: StiffnessMotion, mode: int) -> np.ndarray:
             if landed is not None:
                 if family.fundamental(landed.unknown) < family.least_fundamental:
                     raise ConvergenceError(f"backbone of mode {mode}: {ELSEWHERE}")
-                return landed.unknown
+                return landed
         if motion.parameter < soft - 5.0:
             break
         last, furthest = motion, max(furthest, motion.parameter)

@@ -187,13 +187,14 @@ class Continuation:
             self._take_over(initial)
         elif isinstance(initial, Bifurcation):
             self._family, self._branch = FAMILIES[parameter](problem, start, end), True
-            first, self._towards = first_of_branch(self._family, initial, longest_step)
-            self._points.append(self._point(first))
+            begun, self._towards = first_of_branch(self._family, initial, longest_step)
+            self._points.append(self._point(begun))
         else:
             found = _first_solution(FAMILIES[parameter].vary(problem, start), initial, tolerance)
             problem = problem.with_harmonics(found.harmonics)
             self._family = FAMILIES[parameter](problem, start, end)
-            self._points.append(self._point(_bare(found.gap_coefficients, 0.0, found.iterations)))
+            first = self._family.value(0.0)
+            self._points.append(self._known(found.gap_coefficients, first, found.iterations))
 
     @property
     def curve(self) -> ResponseCurve:
@@ -267,7 +268,7 @@ class Continuation:
             last = self._points[-1].multiplier
             if last is not None and found.multiplier is not None:
                 sides = (before, last), (point, found.multiplier)
-                special += multipliers_cross(family, *sides, self._multipliers)
+                special += multipliers_cross(family, *sides, self._ask)
             self._special += [
                 (kind, family.value(at.parameter), at.unknown) for kind, at in special
             ]
@@ -296,30 +297,30 @@ class Continuation:
     # --- one point --------------------------------------------------------------------------------
 
     def _point(self, point: PathPoint) -> CurvePoint:
-        value = self._family.value(point.parameter)
+        return self._known(point.unknown, self._family.value(point.parameter), point.iterations)
+
+    def _known(self, gap: np.ndarray, value: float, iterations: int) -> CurvePoint:
         multiplier = None
         if self._flow is not None:
-            multiplier = self._ask(PiecewiseFlow.leading, point)
-        omega = self._omega(value)
-        return CurvePoint(value, omega, point.unknown, point.iterations, multiplier=multiplier)
+            multiplier = self._ask(PiecewiseFlow.leading, gap, value)
+        return CurvePoint(value, self._omega(value), gap, iterations, multiplier=multiplier)
 
     def _omega(self, value: float) -> float:
         return value if self._family.name == "omega" else self._family.problem.omega
 
-    def _multipliers(self, point: PathPoint) -> np.ndarray:
-        return self._ask(PiecewiseFlow.multipliers, point)
-
     def _ask(
-        self, what: Callable[[PiecewiseFlow, np.ndarray, float], Answer], point: PathPoint
+        self,
+        what: Callable[[PiecewiseFlow, np.ndarray, float], Answer],
+        gap: np.ndarray,
+        value: float,
     ) -> Answer:
         """What the flow at a point says."""
         assert self._flow is not None
         family, flow = self._family, self._flow
-        value = family.value(point.parameter)
         if family.name in ("stiffness", "damping"):
             problem = family.at(value)
             flow = flow.varied(problem.structure, problem.contact)
-        return what(flow, point.unknown, self._omega(value) / family.problem.subharmonic)
+        return what(flow, gap, self._omega(value) / family.problem.subharmonic)
 
     def _truncation(self, point: PathPoint) -> float:
         at = self._family.linearise(point.unknown, point.parameter)
@@ -404,25 +405,12 @@ class Continuation:
     def _take_over(self, curve: ResponseCurve) -> None:
         """Begin with the points of another curve, on its way."""
         check_resumed(curve, self._family)
-        for index, gap in enumerate(map(curve.gap, range(len(curve)))):
-            parameter = self._family.parameter(float(curve.values[index]))
-            known = self._point(_bare(gap, parameter, int(curve.iterations[index])))
-            self._points.append(
-                replace(
-                    known,
-                    value=float(curve.values[index]),
-                    omega=float(curve.omega[index]),
-                    truncation=float(curve.truncation[index]),
-                )
-            )
+        for index, value in enumerate(curve.values.tolist()):
+            found = self._known(curve.gap(index), value, int(curve.iterations[index]))
+            self._points.append(replace(found, truncation=float(curve.truncation[index])))
         self._special = [(b.kind, b.value, b.gap_coefficients) for b in curve.bifurcations]
         self._branch, self._least = curve.branch, int(curve.harmonics.min())
         self._towards, self._origin = directions(self._family, curve)
-
-
-def _bare(gap: np.ndarray, parameter: float, iterations: int) -> PathPoint:
-    """A point whose tangent nobody asks for."""
-    return PathPoint(gap, parameter, iterations, Tangent(np.zeros_like(gap), 1.0, 0.0))
 
 
 def _first_solution(

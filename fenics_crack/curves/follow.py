@@ -11,7 +11,7 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.continuation import Continuation
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
-from fenics_crack.curves.resume import unfinished_problem
+from fenics_crack.curves.resume import same_problem
 from fenics_crack.errors import (
     ConvergenceError,
     InputError,
@@ -212,7 +212,7 @@ def _continuation(
     for key, value in wrong.items():
         if value is not None:
             raise InputError(key, value, "left out where a curve is resumed")
-    problem = unfinished_problem(resume, structure, omega, contact)
+    problem = same_problem(resume, structure, omega, contact)
     return Continuation(problem, *span, initial=resume, **given)
 
 

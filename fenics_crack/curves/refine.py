@@ -1,14 +1,11 @@
 """Many more points on a curve in frequency, all at once.
 
 Between the points that were followed one by one, others are interpolated by a cubic spline over the
-distance along the curve, and corrected by Newton's method across it,
-
-    [ J      F_w ] [dg]     [F]
-    [ t_g    t_w ] [dw] = - [0],
-
-for hundreds of points in the same calls of NumPy and LAPACK: a point costs a small part of one that
-is followed. The spline's error falls like the fourth power of the distance, so that one or two
-iterations do.
+distance along the curve, whose error falls like the fourth power of the distance. From there
+Newton's method in the plane across the curve (:mod:`bordered`) makes a few steps, for hundreds of
+points in the same calls of NumPy and LAPACK: a point costs a small part of one that is followed.
+Most points need one step or two. Those that are not solutions after a fixed number of steps are
+left out.
 """
 
 from __future__ import annotations
@@ -18,22 +15,22 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from fenics_crack.balance.compliance import load_coefficients
+from fenics_crack.balance.bordered import Tangent, step_in_plane
 from fenics_crack.balance.condensed import respond_to_columns
 from fenics_crack.balance.contact_integrals import contact_integrals
 from fenics_crack.balance.fourier import from_complex, to_complex
-from fenics_crack.balance.rounding import EPSILON
+from fenics_crack.balance.problem import Problem
+from fenics_crack.balance.rounding import least_residual
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError, check_count
-from fenics_crack.model.contact import UnilateralPenalty
-from fenics_crack.model.modal import AllModes, all_modes
-from fenics_crack.model.structure import Structure
+from fenics_crack.model.contact import repeated
+from fenics_crack.model.modal import all_modes
 from fenics_crack.stability.floquet import PiecewiseFlow
 
 __all__ = ["refine_curve"]
 
 TOLERANCE = 1e-9
-MOST_ITERATIONS, MOST_BETWEEN = 6, 1000
+STEPS, MOST_BETWEEN = 4, 1000
 MOST_NUMBERS = 4_000_000
 """In the Jacobians of the points that are treated together."""
 
@@ -46,14 +43,14 @@ def refine_curve(curve: ResponseCurve, between: int) -> ResponseCurve:
     curve : ResponseCurve
         In the parameter "omega", with at least four points.
     between : int
-        Points to put between each two. Those for which Newton's method does not converge at once
-        are left out.
+        Points to put between each two. Those that Newton's method does not reach at once are left
+        out.
 
     Raises
     ------
     InputError
-        The curve is in another parameter, is too short, or its law differs from pair to pair and is
-        not the penalty law.
+        The curve is in another parameter, is too short, or its law differs from pair to pair and
+        is unknown to :func:`fenics_crack.model.contact.repeated`.
     """
     check_count("between", between, 1)
     if between > MOST_BETWEEN:
@@ -62,9 +59,6 @@ def refine_curve(curve: ResponseCurve, between: int) -> ResponseCurve:
         raise InputError("curve", f"in {curve.parameter!r}", "in 'omega'")
     if len(curve) < 4:
         raise InputError("curve", f"{len(curve)} points", "at least 4")
-    law = curve.contact
-    if np.ndim(law.stiffness) and not isinstance(law, UnilateralPenalty):
-        raise InputError("contact", law, "the penalty law, or one that is the same for all pairs")
     span = float(np.ptp(curve.omega)) or 1.0
     flat = curve.gap_coefficients.reshape(len(curve), -1)
     size = float(np.linalg.norm(flat, axis=1).mean()) or 1.0
@@ -72,146 +66,147 @@ def refine_curve(curve: ResponseCurve, between: int) -> ResponseCurve:
     # Equal neighbours would have no distance.
     distance = np.maximum(np.linalg.norm(np.diff(place, axis=0), axis=1), 1e-12)
     along = np.concatenate([[0.0], np.cumsum(distance)])
-    spline = CubicSpline(along, place)
     share = np.arange(1, between + 1) / (between + 1)
     wanted = (along[:-1, None] + share * distance[:, None]).ravel()
     counts = np.repeat(np.maximum(curve.harmonics[:-1], curve.harmonics[1:]), between)
 
-    pairs = curve.gap_coefficients.shape[2]
-    gaps = np.zeros((len(wanted), *curve.gap_coefficients.shape[1:]))
-    omegas, iterations = np.full(len(wanted), np.nan), np.zeros(len(wanted), dtype=int)
+    spline, pairs = CubicSpline(along, place), curve.gap_coefficients.shape[2]
+    gaps = np.zeros((curve.gap_coefficients.shape[1], len(wanted), pairs))
+    omegas, iterations = np.empty(len(wanted)), np.zeros(len(wanted), dtype=int)
     for count in np.unique(counts):
         rows = 2 * int(count) + 1
         chunk = max(1, MOST_NUMBERS // (rows * pairs) ** 2)
-        family = _FrequencyBatch(curve, int(count))
+        system = _Together(curve.problem.with_harmonics(int(count)), span)
         chosen = np.flatnonzero(counts == count)
         for some in np.array_split(chosen, -(-len(chosen) // chunk)):
-            start, slope = spline(wanted[some]), spline(wanted[some], 1)
-            gap = size * start[:, :-1].reshape(len(some), -1, pairs)[:, :rows]
-            omega = span * start[:, -1]
-            across = slope[:, :-1].reshape(len(some), -1, pairs)[:, :rows], slope[:, -1]
-            found = family.correct(gap, omega, across, size, span)
-            gaps[some, :rows], omegas[some], iterations[some] = found
-    return _merged(curve, along, wanted, gaps, omegas, counts, iterations)
+            guess, slope = (
+                _split(spline(wanted[some], order), size, pairs, rows) for order in (0, 1)
+            )
+            plane = Tangent(*slope, size**-2)  # type: ignore[arg-type]  # of many points
+            found = system.correct(*guess, plane)
+            gaps[:rows, some], omegas[some], iterations[some] = found
+    return _merged(curve, (along, wanted), gaps.transpose(1, 0, 2), omegas, counts, iterations)
 
 
-class _FrequencyBatch:
-    """The condensed equations at many frequencies at once."""
+def _split(place: np.ndarray, size: float, pairs: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
+    """Gaps (2H+1, n, n_pairs) [m] and parameters (n, 1) of places along the spline."""
+    gap = size * place[:, :-1].reshape(len(place), -1, pairs)[:, :rows]
+    return gap.transpose(1, 0, 2), place[:, -1:]
 
-    def __init__(self, curve: ResponseCurve, harmonics: int) -> None:
-        structure: Structure = curve.structure
-        self._modes: AllModes = all_modes(structure)
-        self._clearance = structure.clearance
-        self._harmonics, self._subharmonic = harmonics, curve.subharmonic
-        load = load_coefficients(structure, harmonics, curve.subharmonic)
-        self._load = to_complex(load @ self._modes.shapes)
-        self._law = curve.contact
-        self._samples = curve.samples
-        self._tolerance = TOLERANCE
+
+class _Together:
+    """F(g, p) = 0 at many points at once: gaps (2H+1, n, n_pairs), p = w / span (n, 1)."""
+
+    def __init__(self, problem: Problem, span: float) -> None:
+        self.problem, self.span = problem, span
+        self.modes = all_modes(problem.structure)
+        self.order = np.arange(problem.harmonics + 1.0)
+        self.load = to_complex(problem.load @ self.modes.shapes)[:, None]
 
     def correct(
-        self,
-        gap: np.ndarray,
-        omega: np.ndarray,
-        across: tuple[np.ndarray, np.ndarray],
-        size: float,
-        span: float,
+        self, gap: np.ndarray, parameter: np.ndarray, plane: Tangent
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Newton's method for gaps (n, 2H+1, n_pairs); omega is nan where it does not converge."""
-        points, unknowns = len(gap), gap[0].size
-        count = np.full(points, MOST_ITERATIONS)
-        converged = np.zeros(points, dtype=bool)
-        left = np.arange(points)
-        for iteration in range(MOST_ITERATIONS + 1):
-            residual, jacobian, derivative = self._linearise(gap[left], omega[left])
-            size_now = np.linalg.norm(gap[left].reshape(len(left), -1), axis=1)
-            small = np.linalg.norm(residual, axis=1) <= self._tolerance * size_now
-            count[left[small]], converged[left[small]] = iteration, True
-            left = left[~small]
-            if not len(left) or iteration == MOST_ITERATIONS:
+        """Gaps and frequencies (n,) after a few steps, nan where these did not do; their number."""
+        gap, parameter = gap.copy(), parameter.copy()
+        count, left = np.full(len(parameter), STEPS), np.arange(len(parameter))
+        for step in range(STEPS + 1):
+            at = _Points(self, gap[:, left], self.span * parameter[left, 0])
+            count[left[at.good]] = step
+            left = left[~at.good]
+            if not len(left) or step == STEPS:
                 break
-            matrix = np.empty((len(left), unknowns + 1, unknowns + 1))
-            matrix[:, :-1, :-1], matrix[:, :-1, -1] = jacobian[~small], span * derivative[~small]
-            matrix[:, -1, :-1] = across[0][left].reshape(len(left), -1) / size
-            matrix[:, -1, -1] = across[1][left]
-            right = np.zeros((len(left), unknowns + 1))
-            right[:, :-1] = -residual[~small]
-            change = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
-            gap[left] += change[:, :-1].reshape(len(left), *gap.shape[1:])
-            omega[left] += span * change[:, -1]
-        omega[~converged] = np.nan
-        return gap, omega, count
-
-    def _linearise(
-        self, gap: np.ndarray, omega: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """F (n, m), J (n, m, m) and dF/d omega (n, m), m = (2H+1) n_pairs."""
-        points, rows, pairs = gap.shape
-        modes, order = self._modes, np.arange(self._harmonics + 1.0)
-        base = omega / self._subharmonic
-        receptance = modes.receptance(np.multiply.outer(base, order).ravel())
-        receptance = receptance.reshape(points, self._harmonics + 1, *receptance.shape[1:])
-        force, tangent = self._contact(gap)
-        drive = _complex(force) @ modes.pairs.T - self._load
-        if receptance.ndim == 3:
-            matrices = np.matmul(modes.pairs.T * receptance[:, :, None, :], modes.pairs)
-            moved = receptance * drive
-            damped = modes.damping * moved
-        else:
-            matrices = modes.pairs.T @ receptance @ modes.pairs
-            moved = np.matmul(receptance, drive[..., None])[..., 0]
-            damped = moved @ modes.damping.T
-        rate = order[:, None] * (1j * damped - 2.0 * (base[:, None, None] * order[:, None]) * moved)
-        if receptance.ndim == 3:
-            rate = receptance * rate
-        else:
-            rate = np.matmul(receptance, rate[..., None])[..., 0]
-        residual = gap + _real(moved @ modes.pairs)
-        residual[:, 0] += self._clearance
-        derivative = -_real(rate @ modes.pairs) / self._subharmonic
-        # As in search: a gap rounded to eps |g| makes a force rounded to eps k |g|.
-        rounding = np.abs(matrices).sum(axis=-1).max() * np.max(self._law.stiffness)
-        self._tolerance = max(TOLERANCE, min(1e-5, 4.0 * EPSILON * float(rounding)))
-        jacobian = respond_to_columns(matrices, tangent)
-        jacobian[:, np.arange(rows * pairs), np.arange(rows * pairs)] += 1.0
-        return residual.reshape(points, -1), jacobian, derivative.reshape(points, -1)
-
-    def _contact(self, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Force (n, 2H+1, n_pairs) and tangent (n, n_pairs, 2H+1, 2H+1): as of n n_pairs pairs."""
-        points, rows, pairs = gap.shape
-        law = self._law
-        if isinstance(law, UnilateralPenalty):
-            law = UnilateralPenalty(np.tile(np.broadcast_to(law.stiffness, (pairs,)), points))
-        integrals = contact_integrals(law, self._harmonics, self._samples, self._subharmonic)
-        columns = gap.transpose(1, 0, 2).reshape(rows, points * pairs)
-        force, tangent = integrals.linearise(columns)
-        force = force.reshape(rows, points, pairs).transpose(1, 0, 2)
-        return force, tangent.reshape(points, pairs, rows, rows)
+            across = Tangent(plane.x[:, left], plane.p[left], plane.weight)  # type: ignore[index]
+            change, shift = at.step(across)
+            gap[:, left] += change
+            parameter[left] += shift
+        parameter[left] = np.nan
+        return gap, self.span * parameter[:, 0], count
 
 
-def _complex(rows: np.ndarray) -> np.ndarray:
-    """Rows (n, 2H+1, m) as complex harmonics (n, H+1, m)."""
-    return to_complex(rows.transpose(1, 0, 2)).transpose(1, 0, 2)
+class _Points:
+    """The equations at points, whether they hold, and a step for those where they do not."""
+
+    def __init__(self, system: _Together, gap: np.ndarray, omega: np.ndarray) -> None:
+        problem, modes = system.problem, system.modes
+        structure, pairs = problem.structure, gap.shape[2]
+        self._system, self._base = system, omega / problem.subharmonic
+        frequency = np.multiply.outer(system.order, self._base)
+        receptance = modes.receptance(frequency.ravel())
+        self._receptance = receptance.reshape(*frequency.shape, *receptance.shape[1:])
+        self._matrices = _seen_by_pairs(self._receptance, modes.pairs)
+        law = repeated(problem.contact, pairs, len(omega))
+        integrals = contact_integrals(law, problem.harmonics, problem.samples, problem.subharmonic)
+        force, tangent = integrals.linearise(gap.reshape(len(gap), -1))
+        self._tangent = tangent.reshape(len(omega), pairs, len(gap), len(gap))
+        drive = to_complex(force.reshape(gap.shape)) @ modes.pairs.T - system.load
+        self._moved = _respond(self._receptance, drive)
+        self._residual = gap + from_complex(self._moved @ modes.pairs)
+        self._residual[0] += structure.clearance
+        rounding = np.abs(self._matrices).sum(axis=-1).max() * np.max(law.stiffness)
+        tolerance = max(TOLERANCE, least_residual(4.0 * float(rounding)))
+        self.good = np.linalg.norm(self._residual, axis=(0, 2)) <= tolerance * np.linalg.norm(
+            gap, axis=(0, 2)
+        )
+
+    def step(self, plane: Tangent) -> tuple[np.ndarray, np.ndarray]:
+        """Newton's step (dg, dp) in the planes of the points that are not good."""
+        rest = ~self.good
+        residual = self._residual[:, rest]
+        matrices = self._matrices[:, rest].swapaxes(0, 1)
+        jacobian = respond_to_columns(matrices, self._tangent[rest])
+        diagonal = np.arange(jacobian.shape[-1])
+        jacobian[:, diagonal, diagonal] += 1.0
+        both = np.stack([residual, self._by_parameter(rest)], axis=-1).swapaxes(0, 1)
+        found = np.linalg.solve(jacobian, -both.reshape(*jacobian.shape[:2], 2))
+        change, slope = found.reshape(both.shape).swapaxes(0, 1).transpose(3, 0, 1, 2)
+        return step_in_plane(plane, change, slope, _inner)
+
+    def _by_parameter(self, rest: np.ndarray) -> np.ndarray:
+        """dF/dp, as :meth:`ModalCompliance.frequency_derivative`."""
+        system, modes = self._system, self._system.modes
+        order, moved = system.order[:, None, None], self._moved[:, rest]
+        damped = modes.damping * moved if modes.damping.ndim == 1 else moved @ modes.damping.T
+        rate = order * (1j * damped - 2.0 * order * self._base[rest, None] * moved)
+        change = _respond(self._receptance[:, rest], rate)
+        scale = -system.span / system.problem.subharmonic
+        return scale * from_complex(change @ modes.pairs)
 
 
-def _real(harmonics: np.ndarray) -> np.ndarray:
-    """Complex harmonics (n, H+1, m) as rows (n, 2H+1, m)."""
-    return from_complex(harmonics.transpose(1, 0, 2)).transpose(1, 0, 2)
+def _respond(receptance: np.ndarray, drive: np.ndarray) -> np.ndarray:
+    """Modal response to modal forces, both (H+1, n, n_modes)."""
+    if receptance.ndim == 3:
+        return receptance * drive
+    return np.matmul(receptance, drive[..., None])[..., 0]
+
+
+def _seen_by_pairs(receptance: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    """R_k: (H+1, n, n_pairs, n_pairs)."""
+    if receptance.ndim == 3:
+        return np.matmul(pairs.T * receptance[:, :, None, :], pairs)
+    return pairs.T @ receptance @ pairs
+
+
+def _inner(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Inner product of the gaps of each point: (n, 1)."""
+    return np.einsum("rnp,rnp->n", first, second)[:, None]
 
 
 def _merged(
     curve: ResponseCurve,
-    along: np.ndarray,
-    wanted: np.ndarray,
+    along: tuple[np.ndarray, np.ndarray],
     gaps: np.ndarray,
     omegas: np.ndarray,
     counts: np.ndarray,
     iterations: np.ndarray,
 ) -> ResponseCurve:
-    """The old and the new points in order."""
+    """The old and the new points in order; ``along``: where they lie."""
     good = np.isfinite(omegas)
-    order = np.argsort(np.concatenate([along, wanted[good]]), kind="stable")
-    omega = np.concatenate([curve.omega, omegas[good]])[order]
+    order = np.argsort(np.concatenate([along[0], along[1][good]]), kind="stable")
+
+    def both(old: np.ndarray, new: np.ndarray) -> np.ndarray:
+        return np.concatenate([old, new])[order]
+
+    omega = both(curve.omega, omegas[good])
     multipliers = curve.multipliers
     if multipliers is not None:
         flow = PiecewiseFlow(curve.structure, curve.contact)
@@ -219,15 +214,14 @@ def _merged(
             flow.leading(gap[: 2 * count + 1], at / curve.subharmonic).value
             for gap, count, at in zip(gaps[good], counts[good], omegas[good], strict=True)
         ]
-        multipliers = np.concatenate([multipliers, np.array(more)])[order]
-    unknown = np.full(good.sum(), np.nan)
+        multipliers = both(multipliers, np.array(more))
     return replace(
         curve,
         values=omega,
         omega=omega,
-        gap_coefficients=np.concatenate([curve.gap_coefficients, gaps[good]])[order],
-        harmonics=np.concatenate([curve.harmonics, counts[good]])[order],
-        iterations=np.concatenate([curve.iterations, iterations[good]])[order],
-        truncation=np.concatenate([curve.truncation, unknown])[order],
+        gap_coefficients=both(curve.gap_coefficients, gaps[good]),
+        harmonics=both(curve.harmonics, counts[good]),
+        iterations=both(curve.iterations, iterations[good]),
+        truncation=both(curve.truncation, np.full(good.sum(), np.nan)),
         multipliers=multipliers,
     )

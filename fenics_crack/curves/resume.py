@@ -17,26 +17,24 @@ from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
 
-__all__ = ["check_resumed", "directions", "point_towards", "unfinished_problem"]
+__all__ = ["check_resumed", "directions", "point_towards", "same_problem"]
+
+UNFINISHED = "a ResponseCurve that is not complete"
 
 
-def unfinished_problem(
+def same_problem(
     curve: ResponseCurve, structure: Structure, omega: float, contact: ContactLaw
 ) -> Problem:
-    """The problem of a curve that is not complete, with a structure and a law given anew.
-
-    Raises
-    ------
-    InputError
-        It is no curve, or a complete one.
-    """
-    if not isinstance(curve, ResponseCurve) or curve.complete:
-        raise InputError("resume", type(curve).__name__, "a ResponseCurve that is not complete")
+    """The problem of a curve to be resumed, with its structure and law given anew."""
+    if not isinstance(curve, ResponseCurve):
+        raise InputError("resume", type(curve).__name__, UNFINISHED)
     return replace(curve.problem, structure=structure, omega=omega, contact=contact)
 
 
 def check_resumed(curve: ResponseCurve, family: Family) -> None:
-    """Raise InputError unless a family goes on where a curve ends."""
+    """Raise InputError unless a curve is not complete and a family goes on where it ends."""
+    if curve.complete:
+        raise InputError("resume", type(curve).__name__, UNFINISHED)
     span = family.start, family.end
     pairs = family.problem.structure.n_pairs
     if curve.structure.n_pairs != pairs or curve.parameter != family.name:

@@ -215,8 +215,13 @@ class PiecewiseFlow:
         if value is None:
             found = np.linalg.eigvals(product)
             value = complex(found[np.argmax(np.abs(found))])
-        doubling = float(np.linalg.slogdet(np.eye(len(product)) + product)[0])
-        return LeadingMultiplier(complex(value.real, abs(value.imag)), doubling)
+        return LeadingMultiplier(
+            complex(value.real, abs(value.imag)), float(np.sign(_doubling(product)))
+        )
+
+    def doubling(self, gap: np.ndarray, base_omega: float) -> float:
+        """det(I + M): it changes its sign where a multiplier passes through -1."""
+        return _doubling(self._product(gap, base_omega)[0])
 
     def monodromy(self, gap: np.ndarray, base_omega: float) -> np.ndarray:
         """M over one period of the gap (2H+1, n_pairs), from phase zero: (2n, 2n).
@@ -323,6 +328,11 @@ def _leading(matrix: np.ndarray) -> complex | None:
         if error < 1e-10 * abs(value) and (abs(value) > 1.0 or logarithm < 0.0):
             return value
     return None
+
+
+def _doubling(monodromy: np.ndarray) -> float:
+    sign, logarithm = np.linalg.slogdet(np.eye(len(monodromy)) + monodromy)
+    return float(sign * np.exp(min(logarithm, 500.0)))
 
 
 def doubling_test(multipliers: np.ndarray) -> float:

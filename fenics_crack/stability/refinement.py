@@ -39,7 +39,7 @@ __all__ = ["refine_bifurcation"]
 
 TOLERANCE = 1e-12
 """|z(T) - z| / |z| of the points, where the flow does not enlarge rounding beyond it."""
-MOST_ITERATIONS = 30
+MOST_ITERATIONS, LEAST_DAMPING = 30, 0.01
 """From the solution to the branch."""
 MOST_STEPS = 400
 """In each direction."""
@@ -176,6 +176,7 @@ class _Branch(ExactOrbits):
             tolerance=self.tolerance,
             iterations=MOST_ITERATIONS,
             reach=0.5,
+            least_damping=LEAST_DAMPING,
         )
         if found is None:
             return None

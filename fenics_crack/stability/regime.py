@@ -117,21 +117,22 @@ def _from_undamped(undamped: UndampedModes, damping: np.ndarray, scale: float) -
 
 def _corrected(squares: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """Eigenvalues with positive imaginary part and shapes (n, n); None where they do not settle."""
-    rate = np.diag(damping)
+    rate = np.diag(damping).copy()
     radicand = squares - 0.25 * rate**2
     size = np.abs(damping).max()
     if not (np.all(radicand > 0.0) and np.abs(damping - damping.T).max() <= 1e-13 * size):
         return None
     values = -0.5 * rate + 1j * np.sqrt(radicand)
-    shapes: np.ndarray = np.eye(len(squares), dtype=complex)
+    # What the coupling makes of the uncoupled shapes: Q(l_j) x_j = 0 to first order in it.
+    impedance = (values + rate[:, None]) * values + squares[:, None]
+    shapes = _share(-damping * values, impedance, np.abs(values) ** 2)
+    np.fill_diagonal(shapes, 1.0)
     for _ in range(MOST_CORRECTIONS):
         damped, moved = damping @ shapes, shapes * values
         norms = (shapes * (2.0 * moved + damped)).sum(axis=0)[:, None]
         residual = (moved + damped) * values + squares[:, None] * shapes
         own, other = shapes.T @ residual / norms, shapes.conj().T @ residual / norms.conj()
-        apart = values - values[:, None]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            change = np.where(np.abs(apart) > ALIKE * np.abs(values), own / apart, 0.0)
+        change = _share(own, values - values[:, None], np.abs(values))
         other /= values - values.conj()[:, None]
         shapes = shapes - shapes @ change - shapes.conj() @ other
         values = values - np.diag(own)
@@ -140,6 +141,12 @@ def _corrected(squares: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, np
         if not np.all(np.isfinite(values)):
             break
     return None
+
+
+def _share(part: np.ndarray, apart: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Quotients; zero where eigenvalues are alike."""
+    zero = np.zeros(part.shape, complex)
+    return np.divide(part, apart, out=zero, where=np.abs(apart) > ALIKE * size)
 
 
 def _by_lapack(matrix: np.ndarray) -> Regime | None:

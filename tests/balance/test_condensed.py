@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import scipy.linalg
 from helpers import (
+    BILINEAR_ORBITS,
     DAMPINGS,
     OMEGA_0,
-    VERIFICATION_A,
     amplitudes,
     chain,
     dense_matrices,
@@ -226,7 +226,7 @@ def newton(system: CondensedSystem | ConstraintSystem, start: np.ndarray) -> Con
 
 @pytest.mark.parametrize("kind", ["exact", "smoothed", "constraint"])
 def test_sensitivity_of_the_gap(kind: str) -> None:
-    """How a solution's gap follows another free gap: by solving again, to 1e-5."""
+    """Change of the gap with the gap without contact, against solving again, to 1e-5."""
     system = systems()[kind]()
     start = system.linear if kind != "constraint" else np.zeros(system.shape)
     solution = newton(system, start)
@@ -254,11 +254,12 @@ def test_determinant_sign_against_numpy() -> None:
 # --- published orbits -----------------------------------------------------------------------------
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize("form", ["condensed", "full"])
-@pytest.mark.parametrize("omega", VERIFICATION_A, ids=["w0/2", "1"])
-def test_verification_a(omega: float, form: str) -> None:
-    """Bilinear oscillator, event-driven reference values, H = 20, to 1e-5."""
-    mean, harmonics, largest, smallest = VERIFICATION_A[omega]
+@pytest.mark.parametrize("omega", BILINEAR_ORBITS, ids=["w0/2", "1"])
+def test_bilinear_oscillator(omega: float, form: str) -> None:
+    """Event-driven reference values at half and full frequency, H = 20, to 1e-5."""
+    mean, harmonics, largest, smallest = BILINEAR_ORBITS[omega]
     law = fc.UnilateralPenalty(1.0)
     solution = solve_form(Problem(oscillator(), omega, law, 20), form=form)
     rows = solution.gap_coefficients[:, 0]
@@ -269,8 +270,9 @@ def test_verification_a(omega: float, form: str) -> None:
     assert wave.min() == pytest.approx(smallest, rel=1e-5)
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize("samples", [None, 8192])
-def test_verification_a_error_falls_with_the_harmonics(samples: int | None) -> None:
+def test_bilinear_oscillator_error_falls_with_the_harmonics(samples: int | None) -> None:
     """Relative L2 errors 3.1e-4, 3.7e-5, 4.0e-6, 3.9e-7 at H = 5, 10, 20, 40: order 3.2."""
     law, t = fc.UnilateralPenalty(1.0), np.linspace(0.0, 2.0 * np.pi, 4001)
     counts = (5, 10, 20, 40)
@@ -283,7 +285,8 @@ def test_verification_a_error_falls_with_the_harmonics(samples: int | None) -> N
     assert log_slope(counts, errors) == pytest.approx(-3.2, abs=0.2)
 
 
-def test_verification_b_period_doubled_orbit() -> None:
+@pytest.mark.verification
+def test_period_doubled_orbit() -> None:
     """W = 2 w0: |X1| = 0.2419996 of period 1; |X_1/2| = 0.7790634, X0 = -0.1735445 of period 2."""
     law, omega = fc.UnilateralPenalty(1.0), 2.0 * OMEGA_0
     once = fc.solve_harmonic_balance(oscillator(), omega, law, harmonics=20)
@@ -304,7 +307,8 @@ def test_verification_b_period_doubled_orbit() -> None:
         assert rows[0] == pytest.approx(-0.1735445, rel=near)
 
 
-def test_verification_c_two_orbits_coexist() -> None:
+@pytest.mark.verification
+def test_two_masses_and_a_stop_have_two_orbits() -> None:
     """At W = 0.70: 0.22134025 without contact, 0.77839461 with it, followed from 4 times the load.
 
     H = 21 has 0.77922, within 1e-3; H = 200 agrees to 1e-7.
@@ -383,8 +387,8 @@ def test_undamped_resonance_is_an_error(form: str, omega: float) -> None:
 
 
 @pytest.mark.parametrize("damping", [None, 0.1 * np.eye(2), fc.ModalDamping(0.01)])
-def test_loose_structure_is_an_error(damping: object) -> None:
-    """Nothing holds the masses: the mean of the contact force moves them away."""
+def test_unconstrained_structure_is_an_error(damping: object) -> None:
+    """Nothing holds the masses: the mean contact force moves them without limit."""
     loose = fc.Structure.from_matrices(
         np.eye(2), [[1.0, -1.0], [-1.0, 1.0]], [1.0, 0.0], force_cos=[1.0, 0.0], damping=damping
     )
@@ -394,7 +398,7 @@ def test_loose_structure_is_an_error(damping: object) -> None:
 
 
 def test_without_any_stiffness_is_an_error() -> None:
-    """K = 0: no pivot to be found null, but nothing to stand on either."""
+    """K = 0: the factorisation meets no zero pivot, and yet there is no static answer."""
     free = fc.Structure.from_matrices(np.eye(1), np.zeros((1, 1)), [1.0], force_cos=[1.0])
     for form in ("condensed", "full"):
         with pytest.raises(fc.ConvergenceError, match="singular"):
@@ -403,7 +407,7 @@ def test_without_any_stiffness_is_an_error() -> None:
 
 @pytest.mark.parametrize("form", ["condensed", "full"])
 def test_close_to_an_undamped_resonance(form: str) -> None:
-    """Resonance met but for rounding: the solution that a little damping gives, or an error."""
+    """At a resonance except for rounding: the solution with a little damping, or an error."""
     whole = chain("none", n=8, pairs=1)
     law = fc.UnilateralPenalty(1.0)
     omega = fc.solve_modes(whole, 1).omega[0]
@@ -429,7 +433,7 @@ def test_close_to_an_undamped_resonance(form: str) -> None:
 
 
 def test_structure_without_pairs_is_refused() -> None:
-    """Without lips there is nothing to condense onto."""
+    """Without pairs there are no equations to condense onto."""
     one = np.ones((1, 1))
     free = fc.Structure.from_matrices(one, one, None, force_cos=[1.0], damping=0.1 * one)
     for contact in (fc.UnilateralPenalty(1.0), fc.UnilateralConstraint()):

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import (
+    BILINEAR_ORBITS,
     DAMPINGS,
     OMEGA_0,
-    VERIFICATION_A,
     Cubic,
     chain,
     dense_matrices,
@@ -109,7 +109,7 @@ def test_tangent_on_few_samples(samples: int) -> None:
 
 
 def test_refusals() -> None:
-    """Words that mean nothing, and arguments that collocation has no use for."""
+    """Unknown words, and arguments that do not go with collocation."""
     structure, law, rigid = oscillator(), fc.UnilateralPenalty(1.0), fc.UnilateralConstraint()
     cases: list[tuple[str, Problem, dict[str, Any]]] = [
         ("balance", Problem(structure, 1.0, law), {"balance": "classical"}),
@@ -133,7 +133,7 @@ def test_refusals() -> None:
 
 
 def duffing() -> fc.Structure:
-    """VERIFICATION H: x'' + 0.2 x' + x (+ x^3) = 1.25 sin 2 t."""
+    """x'' + 0.2 x' + x (+ x^3) = 1.25 sin 2 t."""
     one = np.ones((1, 1))
     return fc.Structure.from_matrices(one, one, one, force_sin=[1.25], damping=0.2 * one)
 
@@ -175,7 +175,7 @@ def collocation_roots(harmonics: int) -> np.ndarray:
 
 
 def newton_roots(system: CondensedSystem, starts: int = 400) -> list[np.ndarray]:
-    """Different solutions to which Newton's method leads from random starts of many sizes."""
+    """The distinct solutions that Newton's method finds from random starts of many sizes."""
     size = np.linalg.norm(system.linear)
     rng, found = np.random.default_rng(0), list[np.ndarray]()
     for _ in range(starts):
@@ -204,7 +204,8 @@ def classical_amplitudes() -> np.ndarray:
     return np.sort(np.sqrt(squares.real))
 
 
-def test_verification_h() -> None:
+@pytest.mark.verification
+def test_duffing_with_spurious_roots() -> None:
     """3 roots by the classical form, 9 by collocation: by algebra, and by the package's equations.
 
     From 4H+1 = 5 samples on, which give the coefficients of a cube exactly, the 6 others are gone.
@@ -231,9 +232,12 @@ def test_spurious_roots_of_two_harmonics() -> None:
     assert len(newton_roots(duffing_system(2, 64))) == 3
 
 
-def test_the_report_betrays_spurious_solutions() -> None:
-    """All 9 roots pass for solutions. One is off by 2 %, and says so; the others report 11 % and
-    more, and are 30 % and more off the solution to which the classical form leads from there."""
+def test_the_report_reveals_spurious_solutions() -> None:
+    """All 9 roots are returned as solutions; their reports tell them apart.
+
+    One is 2 % off and reports that; the others report 11 % and more, and are 30 % and more off the
+    solution to which the classical form leads from there.
+    """
     structure, law, exact = duffing(), Cubic(1.0), classical_amplitudes()
     problem = Problem(structure, 2.0, law, 1)
     start = solve_form(problem, balance="collocation")
@@ -274,8 +278,8 @@ def collocated_states(structure: fc.Structure, omega: float, k: float, harmonics
 
 
 def test_spurious_solutions_of_contact(soft_plate: fc.Structure) -> None:
-    """Soft contact has one solution at 2H+1 instants, stiff contact the more the more harmonics."""
-    for omega in VERIFICATION_A:
+    """Soft contact has one solution at 2H+1 instants, stiff contact several, more with larger H."""
+    for omega in BILINEAR_ORBITS:
         assert collocated_states(oscillator(), omega, 1.0, 5) == 1
     assert collocated_states(oscillator(), 0.5 * OMEGA_0, 1.0, 3) == 3
     assert collocated_states(soft_plate, 2000.0, 1e9, 5) == 1
@@ -442,7 +446,7 @@ def test_incremental_system_refuses() -> None:
 
 
 def test_incremental_residual_with_gyroscopic_damping() -> None:
-    """C need not be symmetric: at a solution nothing is left."""
+    """C need not be symmetric: the residual of a solution vanishes."""
     dashpots = np.array([[0.1, 0.3], [-0.3, 0.1]])
     structure = fc.Structure.from_matrices(
         np.eye(2),

@@ -28,8 +28,9 @@ def block_system(
     compliance.destroy()
 
 
+@pytest.mark.verification
 def test_harmonics_of_a_kink_fall_like_the_fourth_power() -> None:
-    """VERIFICATION A: |X_k| k^4 reaches 1.63 to 1.69 in every octave of k = 8 to 128.
+    """Bilinear oscillator: |X_k| k^4 reaches 1.63 to 1.69 in every octave of k = 8 to 128.
 
     The two kinks of a period interfere, so that single harmonics lie below that envelope.
     """
@@ -51,8 +52,9 @@ def test_response_scales_with_the_load() -> None:
     assert np.allclose(many.gap_coefficients, 1e4 * one.gap_coefficients, rtol=1e-8)
 
 
-def test_paper_plate_soft_contact(soft_plate: fc.Structure) -> None:
-    """VERIFICATION I: event-driven modal integration; H = 5 to 40 and the loaded corner."""
+@pytest.mark.verification
+def test_paper_plate_with_soft_contact(soft_plate: fc.Structure) -> None:
+    """Gap and loaded corner against event-driven integration of all modes, H = 5 to 40."""
     corner = soft_plate.find_dof((0.1, 0.1), "x")
     law = fc.UnilateralPenalty(1e9)
     openings = {}
@@ -220,7 +222,7 @@ def test_cold_start_on_the_paper_plate(
 
 
 def test_continues_from_a_given_solution() -> None:
-    """From the converged solution itself there is nothing to do; harmonics may differ."""
+    """From the solution itself no iteration is needed; the number of harmonics may differ."""
     law = fc.UnilateralPenalty(1.0)
     first = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=6)
     again = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=6, initial=first)

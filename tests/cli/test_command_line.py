@@ -44,7 +44,7 @@ def table(path: Path) -> list[dict[str, str]]:
 
 @pytest.mark.slow
 def test_numbers_are_those_of_the_library(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    """What the program prints, stores and reads back is what a script gets."""
+    """The program prints, stores and reads back what a script computes."""
     scene = fc.Scene.load(ROOT / "demos" / "paper_plate.toml").replace(
         {"contact.stiffness": 1e9, "damping.ratio": 0.01}
     )
@@ -74,7 +74,7 @@ def test_numbers_are_those_of_the_library(tmp_path: Path, capsys: pytest.Capture
 
 @pytest.mark.parametrize("law", ["constraint", "smoothed"])
 def test_other_laws_read_back(tmp_path: Path, law: str) -> None:
-    """The constraint and the smoothed law, too."""
+    """Also the constraint and the smoothed law."""
     words = ["solve", str(ROOT / "demos" / "paper_plate.toml"), "--quiet",
              "--output", str(tmp_path), "--set", f"contact.law={law}"]  # fmt: skip
     if law == "constraint":
@@ -126,8 +126,8 @@ def test_help_and_version(capsys: pytest.CaptureFixture) -> None:
 
 @pytest.mark.mpi
 @pytest.mark.parametrize("words", [["--version"], ["solve", "--help"], ["nothing"]])
-def test_one_rank_speaks_before_a_command_runs(tmp_path: Path, words: list[str]) -> None:
-    """Help, version and a wrong word are said once."""
+def test_one_rank_prints_before_a_command_runs(tmp_path: Path, words: list[str]) -> None:
+    """Help, version and the error of an unknown word are printed once."""
     done = run(tmp_path, *words, ranks=2)
     said = done.stdout + done.stderr
     assert said.count("usage: fenics-crack") + said.count(f"fenics-crack {fc.__version__}") == 1
@@ -195,7 +195,7 @@ def test_points_of_a_curve(results: Path) -> None:
 
 @pytest.mark.parametrize("name", ["solution", "curve"])
 def test_file_with_another_law_or_structure(results: Path, name: str) -> None:
-    """Read with what they were not found with, results would be wrong: they are refused."""
+    """With another structure or law than its own a result would be wrong: it is refused."""
     run = fc.load_run(results / f"{name}.h5")
     for law in (fc.UnilateralPenalty(1e8), fc.SmoothedPenalty(1e9, 1e8)):
         with pytest.raises(fc.InputError, match="contact"):
@@ -206,7 +206,7 @@ def test_file_with_another_law_or_structure(results: Path, name: str) -> None:
 
 
 def test_file_of_a_mesh_that_has_changed(tmp_path: Path) -> None:
-    """The mesh file belongs to the result."""
+    """A result whose mesh file has changed is refused."""
     mesh = tmp_path / "plate.msh"
     drawn = fc.Scene.load(PAPER).replace({"contact.stiffness": 1e9, "damping.ratio": 0.02})
     write_msh(drawn, mesh)
@@ -244,8 +244,8 @@ def test_plot_on_two_ranks(results: Path, tmp_path: Path, name: str) -> None:
     assert done.returncode == 0 and list(tmp_path.glob("*.png")), done.stderr
 
 
-def test_reader_that_goes_away(tmp_path: Path) -> None:
-    """No message of PETSc's, no traceback."""
+def test_reader_that_closes_its_pipe(tmp_path: Path) -> None:
+    """Neither a message from PETSc nor a traceback."""
     command = " ".join([*PROGRAM, "modes", str(PAPER), "--output", str(tmp_path)])
     done = subprocess.run(
         f"{command} --verbose | true", shell=True, env=ENVIRONMENT, capture_output=True, text=True

@@ -127,7 +127,7 @@ def test_window(breathing: fc.PeriodicSolution, monkeypatch: pytest.MonkeyPatch)
 
 
 def test_animation_refuses(breathing: fc.PeriodicSolution, tmp_path: Path) -> None:
-    """Other files than GIF, and what has no mesh."""
+    """Files other than GIF, and structures without a mesh."""
     for name in ("crack.mp4", "crack"):
         with pytest.raises(fc.InputError, match=r"path.*\.gif"):
             fc.animate_period(breathing, tmp_path / name)
@@ -184,7 +184,7 @@ def test_units_that_read_well() -> None:
 
 
 def test_map(tmp_path: Path) -> None:
-    """Cells without a value are grey; the colours are logarithmic where that helps."""
+    """Cells without a value are grey; colours are logarithmic over large ranges."""
     x, y = np.linspace(1500.0, 4000.0, 8), np.linspace(0.02, 0.06, 5)
     words = {"title": "t", "x_label": "x", "y_label": "y", "value_label": "v [m]"}
     rising = np.outer(np.ones(5), np.arange(1.0, 9.0))

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from helpers import chain, oscillator
+from helpers import Cubic, chain, oscillator
 
 import fenics_crack as fc
 
 
 def assert_solutions(curve: fc.ResponseCurve, every: int) -> None:
-    """Points are solutions: solved again one by one, from themselves, they do not move."""
+    """Each point, solved again from itself, does not move."""
     for index in range(0, len(curve), every):
         solution = curve.solution(index)
         again = fc.solve_harmonic_balance(
@@ -24,8 +24,8 @@ def assert_solutions(curve: fc.ResponseCurve, every: int) -> None:
         assert np.abs(difference).max() < 1e-6 * np.abs(solution.gap_coefficients).max()
 
 
-def test_filled_curve_over_folds() -> None:
-    """Nine points in each gap of a coarse curve: in order, over both folds, all of them right."""
+def test_refined_curve_over_folds() -> None:
+    """Nine points between each two of a coarse curve: in order, over both folds, all solutions."""
     structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
     coarse = fc.continue_frequency(structure, 2.0, 0.3, law, harmonics=6, longest_step=0.2)
     fine = fc.refine_curve(coarse, 9)
@@ -47,7 +47,7 @@ def test_several_pairs_and_kinds_of_contact() -> None:
     for law, samples in (
         (fc.UnilateralPenalty(np.array([2.0, 5.0])), None),
         (fc.UnilateralPenalty(3.0), 256),
-        (fc.SmoothedPenalty(3.0, 20.0), None),
+        (fc.SmoothedPenalty(np.array([3.0, 2.0]), 20.0), None),
     ):
         coarse = fc.continue_frequency(
             structure, 0.5, 1.5, law, harmonics=4, samples=samples, longest_step=0.1
@@ -84,7 +84,6 @@ def test_bad_arguments() -> None:
     short = fc.continue_frequency(structure, 1.0, 1.5, law, most_points=2, throw=False)
     with pytest.raises(fc.InputError, match="points"):
         fc.refine_curve(short, 1)
-    smoothed = fc.SmoothedPenalty(np.array([1.0]), 10.0)
-    each = fc.continue_frequency(structure, 1.0, 1.5, smoothed)
+    each = fc.continue_frequency(structure, 1.0, 1.5, Cubic(np.array([1.0])))
     with pytest.raises(fc.InputError, match="contact"):
         fc.refine_curve(each, 1)

@@ -235,14 +235,16 @@ def test_frequencies_fall_as_the_mesh_is_refined(order: int) -> None:
     assert np.all(np.diff(found, axis=0) < 0.0)
 
 
+@pytest.mark.verification
 def test_square_cantilever() -> None:
-    """Square clamped on one side, nu = 0.3: published omega L sqrt(rho/E) within 0.1 %."""
+    """In its plane, clamped on one side, nu = 0.3: published omega L sqrt(rho/E) within 0.1 %."""
     modes = solve_modes(build_structure(plate(24, 24, **{"mesh.order": 2})), 3)
     np.testing.assert_allclose(modes.omega, [0.65816, 1.57953, 1.77205], rtol=1e-3)
 
 
-def test_nafems_fv32(tmp_path: Path) -> None:
-    """Tapered membrane: published targets within 0.1 %, and never below those of a finer mesh.
+@pytest.mark.verification
+def test_nafems_tapered_membrane(tmp_path: Path) -> None:
+    """NAFEMS FV32: published targets within 0.1 %, and never below those of a finer mesh.
 
     The finer mesh (64 x 32 nine-node quadrilaterals) halves the cells of this one, so its space
     holds this one's and its frequencies, given to 1e-3 Hz, are lower bounds.
@@ -320,7 +322,7 @@ def test_unreachable_first_frequency(breathing: Scene, target: float) -> None:
 
 
 def test_length_without_a_frequency(paper_scene: Scene) -> None:
-    """Without crack.first_omega there is nothing to find."""
+    """Without crack.first_omega no length can be found."""
     with pytest.raises(InputError) as caught:
         find_crack_length(paper_scene, MPI.COMM_SELF)
     assert caught.value.key == "crack.first_omega"

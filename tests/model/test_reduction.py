@@ -1,4 +1,4 @@
-"""Reduced structures: exact where they must be, converging, and honest about their error."""
+"""Reduced structures: exact at zero frequency, convergent, their errors estimated."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -131,7 +131,7 @@ def test_truncation_lacks_the_residual_flexibility(
 
 
 def test_unconstrained_chain() -> None:
-    """A chain that nothing holds: K is singular; compliance at w > 0, and the linear response."""
+    """A chain that is not fixed: K is singular; compliance at w > 0, and the linear response."""
     for damping in ("matrix", "none"):
         whole = chain(damping, 60, unconstrained=True)
         elastic = fc.solve_modes(whole, 2).omega
@@ -208,7 +208,7 @@ def test_estimated_error_is_the_true_one(
 
 
 def test_estimate_in_a_truncated_basis_warns() -> None:
-    """Truncation's errors of 20 % and more are reported as such."""
+    """The errors of truncation, 20 % and more, are reported as such."""
     whole, law = chain(n=60), fc.UnilateralPenalty(4.0)
     exact = fc.solve_harmonic_balance(whole, 0.05, law, harmonics=7)
     reduced = fc.reduce_structure(whole, modes=10, method="truncation")
@@ -445,7 +445,7 @@ def test_bad_method_is_named(soft_plate: fc.Structure) -> None:
 
 
 def test_numpy_counts_are_counts(soft_plate: fc.Structure) -> None:
-    """As everywhere else."""
+    """A number of NumPy's kinds is accepted as a count."""
     assert fc.reduce_structure(soft_plate, modes=np.int64(4), method="truncation").n_dofs == 4
 
 
@@ -470,7 +470,7 @@ def test_same_reduction_on_two_ranks(paper_scene: fc.Scene, on_ranks: Callable[.
 
 
 def test_all_modes_damped_whatever_the_mesh() -> None:
-    """A scene with all modes damped: the reduced structure's own, at no more than its error."""
+    """A scene with all modes damped: those of the reduced structure, within its error."""
     scene = fc.Scene.load(ROOT / "fenics_crack" / "cli" / "new_scene.toml").replace(
         {"mesh.size": 0.03, "mesh.order": 1, "mesh.lip_elements": 3, "reduction.modes": 10}
     )

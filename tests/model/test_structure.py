@@ -441,7 +441,7 @@ def test_duplicate_entries_are_added() -> None:
 
 
 def test_damped_refuses_what_is_no_modal_damping() -> None:
-    """Another matrix makes another structure from the start."""
+    """A damping matrix needs a new structure."""
     with pytest.raises(InputError, match="damping"):
         Structure.from_matrices(**good()).damped("much")  # type: ignore[arg-type]
 
@@ -455,7 +455,7 @@ def plates(scene: Scene) -> list[Structure]:
 
 
 def test_no_attribute_can_be_set(paper_scene: Scene) -> None:
-    """Whatever its name is, and the message says what to do."""
+    """No attribute of any name can be set; the message says what to do instead."""
     for structure in plates(paper_scene):
         names = [name for name in dir(structure) if not name.startswith("_")]
         known = {"force", "clearance", "damping", "pair_areas", "mass", "n_dofs", "whole", "nodes"}

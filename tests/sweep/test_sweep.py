@@ -1,4 +1,4 @@
-"""Sweeps: right numbers, the same on any number of ranks, nothing lost when killed."""
+"""Sweeps: right numbers, the same on any number of ranks; nothing is lost when killed."""
 
 from __future__ import annotations
 
@@ -195,7 +195,7 @@ def test_a_case_leaves_the_solution_of_another_alone(paper_scene: fc.Scene, redu
 
 
 def test_constraint(paper_scene: fc.Scene, tmp_path: Path) -> None:
-    """No law of the gap: no verdict; the solution knows its weight."""
+    """No verdict on stability; the solution carries its weight."""
     changes = {"damping.ratio": 0.01, "contact.stiffness": None, "contact.law": "constraint"}
     scene = swept(paper_scene, {"excitation.omega": [1900.0, 2000.0]}, changes)
     result = run_sweep(scene, tmp_path / "sweep.h5")
@@ -210,7 +210,7 @@ def test_constraint(paper_scene: fc.Scene, tmp_path: Path) -> None:
 
 
 def test_without_a_crack(paper_scene: fc.Scene, tmp_path: Path) -> None:
-    """The linear plate: a response, nothing of contact."""
+    """The linear plate: a response without columns of contact."""
     base = paper_scene.replace({"crack": None, "contact": None, "damping.ratio": 0.01})
     scene = swept(base, {"excitation.omega": [2000.0, 3000.0]}, {})
     result = run_sweep(scene, tmp_path / "sweep.h5")
@@ -600,7 +600,7 @@ while True:
 
 @pytest.mark.slow
 def test_stops_at_ctrl_c(paper_scene: fc.Scene, tmp_path: Path, undisturbed: SweepResult) -> None:
-    """What is at hand is finished and kept; the next call goes on."""
+    """The cases at hand are finished and kept; the next call resumes."""
     scene, path = swept(paper_scene, LONG_OVER, LONG), tmp_path / "sweep.h5"
     run = Run(scene, path)
     run.wait_for(0)

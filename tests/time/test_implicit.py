@@ -69,7 +69,8 @@ def test_second_order_with_contact_that_begins_within_steps(damping: str) -> Non
         assert errors[-1] < 1e-3
 
 
-def test_verification_g_contact_release() -> None:
+@pytest.mark.verification
+def test_contact_release() -> None:
     """Contact time, peak force and impulse against the closed form, to 1e-3."""
     history = fc.integrate_implicit(
         heavy_mass(), 2.0 * np.pi / 0.04, fc.UnilateralPenalty(1e6), periods=1,
@@ -82,7 +83,8 @@ def test_verification_g_contact_release() -> None:
     assert force.sum() * step == pytest.approx(198.0198, rel=1e-6)
 
 
-def test_verification_i_paper_plate(soft_plate: fc.Structure) -> None:
+@pytest.mark.verification
+def test_paper_plate_with_soft_contact(soft_plate: fc.Structure) -> None:
     """k = 1e9, xi = 0.01: settles from rest on the exact values with 256 steps a period."""
     history = fc.integrate_implicit(
         soft_plate, 2000.0, LAW, periods=200, steps_per_period=256, settle=1e-6, record_periods=1,

@@ -27,7 +27,7 @@ LAW = fc.UnilateralPenalty(1e9)
 
 
 def release(steps: int) -> fc.TimeHistory:
-    """VERIFICATION G: mass 100, stiffness 1e4, moving into a stop of 1e6 at speed 1."""
+    """Mass 100, stiffness 1e4, moving into a stop of 1e6 at speed 1."""
     return fc.integrate_central_difference(
         heavy_mass(),
         2.0 * np.pi / 0.04,
@@ -38,7 +38,8 @@ def release(steps: int) -> fc.TimeHistory:
     )
 
 
-def test_verification_g_contact_release() -> None:
+@pytest.mark.verification
+def test_contact_release() -> None:
     """Contact time, peak force and impulse against the closed form, to 1e-3."""
     history = release(8000)
     force = 1e6 * np.maximum(history.gap[:, 0], 0.0)
@@ -98,8 +99,9 @@ def test_damping_forms_against_matrix_exponential(damping: str) -> None:
     assert np.linalg.norm(found - exact) < 1e-4 * np.linalg.norm(start[0])
 
 
+@pytest.mark.verification
 def test_settles_on_the_harmonic_balance(soft_plate: fc.Structure) -> None:
-    """k = 1e9, xi = 0.01: from rest to the orbit of VERIFICATION I; both methods agree to 1 %."""
+    """k = 1e9, xi = 0.01: from rest to the published orbit; both methods agree to 1 %."""
     corner = soft_plate.find_dof((0.1, 0.1), "x")
     history = fc.integrate_central_difference(
         soft_plate,
