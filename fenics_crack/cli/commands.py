@@ -55,7 +55,7 @@ def solution(scene: Scene, folder: Path, console: Console) -> Exit:
     _judge_error(found.report.total, "", console)
     if found.stability is not None and found.stability.verdict != "stable":
         console.warn(
-            f"the orbit is {found.stability.verdict}: it may not be what is seen in time"
+            f"the orbit is {found.stability.verdict}: a motion in time may leave it"
             + (UNDECIDED if found.stability.verdict == "undecided" else "")
         )
     return Exit.DONE
@@ -121,7 +121,7 @@ def integration(scene: Scene, folder: Path, console: Console) -> Exit:
 
 
 def _longer_period(found: TimeHistory) -> str:
-    """A hint, also whether the motion repeats after two or three load periods."""
+    """A hint why a motion has not settled: it may repeat after two or three load periods."""
     waves = found.by_period(found.gap)
     for count in range(2, len(waves)):
         change = np.linalg.norm(waves[-1] - waves[-1 - count]) / np.linalg.norm(waves[-1])
