@@ -36,7 +36,7 @@ class Switching:
     pair : (m,) int
         To which pair each belongs.
     theta : (m,) [rad]
-        Phase in [0, 2 pi], in no particular order.
+        Phase in [0, 2 pi], unsorted.
     closing : (m,)
         +1 where the gap becomes positive (the pair closes), -1 where it opens.
     closed_at_start : (n_pairs,) bool
@@ -144,14 +144,11 @@ def _divide(
 
 
 def _joined(found: list[_Brackets]) -> _Brackets:
-    widths = [np.full(len(cells.pair), cells.width) for cells in found]
-    return _Brackets(
-        np.concatenate([cells.pair for cells in found]),
-        np.concatenate([cells.left for cells in found]),
-        np.concatenate(widths),
-        np.concatenate([cells.low for cells in found]),
-        np.concatenate([cells.high for cells in found]),
-    )
+    parts = [
+        (cells.pair, cells.left, np.full(len(cells.pair), cells.width), cells.low, cells.high)
+        for cells in found
+    ]
+    return _Brackets(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
 def _polished(brackets: _Brackets, table: np.ndarray, curvature: np.ndarray) -> np.ndarray:
