@@ -27,7 +27,7 @@ from fenics_crack.balance.linearisation import Linearisation, System
 __all__ = ["Stepping", "follow_path"]
 
 BRANCHING_STEP = 1e-3
-"""Relative to the longest step: shorter than this, a change of sign straight ahead is believed."""
+"""Share of the longest step below which a change of sign straight ahead means a branch crosses."""
 
 
 @dataclass(frozen=True)

@@ -112,8 +112,8 @@ def solve_in_plane(
 
     ``tolerance`` is |F| / |x| of the solution, |x| that of the tangent's point; ``reach``: how far
     from the guess the parameter may go; ``damped``: shorten steps where the residual would grow, to
-    ``least_damping`` of them; ``history`` gets |F| / |x| of the guess and of each iterate that is
-    not accepted.
+    ``least_damping`` of them; ``history`` gets |F| / |x| of the guess and after each step, except
+    the one that meets the tolerance.
     """
     guess = parameter
     change, shift, damping, before = np.zeros_like(unknown), 0.0, 1.0, np.inf

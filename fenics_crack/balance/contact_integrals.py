@@ -7,7 +7,7 @@ of the kinks, and the coefficients have corners where a sample changes its state
 that is linear in contact is integrated in closed form between the switching instants; the
 coefficients are then continuously differentiable, and nothing is left to choose.
 
-Both know the force as kappa(t) g(t) locally, so that both tangents (eq. 14) are made of the same
+In both the force is locally kappa(t) g(t), so that both tangents (eq. 14) consist of the same
 numbers, c_m and s_m, the means of kappa cos(m theta) and kappa sin(m theta): for rows and columns
 i, j
 
@@ -84,9 +84,8 @@ def default_samples(harmonics: int) -> int:
 class SampledIntegrals(ContactIntegrals):
     """Trapezoidal rule on N equally spaced instants, by the fast Fourier transform.
 
-    N > 4 H is the usual choice. N = 2H+1 is the least: as many instants as coefficients, and then
-    the transform is square, so that the equations of harmonic balance say no more and no less than
-    that the equation of motion holds at these instants (collocation).
+    N > 4 H is the usual choice. N = 2H+1, as many instants as coefficients, is the least: the
+    equation of motion then holds at just these instants (collocation).
     """
 
     samples: int

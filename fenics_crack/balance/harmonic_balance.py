@@ -56,7 +56,7 @@ def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> P
     InputError
         omega or harmonics cannot be used.
     ConvergenceError
-        The structure has no damping and is met in resonance, or is loose under a mean load.
+        An undamped structure is at resonance, or one that is not held has a mean load.
     """
     check_omega(omega)
     check_count("harmonics", harmonics, 1)

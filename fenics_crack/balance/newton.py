@@ -1,6 +1,6 @@
 """Newton's method by PETSc SNES, on systems that invert their own Jacobian.
 
-Every solution that is not one of a path is found so, and PETSc options with the prefix
+All solutions but those along a path are found this way; PETSc options with the prefix
 ``crack_hb_`` reach it. One object serves a system for all attempts at its solution.
 """
 

@@ -1,4 +1,4 @@
-"""A problem of harmonic balance: everything about a solution but its start."""
+"""A problem of harmonic balance: all that a solution depends on but its start."""
 
 from __future__ import annotations
 

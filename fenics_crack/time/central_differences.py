@@ -1,4 +1,4 @@
-"""Direct integration in time by central differences: the yardstick of the harmonic balance.
+"""Direct integration in time by central differences: the reference for harmonic balance.
 
     M u'' + C u' + K u + B lambda(g) = f(t)
 
@@ -112,7 +112,7 @@ def integrate_central_difference(
 
 
 class _CentralDifferences(StepScheme):
-    """State and one step of the scheme; everything that does not change is prepared once."""
+    """State and one step of the scheme."""
 
     name = "central differences"
     remedy = "take more steps per period"

@@ -15,8 +15,8 @@ and the equation of motion holds between both ends of the step,
     am = (2 rho - 1)/(rho + 1),  af = rho/(rho + 1),  gamma = 1/2 - am + af,
     beta = (1 - am + af)^2 / 4,
 
-with rho the spectral radius at infinite frequency: 1 loses no energy, 0 wipes out in one step what
-the step cannot resolve. Without contact the scheme is of second order and stable whatever the step.
+with rho the spectral radius at infinite frequency: 1 loses no energy, 0 removes in one step what
+the step cannot resolve. Without contact the scheme is of second order and stable for any step.
 
 The matrix A = (1 - am) M + (1 - af) (gamma dt C + beta dt^2 K) is factored once. Modal damping
 C = M Phi diag(c) Phi^T M enters by its low rank: with D the part of A without damping, d_j its
@@ -28,10 +28,10 @@ The contact force of the step is taken from the potential V of the law, lambda =
 
     h = (V(g_{n+1}) - V(g_n)) / (g_{n+1} - g_n) + (1/2 - af) (lambda_{n+1} - lambda_n),
 
-where both ends are closed by the penalty law nothing but lambda_{n+1-af}. So contact that begins or
-ends within a step creates no energy: h (g_{n+1} - g_n) is at least the change of V, and with
-rho = 1 the balance of energy is exact. Averaged forces would feed stiff contact. The gap at the end
-of the step is linear in h, with a small dense compliance that does not change,
+which for the penalty law is lambda_{n+1-af} where both ends are closed. So contact that begins or
+ends within a step creates no energy, as averaged forces would: h (g_{n+1} - g_n) is at least the
+change of V, and with rho = 1 the balance of energy is exact. The gap at the end of the step is
+linear in h, with a small dense compliance that does not change,
 
     g_{n+1} = g_free - beta dt^2 B^T A^-1 B h(g_{n+1}),
 
@@ -256,7 +256,7 @@ class _GeneralisedAlpha(StepScheme):
         return np.concatenate([found, (pushed - drag) / self._modal])
 
     def _forces(self, free: np.ndarray) -> np.ndarray:
-        """h of a step from the present gap, its end where there are no contact forces given."""
+        """h of a step from the present gap, given the gap at its end without contact forces."""
         contact, start = self.contact, self.gap
         self.force = force = contact.force(start)
         shift = 0.5 - self._af

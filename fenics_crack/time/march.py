@@ -125,7 +125,7 @@ class March:
 
 @dataclass(frozen=True, repr=False)
 class TimeHistory:
-    """Motion found by direct integration, the last periods of it.
+    """The last periods of a motion found by direct integration.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What schemes share that march step by step: data, the loop over a period, linear algebra."""
+"""What step-by-step schemes share: data, the loop over a period, linear algebra."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class StepScheme(Scheme):
         """Add the energies put in and created in a period."""
 
     def fill(self, window: Window, number: int) -> None:
-        """An error where contact has created too much energy."""
+        """Raises ConvergenceError where contact has created too much energy."""
         gap, force = window.gap, window.force
         motion, load_motion = window.motion, window.load_motion
         for step in range(len(gap)):
