@@ -7,7 +7,7 @@ of the kinks, and the coefficients have corners where a sample changes its state
 that is linear in contact is integrated in closed form between the switching instants; the
 coefficients are then continuously differentiable, and nothing is left to choose.
 
-Both know the force as kappa(t) g(t) locally, so that both tangents (eq. 14) are made of the same
+In both the force is locally kappa(t) g(t), so that both tangents (eq. 14) consist of the same
 numbers, c_m and s_m, the means of kappa cos(m theta) and kappa sin(m theta): for rows and columns
 i, j
 
@@ -43,15 +43,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class ContactIntegrals(ABC):
-    """A way of integrating the contact force. Gaps are (2H+1, n_pairs).
-
-    Attributes
-    ----------
-    law : ContactLaw
-        Of all pairs.
-    harmonics : int
-        H.
-    """
+    """A way of integrating the contact force of gaps (2H+1, n_pairs)."""
 
     law: ContactLaw
     harmonics: int
@@ -66,7 +58,7 @@ class ContactIntegrals(ABC):
 
     @abstractmethod
     def widened(self, harmonics: int) -> ContactIntegrals:
-        """The same with more harmonics."""
+        """The same with more harmonics, and samples enough for them."""
 
     def of_law(self, law: ContactLaw) -> ContactIntegrals:
         """The same of another law of the same kind."""
@@ -76,10 +68,8 @@ class ContactIntegrals(ABC):
 def contact_integrals(
     law: ContactLaw, harmonics: int, samples: int | None = None, periods: int = 1
 ) -> ContactIntegrals:
-    """Exact integrals for the penalty law, unless samples are asked for; else sampled ones.
-
-    ``periods`` of the load in a period of the response multiply the default number of samples.
-    """
+    """Exact integrals where the law is piecewise linear and no samples are asked for; else sampled
+    ones, by default :func:`default_samples` for each of the load's ``periods``."""
     if samples is None and is_piecewise_linear(law):
         return ExactIntegrals(law, harmonics)
     return SampledIntegrals(law, harmonics, samples or periods * default_samples(harmonics))
@@ -94,9 +84,8 @@ def default_samples(harmonics: int) -> int:
 class SampledIntegrals(ContactIntegrals):
     """Trapezoidal rule on N equally spaced instants, by the fast Fourier transform.
 
-    N > 4 H is the usual choice. N = 2H+1 is the least: as many instants as coefficients, and then
-    the transform is square, so that the equations of harmonic balance say no more and no less than
-    that the equation of motion holds at these instants (collocation).
+    N > 4 H is the usual choice. N = 2H+1, as many instants as coefficients, is the least: the
+    equation of motion then holds at just these instants (collocation).
     """
 
     samples: int
@@ -115,17 +104,14 @@ class SampledIntegrals(ContactIntegrals):
         return from_complex(spectrum)
 
     def force(self, gap: np.ndarray) -> np.ndarray:
-        """Coefficients of the contact force."""
         return self.balance(self.law.force(self.sample(gap)))
 
     def linearise(self, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients of the contact force and their derivative."""
         values = self.sample(gap)
         means = self._means(values, 2 * self.harmonics)
         return self.balance(self.law.force(values)), _tangent(means, self.harmonics)
 
     def widened(self, harmonics: int) -> SampledIntegrals:
-        """The same with more harmonics, and samples enough for them."""
         samples = max(self.samples, 1 << (8 * harmonics - 1).bit_length())
         return SampledIntegrals(self.law, harmonics, samples)
 
@@ -153,22 +139,16 @@ class ExactIntegrals(ContactIntegrals):
     """
 
     def force(self, gap: np.ndarray) -> np.ndarray:
-        """Coefficients of the contact force."""
         return self.linearise(gap)[0]
 
     def linearise(self, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients of the contact force and their derivative."""
-        tangent = _tangent(self._means(gap, 2 * self.harmonics), self.harmonics)
+        stiffness = np.broadcast_to(np.asarray(self.law.stiffness, dtype=float), gap.shape[1:])
+        closed = closed_means(switching_instants(to_complex(gap)), 2 * self.harmonics)
+        tangent = _tangent(stiffness[:, None] * closed, self.harmonics)
         return apply_to_pairs(tangent, gap), tangent
 
     def widened(self, harmonics: int) -> ExactIntegrals:
-        """The same with more harmonics."""
         return ExactIntegrals(self.law, harmonics)
-
-    def _means(self, gap: np.ndarray, highest: int) -> np.ndarray:
-        stiffness = np.broadcast_to(np.asarray(self.law.stiffness, dtype=float), gap.shape[1:])
-        switching = switching_instants(to_complex(gap))
-        return stiffness[:, None] * closed_means(switching, highest)
 
 
 def closed_means(switching: Switching, highest: int) -> np.ndarray:
@@ -190,8 +170,7 @@ def closed_means(switching: Switching, highest: int) -> np.ndarray:
 
 
 def apply_to_pairs(tangent: np.ndarray, gap: np.ndarray) -> np.ndarray:
-    """Matrices (n_pairs, rows, columns) times the columns of (columns, n_pairs): (rows,
-    n_pairs)."""
+    """Each pair's matrix (n_pairs, rows, columns) times its column of (columns, n_pairs)."""
     return np.matmul(tangent, gap.T[:, :, None])[:, :, 0].T
 
 

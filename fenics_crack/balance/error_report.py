@@ -1,7 +1,7 @@
-"""The error made in getting a solution, estimated from the solution itself.
+"""The error of a solution, estimated from the solution itself.
 
 What an approximation leaves out acts on the gaps through the linearised equation. With the Jacobian
-J of F(g) = g + R b(g) - g_lin at the solution, compliance R, and a disturbance d of b,
+J of F(g) = g + R b(g) - g_lin at the solution, and a disturbance d of b,
 
     delta g = -J^-1 R d.
 
@@ -22,9 +22,9 @@ import numpy as np
 
 from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, respond
 from fenics_crack.balance.contact_integrals import (
-    ContactIntegrals,
     ExactIntegrals,
     SampledIntegrals,
+    contact_integrals,
     default_samples,
 )
 from fenics_crack.balance.fourier import resized
@@ -87,17 +87,8 @@ class ErrorReport(Described):
 
 
 def estimate_errors(at: CondensedPoint, displacement: np.ndarray, problem: Problem) -> ErrorReport:
-    """Estimate the errors of a solution (collective).
-
-    Parameters
-    ----------
-    at : CondensedPoint
-        The condensed equations at their solution.
-    displacement : (2H+1, n_local) [m]
-        The solution expanded to the structure.
-    problem : Problem
-        What was solved.
-    """
+    """Estimate the errors of a solution, given as the equations there and as the coefficients of
+    the structure's displacement (2H+1, n_local) [m] (collective)."""
     structure = problem.structure
     expanded = structure.closing(displacement)
     expanded[0] -= structure.clearance
@@ -123,10 +114,10 @@ def relative_size(change: np.ndarray, at: CondensedPoint, clearance: np.ndarray)
 
 
 def beyond_truncation(at: CondensedPoint) -> np.ndarray:
-    """Change of the gap by one Newton step with K > H harmonics: (2K+1, n_pairs).
+    """Change of the gap by one Newton step with K > H harmonics, 4 H or 2 H: (2K+1, n_pairs).
 
-    K = 4 H, or 2 H where that would be many unknowns. The step is found by elimination: iterative
-    solutions of these equations do not converge where many pairs are stiff.
+    The step is found by elimination: iterative solutions of these equations do not converge where
+    many pairs are stiff.
     """
     kept, rows = at.system.integrals.harmonics, len(at.unknown)
     harmonics = max(4 * kept, kept + 8)
@@ -143,13 +134,10 @@ def _missed_by_samples(at: CondensedPoint) -> np.ndarray:
     integrals, gap = at.system.integrals, at.gap
     if not isinstance(integrals, SampledIntegrals):
         return np.zeros_like(gap)
-    better: ContactIntegrals
-    if is_piecewise_linear(integrals.law):
-        better = ExactIntegrals(integrals.law, integrals.harmonics)
-    else:
-        samples = max(4 * integrals.samples, default_samples(integrals.harmonics))
-        better = SampledIntegrals(integrals.law, integrals.harmonics, samples)
-    return better.force(gap) - integrals.force(gap)
+    law, harmonics, samples = integrals.law, integrals.harmonics, None
+    if not is_piecewise_linear(law):
+        samples = max(4 * integrals.samples, default_samples(harmonics))
+    return contact_integrals(law, harmonics, samples).force(gap) - integrals.force(gap)
 
 
 def _lost_in_reduction(at: CondensedPoint, problem: Problem) -> np.ndarray:

@@ -23,16 +23,8 @@ __all__ = ["FAMILIES", "Family", "FrequencyFamily"]
 
 
 class Family(ABC):
-    """The condensed equations along a parameter, a system with p from 0 to 1.
-
-    Parameters
-    ----------
-    problem : Problem
-        Of a small or reduced structure; ``omega`` is the load frequency where that is not the
-        parameter.
-    start, end : float
-        The parameter's values at p = 0 and 1.
-    """
+    """The condensed equations of a small or reduced structure along a parameter, from its value
+    ``start`` at p = 0 to ``end`` at p = 1."""
 
     name: str
 
@@ -75,7 +67,6 @@ class Family(ABC):
         return self.vary(self.problem, value)
 
     def _make(self, value: float) -> CondensedSystem:
-        """The equations where the parameter has a value."""
         return CondensedSystem(self.compliance(value), self._integrals)
 
     @abstractmethod
@@ -92,23 +83,14 @@ class Family(ABC):
         """Dynamic compliance where the parameter has a value."""
         return self._compliance
 
-    @staticmethod
-    def _compliance_of(at: CondensedPoint) -> ModalCompliance:
-        """That of a point."""
-        assert isinstance(at.system.compliance, ModalCompliance)
-        return at.system.compliance
-
     # --- what paths ask for -----------------------------------------------------------------------
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> CondensedPoint:
-        """The equations at (g, p)."""
         value = self.value(parameter)
-        return self.system(value).along(
-            unknown, lambda at: self.rate(value) * self._by_value(value, at)
-        )
+        rate = self.rate(value)
+        return self.system(value).along(unknown, lambda at: rate * self._by_value(value, at))
 
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
-        """Inner product."""
         return float(np.vdot(first, second))
 
 
@@ -119,20 +101,18 @@ class FrequencyFamily(Family):
 
     @classmethod
     def check(cls, structure: Structure, key: str, value: float) -> None:
-        """Raise InputError unless it is a frequency."""
         check_omega(value, key)
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
-        """At another frequency."""
         return replace(problem, omega=value)
 
     def compliance(self, value: float) -> ModalCompliance:
-        """At another frequency."""
         return self._compliance.at(value / self.problem.subharmonic)
 
     def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
-        return self._compliance_of(at).frequency_derivative(at.force) / self.problem.subharmonic
+        assert isinstance(at.system.compliance, ModalCompliance)
+        return at.system.compliance.frequency_derivative(at.force) / self.problem.subharmonic
 
 
 class _VariedFamily(Family):
@@ -140,16 +120,13 @@ class _VariedFamily(Family):
 
     @classmethod
     def check(cls, structure: Structure, key: str, value: float) -> None:
-        """Raise InputError unless it is a number."""
         check_number(key, value)
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
-        """With the varied structure."""
         return replace(problem, structure=problem.structure.varied(**{cls.name: value}))
 
     def compliance(self, value: float) -> ModalCompliance:
-        """Of the varied structure."""
         return self._compliance.at(self.problem.base_omega, **{self.name: value})
 
 
@@ -169,13 +146,13 @@ class DampingFamily(_VariedFamily):
 
     @classmethod
     def check(cls, structure: Structure, key: str, value: float) -> None:
-        """Raise InputError unless it is a number >= 0 and there is damping to change."""
         check_number(key, value, 0.0)
         if structure.damping is None:
             raise InputError("parameter", "damping", "another one: the structure has no damping")
 
     def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
-        return self._compliance_of(at).damping_derivative(at.force)
+        assert isinstance(at.system.compliance, ModalCompliance)
+        return at.system.compliance.damping_derivative(at.force)
 
 
 class ClearanceFamily(_VariedFamily):
@@ -195,20 +172,16 @@ class StiffnessFamily(Family):
     name = "stiffness"
 
     def value(self, parameter: float) -> float:
-        """v of p."""
         return float(self.start * (self.end / self.start) ** parameter)
 
     def parameter(self, value: float) -> float:
-        """p of v."""
         return float(np.log(value / self.start) / np.log(self.end / self.start))
 
     def rate(self, value: float) -> float:
-        """dv/dp = v ln(v_end / v_start)."""
         return value * float(np.log(self.end / self.start))
 
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
-        """With another law."""
         return replace(problem, contact=problem.contact.scaled(value))
 
     def _make(self, value: float) -> CondensedSystem:

@@ -17,18 +17,12 @@ __all__ = ["DenseLinearisation", "Linearisation", "System", "determinant_sign"]
 
 
 class Linearisation(ABC):
-    """A system at a point (x, p).
-
-    Attributes
-    ----------
-    unknown : array
-        x.
-    residual : array
-        F(x, p), of the shape and in the units of x.
-    """
+    """A system at a point (x, p)."""
 
     unknown: np.ndarray
+    """x."""
     residual: np.ndarray
+    """F(x, p), of the shape and in the units of x."""
 
     @abstractmethod
     def solve(self, right: np.ndarray) -> np.ndarray:
@@ -46,7 +40,7 @@ class Linearisation(ABC):
     @property
     @abstractmethod
     def sign(self) -> float:
-        """Sign of det J, +1 or -1: the orientation of a path, which changes at its folds."""
+        """Sign of det J, +1 or -1, which changes at the folds of a path."""
 
 
 class System(Protocol):
@@ -62,8 +56,8 @@ class System(Protocol):
 class DenseLinearisation(Linearisation):
     """A point whose Jacobian is a dense matrix, factored by LAPACK when it is first needed.
 
-    A kind of points says how its parts are made; it keeps no reference to itself, so that what it
-    holds is freed as soon as nobody needs it.
+    Derived classes make its parts; none holds a reference to itself, so that matrices are freed at
+    once.
     """
 
     def __init__(self, unknown: np.ndarray, residual: np.ndarray) -> None:
@@ -83,14 +77,12 @@ class DenseLinearisation(Linearisation):
 
     @property
     def jacobian(self) -> np.ndarray:
-        """J."""
         if self._jacobian is None:
             self._jacobian = self.assemble()
         return self._jacobian
 
     @property
     def by_parameter(self) -> np.ndarray:
-        """dF/dp."""
         if self._by_parameter is None:
             self._by_parameter = self.differentiate()
         return self._by_parameter
@@ -104,18 +96,15 @@ class DenseLinearisation(Linearisation):
         return self._lu
 
     def apply(self, change: np.ndarray) -> np.ndarray:
-        """J dx."""
         product: np.ndarray = self.jacobian @ change.ravel()
         return product.reshape(change.shape)
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """J^-1 r."""
         found: np.ndarray = dgetrs(*self._factors, right.ravel(), trans=1)[0]
         return found.reshape(right.shape)
 
     @property
     def sign(self) -> float:
-        """Sign of det J."""
         return determinant_sign(self._factors)
 
 

@@ -1,14 +1,13 @@
-"""Attempts to converge, the cheapest first, each on record.
+"""Attempts to converge, the cheapest first, each recorded.
 
 1. Full Newton steps from the given start.
 2. A path in the contact stiffness k. Where k R is small the solution is unique and close to the
    linear one; from there the path of solutions is followed by arc-length, through its folds. It
-   cannot come back to soft contact, so as long as solutions stay bounded it reaches every
-   stiffness.
-3. A path in the frequency, where a small or reduced structure makes it cheap: from the nearest
+   cannot return to soft contact, so it reaches every stiffness unless solutions grow without bound.
+3. A path in the frequency, for small or reduced structures, where it is cheap: from the nearest
    frequency at which full steps converge.
 
-Without penetration at all, attempts 1 and 2 lead to the contact force of a stiff penalty, from
+With :class:`UnilateralConstraint`, attempts 1 and 2 find the contact force of a stiff penalty, from
 which full steps start; where these fail, solutions are followed from a soft penalty to the
 constraint (:class:`ConstraintSystem`).
 """
@@ -41,13 +40,14 @@ from fenics_crack.model.contact import UnilateralPenalty
 __all__ = ["Search"]
 
 FAR = 5.0
-"""A path is given up that far from its end, unless it began farther away."""
+"""Distance of the parameter from its end value at which a path is abandoned; a path that begins
+farther away may go as far as its start."""
 STIFF = 10.0
-"""k / eps of the penalty from which full steps to the constraint start."""
+"""Stiffness of the penalty, relative to eps, from which full steps to the constraint start."""
 NEARBY = (1.02, 0.98, 1.1, 0.9, 1.3, 0.75, 2.0, 0.5)
-"""Frequencies, relative to the one wanted, from which a path in the frequency may start."""
+"""Where a path in the frequency may start, relative to the frequency wanted."""
 WIDE, NARROW = Stepping(first=1.0, longest=2.0), Stepping(first=0.1, longest=0.3)
-"""Of paths in ln k, and of paths whose parameter runs from 0 to 1."""
+"""For paths in ln k, and for paths whose parameter runs from 0 to 1."""
 
 
 class StiffnessSystem(DistributedSystem, Protocol):
@@ -61,32 +61,23 @@ class StiffnessSystem(DistributedSystem, Protocol):
 
 @dataclass
 class Search:
-    """The record of the attempts at one solution.
-
-    Attributes
-    ----------
-    tolerance : float
-        |F| / |x| at which a solution is accepted; raised to what rounding lets be reached.
-    converged : bool
-        Whether the last attempt met it.
-    iterations : int
-        Newton iterations, all attempts together.
-    history : list of float
-        |F| of every Newton iteration.
-    attempts : list of str
-        What was tried and how it ended.
-    """
+    """The record of the attempts at one solution."""
 
     tolerance: float
+    """|F| / |x| at which a solution is accepted; raised to what rounding allows."""
     converged: bool = False
+    """Whether the last attempt met it."""
     iterations: int = 0
+    """Newton iterations, all attempts together."""
     history: list[float] = field(default_factory=list)
+    """|F| of every Newton iteration."""
     attempts: list[str] = field(default_factory=list)
+    """What was tried and how it ended."""
     _rounding: float = ROUNDING
 
     @property
     def status(self) -> str:
-        """The attempts in words."""
+        """All attempts."""
         return "; then ".join(self.attempts)
 
     def penalty(
@@ -98,11 +89,7 @@ class Search:
         """Solve for a law that gives the force from the gap; return the equations there.
 
         ``family_from`` makes the family of the same equations from a relative frequency to 1.
-
-        Raises
-        ------
-        InputError
-            The contact is so stiff that rounding leaves nothing of its force.
+        Raises InputError where the contact is so stiff that rounding leaves nothing of its force.
         """
         law = system.integrals.law
         check_stiffness(system.compliance, law)
@@ -149,7 +136,7 @@ class Search:
     def _newton(
         self, newton: Newton, start: np.ndarray, parameter: float, most: int, name: str = ""
     ) -> Linearisation:
-        """One attempt by SNES, on record if it has a name."""
+        """One attempt by SNES, recorded if it has a name."""
         before = len(newton.history)
         found, self.converged, count = newton.solve(start, parameter, self.tolerance, most)
         self.history += newton.history[before:]

@@ -28,9 +28,8 @@ class Stability(Described):
     multipliers : (2n,) complex
         Largest modulus first.
     verdict : "stable", "unstable" or "undecided"
-        Undecided where the largest modulus lies on different sides of 1 with the switching
-        instants of the solution, with those of a wave with more harmonics, and by Hill's
-        determinant.
+        Undecided where the largest modulus is not on the same side of 1 with the switching instants
+        of the solution, with those of a wave with more harmonics, and by Hill's determinant.
     uncertainty : float
         Largest difference between these three; nan where Hill's determinant has no root nearby.
     refined : bool
@@ -76,12 +75,11 @@ class PeriodicSolution(Described):
     displacement_coefficients : (2H+1, n_local) [m]
         Rows a0, a1, b1, ..., aH, bH; the columns of the dofs that this rank owns.
     gap_coefficients : (2H+1, n_pairs) [m]
-        Closing of the pairs, g = B^T u - g0, in the same order, on every rank.
+        g = B^T u - g0, in the same order, on every rank; g > 0: penetration.
     force_coefficients : (2H+1, n_pairs) [N]
         Contact force, likewise.
     subharmonic : int
-        The response has this many times the load's period; rows count multiples of
-        omega/subharmonic.
+        The response has this many times the load's period.
     converged : bool
         Whether the residual met the tolerance.
     status : str
@@ -125,14 +123,12 @@ class PeriodicSolution(Described):
         return float(2.0 * np.pi / self.base_omega)
 
     def gap(self, time: np.ndarray) -> np.ndarray:
-        """Closing of the pairs at times [s]: (len(time), n_pairs) [m]; negative: open."""
+        """g at times [s]: (len(time), n_pairs) [m]."""
         return evaluate(self.gap_coefficients, self.base_omega, time)
 
     def contact_force(self, time: np.ndarray) -> np.ndarray:
-        """Contact force lambda(g(t)) at times [s]: (len(time), n_pairs) [N].
-
-        Without a law that gives it from the gap: eps max(0, g + lambda / eps) of the waves.
-        """
+        """Contact force lambda(g(t)) at times [s]: (len(time), n_pairs) [N]; of a constraint
+        eps max(0, g + lambda / eps) of the waves."""
         gap = self.gap(time)
         if self.contact is None:
             return np.zeros_like(gap)
@@ -198,10 +194,8 @@ class PeriodicSolution(Described):
 
 
 def contact_extremes(gap: np.ndarray, force: np.ndarray) -> dict[str, float]:
-    """Opening [m], penetration [m] and force [N], the largest of any pair, and the time closed.
-
-    The last is a share, mean over the pairs, of gaps and forces over time, (n, n_pairs) each.
-    """
+    """Opening [m], penetration [m] and force [N], the largest of any pair, and the share of the
+    time closed, mean over the pairs, of gaps and forces over time (n, n_pairs)."""
     return {
         "opening": max(0.0, -float(gap.min())),
         "penetration": max(0.0, float(gap.max())),
@@ -210,15 +204,8 @@ def contact_extremes(gap: np.ndarray, force: np.ndarray) -> dict[str, float]:
     }
 
 
-def solution_of(
-    problem: Problem,
-    at: CondensedPoint,
-    *,
-    status: str,
-    converged: bool = True,
-    iterations: int = 0,
-) -> PeriodicSolution:
-    """The solution that belongs to a solution of the condensed equations (collective)."""
+def solution_of(problem: Problem, at: CondensedPoint, *, status: str) -> PeriodicSolution:
+    """The solution that belongs to a point of the condensed equations (collective)."""
     displacement = at.system.compliance.displacement(at.force)
     return PeriodicSolution(
         problem.structure,
@@ -227,9 +214,7 @@ def solution_of(
         displacement,
         at.gap,
         at.force,
-        subharmonic=problem.subharmonic,
-        converged=converged,
+        problem.subharmonic,
         status=status,
-        iterations=iterations,
         report=estimate_errors(at, displacement, problem),
     )

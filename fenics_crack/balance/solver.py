@@ -30,30 +30,16 @@ __all__ = ["Solver"]
 
 @dataclass(frozen=True)
 class Solver:
-    """How a problem is solved.
-
-    Attributes
-    ----------
-    problem : Problem
-        What is solved.
-    residual_tolerance : float
-        |F| / |x| at which a solution is accepted.
-    throw : bool
-        Raise if nothing converged; else return the last iterate.
-    """
+    """How a problem is solved."""
 
     problem: Problem
     residual_tolerance: float = 1e-10
+    """|F| / |x| at which a solution is accepted."""
     throw: bool = True
+    """Raise ConvergenceError if nothing converged; else return the last iterate."""
 
     def solve(self, initial: PeriodicSolution | None = None) -> PeriodicSolution:
-        """Solve from a solution nearby, or from the linear one (collective).
-
-        Raises
-        ------
-        ConvergenceError
-            Nothing converged, and this is to be said so.
-        """
+        """Solve from a solution nearby, or from the linear one (collective)."""
         search, solution = self.attempt(initial)
         if self.throw and not search.converged:
             raise ConvergenceError(
@@ -65,20 +51,15 @@ class Solver:
         return solution
 
     def attempt(self, initial: PeriodicSolution | None) -> tuple[Search, PeriodicSolution]:
-        """The same; the search tells whether it converged."""
+        """The same, whether or not it converged, and the record of the search."""
         search = Search(self.residual_tolerance)
         with self.compliance() as compliance:
             if is_rigid(self.problem.contact):
                 problem, at = self._constrained(search, compliance, initial)
             else:
                 problem, at = self.problem, self.penalised(search, compliance, initial)
-            return search, solution_of(
-                problem,
-                at,
-                status=search.status,
-                converged=search.converged,
-                iterations=search.iterations,
-            )
+            found = solution_of(problem, at, status=search.status)
+            return search, replace(found, converged=search.converged, iterations=search.iterations)
 
     @contextmanager
     def compliance(self) -> Iterator[Compliance]:
@@ -90,7 +71,7 @@ class Solver:
             found.destroy()
 
     def start(self, initial: PeriodicSolution, name: str) -> np.ndarray:
-        """Coefficients of a solution with the harmonics of this response."""
+        """Coefficients of a solution, by their name, with the harmonics of this response."""
         factor = self.problem.subharmonic // initial.subharmonic
         return resized(stretched(getattr(initial, name), factor), self.problem.harmonics)
 
@@ -112,15 +93,12 @@ class Solver:
     ) -> CondensedPoint:
         """Solve for a law that gives the force from the gap."""
         system = CondensedSystem(compliance, self.problem.integrals())
-        start = system.linear
-        if initial is not None:
-            start = self.start(initial, "gap_coefficients")
-        small = is_small(self.problem.structure)
-        at = search.penalty(system, start, self._family_from if small else None)
+        start = self.start(initial, "gap_coefficients") if initial is not None else system.linear
+        problem = self.problem
+
+        def family_from(factor: float) -> FrequencyFamily:
+            return FrequencyFamily(problem, factor * problem.omega, problem.omega)
+
+        at = search.penalty(system, start, family_from if is_small(problem.structure) else None)
         assert isinstance(at, CondensedPoint)
         return at
-
-    def _family_from(self, factor: float) -> FrequencyFamily:
-        """The same equations along the frequency, from a factor of it to itself."""
-        omega = self.problem.omega
-        return FrequencyFamily(self.problem, factor * omega, omega)

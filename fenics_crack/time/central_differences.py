@@ -1,4 +1,4 @@
-"""Direct integration in time by central differences: the yardstick of the harmonic balance.
+"""Direct integration in time by central differences: the reference for harmonic balance.
 
     M u'' + C u' + K u + B lambda(g) = f(t)
 
@@ -21,8 +21,8 @@ conserves energy as long as no pair changes its state; a contact from step a to 
 
     1/2 k (g_b |g_{b+1}| - g_a |g_{a-1}|),
 
-of either sign, which close to the limit can outgrow the damping. So the energy that contact creates
-is booked, reported, and an error where it outweighs what the load has put in.
+of either sign, which close to the limit can outgrow the damping. So this energy is summed up and
+reported, and it is an error if it outweighs what the load has put in.
 
 Without penetration (:class:`UnilateralConstraint`) the forces of instant n are those that keep the
 gaps of the next from penetrating, with d* the increment without them and A^-1 as above,
@@ -46,12 +46,12 @@ from petsc4py import PETSc
 from fenics_crack.errors import InputError, check_omega
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.factor import weighted_sum
-from fenics_crack.model.modes import largest_frequency
+from fenics_crack.model.modes import by_columns, largest_frequency
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import collect_garbage
 from fenics_crack.time.complementarity import solve_complementarity
 from fenics_crack.time.march import March, TimeHistory, Window, march
-from fenics_crack.time.steps import StepScheme, inverse_of, linear_energy, solve_columns
+from fenics_crack.time.steps import StepScheme, inverse_of, solve_once
 
 __all__ = ["integrate_central_difference", "stable_steps_per_period"]
 
@@ -83,26 +83,17 @@ def integrate_central_difference(
 
     Parameters
     ----------
-    structure : Structure
-        What vibrates; with its lumped mass, :meth:`Structure.lumped`.
-    omega : float
-        Angular frequency of the load [rad/s].
-    contact : ContactLaw
-        Law of all pairs.
-    periods : int
-        Load periods to march.
+    structure, omega, contact, periods, **options
+        As in :class:`fenics_crack.time.march.March`; best with :meth:`Structure.lumped` mass. With
+        a constraint, pairs that penetrate in the initial state are moved apart by the least change
+        in the norm of M.
     steps_per_period : int
-        Steps in one load period; at least :func:`stable_steps_per_period`.
-    **options
-        As in :class:`fenics_crack.time.march.March`: initial, settle, record_periods, dofs,
-        progress. With a constraint, pairs that penetrate in the initial state are moved apart by
-        the least change in the norm of M.
+        At least :func:`stable_steps_per_period`.
 
     Raises
     ------
     InputError
-        An argument cannot be used, the step is beyond the stable one, or the history would not fit
-        in memory.
+        An argument cannot be used, or the step is longer than the stable one.
     ConvergenceError
         The motion grows without bound, or contact creates more energy than the load puts in: the
         steps are too long. Or no contact forces keep the lips from penetrating.
@@ -110,8 +101,6 @@ def integrate_central_difference(
     Notes
     -----
     A motion that does not settle is a result, not an error: look at ``settled``.
-
-    Source: the paper, section 2, with the contact force added; the module's text for constraints.
     """
     asked = March(structure, omega, contact, periods, steps_per_period, **options)
     least = stable_steps_per_period(structure, omega, contact)
@@ -123,7 +112,7 @@ def integrate_central_difference(
 
 
 class _CentralDifferences(StepScheme):
-    """State and one step of the scheme; everything that does not change is prepared once."""
+    """State and one step of the scheme."""
 
     name = "central differences"
     remedy = "take more steps per period"
@@ -148,6 +137,7 @@ class _CentralDifferences(StepScheme):
             matrix = weighted_sum(structure.mass, 0.5 * dt, self._damping)
             self._mixed = weighted_sum(structure.mass, -0.5 * dt, self._damping)
         self._inverse = inverse_of(matrix, symmetric=self._mixed is None)
+        self.owned = self._u, self._r, self._a, self._d, self._inverse
         if self.rigid:
             self._push, self._modal_push = self._response()
             self._compliance = structure.closing(self._push.T).T
@@ -158,7 +148,8 @@ class _CentralDifferences(StepScheme):
     def _response(self) -> tuple[np.ndarray, np.ndarray]:
         """What unit forces on the pairs take from the increment (n_local, n_pairs), and from q."""
         dt2 = self.step_size**2
-        push = dt2 * solve_columns(self._inverse, self.structure.mass, self.structure.gap.toarray())
+        pairs = self.structure.gap.toarray()
+        push = dt2 * by_columns(self._inverse.apply, self.structure.mass, pairs)
         if self._modes is None:
             return push, np.zeros((0, self.structure.n_pairs))
         pushed = dt2 * self.structure.closing(self._modes.shapes.T)
@@ -171,12 +162,11 @@ class _CentralDifferences(StepScheme):
         self.displacement[:] = displacement = self._admissible(displacement)
         acceleration = self._acceleration(velocity)
         self.increment[:] = dt * velocity - 0.5 * dt**2 * acceleration
-        self._put_in = linear_energy(self.structure, displacement, velocity)
+        self._put_in = self._linear_energy(displacement, velocity)
         if self._modes is not None:
             self._modal = self.structure.sum_over_ranks(self.increment @ self._modes.mass_shapes)
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
-        """Displacement and velocity, after whole periods, from which a march goes on."""
         backwards = self.increment / self.step_size
         velocity = backwards.copy()
         for _ in range(3):  # the acceleration depends on the velocity a little
@@ -191,36 +181,23 @@ class _CentralDifferences(StepScheme):
         """
         self.gap = self._measured(self.displacement)
         self._unbalance(0)
-        modes, structure = self._modes, self.structure
-        if self._mixed is None:
-            self._inverse.apply(self._r, self._a)
-        else:
+        if self._mixed is not None:
             self._d.array_w[:] = velocity
             self._damping.mult(self._d, self._a)
             self.rhs -= self.solved
-            inverse = inverse_of(structure.mass, symmetric=True)
-            inverse.apply(self._r, self._a)
-            inverse.destroy()
+            return solve_once(self.structure.mass, self.rhs[:, None])[:, 0]
+        self._inverse.apply(self._r, self._a)
         acceleration = self.solved.copy()
-        if modes is not None:
-            modal = structure.sum_over_ranks(velocity @ modes.mass_shapes)
-            acceleration -= modes.shapes @ (modes.rate * modal)
+        if self._modes is not None:
+            modal = self.structure.sum_over_ranks(velocity @ self._modes.mass_shapes)
+            acceleration -= self._modes.shapes @ (self._modes.rate * modal)
         return acceleration
 
     def advance(self, step: int) -> None:
-        """Measure the gap at this instant, ``step`` of the period, and march to the next."""
         dt2 = self.step_size**2
         self.gap = self._measured(self.displacement)
         self._unbalance(step)
-        if self._modes is not None:
-            shapes = self._modes.shapes
-            pushed = dt2 * self.structure.sum_over_ranks(self.rhs @ shapes)
-            lost = self._share * (pushed + 2.0 * self._modal)
-            self._modal += pushed - lost
-            self._inverse.apply(self._r, self._a)
-            self.increment += dt2 * self.solved
-            self.increment -= shapes @ lost
-        elif self._mixed is not None:
+        if self._mixed is not None:
             self._mixed.mult(self._d, self._a)
             self.rhs *= dt2
             self.rhs += self.solved
@@ -228,6 +205,11 @@ class _CentralDifferences(StepScheme):
         else:
             self._inverse.apply(self._r, self._a)
             self.increment += dt2 * self.solved
+        if self._modes is not None:
+            pushed = dt2 * self.structure.sum_over_ranks(self.rhs @ self._modes.shapes)
+            lost = self._share * (pushed + 2.0 * self._modal)
+            self._modal += pushed - lost
+            self.increment -= self._modes.shapes @ lost
         if self.rigid:
             self._push_apart()
         self.before[:] = self.displacement
@@ -235,8 +217,7 @@ class _CentralDifferences(StepScheme):
 
     def _push_apart(self) -> None:
         """Find the forces of a constraint and take their part from the increment."""
-        closing = self.increment[self._gap_rows] @ self._gap_block
-        reached = self.gap + self.structure.sum_over_ranks(closing)
+        reached = self.gap + self._closing(self.increment)
         self.force = solve_complementarity(self._compliance, reached, self.force > 0.0)
         self.increment -= self._push @ self.force
         if self._modes is not None:
@@ -251,17 +232,9 @@ class _CentralDifferences(StepScheme):
             self.force = self.contact.force(self.gap)
             self.rhs[self._gap_rows] -= self._gap_block @ self.force
 
-    def free(self) -> None:
-        """Free PETSc's objects (collective)."""
-        for item in (self._u, self._r, self._a, self._d, self._inverse):
-            item.destroy()
-
     def _book(self, window: Window) -> None:
-        """Add the energies put in by the load and created by contact.
-
-        Work over a step is force times half the displacement from the step before to the one after,
-        for which the scheme balances kinetic and elastic energy exactly.
-        """
+        """Work over a step is force times half the displacement from the step before to the one
+        after, for which the scheme balances kinetic and elastic energy exactly."""
         period = self.load, window.gap, window.force, window.load_motion
         parts = [np.vstack(part) for part in zip(self._tail, period, strict=True)]
         self._tail = [part[-2:] for part in parts]
@@ -270,5 +243,4 @@ class _CentralDifferences(StepScheme):
         if not self.rigid:
             stored = 0.25 * (gap * force).sum(axis=1)
             self._created += stored[-2:].sum() - stored[:2].sum()
-        work = 0.5 * np.sum(load[1:-1] * (motion[2:] - motion[:-2]))
-        self._put_in += abs(float(self.structure.sum_over_ranks(np.array([work]))[0]))
+        self._put_in += abs(self._total(0.5 * np.sum(load[1:-1] * (motion[2:] - motion[:-2]))))

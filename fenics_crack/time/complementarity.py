@@ -9,14 +9,15 @@ asks for
 a linear complementarity problem. It is solved by the primal-dual active set method, a semismooth
 Newton method that ends with the exact solution after few steps: pairs taken as closed have g = 0,
 the others lambda = 0; pairs then pulled are opened, those that penetrate are closed. Where it
-cycles, the same solution is the minimum of lambda^T D lambda / 2 - lambda^T g_free for
-lambda >= 0, a least-squares problem with bounds, for which the method of Lawson and Hanson ends.
+cycles, the solution is found as the minimum of lambda^T D lambda / 2 - lambda^T g_free for
+lambda >= 0, a least-squares problem with bounds, for which the method of Lawson and Hanson is
+finite.
 
 With forces that follow from the gap, lambda = h(g) pair by pair, Newton's method solves
 lambda = h(g_free - D lambda). With h = max(0, lambda + c g) it would go through the same active
-sets. They have a loop of their own since their solution is recognised by the set alone and takes
-the closed pairs alone: 12 us with 1 to 4 pairs, where the general loop takes 27 to 45 us, in steps
-of central differences of 27 us altogether.
+sets. Those have a loop of their own, which solves for the closed pairs alone and ends when the set
+stays the same: 12 us with 1 to 4 pairs, where the general loop takes 27 to 45 us; a whole step of
+central differences takes 27 us.
 
 Sources: Hintermueller, Ito and Kunisch, SIAM Journal on Optimization 13 (2002) 865; Lawson and
 Hanson, Solving Least Squares Problems (1974), chapter 23.
@@ -43,19 +44,8 @@ def solve_complementarity(
 ) -> np.ndarray:
     """Find lambda with 0 <= lambda, D lambda - g >= 0, lambda^T (D lambda - g) = 0: (n,).
 
-    Parameters
-    ----------
-    matrix : (n, n)
-        D, positive definite, and symmetric but for a small part.
-    gap : (n,)
-        g.
-    closed : (n,) bool, optional
-        First guess of where lambda > 0; default: where g > 0.
-
-    Raises
-    ------
-    ConvergenceError
-        There is no solution, or it was not found.
+    D is positive definite, and symmetric but for a small part; ``closed`` is a first guess of where
+    lambda > 0. Raises ConvergenceError where there is no solution, or it was not found.
     """
     allowed = ROUNDING * float(np.abs(gap).max(initial=0.0))
     closed = gap > 0.0 if closed is None else closed
@@ -100,24 +90,11 @@ def solve_forces(
     gap: np.ndarray,
     guess: np.ndarray,
 ) -> np.ndarray:
-    """Find lambda = h(g - D lambda) by Newton's method: (n,).
+    """Find lambda = h(g - D lambda) by Newton's method, D symmetric and positive definite: (n,).
 
-    Parameters
-    ----------
-    response : callable
-        h(g) and its derivative, pair by pair; it may not fall where g grows. The solution is then
-        the minimum of a convex function, whose slope along a step shortens steps that go too far.
-    matrix : (n, n)
-        D, symmetric and positive definite.
-    gap : (n,)
-        g.
-    guess : (n,)
-        lambda to start from.
-
-    Raises
-    ------
-    ConvergenceError
-        Newton's method does not converge.
+    ``response`` gives h(g) and its derivative, pair by pair; h may not fall where g grows. The
+    solution is then the minimum of a convex function, whose slope along a step shortens steps that
+    go too far. Raises ConvergenceError where Newton's method fails.
     """
 
     def evaluate(force: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

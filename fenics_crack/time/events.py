@@ -1,8 +1,8 @@
 """Exact motion with the penalty law: linear flow from one switching instant to the next.
 
 While the set of closed pairs does not change, the motion is known in closed form
-(:mod:`fenics_crack.time.regime`). No step size, no truncation: the error is that of the switching
-instants, about 1e-12.
+(:mod:`fenics_crack.time.regime`). There is no step size and no truncation: the error is that of the
+switching instants.
 
 The same flow gives periodic orbits by shooting: z(T) = z(0) by Newton's method with the monodromy
 matrix, whose eigenvalues are the exact Floquet multipliers.
@@ -11,7 +11,7 @@ matrix, whose eigenvalues are the exact Floquet multipliers.
 from __future__ import annotations
 
 from copy import copy
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -19,14 +19,14 @@ from fenics_crack.errors import ConvergenceError, InputError, check_omega
 from fenics_crack.model.contact import ContactLaw, check_law, is_piecewise_linear
 from fenics_crack.model.modal import AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
-from fenics_crack.time.march import March, TimeHistory, Window, march
+from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
 from fenics_crack.time.regime import FreeMotion, Gaps, Regime, next_event
 
 __all__ = ["MOST_PAIRS", "EventFlow", "integrate_events"]
 
 MOST_PAIRS = 12
 MOST_EVENTS = 100_000
-"""In one period of the load; more are a sign that pairs chatter without end."""
+"""In one flow; more are a sign that pairs chatter without end."""
 MOST_STEPS = 3e5
 """Twelfths of the period of the highest mode in one flow, about half a second of work."""
 
@@ -54,9 +54,7 @@ class EventFlow:
         self.structure, self.omega = structure, omega
         self._modes: AllModes = all_modes(structure)
         self.scale = float(np.sqrt(np.abs(self._modes.squares).max())) or 1.0
-        self._stiffness = np.broadcast_to(
-            np.asarray(contact.stiffness, dtype=float), (structure.n_pairs,)
-        )
+        self._stiffness = np.broadcast_to(contact.stiffness, structure.n_pairs).astype(float)
         self._regimes: dict[bytes, Regime] = {}
         self._free: dict[bytes, FreeMotion] = {}
         count = len(self._modes.squares)
@@ -95,11 +93,8 @@ class EventFlow:
         rows: np.ndarray | None = None,
         monodromy: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, int]:
-        """Flow from ``start`` for ``duration``.
-
-        Returns the state; ``rows @ z`` at ``instants`` (ascending, within the flow); the monodromy
-        matrix times the one given; and the number of events.
-        """
+        """Flow from ``start`` for ``duration``: the state; ``rows @ z`` at ``instants`` (ascending,
+        within the flow); the monodromy matrix times the one given; and the number of events."""
         end = start + duration
         instants = np.zeros(0) if instants is None else instants
         rows = self.gap_rows if rows is None else rows
@@ -133,11 +128,9 @@ class EventFlow:
     def _closed_at(self, state: np.ndarray) -> np.ndarray:
         """Pairs in penetration, or about to be."""
         gap = self.gap_rows @ state - self.structure.clearance
-        count = len(state) // 2
-        rate = self._modes.pairs.T @ state[count:]
+        rate = self._modes.pairs.T @ state[len(state) // 2 :]
         rounding = 1e-14 * np.abs(self.gap_rows).max(initial=0.0) * np.abs(state).max()
-        touching = np.abs(gap) <= rounding
-        return np.where(touching, rate > 0.0, gap > 0.0)
+        return np.where(np.abs(gap) <= rounding, rate > 0.0, gap > 0.0)
 
     def _regime(self, closed: np.ndarray) -> Regime:
         key = closed.tobytes()
@@ -145,7 +138,7 @@ class EventFlow:
             own = self.structure, self._modes
             if key not in self._free:
                 self._free[key] = FreeMotion(*own, closed * self._stiffness, self.scale)
-            self._regimes[key] = Regime.of(self._free[key], *own, self.omega, self.scale)
+            self._regimes[key] = Regime(self._free[key], *own, self.omega, self.scale)
         return self._regimes[key]
 
 
@@ -164,23 +157,17 @@ def integrate_events(
     ----------
     structure : Structure
         At most 600 dofs; reduce a larger one first.
-    omega : float
-        Angular frequency of the load [rad/s].
     contact : UnilateralPenalty
         Law of all pairs.
-    periods : int
-        Load periods to march.
     steps_per_period : int
         Instants recorded in a period; they do not change the motion.
-    **options
-        As in :class:`fenics_crack.time.march.March`: initial, settle, record_periods, dofs,
-        progress.
+    omega, periods, **options
+        As in :class:`fenics_crack.time.march.March`.
 
     Raises
     ------
     InputError
-        The structure is too large or has too many pairs, the law is another, an argument cannot be
-        used, or the history would not fit in memory.
+        The structure is too large or has too many pairs, or an argument cannot be used.
     ConvergenceError
         Pairs open and close without end.
     """
@@ -188,11 +175,10 @@ def integrate_events(
     return march(asked, _ByEvents(asked))
 
 
-class _ByEvents:
-    """The exact flow, period by period: a :class:`fenics_crack.time.march.Scheme`."""
+class _ByEvents(Scheme):
+    """The exact flow, period by period."""
 
-    name: ClassVar[str] = "events"
-    created_share = 0.0
+    name = "events"
 
     def __init__(self, asked: March) -> None:
         self._flow = flow = EventFlow(asked.structure, asked.omega, asked.contact)
@@ -205,7 +191,6 @@ class _ByEvents:
         self._state = flow.state(*asked.start)
 
     def fill(self, window: Window, number: int) -> None:
-        """March a period and record it."""
         instants = (number + self._phases) * self._period
         self._state, record, _, _ = self._flow.advance(
             self._state, number * self._period, self._period, instants=instants, rows=self._rows
@@ -215,8 +200,4 @@ class _ByEvents:
         window.force[:] = self._contact.force(window.gap)
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
-        """Displacement and velocity."""
         return self._flow.motion(self._state)
-
-    def free(self) -> None:
-        """There is nothing to free."""

@@ -15,8 +15,8 @@ and the equation of motion holds between both ends of the step,
     am = (2 rho - 1)/(rho + 1),  af = rho/(rho + 1),  gamma = 1/2 - am + af,
     beta = (1 - am + af)^2 / 4,
 
-with rho the spectral radius at infinite frequency: 1 loses no energy, 0 wipes out in one step what
-the step cannot resolve. Without contact the scheme is of second order and stable whatever the step.
+with rho the spectral radius at infinite frequency: 1 loses no energy, 0 removes in one step what
+the step cannot resolve. Without contact the scheme is of second order and stable for any step.
 
 The matrix A = (1 - am) M + (1 - af) (gamma dt C + beta dt^2 K) is factored once. Modal damping
 C = M Phi diag(c) Phi^T M enters by its low rank: with D the part of A without damping, d_j its
@@ -28,10 +28,10 @@ The contact force of the step is taken from the potential V of the law, lambda =
 
     h = (V(g_{n+1}) - V(g_n)) / (g_{n+1} - g_n) + (1/2 - af) (lambda_{n+1} - lambda_n),
 
-where both ends are closed by the penalty law nothing but lambda_{n+1-af}. So contact that begins or
-ends within a step creates no energy: h (g_{n+1} - g_n) is at least the change of V, and with
-rho = 1 the balance of energy is exact. Averaged forces would feed stiff contact. The gap at the end
-of the step is linear in h, with a small dense compliance that does not change,
+which for the penalty law is lambda_{n+1-af} where both ends are closed. So contact that begins or
+ends within a step creates no energy, as averaged forces would: h (g_{n+1} - g_n) is at least the
+change of V, and with rho = 1 the balance of energy is exact. The gap at the end of the step is
+linear in h, with a small dense compliance that does not change,
 
     g_{n+1} = g_free - beta dt^2 B^T A^-1 B h(g_{n+1}),
 
@@ -64,10 +64,11 @@ from petsc4py import PETSc
 from fenics_crack.errors import InputError, check_number
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.factor import weighted_sum
+from fenics_crack.model.modes import by_columns
 from fenics_crack.model.structure import Structure
 from fenics_crack.time.complementarity import solve_complementarity, solve_forces
 from fenics_crack.time.march import March, TimeHistory, Window, march
-from fenics_crack.time.steps import StepScheme, inverse_of, linear_energy, solve_columns
+from fenics_crack.time.steps import StepScheme, inverse_of, solve_once
 
 __all__ = ["integrate_implicit"]
 
@@ -86,33 +87,23 @@ def integrate_implicit(
 
     Parameters
     ----------
-    structure : Structure
-        What vibrates.
-    omega : float
-        Angular frequency of the load [rad/s].
-    contact : ContactLaw
-        Law of all pairs; its force may not fall where the gap grows.
-    periods : int
-        Load periods to march.
-    steps_per_period : int
-        Steps in one load period.
+    structure, omega, contact, periods, steps_per_period, **options
+        As in :class:`fenics_crack.time.march.March`; the contact force may not fall where the gap
+        grows. With a constraint, pairs that penetrate in the initial state are moved apart by the
+        least change in the norm of M.
     spectral_radius : float
         rho from 0 to 1: what is left after a step of the fastest vibrations.
-    **options
-        As in :class:`fenics_crack.time.march.March`: initial, settle, record_periods, dofs,
-        progress. With a constraint, pairs that penetrate in the initial state are moved apart by
-        the least change in the norm of M.
 
     Returns
     -------
     TimeHistory
-        Instants n dt, n = 0, 1, ...; ``created_energy`` is the energy balance's residual: the
-        energy at the end and that lost in C, less the energy at the start and the load's work.
+        ``created_energy`` is the residual of the energy balance: the energy at the end and that
+        lost in C, less the energy at the start and the load's work.
 
     Raises
     ------
     InputError
-        An argument cannot be used, or the history would not fit in memory.
+        An argument cannot be used.
     ConvergenceError
         The contact forces of a step were not found, or the scheme creates more energy than the
         load puts in: the steps are too long for this contact.
@@ -120,8 +111,6 @@ def integrate_implicit(
     Notes
     -----
     Two columns of n_local numbers are kept for each pair.
-
-    Source: the module's text.
     """
     check_number("spectral_radius", spectral_radius, 0.0)
     if spectral_radius > 1.0:
@@ -131,7 +120,7 @@ def integrate_implicit(
 
 
 class _GeneralisedAlpha(StepScheme):
-    """State and one step of the scheme, and its energy; what does not change is prepared once.
+    """State and one step of the scheme, and its energy.
 
     Velocities and accelerations carry the modal ones of the damped modes, Phi^T M v, behind their
     n_local entries, so that these need no product with Phi in a step.
@@ -166,6 +155,7 @@ class _GeneralisedAlpha(StepScheme):
                 matrix = total
         self._matrix = matrix
         self._inverse = inverse_of(matrix, symmetric=self._damping is None)
+        self.owned = self._x, self._y, self._inverse, matrix
         if self._modes is not None:
             undamped = self._inertia + spring * self._modes.omega**2
             self._modal = undamped + dashpot * self._modes.rate
@@ -195,12 +185,10 @@ class _GeneralisedAlpha(StepScheme):
         """(1 - am) D^-1 B: change of velocity by unit impulses."""
         structure = self.structure
         if self._damping is None:
-            return self._inertia * solve_columns(self._inverse, self._matrix, pairs)
+            return self._inertia * by_columns(self._inverse.apply, self._matrix, pairs)
         weight = self._now * self._beta * self.step_size**2 / self._inertia
         undamped = weighted_sum(structure.mass, weight, structure.stiffness)
-        inverse = inverse_of(undamped, symmetric=True)
-        kick = solve_columns(inverse, undamped, pairs)
-        inverse.destroy()
+        kick = solve_once(undamped, pairs)
         undamped.destroy()
         return kick
 
@@ -214,16 +202,13 @@ class _GeneralisedAlpha(StepScheme):
         if not self.rigid:
             self._held = self.contact.force(self.gap)
             right[self._gap_rows] -= self._gap_block @ self._held
-        inverse = inverse_of(structure.mass, symmetric=True)
-        acceleration = solve_columns(inverse, structure.mass, right[:, None])
-        inverse.destroy()
+        acceleration = solve_once(structure.mass, right[:, None])
         self._velocity = self._with_modal(velocity[:, None])[:, 0]
         self._acceleration = self._with_modal(acceleration)[:, 0]
         self._work = self._lost = 0.0
         self._first_energy = self._put_in = self._energy()
 
     def advance(self, step: int) -> None:
-        """March from this instant, ``step`` of the period, to the next."""
         dt, local = self.step_size, self.structure.n_local
         displacement, velocity, acceleration = self.displacement, self._velocity, self._acceleration
         self.before, self.gap = displacement, self._measured(displacement)
@@ -271,7 +256,7 @@ class _GeneralisedAlpha(StepScheme):
         return np.concatenate([found, (pushed - drag) / self._modal])
 
     def _forces(self, free: np.ndarray) -> np.ndarray:
-        """h of a step from the present gap, its end where there are no contact forces given."""
+        """h of a step from the present gap, given the gap at its end without contact forces."""
         contact, start = self.contact, self.gap
         self.force = force = contact.force(start)
         shift = 0.5 - self._af
@@ -289,28 +274,26 @@ class _GeneralisedAlpha(StepScheme):
         stop = np.zeros_like(impulse)
         closed = np.flatnonzero(impulse > 0.0)
         if len(closed):
-            rates = self.structure.sum_over_ranks(velocity[self._gap_rows] @ self._gap_block)
-            stop[closed] = solve_complementarity(self._rates[np.ix_(closed, closed)], rates[closed])
+            rates = self._closing(velocity)[closed]
+            stop[closed] = solve_complementarity(self._rates[np.ix_(closed, closed)], rates)
         return stop
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
-        """Displacement and velocity."""
         return self.displacement.copy(), self._velocity[: self.structure.n_local].copy()
 
     # --- energy -----------------------------------------------------------------------------------
 
     def _book(self, window: Window) -> None:
-        """Add the load's work; what is created is the residual of the balance."""
+        """The energy created is the residual of the balance."""
         ahead = np.vstack([window.load_motion[1:], self.displacement[self.load_rows]])
-        work = np.array([np.sum(self._load_means * (ahead - window.load_motion))])
-        gained = float(self.structure.sum_over_ranks(work)[0])
+        gained = self._total(np.sum(self._load_means * (ahead - window.load_motion)))
         self._work += gained
         self._put_in += abs(gained)
         self._created = self._energy() + self._lost - self._first_energy - self._work
 
     def _energy(self) -> float:
         """Kinetic, elastic, and contact energy at this instant."""
-        energy = linear_energy(self.structure, *self.state())
+        energy = self._linear_energy(*self.state())
         if not self.rigid:
             energy += float(_potential(self.contact, self._measured(self.displacement)).sum())
         return energy
@@ -319,10 +302,7 @@ class _GeneralisedAlpha(StepScheme):
         """v^T C v [W]."""
         if self._modes is not None:
             return float(self._modes.rate @ velocity[self.structure.n_local :] ** 2)
-        if self._damping is None:
-            return 0.0
-        power = np.array([velocity @ self._damped(velocity)])
-        return float(self.structure.sum_over_ranks(power)[0])
+        return 0.0 if self._damping is None else self._total(velocity @ self._damped(velocity))
 
     # --- linear algebra ---------------------------------------------------------------------------
 
@@ -347,7 +327,7 @@ class _GeneralisedAlpha(StepScheme):
 
     def _solve(self, columns: np.ndarray) -> np.ndarray:
         """A^-1 X of columns (n_local, m)."""
-        found = solve_columns(self._inverse, self._matrix, columns)
+        found = by_columns(self._inverse.apply, self._matrix, columns)
         if self._modes is not None:
             pushed = self.structure.sum_over_ranks(self._modes.shapes.T @ columns)
             found += self._modes.shapes @ (self._correction[:, None] * pushed)
@@ -361,11 +341,6 @@ class _GeneralisedAlpha(StepScheme):
             return np.zeros_like(velocity)
         modal = self.structure.sum_over_ranks(velocity @ self._modes.mass_shapes)
         return self._modes.mass_shapes @ (self._modes.rate * modal)
-
-    def free(self) -> None:
-        """Free PETSc's objects (collective)."""
-        for item in (self._x, self._y, self._inverse, self._matrix):
-            item.destroy()
 
 
 _GAUSS = np.polynomial.legendre.leggauss(8)
@@ -382,7 +357,7 @@ def _mean_force(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(V(end) - V(start)) / (end - start) and its derivative by the end: (n_pairs,) each.
 
-    On one side of g = 0, where laws have their kink, from the mean of lambda.
+    Where g keeps its sign, from the mean of lambda: laws have their kink at g = 0.
     """
     change = end - start
     between = start + _POINTS[:, None] * change

@@ -1,12 +1,13 @@
-"""Motion in time: what is asked of a march, the one loop that marches it, and its record."""
+"""Motion in time: what is asked of a march, the loop over its periods, and its record."""
 
 from __future__ import annotations
 
 import time as clock
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 from tqdm import tqdm
@@ -18,6 +19,7 @@ from fenics_crack.model.contact import ContactLaw, check_law
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import StopRequest, raise_together
+from fenics_crack.table import counted
 
 __all__ = ["March", "Scheme", "TimeHistory", "Window", "initial_state", "march"]
 
@@ -46,9 +48,9 @@ class March:
     settle : float
         Stop early when the relative change over a period is below this.
     record_periods : int, optional
-        Keep only the last so many periods; default: all.
+        Keep only the last so many periods.
     dofs : sequence of int, optional
-        Record only these displacements; default: all. A reduced structure records all.
+        Record only these displacements. A reduced structure records all.
     progress : bool
         Show a progress bar.
 
@@ -123,14 +125,14 @@ class March:
 
 @dataclass(frozen=True, repr=False)
 class TimeHistory:
-    """Motion found by direct integration, the last periods of it.
+    """The last periods of a motion found by direct integration.
 
     Attributes
     ----------
     time : (n,) [s]
         Equally spaced; the load's phase is omega * time.
     gap : (n, n_pairs) [m]
-        Closing of the pairs.
+        g = B^T u - g0; g > 0: penetration.
     settled : float
         Relative change of the gaps (without pairs: of the load's displacement) over the last
         period; a small number says that the motion repeats with the load.
@@ -168,12 +170,9 @@ class TimeHistory:
     KIND: ClassVar[str] = "time history"
 
     def __repr__(self) -> str:
-        counts = {
-            "period": self.periods,
-            "step": self.steps_per_period,
-            "pair": self.structure.n_pairs,
-        }
-        periods, steps, pairs = (f"{n} {word}{'s' * (n != 1)}" for word, n in counts.items())
+        periods = counted(self.periods, "period")
+        steps = counted(self.steps_per_period, "step")
+        pairs = counted(self.structure.n_pairs, "pair")
         settled = f", settled to {self.settled:.0e}" if np.isfinite(self.settled) else ""
         return f"TimeHistory({periods} of {steps}{settled}, {pairs})"
 
@@ -195,54 +194,44 @@ class TimeHistory:
         if self.structure.whole is not self.structure:
             return self.structure.values_at(self.recorded, dofs)
         wanted = self.structure.check_dofs(dofs)
-        place = {int(dof): column for column, dof in enumerate(self.recorded_dofs)}
+        place = {dof: column for column, dof in enumerate(self.recorded_dofs.tolist())}
+        here = np.isin(wanted, self.recorded_dofs)
         found = np.zeros((len(self.time), len(wanted)))
-        known = np.zeros(len(wanted))
-        for column, dof in enumerate(wanted):
-            if int(dof) in place:
-                found[:, column] = self.recorded[:, place[int(dof)]]
-                known[column] = 1.0
-        known = self.structure.sum_over_ranks(known)
-        if not np.all(known):
-            raise InputError("dofs", [int(d) for d in wanted[known == 0.0]], "among those recorded")
+        found[:, here] = self.recorded[:, [place[dof] for dof in wanted[here].tolist()]]
+        missing = wanted[self.structure.sum_over_ranks(here.astype(float)) == 0.0]
+        if len(missing):
+            raise InputError("dofs", missing.tolist(), "among those recorded")
         return self.structure.sum_over_ranks(found)
 
 
 @dataclass(frozen=True)
 class Window:
-    """Room for one period of a march, a row for each instant.
-
-    Attributes
-    ----------
-    gap, force : (N, n_pairs)
-        [m], [N].
-    motion, load_motion : (N, ...) [m]
-        Displacement of the recorded dofs, and where the load acts.
-    """
+    """Room for one period of a march, a row for each instant."""
 
     gap: np.ndarray
     force: np.ndarray
     motion: np.ndarray
+    """Displacement of the recorded dofs."""
     load_motion: np.ndarray
+    """Displacement where the load acts."""
 
 
-class Scheme(Protocol):
-    """What :func:`march` needs of a scheme, which stands at time 0."""
+class Scheme(ABC):
+    """What :func:`march` needs of a scheme, which starts at time 0."""
 
     name: ClassVar[str]
+    created_share = 0.0
+    """Energy created relative to the energy put in."""
+    owned: tuple[Any, ...] = ()
+    """PETSc's objects, to be freed after the march."""
 
+    @abstractmethod
     def fill(self, window: Window, number: int) -> None:
-        """March period ``number``, record it, and book its energy."""
+        """March period ``number``, record it, and add up its energy."""
 
-    @property
-    def created_share(self) -> float:
-        """Energy created relative to the energy put in."""
-
+    @abstractmethod
     def state(self) -> tuple[np.ndarray, np.ndarray]:
-        """Displacement and velocity, after whole periods."""
-
-    def free(self) -> None:
-        """Free PETSc's objects (collective)."""
+        """Displacement and velocity, after whole periods, from which a march can go on."""
 
 
 def march(asked: March, scheme: Scheme) -> TimeHistory:
@@ -260,7 +249,9 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
             window = Window(gap[place], force[place], motion[place], load_motion)
             scheme.fill(window, number)
             done = number + 1
-            now = window.gap if structure.n_pairs else _whole(structure, load_motion)
+            now = window.gap
+            if not structure.n_pairs:
+                now = np.concatenate(structure.comm.allgather(load_motion), axis=1)
             if before is not None:
                 size = np.linalg.norm(now)
                 settled = float(np.linalg.norm(now - before) / size) if size > 0.0 else 0.0
@@ -273,7 +264,8 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
     newest = done % kept * steps if done > kept else 0
     gap, force, motion = (np.roll(rows[:count], -newest, axis=0) for rows in records)
     final_state = scheme.state()
-    scheme.free()
+    for item in scheme.owned:
+        item.destroy()
     return TimeHistory(
         time=np.arange(done * steps - count, done * steps) * asked.step_size,
         gap=gap,
@@ -290,11 +282,6 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
     )
 
 
-def _whole(structure: Structure, columns: np.ndarray) -> np.ndarray:
-    """Columns of all ranks side by side (collective)."""
-    return np.concatenate(structure.comm.allgather(columns), axis=1)
-
-
 def initial_state(
     structure: Structure, initial: PeriodicSolution | tuple[np.ndarray, np.ndarray] | None
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -308,8 +295,7 @@ def initial_state(
         rate = np.zeros_like(coefficients)
         order = omega * np.arange(1, initial.harmonics + 1)[:, None]
         rate[1::2], rate[2::2] = order * coefficients[2::2], -order * coefficients[1::2]
-        zero = np.zeros(1)
-        state = (evaluate(coefficients, omega, zero)[0], evaluate(rate, omega, zero)[0])
+        state = tuple(evaluate(wave, omega, np.zeros(1))[0] for wave in (coefficients, rate))
     else:
         try:
             state = tuple(numbers(part) for part in initial)

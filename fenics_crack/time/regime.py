@@ -6,14 +6,13 @@ The modal coordinates z = (s q, q') of a small structure obey, with one set of c
 
 z_p the steady response to the load with these pairs closed, V and L eigenvectors and eigenvalues
 of the flow. The next instant at which a pair opens or closes is bracketed on a grid that resolves
-the fastest mode, with the extremes between its points looked at, and polished by Brent's method.
-The error is that of the roots, about 1e-12.
+the fastest mode, which also shows extremes between its points, and polished by Brent's method. The
+error is that of the roots, about 1e-12.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -29,21 +28,9 @@ BLOCK = 64
 
 
 class FreeMotion:
-    """What does not depend on the load's frequency with one set of closed pairs.
-
-    Attributes
-    ----------
-    matrix : (2n, 2n)
-        Of the flow z' = A z.
-    values, vectors, inverse : (2n,), (2n, 2n), (2n, 2n)
-        L, V and V^-1.
-    static : (n,)
-        Response q to the mean load.
-    step : float
-        A twelfth of the period of the fastest mode [s].
-    powers : (2n, BLOCK + 1)
-        exp(L j step), j = 0 to BLOCK.
-    """
+    """What does not depend on the load's frequency with one set of closed pairs: the flow z' = A z
+    (``matrix``) with its ``values`` L, ``vectors`` V and ``inverse`` V^-1, and the response q to
+    the mean load (``static``)."""
 
     def __init__(
         self, structure: Structure, modes: AllModes, stiffness: np.ndarray, scale: float
@@ -61,23 +48,18 @@ class FreeMotion:
         self.vectors, self.inverse = vectors.astype(complex), inverse.astype(complex)
         fastest = np.abs(values.imag).max() or np.abs(values).max()
         self.step = 2.0 * np.pi / fastest / 12.0
+        """A twelfth of the period of the fastest mode [s]."""
         self.powers = np.exp(np.outer(values, self.step * np.arange(BLOCK + 1)))
+        """exp(L j step): (2n, BLOCK + 1)."""
 
 
-@dataclass(frozen=True)
 class Regime:
-    """Everything about the flow with one set of closed pairs: z_p = mean + Re(harmonic e^(iwt))."""
+    """The flow with one set of closed pairs under the load: z_p = mean + Re(harmonic e^(iwt))."""
 
-    free: FreeMotion
-    omega: float
-    mean: np.ndarray
-    harmonic: np.ndarray
-
-    @classmethod
-    def of(
-        cls, free: FreeMotion, structure: Structure, modes: AllModes, omega: float, scale: float
-    ) -> Regime:
-        """Under a structure's load at a frequency."""
+    def __init__(
+        self, free: FreeMotion, structure: Structure, modes: AllModes, omega: float, scale: float
+    ) -> None:
+        self.free, self.omega = free, omega
         count, matrix = len(modes.squares), free.matrix
         _, cosine, sine = structure.force @ modes.shapes
         response: np.ndarray = np.zeros(count, dtype=complex)
@@ -85,19 +67,15 @@ class Regime:
             stiffness, damping = -scale * matrix[count:, :count], -matrix[count:, count:]
             impedance = stiffness - omega**2 * np.eye(count) + 1j * omega * damping
             response = np.linalg.solve(impedance, cosine - 1j * sine)
-        return cls(
-            free,
-            omega,
-            np.concatenate([scale * free.static, np.zeros(count)]),
-            np.concatenate([scale * response, 1j * omega * response]),
-        )
+        self.mean = np.concatenate([scale * free.static, np.zeros(count)])
+        self.harmonic = np.concatenate([scale * response, 1j * omega * response])
 
     def steady(self, time: float) -> np.ndarray:
         """z_p at an instant: (2n,)."""
         return self.mean + (np.exp(1j * self.omega * time) * self.harmonic).real
 
     def weights(self, state: np.ndarray, time: float) -> np.ndarray:
-        """Modes of the flow in a state: V^-1 (z - z_p), (2n,)."""
+        """Modal weights of a state: V^-1 (z - z_p), (2n,)."""
         return self.free.inverse @ (state - self.steady(time))
 
     def sampled(
@@ -111,7 +89,7 @@ class Regime:
 
 
 class Gaps:
-    """Gaps in a regime from an instant on, signed: a pair leaves its state where its own is > 0."""
+    """Gaps in a regime from an instant on, signed: a pair leaves its state when its gap is > 0."""
 
     def __init__(
         self,
@@ -161,9 +139,7 @@ class Gaps:
 
 def next_event(gaps: Gaps, duration: float, switched: int) -> tuple[int, float]:
     """The first pair that changes its state, and when; -1 and the duration if none does.
-
-    ``switched`` is the pair that has changed its state at the start, or -1.
-    """
+    ``switched`` is the pair that has changed its state at the start, or -1."""
     reached = 0.0
     while reached < duration:
         times, values, slopes = gaps.block(reached)
@@ -218,9 +194,7 @@ def _return(
     gap: Callable[[float], float], slope: Callable[[float], float], high: float
 ) -> float | None:
     """When a pair that has switched at time 0 switches back before ``high``; None if it does not.
-
-    It goes in first and comes out again, so the extreme lies between.
-    """
+    It goes in first and comes out again, so there is an extreme between."""
     if slope(0.0) >= 0.0 or slope(high) <= 0.0:
         return None
     deepest = float(scipy.optimize.brentq(slope, 0.0, high))
