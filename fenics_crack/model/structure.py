@@ -106,7 +106,7 @@ class Structure:
     pair_areas : (n_pairs,) [m^2] or None
         Area of the lip that belongs to each pair, where there is a mesh.
     damping_factor : float
-        Of a varied copy: what the damping of :attr:`original` is multiplied by; else 1.
+        Factor of the damping relative to that of :attr:`original`; 1 unless varied.
     """
 
     comm: MPI.Comm
