@@ -195,11 +195,11 @@ def _ratio_of_all(structure: Structure) -> float | None:
         return damping.ratio
     if structure.n_dofs <= SMALL:
         return None
-    raise InputError(
-        "damping ratio",
-        f"{len(damping.ratio)} ratios for all {structure.n_dofs} modes",
-        f"one ratio, or ratios of the lowest damping.modes, as there are more than {SMALL} dofs",
+    found = f"{len(damping.ratio)} ratios for all {structure.n_dofs} modes"
+    allowed = (
+        f"one ratio, or ratios of the lowest damping.modes, as there are more than {SMALL} dofs"
     )
+    raise InputError("damping ratio", found, allowed)
 
 
 @contextmanager

@@ -327,9 +327,8 @@ class Structure:
         self.mass.mult(ones, sums)
         smallest = sums.min()[1]
         if smallest <= 1e-10 * sums.max()[1]:  # zero but for rounding at a triangle's corners
-            raise InputError(
-                "mass", f"row sum {smallest:.3g}", "lumped only where every row sum is positive"
-            )
+            allowed = "lumped only where every row sum is positive"
+            raise InputError("mass", f"row sum {smallest:.3g}", allowed)
         rows = sparse.diags(sums.array_r, self.first_dof, shape=(self.n_local, self.n_dofs))
         return self._changed(mass=distributed(rows, self.comm))
 
