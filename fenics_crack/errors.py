@@ -1,4 +1,4 @@
-"""The two ways in which the package refuses: bad input, and a solver that did not converge."""
+"""The errors of the package, for bad input and for a solver that did not converge; and checks."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from fenics_crack.balance.dynamic_stiffness import DynamicStiffness
 from fenics_crack.balance.fourier import from_complex, resized, to_complex
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.modal import all_modes, is_small
-from fenics_crack.model.modes import damped_modes, solve_modes, times
+from fenics_crack.model.modes import damped_modes, projected_damping, solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import collect_garbage
 
@@ -73,7 +73,7 @@ def dynamic_compliance(
         The structure is in an undamped resonance, or can move as a rigid body.
     """
     load = load_coefficients(structure, harmonics, subharmonic)
-    if is_small(structure) and not all_modes(structure).drowned:
+    if is_small(structure) and not all_modes(structure).ill_conditioned:
         return ModalCompliance(structure, base_omega, load)
     return FactoredCompliance(structure, base_omega, load)
 
@@ -129,20 +129,20 @@ class ModalCompliance:
 
     def seen_through(self, shapes: np.ndarray, force: np.ndarray) -> np.ndarray:
         """The displacement of some dofs, from their rows of all modes (m, n_modes): (2H+1, m)."""
-        drive = self._modal_load - to_complex(force) @ self._modes.pairs.T
-        return from_complex(self._modes.respond(self._receptance, drive) @ shapes.T)
+        return from_complex(-self._moved(force) @ shapes.T)
 
     # Derivatives of R lambda - g_lin for fixed forces (2H+1, n_pairs): (2H+1, n_pairs).
 
     def frequency_derivative(self, force: np.ndarray) -> np.ndarray:
         """By base_omega: with H = Z^-1, dH = -H dZ H, dZ_k = -2 k^2 w + i k c."""
         order, moved = self._order[:, None], self._moved(force)
-        damped = self._damping * self._damped(moved)
+        damped = self._damping * self._modes.damped(moved)
         return -self._gap(order * (1j * damped - (2.0 * self._base * order) * moved))
 
     def damping_derivative(self, force: np.ndarray) -> np.ndarray:
         """By the factor of the damping: dZ_k = i k w c."""
-        return -self._gap(1j * self._base * self._order[:, None] * self._damped(self._moved(force)))
+        rate = 1j * self._base * self._order[:, None]
+        return -self._gap(rate * self._modes.damped(self._moved(force)))
 
     def load_derivative(self) -> np.ndarray:
         """By the factor of the load."""
@@ -156,11 +156,6 @@ class ModalCompliance:
         """Modal response to the contact forces less the load."""
         drive = to_complex(force) @ self._modes.pairs.T - self._modal_load
         return self._modes.respond(self._receptance, drive)
-
-    def _damped(self, modal: np.ndarray) -> np.ndarray:
-        rate = self._modes.damping
-        product: np.ndarray = rate * modal if rate.ndim == 1 else modal @ rate.T
-        return product
 
     def destroy(self) -> None:
         """Nothing is held."""
@@ -232,15 +227,7 @@ class WidenedCompliance:
 def _lowest_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """omega, damping rate and B^T phi of the damped modes, of 20 at least."""
     known, count = damped_modes(structure), min(20, structure.n_dofs)
-    if known is not None and len(known.omega) >= count:
-        omega, rate, shapes = known.omega, known.rate, known.shapes
-    else:
-        modes = solve_modes(structure, count)
-        omega, rate, shapes = modes.omega, np.zeros(count), modes.shapes
-        if known is not None:
-            rate[: len(known.rate)] = known.rate
-        elif structure.damping_matrix is not None:
-            damping = times(structure.damping_matrix, shapes)
-            rate = structure.sum_over_ranks((shapes * damping).sum(axis=0))
-    found = omega > 0.0  # the lowest may be lost in rounding
-    return omega[found], rate[found], structure.closing(shapes.T)[found]
+    modes = known if known and len(known.omega) >= count else solve_modes(structure, count)
+    rate = np.diag(projected_damping(structure, modes.shapes))
+    found = modes.omega > 0.0  # the lowest may be lost in rounding
+    return modes.omega[found], rate[found], structure.closing(modes.shapes.T)[found]

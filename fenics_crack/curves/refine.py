@@ -165,7 +165,7 @@ class _Points:
         """dF/dp, as :meth:`ModalCompliance.frequency_derivative`."""
         system, modes = self._system, self._system.modes
         order, moved = system.order[:, None, None], self._moved[:, rest]
-        damped = modes.damping * moved if modes.damping.ndim == 1 else moved @ modes.damping.T
+        damped = modes.damped(moved)
         rate = order * (1j * damped - 2.0 * order * self._base[rest, None] * moved)
         change = modes.respond(self._receptance[:, rest], rate)
         scale = -system.span / system.problem.subharmonic

@@ -85,9 +85,8 @@ class _Dofs:
 
     def free_block(self, matrix: Any) -> Any:
         """Leave the clamped rows and columns out of a matrix."""
-        rows = PETSc.IS().createGeneral(
-            (2 * self.first_node + self.free).astype(PETSc.IntType), comm=self.comm
-        )
+        free = (2 * self.first_node + self.free).astype(PETSc.IntType)
+        rows = PETSc.IS().createGeneral(free, comm=self.comm)
         block = matrix.createSubMatrix(rows, rows)
         rows.destroy()
         return block
@@ -200,11 +199,8 @@ def _pair_lips(
         distance, partner = cKDTree(upper[:, 1:3]).query(lower[:, 1:3])
         matched = distance.max() <= 1e-6 * size and len(set(partner)) == len(partner)
     if not matched:
-        raise InputError(
-            "lips",
-            f"{len(lower)} lower and {len(upper)} upper nodes",
-            "meshed identically, so that the nodes of the two lips pair one to one",
-        )
+        allowed = "meshed identically, so that the nodes of the two lips pair one to one"
+        raise InputError("lips", f"{len(lower)} lower and {len(upper)} upper nodes", allowed)
     upper = upper[partner]
     order = np.lexsort(lower[:, 1:3].T)
     if len(tip):

@@ -64,10 +64,9 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     shortest, longest = 0.01 * width, 0.95 * width
     highest, lowest = target + excess(shortest), target + excess(longest)
     if not lowest <= target <= highest:
+        span = f"between {lowest:.1f} and {highest:.1f} rad/s"
         raise InputError(
-            "crack.first_omega",
-            target,
-            f"between {lowest:.1f} and {highest:.1f} rad/s: cracks of 95 % and 1 % of the width",
+            "crack.first_omega", target, f"{span}: cracks of 95 % and 1 % of the width"
         )
     return float(scipy.optimize.brentq(excess, shortest, longest, xtol=1e-5 * width))
 

@@ -58,7 +58,7 @@ _JIT = {"jit_options" if _NEW else "jit_params": {"timeout": 300}}
 
 
 def gmsh_is_running() -> bool:
-    """Whether gmsh is initialised already; gmsh 4.8 cannot tell, taken as no."""
+    """Whether gmsh is initialised; gmsh 4.8 cannot tell, which is taken as no."""
     return bool(getattr(gmsh, "isInitialized", lambda: False)())
 
 

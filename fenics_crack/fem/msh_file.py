@@ -25,7 +25,7 @@ _EDGES = {2: 1, 3: 1, 9: 8, 10: 8, 21: 26, 36: 26}
 
 
 def read_file(path: Path) -> None:
-    """Fill gmsh's current model with what a mesh file holds.
+    """Read a mesh file into gmsh's current model.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def _fill(numbers: np.ndarray, positions: np.ndarray, groups: list[_Group]) -> N
 
 
 def _read_by_child(path: Path) -> tuple[np.ndarray, np.ndarray, list[_Group]] | str:
-    """Numbers and positions of a file's nodes and its groups, or what gmsh says against it."""
+    """Numbers and positions of a file's nodes and its groups, or gmsh's error message."""
     reader = [sys.executable, "-I", str(Path(__file__).with_name("msh_reader.py")), str(path)]
     try:
         done = subprocess.run(reader, capture_output=True, timeout=LONGEST_READING)

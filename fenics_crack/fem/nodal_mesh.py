@@ -24,7 +24,7 @@ class NodalMesh:
     cells : (n_cells, k) int
         Their nodes in VTK's order.
     vtk_type : int
-        VTK's number of their kind.
+        VTK's number of the cell type.
     size : float [m]
         Largest extent.
     clamped : (n_nodes,) bool

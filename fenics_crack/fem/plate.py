@@ -124,7 +124,7 @@ def _model(scene: Scene) -> tuple[dict[str, int], tuple[float, float] | None]:
 
 
 def _draw(scene: Scene) -> None:
-    """Draw the plate and say how each curve and surface is to be divided."""
+    """Draw the plate and set how each curve and surface is divided."""
     crack, width = scene.crack, scene.geometry.width
     assert width is not None
     columns, rows = _divisions(scene)
@@ -153,9 +153,7 @@ def _draw(scene: Scene) -> None:
         for i in range(len(xs)):
             start = mouth_above if (i, j) == (0, 1) and mouth_above else points[i, j]
             vertical[i, j] = _curve(start, points[i, j + 1], count, progression)
-    upper_lip = None
-    if mouth_above is not None:
-        upper_lip = _curve(mouth_above, points[1, 1], *columns[0][2:])
+    upper_lip = mouth_above and _curve(mouth_above, points[1, 1], *columns[0][2:])
 
     surfaces = []
     for i in range(len(columns)):
@@ -176,7 +174,7 @@ def _draw(scene: Scene) -> None:
         "plate": (2, surfaces),
         "clamp": (1, [horizontal[i, 0] for i in range(len(columns))]),
     }
-    if upper_lip is not None:
+    if upper_lip:
         groups |= {"lower_lip": (1, [horizontal[0, 1]]), "upper_lip": (1, [upper_lip])}
     at_load = [
         tag

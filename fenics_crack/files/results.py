@@ -64,8 +64,8 @@ def save(result: Result, path: str | Path, scene: Scene | None = None) -> None:
 def load(path: str | Path, structure: Structure, contact: Law = None) -> Result:
     """Read a result written by :func:`save`; nothing is solved again (collective).
 
-    A file with a scene needs no structure at hand: :func:`fenics_crack.load_run`. A sweep has its
-    own ``SweepResult.load``.
+    :func:`fenics_crack.load_run` reads a file with a scene without a structure at hand;
+    ``SweepResult.load`` reads a sweep.
 
     Parameters
     ----------
@@ -103,8 +103,8 @@ def type_of(path: str | Path) -> type[Result]:
 
 def _fields(result: Result, *apart: str) -> Parts:
     """What a result holds besides its structure, its law and the fields kept apart."""
-    names = {field.name for field in fields(result)} - {"structure", "contact", *apart}
-    return {name: getattr(result, name) for name in names}
+    apart = ("structure", "contact", *apart)
+    return {f.name: getattr(result, f.name) for f in fields(result) if f.name not in apart}
 
 
 # --- solutions ------------------------------------------------------------------------------------

@@ -212,9 +212,8 @@ def check_law(structure: Structure, contact: Any, *, rigid: bool = False) -> Non
         raise InputError("contact", contact, "a contact law such as UnilateralPenalty(1e9)")
     stiffness = np.asarray(contact.stiffness, dtype=np.float64)
     if stiffness.shape not in ((), (structure.n_pairs,)):
-        raise InputError(
-            "contact stiffness", stiffness.shape, f"one number or {structure.n_pairs}, one per pair"
-        )
+        allowed = f"one number or {structure.n_pairs}, one per pair"
+        raise InputError("contact stiffness", stiffness.shape, allowed)
     if not is_rigid(contact) and not np.all(np.isfinite(stiffness)):
         raise InputError("contact stiffness", contact, "finite")
 

@@ -1,4 +1,4 @@
-"""All modes of a small structure: it is taken apart into them once."""
+"""All modes of a small structure, computed once."""
 
 from __future__ import annotations
 
@@ -10,18 +10,17 @@ import scipy.linalg
 
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.factor import Factor
-from fenics_crack.model.modes import damped_modes
+from fenics_crack.model.modes import damped_modes, projected_damping
 from fenics_crack.model.structure import Structure
 
 __all__ = ["SMALL", "AllModes", "all_modes", "flow_matrix", "is_small"]
 
-
 SMALL = 600
-"""Structures with at most so many dofs are taken apart into all of their modes."""
+"""Up to so many dofs a structure is decomposed into all of its modes."""
 
 
 def is_small(structure: Structure) -> bool:
-    """Whether a structure can be taken apart into all of its modes: few dofs, on one rank."""
+    """Whether a structure can be decomposed into all of its modes: few dofs, on one rank."""
     return structure.comm.size == 1 and structure.n_dofs <= SMALL
 
 
@@ -36,7 +35,7 @@ class AllModes:
     shapes : (n, n)
         Phi, mass-normalised.
     damping : (n,) or (n, n) [1/s]
-        Phi^T C Phi: its diagonal, where it has nothing else.
+        Phi^T C Phi: its diagonal where it is diagonal.
     pairs : (n, n_pairs)
         Phi^T B.
     unconstrained : bool
@@ -50,12 +49,12 @@ class AllModes:
     unconstrained: bool
 
     @property
-    def drowned(self) -> bool:
-        """Whether the lowest modes may have drowned in the rounding of the highest ones."""
+    def ill_conditioned(self) -> bool:
+        """Whether rounding relative to the highest modes may spoil the lowest ones."""
         return not self.unconstrained and bool(self.squares[0] < 1e-12 * self.squares[-1])
 
     def receptance(self, omega: np.ndarray, factor: float = 1.0) -> np.ndarray:
-        """Inverse impedance at frequencies (m,): (m, n_modes), or with coupling (m, n, n).
+        """Inverse impedance at frequencies (m,): (m, n), or where damping couples modes (m, n, n).
 
         ``factor`` multiplies the damping.
 
@@ -76,7 +75,7 @@ class AllModes:
             impedance = 1j * factor * omega[:, None, None] * self.damping
             place = np.arange(len(self.squares))
             impedance[:, place, place] += stiffness
-            # Only a mode that the damping leaves alone can make this singular.
+            # Only an undamped mode can make this singular.
             free = np.abs(self.damping).sum(axis=1) == 0.0
             singular |= np.any(stiffness[:, free] == 0.0, axis=1)
         if singular.any():
@@ -116,13 +115,10 @@ def _all_modes(structure: Structure) -> AllModes:
         squares, shapes, damping = known.omega**2, known.shapes, known.rate
     else:
         squares, shapes = scipy.linalg.eigh(*map(_dense, (structure.stiffness, structure.mass)))
-        if structure.damping_matrix is not None:
-            coupled = shapes.T @ _dense(structure.damping_matrix) @ shapes
-        elif known is not None:  # of the lowest modes alone
-            projected = shapes.T @ known.mass_shapes
-            coupled = (projected * known.rate) @ projected.T
+        if structure.damping_matrix is None:
+            coupled = projected_damping(structure, shapes)
         else:
-            coupled = np.zeros((structure.n_dofs, structure.n_dofs))
+            coupled = shapes.T @ _dense(structure.damping_matrix) @ shapes
         rate = np.diag(coupled).copy()
         coupling = np.abs(coupled - np.diag(rate)).max()
         damping = rate if coupling <= 1e-14 * np.abs(rate).max() else coupled

@@ -22,7 +22,17 @@ from fenics_crack.model.structure import ModalDamping, Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.table import Tabular, counted
 
-__all__ = ["DampedModes", "Modes", "by_columns", "damped_modes", "largest_frequency", "solve_modes"]
+__all__ = [
+    "DampedModes",
+    "Modes",
+    "by_columns",
+    "damped_modes",
+    "largest_frequency",
+    "mass_norms",
+    "projected_damping",
+    "solve_modes",
+    "times",
+]
 
 
 @dataclass(frozen=True, repr=False)
@@ -34,10 +44,9 @@ class Modes(Tabular):
     omega : (count,) [rad/s]
         Natural angular frequencies, ascending.
     shapes : (n_local, count) [kg^-1/2]
-        Mass-normalised; the largest component is positive (of several as large, the first by
-        position).
+        Mass-normalised; the largest component is positive (of equal ones, the first by position).
     structure : Structure
-        Whose modes they are.
+        What vibrates.
     """
 
     omega: np.ndarray
@@ -65,9 +74,9 @@ def solve_modes(structure: Structure, count: int) -> Modes:
     Parameters
     ----------
     structure : Structure
-        Where M and K come from.
+        Its M and K are taken.
     count : int
-        How many modes.
+        Number of modes.
 
     Raises
     ------
@@ -102,7 +111,7 @@ def solve_modes(structure: Structure, count: int) -> Modes:
 def _solved(
     structure: Structure, prefix: str, count: int, krylov: int, shift: float | None = None
 ) -> Any:
-    """SLEPc's solver with the modes closest to omega^2 = shift, or the highest ones."""
+    """SLEPc's solver with the eigenvalues omega^2 closest to a shift, or the highest ones."""
     solver = SLEPc.EPS().create(structure.comm)
     solver.setOptionsPrefix(prefix)
     solver.setOperators(structure.stiffness, structure.mass)
@@ -187,10 +196,10 @@ def mass_norms(structure: Structure, columns: np.ndarray) -> np.ndarray:
 
 
 def _signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
-    """Sign that makes the largest component positive; ties go to the first by position, then dof.
+    """Signs that make the largest component positive; ties go to the first by position, then dof.
 
-    A symmetric structure has equally large components; which of them rounding makes the largest
-    must not decide, nor may the numbering, which depends on the number of ranks.
+    A symmetric structure has equally large components: neither rounding may decide between them,
+    nor the numbering, which depends on the number of ranks.
     """
     first = structure.first_dof
     keys = np.zeros((structure.n_local, 3))
@@ -258,3 +267,15 @@ def _damped_modes(structure: Structure) -> DampedModes:
     modes = solve_modes(structure, count)
     mass_shapes = times(structure.mass, modes.shapes)
     return DampedModes(modes.omega, 2.0 * ratio * modes.omega, modes.shapes, mass_shapes)
+
+
+def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:
+    """X^T C X of the columns of X (n_local, m): (m, m) [kg/s] (collective)."""
+    if structure.damping_matrix is not None:
+        product = times(structure.damping_matrix, columns)
+        return structure.sum_over_ranks(columns.T @ product)
+    damped = damped_modes(structure)
+    if damped is None:
+        return np.zeros((columns.shape[1], columns.shape[1]))
+    projected = structure.sum_over_ranks(damped.mass_shapes.T @ columns)
+    return (projected.T * damped.rate) @ projected

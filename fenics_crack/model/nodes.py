@@ -30,7 +30,7 @@ class Nodes:
     cells : (n_cells, k) int
         This rank's cells in VTK's node order; nodes are numbered through all ranks.
     vtk_type : int
-        VTK's number for the kind of cells.
+        VTK's number of the cell type.
     """
 
     points: np.ndarray

@@ -32,7 +32,7 @@ import scipy.sparse as sparse
 from fenics_crack.errors import InputError
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import SMALL
-from fenics_crack.model.modes import damped_modes, mass_norms, solve_modes, times
+from fenics_crack.model.modes import damped_modes, mass_norms, projected_damping, solve_modes, times
 from fenics_crack.model.structure import ModalDamping, Structure
 
 __all__ = ["ReducedStructure", "reduce_structure"]
@@ -45,8 +45,8 @@ MODES = 50
 class ReducedStructure(Structure):
     """A structure in the coordinates q of a basis, u = T q; the same on every rank.
 
-    It answers as the structure that it stands for: ``find_dof`` and ``values_at`` speak of the
-    dofs of the whole one, and so does everything drawn or written of its solutions.
+    ``find_dof`` and ``values_at`` refer to the dofs of the whole structure, and so does everything
+    drawn or written of its solutions.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class ReducedStructure(Structure):
 
     @property
     def whole(self) -> Structure:
-        """The structure that was reduced, in the first place."""
+        """The structure that was reduced first."""
         return self._whole.whole
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
@@ -120,7 +120,7 @@ class ReducedStructure(Structure):
         return ReducedStructure(self._whole, self.basis, self.omega**2, damping, reference)
 
     def _changed(self, **changes: Any) -> Structure:
-        # A plain structure of the coordinates: it does not know where they are.
+        """A plain structure of the coordinates, which have no positions."""
         return super()._changed(**({"nodes": None} | changes))
 
 
@@ -137,16 +137,16 @@ def reduce_structure(
     structure : Structure
         What to reduce.
     modes : int, optional
-        Lowest modes to keep; default: those that are damped, but 50 where all of more than 600
-        are damped; without modal damping 20.
+        How many of the lowest modes to keep; default: those that are damped, but 50 if all of more
+        than 600 are; without modal damping 20.
     method : "free_interface", "craig_bampton" or "truncation"
-        The basis, see the module's text.
+        The basis.
 
     Raises
     ------
     InputError
-        The method is unknown, there are fewer modes than asked for, or all modes of a structure
-        with more than 600 dofs are damped, each with a ratio of its own.
+        The method is unknown, there are fewer modes than asked for, or a structure with more than
+        600 dofs has a ratio for each of its modes.
 
     Source: Craig and Kurdila, Fundamentals of Structural Dynamics, chapter 17.
     """
@@ -195,11 +195,11 @@ def _ratio_of_all(structure: Structure) -> float | None:
         return damping.ratio
     if structure.n_dofs <= SMALL:
         return None
-    raise InputError(
-        "damping ratio",
-        f"{len(damping.ratio)} ratios for all {structure.n_dofs} modes",
-        f"one ratio, or ratios of the lowest damping.modes, as there are more than {SMALL} dofs",
+    found = f"{len(damping.ratio)} ratios for all {structure.n_dofs} modes"
+    allowed = (
+        f"one ratio, or ratios of the lowest damping.modes, as there are more than {SMALL} dofs"
     )
+    raise InputError("damping ratio", found, allowed)
 
 
 @contextmanager
@@ -223,12 +223,13 @@ def _reduced(
     extra: np.ndarray,
     reference: ReducedStructure | None,
 ) -> ReducedStructure:
-    """Reduce to modes already known and the rest of other vectors, orthonormal and diagonal."""
+    """Reduce to known modes and the rest of other vectors, made M-orthonormal and K-diagonal."""
     whole_size = mass_norms(structure, extra)
     for _ in range(2):  # once more against rounding
         extra = extra - kept @ structure.sum_over_ranks(kept.T @ times(structure.mass, extra))
     size = mass_norms(structure, extra)
-    extra = extra[:, size > 1e-8 * whole_size] / size[size > 1e-8 * whole_size]
+    large = size > 1e-8 * whole_size
+    extra = extra[:, large] / size[large]
     gram = structure.sum_over_ranks(extra.T @ times(structure.mass, extra))
     weights, vectors = np.linalg.eigh(gram)
     independent = weights > 1e-12 * weights.max(initial=0.0)
@@ -248,16 +249,11 @@ def _damping(
 ) -> ModalDamping | np.ndarray | None:
     """T^T C T, or one ratio for all; modal where it is diagonal, else a matrix."""
     one = _ratio_of_all(structure)
+    if structure.damping is None:
+        return None
     if one is not None:
         return ModalDamping(one)
-    damped = damped_modes(structure)
-    if damped is not None:
-        projected = structure.sum_over_ranks(damped.mass_shapes.T @ basis)
-        matrix = (projected.T * damped.rate) @ projected
-    elif structure.damping_matrix is not None:
-        matrix = structure.sum_over_ranks(basis.T @ times(structure.damping_matrix, basis))
-    else:
-        return None
+    matrix = projected_damping(structure, basis)
     rate = np.diag(matrix)
     if np.abs(matrix - np.diag(rate)).max() > 1e-9 * rate.max(initial=0.0):
         return matrix

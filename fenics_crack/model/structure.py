@@ -106,7 +106,7 @@ class Structure:
     pair_areas : (n_pairs,) [m^2] or None
         Area of the lip that belongs to each pair, where there is a mesh.
     damping_factor : float
-        Of a varied copy: what the damping of :attr:`original` is multiplied by; else 1.
+        Factor of the damping relative to that of :attr:`original`; 1 unless varied.
     """
 
     comm: MPI.Comm
@@ -327,9 +327,8 @@ class Structure:
         self.mass.mult(ones, sums)
         smallest = sums.min()[1]
         if smallest <= 1e-10 * sums.max()[1]:  # zero but for rounding at a triangle's corners
-            raise InputError(
-                "mass", f"row sum {smallest:.3g}", "lumped only where every row sum is positive"
-            )
+            allowed = "lumped only where every row sum is positive"
+            raise InputError("mass", f"row sum {smallest:.3g}", allowed)
         rows = sparse.diags(sums.array_r, self.first_dof, shape=(self.n_local, self.n_dofs))
         return self._changed(mass=distributed(rows, self.comm))
 

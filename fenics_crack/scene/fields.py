@@ -35,9 +35,9 @@ class Axis:
     Attributes
     ----------
     key : str
-        Of the scene, for example "crack.length".
+        A key of the scene, for example "crack.length".
     values : tuple
-        What it takes, in order.
+        In order.
     """
 
     key: str

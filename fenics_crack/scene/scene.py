@@ -73,15 +73,15 @@ class Crack(Table):
     """Straight horizontal edge crack: a slit whose two lips share only the tip."""
 
     edge: str | None = choice("left", "right", default=None)
-    """Where the crack's mouth is."""
+    """Edge of the plate at the crack's mouth."""
     height: float | None = positive(None)
     """y of the crack [m]."""
     length: float | None = positive(None)
     """[m]; or let ``first_omega`` determine it."""
     first_omega: float | None = positive(None)
-    """First natural frequency with the open crack [rad/s], from which to find the length."""
+    """First natural frequency with the crack open [rad/s], from which the length is found."""
     clearance: float = holds(NUMBER, default=0.0)
-    """g0 >= 0: opening that must close before the lips touch; < 0: preload [m]."""
+    """g0 >= 0: opening that closes before the lips touch; < 0: preload [m]."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class Material(Table):
 
 @dataclass(frozen=True)
 class Damping(Table):
-    """Modal damping: ratio xi_j of critical for each of the lowest modes.
+    """Modal damping: ratio xi_j of critical damping for each of the lowest modes.
 
     With ``modes = "all"`` and one ratio, all coordinates of a reduced structure are damped.
     """
@@ -266,7 +266,7 @@ class Integration(Table):
 
 @dataclass(frozen=True)
 class Sweep(Table):
-    """Many cases: the product of what some keys of the scene take.
+    """Many cases: all combinations of the values of some keys of the scene.
 
     [sweep.over]
     "excitation.omega" = { start = 1000.0, stop = 4000.0, count = 61 }
@@ -287,7 +287,7 @@ class Sweep(Table):
 
 @dataclass(frozen=True)
 class Scene:
-    """A cracked plate, how it is loaded, and how its vibration is to be computed.
+    """A cracked plate, its load, and how its vibration is computed.
 
     Raises
     ------
@@ -375,7 +375,7 @@ class Scene:
             self.crack.leave_out(own, "mesh.layout = 'file'")
 
     def _checked_sweep(self, sweep: Sweep) -> Sweep:
-        """The sweep with values as their keys hold them; combinations are checked in time."""
+        """The sweep with values as their keys hold them; each case is checked when it is made."""
         axes, seen = [], set()
         for axis in sweep.over:
             table, _, key = axis.key.partition(".")
@@ -469,10 +469,8 @@ class Scene:
             else:
                 changes.setdefault(table, {})[key] = value
         for table, change in changes.items():
-            if tables[table] is None:
-                tables[table] = _TABLES[table].from_mapping(change)
-            else:
-                tables[table] = dataclasses.replace(tables[table], **change)
+            now, kind = tables[table], _TABLES[table]
+            tables[table] = dataclasses.replace(now, **change) if now else kind.from_mapping(change)
         return Scene(**tables)
 
     def as_toml(self) -> str:

@@ -1,4 +1,4 @@
-"""A scene made ready: its crack length found, its structure reduced as it says, and its law."""
+"""From a scene to what is solved: its structure, reduced as it says, and its contact law."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ FEW_DOFS = 100
 
 @dataclass(frozen=True)
 class Study:
-    """A scene made ready to be solved.
+    """A scene prepared for solution.
 
     Attributes
     ----------
     scene : Scene
-        With the crack length that was found and the reduction that was chosen.
+        With the crack length found and the reduction chosen.
     structure : Structure
         Reduced as the scene says.
     contact : ContactLaw or None
@@ -55,7 +55,7 @@ def prepare(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, whole: bool = Fals
     comm : MPI.Comm
         Ranks that share the mesh.
     whole : bool
-        Reduce nothing, whatever the scene says.
+        Do not reduce, whatever the scene says.
 
     Raises
     ------
@@ -73,10 +73,10 @@ def prepare(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, whole: bool = Fals
 
 
 def reduction_of(scene: Scene, structure: Structure) -> Reduction | None:
-    """How the structure of a scene is reduced; None where it is not.
+    """How the structure of a scene is reduced; None if it is not.
 
-    Without the table ``[reduction]`` a structure of up to 100 dofs on one rank is left as it is.
-    Where all modes are damped and no number of modes is given, 50 are kept.
+    Without the table ``[reduction]`` a structure of up to 100 dofs on one rank is not reduced. If
+    all modes are damped and no number of modes is given, 50 are kept.
     """
     table = scene.reduction
     if table is None:
@@ -91,7 +91,7 @@ def reduction_of(scene: Scene, structure: Structure) -> Reduction | None:
 
 
 def law_of(scene: Scene, structure: Structure) -> ContactLaw | None:
-    """The contact law of a scene's pairs; None where there are none."""
+    """The contact law of a scene's pairs; None if there are no pairs."""
     if structure.n_pairs == 0 or scene.contact is None:
         return None
     return contact_law(scene.contact, structure)

@@ -1,4 +1,4 @@
-"""What each command computes from a scene, and its result read back from a file."""
+"""What each command computes from a scene, and its results read from files."""
 
 from __future__ import annotations
 
@@ -78,9 +78,9 @@ def find_modes(scene: Scene, count: int, comm: MPI.Comm = MPI.COMM_WORLD) -> Run
 
 
 def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution]:
-    """Steady vibration at ``excitation.omega``, with its stability where that can be judged.
+    """Steady vibration at ``excitation.omega``, with its stability if that is quick (collective).
 
-    Collective. The solution may not have converged.
+    The solution may not have converged.
     """
     study = prepare(scene, comm)
     structure, law = study.structure, study.contact
@@ -164,10 +164,10 @@ def _needed_law(study: Study) -> ContactLaw:
 
 
 def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
-    """Read the result of a command with all that belongs to it (collective).
+    """Read the result of a command with its scene, structure and law (collective).
 
-    The structure is built anew from the scene in the file; what was found is only read. With a
-    structure at hand, :func:`fenics_crack.load` reads the same files; a sweep has its own
+    The structure is built anew from the scene in the file; the result is only read. With a
+    structure at hand, :func:`fenics_crack.load` reads the same files; sweeps are read by
     ``SweepResult.load``.
 
     Raises
