@@ -125,17 +125,15 @@ def _corrected(stiffness: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, 
     if not (np.all(radicand > 0.0) and np.abs(damping - damping.T).max() <= 1e-13 * size):
         return None
     values = -0.5 * rate + 1j * np.sqrt(radicand)
-    if not np.any(damping - np.diag(rate)):  # nothing closed, modal damping
-        return values, np.eye(len(values), dtype=complex)
-    # What the coupling makes of the uncoupled shapes: Q(l_j) x_j = 0 to first order in it.
     coupling = (np.diag(rate) - damping) * values + (np.diag(squares) - stiffness)
+    if not np.any(coupling):  # nothing closed, modal damping
+        return values, np.eye(len(values), dtype=complex)
+    # What it makes of the uncoupled shapes: Q(l_j) x_j = 0 to first order in it.
     impedance = (values + rate[:, None]) * values + squares[:, None]
     shapes: np.ndarray = np.zeros(damping.shape, complex)
     np.divide(coupling, impedance, out=shapes, where=np.abs(impedance) > np.abs(coupling))
     before = np.abs(shapes).max()
     np.fill_diagonal(shapes, 1.0)
-    if not np.any(coupling):
-        return values, shapes
     for _ in range(MOST_CORRECTIONS):
         damped, moved = _times(damping, shapes), shapes * values
         norms = (shapes * (2.0 * moved + damped)).sum(axis=0)[:, None]
