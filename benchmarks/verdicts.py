@@ -21,6 +21,9 @@ distance is that of the gap to the exact one, and has to change by a factor of 3
 cost: along curves from 1000 to 9500 rad/s with 20 harmonics, the time of a point without stability,
 of its leading multiplier (`PiecewiseFlow.leading`) and of all its multipliers, and the largest
 relative difference of the leading modulus between both over all points looked at.
+
+varied: curves over the damping and over the contact stiffness, whose flow is another one at each
+point: the time of a point without and with stability.
 """
 
 from __future__ import annotations
@@ -47,7 +50,7 @@ MARKS = {"stable": ("o", "tab:blue"), "unstable": ("s", "tab:red"), "undecided":
 
 def main() -> None:
     """Run it."""
-    common.run(__doc__, {"verdicts": verdicts, "cost": cost})
+    common.run(__doc__, {"verdicts": verdicts, "cost": cost, "varied": varied})
 
 
 def verdicts(arguments: common.Arguments) -> None:
@@ -207,6 +210,35 @@ def times(plate: fc.Structure, law: fc.UnilateralPenalty) -> tuple:
         count, float(omegas[-1]), point, one, full, one / point,
         float(np.abs(found / exact - 1.0).max()), int(np.sum((found < 1.0) != (exact < 1.0))),
     )  # fmt: skip
+
+
+def varied(arguments: common.Arguments) -> None:
+    """Curves at a fixed frequency."""
+    plate, rows = common.plate("paper_plate", {"damping.ratio": 0.01}), []
+    for structure in (plate, fc.reduce_structure(plate, modes=10)):
+        for parameter, end in (("damping", 0.2), ("stiffness", 10.0)):
+            along(structure, parameter, end, stability=False)  # modes are computed too
+            count, alone = along(structure, parameter, end, stability=False)
+            _, both = along(structure, parameter, end, stability=True)
+            rows.append((structure.n_dofs, parameter, count, alone, both))
+    columns = ("dofs", "parameter", "points", "point [ms]", "with stability [ms]")
+    common.save_table(arguments.folder / "varied.csv", "curves of varied flows", columns, rows)
+
+
+def along(
+    structure: fc.Structure, parameter: str, end: float, *, stability: bool
+) -> tuple[int, float]:
+    """Points of a curve, and milliseconds for each."""
+    curves: list[fc.ResponseCurve] = []
+    law = fc.UnilateralPenalty(1e9)
+    spent = common.seconds(
+        lambda: curves.append(
+            fc.continue_parameter(
+                structure, 2000.0, law, parameter, 1.0, end, harmonics=10, stability=stability
+            )
+        )
+    )
+    return len(curves[0]), 1e3 * spent / len(curves[0])
 
 
 def draw(rows: list[tuple], path: object) -> None:
