@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
 from mpi4py import MPI
@@ -86,6 +87,9 @@ def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
 
 class CondensedPoint(DenseLinearisation, ABC):
     """Condensed equations at a point, and what changes of them do to the gap.
+
+    It holds no function of its own: the circle would keep its matrices until Python looks for
+    circles, and a point of a curve would take 8 % longer.
 
     Attributes
     ----------
@@ -179,13 +183,20 @@ class _GapPoint(CondensedPoint):
     ) -> None:
         self.system, self.unknown, self.gap = system, gap, gap
         self.force, self.tangent = integrals.linearise(gap)
-        residual = gap - system.linear + respond(system.compliance.matrices, self.force)
-        super().__init__(residual, self._jacobian, lambda: by_parameter(self))
+        self.residual = gap - system.linear + respond(system.compliance.matrices, self.force)
+        self._differentiate = by_parameter
 
-    def _jacobian(self) -> np.ndarray:
+    @cached_property
+    def jacobian(self) -> np.ndarray:
+        """I + R T."""
         jacobian = respond_to_columns(self.system.compliance.matrices, self.tangent)
         jacobian.flat[:: len(jacobian) + 1] += 1.0
         return jacobian
+
+    @cached_property
+    def by_parameter(self) -> np.ndarray:
+        """dF/dp."""
+        return self._differentiate(self)
 
     def gap_of(self, change: np.ndarray) -> np.ndarray:
         """The unknown is the gap."""
@@ -252,11 +263,16 @@ class _ConstraintPoint(CondensedPoint):
         self.force = system.weight * unknown
         self.gap = system.linear - respond(system.compliance.matrices, self.force)
         projected, self.tangent = system.integrals.linearise(self.gap + share * unknown)
-        super().__init__(
-            unknown - projected, self._jacobian, lambda: -apply_to_pairs(self.tangent, unknown)
-        )
+        self.residual = unknown - projected
 
-    def _jacobian(self) -> np.ndarray:
+    @cached_property
+    def by_parameter(self) -> np.ndarray:
+        """-T y."""
+        return -apply_to_pairs(self.tangent, self.unknown)
+
+    @cached_property
+    def jacobian(self) -> np.ndarray:
+        """I - T (t I - eps R)."""
         rows, pairs = self.unknown.shape
         identity = np.broadcast_to(np.eye(rows), (pairs, rows, rows))
         matrices = self.system.compliance.matrices
