@@ -10,13 +10,13 @@ plate : ``demos/breathing_plate.toml``, contact on all pairs, 1e9 and 1e11 N/m a
     are damped, to 111,000 rad/s, instead of 50, to 60,000 rad/s.
 constraint : no penetration at all, the same frequencies and H, on ``demos/paper_plate.toml`` with
     damping ratios 0.001 and 0.01 and on the reduced breathing plate (there H = 5, 10 and every
-    fourth frequency with H = 20). Where the default weight fails, how the residual behaved is said,
-    and up to H = 10 other weights are tried.
+    fourth frequency with H = 20). Where the default weight fails, the history of the residual is
+    printed, and up to H = 10 other weights are tried.
 
-Converged means |F| <= 1e-10 |x|. Costs are Newton iterations of all attempts together, as counted
-by the solution, and milliseconds, the error report included. Milliseconds depend on the machine;
-so beside them stands their ratio to the median of the solutions that took plain Newton steps alone,
-or where there is none, to the quickest solution of that row of the table.
+Converged means |F| <= 1e-10 |x|. Costs are the Newton iterations of all attempts, as counted by the
+solution, and milliseconds, the error report included. Milliseconds depend on the machine. The table
+also gives their ratio to the median of the solutions that took plain Newton steps alone, or where
+there is none, to the quickest solution of that row.
 
     OMP_NUM_THREADS=1 python benchmarks/cold_starts.py [--quick] [--only PART] [folder]
 """

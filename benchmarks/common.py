@@ -4,10 +4,10 @@ All of them run with one thread, ``OMP_NUM_THREADS=1``, and take the folder for 
 
     OMP_NUM_THREADS=1 python benchmarks/NAME.py [--quick] [folder]
 
-A time alone says more about the machine and its other work than about the program. So two ways are
-compared by letting them take turns in one run (:func:`alternate`), and their ratio is reported. All
-times are the process's own (one thread, ``time.process_time``), which other work on the machine
-disturbs less than the clock on the wall; where waiting counts, both are given.
+A time alone says more about the machine and its other work than about the program. So two methods
+are compared by turns in one run (:func:`alternate`), and their ratio is reported. All times are
+processor times (one thread, ``time.process_time``), which other work on the machine disturbs less
+than the clock; where waiting counts, both are given.
 """
 
 from __future__ import annotations

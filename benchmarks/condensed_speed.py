@@ -4,12 +4,12 @@ newton : one Newton iteration (contact integrals, residual, Jacobian, factorisat
     multiple of one LAPACK factorisation and solution (``scipy.linalg.lu_factor``, ``lu_solve``) of
     a dense matrix of that size; and where the time goes.
 integrals : exact contact integrals against sampled ones, error against time, on the bilinear
-    oscillator of the verification (c = 0.1, kc = 1, f = 1) at w0/2 and 1, on the paper's plate
-    (k = 1e9 N/m, damping 0.01, 2000 rad/s) and on the reduced breathing plate (18 pairs, 1e9 N/m a
-    pair); the error is measured against exact integrals with H = 400, 320 and 40.
+    oscillator (c = 0.1, kc = 1, f = 1) at w0/2 and 1, on the paper's plate (k = 1e9 N/m, damping
+    0.01, 2000 rad/s) and on the reduced breathing plate (18 pairs, 1e9 N/m a pair); the error is
+    measured against exact integrals with H = 400, 320 and 40.
 full : the breathing plate, all pairs, 1e9 N/m a pair, 2000 rad/s: the condensed solution (on the
     reduced structure, prepared beforehand; and with the exact compliance, its factorisations
-    included) against ``form="full"``.
+    included) against the full form.
 pyharm : pyHarm's arc-length sweep of the bilinear oscillator (c = 0.02, kc = 1, f = 0.1) and of
     50 masses in a chain with one stop, against this package on the frequencies that pyHarm visited,
     each solution starting from its neighbour, its error report included; and against
@@ -37,11 +37,13 @@ from typing import Any
 import common
 import numpy as np
 import scipy.linalg
+from laboratory import solve_form
 
 import fenics_crack as fc
 from fenics_crack.balance.compliance import dynamic_compliance
-from fenics_crack.balance.condensed import CondensedSystem
+from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem
 from fenics_crack.balance.contact_integrals import contact_integrals
+from fenics_crack.balance.problem import Problem
 from fenics_crack.draw.figure import COLOURS
 
 CONTINUED = "this, continued, exact"
@@ -117,7 +119,7 @@ def iteration_times(structure: fc.Structure, harmonics: int, repeats: int) -> di
     generator = np.random.default_rng(1)
     decay = 1.0 / (1.0 + np.arange(2 * harmonics + 1)) ** 2
     size = np.abs(system.linear).max()
-    residual = np.zeros_like(system.linear)
+    points: list[CondensedPoint] = []
 
     def new_gap() -> np.ndarray:
         noise = generator.standard_normal(system.shape) * decay[:, None]
@@ -130,15 +132,15 @@ def iteration_times(structure: fc.Structure, harmonics: int, repeats: int) -> di
 
     for _ in range(repeats + 1):
         gap = new_gap()
-        timed("residual", lambda gap=gap: np.copyto(residual, system.residual(gap)))
-        timed("jacobian", lambda gap=gap: system.linearise(gap))
-        matrix = system.jacobian.copy()
-        timed("first", lambda: system.solve_jacobian(residual))  # factors and solves
-        timed("solve", lambda: system.solve_jacobian(residual))
+        timed("residual", lambda gap=gap: points.append(system.linearise(gap)))
+        at = points[-1]
+        timed("jacobian", lambda at=at: at.jacobian)
+        timed("first", lambda at=at: at.solve(at.residual))  # factors and solves
+        timed("solve", lambda at=at: at.solve(at.residual))
 
-        def lapack(matrix: np.ndarray = matrix) -> None:
-            factors = scipy.linalg.lu_factor(matrix, check_finite=False)
-            scipy.linalg.lu_solve(factors, residual.ravel(), check_finite=False)
+        def lapack(at: CondensedPoint = at) -> None:
+            factors = scipy.linalg.lu_factor(at.jacobian, check_finite=False)
+            scipy.linalg.lu_solve(factors, at.residual.ravel(), check_finite=False)
 
         timed("lapack", lapack)
     arrays = {name: np.array(values)[1:] for name, values in times.items()}
@@ -297,9 +299,8 @@ def run_full(arguments: common.Arguments) -> None:
             found: dict[str, fc.PeriodicSolution] = found,
         ) -> Callable[[], None]:
             def run() -> None:
-                found[key] = fc.solve_harmonic_balance(
-                    structure, 2000.0, fc.UnilateralPenalty(1e9), harmonics=harmonics, form=form
-                )
+                problem = Problem(structure, 2000.0, fc.UnilateralPenalty(1e9), harmonics)
+                found[key] = solve_form(problem, form=form)
 
             return run
 
@@ -388,8 +389,8 @@ def run_pyharm(arguments: common.Arguments) -> None:
         zip(dict.fromkeys(row[2] for row in rows), ("o", "^", "*", "D", "s"), strict=False)
     )
     colours = dict(zip(dict.fromkeys(row[2] for row in rows), COLOURS.values(), strict=False))
-    filled = {"oscillator": "full", "50 masses": "none"}
-    for case in filled:
+    marks = {"oscillator": "full", "50 masses": "none"}
+    for case in marks:
         for who in looks:
             chosen = [row for row in rows if row[0] == case and row[2] == who]
             axes.loglog(
@@ -399,7 +400,7 @@ def run_pyharm(arguments: common.Arguments) -> None:
                 color=colours[who],
                 ms=9,
                 lw=0.8,
-                fillstyle=filled[case],
+                fillstyle=marks[case],
             )
             for row in chosen if who in ("pyHarm", REFINED) else []:
                 left = who == REFINED

@@ -7,8 +7,8 @@ equally many pairs. Each is run in a process of its own: meshing and assembly, m
 ``reduce_structure(modes=30)``, one harmonic-balance solution on the reduced structure (H = 5,
 2000 rad/s, 4.2e11 N/m of contact stiffness per m^2 of lip, which is 1e9 N/m a pair on the coarse
 mesh), and one more frequency from it (2010 rad/s, mean of five). Peak memory is the process's
-(``ru_maxrss``) after each stage. Clock and processor times are both given: the factorisations wait
-for nothing, so the difference is the machine's other work.
+(``ru_maxrss``) after each stage. Clock and processor times are both given. The factorisations wait
+for nothing, so their difference is due to other work on the machine.
 
     OMP_NUM_THREADS=1 python benchmarks/growth.py [--quick] [folder]
 """

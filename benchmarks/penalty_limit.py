@@ -3,8 +3,8 @@
 The penalty law lets the lips overlap by lambda / k, so its error against ``UnilateralConstraint``
 should be of first order in 1/k. Both are truncated at the same H, in different ways: the penalty
 solution balances the harmonics of its force up to H, the constraint those of its projection. So the
-difference first falls like 1/k and then stays where truncation leaves it; with more harmonics it
-falls further. On ``demos/paper_plate.toml`` (damping 0.01) and on the reduced
+difference first falls like 1/k and then reaches a floor due to truncation, which more harmonics
+lower. On ``demos/paper_plate.toml`` (damping 0.01) and on the reduced
 ``demos/breathing_plate.toml`` (damping 0.01 and 0.001), at 2000 rad/s; k = 1e8 to
 1e14 N/m a pair. The error is the relative L2 difference of the gap over the period. The order is
 fitted where the error lies below 0.3 and more than three times above its smallest value, if those
@@ -41,7 +41,7 @@ def run_limit(arguments: common.Arguments) -> None:
     paper = common.plate("paper_plate", {"damping.ratio": 0.01})
     stiffness = 10.0 ** np.arange(8.0, 14.1, 1.0 if quick else 0.5)
     cases: list[tuple[str, fc.Structure, tuple[int, ...]]] = [
-        ("paper plate, damping 0.01", paper, (5, 20) if quick else (5, 10, 20, 40, 80)),
+        ("paper plate, damping 0.01", paper, (5, 20) if quick else (5, 10, 20, 40, 80))
     ]
     for damping in (0.01,) if quick else (0.01, 0.001):
         whole = common.plate("breathing_plate", {"damping.ratio": damping})

@@ -147,7 +147,7 @@ def chunks(arguments: Arguments) -> None:
         if name == "paper_plate":
             changes |= {"damping.modes": "all", "crack.length": 0.05}
         scene = fc.Scene.load(DEMOS / f"{name}.toml").replace(changes)
-        plate = prepare(scene)
+        plate = prepare(scene).structure
         assert scene.contact is not None
         law, last, others = fc.contact_law(scene.contact, plate), None, 0
         times: dict[str, list[float]] = {"cold": [], "near": []}

@@ -1,12 +1,12 @@
 """Verdicts on stability against exact integration, and what multipliers cost.
 
-verdicts: the paper's plate at five load frequencies, with four stiffnesses of the lips and three
-dampings: 60 orbits by harmonic balance. Each gets its verdict (`floquet`). Then it is integrated
-exactly from one switching instant to the next, from the exact orbit next to it (`shoot`) with a
-random disturbance of 1e-6 of its state, and seen once in a period of the load: the distance to the
-orbit grows or falls by a factor that should be the modulus of the leading multiplier. Where
-shooting finds no orbit, integration starts from the state of harmonic balance, and the distance is
-that between one period and the next.
+verdicts: the paper's plate at five load frequencies, with four contact stiffnesses and three
+dampings: 60 orbits by harmonic balance. Each gets its verdict (`floquet`). Then the exact orbit
+next to it (`shoot`), with a random disturbance of 1e-6 of its state, is integrated exactly from one
+switching instant to the next. Once in a period of the load the distance to the orbit is taken: it
+grows or falls by a factor that should be the modulus of the leading multiplier. Where shooting
+finds no orbit, integration starts from the state of harmonic balance, and the distance is that
+between one period and the next.
 
     outcome    returns: the distance has fallen by 1000; leaves: it has grown by as much;
                open: neither in the periods allowed

@@ -1,27 +1,29 @@
 """Error against processor time for every way of solving the same scene.
 
 Scenes
-    A          the bilinear oscillator of the verification (c = 0.1, kc = 1) at W = w0 / 2
+    oscillator the bilinear oscillator (c = 0.1, kc = 1) at half its natural frequency, W = w0 / 2
     paper      ``demos/paper_plate.toml`` with 1e9 N/m and damping 0.01, 2000 rad/s
     breathing  ``demos/breathing_plate.toml`` with 1e9 N/m and damping 0.01, 2000 rad/s, 18 pairs;
                150 damped modes, for what is not damped does not settle
-    data       the paper's own data (1e11 N/m, damping 0.001): no steady motion to settle on; the
-               phase average of 200 periods by central differences beside harmonic balance
+    data       the paper's own data (1e11 N/m, damping 0.001): the motion does not settle; harmonic
+               balance beside central differences, averaged by phase over 200 periods
     kernel     one step of central differences on both plates against one product with K
 
 Methods
-    harmonic balance, all from a cold start, the error report included: exact integrals, 128 or 1024
-    samples a period, collocation on 2H+1 instants, the full form (all dofs), the reduced structure;
+    harmonic balance, always from a cold start and with its error report: exact integrals, 128 or
+    1024 samples a period, collocation at 2H+1 instants, the full form (all dofs), the reduced
+    structure;
     in time, from rest: central differences (full and reduced), the implicit scheme, the exact flow
     from one switching instant to the next, and SciPy's `solve_ivp` (DOP853) on one mass.
 
 The error is the relative L2 difference of the gaps over one period from a reference: the exact
-orbit by shooting (A, paper), or for the breathing plate harmonic balance with 40 harmonics, whose
-own estimate is printed. Motions in time settle until the gaps of two periods
-differ by less than a tenth of the scheme's error, but at most 400 periods; their time includes
-that. Set-up of the structure is left out for all, that of a reduction given beside. "MiB" is the
-peak memory above what the process used when the method began. Schemes in time keep the gaps of the
-last period, no displacements; a reduced structure keeps its coordinates.
+orbit by shooting (oscillator, paper), or harmonic balance with 40 harmonics, whose own estimate is
+printed (breathing). A motion in time has settled when the gaps of two successive periods differ by
+less than a tenth of the scheme's error; it may take at most 400 periods, and its time includes
+them. The set-up of the structure is left out for all methods; that of a reduction is printed
+separately. "MiB" is the peak memory above what the process used when the method began. Schemes in
+time keep the gaps of the last period and no displacements; a reduced structure keeps its
+coordinates.
 
     OMP_NUM_THREADS=1 python benchmarks/work_precision.py [--quick] [--only SCENE] [folder]
 """
@@ -31,15 +33,16 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import common
 import numpy as np
+from laboratory import solve_form
 from scipy.integrate import solve_ivp
 
 import fenics_crack as fc
+from fenics_crack.balance.problem import Problem
 from fenics_crack.draw.figure import COLOURS
 from fenics_crack.model.modes import damped_modes
 from fenics_crack.time.events import EventFlow
@@ -82,7 +85,7 @@ class Scene:
 def main() -> None:
     """Run the scenes asked for."""
     parts = {
-        "A": verification_a, "paper": paper, "breathing": breathing, "data": own_data,
+        "oscillator": oscillator, "paper": paper, "breathing": breathing, "data": own_data,
         "kernel": kernel,
     }  # fmt: skip
     common.run(__doc__, parts)
@@ -91,12 +94,12 @@ def main() -> None:
 # --- the scenes -----------------------------------------------------------------------------------
 
 
-def verification_a(arguments: common.Arguments) -> None:
+def oscillator(arguments: common.Arguments) -> None:
     """One mass."""
     structure = common.oscillator(1.0, 0.1)
     omega = np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
     law = fc.UnilateralPenalty(1.0)
-    scene = Scene("A", structure, omega, law, exact_orbit(structure, omega, law))
+    scene = Scene("oscillator", structure, omega, law, exact_orbit(structure, omega, law))
     rows = balance(scene, "exact", (3, 5, 10, 20, 40, 80))
     rows += balance(scene, "128 samples", (3, 5, 10, 20), samples=128)
     rows += balance(scene, "1024 samples", (10, 20, 40, 80), samples=1024)
@@ -200,25 +203,25 @@ def kernel(arguments: common.Arguments) -> None:
         bare = plate.damped(None)
         damped = f"{len(damped_modes(plate).omega)} damped modes"
         rows += [
-            (name, plate.n_dofs, "lumped mass, no damping", *step_and_product(bare, "lumped")),
-            (name, plate.n_dofs, "no damping", *step_and_product(bare, "consistent")),
-            (name, plate.n_dofs, damped, *step_and_product(plate, "consistent")),
+            (name, plate.n_dofs, "lumped mass, no damping", *step_and_product(bare.lumped())),
+            (name, plate.n_dofs, "no damping", *step_and_product(bare)),
+            (name, plate.n_dofs, damped, *step_and_product(plate)),
         ]
     columns = ("plate", "dofs", "scheme", "step [us]", "product with K [us]", "ratio")
     path = arguments.folder / "work_precision_kernel.csv"
     common.save_table(path, "A step of central differences", columns, rows)
 
 
-def step_and_product(structure: fc.Structure, mass: str) -> tuple[float, float, float]:
+def step_and_product(structure: fc.Structure) -> tuple[float, float, float]:
     """Microseconds of a step and of one product with K, and their ratio, by turns."""
     law = fc.UnilateralPenalty(1e9)
-    steps = int(1.3 * fc.stable_steps_per_period(structure, 2000.0, law, mass=mass))
+    steps = int(1.3 * fc.stable_steps_per_period(structure, 2000.0, law))
     source, target = structure.stiffness.createVecs()
     source.set(1.0)
 
     def march(periods: int) -> None:
         fc.integrate_central_difference(
-            structure, 2000.0, law, periods=periods, steps_per_period=steps, mass=mass, dofs=()
+            structure, 2000.0, law, periods=periods, steps_per_period=steps, dofs=()
         )
 
     def multiply() -> None:
@@ -256,7 +259,8 @@ def balance(
     counts: Sequence[int],
     *,
     structure: fc.Structure | None = None,
-    **options: Any,
+    samples: int | None = None,
+    **form: str,
 ) -> list[tuple[Any, ...]]:
     """Harmonic balance from a cold start."""
     solved = structure or scene.structure
@@ -266,9 +270,8 @@ def balance(
         memory = common.PeakMemory()
         for _ in range(3 if solved.n_dofs < 100 else 1):
             started = time.process_time()
-            solution = fc.solve_harmonic_balance(
-                solved, scene.omega, scene.law, harmonics=harmonics, throw=False, **options
-            )
+            problem = Problem(solved, scene.omega, scene.law, harmonics, samples)
+            solution = solve_form(problem, throw=False, **form)  # type: ignore[arg-type]
             runs.append(time.process_time() - started)
         peak = memory.mib()
         gap = solution.gap(np.arange(512) * solution.period / 512)
@@ -281,13 +284,10 @@ def balance(
 def in_time(
     scene: Scene, method: str, structure: fc.Structure, steps: Sequence[int], most: int = 400
 ) -> list[tuple[Any, ...]]:
-    """A scheme with ever more steps, from rest until it has settled."""
+    """A scheme with more and more steps, from rest until it has settled."""
     rows = []
-    integrate = (
-        partial(fc.integrate_implicit, record_dofs=())
-        if method.startswith("implicit")
-        else partial(fc.integrate_central_difference, dofs=())
-    )
+    implicit = method.startswith("implicit")
+    integrate = fc.integrate_implicit if implicit else fc.integrate_central_difference
     settle = 1e-2
     for count in steps:
         memory = common.PeakMemory()
@@ -295,7 +295,7 @@ def in_time(
         try:
             history = integrate(
                 structure, scene.omega, scene.law, periods=most, steps_per_period=count,
-                settle=settle, record_periods=1,
+                settle=settle, record_periods=1, dofs=(),
             )  # fmt: skip
         except fc.ConvergenceError as failed:
             rows.append((scene.name, method, f"{count} steps", float("nan"), float("nan"),
@@ -308,7 +308,7 @@ def in_time(
             started = time.process_time()
             history = integrate(
                 structure, scene.omega, scene.law, periods=most, steps_per_period=count,
-                settle=0.01 * error, record_periods=1,
+                settle=0.01 * error, record_periods=1, dofs=(),
             )  # fmt: skip
             cpu, peak = time.process_time() - started, memory.mib()
             error = scene.error(history.gap)

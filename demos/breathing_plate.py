@@ -20,10 +20,6 @@ import numpy as np
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.draw.animation import animate_period
-from fenics_crack.draw.paraview import write_modes, write_period
-from fenics_crack.draw.plot import Wave, draw_contact_map, draw_modes, draw_waves
-from fenics_crack.draw.plot_motion import draw_orbits, draw_spectrum
 
 SCENE = Path(__file__).with_suffix(".toml")
 MAGNIFICATION = 12000.0
@@ -43,8 +39,8 @@ def main(output: Path = Path("output/breathing_plate")) -> dict[str, Any]:
     scene = scene.replace({"crack.length": length, "crack.first_omega": None})
     plate = fc.build_structure(scene)
     modes = fc.solve_modes(plate, 6)
-    write_modes(plate, modes, output / "modes.vtu")
-    draw_modes(plate, modes, output / "modes.png")
+    fc.write_modes(modes, output / "modes.vtu")
+    fc.draw_modes(modes, path=output / "modes.png")
 
     omega = scene.excitation.omega
     started = time.perf_counter()
@@ -60,8 +56,10 @@ def main(output: Path = Path("output/breathing_plate")) -> dict[str, Any]:
     corner = plate.find_dof((0.1, 0.1), "x")
     t = np.linspace(0.0, solution.period, 401)
     gap, corner_motion = solution.gap(t), solution.displacement(t, [corner])[:, 0]
-    magnification = write_period(solution, output / "breathing_crack.pvd", material=scene.material)
-    animate_period(
+    magnification = fc.write_period(
+        solution, output / "breathing_crack.pvd", material=scene.material
+    )
+    fc.animate_period(
         solution,
         output / "breathing_crack.gif",
         frames=50,
@@ -69,8 +67,8 @@ def main(output: Path = Path("output/breathing_plate")) -> dict[str, Any]:
         material=scene.material,
     )
     at = f"{omega:g} rad/s, H = {solution.harmonics}"
-    draw_spectrum(output / "spectrum.png", solution, corner, title=f"Harmonics at {at}")
-    draw_orbits(output / "orbits.png", solution, corner, title=f"Phase planes at {at}")
+    fc.draw_spectrum(solution, corner, path=output / "spectrum.png", title=f"Harmonics at {at}")
+    fc.draw_orbits(solution, corner, path=output / "orbits.png", title=f"Phase planes at {at}")
     summary = {
         "n_dofs": plate.n_dofs,
         "n_pairs": plate.n_pairs,
@@ -86,20 +84,22 @@ def main(output: Path = Path("output/breathing_plate")) -> dict[str, Any]:
         "paraview_magnification": magnification,
     }
     if comm.rank == 0:
-        draw_waves(
-            output / "gap.png",
+        fc.draw_waves(
             [
-                Wave("mouth", t, gap[:, 0], "blue"),
-                Wave("middle of the crack", t, gap[:, plate.n_pairs // 2], "green", "--"),
-                Wave("nearest pair to the tip", t, gap[:, -1], "orange", "-."),
-                Wave("mouth, crack always open", t, linear.gap(t)[:, 0], "grey", ":"),
+                fc.Wave("mouth", t, gap[:, 0], "blue"),
+                fc.Wave("middle of the crack", t, gap[:, plate.n_pairs // 2], "green", "--"),
+                fc.Wave("nearest pair to the tip", t, gap[:, -1], "orange", "-."),
+                fc.Wave("mouth, crack always open", t, linear.gap(t)[:, 0], "grey", ":"),
             ],
+            path=output / "gap.png",
             title=f"Breathing crack, {plate.n_pairs} pairs, H = {solution.harmonics}",
             quantity="closing of the lips",
             period=solution.period,
             zero="lips touch",
         )
-        draw_contact_map(output / "contact_map.png", solution)
+        fc.draw_contact_map(
+            solution, path=output / "contact_map.png", title="Where and when the crack is closed"
+        )
         (output / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
         print(f"{plate.n_dofs} dofs, {plate.n_pairs} pairs, crack {1e3 * length:.2f} mm")
         print("natural frequencies:", "  ".join(f"{value:.1f}" for value in modes.omega), "rad/s")

@@ -6,10 +6,12 @@ The plate obeys
 
     M u'' + C u' + K u + B lambda(g) = f(t),      g = B^T u,
 
-and the crack breathes: the contact force lambda acts while its lips touch. This demo follows the
-paper: natural frequencies, linear solution, contact laws, harmonic balance, direct integration,
-and the comparison of the two. At the paper's own data (k = 1e11 N/m, xi = 0.001) the motion never
-settles; with k = 1e9 N/m and xi = 0.01 it does, and both methods agree.
+and the crack breathes: the contact force lambda acts while its two faces, the lips, touch. This
+demo follows the paper of V. Kharyton and others, "Harmonic balance method implementation for crack
+breathing process simulation" (about 2007): natural frequencies, linear solution, contact laws,
+harmonic balance, direct integration, and the comparison of the two. At the paper's own data
+(k = 1e11 N/m, xi = 0.001) the motion never settles; with k = 1e9 N/m and xi = 0.01 it does, and
+both methods agree.
 
     python demos/paper_plate.py [folder for the results]
 """
@@ -25,8 +27,6 @@ from typing import Any
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.draw.paraview import write_modes, write_period
-from fenics_crack.draw.plot import Wave, draw_laws, draw_modes, draw_waves
 
 SCENE = Path(__file__).with_suffix(".toml")
 CORNER = (0.1, 0.1)  # m, where the force acts
@@ -37,7 +37,7 @@ KEPT = 200  # load periods at the end of an integration over which waves are ave
 
 
 def main(output: Path = Path("output/paper_plate"), *, periods: int = 500) -> dict[str, Any]:
-    """Tell the whole story; pictures, ParaView files and summary.json go to ``output``."""
+    """Run the whole comparison; pictures, ParaView files and summary.json go to ``output``."""
     scene = fc.Scene.load(SCENE)
     plate = fc.build_structure(scene)
     uncracked = fc.build_structure(scene.replace({"crack": None, "contact": None}))
@@ -62,7 +62,8 @@ def main(output: Path = Path("output/paper_plate"), *, periods: int = 500) -> di
     laws: dict[str, Any] = {"penalty, k = 1e11 N/m": fc.UnilateralPenalty(1e11)}
     for sharpness in (1e8, 1e9, SHARPNESS):
         laws[f"smoothed, s = {sharpness:.0e} 1/m"] = fc.SmoothedPenalty(1e11, sharpness)
-    draw_laws(output / "fig4_contact_laws.png", laws, np.linspace(-2e-8, 2e-8, 401))
+    closing = np.linspace(-2e-8, 2e-8, 401)
+    fc.draw_laws(laws, closing, path=output / "fig4_contact_laws.png", title="Contact laws")
     (output / "summary.json").write_text(json.dumps(summary, indent=2) + "\n")
     return summary
 
@@ -72,8 +73,8 @@ def frequencies(
 ) -> dict[str, list[float]]:
     """Natural frequencies with the crack open, tied by k = 1e11 N/m, and absent; mode shapes."""
     modes = fc.solve_modes(plate, 6)
-    write_modes(plate, modes, output / "modes.vtu")
-    draw_modes(plate, modes, output / "modes.png")
+    fc.write_modes(modes, output / "modes.vtu")
+    fc.draw_modes(modes, path=output / "modes.png")
     found = {
         "open": modes.omega,
         "tied": fc.solve_modes(plate.tied(1e11), 6).omega,
@@ -140,7 +141,7 @@ def vibration(
         ),
     }
     draw_case(output, t, waves, folded, history, stiffness, harmonics)
-    magnification = write_period(balanced, output / "breathing_crack.pvd")
+    magnification = fc.write_period(balanced, output / "breathing_crack.pvd")
 
     spectrum = np.fft.rfft(folded["gap"].mean(axis=0)) / steps
     difference = folded["gap"].mean(axis=0) - balanced.gap(t[:-1])[:, 0]
@@ -202,19 +203,19 @@ def draw_case(
     quantity = {"gap": "closing of the lips", "corner": "horizontal displacement"}
     zero = {"gap": "lips touch", "corner": None}
     shown = slice(-min(20, len(folded["gap"])) * history.steps_per_period, None)
-    draw_waves(
-        output / "fig2_direct_integration.png",
-        [Wave("central differences", history.time[shown], history.gap[shown, 0], "green")],
+    fc.draw_waves(
+        [fc.Wave("central differences", history.time[shown], history.gap[shown, 0], "green")],
+        path=output / "fig2_direct_integration.png",
         title=f"Crack, the last periods of the direct integration ({case})",
         quantity=quantity["gap"],
         zero=zero["gap"],
     )
-    draw_waves(
-        output / "fig3_linear.png",
+    fc.draw_waves(
         [
-            Wave("crack: closing of the lips", t, waves["gap"][0], "orange"),
-            Wave("force point: horizontal displacement", t, waves["corner"][0], "blue", "--"),
+            fc.Wave("crack: closing of the lips", t, waves["gap"][0], "orange"),
+            fc.Wave("force point: horizontal displacement", t, waves["corner"][0], "blue", "--"),
         ],
+        path=output / "fig3_linear.png",
         title="Linear solution: the lips pass through each other",
         quantity="displacement",
         period=period,
@@ -222,15 +223,15 @@ def draw_case(
     for name, number, place in (("gap", 5, "Crack"), ("corner", 6, "Force point")):
         linear, balanced, smooth, whole = waves[name]
         curves = [
-            Wave("harmonic balance, penalty", t, balanced, "blue"),
-            Wave("harmonic balance, smoothed", t, smooth, "orange", ":"),
-            Wave("linear, crack always open", t, linear, "grey", "--"),
+            fc.Wave("harmonic balance, penalty", t, balanced, "blue"),
+            fc.Wave("harmonic balance, smoothed", t, smooth, "orange", ":"),
+            fc.Wave("linear, crack always open", t, linear, "grey", "--"),
         ]
         if whole is not None:
-            curves.append(Wave("uncracked", t, whole, "pink", "-."))
-        draw_waves(
-            output / f"fig{number}_nonlinear_{name}.png",
+            curves.append(fc.Wave("uncracked", t, whole, "pink", "-."))
+        fc.draw_waves(
             curves,
+            path=output / f"fig{number}_nonlinear_{name}.png",
             title=f"{place}: nonlinear solution ({case})",
             quantity=quantity[name],
             period=period,
@@ -242,12 +243,12 @@ def draw_case(
         label = "central differences"
         if count > 1:
             label += f": mean of {count} periods, band: ± standard deviation"
-        draw_waves(
-            output / f"fig{number + 2}_comparison_{name}.png",
+        fc.draw_waves(
             [
-                Wave("harmonic balance", t, balanced, "blue"),
-                Wave(label, t, mean, "green", "--", deviation),
+                fc.Wave("harmonic balance", t, balanced, "blue"),
+                fc.Wave(label, t, mean, "green", "--", deviation),
             ],
+            path=output / f"fig{number + 2}_comparison_{name}.png",
             title=f"{place}: both methods ({case})",
             quantity=quantity[name],
             period=period,

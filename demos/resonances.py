@@ -20,7 +20,6 @@ from pathlib import Path
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.draw.plot import draw_content, draw_curve, draw_multipliers
 
 FOLDER = Path(__file__).parent
 RANGE = (1000.0, 9500.0)  # rad/s; the open plate's third natural frequency is 8579
@@ -54,10 +53,10 @@ def main(output: Path = Path("output/resonances"), *, again: bool = False) -> fc
             points = swept(output / "swept.csv", structure, law, corner, again)
         title = f"{name.replace('_', ' ')}: load point, k = {STIFFNESS:.0e} N/m, xi = 0.01"
         dof = plate.find_dof(corner, "x")
-        draw_curve(
-            output / f"{name}.png",
+        fc.draw_curve(
             curve,
             dof,
+            path=output / f"{name}.png",
             title=f"{title}, H = {harmonics}",
             behind={
                 "crack always open": linear_response(plate, corner),
@@ -65,10 +64,12 @@ def main(output: Path = Path("output/resonances"), *, again: bool = False) -> fc
             },
             points=points,
         )
-        draw_content(output / f"{name}_content.png", curve, dof, title=title)
+        fc.draw_content(curve, dof, path=output / f"{name}_content.png", title=title)
         write(output / f"{name}.csv", curve, dof)
-    draw_multipliers(
-        output / "multipliers.png", curves["paper_plate"], title="Floquet multipliers, paper plate"
+    fc.draw_multipliers(
+        curves["paper_plate"],
+        path=output / "multipliers.png",
+        title="Floquet multipliers, paper plate",
     )
     return curves["paper_plate"]
 

@@ -7,7 +7,6 @@ there, a complete one only draws again.
     mpirun -n 2 python demos/sweep.py [folder for the results]
 """
 
-import csv
 import sys
 from pathlib import Path
 
@@ -15,7 +14,6 @@ import numpy as np
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.draw.plot import draw_map, draw_response
 
 SCENE = Path(__file__).with_name("sweep.toml")
 
@@ -25,29 +23,25 @@ def main(output: Path = Path("output/sweep"), scene: fc.Scene | None = None) -> 
     result = fc.run_sweep(scene or fc.Scene.load(SCENE), output / "sweep.h5", progress=True)
     if MPI.COMM_WORLD.rank != 0:
         return result
-    columns, rows = result.table()
-    with open(output / "table.csv", "w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows(rows)
+    result.to_csv(output / "table.csv")
     lengths, omega = (np.array(axis.values) for axis in result.axes)
-    draw_response(
-        output / "response.png",
+    fc.draw_response(
         omega,
         {f"crack of {1e3 * lengths[i]:.0f} mm": result["response"][i]
          for i in (0, len(lengths) // 2, len(lengths) - 1)},
-        title="Force point of a plate with a breathing crack",
         quantity="half peak-to-peak",
+        path=output / "response.png",
+        title="Force point of a plate with a breathing crack",
     )  # fmt: skip
-    draw_map(
-        output / "map.png",
+    fc.draw_map(
         omega,
         1e3 * lengths,
         1e6 * np.where(result.converged, result["response"], np.nan),
-        title="Force point of a plate with a breathing crack",
         x_label="load frequency [rad/s]",
         y_label="crack length [mm]",
         value_label="half peak-to-peak [µm]",
+        path=output / "map.png",
+        title="Force point of a plate with a breathing crack",
         missing="not converged",
     )
     peaks = omega[np.nanargmax(np.where(result.converged, result["response"], 0.0), axis=1)]

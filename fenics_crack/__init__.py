@@ -2,126 +2,34 @@
 
 Start with ``demos/paper_plate.py``; the equations and conventions are in ``docs/theory.md``.
 
-A name below is imported when it is first used: who brings matrices needs no DOLFINx, and who draws
-nothing no VTK.
+The names are those that ``__init__.pyi`` imports. Each is imported here when it is first used: who
+brings matrices needs neither DOLFINx nor gmsh, and who draws nothing neither VTK nor matplotlib.
 """
 
+import ast
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
-from fenics_crack.version import VERSION as __version__
+from fenics_crack.version import VERSION
 
-if TYPE_CHECKING:  # for editors and mypy: what the table below says
-    from fenics_crack.balance.error_report import ErrorReport as ErrorReport
-    from fenics_crack.balance.harmonic_balance import solve_harmonic_balance as solve_harmonic_balance
-    from fenics_crack.balance.harmonic_balance import solve_linear as solve_linear
-    from fenics_crack.balance.problem import Problem as Problem
-    from fenics_crack.balance.solution import PeriodicSolution as PeriodicSolution
-    from fenics_crack.balance.solution import Stability as Stability
-    from fenics_crack.curves.backbone import Backbone as Backbone
-    from fenics_crack.curves.backbone import follow_backbone as follow_backbone
-    from fenics_crack.curves.continuation import Continuation as Continuation
-    from fenics_crack.curves.continuation import CurvePoint as CurvePoint
-    from fenics_crack.curves.curve import Bifurcation as Bifurcation
-    from fenics_crack.curves.curve import ResponseCurve as ResponseCurve
-    from fenics_crack.curves.follow import continue_frequency as continue_frequency
-    from fenics_crack.curves.follow import continue_parameter as continue_parameter
-    from fenics_crack.curves.follow import follow_branch as follow_branch
-    from fenics_crack.curves.refine import refine_curve as refine_curve
-    from fenics_crack.draw.animation import animate_period as animate_period
-    from fenics_crack.draw.animation import show_period as show_period
-    from fenics_crack.draw.paraview import write_modes as write_modes
-    from fenics_crack.draw.paraview import write_period as write_period
-    from fenics_crack.draw.plot import Wave as Wave
-    from fenics_crack.draw.plot import draw_contact_map as draw_contact_map
-    from fenics_crack.draw.plot import draw_content as draw_content
-    from fenics_crack.draw.plot import draw_curve as draw_curve
-    from fenics_crack.draw.plot import draw_laws as draw_laws
-    from fenics_crack.draw.plot import draw_map as draw_map
-    from fenics_crack.draw.plot import draw_modes as draw_modes
-    from fenics_crack.draw.plot import draw_multipliers as draw_multipliers
-    from fenics_crack.draw.plot import draw_response as draw_response
-    from fenics_crack.draw.plot import draw_waves as draw_waves
-    from fenics_crack.draw.plot_motion import draw_orbits as draw_orbits
-    from fenics_crack.draw.plot_motion import draw_spectrum as draw_spectrum
-    from fenics_crack.errors import ConvergenceError as ConvergenceError
-    from fenics_crack.errors import InputError as InputError
-    from fenics_crack.fem.assembly import build_structure as build_structure
-    from fenics_crack.fem.assembly import find_crack_length as find_crack_length
-    from fenics_crack.files.results import load as load
-    from fenics_crack.files.results import save as save
-    from fenics_crack.model.contact import ContactLaw as ContactLaw
-    from fenics_crack.model.contact import SmoothedPenalty as SmoothedPenalty
-    from fenics_crack.model.contact import UnilateralConstraint as UnilateralConstraint
-    from fenics_crack.model.contact import UnilateralPenalty as UnilateralPenalty
-    from fenics_crack.model.modes import Modes as Modes
-    from fenics_crack.model.modes import solve_modes as solve_modes
-    from fenics_crack.model.reduction import ReducedStructure as ReducedStructure
-    from fenics_crack.model.reduction import reduce_structure as reduce_structure
-    from fenics_crack.model.structure import ModalDamping as ModalDamping
-    from fenics_crack.model.structure import Structure as Structure
-    from fenics_crack.scene.scene import Scene as Scene
-    from fenics_crack.stability.floquet import floquet as floquet
-    from fenics_crack.stability.refinement import refine_bifurcation as refine_bifurcation
-    from fenics_crack.stability.shooting import PeriodicOrbit as PeriodicOrbit
-    from fenics_crack.stability.shooting import shoot as shoot
-    from fenics_crack.study.prepare import contact_law as contact_law
-    from fenics_crack.study.prepare import prepare as prepare
-    from fenics_crack.study.run import Run as Run
-    from fenics_crack.study.run import load_run as load_run
-    from fenics_crack.sweep.result import SweepResult as SweepResult
-    from fenics_crack.sweep.result import run_sweep as run_sweep
-    from fenics_crack.time.central_differences import integrate_central_difference as integrate_central_difference
-    from fenics_crack.time.central_differences import stable_steps_per_period as stable_steps_per_period
-    from fenics_crack.time.events import integrate_events as integrate_events
-    from fenics_crack.time.implicit import integrate_implicit as integrate_implicit
-    from fenics_crack.time.march import TimeHistory as TimeHistory
-
-_NAMES = {
-    "balance.error_report": "ErrorReport",
-    "balance.harmonic_balance": "solve_harmonic_balance solve_linear",
-    "balance.problem": "Problem",
-    "balance.solution": "PeriodicSolution Stability",
-    "curves.backbone": "Backbone follow_backbone",
-    "curves.continuation": "Continuation CurvePoint",
-    "curves.curve": "Bifurcation ResponseCurve",
-    "curves.follow": "continue_frequency continue_parameter follow_branch",
-    "curves.refine": "refine_curve",
-    "draw.animation": "animate_period show_period",
-    "draw.paraview": "write_modes write_period",
-    "draw.plot": "Wave draw_contact_map draw_content draw_curve draw_laws draw_map draw_modes draw_multipliers draw_response draw_waves",
-    "draw.plot_motion": "draw_orbits draw_spectrum",
-    "errors": "ConvergenceError InputError",
-    "fem.assembly": "build_structure find_crack_length",
-    "files.results": "load save",
-    "model.contact": "ContactLaw SmoothedPenalty UnilateralConstraint UnilateralPenalty",
-    "model.modes": "Modes solve_modes",
-    "model.reduction": "ReducedStructure reduce_structure",
-    "model.structure": "ModalDamping Structure",
-    "scene.scene": "Scene",
-    "stability.floquet": "floquet",
-    "stability.refinement": "refine_bifurcation",
-    "stability.shooting": "PeriodicOrbit shoot",
-    "study.prepare": "contact_law prepare",
-    "study.run": "Run load_run",
-    "sweep.result": "SweepResult run_sweep",
-    "time.central_differences": "integrate_central_difference stable_steps_per_period",
-    "time.events": "integrate_events",
-    "time.implicit": "integrate_implicit",
-    "time.march": "TimeHistory",
+_MODULES = {
+    alias.name: node.module
+    for node in ast.parse(Path(__file__).with_suffix(".pyi").read_text(encoding="utf-8")).body
+    if isinstance(node, ast.ImportFrom) and node.module
+    for alias in node.names
 }
-_HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
 
-__all__ = sorted(_HOMES)
+__all__ = sorted(_MODULES)
+__version__ = VERSION
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-    globals()[name] = value
+    value = globals()[name] = getattr(import_module(_MODULES[name]), name)
     return value
 
 
 def __dir__() -> list[str]:
-    return [*globals(), *__all__]
+    return sorted({*globals(), *__all__})

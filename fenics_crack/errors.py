@@ -1,4 +1,4 @@
-"""The two ways in which the package refuses: bad input, and a solver that did not converge."""
+"""The errors of the package, for bad input and for a solver that did not converge; and checks."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ __all__ = [
 ]
 
 LONGEST_VALUE = 1000
-"""Characters of a value that are shown."""
+"""Characters of a value shown in a message."""
 LARGEST_COUNT = 10**9
 MOST_SAMPLES = 2**20
-"""Instants of a period at which contact may be asked to be evaluated."""
+"""Samples of a period at which the contact force may be evaluated."""
 
 
 class InputError(ValueError):
@@ -87,7 +87,7 @@ def check_omega(value: object, key: str = "omega") -> None:
 
 
 def check_count(key: str, value: object, least: int) -> None:
-    """Raise InputError unless a value is a whole number >= ``least`` that can be counted to."""
+    """Raise InputError unless a value is a whole number from ``least`` to 1e9."""
     if isinstance(value, bool) or not isinstance(value, Integral) or int(value) < least:
         raise InputError(key, value, f"a whole number >= {least}")
     if int(value) > LARGEST_COUNT:

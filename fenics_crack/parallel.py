@@ -1,4 +1,8 @@
-"""What one rank does for all, and how an error on one rank reaches every rank."""
+"""Work done by one rank for all, and errors passed from one rank to every rank.
+
+MPI is imported here before PETSc, which would start it for one thread only. Every folder that uses
+PETSc imports this module first.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +23,7 @@ Result = TypeVar("Result")
 def raise_together(comm: MPI.Comm, error: Exception | None) -> None:
     """Raise on every rank the error that the lowest failing rank met (collective).
 
-    Without it one rank would raise while the others wait in a collective call for ever.
+    Otherwise one rank would raise while the others wait for ever in a collective call.
     """
     errors = [found for found in comm.allgather(error) if found is not None]
     if errors:
@@ -41,9 +45,9 @@ def on_root(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
 
 
 def collect_garbage(comm: MPI.Comm) -> None:
-    """Free PETSc objects that nobody refers to any more (collective).
+    """Free PETSc objects that are no longer referenced (collective).
 
-    petsc4py does not free them when Python forgets them, since ranks could do so in another order.
+    petsc4py leaves them alone when Python deletes them: ranks may do so in different orders.
     """
     PETSc.garbage_cleanup(comm)
 
@@ -54,7 +58,7 @@ def gather_rows(comm: MPI.Comm, rows: np.ndarray) -> np.ndarray[Any, Any]:
 
 
 class StopRequest:
-    """Ctrl-C as a wish to stop where nothing is lost; a second one stops at once.
+    """Ctrl-C stops where nothing is lost; a second one stops at once.
 
     with StopRequest() as stop:
         while not stop.asked(comm): ...

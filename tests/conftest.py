@@ -94,7 +94,8 @@ def mpirun(tmp_path: Path) -> Callable[..., str]:
         else:
             file = program
         tests, package = Path(__file__).parent, Path(fenics_crack.__file__).parents[1]
-        folders = [tests, *(item for item in tests.iterdir() if item.is_dir()), package]
+        inner = (item for item in tests.iterdir() if item.is_dir())
+        folders = [tests, *inner, tests.with_name("benchmarks"), package]
         search = [*map(str, folders), os.environ.get("PYTHONPATH", "")]
         process = subprocess.Popen(
             [launcher, "-n", str(ranks), sys.executable, str(file)],

@@ -21,11 +21,11 @@ DEMOS = ROOT / "demos"
 
 OMEGA_0 = 2.0 * np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
 """Natural frequency of the bilinear oscillator with kc = 1."""
-VERIFICATION_A = {
+BILINEAR_ORBITS = {
     0.5 * OMEGA_0: (-0.278069424, (1.04226613, 0.98674532, 0.13692193), 1.41059367, -2.10198075),
     1.0: (-0.564083304, (2.55314357, 0.19177737, 0.02283921), 2.19791942, -2.94941155),
 }
-"""oscillator(), kc = 1: by W the mean, |X1| to |X3|, largest and smallest value, event-driven."""
+"""oscillator(), kc = 1: for each W the mean, |X1| to |X3|, and the extremes, event-driven."""
 DAMPINGS = ("modal", "matrix", "few modes", "none")
 """Kinds of damping of a chain."""
 
@@ -45,7 +45,7 @@ def oscillator(
 
 
 def two_masses(force: float = 0.1) -> fc.Structure:
-    """VERIFICATION C: a stop at mass 1 beyond a clearance of 1, the load on mass 2."""
+    """Two masses and a stop: the stop at mass 1 beyond a clearance of 1, the load on mass 2."""
     stiffness = chain_stiffness(np.array([0.0, 1.0, 1.0]))
     return fc.Structure.from_matrices(
         np.eye(2), stiffness, [1.0, 0.0], force_cos=[0.0, force], clearance=1.0,
@@ -54,7 +54,7 @@ def two_masses(force: float = 0.1) -> fc.Structure:
 
 
 def heavy_mass() -> fc.Structure:
-    """VERIFICATION G: mass 100, stiffness 1e4, a pair, no load."""
+    """The mass that a stop releases: mass 100, stiffness 1e4, a pair, no load."""
     mass = np.array([[100.0]])
     return fc.Structure.from_matrices(mass, 100.0 * mass, np.ones(1))
 
@@ -66,15 +66,20 @@ def chain_stiffness(springs: np.ndarray) -> np.ndarray:
 
 
 def chain(
-    damping: str = "modal", n: int = 10, pairs: int = 3, seed: int = 1, *, loose: bool = False
+    damping: str = "modal",
+    n: int = 10,
+    pairs: int = 3,
+    seed: int = 1,
+    *,
+    unconstrained: bool = False,
 ) -> fc.Structure:
     """A random chain with loads in both phases and clearances of both signs.
 
-    It has a mean load too, unless it is loose: not fixed at its ends.
+    It has a mean load too, unless it is unconstrained: not fixed at its ends.
     """
     rng = np.random.default_rng(seed)
     springs = rng.uniform(1.0, 3.0, n + 1)
-    if loose:
+    if unconstrained:
         springs[[0, -1]] = 0.0
     stiffness = chain_stiffness(springs)
     gap = np.zeros((n, pairs))
@@ -93,7 +98,7 @@ def chain(
         gap,
         force_sin=rng.normal(size=n),
         force_cos=rng.normal(size=n),
-        force_mean=None if loose else 0.3 * rng.normal(size=n),
+        force_mean=None if unconstrained else 0.3 * rng.normal(size=n),
         clearance=np.linspace(-0.3, 0.3, pairs),
         damping=kinds[damping],
     )
@@ -151,7 +156,7 @@ def dense_matrices(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray, np.
 
 
 def period_two_orbit(harmonics: int) -> fc.PeriodicSolution:
-    """VERIFICATION B: the orbit of twice the load's period at W = 2 w0, kc = 1."""
+    """The bilinear oscillator's orbit of twice the load's period at W = 2 w0, kc = 1."""
     structure, law, omega = oscillator(), fc.UnilateralPenalty(1.0), 2.0 * OMEGA_0
     once = fc.solve_harmonic_balance(structure, omega, law, harmonics=harmonics, subharmonic=2)
     disturbed = once.gap_coefficients.copy()

@@ -523,8 +523,8 @@ ODD = [
 ]  # fmt: skip
 PARTS = (*MATRICES, "force_cos", "force_mean", "clearance")
 OPTIONS = (
-    "omega", "contact", "harmonics", "samples", "subharmonic", "tolerance", "initial", "form",
-    "balance", "residual_tolerance",
+    "omega", "contact", "harmonics", "samples", "subharmonic", "tolerance", "initial",
+    "residual_tolerance",
 )  # fmt: skip
 
 

@@ -1,6 +1,6 @@
 """Every bad input that a scene or a command can meet, and the one line that the program answers.
 
-Messages that end with a machine's or a library's own words are given up to these.
+Of messages that end with a library's own words only the beginning is compared.
 """
 
 # ruff: noqa: E501
@@ -201,10 +201,10 @@ def test_every_message_of_the_scene_is_in_the_table(name: str) -> None:
     for node in ast.walk(tree):
         if isinstance(node, ast.Call) and node.args:
             called = getattr(node.func, "attr", getattr(node.func, "id", ""))
-            if called in ("InputError", "require", "holds"):
+            if called in ("InputError", "require", "given", "holds"):
                 words = [
                     part.value
-                    for part in ast.walk(node.args[1 if called == "holds" else -1])
+                    for part in ast.walk(node.args[0 if called == "holds" else -1])
                     if isinstance(part, ast.Constant) and isinstance(part.value, str)
                 ]
                 longest = max(words, key=len, default="")

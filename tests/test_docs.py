@@ -1,4 +1,4 @@
-"""The documentation's code runs, and its lists are whole."""
+"""The code in the documentation runs, and the files and tests that it names exist."""
 
 import dataclasses
 import json
@@ -20,7 +20,9 @@ from fenics_crack.cli.command_line import parser
 MPIRUN = "mpirun --oversubscribe"
 
 SHELL = re.compile(r"```sh\n(.*?)```", re.S)
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [
+    ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), ROOT / "benchmarks" / "README.md",
+]  # fmt: skip
 BLOCKS = [
     pytest.param(code, id=f"{page.name} {number}")
     for page in PAGES
@@ -99,6 +101,21 @@ def test_links_lead_somewhere() -> None:
             assert (page.parent / target).exists(), f"{page.name}: {target}"
     for name in re.findall(r"`((?:demos|docs|tests)/[\w./]+\.\w+)`", PAGES[0].read_text()):
         assert (ROOT / name).exists(), name
+
+
+def test_verification_names_its_tests() -> None:
+    """Each line of the page ends with files of tests, and parts of the names of tests in them."""
+    lines = (ROOT / "docs" / "verification.md").read_text().split("## Hard cases")[0].splitlines()
+    cells = [line.strip("| ").split(" | ")[-1] for line in lines if line.startswith("| ")]
+    named = [cell for cell in cells if cell not in ("test", "---")]
+    assert len(named) > 60
+    for cell in named:
+        for place in cell.split("; "):
+            file, _, parts = place.partition(", ")
+            text = (ROOT / "tests" / file.strip("`")).read_text()
+            tests = re.findall(r"^def (test_\w+)", text, re.M)
+            for part in parts.split(" or "):
+                assert any(part in name for name in tests), place
 
 
 def test_readme_starts_with_the_two_commands() -> None:

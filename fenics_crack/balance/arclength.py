@@ -6,9 +6,9 @@ A step of length h
    tangent,
 2. corrects by Newton's method in the plane orthogonal to the tangent (:mod:`bordered`),
 3. is lengthened where few iterations were needed, and halved where they failed or where the path
-   was left. It is left where the new tangent makes a large angle with the old one. Of the two
-   tangents at a point the right one keeps the sign of t_p det J, which changes neither along a path
-   nor at its folds, but where another branch crosses.
+   was left, which a large angle between the new tangent and the old one shows. Of the two tangents
+   at a point the right one keeps the sign of t_p det J, which changes only where another branch
+   crosses.
 
 Source: Keller, in Applications of Bifurcation Theory, 1977; Seydel, Practical Bifurcation and
 Stability Analysis, chapter 4.
@@ -27,35 +27,25 @@ from fenics_crack.balance.linearisation import Linearisation, System
 __all__ = ["Stepping", "follow_path"]
 
 BRANCHING_STEP = 1e-3
-"""Relative to the longest step: with shorter ones, a sign that changes straight ahead is
-believed."""
+"""Share of the longest step below which a change of sign straight ahead means a branch crosses."""
 
 
 @dataclass(frozen=True)
 class Stepping:
-    """How a path is stepped along.
-
-    Attributes
-    ----------
-    first, longest, shortest : float
-        Steps in the norm of the tangent; the path ends where they would be shorter.
-    most : int
-        Steps at most.
-    tolerance : float
-        |F| / |x| of the points; where steps are short they are known better than that.
-    least_cosine : float
-        Of the angle between neighbouring tangents.
-    rounding : float
-        Below which residuals relative to the unknowns do not fall.
-    """
+    """How a path is stepped along, with steps measured in the norm of the tangent."""
 
     first: float
     longest: float = 1.0
     shortest: float = 1e-7
+    """The path ends where steps would be shorter."""
     most: int = 1000
+    """Number of steps."""
     tolerance: float = 1e-8
+    """|F| / |x| of the points; where steps are short, they are solved for more sharply."""
     least_cosine: float = 0.5
+    """Of the angle between neighbouring tangents."""
     rounding: float = 1e-13
+    """Below which |F| / |x| does not fall."""
 
     def sharp(self, step: float) -> float:
         """Tolerance of a step: points must be known better than the steps between them are long."""
@@ -69,10 +59,7 @@ def follow_path(
     stepping: Stepping,
     towards: Tangent | None = None,
 ) -> Iterator[PathPoint]:
-    """Yield points of the path from a solution on, towards growing p first or along ``towards``.
-
-    It ends after ``stepping.most`` steps or where the steps have become too short.
-    """
+    """Yield points of the path from a solution on, towards growing p first or along ``towards``."""
     at = system.linearise(start, parameter)
     tangent, orientation = tangent_of(system, start, at), at.sign
     if towards is not None and tangent.along(towards, system) < 0.0:
@@ -84,9 +71,8 @@ def follow_path(
             bend = _bend(system, before, here, step)
             found = correct(system, here, step, stepping.sharp(step), bend=bend)
             if found is not None:
-                assert found.at is not None
                 # The determinant of the bordered matrix keeps its sign along a path: it tells where
-                # the path goes on, and the angle tells a step that has left it.
+                # the path goes on, and the angle whether the step has left it.
                 ahead = _oriented(system, found.unknown, found.at, orientation)
                 cosine = ahead.along(here.tangent, system)
                 if cosine > stepping.least_cosine:
@@ -103,7 +89,7 @@ def follow_path(
                     return
                 found, ahead, step = turned
                 break
-        before, here = here, replace(found, tangent=ahead, at=None)
+        before, here = here, replace(found, tangent=ahead)
         yield here
         if here.iterations <= 3:
             step = min(stepping.longest, 1.7 * step)
@@ -112,9 +98,10 @@ def follow_path(
 
 
 def _oriented(
-    system: System, unknown: np.ndarray, at: Linearisation, orientation: float
+    system: System, unknown: np.ndarray, at: Linearisation | None, orientation: float
 ) -> Tangent:
     """The tangent at a point along which the path goes on."""
+    assert at is not None
     tangent = tangent_of(system, unknown, at)
     return tangent if at.sign == orientation else tangent.reversed()
 
@@ -134,40 +121,34 @@ def _round_corner(
         turned = _oriented(system, behind, at, orientation)
         sharp = max(stepping.rounding, 1e-4 * step)
         found = correct(system, here, step, sharp, tangent=turned)
-        if found is None:
-            continue
-        assert found.at is not None
-        ahead = _oriented(system, found.unknown, found.at, orientation)
-        if ahead.along(turned, system) > 0.5:
-            return found, ahead, step
+        if found is not None:
+            ahead = _oriented(system, found.unknown, found.at, orientation)
+            if ahead.along(turned, system) > 0.5:
+                return found, ahead, step
     return None
 
 
 def _bend(
     system: System, before: PathPoint | None, here: PathPoint, step: float
 ) -> tuple[np.ndarray, float] | None:
-    """Quadratic and cubic terms of the prediction, from two points and their tangents.
+    """Quadratic and cubic terms of the prediction, from two points and their tangents; None where
+    these could not help.
 
-    Hermite's polynomial in the distance along the last tangent, so that the prediction stays in the
-    plane in which it will be corrected. None where it could not help.
+    It is Hermite's polynomial in the distance along the last tangent, so that the prediction stays
+    in the plane in which it will be corrected.
     """
     if before is None:
         return None
-    tangent = here.tangent
+    tangent, old = here.tangent, before.tangent
     chord, rise = here.unknown - before.unknown, here.parameter - before.parameter
     back = tangent.weight * system.inner(chord, tangent.x) + rise * tangent.p
-    along = before.tangent.along(tangent, system)
+    along = old.along(tangent, system)
     if not (back > 0.0 and along > 0.5):
         return None
-    size = np.sqrt(
-        tangent.weight * system.inner(before.tangent.x, before.tangent.x) + before.tangent.p**2
-    )
+    size = np.sqrt(tangent.weight * system.inner(old.x, old.x) + old.p**2)
     # x(s) = x + s t + s^2 A + s^2 (s + back) B, by divided differences with double nodes.
     both = []
-    for moved, last, first in (
-        (chord, tangent.x, before.tangent.x),
-        (rise, tangent.p, before.tangent.p),
-    ):
+    for moved, last, first in ((chord, tangent.x, old.x), (rise, tangent.p, old.p)):
         mean = moved / back
         second = (last - mean) / back
         third = (second - (mean - first / (size * along)) / back) / back

@@ -12,15 +12,13 @@ At a fixed parameter the plane is p = const. (t_x = 0, t_p = 1), one solution is
 method is Newton's own. Where the residual would grow, as where lips begin to touch and the Jacobian
 changes like a square root, the step is shortened.
 
-Everything that follows a path corrects, lands and locates with this loop: response curves, paths
-to a cold start, backbones, and branches of exact orbits; refined curves take its step. Single
-solutions go through PETSc's SNES (:mod:`newton`), so that PETSc's options reach them. A curve does
-not: SNES knows no border, and where none is needed, at the points of a curve in their known
-parameters, an iteration by SNES takes 11 to 13 % longer than one by this loop
-(``benchmarks/curves.py --only newton``, 21 unknowns).
+All paths are followed with this loop: response curves, paths to a cold start, backbones, and
+branches of exact orbits; refined curves take its step. Single solutions go through PETSc's SNES
+(:mod:`newton`), so that PETSc's options reach them. Curves do not: SNES knows no border, and at
+given parameters, where none is needed, an iteration by SNES takes 11 to 13 % longer than one by
+this loop (``benchmarks/curves.py --only newton``, 21 unknowns).
 
-Source: Keller, in Applications of Bifurcation Theory, 1977; Seydel, Practical Bifurcation and
-Stability Analysis, chapter 4.
+Sources: those of :mod:`arclength`.
 """
 
 from __future__ import annotations
@@ -52,7 +50,7 @@ __all__ = [
 MOST_ITERATIONS = 8
 """Of one correction."""
 LEAST_DAMPING = 0.05
-"""Of a Newton step; with shorter ones it has failed."""
+"""Of a Newton step."""
 
 
 @dataclass(frozen=True)
@@ -77,18 +75,15 @@ class Tangent:
 
 @dataclass(frozen=True)
 class PathPoint:
-    """A point of a path, the iterations that it took, and the tangent there.
-
-    The sign of ``tangent.p`` says whether the parameter grows along the path; it changes at folds.
-    ``crosses_branch`` says that another branch has been crossed since the point before. ``at`` is
-    the system linearised there, where it is at hand.
-    """
+    """A point of a path, and the iterations that it took."""
 
     unknown: np.ndarray
     parameter: float
     iterations: int
     tangent: Tangent
+    """``tangent.p`` > 0 where the parameter grows along the path; the sign changes at folds."""
     crosses_branch: bool = False
+    """Whether another branch has been crossed since the point before."""
     at: Linearisation | None = field(default=None, repr=False, compare=False)
 
 
@@ -110,25 +105,15 @@ def solve_in_plane(
     iterations: int = MOST_ITERATIONS,
     reach: float = np.inf,
     damped: bool = True,
+    least_damping: float = LEAST_DAMPING,
+    history: list[float] | None = None,
 ) -> PathPoint | None:
-    """Newton's method from a guess in the plane across a tangent; None where it does not converge.
+    """Newton's method in the plane across a tangent, or at a given parameter; None where it fails.
 
-    Parameters
-    ----------
-    system : System
-        F(x, p).
-    unknown, parameter : array, float
-        The guess, through which the plane goes.
-    plane : Tangent or None
-        To which the plane is orthogonal; None: the parameter stays.
-    tolerance : float
-        |F| / |x| of the solution, |x| that of the tangent's point.
-    iterations : int
-        At most so many.
-    reach : float
-        How far from the guess the parameter may go.
-    damped : bool
-        Shorten steps where the residual would grow.
+    ``tolerance`` is |F| / |x| of the solution, |x| that of the tangent's point; ``reach``: how far
+    from the guess the parameter may go; ``damped``: shorten steps where the residual would grow, to
+    ``least_damping`` of them; ``history`` gets |F| / |x| of the guess and after each step, except
+    the one that meets the tolerance.
     """
     guess = parameter
     change, shift, damping, before = np.zeros_like(unknown), 0.0, 1.0, np.inf
@@ -147,10 +132,12 @@ def solve_in_plane(
             return None
         if damped and not size < before:
             damping *= 0.5
-            if damping < LEAST_DAMPING:
+            if damping < least_damping:
                 return None
             unknown, parameter = unknown - damping * change, parameter - damping * shift
             continue
+        if history is not None:
+            history.append(size)
         if linearised == iterations:
             return None
         change, shift = -at.solve(at.residual), 0.0
@@ -171,10 +158,8 @@ def step_in_plane(
     slope: np.ndarray,
     inner: Callable[[np.ndarray, np.ndarray], Any],
 ) -> tuple[np.ndarray, Any]:
-    """Newton's step (dx, dp) from a = -J^-1 F and b = -J^-1 F_p.
-
-    Of many points at once where the plane holds arrays and ``inner`` gives one number for each.
-    """
+    """Newton's step (dx, dp) from a = -J^-1 F and b = -J^-1 F_p, of many points at once where the
+    plane holds arrays and ``inner`` gives one number for each."""
     along = plane.weight * inner(plane.x, slope) + plane.p + 1e-300  # not 0
     shift = -plane.weight * inner(plane.x, change) / along
     return change + shift * slope, shift
@@ -192,20 +177,8 @@ def correct(
 ) -> PathPoint | None:
     """The point of a path at a distance from another one; None where it is not found.
 
-    Parameters
-    ----------
-    system : System
-        F(x, p).
-    start, step : PathPoint, float
-        Where the prediction starts, and how far it goes.
-    tolerance : float
-        |F| / |x| of the solution.
-    tangent : Tangent, optional
-        Where it goes; default: the point's own.
-    bend : array and float, optional
-        Added to the prediction.
-    reach : float, optional
-        How far from the prediction the parameter may go; default: 3 steps.
+    The prediction goes along ``tangent``, by default the point's own, plus ``bend``, a change of x
+    and of p. The parameter may then change by ``reach``, by default 3 steps.
     """
     tangent = tangent or start.tangent
     unknown, parameter = start.unknown + step * tangent.x, start.parameter + step * tangent.p
@@ -219,24 +192,18 @@ def correct(
 def step_along(
     system: System, start: PathPoint, step: float, tolerance: float = 1e-8
 ) -> PathPoint | None:
-    """Point of the path at a distance from another one, with its tangent; None where not found."""
+    """The same with the tangent there, which keeps its direction."""
     found = correct(system, start, step, tolerance)
     if found is None:
         return None
     assert found.at is not None
     ahead = tangent_of(system, found.unknown, found.at)
-    if ahead.along(start.tangent, system) < 0.0:
-        ahead = ahead.reversed()
-    return replace(found, tangent=ahead)
+    onwards = ahead.along(start.tangent, system) >= 0.0
+    return replace(found, tangent=ahead if onwards else ahead.reversed())
 
 
 def solve_at(
-    system: System,
-    unknown: np.ndarray,
-    parameter: float,
-    *,
-    tolerance: float,
-    iterations: int = 20,
+    system: System, unknown: np.ndarray, parameter: float, *, tolerance: float, iterations: int = 20
 ) -> PathPoint | None:
     """Full Newton steps from a guess at a given parameter; None where they do not converge."""
     return solve_in_plane(
@@ -244,20 +211,17 @@ def solve_at(
     )
 
 
-Lander = Callable[[np.ndarray], PathPoint | None]
+def land(
+    before: PathPoint, after: PathPoint, end: float, solve: Callable[[np.ndarray], PathPoint | None]
+) -> PathPoint | None:
+    """The solution where the parameter is ``end``, between two points of a path; None if not found.
 
-
-def land(before: PathPoint, after: PathPoint, end: float, solve: Lander) -> PathPoint | None:
-    """The solution at a value of the parameter between two points of a path; None if not found.
-
-    From the chord; where the path bends, one of the two points may be nearer. ``solve`` finds the
-    solution at the end from a guess, as :func:`solve_at` or PETSc's SNES do.
+    ``solve`` finds it from a guess: from the chord, or, where the path bends, from one of the two.
     """
     share = (end - before.parameter) / (after.parameter - before.parameter)
     between = before.unknown + share * (after.unknown - before.unknown)
     for nearby in (between, before.unknown, after.unknown):
-        found = solve(nearby)
-        if found is not None:
+        if (found := solve(nearby)) is not None:
             return replace(found, tangent=after.tangent)
     return None
 
@@ -276,18 +240,16 @@ def locate(
     test: Callable[[PathPoint], float],
     tolerance: float,
 ) -> PathPoint:
-    """Point between two others of a path where a test function vanishes, by the method of Brent.
-
-    Where that fails, the point met at which the function is smallest.
-    """
-    met = [before, after]
+    """Point between two others of a path where a test function vanishes, by Brent's method; where
+    that fails, the point met at which the function is smallest."""
+    met: list[tuple[float, PathPoint]] = []
 
     def value(step: float) -> float:
         point = before if step == 0.0 else step_along(system, before, step, tolerance)
         if point is None:
             raise ConvergenceError("path: lost between two points")
-        met.append(point)
-        return test(point)
+        met.append((test(point), point))
+        return met[-1][0]
 
     length = distance(system, before, after)
     for reach in (1.0, 1.2, 0.8, 1.5):  # along the tangent the other point is not quite as far
@@ -296,4 +258,6 @@ def locate(
             break
         except (ConvergenceError, ValueError):
             continue
-    return min(met, key=lambda point: abs(test(point)))
+    else:
+        met.append((test(after), after))
+    return min(met, key=lambda found: abs(found[0]))[1]

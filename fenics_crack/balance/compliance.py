@@ -14,7 +14,6 @@ known.
 from __future__ import annotations
 
 from typing import Protocol
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from fenics_crack.balance.dynamic_stiffness import DynamicStiffness
 from fenics_crack.balance.fourier import from_complex, resized, to_complex
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.modal import all_modes, is_small
-from fenics_crack.model.modes import damped_modes, solve_modes, times
+from fenics_crack.model.modes import damped_modes, projected_damping, solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import collect_garbage
 
@@ -70,10 +69,10 @@ def dynamic_compliance(
     Raises
     ------
     ConvergenceError
-        The structure has no damping and is met in resonance, or is loose.
+        The structure is in an undamped resonance, or can move as a rigid body.
     """
     load = load_coefficients(structure, harmonics, subharmonic)
-    if is_small(structure) and not all_modes(structure).spread:
+    if is_small(structure) and not all_modes(structure).ill_conditioned:
         return ModalCompliance(structure, base_omega, load)
     return FactoredCompliance(structure, base_omega, load)
 
@@ -105,19 +104,13 @@ class ModalCompliance:
     def _set(self, base_omega: float, load: float, damping: float, clearance: float) -> None:
         self._base, self._damping = base_omega, damping
         self._receptance = self._modes.receptance(base_omega * self._order, damping)
-        self.matrices = self._seen_by_pairs(self._receptance)
+        self.matrices = self._modes.seen_by_pairs(self._receptance)
         self._modal_load = load * self._unit_load
-        free = _respond(self._receptance, self._modal_load)
-        self.linear_gap = from_complex(free @ self._modes.pairs)
+        self.linear_gap = self._gap(self._modal_load)
         self.linear_gap[0] -= self._clearance + clearance
 
     def at(
-        self,
-        base_omega: float,
-        *,
-        load: float = 1.0,
-        damping: float = 1.0,
-        clearance: float = 0.0,
+        self, base_omega: float, *, load: float = 1.0, damping: float = 1.0, clearance: float = 0.0
     ) -> ModalCompliance:
         """The same at another frequency, and of a varied structure (:meth:`Structure.varied`)."""
         other = object.__new__(type(self))  # faster than copy
@@ -128,7 +121,7 @@ class ModalCompliance:
     def beyond(self, highest: int) -> np.ndarray:
         """R_k for k = H+1 to ``highest``."""
         order = np.arange(len(self.matrices), highest + 1)
-        return self._seen_by_pairs(self._modes.receptance(self._base * order, self._damping))
+        return self._modes.seen_by_pairs(self._modes.receptance(self._base * order, self._damping))
 
     def displacement(self, force: np.ndarray) -> np.ndarray:
         """u = A^-1 (c - B lambda)."""
@@ -136,56 +129,40 @@ class ModalCompliance:
 
     def seen_through(self, shapes: np.ndarray, force: np.ndarray) -> np.ndarray:
         """The displacement of some dofs, from their rows of all modes (m, n_modes): (2H+1, m)."""
-        drive = self._modal_load - to_complex(force) @ self._modes.pairs.T
-        return from_complex(_respond(self._receptance, drive) @ shapes.T)
+        return from_complex(-self._moved(force) @ shapes.T)
 
     # Derivatives of R lambda - g_lin for fixed forces (2H+1, n_pairs): (2H+1, n_pairs).
 
     def frequency_derivative(self, force: np.ndarray) -> np.ndarray:
         """By base_omega: with H = Z^-1, dH = -H dZ H, dZ_k = -2 k^2 w + i k c."""
         order, moved = self._order[:, None], self._moved(force)
-        damped = self._damping * self._damped(moved)
-        change = order * (1j * damped - (2.0 * self._base * order) * moved)
-        return from_complex(-_respond(self._receptance, change) @ self._modes.pairs)
+        damped = self._damping * self._modes.damped(moved)
+        return -self._gap(order * (1j * damped - (2.0 * self._base * order) * moved))
 
     def damping_derivative(self, force: np.ndarray) -> np.ndarray:
         """By the factor of the damping: dZ_k = i k w c."""
-        change = (1j * self._base) * self._order[:, None] * self._damped(self._moved(force))
-        return from_complex(-_respond(self._receptance, change) @ self._modes.pairs)
+        rate = 1j * self._base * self._order[:, None]
+        return -self._gap(rate * self._modes.damped(self._moved(force)))
 
     def load_derivative(self) -> np.ndarray:
         """By the factor of the load."""
-        return from_complex(-_respond(self._receptance, self._unit_load) @ self._modes.pairs)
+        return -self._gap(self._unit_load)
+
+    def _gap(self, drive: np.ndarray) -> np.ndarray:
+        """Gap coefficients (2H+1, n_pairs) under modal forces (H+1, n_modes)."""
+        return from_complex(self._modes.respond(self._receptance, drive) @ self._modes.pairs)
 
     def _moved(self, force: np.ndarray) -> np.ndarray:
-        """Modal response to the contact forces and the load reversed."""
+        """Modal response to the contact forces less the load."""
         drive = to_complex(force) @ self._modes.pairs.T - self._modal_load
-        return _respond(self._receptance, drive)
-
-    def _damped(self, modal: np.ndarray) -> np.ndarray:
-        rate = self._modes.damping
-        product: np.ndarray = rate * modal if rate.ndim == 1 else modal @ rate.T
-        return product
+        return self._modes.respond(self._receptance, drive)
 
     def destroy(self) -> None:
         """Nothing is held."""
 
-    def _seen_by_pairs(self, receptance: np.ndarray) -> np.ndarray:
-        pairs = self._modes.pairs
-        if receptance.ndim == 2:
-            return np.matmul(pairs.T * receptance[:, None, :], pairs)
-        return pairs.T @ receptance @ pairs
-
-
-def _respond(receptance: np.ndarray, drive: np.ndarray) -> np.ndarray:
-    """Modal response to modal forces, both (H+1, n_modes)."""
-    if receptance.ndim == 2:
-        return receptance * drive
-    return np.matmul(receptance, drive[:, :, None])[:, :, 0]
-
 
 class FactoredCompliance:
-    """Exact, from one sparse factorisation for each harmonic; the factors are kept.
+    """Exact, from one sparse factorisation per harmonic; the factors are kept.
 
     Attributes
     ----------
@@ -196,12 +173,9 @@ class FactoredCompliance:
     """
 
     def __init__(self, structure: Structure, base_omega: float, load: np.ndarray) -> None:
-        self.structure = structure
-        self.load = load
-        self._base = base_omega
-        self._blocks = [
-            DynamicStiffness(structure, k * base_omega) for k in range(len(load) // 2 + 1)
-        ]
+        self.structure, self.load = structure, load
+        self._base, orders = base_omega, range(len(load) // 2 + 1)
+        self._blocks = [DynamicStiffness(structure, k * base_omega) for k in orders]
         matrices = np.array([block.compliance() for block in self._blocks], dtype=complex)
         linear_gap = structure.closing(self.solve_blocks(load))
         linear_gap[0] -= structure.clearance
@@ -212,8 +186,9 @@ class FactoredCompliance:
             raise ConvergenceError("dynamic compliance: the structure is singular")
 
     def beyond(self, highest: int) -> np.ndarray:
-        """R_k for k = H+1 to ``highest``: modes known, and what they leave of the static R_0."""
-        omega, rate, pairs = _known_modes(self.structure)
+        """R_k for k = H+1 to ``highest``, from some modes and the rest of the static R_0."""
+        omega, rate, pairs = self.structure.once(_lowest_modes)
+        rate = self.structure.damping_factor * rate
         static = self.matrices[0].real - (pairs.T / omega**2) @ pairs
         frequency = self._base * np.arange(len(self.matrices), highest + 1)[:, None]
         receptance = 1.0 / (omega**2 - frequency**2 + 1j * frequency * rate)
@@ -249,30 +224,10 @@ class WidenedCompliance:
         self.destroy = compliance.destroy
 
 
-_KNOWN_MODES: WeakKeyDictionary[Structure, tuple[np.ndarray, np.ndarray, np.ndarray]] = (
-    WeakKeyDictionary()
-)
-
-
-def _known_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """omega, damping rate and B^T phi of the damped modes, or of the 20 lowest if these are more.
-
-    They are computed once for a structure.
-    """
-    if structure not in _KNOWN_MODES:
-        known, count = damped_modes(structure), min(20, structure.n_dofs)
-        if known is not None and len(known.omega) >= count:
-            omega, rate, shapes = known.omega, known.rate, known.shapes
-        else:
-            modes = solve_modes(structure, count)
-            omega, shapes = modes.omega, modes.shapes
-            rate = np.zeros(count)
-            if known is not None:
-                rate[: len(known.rate)] = known.rate
-            elif structure.damping_matrix is not None:
-                damping = times(structure.damping_matrix, shapes)
-                rate = structure.sum_over_ranks((shapes * damping).sum(axis=0))
-        found = omega > 0.0  # the lowest may have drowned in rounding
-        pairs = structure.closing(shapes.T)[found]
-        _KNOWN_MODES[structure] = omega[found], rate[found], pairs
-    return _KNOWN_MODES[structure]
+def _lowest_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """omega, damping rate and B^T phi of the damped modes, of 20 at least."""
+    known, count = damped_modes(structure), min(20, structure.n_dofs)
+    modes = known if known and len(known.omega) >= count else solve_modes(structure, count)
+    rate = np.diag(projected_damping(structure, modes.shapes))
+    found = modes.omega > 0.0  # the lowest may be lost in rounding
+    return modes.omega[found], rate[found], structure.closing(modes.shapes.T)[found]

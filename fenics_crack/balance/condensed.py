@@ -18,17 +18,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from functools import cached_property
 
 import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.compliance import Compliance, WidenedCompliance
-from fenics_crack.balance.contact_integrals import (
-    ContactIntegrals,
-    ExactIntegrals,
-    apply_to_pairs,
-)
+from fenics_crack.balance.contact_integrals import ContactIntegrals, ExactIntegrals, apply_to_pairs
 from fenics_crack.balance.fourier import from_complex, to_complex
 from fenics_crack.balance.linearisation import DenseLinearisation
 from fenics_crack.errors import InputError
@@ -46,26 +41,18 @@ __all__ = [
 
 def respond(matrices: np.ndarray, force: np.ndarray) -> np.ndarray:
     """R lambda of coefficients (2H+1, n_pairs)."""
-    harmonics = np.matmul(matrices, to_complex(force)[:, :, None])[:, :, 0]
-    return from_complex(harmonics)
+    return from_complex(np.matmul(matrices, to_complex(force)[:, :, None])[:, :, 0])
 
 
 def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-    """R T as a dense matrix for unknowns ordered (row, pair); of many points at once.
+    """R T as a dense matrix for unknowns ordered (row, pair), from R_k (..., H+1, n_pairs, n_pairs)
+    and T (..., n_pairs, 2H+1, 2H+1), at many points at once.
 
     A force a - i b on harmonic k moves the gap by R_k (a - i b), that is by the real matrix
     [[Re R_k, Im R_k], [-Im R_k, Re R_k]] on (a, b).
-
-    Parameters
-    ----------
-    matrices : (..., H+1, n_pairs, n_pairs)
-        R_k.
-    tangent : (..., n_pairs, 2H+1, 2H+1)
-        T of every pair.
     """
     *points, pairs, rows, _ = tangent.shape
-    harmonics, lead = rows // 2, range(len(points))
-    at = len(points)
+    harmonics, at = rows // 2, len(points)
     product = np.empty((*points, rows, pairs, rows, pairs))
     mean = tangent[..., :, 0, :].swapaxes(-1, -2)
     static = matrices[..., 0, :, :].real
@@ -77,37 +64,24 @@ def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     blocks[..., 0, :, 1] = through.imag
     np.subtract(0.0, through.imag, out=blocks[..., 1, :, 0])
     forces = tangent[..., 1:, :].reshape(*points, pairs, harmonics, 2, rows)
-    forces = forces.transpose(*lead, at + 1, at, at + 2, at + 3)
+    forces = forces.transpose(*range(at), at + 1, at, at + 2, at + 3)
     gaps = np.matmul(blocks.reshape(*points, harmonics, pairs, 2 * pairs, 2), forces)
     gaps = gaps.reshape(*points, harmonics, pairs, 2, pairs, rows)
-    gaps = gaps.transpose(*lead, at, at + 2, at + 3, at + 4, at + 1)
+    gaps = gaps.transpose(*range(at), at, at + 2, at + 3, at + 4, at + 1)
     product[..., 1:, :, :, :].reshape(*points, harmonics, 2, pairs, rows, pairs)[:] = gaps
     return product.reshape(*points, rows * pairs, rows * pairs)
 
 
 class CondensedPoint(DenseLinearisation, ABC):
-    """Condensed equations at a point, and what changes of them do to the gap.
-
-    It holds no function of its own: the circle would keep its matrices until Python looks for
-    circles, and a point of a curve would take 8 % longer.
-
-    Attributes
-    ----------
-    system : CondensedSystem or ConstraintSystem
-        Whose point it is.
-    unknown : (2H+1, n_pairs)
-        Where.
-    tangent : (n_pairs, 2H+1, 2H+1)
-        T, derivative of the contact integrals.
-    gap, force : (2H+1, n_pairs)
-        Coefficients of the gap [m] and of the contact force [N].
-    """
+    """Condensed equations at a point, and what changes of them do to the gap."""
 
     system: CondensedSystem | ConstraintSystem
-    unknown: np.ndarray
     tangent: np.ndarray
+    """T, derivative of the contact integrals: (n_pairs, 2H+1, 2H+1)."""
     gap: np.ndarray
+    """Coefficients (2H+1, n_pairs) [m]."""
     force: np.ndarray
+    """Coefficients of the contact force, (2H+1, n_pairs) [N]."""
 
     @abstractmethod
     def gap_of(self, change: np.ndarray) -> np.ndarray:
@@ -123,19 +97,14 @@ class CondensedPoint(DenseLinearisation, ABC):
 
 
 class _Condensed:
-    """What both condensed systems share: they are small, and the same on every rank.
-
-    Attributes
-    ----------
-    linear : (2H+1, n_pairs) [m]
-        g_lin.
-    """
+    """What both condensed systems share: they are small, and the same on every rank."""
 
     comm = MPI.COMM_SELF
 
     def __init__(self, compliance: Compliance, integrals: ContactIntegrals) -> None:
         self.compliance, self.integrals = compliance, integrals
         self.linear = compliance.linear_gap
+        """g_lin: (2H+1, n_pairs) [m]."""
         self.shape: tuple[int, ...] = self.linear.shape
         self.global_size = self.linear.size
 
@@ -166,9 +135,8 @@ class CondensedSystem(_Condensed):
 
     def widened(self, harmonics: int) -> CondensedSystem:
         """The same equations with more harmonics, to the accuracy of an error estimate."""
-        return CondensedSystem(
-            WidenedCompliance(self.compliance, harmonics), self.integrals.widened(harmonics)
-        )
+        compliance = WidenedCompliance(self.compliance, harmonics)
+        return CondensedSystem(compliance, self.integrals.widened(harmonics))
 
 
 class _GapPoint(CondensedPoint):
@@ -181,33 +149,26 @@ class _GapPoint(CondensedPoint):
         integrals: ContactIntegrals,
         by_parameter: Callable[[CondensedPoint], np.ndarray],
     ) -> None:
-        self.system, self.unknown, self.gap = system, gap, gap
+        self.system, self.gap, self._derivative = system, gap, by_parameter
         self.force, self.tangent = integrals.linearise(gap)
-        self.residual = gap - system.linear + respond(system.compliance.matrices, self.force)
-        self._differentiate = by_parameter
+        residual = gap - system.linear + respond(system.compliance.matrices, self.force)
+        super().__init__(gap, residual)
 
-    @cached_property
-    def jacobian(self) -> np.ndarray:
-        """I + R T."""
+    def assemble(self) -> np.ndarray:
         jacobian = respond_to_columns(self.system.compliance.matrices, self.tangent)
         jacobian.flat[:: len(jacobian) + 1] += 1.0
         return jacobian
 
-    @cached_property
-    def by_parameter(self) -> np.ndarray:
-        """dF/dp."""
-        return self._differentiate(self)
+    def differentiate(self) -> np.ndarray:
+        return self._derivative(self)
 
     def gap_of(self, change: np.ndarray) -> np.ndarray:
-        """The unknown is the gap."""
         return change
 
     def gap_by_force(self, change: np.ndarray) -> np.ndarray:
-        """-J^-1 R d."""
         return self.gap_by_linear_gap(-respond(self.system.compliance.matrices, change))
 
     def gap_by_linear_gap(self, change: np.ndarray) -> np.ndarray:
-        """J^-1 d."""
         return self.solve(change)
 
 
@@ -222,16 +183,8 @@ def default_weight(compliance: Compliance) -> float:
 class ConstraintSystem(_Condensed):
     """F(y) = y - P(g_lin + t y - eps R y): no penetration, in the frequency-time sense.
 
-    Its parameter is t: a penalty of stiffness eps (0), the constraint (1).
-
-    Parameters
-    ----------
-    compliance : Compliance
-        Of the structure.
-    harmonics : int
-        H.
-    weight : float [N/m]
-        eps > 0. Truncated solutions depend on it a little, less the more harmonics there are.
+    Its parameter is t: a penalty of stiffness eps (0), the constraint (1). Truncated solutions
+    depend a little on ``weight`` = eps [N/m], less the more harmonics there are.
     """
 
     def __init__(self, compliance: Compliance, harmonics: int, weight: float) -> None:
@@ -247,10 +200,9 @@ class ConstraintSystem(_Condensed):
         return force / self.weight
 
     def widened(self, harmonics: int) -> ConstraintSystem:
-        """The same equations with more harmonics, to the accuracy of an error estimate."""
-        return ConstraintSystem(
-            WidenedCompliance(self.compliance, harmonics), harmonics, self.weight
-        )
+        """As :meth:`CondensedSystem.widened`."""
+        compliance = WidenedCompliance(self.compliance, harmonics)
+        return ConstraintSystem(compliance, harmonics, self.weight)
 
 
 class _ConstraintPoint(CondensedPoint):
@@ -259,20 +211,13 @@ class _ConstraintPoint(CondensedPoint):
     system: ConstraintSystem
 
     def __init__(self, system: ConstraintSystem, unknown: np.ndarray, share: float) -> None:
-        self.system, self.unknown, self._share = system, unknown, share
+        self.system, self._share = system, share
         self.force = system.weight * unknown
         self.gap = system.linear - respond(system.compliance.matrices, self.force)
         projected, self.tangent = system.integrals.linearise(self.gap + share * unknown)
-        self.residual = unknown - projected
+        super().__init__(unknown, unknown - projected)
 
-    @cached_property
-    def by_parameter(self) -> np.ndarray:
-        """-T y."""
-        return -apply_to_pairs(self.tangent, self.unknown)
-
-    @cached_property
-    def jacobian(self) -> np.ndarray:
-        """I - T (t I - eps R)."""
+    def assemble(self) -> np.ndarray:
         rows, pairs = self.unknown.shape
         identity = np.broadcast_to(np.eye(rows), (pairs, rows, rows))
         matrices = self.system.compliance.matrices
@@ -284,14 +229,14 @@ class _ConstraintPoint(CondensedPoint):
         jacobian.flat[:: len(jacobian) + 1] += 1.0
         return jacobian
 
+    def differentiate(self) -> np.ndarray:
+        return -apply_to_pairs(self.tangent, self.unknown)
+
     def gap_of(self, change: np.ndarray) -> np.ndarray:
-        """-eps R dy."""
         return -respond(self.system.compliance.matrices, self.system.weight * change)
 
     def gap_by_force(self, change: np.ndarray) -> np.ndarray:
-        """-R J^-1 d."""
         return self.gap_of(self.solve(change / self.system.weight))
 
     def gap_by_linear_gap(self, change: np.ndarray) -> np.ndarray:
-        """d - eps R J^-1 T d."""
         return change + self.gap_of(self.solve(apply_to_pairs(self.tangent, change)))

@@ -7,7 +7,7 @@ of the kinks, and the coefficients have corners where a sample changes its state
 that is linear in contact is integrated in closed form between the switching instants; the
 coefficients are then continuously differentiable, and nothing is left to choose.
 
-Both know the force as kappa(t) g(t) locally, so that both tangents (eq. 14) are made of the same
+In both the force is locally kappa(t) g(t), so that both tangents (eq. 14) consist of the same
 numbers, c_m and s_m, the means of kappa cos(m theta) and kappa sin(m theta): for rows and columns
 i, j
 
@@ -21,6 +21,7 @@ a Toeplitz plus a Hankel matrix for each pair, with c_0, c_j, s_j in the row of 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -40,16 +41,9 @@ __all__ = [
 ]
 
 
+@dataclass(frozen=True)
 class ContactIntegrals(ABC):
-    """A way of integrating the contact force. Gaps are (2H+1, n_pairs).
-
-    Attributes
-    ----------
-    law : ContactLaw
-        Of all pairs.
-    harmonics : int
-        H.
-    """
+    """A way of integrating the contact force of gaps (2H+1, n_pairs)."""
 
     law: ContactLaw
     harmonics: int
@@ -64,20 +58,18 @@ class ContactIntegrals(ABC):
 
     @abstractmethod
     def widened(self, harmonics: int) -> ContactIntegrals:
-        """The same with more harmonics."""
+        """The same with more harmonics, and samples enough for them."""
 
-    @abstractmethod
     def of_law(self, law: ContactLaw) -> ContactIntegrals:
         """The same of another law of the same kind."""
+        return replace(self, law=law)
 
 
 def contact_integrals(
     law: ContactLaw, harmonics: int, samples: int | None = None, periods: int = 1
 ) -> ContactIntegrals:
-    """Exact integrals for the penalty law, unless samples are asked for; else sampled ones.
-
-    ``periods`` of the load in a period of the response multiply the default number of samples.
-    """
+    """Exact integrals where the law is piecewise linear and no samples are asked for; else sampled
+    ones, by default :func:`default_samples` for each of the load's ``periods``."""
     if samples is None and is_piecewise_linear(law):
         return ExactIntegrals(law, harmonics)
     return SampledIntegrals(law, harmonics, samples or periods * default_samples(harmonics))
@@ -88,25 +80,16 @@ def default_samples(harmonics: int) -> int:
     return max(1024, 1 << (32 * harmonics - 1).bit_length())
 
 
+@dataclass(frozen=True)
 class SampledIntegrals(ContactIntegrals):
     """Trapezoidal rule on N equally spaced instants, by the fast Fourier transform.
 
-    N > 4 H is the usual choice. N = 2H+1 is the least: as many instants as coefficients, and then
-    the transform is square, so that the equations of harmonic balance say no more and no less than
-    that the equation of motion holds at these instants (collocation, :mod:`harmonic_balance`).
-
-    Parameters
-    ----------
-    law : ContactLaw
-        Any law.
-    harmonics, samples : int
-        H and N.
+    N > 4 H is the usual choice. N = 2H+1, as many instants as coefficients, is the least: the
+    equation of motion then holds at just these instants (collocation).
     """
 
-    def __init__(self, law: ContactLaw, harmonics: int, samples: int) -> None:
-        self.law = law
-        self.harmonics = harmonics
-        self.samples = samples
+    samples: int
+    """N."""
 
     def sample(self, gap: np.ndarray) -> np.ndarray:
         """Values (N, n_pairs) at the instants i T / N of coefficients (2H+1, n_pairs)."""
@@ -121,23 +104,16 @@ class SampledIntegrals(ContactIntegrals):
         return from_complex(spectrum)
 
     def force(self, gap: np.ndarray) -> np.ndarray:
-        """Coefficients of the contact force."""
         return self.balance(self.law.force(self.sample(gap)))
 
     def linearise(self, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients of the contact force and their derivative."""
         values = self.sample(gap)
         means = self._means(values, 2 * self.harmonics)
         return self.balance(self.law.force(values)), _tangent(means, self.harmonics)
 
     def widened(self, harmonics: int) -> SampledIntegrals:
-        """The same with more harmonics, and samples enough for them."""
         samples = max(self.samples, 1 << (8 * harmonics - 1).bit_length())
         return SampledIntegrals(self.law, harmonics, samples)
-
-    def of_law(self, law: ContactLaw) -> SampledIntegrals:
-        """The same of another law."""
-        return SampledIntegrals(law, self.harmonics, self.samples)
 
     def _means(self, values: np.ndarray, highest: int) -> np.ndarray:
         """Complex c_m + i s_m of the slope, m = 0 to highest < N: (n_pairs, highest + 1).
@@ -160,40 +136,19 @@ class ExactIntegrals(ContactIntegrals):
         c_m + i s_m = k / (2 pi) sum int exp(i m theta) d theta,
 
     and since lambda = kappa g, the coefficients of the force are just the tangent times the gap's.
-
-    Parameters
-    ----------
-    law : UnilateralPenalty
-        Only its stiffness is used, one for all or pair by pair.
-    harmonics : int
-        H.
     """
 
-    def __init__(self, law: ContactLaw, harmonics: int) -> None:
-        self.law = law
-        self.harmonics = harmonics
-
     def force(self, gap: np.ndarray) -> np.ndarray:
-        """Coefficients of the contact force."""
         return self.linearise(gap)[0]
 
     def linearise(self, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients of the contact force and their derivative."""
-        tangent = _tangent(self._means(gap, 2 * self.harmonics), self.harmonics)
+        stiffness = np.broadcast_to(np.asarray(self.law.stiffness, dtype=float), gap.shape[1:])
+        closed = closed_means(switching_instants(to_complex(gap)), 2 * self.harmonics)
+        tangent = _tangent(stiffness[:, None] * closed, self.harmonics)
         return apply_to_pairs(tangent, gap), tangent
 
     def widened(self, harmonics: int) -> ExactIntegrals:
-        """The same with more harmonics."""
         return ExactIntegrals(self.law, harmonics)
-
-    def of_law(self, law: ContactLaw) -> ExactIntegrals:
-        """The same of another penalty law."""
-        return ExactIntegrals(law, self.harmonics)
-
-    def _means(self, gap: np.ndarray, highest: int) -> np.ndarray:
-        stiffness = np.broadcast_to(np.asarray(self.law.stiffness, dtype=float), gap.shape[1:])
-        switching = switching_instants(to_complex(gap))
-        return stiffness[:, None] * closed_means(switching, highest)
 
 
 def closed_means(switching: Switching, highest: int) -> np.ndarray:
@@ -215,8 +170,7 @@ def closed_means(switching: Switching, highest: int) -> np.ndarray:
 
 
 def apply_to_pairs(tangent: np.ndarray, gap: np.ndarray) -> np.ndarray:
-    """Matrices (n_pairs, rows, columns) times the columns of (columns, n_pairs): (rows,
-    n_pairs)."""
+    """Each pair's matrix (n_pairs, rows, columns) times its column of (columns, n_pairs)."""
     return np.matmul(tangent, gap.T[:, :, None])[:, :, 0].T
 
 

@@ -1,7 +1,7 @@
-"""The error made in getting a solution, estimated from the solution itself.
+"""The error of a solution, estimated from the solution itself.
 
 What an approximation leaves out acts on the gaps through the linearised equation. With the Jacobian
-J of F(g) = g + R b(g) - g_lin at the solution, compliance R, and a disturbance d of b,
+J of F(g) = g + R b(g) - g_lin at the solution, and a disturbance d of b,
 
     delta g = -J^-1 R d.
 
@@ -15,21 +15,23 @@ All are root mean squares over the period and the pairs, relative to that of B^T
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, respond
 from fenics_crack.balance.contact_integrals import (
-    ContactIntegrals,
     ExactIntegrals,
     SampledIntegrals,
+    contact_integrals,
     default_samples,
 )
 from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.problem import Problem
 from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear
 from fenics_crack.model.reduction import ReducedStructure
+from fenics_crack.table import Described
 
 __all__ = [
     "LARGE_ERROR",
@@ -47,8 +49,8 @@ MANY = 600
 """Unknowns beyond which the truncation is judged with twice instead of four times the harmonics."""
 
 
-@dataclass(frozen=True)
-class ErrorReport:
+@dataclass(frozen=True, repr=False)
+class ErrorReport(Described):
     """Estimated errors of the gap, relative to the root mean square of B^T u.
 
     Attributes
@@ -76,19 +78,17 @@ class ErrorReport:
         """Sum of the errors made in solving the law given (without the penetration)."""
         return self.residual + self.truncation + self.sampling + self.reduction
 
+    def to_dict(self) -> dict[str, Any]:
+        """All of them by their names, and the total."""
+        return {**asdict(self), "total": self.total}
+
+    def _title(self) -> str:
+        return ", ".join(f"{name} {value:.2g}" for name, value in self.to_dict().items())
+
 
 def estimate_errors(at: CondensedPoint, displacement: np.ndarray, problem: Problem) -> ErrorReport:
-    """Estimate the errors of a solution (collective).
-
-    Parameters
-    ----------
-    at : CondensedPoint
-        The condensed equations at their solution.
-    displacement : (2H+1, n_local) [m]
-        The solution expanded to the structure.
-    problem : Problem
-        What was solved.
-    """
+    """Estimate the errors of a solution, given as the equations there and as the coefficients of
+    the structure's displacement (2H+1, n_local) [m] (collective)."""
     structure = problem.structure
     expanded = structure.closing(displacement)
     expanded[0] -= structure.clearance
@@ -114,10 +114,10 @@ def relative_size(change: np.ndarray, at: CondensedPoint, clearance: np.ndarray)
 
 
 def beyond_truncation(at: CondensedPoint) -> np.ndarray:
-    """Change of the gap by one Newton step with K > H harmonics: (2K+1, n_pairs).
+    """Change of the gap by one Newton step with K > H harmonics, 4 H or 2 H: (2K+1, n_pairs).
 
-    K = 4 H, or 2 H where that would be many unknowns. The step is found by elimination: iterative
-    solutions of these equations do not converge where many pairs are stiff.
+    The step is found by elimination: iterative solutions of these equations do not converge where
+    many pairs are stiff.
     """
     kept, rows = at.system.integrals.harmonics, len(at.unknown)
     harmonics = max(4 * kept, kept + 8)
@@ -134,13 +134,10 @@ def _missed_by_samples(at: CondensedPoint) -> np.ndarray:
     integrals, gap = at.system.integrals, at.gap
     if not isinstance(integrals, SampledIntegrals):
         return np.zeros_like(gap)
-    better: ContactIntegrals
-    if is_piecewise_linear(integrals.law):
-        better = ExactIntegrals(integrals.law, integrals.harmonics)
-    else:
-        samples = max(4 * integrals.samples, default_samples(integrals.harmonics))
-        better = SampledIntegrals(integrals.law, integrals.harmonics, samples)
-    return better.force(gap) - integrals.force(gap)
+    law, harmonics, samples = integrals.law, integrals.harmonics, None
+    if not is_piecewise_linear(law):
+        samples = max(4 * integrals.samples, default_samples(harmonics))
+    return contact_integrals(law, harmonics, samples).force(gap) - integrals.force(gap)
 
 
 def _lost_in_reduction(at: CondensedPoint, problem: Problem) -> np.ndarray:

@@ -23,16 +23,8 @@ __all__ = ["FAMILIES", "Family", "FrequencyFamily"]
 
 
 class Family(ABC):
-    """The condensed equations along a parameter, a system with p from 0 to 1.
-
-    Parameters
-    ----------
-    problem : Problem
-        Of a small or reduced structure; ``omega`` is the load frequency where that is not the
-        parameter.
-    start, end : float
-        The parameter's values at p = 0 and 1.
-    """
+    """The condensed equations of a small or reduced structure along a parameter, from its value
+    ``start`` at p = 0 to ``end`` at p = 1."""
 
     name: str
 
@@ -65,18 +57,17 @@ class Family(ABC):
         """dv/dp."""
         return self.end - self.start
 
-    @staticmethod
+    @classmethod
     @abstractmethod
-    def vary(problem: Problem, value: float) -> Problem:
-        """The problem where the parameter has a value."""
+    def vary(cls, problem: Problem, value: float) -> Problem:
+        """A problem where the parameter has a value."""
 
     def at(self, value: float) -> Problem:
-        """The problem where the parameter has a value."""
+        """The family's own problem where the parameter has a value."""
         return self.vary(self.problem, value)
 
-    @abstractmethod
     def _make(self, value: float) -> CondensedSystem:
-        """The equations where the parameter has a value."""
+        return CondensedSystem(self.compliance(value), self._integrals)
 
     @abstractmethod
     def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
@@ -95,71 +86,54 @@ class Family(ABC):
     # --- what paths ask for -----------------------------------------------------------------------
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> CondensedPoint:
-        """The equations at (g, p)."""
         value = self.value(parameter)
-        return self.system(value).along(
-            unknown, lambda at: self.rate(value) * self._by_value(value, at)
-        )
+        rate = self.rate(value)
+        return self.system(value).along(unknown, lambda at: rate * self._by_value(value, at))
 
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
-        """Inner product."""
         return float(np.vdot(first, second))
 
 
-class _ComplianceFamily(Family):
-    """The parameter changes the dynamic compliance or the linear gap."""
-
-    def _make(self, value: float) -> CondensedSystem:
-        return CondensedSystem(self.compliance(value), self._integrals)
-
-
-class FrequencyFamily(_ComplianceFamily):
+class FrequencyFamily(Family):
     """v: load frequency [rad/s]."""
 
     name = "omega"
 
     @classmethod
     def check(cls, structure: Structure, key: str, value: float) -> None:
-        """Raise InputError unless it is a frequency."""
         check_omega(value, key)
 
-    @staticmethod
-    def vary(problem: Problem, value: float) -> Problem:
-        """At another frequency."""
+    @classmethod
+    def vary(cls, problem: Problem, value: float) -> Problem:
         return replace(problem, omega=value)
 
     def compliance(self, value: float) -> ModalCompliance:
-        """At another frequency."""
         return self._compliance.at(value / self.problem.subharmonic)
 
     def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
-        compliance = at.system.compliance
-        assert isinstance(compliance, ModalCompliance)
-        return compliance.frequency_derivative(at.force) / self.problem.subharmonic
+        assert isinstance(at.system.compliance, ModalCompliance)
+        return at.system.compliance.frequency_derivative(at.force) / self.problem.subharmonic
 
 
-class _VariedFamily(_ComplianceFamily):
+class _VariedFamily(Family):
     """The parameter is one of those of :meth:`Structure.varied`, by its name."""
 
+    @classmethod
+    def check(cls, structure: Structure, key: str, value: float) -> None:
+        check_number(key, value)
+
+    @classmethod
+    def vary(cls, problem: Problem, value: float) -> Problem:
+        return replace(problem, structure=problem.structure.varied(**{cls.name: value}))
+
     def compliance(self, value: float) -> ModalCompliance:
-        """Of the varied structure."""
         return self._compliance.at(self.problem.base_omega, **{self.name: value})
 
 
 class LoadFamily(_VariedFamily):
-    """v: factor of the load."""
+    """v: factor of the load; a negative one reverses it."""
 
     name = "load"
-
-    @classmethod
-    def check(cls, structure: Structure, key: str, value: float) -> None:
-        """Raise InputError unless it is a number; a negative one reverses the load."""
-        check_number(key, value)
-
-    @staticmethod
-    def vary(problem: Problem, value: float) -> Problem:
-        """With another load."""
-        return replace(problem, structure=problem.structure.varied(load=value))
 
     def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
         return self._compliance.load_derivative()
@@ -172,36 +146,19 @@ class DampingFamily(_VariedFamily):
 
     @classmethod
     def check(cls, structure: Structure, key: str, value: float) -> None:
-        """Raise InputError unless it is a number >= 0 and there is damping to change."""
         check_number(key, value, 0.0)
         if structure.damping is None:
             raise InputError("parameter", "damping", "another one: the structure has no damping")
 
-    @staticmethod
-    def vary(problem: Problem, value: float) -> Problem:
-        """With other damping."""
-        return replace(problem, structure=problem.structure.varied(damping=value))
-
     def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
-        compliance = at.system.compliance
-        assert isinstance(compliance, ModalCompliance)
-        return compliance.damping_derivative(at.force)
+        assert isinstance(at.system.compliance, ModalCompliance)
+        return at.system.compliance.damping_derivative(at.force)
 
 
 class ClearanceFamily(_VariedFamily):
     """v: clearance [m] added to that of every pair."""
 
     name = "clearance"
-
-    @classmethod
-    def check(cls, structure: Structure, key: str, value: float) -> None:
-        """Raise InputError unless it is a number."""
-        check_number(key, value)
-
-    @staticmethod
-    def vary(problem: Problem, value: float) -> Problem:
-        """With other clearances."""
-        return replace(problem, structure=problem.structure.varied(clearance=value))
 
     def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
         change = np.zeros_like(at.gap)
@@ -215,20 +172,16 @@ class StiffnessFamily(Family):
     name = "stiffness"
 
     def value(self, parameter: float) -> float:
-        """v of p."""
         return float(self.start * (self.end / self.start) ** parameter)
 
     def parameter(self, value: float) -> float:
-        """p of v."""
         return float(np.log(value / self.start) / np.log(self.end / self.start))
 
     def rate(self, value: float) -> float:
-        """dv/dp = v ln(v_end / v_start)."""
         return value * float(np.log(self.end / self.start))
 
-    @staticmethod
-    def vary(problem: Problem, value: float) -> Problem:
-        """With another law."""
+    @classmethod
+    def vary(cls, problem: Problem, value: float) -> Problem:
         return replace(problem, contact=problem.contact.scaled(value))
 
     def _make(self, value: float) -> CondensedSystem:

@@ -1,8 +1,8 @@
 """Steady vibration with contact: linear solution and harmonic balance.
 
 The unknowns are the Fourier coefficients of the gaps (:mod:`condensed`); the equations are balanced
-by projection on the same functions, with the contact force integrated exactly or from samples. The
-other forms of the method, for comparison, are in :mod:`laboratory`.
+by projection on the same functions, with the contact force integrated exactly or from samples.
+Other forms of the method are kept for comparison in ``benchmarks/laboratory.py``.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from fenics_crack.model.structure import Structure
 __all__ = ["check_initial", "check_memory", "solve_harmonic_balance", "solve_linear"]
 
 MOST_HARMONICS = 300
-"""Beyond these, or MOST_SAMPLES, a tolerance is out of reach."""
+"""If more are needed for a tolerance, or more than MOST_SAMPLES, it is out of reach."""
 MATRICES = 4
 """Dense matrices of the size of the Jacobian that are held at a time."""
 
@@ -46,10 +46,8 @@ def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> P
 
     Parameters
     ----------
-    structure : Structure
-        What vibrates under its own load.
-    omega : float
-        Angular frequency of the load [rad/s].
+    structure, omega
+        As in :class:`fenics_crack.Problem`.
     harmonics : int
         H; all beyond the first are zero.
 
@@ -58,7 +56,7 @@ def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> P
     InputError
         omega or harmonics cannot be used.
     ConvergenceError
-        The structure has no damping and is met in resonance, or is loose under a mean load.
+        An undamped structure is at resonance, or one that is not held has a mean load.
     """
     check_omega(omega)
     check_count("harmonics", harmonics, 1)
@@ -91,23 +89,13 @@ def solve_harmonic_balance(
 
     Parameters
     ----------
-    structure : Structure
-        What vibrates under its own load.
-    omega : float
-        Angular frequency of the load [rad/s].
-    contact : ContactLaw
-        Law of all pairs; :class:`UnilateralConstraint` too.
+    structure, omega, contact, samples, subharmonic
+        As in :class:`fenics_crack.Problem`; at least 4 H + 1 samples.
     harmonics : int, optional
         H; default: 5, or what ``tolerance`` asks for.
-    samples : int, optional
-        Instants per period of the response at which contact is evaluated. Default: exact integrals
-        between the switching instants for the penalty law and the constraint; for other laws 1024
-        for each period of the load, or 32 H where that is more.
     initial : PeriodicSolution, optional
         Where Newton starts; default: the linear solution. May have other harmonics, and a
-        subharmonic that divides m.
-    subharmonic : int
-        m: look for a response of m times the load's period.
+        subharmonic that divides that of the response.
     tolerance : float, optional
         Choose H, the samples of a law that needs them, and for a structure with many dofs the modes
         of a reduction, so that the estimated error (:class:`ErrorReport`) is below this; the
@@ -134,16 +122,13 @@ def solve_harmonic_balance(
     check_number("residual_tolerance", residual_tolerance, 0.0, above=True)
     if tolerance is not None:
         check_number("tolerance", tolerance, 0.0, above=True)
-        for key, value in (("tolerance", harmonics), ("samples", samples)):
-            if value is not None:
-                beside = "harmonics are" if key == "tolerance" else "a tolerance is"
-                shown = tolerance if key == "tolerance" else value
-                raise InputError(key, shown, f"left out where {beside} given")
+        if harmonics is not None:
+            raise InputError("tolerance", tolerance, "left out where harmonics are given")
+        if samples is not None:
+            raise InputError("samples", samples, "left out where a tolerance is given")
+    if harmonics is None:
         check_count("subharmonic", subharmonic, 1)
-        harmonics = max(3, 2 * subharmonic)
-    elif harmonics is None:
-        check_count("subharmonic", subharmonic, 1)
-        harmonics = max(5, subharmonic)
+        harmonics = max(5, subharmonic) if tolerance is None else max(3, 2 * subharmonic)
     problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
     if samples is not None:
         check_count("samples", samples, 4 * harmonics + 1)
@@ -156,9 +141,6 @@ def solve_harmonic_balance(
     return solver.solve(initial)
 
 
-# --- to a tolerance ------------------------------------------------------------------------------
-
-
 def _solve_to_tolerance(
     solver: Solver, tolerance: float, initial: PeriodicSolution | None
 ) -> PeriodicSolution:
@@ -166,7 +148,7 @@ def _solve_to_tolerance(
     whole, modes = solver.problem.structure, 10
     reducible = not is_small(whole) and not isinstance(whole, ReducedStructure)
     if reducible:
-        solver = _with(solver, structure=reduce_structure(whole, modes=modes))
+        solver = _reduced(solver, whole, modes)
     last: PeriodicSolution | None = None
     while True:
         problem = solver.problem
@@ -187,9 +169,8 @@ def _solve_to_tolerance(
             return replace(solution, status=f"{solution.status}; {chosen}")
         initial = last = solution
         if report.reduction > 0.3 * tolerance and reducible and modes < whole.n_dofs:
-            modes = min(2 * modes, whole.n_dofs)
-            solver = _with(solver, structure=reduce_structure(whole, modes=modes))
-            last = None
+            modes, last = min(2 * modes, whole.n_dofs), None
+            solver = _reduced(solver, whole, modes)
             continue
         finer, obstacle = _finer(problem, solution, tolerance)
         if obstacle:
@@ -197,8 +178,9 @@ def _solve_to_tolerance(
         solver = replace(solver, problem=finer)
 
 
-def _with(solver: Solver, *, structure: Structure) -> Solver:
-    return replace(solver, problem=replace(solver.problem, structure=structure))
+def _reduced(solver: Solver, whole: Structure, modes: int) -> Solver:
+    reduced = reduce_structure(whole, modes=modes)
+    return replace(solver, problem=replace(solver.problem, structure=reduced))
 
 
 def _with_bound(
@@ -206,9 +188,9 @@ def _with_bound(
 ) -> PeriodicSolution:
     """A solution whose truncation is also judged by its change since one with fewer harmonics.
 
-    The estimate of the truncation, a Newton step, is far too large where contact is stiff. The
-    change of the solution from H to q H bounds it as well: where the error falls like 1/H or
-    faster, the error of the latter is at most change / (q - 1). The smaller of the two counts.
+    The estimate of the truncation, a Newton step, is far too large where contact is stiff. Where
+    the error falls like 1/H or faster, that with q H harmonics is also at most the change since H,
+    divided by q - 1. The smaller of the two counts.
     """
     report, harmonics = solution.report, solution.harmonics
     if last is not None and harmonics > last.harmonics:
@@ -222,7 +204,7 @@ def _with_bound(
 
 
 def _finer(problem: Problem, solution: PeriodicSolution, tolerance: float) -> tuple[Problem, str]:
-    """The problem with more samples or harmonics, and what stands against a smaller error."""
+    """The problem with more samples or harmonics; or what prevents a smaller error."""
     report, harmonics = solution.report, problem.harmonics
     if report.reduction > tolerance:
         return problem, "that of the reduced structure given"
@@ -252,9 +234,6 @@ def _give_up(
         )
     status = f"{best.status}; error {error} above the tolerance: {obstacle}"
     return replace(best, converged=False, status=status)
-
-
-# --- input ----------------------------------------------------------------------------------------
 
 
 def check_memory(structure: Structure, harmonics: int) -> None:

@@ -8,8 +8,6 @@ they are asked for, and each is computed when it is first asked for.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -19,15 +17,12 @@ __all__ = ["DenseLinearisation", "Linearisation", "System", "determinant_sign"]
 
 
 class Linearisation(ABC):
-    """A system at a point (x, p).
+    """A system at a point (x, p)."""
 
-    Attributes
-    ----------
-    residual : array
-        F(x, p), of the shape and in the units of x.
-    """
-
+    unknown: np.ndarray
+    """x."""
     residual: np.ndarray
+    """F(x, p), of the shape and in the units of x."""
 
     @abstractmethod
     def solve(self, right: np.ndarray) -> np.ndarray:
@@ -45,7 +40,7 @@ class Linearisation(ABC):
     @property
     @abstractmethod
     def sign(self) -> float:
-        """Sign of det J, +1 or -1: the orientation of a path, which changes at its folds."""
+        """Sign of det J, +1 or -1, which changes at the folds of a path."""
 
 
 class System(Protocol):
@@ -61,57 +56,55 @@ class System(Protocol):
 class DenseLinearisation(Linearisation):
     """A point whose Jacobian is a dense matrix, factored by LAPACK when it is first needed.
 
-    Parameters
-    ----------
-    residual : array
-        F(x, p).
-    jacobian : callable
-        Makes J, (n, n) for the n entries of the residual in their order.
-    by_parameter : callable, optional
-        Makes dF/dp; without it the system has no parameter.
+    Derived classes make its parts; none holds a reference to itself, so that matrices are freed at
+    once.
     """
 
-    def __init__(
-        self,
-        residual: np.ndarray,
-        jacobian: Callable[[], np.ndarray],
-        by_parameter: Callable[[], np.ndarray] | None = None,
-    ) -> None:
-        self.residual = residual
-        self._make_jacobian = jacobian
-        self._make_derivative = by_parameter
+    def __init__(self, unknown: np.ndarray, residual: np.ndarray) -> None:
+        self.unknown, self.residual = unknown, residual
+        # Not functools.cached_property, whose lock costs as much as a small product.
+        self._jacobian: np.ndarray | None = None
+        self._by_parameter: np.ndarray | None = None
+        self._lu: tuple[np.ndarray, np.ndarray] | None = None
 
-    @cached_property
+    @abstractmethod
+    def assemble(self) -> np.ndarray:
+        """Make J, (n, n) for the n entries of the residual in their order."""
+
+    @abstractmethod
+    def differentiate(self) -> np.ndarray:
+        """Make dF/dp."""
+
+    @property
     def jacobian(self) -> np.ndarray:
-        """J."""
-        return self._make_jacobian()
+        if self._jacobian is None:
+            self._jacobian = self.assemble()
+        return self._jacobian
 
-    @cached_property
+    @property
+    def by_parameter(self) -> np.ndarray:
+        if self._by_parameter is None:
+            self._by_parameter = self.differentiate()
+        return self._by_parameter
+
+    @property
     def _factors(self) -> tuple[np.ndarray, np.ndarray]:
-        # The transpose is in Fortran's order, which LAPACK takes without a transposing copy.
-        matrix, pivots, _ = dgetrf(self.jacobian.T)
-        return matrix, pivots
+        if self._lu is None:
+            # The transpose is in Fortran's order, which LAPACK takes without a transposing copy.
+            matrix, pivots, _ = dgetrf(self.jacobian.T)
+            self._lu = matrix, pivots
+        return self._lu
 
     def apply(self, change: np.ndarray) -> np.ndarray:
-        """J dx."""
         product: np.ndarray = self.jacobian @ change.ravel()
         return product.reshape(change.shape)
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """J^-1 r."""
-        found, _ = dgetrs(*self._factors, right.ravel(), trans=1)
-        return np.asarray(found).reshape(right.shape)
-
-    @cached_property
-    def by_parameter(self) -> np.ndarray:
-        """dF/dp."""
-        if self._make_derivative is None:
-            raise TypeError("this system has no parameter")
-        return self._make_derivative()
+        found: np.ndarray = dgetrs(*self._factors, right.ravel(), trans=1)[0]
+        return found.reshape(right.shape)
 
     @property
     def sign(self) -> float:
-        """Sign of det J."""
         return determinant_sign(self._factors)
 
 

@@ -1,7 +1,7 @@
 """Newton's method by PETSc SNES, on systems that invert their own Jacobian.
 
-Every single solution is found so: SNES steers, judges and reports, and PETSc options with the
-prefix ``crack_hb_`` reach it. One object serves a system for all attempts at its solution.
+All solutions but those along a path are found this way; PETSc options with the prefix
+``crack_hb_`` reach it. One object serves a system for all attempts at its solution.
 """
 
 from __future__ import annotations
@@ -29,20 +29,16 @@ class DistributedSystem(System, Protocol):
 
 
 class Newton:
-    """SNES for one system, for all solutions of it. Free it, or use it as a context manager.
+    """SNES for one system, for all solutions of it; a context manager, which frees it.
 
     Full steps, unless PETSc options say otherwise: line searches stall at the kinks of the merit
     function where contact is sampled. Converged where |F| <= tolerance |x|.
-
-    Attributes
-    ----------
-    history : list of float
-        |F| of every iteration so far.
     """
 
     def __init__(self, system: DistributedSystem) -> None:
         self.system = system
         self.history: list[float] = []
+        """|F| of every iteration so far."""
         self._parameter = self._tolerance = 0.0
         self._at: tuple[np.ndarray, Linearisation] | None = None
         self._tangent: Linearisation
@@ -71,19 +67,19 @@ class Newton:
 
     def solve(
         self, start: np.ndarray, parameter: float, tolerance: float, most_iterations: int
-    ) -> tuple[np.ndarray, bool, int]:
-        """The last iterate at a parameter, whether it converged, and the number of iterations."""
+    ) -> tuple[Linearisation, bool, int]:
+        """The system at the last iterate, whether that converged, and the number of iterations."""
         self._parameter, self._tolerance, self._at = parameter, tolerance, None
         self._unknown.array_w[:] = start.ravel()
         self._snes.setTolerances(max_it=most_iterations)
         self._snes.solve(None, self._unknown)
-        found = self._unknown.array_r.reshape(self.system.shape).copy()
+        found = self._point(self._unknown)
         return found, self._snes.getConvergedReason() > 0, self._snes.getIterationNumber()
 
     def _point(self, unknown: Any) -> Linearisation:
         """The system at a vector; SNES asks for residual and Jacobian at the same one."""
         values, comm = unknown.array_r, self.system.comm
-        known = self._at is not None and np.array_equal(values, self._at[0])
+        known = self._at is not None and bool((values == self._at[0]).all())
         if comm.size > 1:  # a rank alone cannot tell
             known = comm.allreduce(known, MPI.LAND)
         if self._at is None or not known:
@@ -111,21 +107,17 @@ class Newton:
 
     def mult(self, matrix: Any, source: Any, target: Any) -> None:
         """Jacobian times a vector, called by PETSc."""
-        product = self._tangent.apply(source.array_r.reshape(self.system.shape))
-        target.array_w[:] = product.ravel()
+        change = source.array_r.reshape(self.system.shape)
+        target.array_w[:] = self._tangent.apply(change).ravel()
 
     def apply(self, preconditioner: Any, source: Any, target: Any) -> None:
         """Inverse of the Jacobian times a vector, called by PETSc."""
-        found = self._tangent.solve(source.array_r.reshape(self.system.shape))
-        target.array_w[:] = found.ravel()
-
-    def free(self) -> None:
-        """Free PETSc's objects (collective); ``destroy`` is a name that PETSc calls itself."""
-        for item in (self._snes, self._matrix, self._unknown, self._target):
-            item.destroy()
+        right = source.array_r.reshape(self.system.shape)
+        target.array_w[:] = self._tangent.solve(right).ravel()
 
     def __enter__(self) -> Newton:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self.free()
+        for item in (self._snes, self._matrix, self._unknown, self._target):
+            item.destroy()

@@ -1,4 +1,4 @@
-"""A problem of harmonic balance: everything about a solution but its start."""
+"""A problem of harmonic balance: all that a solution depends on but its start."""
 
 from __future__ import annotations
 
@@ -19,8 +19,6 @@ __all__ = ["Problem"]
 class Problem:
     """A structure under its load, the law of its pairs, and how its motion is balanced.
 
-    Made and checked once; solutions, curves, stability and sweeps take it as a whole.
-
     Attributes
     ----------
     structure : Structure
@@ -31,9 +29,10 @@ class Problem:
         Law of all pairs; :class:`UnilateralConstraint` too.
     harmonics : int
         H, the highest multiple of ``omega / subharmonic`` kept.
-    samples : int or None
-        Instants of the period at which the contact force is evaluated; None: integrated exactly
-        where the law is piecewise linear, else the default of :func:`contact_integrals`.
+    samples : int, optional
+        Instants per period of the response at which the contact force is evaluated. Default: none,
+        but exact integrals, where the law is piecewise linear; else 1024 for each period of the
+        load, or 32 H where that is more.
     subharmonic : int
         The response has this many times the load's period.
 
@@ -56,8 +55,9 @@ class Problem:
         check_count("harmonics", self.harmonics, self.subharmonic)
         check_law(self.structure, self.contact, rigid=True)
         if self.structure.n_pairs == 0:
-            allowed = "one with contact pairs; else use solve_linear"
-            raise InputError("structure", "0 pairs", allowed)
+            raise InputError(
+                "structure", "0 pairs", "one with contact pairs; else use solve_linear"
+            )
         if self.samples is not None:
             if is_rigid(self.contact):
                 raise InputError("samples", self.samples, "left out with UnilateralConstraint")

@@ -1,7 +1,7 @@
 """What rounding leaves of a residual.
 
 A gap rounded to eps |g| makes a contact force rounded to eps k |g|, which moves the gap by
-eps k R |g|: no residual can be asked to be smaller than that.
+eps k R |g|: no residual can be smaller than that.
 """
 
 from __future__ import annotations

@@ -1,14 +1,13 @@
-"""Attempts to converge, the cheapest first, each on record.
+"""Attempts to converge, the cheapest first, each recorded.
 
 1. Full Newton steps from the given start.
 2. A path in the contact stiffness k. Where k R is small the solution is unique and close to the
    linear one; from there the path of solutions is followed by arc-length, through its folds. It
-   cannot come back to soft contact, so as long as solutions stay bounded it reaches every
-   stiffness.
-3. A path in the frequency, where a small or reduced structure makes it cheap: from the nearest
+   cannot return to soft contact, so it reaches every stiffness unless solutions grow without bound.
+3. A path in the frequency, for small or reduced structures, where it is cheap: from the nearest
    frequency at which full steps converge.
 
-Without penetration at all, attempts 1 and 2 lead to the contact force of a stiff penalty, from
+With :class:`UnilateralConstraint`, attempts 1 and 2 find the contact force of a stiff penalty, from
 which full steps start; where these fail, solutions are followed from a soft penalty to the
 constraint (:class:`ConstraintSystem`).
 """
@@ -17,16 +16,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 
 from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.block import BlockSystem
 from fenics_crack.balance.bordered import PathPoint, Tangent, land
-from fenics_crack.balance.condensed import CondensedSystem, ConstraintSystem
-from fenics_crack.balance.contact_integrals import ExactIntegrals
+from fenics_crack.balance.compliance import Compliance
+from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, ConstraintSystem
+from fenics_crack.balance.contact_integrals import ContactIntegrals, ExactIntegrals
 from fenics_crack.balance.family import FrequencyFamily
-from fenics_crack.balance.newton import Newton
+from fenics_crack.balance.linearisation import Linearisation
+from fenics_crack.balance.newton import DistributedSystem, Newton
 from fenics_crack.balance.rounding import (
     ROUNDING,
     SOFT,
@@ -39,59 +40,56 @@ from fenics_crack.model.contact import UnilateralPenalty
 __all__ = ["Search"]
 
 FAR = 5.0
-"""A path is given up that far from its end, unless it began farther away."""
+"""Distance of the parameter from its end value at which a path is abandoned; a path that begins
+farther away may go as far as its start."""
 STIFF = 10.0
-"""k / eps of the penalty from which full steps to the constraint start."""
+"""Stiffness of the penalty, relative to eps, from which full steps to the constraint start."""
 NEARBY = (1.02, 0.98, 1.1, 0.9, 1.3, 0.75, 2.0, 0.5)
-"""Frequencies, relative to the one wanted, from which a path in the frequency may start."""
+"""Where a path in the frequency may start, relative to the frequency wanted."""
 WIDE, NARROW = Stepping(first=1.0, longest=2.0), Stepping(first=0.1, longest=0.3)
-"""Of paths in ln k, and of paths whose parameter runs from 0 to 1."""
+"""For paths in ln k, and for paths whose parameter runs from 0 to 1."""
+
+
+class StiffnessSystem(DistributedSystem, Protocol):
+    """Equations whose parameter is ln k, the contact stiffness relative to the law's."""
+
+    compliance: Compliance
+    integrals: ContactIntegrals
+    linear: np.ndarray
+    """The solution without contact."""
 
 
 @dataclass
 class Search:
-    """The record of the attempts at one solution.
-
-    Attributes
-    ----------
-    tolerance : float
-        |F| / |x| at which a solution is accepted; raised to what rounding lets be reached.
-    converged : bool
-        Whether the last attempt met it.
-    iterations : int
-        Newton iterations, all attempts together.
-    history : list of float
-        |F| of every Newton iteration.
-    attempts : list of str
-        What was tried and how it ended.
-    """
+    """The record of the attempts at one solution."""
 
     tolerance: float
+    """|F| / |x| at which a solution is accepted; raised to what rounding allows."""
     converged: bool = False
+    """Whether the last attempt met it."""
     iterations: int = 0
+    """Newton iterations, all attempts together."""
     history: list[float] = field(default_factory=list)
+    """|F| of every Newton iteration."""
     attempts: list[str] = field(default_factory=list)
+    """What was tried and how it ended."""
     _rounding: float = ROUNDING
 
     @property
     def status(self) -> str:
-        """The attempts in words."""
+        """All attempts."""
         return "; then ".join(self.attempts)
 
     def penalty(
         self,
-        system: CondensedSystem | BlockSystem,
+        system: StiffnessSystem,
         start: np.ndarray,
         family_from: Callable[[float], FrequencyFamily] | None = None,
-    ) -> np.ndarray:
-        """Solve for a law that gives the force from the gap.
+    ) -> Linearisation:
+        """Solve for a law that gives the force from the gap; return the equations there.
 
         ``family_from`` makes the family of the same equations from a relative frequency to 1.
-
-        Raises
-        ------
-        InputError
-            The contact is so stiff that rounding leaves nothing of its force.
+        Raises InputError where the contact is so stiff that rounding leaves nothing of its force.
         """
         law = system.integrals.law
         check_stiffness(system.compliance, law)
@@ -107,22 +105,22 @@ class Search:
             found = self._frequency_path(family_from)
         return found
 
-    def constraint(self, system: ConstraintSystem, start: np.ndarray | None) -> np.ndarray:
-        """Solve without penetration."""
+    def constraint(self, system: ConstraintSystem, start: np.ndarray | None) -> Linearisation:
+        """Solve without penetration; return the equations there."""
         with Newton(system) as newton:
             if start is not None:
-                found = self._newton(newton, start, 1.0, 20, "full Newton steps")
+                at = self._newton(newton, start, 1.0, 20, "full Newton steps")
                 if self.converged:
-                    return found
+                    return at
             found = self._from_penalty(system, STIFF)
             if self.converged:
-                found = self._newton(newton, found, 1.0, 30, "constraint from penalty")
+                at = self._newton(newton, found, 1.0, 30, "constraint from penalty")
                 if self.converged:
-                    return found
-            found = self._from_penalty(system, 1.0)
+                    return at
+            at = system.linearise(self._from_penalty(system, 1.0), 0.0)
             if not self.converged:
-                return found
-            return self._path("from penalty to constraint", newton, found, (0.0, 1.0), NARROW)
+                return system.linearise(at.unknown)
+            return self._path("from penalty to constraint", newton, at, (0.0, 1.0), NARROW)
 
     def _from_penalty(self, system: ConstraintSystem, factor: float) -> np.ndarray:
         """The unknowns that stand for the contact force of a penalty, relative to the weight."""
@@ -130,14 +128,15 @@ class Search:
         integrals = ExactIntegrals(law, system.integrals.harmonics)
         penalty = CondensedSystem(system.compliance, integrals)
         known = self.tolerance, self._rounding
-        gap = self.penalty(penalty, penalty.linear)
+        at = self.penalty(penalty, penalty.linear)
         self.tolerance, self._rounding = known  # only the penalty is rounded like that
-        return system.from_force(penalty.linearise(gap).force)
+        assert isinstance(at, CondensedPoint)
+        return system.from_force(at.force)
 
     def _newton(
         self, newton: Newton, start: np.ndarray, parameter: float, most: int, name: str = ""
-    ) -> np.ndarray:
-        """One attempt by SNES, on record if it has a name."""
+    ) -> Linearisation:
+        """One attempt by SNES, recorded if it has a name."""
         before = len(newton.history)
         found, self.converged, count = newton.solve(start, parameter, self.tolerance, most)
         self.history += newton.history[before:]
@@ -150,7 +149,7 @@ class Search:
         outcome = "converged" if self.converged else "failed"
         self.attempts.append(f"{attempt}: {outcome} ({details})")
 
-    def _stiffness_path(self, newton: Newton, linear: np.ndarray, product: float) -> np.ndarray:
+    def _stiffness_path(self, newton: Newton, linear: np.ndarray, product: float) -> Linearisation:
         """Along ln k from where contact is soft; ``product`` is k R."""
         name = "in the contact stiffness"
         soft = min(0.0, float(np.log(SOFT / product)))
@@ -158,9 +157,9 @@ class Search:
         if self.converged and soft < 0.0:
             return self._path(name, newton, found, (soft, 0.0), WIDE)
         self._note(f"path {name}", f"its start at {np.exp(soft):.2g} of the stiffness")
-        return found
+        return newton.system.linearise(found.unknown, 0.0)
 
-    def _frequency_path(self, family_from: Callable[[float], FrequencyFamily]) -> np.ndarray:
+    def _frequency_path(self, family_from: Callable[[float], FrequencyFamily]) -> Linearisation:
         stepping = replace(NARROW, most=200)
         for factor in NEARBY:
             family = family_from(factor)
@@ -173,29 +172,29 @@ class Search:
                     if self.converged:
                         return found
         self._note("path in the frequency", "from 0.5 to 2 of it")
-        return found
+        return family.linearise(found.unknown, 1.0)
 
     def _path(
         self,
         name: str,
         newton: Newton,
-        start: np.ndarray,
+        start: Linearisation,
         span: tuple[float, float],
         stepping: Stepping,
-    ) -> np.ndarray:
+    ) -> Linearisation:
         """Follow a path until Newton's method lands at the end, from either side."""
         begin, end = span
-        found, steps = start, 0
-        last = PathPoint(start, begin, 0, Tangent(start, 0.0, 0.0))
+        steps, found = 0, start
+        last = PathPoint(start.unknown, begin, 0, Tangent(start.unknown, 0.0, 0.0))
         self.converged = False
 
         def at_end(nearby: np.ndarray) -> PathPoint | None:
             nonlocal found
             found = self._newton(newton, nearby, end, 20)
-            return replace(last, unknown=found, parameter=end) if self.converged else None
+            return replace(last, unknown=found.unknown, parameter=end) if self.converged else None
 
         stepping = replace(stepping, rounding=self._rounding)
-        for point in follow_path(newton.system, start, begin, stepping):
+        for point in follow_path(newton.system, start.unknown, begin, stepping):
             steps += 1
             self.iterations += point.iterations
             if max(point.parameter, last.parameter) >= end:
@@ -204,4 +203,4 @@ class Search:
                 break
             last = point
         self._note(f"path {name}", f"{steps} steps, {last.parameter:.3g} of {begin:.3g} to {end:g}")
-        return found
+        return found if self.converged else newton.system.linearise(found.unknown, end)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -14,12 +14,13 @@ from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.problem import Problem
 from fenics_crack.model.contact import ContactLaw, force_in_time
 from fenics_crack.model.structure import Structure
+from fenics_crack.table import Described, counted, quantity
 
-__all__ = ["PeriodicSolution", "Stability", "solution_of"]
+__all__ = ["PeriodicSolution", "Stability", "contact_extremes", "solution_of"]
 
 
-@dataclass(frozen=True)
-class Stability:
+@dataclass(frozen=True, repr=False)
+class Stability(Described):
     """Floquet multipliers and what follows from them.
 
     Attributes
@@ -27,9 +28,8 @@ class Stability:
     multipliers : (2n,) complex
         Largest modulus first.
     verdict : "stable", "unstable" or "undecided"
-        Undecided where the largest modulus lies on different sides of 1 with the switching
-        instants of the solution, with those of a wave with more harmonics, and by Hill's
-        determinant.
+        Undecided where the largest modulus is not on the same side of 1 with the switching instants
+        of the solution, with those of a wave with more harmonics, and by Hill's determinant.
     uncertainty : float
         Largest difference between these three; nan where Hill's determinant has no root nearby.
     refined : bool
@@ -41,9 +41,27 @@ class Stability:
     uncertainty: float
     refined: bool = False
 
+    def to_dict(self) -> dict[str, Any]:
+        """The verdict, and the multiplier of largest modulus."""
+        largest = complex(self.multipliers[0])
+        return {
+            "verdict": self.verdict,
+            "modulus": abs(largest),
+            "real": largest.real,
+            "imaginary": largest.imag,
+            "uncertainty": float(self.uncertainty),
+            "refined": self.refined,
+        }
 
-@dataclass(frozen=True)
-class PeriodicSolution:
+    def _title(self) -> str:
+        return (
+            f"{self.verdict}, largest multiplier {abs(self.multipliers[0]):.6g} "
+            f"of {len(self.multipliers)}, uncertainty {self.uncertainty:.2g}"
+        )
+
+
+@dataclass(frozen=True, repr=False)
+class PeriodicSolution(Described):
     """Steady vibration u(t) = a0 + sum_k a_k cos(k w t) + b_k sin(k w t), w = omega / subharmonic.
 
     Attributes
@@ -57,12 +75,11 @@ class PeriodicSolution:
     displacement_coefficients : (2H+1, n_local) [m]
         Rows a0, a1, b1, ..., aH, bH; the columns of the dofs that this rank owns.
     gap_coefficients : (2H+1, n_pairs) [m]
-        Closing of the pairs, g = B^T u - g0, in the same order, on every rank.
+        g = B^T u - g0, in the same order, on every rank; g > 0: penetration.
     force_coefficients : (2H+1, n_pairs) [N]
         Contact force, likewise.
     subharmonic : int
-        The response has this many times the load's period; rows count multiples of
-        omega/subharmonic.
+        The response has this many times the load's period.
     converged : bool
         Whether the residual met the tolerance.
     status : str
@@ -106,14 +123,12 @@ class PeriodicSolution:
         return float(2.0 * np.pi / self.base_omega)
 
     def gap(self, time: np.ndarray) -> np.ndarray:
-        """Closing of the pairs at times [s]: (len(time), n_pairs) [m]; negative: open."""
+        """g at times [s]: (len(time), n_pairs) [m]."""
         return evaluate(self.gap_coefficients, self.base_omega, time)
 
     def contact_force(self, time: np.ndarray) -> np.ndarray:
-        """Contact force lambda(g(t)) at times [s]: (len(time), n_pairs) [N].
-
-        Without a law that gives it from the gap: eps max(0, g + lambda / eps) of the waves.
-        """
+        """Contact force lambda(g(t)) at times [s]: (len(time), n_pairs) [N]; of a constraint
+        eps max(0, g + lambda / eps) of the waves."""
         gap = self.gap(time)
         if self.contact is None:
             return np.zeros_like(gap)
@@ -124,6 +139,10 @@ class PeriodicSolution:
         """Displacement of dofs at times [s]: (len(time), len(dofs)) [m] (collective)."""
         return evaluate(self.coefficients_at(dofs), self.base_omega, time)
 
+    def amplitude(self, dof: int) -> float:
+        """Half the peak-to-peak displacement of a dof [m], of 1024 instants (collective)."""
+        return float(np.ptp(self.displacement(self._instants(), [dof])) / 2.0)
+
     def coefficients_at(self, dofs: Sequence[int]) -> np.ndarray:
         """Coefficients of the displacement of dofs: (2H+1, len(dofs)) [m] (collective)."""
         return self.structure.values_at(self.displacement_coefficients, dofs)
@@ -133,18 +152,60 @@ class PeriodicSolution:
         rows = self.structure.expand(self.displacement_coefficients)
         return evaluate(rows, self.base_omega, time)
 
-    # --- on disk ----------------------------------------------------------------------------------
+    def _instants(self) -> np.ndarray:
+        return np.linspace(0.0, self.period, 1024, endpoint=False)
+
+    # --- shown ------------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, Any]:
+        """Frequency, extremes of the contact, errors, and how the solution was found."""
+        found: dict[str, Any] = {
+            "omega": float(self.omega),
+            "harmonics": self.harmonics,
+            "subharmonic": self.subharmonic,
+            "pairs": self.gap_coefficients.shape[1],
+        }
+        if found["pairs"]:
+            time = self._instants()
+            found |= contact_extremes(self.gap(time), self.contact_force(time))
+        found |= {f"{name}_error": value for name, value in self.report.to_dict().items()}
+        found["penetration_share"] = found.pop("penetration_error")
+        if self.stability is not None:
+            found["verdict"] = self.stability.verdict
+            found["multiplier"] = float(abs(self.stability.multipliers[0]))
+        found |= {"converged": self.converged, "iterations": int(self.iterations)}
+        return found | {"status": str(self.status)}
+
+    def _title(self) -> str:
+        found = self.to_dict()
+        parts = [f"{self.omega:.6g} rad/s", f"H = {self.harmonics}"]
+        if self.subharmonic > 1:
+            parts.append(f"period of {self.subharmonic} loads")
+        parts.append(counted(found["pairs"], "pair"))
+        if found["pairs"]:
+            parts.append(f"opening {quantity(found['opening'], 'm')}")
+        if self.contact is None:
+            parts.append("linear")
+        elif not np.isnan(self.report.total):
+            parts.append(f"error {self.report.total:.2g}")
+        if self.stability is not None:
+            parts.append(self.stability.verdict)
+        return ", ".join([*parts, "converged" if self.converged else "NOT CONVERGED"])
 
 
-def solution_of(
-    problem: Problem,
-    at: CondensedPoint,
-    *,
-    status: str,
-    converged: bool = True,
-    iterations: int = 0,
-) -> PeriodicSolution:
-    """The solution that belongs to a solution of the condensed equations (collective)."""
+def contact_extremes(gap: np.ndarray, force: np.ndarray) -> dict[str, float]:
+    """Opening [m], penetration [m] and force [N], the largest of any pair, and the share of the
+    time closed, mean over the pairs, of gaps and forces over time (n, n_pairs)."""
+    return {
+        "opening": max(0.0, -float(gap.min())),
+        "penetration": max(0.0, float(gap.max())),
+        "contact_force": float(force.max()),
+        "closed_share": float(np.mean(force > 0.0)),
+    }
+
+
+def solution_of(problem: Problem, at: CondensedPoint, *, status: str) -> PeriodicSolution:
+    """The solution that belongs to a point of the condensed equations (collective)."""
     displacement = at.system.compliance.displacement(at.force)
     return PeriodicSolution(
         problem.structure,
@@ -153,9 +214,7 @@ def solution_of(
         displacement,
         at.gap,
         at.force,
-        subharmonic=problem.subharmonic,
-        converged=converged,
+        problem.subharmonic,
         status=status,
-        iterations=iterations,
         report=estimate_errors(at, displacement, problem),
     )

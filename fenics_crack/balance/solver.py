@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.block import BlockSystem
-from fenics_crack.balance.compliance import Compliance, FactoredCompliance
+from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.condensed import (
     CondensedPoint,
     CondensedSystem,
@@ -22,7 +22,7 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.search import Search
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.model.contact import UnilateralConstraint, is_rigid
+from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
 
 __all__ = ["Solver"]
@@ -30,33 +30,16 @@ __all__ = ["Solver"]
 
 @dataclass(frozen=True)
 class Solver:
-    """How a problem is solved.
-
-    Attributes
-    ----------
-    problem : Problem
-        What is solved.
-    residual_tolerance : float
-        |F| / |x| at which a solution is accepted.
-    throw : bool
-        Raise if nothing converged; else return the last iterate.
-    full : bool
-        Solve for all degrees of freedom instead of the gaps: the reference.
-    """
+    """How a problem is solved."""
 
     problem: Problem
     residual_tolerance: float = 1e-10
+    """|F| / |x| at which a solution is accepted."""
     throw: bool = True
-    full: bool = False
+    """Raise ConvergenceError if nothing converged; else return the last iterate."""
 
     def solve(self, initial: PeriodicSolution | None = None) -> PeriodicSolution:
-        """Solve from a solution nearby, or from the linear one (collective).
-
-        Raises
-        ------
-        ConvergenceError
-            Nothing converged, and this is to be said so.
-        """
+        """Solve from a solution nearby, or from the linear one (collective)."""
         search, solution = self.attempt(initial)
         if self.throw and not search.converged:
             raise ConvergenceError(
@@ -68,73 +51,54 @@ class Solver:
         return solution
 
     def attempt(self, initial: PeriodicSolution | None) -> tuple[Search, PeriodicSolution]:
-        """The same; the search tells whether it converged."""
+        """The same, whether or not it converged, and the record of the search."""
         search = Search(self.residual_tolerance)
-        with self._compliance() as compliance:
-            find = self._constrained if is_rigid(self.problem.contact) else self._penalised
-            problem, at = find(search, compliance, initial)
-            return search, solution_of(
-                problem,
-                at,
-                status=search.status,
-                converged=search.converged,
-                iterations=search.iterations,
-            )
+        with self.compliance() as compliance:
+            if is_rigid(self.problem.contact):
+                problem, at = self._constrained(search, compliance, initial)
+            else:
+                problem, at = self.problem, self.penalised(search, compliance, initial)
+            found = solution_of(problem, at, status=search.status)
+            return search, replace(found, converged=search.converged, iterations=search.iterations)
 
     @contextmanager
-    def _compliance(self) -> Iterator[Compliance]:
-        problem = self.problem
-        if self.full:
-            compliance: Compliance = FactoredCompliance(
-                problem.structure, problem.base_omega, problem.load
-            )
-        else:
-            compliance = problem.compliance()
+    def compliance(self) -> Iterator[Compliance]:
+        """Compliance of the structure, freed afterwards (collective)."""
+        found = self.problem.compliance()
         try:
-            yield compliance
+            yield found
         finally:
-            compliance.destroy()
+            found.destroy()
 
-    def _start(self, initial: PeriodicSolution, name: str) -> np.ndarray:
-        """Coefficients of a solution with the harmonics of this response."""
+    def start(self, initial: PeriodicSolution, name: str) -> np.ndarray:
+        """Coefficients of a solution, by their name, with the harmonics of this response."""
         factor = self.problem.subharmonic // initial.subharmonic
         return resized(stretched(getattr(initial, name), factor), self.problem.harmonics)
 
     def _constrained(
         self, search: Search, compliance: Compliance, initial: PeriodicSolution | None
     ) -> tuple[Problem, CondensedPoint]:
-        contact = self.problem.contact
-        assert isinstance(contact, UnilateralConstraint)
+        contact: Any = self.problem.contact
         weight = contact.weight or default_weight(compliance)
         system = ConstraintSystem(compliance, self.problem.harmonics, weight)
         start = None
         if initial is not None:
-            start = system.from_force(self._start(initial, "force_coefficients"))
-        found = search.constraint(system, start)
-        problem = replace(self.problem, contact=replace(contact, weight=weight))
-        return problem, system.linearise(found)
+            start = system.from_force(self.start(initial, "force_coefficients"))
+        at = search.constraint(system, start)
+        assert isinstance(at, CondensedPoint)
+        return replace(self.problem, contact=replace(contact, weight=weight)), at
 
-    def _penalised(
+    def penalised(
         self, search: Search, compliance: Compliance, initial: PeriodicSolution | None
-    ) -> tuple[Problem, CondensedPoint]:
-        integrals = self.problem.integrals()
-        system = CondensedSystem(compliance, integrals)
-        if self.full:
-            assert isinstance(compliance, FactoredCompliance)
-            block = BlockSystem(compliance, integrals)
-            start = block.linear
-            if initial is not None:
-                start = compliance.displacement(self._start(initial, "force_coefficients"))
-            gap = block.gap(search.penalty(block, start))
-        else:
-            start = system.linear
-            if initial is not None:
-                start = self._start(initial, "gap_coefficients")
-            small = is_small(self.problem.structure)
-            gap = search.penalty(system, start, self._family_from if small else None)
-        return self.problem, system.linearise(gap)
+    ) -> CondensedPoint:
+        """Solve for a law that gives the force from the gap."""
+        system = CondensedSystem(compliance, self.problem.integrals())
+        start = self.start(initial, "gap_coefficients") if initial is not None else system.linear
+        problem = self.problem
 
-    def _family_from(self, factor: float) -> FrequencyFamily:
-        """The same equations along the frequency, from a factor of it to itself."""
-        omega = self.problem.omega
-        return FrequencyFamily(self.problem, factor * omega, omega)
+        def family_from(factor: float) -> FrequencyFamily:
+            return FrequencyFamily(problem, factor * problem.omega, problem.omega)
+
+        at = search.penalty(system, start, family_from if is_small(problem.structure) else None)
+        assert isinstance(at, CondensedPoint)
+        return at

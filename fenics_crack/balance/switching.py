@@ -36,7 +36,7 @@ class Switching:
     pair : (m,) int
         To which pair each belongs.
     theta : (m,) [rad]
-        Phase in [0, 2 pi], in no particular order.
+        Phase in [0, 2 pi], unsorted.
     closing : (m,)
         +1 where the gap becomes positive (the pair closes), -1 where it opens.
     closed_at_start : (n_pairs,) bool
@@ -54,7 +54,7 @@ def switching_instants(harmonics: np.ndarray) -> Switching:
     table = harmonics.T
     order, samples = _grid(len(harmonics) - 1)
     curvature = np.abs(table) @ order**2
-    if not np.isfinite(curvature.sum()):  # an iterate gone astray: no roots, but an end
+    if not np.isfinite(curvature.sum()):  # a diverged iterate: no roots, but the search ends
         table = np.where(np.isfinite(curvature)[:, None], table, 0.0)
         curvature = np.where(np.isfinite(curvature), curvature, 0.0)
     spectrum = 0.5 * samples * table
@@ -132,7 +132,7 @@ def _divide(
     values[:, 1:-1] = np.einsum("ch,cph->cp", table[cells.pair], wave).real
     bound = curvature[cells.pair] * width**2
     changes, settled = _classify(values[:, :-1], values[:, 1:], bound[:, None])
-    settled |= (bound <= 8.0 * resolution[cells.pair])[:, None]  # equal where g is zero
+    settled |= (bound <= 8.0 * resolution[cells.pair])[:, None]  # both are 0 where g is
 
     def pick(chosen: np.ndarray) -> _Brackets:
         row, part = np.nonzero(chosen)
@@ -144,21 +144,17 @@ def _divide(
 
 
 def _joined(found: list[_Brackets]) -> _Brackets:
-    widths = [np.full(len(cells.pair), cells.width) for cells in found]
-    return _Brackets(
-        np.concatenate([cells.pair for cells in found]),
-        np.concatenate([cells.left for cells in found]),
-        np.concatenate(widths),
-        np.concatenate([cells.low for cells in found]),
-        np.concatenate([cells.high for cells in found]),
-    )
+    parts = [
+        (cells.pair, cells.left, np.full(len(cells.pair), cells.width), cells.low, cells.high)
+        for cells in found
+    ]
+    return _Brackets(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
 def _polished(brackets: _Brackets, table: np.ndarray, curvature: np.ndarray) -> np.ndarray:
-    """Halley's method from the chord's root, and bisection with Newton's where it strays.
+    """Halley's method from the chord's root; where it strays, Newton's with bisection.
 
-    It triples the digits: a step d leaves about d (M d / g')^2, and the last one is as small as to
-    leave nothing but rounding.
+    A step d leaves an error of about d (M d / g')^2; after the last one only rounding is left.
     """
     left, right = brackets.left, brackets.left + brackets.width
     theta = left - brackets.width * brackets.low / (brackets.high - brackets.low)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import logging
 import os
 import signal
 import sys
@@ -13,19 +12,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from mpi4py import MPI
-
-from fenics_crack.cli import commands
-from fenics_crack.cli.commands import NOT_CONVERGED, Console
-from fenics_crack.cli.report import FORMATS
+from fenics_crack.cli.exit_codes import Exit
 from fenics_crack.errors import ConvergenceError, InputError, check_count
-from fenics_crack.parallel import on_root
-from fenics_crack.scene.scene import Scene
 from fenics_crack.version import VERSION
 
 __all__ = ["main", "parser"]
 
-BAD_INPUT, BROKEN, INTERRUPTED, READER_GONE = 2, 1, 130, 141
+LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
+"""Variables by which mpirun tells a process its rank, before MPI is started."""
 KEYS = {
     "contact stiffness": "contact.stiffness",
     "count": "--count",
@@ -41,7 +35,7 @@ KEYS = {
     "start, end": "curve.start, curve.stop",
     "steps_per_period": "integration.steps_per_period",
 }
-"""Arguments of the library as they are called in a scene."""
+"""Keys of a scene for the arguments of the library that errors name."""
 EPILOG = """\
 Start with:
 
@@ -60,62 +54,75 @@ found, if anything, is in the files); 130 stopped by Ctrl-C; 1 a fault of the pr
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return the exit code; the same on every rank."""
-    comm = MPI.COMM_WORLD
-    logging.disable(logging.INFO)  # what compilers of forms say
-    signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # else PETSc ends the program when a reader goes
-    if comm.rank > 0:  # only rank 0 speaks; faults of the program go to the true standard error
-        sys.stdout = sys.stderr = open(os.devnull, "w")
+    if any(os.environ.get(name, "0") != "0" for name in LAUNCHERS):
+        _be_silent()
     try:
-        return _run(parser().parse_args(arguments), comm)
+        return _run(parser().parse_args(arguments))
     except InputError as error:
         named = InputError(KEYS.get(error.key, error.key), error.value, error.allowed)
         print(f"fenics-crack: {named}", file=sys.stderr)
-        return BAD_INPUT
+        return Exit.BAD_INPUT
     except ConvergenceError as error:
         print(f"fenics-crack: did not converge: {error}", file=sys.stderr)
-        return NOT_CONVERGED
+        return Exit.NOT_CONVERGED
     except KeyboardInterrupt:
         print("fenics-crack: stopped", file=sys.stderr)
-        return INTERRUPTED
+        return Exit.STOPPED
     except BrokenPipeError:  # the reader of our output has gone
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return READER_GONE
+        return Exit.READER_GONE
     except Exception:
         traceback.print_exc(file=sys.__stderr__)
-        if comm.size > 1:  # the others wait for this rank
-            comm.Abort(BROKEN)
-        return BROKEN
+        from mpi4py import MPI
+
+        if MPI.COMM_WORLD.size > 1:  # the other ranks may wait for this one
+            MPI.COMM_WORLD.Abort(Exit.FAULT)
+        return Exit.FAULT
 
 
-def _run(arguments: argparse.Namespace, comm: MPI.Comm) -> int:
-    console = Console(arguments.format, arguments.quiet, arguments.verbose)
-    command = arguments.command
-    if command == "new":
-        return commands.new(arguments.scene, console, comm)
-    if command == "plot":
-        folder = arguments.output or arguments.result.parent
-        commands.make_writable(folder, comm)
-        return commands.plot(arguments.result, folder, arguments.show, console, comm)
-    changes = _changes(arguments.set)
-    scene = on_root(comm, lambda: Scene.load(arguments.scene).replace(changes))
-    if command == "check":
-        return commands.check(scene, console, comm)
-    folder = arguments.output or Path("output") / arguments.scene.stem
-    commands.make_writable(folder, comm)
-    if command == "modes":
-        check_count("--count", arguments.count, 1)
-        return commands.modes(scene, arguments.count, folder, console, comm)
-    work = {
-        "solve": commands.solution,
-        "curve": commands.curve,
-        "integrate": commands.integration,
-        "sweep": commands.sweep,
-    }[command]
-    return work(scene, folder, console, comm)
+def _be_silent() -> None:
+    """Discard what this rank prints; faults of the program go to the true standard error."""
+    sys.stdout = sys.stderr = open(os.devnull, "w")
+
+
+def _run(given: argparse.Namespace) -> Exit:
+    """Import what a command needs, and call it."""
+    import logging
+
+    from mpi4py import MPI
+
+    from fenics_crack.cli import commands, scenes
+    from fenics_crack.cli.console import Console, make_writable
+    from fenics_crack.parallel import on_root
+    from fenics_crack.scene.scene import Scene
+
+    comm = MPI.COMM_WORLD
+    if comm.rank > 0:
+        _be_silent()
+    logging.disable(logging.INFO)  # of FFCx and UFL
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # else PETSc ends the program if a reader leaves
+    console = Console(comm, given.format, given.quiet, given.verbose)
+    if given.command == "new":
+        return scenes.new(given.file, console)
+    if given.command == "plot":
+        folder = given.output or given.result.parent
+        make_writable(folder, comm)
+        return commands.plot(given.result, folder, console, show=given.show)
+    changes = _changes(given.set)
+    scene = on_root(comm, lambda: Scene.load(given.scene).replace(changes))
+    if given.command == "check":
+        return scenes.check(scene, console)
+    folder = given.output or Path("output") / given.scene.stem
+    make_writable(folder, comm)
+    if given.command == "modes":
+        check_count("--count", given.count, 1)
+        return commands.modes(scene, given.count, folder, console)
+    work = {"solve": commands.solution, "curve": commands.curve, "sweep": commands.sweep}
+    return work.get(given.command, commands.integration)(scene, folder, console)
 
 
 def _changes(given: Sequence[str]) -> dict[str, Any]:
-    """Keys and values of ``--set key=value``: TOML, or else a word; ``none`` removes."""
+    """Keys and values of ``--set key=value``: TOML, or else a word; ``none`` removes a key."""
     changes: dict[str, Any] = {}
     for text in given:
         key, equals, value = text.partition("=")
@@ -132,6 +139,38 @@ def _changes(given: Sequence[str]) -> dict[str, Any]:
 
 # --- arguments ------------------------------------------------------------------------------------
 
+SOLVED = "scene --set --output"
+COMMANDS = {
+    "new": ("write a commented scene to start from", "file"),
+    "check": ("mesh and assemble a scene without solving it", "scene --set"),
+    "modes": ("natural frequencies and mode shapes, crack open", f"{SOLVED} --count"),
+    "solve": ("steady vibration at excitation.omega", SOLVED),
+    "curve": ("response curve of the table [curve]", SOLVED),
+    "integrate": ("motion in time by the table [integration]", SOLVED),
+    "sweep": ("all cases of the table [sweep.over]; goes on where it stopped", SOLVED),
+    "plot": ("pictures of a result, and files for ParaView", "result --show --output"),
+}
+"""What each command does, and its own arguments."""
+ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
+    "file": ("the file to write, for example plate.toml", {"type": Path, "metavar": "scene"}),
+    "scene": ("the scene, a TOML file", {"type": Path}),
+    "result": ("a .h5 file that another command has written", {"type": Path}),
+    "--set": (
+        "change a key of the scene, for example crack.length=0.03; may be given often",
+        {"action": "append", "default": [], "metavar": "KEY=VALUE"},
+    ),
+    "--output": (
+        "for the results (default: output/NAME of the scene; for plot, beside the result)",
+        {"type": Path, "metavar": "FOLDER"},
+    ),
+    "--count": ("how many modes (default: 6)", {"type": int, "default": 6}),
+    "--show": ("also in a window (a solution; needs a screen)", {"action": "store_true"}),
+    "--format": (
+        "of the table that is printed",
+        {"choices": ("text", "csv", "json"), "default": "text"},
+    ),
+}
+
 
 def parser() -> argparse.ArgumentParser:
     """The arguments of all commands."""
@@ -143,61 +182,12 @@ def parser() -> argparse.ArgumentParser:
     )
     whole.add_argument("--version", action="version", version=f"fenics-crack {VERSION}")
     group = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    add = _Adder(group)
-    add("new", "write a commented scene to start from", _scene_to_write)
-    add("check", "mesh and assemble a scene without solving it", _scene)
-    add("modes", "natural frequencies and mode shapes, crack open", _scene, _output, _count)
-    add("solve", "steady vibration at excitation.omega", _scene, _output)
-    add("curve", "response curve of the table [curve]", _scene, _output)
-    add("integrate", "motion in time by the table [integration]", _scene, _output)
-    add("sweep", "all cases of the table [sweep.over]; goes on where it stopped", _scene, _output)
-    add("plot", "pictures of a result, and files for ParaView", _result, _output)
-    return whole
-
-
-class _Adder:
-    """Adds commands with the arguments that they share."""
-
-    def __init__(self, group: Any) -> None:
-        self._group = group
-
-    def __call__(self, name: str, text: str, *parts: Any) -> None:
-        parser = self._group.add_parser(name, help=text, description=text[0].upper() + text[1:])
-        for part in parts:
-            part(parser)
-        parser.add_argument(
-            "--format", choices=FORMATS, default="text", help="of the table that is printed"
-        )
-        loud = parser.add_mutually_exclusive_group()
+    for name, (text, own) in COMMANDS.items():
+        command = group.add_parser(name, help=text, description=text[0].upper() + text[1:])
+        for argument in f"{own} --format".split():
+            explained, options = ARGUMENTS[argument]
+            command.add_argument(argument, help=explained, **options)
+        loud = command.add_mutually_exclusive_group()
         loud.add_argument("--quiet", action="store_true", help="print the table and nothing else")
         loud.add_argument("--verbose", action="store_true", help="say how long each part took")
-
-
-def _scene_to_write(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("scene", type=Path, help="the file to write, for example plate.toml")
-
-
-def _scene(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("scene", type=Path, help="the scene, a TOML file")
-    parser.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE",
-        help="change a key of the scene, for example crack.length=0.03; may be given often",
-    )  # fmt: skip
-
-
-def _output(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--output", type=Path, metavar="FOLDER",
-        help="for the results (default: output/NAME of the scene; for plot, beside the result)",
-    )  # fmt: skip
-
-
-def _count(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--count", type=int, default=6, help="how many modes (default: 6)")
-
-
-def _result(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("result", type=Path, help="a .h5 file that another command has written")
-    parser.add_argument(
-        "--show", action="store_true", help="also in a window (a solution; needs a screen)"
-    )
+    return whole

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -26,56 +27,38 @@ from fenics_crack.draw.plot import (
 from fenics_crack.draw.plot_motion import draw_orbits, draw_spectrum
 from fenics_crack.errors import InputError
 from fenics_crack.model.modes import Modes
+from fenics_crack.scene.fields import Axis
 from fenics_crack.study.run import Run
 from fenics_crack.sweep.result import SweepResult, axis_name
+from fenics_crack.table import readable
 from fenics_crack.time.march import TimeHistory
 
 __all__ = ["draw_run", "draw_sweep"]
 
 
 def draw_run(run: Run, folder: Path, *, show: bool = False) -> list[Path]:
-    """Draw everything that fits a result, which one rank has loaded.
+    """Draw all that fits a result, which one rank has loaded; return the files.
 
-    Parameters
-    ----------
-    run : Run
-        What to draw.
-    folder : Path
-        Where to; names begin with what is drawn.
-    show : bool
-        Show a periodic solution in a window, too.
-
-    Returns
-    -------
-    list of Path
-        The files.
-
-    Raises
-    ------
-    InputError
-        There is nothing to be shown in a window, or no screen.
+    With ``show`` a periodic solution is shown in a window, too; InputError if that is impossible.
     """
     found = run.result
     if show and not isinstance(found, PeriodicSolution):
         raise InputError("--show", type(found).__name__, "used with a periodic solution")
-    if isinstance(found, Modes):
-        return _modes(run, found, folder)
-    if isinstance(found, PeriodicSolution):
-        if show:
-            show_period(found, material=run.scene.material)
-        return _solution(run, found, folder)
-    if isinstance(found, ResponseCurve):
-        return _curve(run, found, folder)
-    assert isinstance(found, TimeHistory)
-    return _history(run, found, folder)
+    if show:
+        show_period(found, material=run.scene.material)
+    draw: dict[type, Callable[..., list[Path]]] = {
+        Modes: _modes,
+        PeriodicSolution: _solution,
+        ResponseCurve: _curve,
+        TimeHistory: _history,
+    }
+    return draw[type(found)](run, found, folder)
 
 
 def _modes(run: Run, found: Modes, folder: Path) -> list[Path]:
     files = [folder / "modes.png", folder / "modes.vtu"]
-    columns = min(3, len(found.omega))
-    rows = -(-len(found.omega) // columns)
-    draw_modes(run.structure, found, files[0], columns=columns, rows=rows)
-    write_modes(run.structure, found, files[1])
+    draw_modes(found, path=files[0])
+    write_modes(found, files[1])
     return files
 
 
@@ -87,25 +70,23 @@ def _solution(run: Run, found: PeriodicSolution, folder: Path) -> list[Path]:
         title += f", {found.stability.verdict}"
     if not found.converged:
         title += ", NOT CONVERGED"
+    files = []
+
+    def file(name: str) -> Path:
+        files.append(folder / f"solution_{name}")
+        return files[-1]
+
     dof, material = run.watched_dof, run.scene.material
-    names = ["waves.png", "spectrum.png", "orbits.png", "period.pvd", "breathing_crack.gif"]
-    waves, spectrum, orbits, period, animation = (folder / f"solution_{name}" for name in names)
-    draw_spectrum(spectrum, found, dof, title=title)
-    draw_orbits(orbits, found, dof, title=title)
-    write_period(found, period, material=material)
-    animate_period(found, animation, material=material)
-    files = [spectrum, orbits, period, animation]
     time = np.linspace(0.0, found.period, 801)
-    lines = [Wave(run.watched_name, time, found.displacement(time, [dof])[:, 0])]
-    if found.gap_coefficients.size:
-        mouth = found.gap(time)[:, 0]
-        lines.append(Wave("closing of the lips at the mouth", time, mouth, "orange", "--"))
-    zero = "lips touch" if len(lines) > 1 else None
-    draw_waves(waves, lines, title=title, quantity="displacement", period=found.period, zero=zero)
-    files.insert(0, waves)
+    motion = found.displacement(time, [dof])
+    _waves(run, time, motion, found.gap(time), found.period, path=file("waves.png"), title=title)
+    draw_spectrum(found, dof, path=file("spectrum.png"), title=title)
+    draw_orbits(found, dof, path=file("orbits.png"), title=title)
     if found.gap_coefficients.shape[1] > 1:
-        files.insert(3, folder / "solution_contact_map.png")
-        draw_contact_map(files[3], found)
+        heading = "Where and when the crack is closed"
+        draw_contact_map(found, path=file("contact_map.png"), title=heading)
+    write_period(found, file("period.pvd"), material=material)
+    animate_period(found, file("breathing_crack.gif"), material=material)
     return files
 
 
@@ -113,81 +94,75 @@ def _curve(run: Run, found: ResponseCurve, folder: Path) -> list[Path]:
     dof = run.watched_dof
     title = f"{run.watched_name}, H = {int(found.harmonics.max())}"
     files = [folder / "curve.png", folder / "curve_content.png"]
-    draw_curve(files[0], found, dof, title=title)
-    draw_content(files[1], found, dof, title=title)
+    draw_curve(found, dof, path=files[0], title=title)
+    draw_content(found, dof, path=files[1], title=title)
     if found.multipliers is not None and found.parameter == "omega":
         files.append(folder / "curve_multipliers.png")
-        draw_multipliers(files[2], found, title="Floquet multipliers along the curve")
+        draw_multipliers(found, path=files[2], title="Floquet multipliers along the curve")
     return files
 
 
 def _history(run: Run, found: TimeHistory, folder: Path) -> list[Path]:
-    files = [folder / "integration_waves.png"]
-    time = found.time - found.time[0]
-    lines = [
-        Wave(run.watched_name, time, found.displacement([run.watched_dof])[:, 0]),
-        Wave("closing of the lips at the mouth", time, found.gap[:, 0], "orange", "--"),
-    ]
-    period = 2.0 * np.pi / run.scene.excitation.omega
-    title = f"The last periods of {found.periods}, {run.scene.excitation.omega:.6g} rad/s"
-    draw_waves(
-        files[0], lines, title=title, quantity="displacement", period=period, zero="lips touch"
-    )
-    return files
+    omega, file = run.scene.excitation.omega, folder / "integration_waves.png"
+    time, motion = found.time - found.time[0], found.displacement([run.watched_dof])
+    title = f"The last periods of {found.periods}, {omega:.6g} rad/s"
+    _waves(run, time, motion, found.gap, 2.0 * np.pi / omega, path=file, title=title)
+    return [file]
+
+
+def _waves(
+    run: Run, time: np.ndarray, motion: np.ndarray, gap: np.ndarray, period: float, **file: Any
+) -> None:
+    """Draw the displacement of the load's dof and the gap at the mouth over time."""
+    waves, touch = [Wave(run.watched_name, time, motion[:, 0])], None
+    if gap.size:
+        mouth = "closing of the lips at the mouth"
+        waves.append(Wave(mouth, time, gap[:, 0], "orange", "--"))
+        touch = "lips touch"
+    draw_waves(waves, quantity="displacement", period=period, zero=touch, **file)
 
 
 # --- sweeps ---------------------------------------------------------------------------------------
 
 
 def draw_sweep(found: SweepResult, folder: Path) -> list[Path]:
-    """Draw the response and the opening over the swept numbers.
+    """Draw the response and the opening over the swept numbers; return the files.
 
-    The frequency, else the longest axis, goes to the right. With few values on the axis next in
-    length there is a line for each of them, with many a map. All others get pictures of their own,
-    up to a limit.
-
-    Raises
-    ------
-    InputError
-        No axis has two or more numbers, or no case has converged.
+    To the right goes the frequency, else the longest axis. The next in length gets a line for each
+    value, or makes a map if it has many. Each combination of the other axes has its own pictures,
+    up to a limit. Raises InputError if no axis has two or more numbers, or no case has converged.
     """
+    axes = found.axes
     numbers = [
         place
-        for place, axis in enumerate(found.axes)
+        for place, axis in enumerate(axes)
         if len(axis.values) > 1 and all(isinstance(value, float | int) for value in axis.values)
     ]
     if not numbers:
-        raise InputError("sweep.over", [a.key for a in found.axes], "over numbers, to be drawn")
+        raise InputError("sweep.over", [a.key for a in axes], "over numbers, to be drawn")
     if not np.any(found.converged):
         raise InputError("path", str(found.path), "a sweep with a case that converged")
-    length = {place: len(found.axes[place].values) for place in numbers}
-    keys = [found.axes[place].key for place in numbers]
-    if OMEGA in keys:
-        length[numbers[keys.index(OMEGA)]] = MOST_PICTURES**9
-    right, *more = sorted(numbers, key=lambda place: -length[place])
-    up = more[0] if more else None
-    others = [place for place in range(len(found.axes)) if place not in (right, up)]
+    numbers.sort(key=lambda place: (axes[place].key != OMEGA, -len(axes[place].values)))
+    shown = numbers[:2]
+    others = [place for place in range(len(axes)) if place not in shown]
+
+    def pages(values: np.ndarray) -> np.ndarray:
+        """Values by picture, then to the right, then up if there are two axes: (n, x, y)."""
+        sizes = [*(len(axes[place].values) for place in shown), 1][:2]
+        return values.transpose(*others, *shown).reshape(-1, *sizes)
+
+    doubtful = pages(found.converged & (found.not_stable | found.inexact))
     files = []
-    all_doubtful = found.converged & (found.not_stable | found.inexact)
-    places = itertools.product(*(range(found.shape[place]) for place in others))
-    for number, fixed in enumerate(itertools.islice(places, MOST_PICTURES)):
-        index: list[Any] = [slice(None)] * len(found.axes)
-        for place, at in zip(others, fixed, strict=True):
-            index[place] = at
-        words = [f"{found.axes[p].key} = {found.axes[p].values[index[p]]}" for p in others]
-        ending = f"_{number + 1}" if others else ""
+    fixed = itertools.product(*(axes[place].values for place in others))
+    for number, at in enumerate(itertools.islice(fixed, MOST_PICTURES)):
+        words = [f"{axes[place].key} = {value}" for place, value in zip(others, at, strict=True)]
+        title = ", ".join(words) or f"Sweep of {axes[shown[0]].key}"
         for name, quantity in QUANTITIES.items():
-            values = np.where(found.converged, found[name], np.nan)[tuple(index)]
-            if up is not None and up < right:
-                values = values.T  # (right, up)
-            if not np.any(np.isfinite(values)):
-                continue
-            files.append(folder / f"sweep_{name}{ending}.png")
-            title = ", ".join(words) or f"Sweep of {found.axes[right].key}"
-            doubtful = all_doubtful[tuple(index)]
-            if up is not None and up < right:
-                doubtful = doubtful.T
-            _sweep_picture(files[-1], found, right, up, values, doubtful, title, quantity)
+            values = pages(np.where(found.converged, found[name], np.nan))[number]
+            if np.any(np.isfinite(values)):
+                files.append(folder / f"sweep_{name}{f'_{number + 1}' if others else ''}.png")
+                how = {"path": files[-1], "title": title}
+                _page([axes[place] for place in shown], values, doubtful[number], quantity, **how)
     return files
 
 
@@ -199,37 +174,19 @@ QUANTITIES = {
 FEW_LINES, MOST_PICTURES = 6, 12
 
 
-def _sweep_picture(
-    file: Path,
-    found: SweepResult,
-    right: int,
-    up: int | None,
-    values: np.ndarray,
-    doubtful: np.ndarray,
-    title: str,
-    quantity: str,
+def _page(
+    axes: list[Axis], values: np.ndarray, doubtful: np.ndarray, quantity: str, **file: Any
 ) -> None:
-    x = np.array(found.axes[right].values, dtype=float)
-    order = np.argsort(x)
-    over = axis_name(found.axes[right])
-    if up is None:
-        draw_response(
-            file, x[order], {quantity: values[order]}, title=title, quantity=quantity, over=over,
-            doubtful={quantity: doubtful[order]},
-        )  # fmt: skip
+    """Draw values (x, y) over one axis or two."""
+    over, name = [*map(axis_name, axes), ""][:2]
+    x, y = [*(np.array(axis.values, dtype=float) for axis in axes), np.zeros(0)][:2]
+    order, rising = np.argsort(x), np.argsort(y)
+    if len(y) > FEW_LINES:
+        scale, unit = readable(float(np.nanmax(values)), "m")
+        shown = scale * values[np.ix_(order, rising)].T
+        labels = {"x_label": over, "y_label": name, "value_label": f"{quantity} [{unit}]"}
+        draw_map(x[order], y[rising], shown, missing="not converged", **labels, **file)
         return
-    y = np.array(found.axes[up].values, dtype=float)
-    if len(y) <= FEW_LINES:
-        name = axis_name(found.axes[up])
-        names = [f"{name} = {at:g}" for at in y]
-        lines, rings = (dict(zip(names, rows[order].T, strict=True)) for rows in (values, doubtful))
-        draw_response(
-            file, x[order], lines, title=title, quantity=quantity, over=over, doubtful=rings
-        )
-        return
-    rising = np.argsort(y)
-    draw_map(
-        file, x[order], y[rising], values[np.ix_(order, rising)].T, title=title, x_label=over,
-        y_label=axis_name(found.axes[up]), value_label=f"{quantity} [m]",
-        missing="not converged",
-    )  # fmt: skip
+    names = [f"{name} = {at:g}" for at in y] or [quantity]
+    lines, rings = (dict(zip(names, v[order].T, strict=True)) for v in (values, doubtful))
+    draw_response(x[order], lines, quantity=quantity, over=over, doubtful=rings, **file)

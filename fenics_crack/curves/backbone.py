@@ -42,16 +42,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import ClassVar, TypedDict, Unpack
+from typing import Any, ClassVar, TypedDict, Unpack
 
 import numpy as np
 from tqdm import tqdm
 
 from fenics_crack.balance.arclength import Stepping, follow_path
 from fenics_crack.balance.bordered import PathPoint, land, solve_at
-from fenics_crack.balance.contact_integrals import (
-    contact_integrals,
-)
+from fenics_crack.balance.contact_integrals import contact_integrals
 from fenics_crack.balance.error_report import ErrorReport, mean_square
 from fenics_crack.balance.fourier import resized, to_complex
 from fenics_crack.balance.rounding import SOFT
@@ -74,6 +72,7 @@ from fenics_crack.model.contact import ContactLaw, check_law
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
+from fenics_crack.table import Tabular, counted
 
 __all__ = ["Backbone", "BackboneOptions", "follow_backbone"]
 
@@ -83,8 +82,8 @@ FAST = 0.5
 ELSEWHERE = "the path ended in the motion of another mode"
 
 
-@dataclass(frozen=True)
-class Backbone:
+@dataclass(frozen=True, repr=False)
+class Backbone(Tabular):
     """Free periodic motions of one mode, in the order in which they were followed.
 
     Attributes
@@ -203,6 +202,27 @@ class Backbone:
         phase = 2.0 * np.pi * np.arange(256) / 256
         waves = values.reshape(points, terms) @ np.cos(np.outer(np.arange(terms), phase))
         return np.ptp(waves, axis=1) / 2.0
+
+    # --- shown ------------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, Any]:
+        """Columns, a row for every motion."""
+        return {
+            "omega": self.omega.tolist(),
+            "energy": self.energy.tolist(),
+            "iterations": self.iterations.tolist(),
+            "jump": self.jumps.tolist(),
+        }
+
+    def _title(self) -> str:
+        parts = [
+            f"mode {self.mode}",
+            f"{self.omega[0]:.6g} to {self.omega[-1]:.6g} rad/s",
+            f"{self.energy[0]:.3g} to {self.energy[-1]:.3g} J",
+            counted(len(self.omega), "point"),
+            f"H = {self.harmonics}",
+        ]
+        return ", ".join([*parts, "complete" if self.complete else "NOT COMPLETE"])
 
 
 class BackboneOptions(TypedDict, total=False):

@@ -26,7 +26,7 @@ from fenics_crack.balance.fourier import stretched
 from fenics_crack.balance.rounding import least_residual, stiffness_times_compliance
 from fenics_crack.curves.curve import Bifurcation
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.stability.floquet import LeadingMultiplier, doubling_test
+from fenics_crack.stability.floquet import LeadingMultiplier, PiecewiseFlow
 
 __all__ = ["attainable", "first_of_branch", "multipliers_cross", "odd_rows", "turns_or_branches"]
 
@@ -56,29 +56,29 @@ def multipliers_cross(
     family: Family,
     before: tuple[PathPoint, LeadingMultiplier],
     after: tuple[PathPoint, LeadingMultiplier],
-    multipliers: Callable[[PathPoint], np.ndarray],
+    ask: Callable[[Callable[[PiecewiseFlow, np.ndarray, float], float], np.ndarray, float], float],
 ) -> Special:
-    """Where multipliers cross the unit circle at -1, or as a pair, between two points."""
+    """Where multipliers cross the unit circle at -1, or as a pair, between two points.
+
+    ``ask`` asks the flow at a gap and a value of the parameter.
+    """
     (first, old), (second, new) = before, after
 
-    def where(test: Callable[[np.ndarray], float]) -> PathPoint:
+    def where(what: Callable[[PiecewiseFlow, np.ndarray, float], float]) -> PathPoint:
+        def test(at: PathPoint) -> float:
+            return ask(what, at.unknown, family.value(at.parameter))
+
         sharp = attainable(family, second.parameter, 1e-11)
-        return locate(family, first, second, lambda at: test(multipliers(at)), sharp)
+        return locate(family, first, second, test, sharp)
 
     found = []
     if old.doubling * new.doubling < 0.0:
-        found.append(("period_doubling", where(doubling_test)))
+        found.append(("period_doubling", where(PiecewiseFlow.doubling)))
     unstable = new if old.stable else old
     left = old.stable != new.stable and old.doubling == new.doubling
     if left and unstable.value.imag > 0.0:
-        found.append(("neimark_sacker", where(_pair)))
+        found.append(("neimark_sacker", where(PiecewiseFlow.growth)))
     return found
-
-
-def _pair(multipliers: np.ndarray) -> float:
-    """Largest modulus of the complex multipliers less one."""
-    paired = multipliers[np.abs(multipliers.imag) > 1e-6 * np.abs(multipliers)]
-    return float(np.abs(paired).max() - 1.0) if len(paired) else -1.0
 
 
 # --- branches -------------------------------------------------------------------------------------

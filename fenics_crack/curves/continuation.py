@@ -40,26 +40,15 @@ from fenics_crack.curves.bifurcations import (
     turns_or_branches,
 )
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
-from fenics_crack.curves.resume import (
-    check_resumed,
-    directions,
-    point_towards,
-)
-from fenics_crack.errors import (
-    InputError,
-    check_count,
-    check_number,
-)
+from fenics_crack.curves.resume import check_resumed, directions, point_towards
+from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.model.contact import check_law
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.stability.floquet import LeadingMultiplier, PiecewiseFlow
 
-__all__ = [
-    "Continuation",
-    "CurvePoint",
-]
+__all__ = ["Continuation", "CurvePoint"]
 
 Answer = TypeVar("Answer")
 MOST_HARMONICS = 100
@@ -279,7 +268,7 @@ class Continuation:
             last = self._points[-1].multiplier
             if last is not None and found.multiplier is not None:
                 sides = (before, last), (point, found.multiplier)
-                special += multipliers_cross(family, *sides, self._multipliers)
+                special += multipliers_cross(family, *sides, self._ask)
             self._special += [
                 (kind, family.value(at.parameter), at.unknown) for kind, at in special
             ]
@@ -318,10 +307,6 @@ class Continuation:
 
     def _omega(self, value: float) -> float:
         return value if self._family.name == "omega" else self._family.problem.omega
-
-    def _multipliers(self, point: PathPoint) -> np.ndarray:
-        value = self._family.value(point.parameter)
-        return self._ask(PiecewiseFlow.multipliers, point.unknown, value)
 
     def _ask(
         self,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -17,12 +17,22 @@ from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
+from fenics_crack.table import Described, Tabular, counted
 
-__all__ = ["Bifurcation", "ResponseCurve"]
+__all__ = ["PARAMETERS", "Bifurcation", "ResponseCurve"]
+
+PARAMETERS = {
+    "omega": "load frequency [rad/s]",
+    "load": "load, as a multiple of the scene's [-]",
+    "stiffness": "contact stiffness, as a multiple of the scene's [-]",
+    "damping": "damping, as a multiple of the scene's [-]",
+    "clearance": "clearance added to the scene's [m]",
+}
+"""What a curve may be followed in, by its name in :attr:`ResponseCurve.parameter`."""
 
 
-@dataclass(frozen=True)
-class Bifurcation:
+@dataclass(frozen=True, repr=False)
+class Bifurcation(Described):
     """A special point of a curve.
 
     Attributes
@@ -49,9 +59,16 @@ class Bifurcation:
         """Load frequency [rad/s]."""
         return self.solution.omega
 
+    def to_dict(self) -> dict[str, Any]:
+        """Kind, value of the curve's parameter, and load frequency."""
+        return {"kind": self.kind, "value": float(self.value), "omega": float(self.omega)}
 
-@dataclass(frozen=True)
-class ResponseCurve:
+    def _title(self) -> str:
+        return f"{self.kind.replace('_', ' ')} at {self.value:.6g}, H = {self.solution.harmonics}"
+
+
+@dataclass(frozen=True, repr=False)
+class ResponseCurve(Tabular):
     """Solutions along a curve, in the order in which it was followed.
 
     Attributes
@@ -189,3 +206,30 @@ class ResponseCurve:
         found = solution_of(problem, at, status="point of a curve")
         compliance.destroy()
         return found
+
+    # --- shown ------------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, Any]:
+        """Columns, a row for every point; multipliers where the curve has them."""
+        found = {
+            self.parameter: self.values.tolist(),
+            "omega": self.omega.tolist(),
+            "harmonics": self.harmonics.tolist(),
+            "iterations": self.iterations.tolist(),
+            "truncation": self.truncation.tolist(),
+        }
+        if self.multipliers is not None:
+            found["multiplier"] = np.abs(self.multipliers).tolist()
+            found["stable"] = self.stable.tolist()
+        return found
+
+    def _title(self) -> str:
+        parts = [
+            f"{self.parameter} {self.values[0]:.6g} to {self.values[-1]:.6g}",
+            counted(len(self), "point"),
+            f"H = {self.harmonics.max()}",
+            counted(len(self.bifurcations), "bifurcation"),
+        ]
+        if self.multipliers is not None:
+            parts.append(f"{np.mean(self.stable):.0%} stable")
+        return ", ".join([*parts, "complete" if self.complete else "NOT COMPLETE"])

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
 
 from fenics_crack.balance.compliance import ModalCompliance
-from fenics_crack.balance.condensed import CondensedSystem
+from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem
 from fenics_crack.balance.contact_integrals import (
     ContactIntegrals,
     apply_to_pairs,
@@ -60,9 +60,10 @@ class Equilibrium:
         search = Search(ROUNDING)
         system = CondensedSystem(compliance, contact_integrals(contact, 0))
         found = search.penalty(system, system.linear)
+        assert isinstance(found, CondensedPoint)
         if not search.converged:
             raise ConvergenceError(f"equilibrium without load: {search.status}", search.history)
-        self.gap = found[0]
+        self.gap = found.gap[0]
         self.force = contact.force(self.gap)
         self.modal = -(self.modes.pairs @ self.force) / squares
         held = _work(contact, np.zeros_like(self.gap), self.gap, 0.0 * self.force)

@@ -133,13 +133,13 @@ class _Points:
         frequency = np.multiply.outer(system.order, self._base)
         receptance = modes.receptance(frequency.ravel())
         self._receptance = receptance.reshape(*frequency.shape, *receptance.shape[1:])
-        self._matrices = _seen_by_pairs(self._receptance, modes.pairs)
-        law = repeated(problem.contact, pairs, len(omega))
+        self._matrices = modes.seen_by_pairs(self._receptance)
+        law = repeated(problem.contact, len(omega))
         integrals = contact_integrals(law, problem.harmonics, problem.samples, problem.subharmonic)
         force, tangent = integrals.linearise(gap.reshape(len(gap), -1))
         self._tangent = tangent.reshape(len(omega), pairs, len(gap), len(gap))
         drive = to_complex(force.reshape(gap.shape)) @ modes.pairs.T - system.load
-        self._moved = _respond(self._receptance, drive)
+        self._moved = modes.respond(self._receptance, drive)
         self._residual = gap + from_complex(self._moved @ modes.pairs)
         self._residual[0] += structure.clearance
         rounding = np.abs(self._matrices).sum(axis=-1).max() * np.max(law.stiffness)
@@ -165,25 +165,11 @@ class _Points:
         """dF/dp, as :meth:`ModalCompliance.frequency_derivative`."""
         system, modes = self._system, self._system.modes
         order, moved = system.order[:, None, None], self._moved[:, rest]
-        damped = modes.damping * moved if modes.damping.ndim == 1 else moved @ modes.damping.T
+        damped = modes.damped(moved)
         rate = order * (1j * damped - 2.0 * order * self._base[rest, None] * moved)
-        change = _respond(self._receptance[:, rest], rate)
+        change = modes.respond(self._receptance[:, rest], rate)
         scale = -system.span / system.problem.subharmonic
         return scale * from_complex(change @ modes.pairs)
-
-
-def _respond(receptance: np.ndarray, drive: np.ndarray) -> np.ndarray:
-    """Modal response to modal forces, both (H+1, n, n_modes)."""
-    if receptance.ndim == 3:
-        return receptance * drive
-    return np.matmul(receptance, drive[..., None])[..., 0]
-
-
-def _seen_by_pairs(receptance: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    """R_k: (H+1, n, n_pairs, n_pairs)."""
-    if receptance.ndim == 3:
-        return np.matmul(pairs.T * receptance[:, :, None, :], pairs)
-    return pairs.T @ receptance @ pairs
 
 
 def _inner(first: np.ndarray, second: np.ndarray) -> np.ndarray:

@@ -1,13 +1,14 @@
 """The breathing crack in motion: a GIF, or a window with a slider.
 
-The plate is drawn magnified and coloured by von Mises stress or displacement, both lips as thick
-lines, with a dot on every pair that is in contact and an arrow for the load. Everything is gathered
-first; rank 0 draws.
+The plate is drawn magnified and coloured by von Mises stress or displacement, with the lips as
+thick lines, a dot on every pair that is in contact, and an arrow for the load. Everything is
+gathered first; rank 0 draws.
 """
 
 from __future__ import annotations
 
 import os
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,19 +25,21 @@ from PIL import Image
 from vtkmodules.vtkInteractionWidgets import vtkSliderRepresentation2D, vtkSliderWidget
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.draw.figure import COLOURS, off_screen_plotter, readable
+from fenics_crack.draw.figure import COLOURS
+from fenics_crack.draw.nodal import edge_lines, moved_grid, off_screen_plotter
 from fenics_crack.draw.paraview import PeriodFields
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import make_folder
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Material
+from fenics_crack.table import readable
 
 __all__ = ["animate_period", "show_period"]
 
 SECONDS = 3.0
-"""Of one period in an animation."""
+"""Duration of the animation."""
 TINT = "#f5d6c1"
-"""Of the stretches of the wave in which the lips touch: thin orange."""
+"""Background of the wave while the lips touch: light orange."""
 INK = {"lips": "#000000", "contact": COLOURS["orange"], "load": COLOURS["pink"], "rest": "#8a8a8a"}
 
 
@@ -50,8 +53,8 @@ def animate_period(
 ) -> float:
     """Draw one period of a vibration as an animated picture (collective).
 
-    Below the plate runs the opening of the crack's mouth, or without a crack the largest
-    displacement of the plate.
+    Below the plate is the opening of the crack's mouth over time, without a crack the largest
+    displacement.
 
     Parameters
     ----------
@@ -60,8 +63,7 @@ def animate_period(
     path : str or Path
         A .gif file.
     frames, magnification, material
-        As of :func:`fenics_crack.draw.paraview.write_period`; without a material the colours show
-        the displacement.
+        As of :func:`fenics_crack.write_period`; without a material the colours show displacement.
 
     Returns
     -------
@@ -87,14 +89,14 @@ def show_period(
     magnification: float | None = None,
     material: Material | None = None,
 ) -> None:
-    """Show one period of a vibration in a window, with a slider for the time (collective).
+    """Show one period of a vibration in a window with a slider for the time (collective).
 
-    Returns when the window is closed. The arguments are those of :func:`animate_period`.
+    Returns when the window is closed. The arguments are as of :func:`animate_period`.
 
     Raises
     ------
     InputError
-        There is no screen, the structure has no mesh, or an argument cannot be used.
+        There is no screen, or as :func:`animate_period`.
     """
     fields = PeriodFields.of(solution, frames, magnification, material)
 
@@ -113,26 +115,20 @@ def show_period(
 
 
 class _Colours:
-    """Colours in steps from 0 to the end of the scale, in a unit that reads well."""
+    """Colours in steps from 0 to the end of the scale, in a unit with a prefix."""
 
     def __init__(self, fields: PeriodFields) -> None:
-        self.name, unit = fields.colour
-        self.factor, self.unit = readable(fields.colour_end, unit)
-        self.levels = MaxNLocator(16, steps=[1, 2, 2.5, 5, 10]).tick_values(
-            0.0, self.factor * fields.colour_end
-        )
-        self.beyond = bool(self.factor * fields.colour_values.max() > self.levels[-1])
+        name, unit = fields.colour
+        end, highest = fields.colour_end, fields.colour_values.max()
+        self.factor, unit = readable(end, unit)
+        self.label = f"{name} [{unit}]"
+        ticks = MaxNLocator(16, steps=[1, 2, 2.5, 5, 10])
+        self.levels = ticks.tick_values(0.0, self.factor * end)
+        self.steps = len(self.levels) - 1
+        self.beyond = bool(self.factor * highest > self.levels[-1])
         self.map = ListedColormap(colormaps["viridis"](np.linspace(0.0, 1.0, self.steps)))
-
-    @property
-    def steps(self) -> int:
-        """Number of colours."""
-        return len(self.levels) - 1
-
-    @property
-    def label(self) -> str:
-        """Name and unit."""
-        return f"{self.name} [{self.unit}]"
+        ends = self.levels[0], self.levels[-1]
+        self.scale = {"cmap": self.map, "n_colors": self.steps, "clim": ends}
 
 
 class _Plate:
@@ -144,56 +140,46 @@ class _Plate:
         mesh = fields.mesh
         self.height = 1e-3 * mesh.size  # of lines above the plate
         self.surface = self._surface(0)
-        at_rest = mesh.lines(mesh.boundary, height=self.height)
         plotter.background_color = "white"
-        plotter.add_mesh(at_rest, color=INK["rest"], line_width=2, lighting=False)
-        plotter.add_mesh(
-            self.surface, scalars="shown", cmap=self.colours.map, n_colors=self.colours.steps,
-            clim=(self.colours.levels[0], self.colours.levels[-1]), lighting=False,
-            show_scalar_bar=False,
-        )  # fmt: skip
+        add = partial(plotter.add_mesh, lighting=False)
+        add(edge_lines(mesh, mesh.boundary, height=self.height), color=INK["rest"], line_width=2)
+        add(self.surface, scalars="shown", show_scalar_bar=False, **self.colours.scale)
         self.lines = []
         for edges, width in ((mesh.boundary, 2), (mesh.lips, 5)):
             if len(edges):
-                line = mesh.lines(edges, height=self.height)
+                line = edge_lines(mesh, edges, height=self.height)
                 self.lines.append((edges, line))
-                plotter.add_mesh(line, color=INK["lips"], line_width=width, lighting=False)
+                add(line, color=INK["lips"], line_width=width)
         clamped = mesh.boundary[mesh.clamped[mesh.boundary].all(axis=1)]
         if len(clamped):
-            held = mesh.lines(clamped, height=self.height)
-            plotter.add_mesh(held, color=INK["rest"], line_width=9, lighting=False)
+            add(edge_lines(mesh, clamped, height=self.height), color=INK["rest"], line_width=9)
         plotter.view_xy()
         plotter.enable_parallel_projection()
 
     def move(self, frame: int) -> None:
         """Show another frame."""
-        displacement = self.fields.magnification * self.fields.displacement[frame]
+        mesh, displacement = self.fields.mesh, self.fields.shown(frame)
         self.surface.copy_from(self._surface(frame))
         for edges, line in self.lines:
-            line.copy_from(self.fields.mesh.lines(edges, displacement, self.height))
-        closed = np.flatnonzero(self.fields.force[frame] > 0.0)
+            line.copy_from(edge_lines(mesh, edges, displacement, self.height))
         self.plotter.remove_actor(("contact", "load"), render=False)
+        flat: dict[str, Any] = {"lighting": False, "reset_camera": False, "render": False}
+        closed = np.flatnonzero(self.fields.force[frame] > 0.0)
         if len(closed):
             nodes = self.fields.pair_nodes[:, closed]
-            middle = nodes.T @ (self.fields.mesh.points + displacement) / nodes.sum(axis=0)[:, None]
-            self.plotter.add_points(
-                np.pad(middle, ((0, 0), (0, 1)), constant_values=2.0 * self.height),
-                color=INK["contact"], point_size=16, render_points_as_spheres=True, lighting=False,
-                name="contact", reset_camera=False, render=False,
-            )  # fmt: skip
+            middle = nodes.T @ (mesh.points + displacement) / nodes.sum(axis=0)[:, None]
+            above = np.pad(middle, ((0, 0), (0, 1)), constant_values=2.0 * self.height)
+            dots = {"point_size": 16, "render_points_as_spheres": True}
+            self.plotter.add_points(above, name="contact", color=INK["contact"], **dots, **flat)
         start, arrow = _load_arrow(self.fields, frame)
         if np.any(arrow):
-            head = pyvista.Arrow(
-                start=(*start, 2.0 * self.height), direction=(*arrow, 0.0), scale="auto",
-                tip_length=0.45, tip_radius=0.16, shaft_radius=0.055,
-            )  # fmt: skip
-            self.plotter.add_mesh(
-                head, color=INK["load"], lighting=False, name="load", reset_camera=False,
-                render=False,
-            )  # fmt: skip
+            place = {"start": (*start, 2.0 * self.height), "direction": (*arrow, 0.0)}
+            form = {"tip_length": 0.45, "tip_radius": 0.16, "shaft_radius": 0.055, "scale": "auto"}
+            head = pyvista.Arrow(**place, **form)
+            self.plotter.add_mesh(head, name="load", color=INK["load"], **flat)
 
     def _surface(self, frame: int) -> Any:
-        grid = self.fields.mesh.grid(self.fields.magnification * self.fields.displacement[frame])
+        grid = moved_grid(self.fields.mesh, self.fields.shown(frame))
         grid["shown"] = self.colours.factor * self.fields.colour_values[frame]
         return grid.extract_surface(algorithm=None)
 
@@ -208,15 +194,15 @@ def _load_arrow(fields: PeriodFields, frame: int) -> tuple[np.ndarray, np.ndarra
     largest = np.linalg.norm(total, axis=1).max()
     if largest == 0.0:
         return np.zeros(2), np.zeros(2)
-    places = fields.mesh.points + fields.magnification * fields.displacement[frame]
+    places = fields.mesh.points + fields.shown(frame)
     return share @ places / share.sum(), fields.mesh.size / 8.0 * total[frame] / largest
 
 
 def _with_slider(plotter: Any, solution: PeriodicSolution, fields: PeriodFields) -> Any:
     """Put the plate, its colours and the slider into a window; return the slider, to be kept.
 
-    VTK writes no number here: the regular expressions with which its newer versions read a format
-    end the program where DOLFINx was loaded first, as each brings its own part of libstdc++.
+    VTK must format no number here: newer versions parse the format by a regular expression, which
+    crashes if DOLFINx was loaded first, because each brings its own part of libstdc++.
     """
     plate = _Plate(plotter, fields)
     figure = Figure(facecolor="white")
@@ -230,22 +216,23 @@ def _with_slider(plotter: Any, solution: PeriodicSolution, fields: PeriodFields)
         frame = round(loads / solution.subharmonic * count) % count
         plate.move(frame)
         at = solution.subharmonic * frame / count
-        plotter.add_text(
-            f"{caption}\ntime {at:.3f} load periods", font_size=11, color="black", name="caption",
-            render=False,
-        )  # fmt: skip
+        text = f"{caption}\ntime {at:.3f} load periods"
+        plotter.add_text(text, font_size=11, color="black", name="caption", render=False)
 
     slider = vtkSliderRepresentation2D()
     slider.SetMinimumValue(0.0)
     slider.SetMaximumValue(float(solution.subharmonic))
     slider.SetValue(0.0)
     slider.SetTitleText("time / load period")
-    slider.GetTitleProperty().SetColor(0.0, 0.0, 0.0)
     slider.GetTitleProperty().ShadowOff()
-    slider.GetTubeProperty().SetColor(to_rgb(INK["rest"]))
-    slider.GetCapProperty().SetColor(to_rgb(INK["rest"]))
-    slider.GetSliderProperty().SetColor(to_rgb(COLOURS["blue"]))
-    slider.GetSelectedProperty().SetColor(to_rgb(COLOURS["orange"]))
+    for part, colour in (
+        (slider.GetTitleProperty(), "black"),
+        (slider.GetTubeProperty(), INK["rest"]),
+        (slider.GetCapProperty(), INK["rest"]),
+        (slider.GetSliderProperty(), COLOURS["blue"]),
+        (slider.GetSelectedProperty(), COLOURS["orange"]),
+    ):
+        part.SetColor(to_rgb(colour))
     slider.SetTubeWidth(0.005)
     slider.SetSliderWidth(0.03)
     slider.SetSliderLength(0.02)
@@ -277,7 +264,7 @@ def _caption(solution: PeriodicSolution, fields: PeriodFields) -> str:
 
 
 def _write(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> None:
-    """Draw every frame and write the GIF."""
+    """Draw all frames and write the GIF."""
     plotter = off_screen_plotter(window_size=(1200, 1040))
     plate = _Plate(plotter, fields)
     _look_at_all(plotter, fields)
@@ -291,26 +278,17 @@ def _write(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> None
     palette = _palette(plate.colours)
     shown = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     make_folder(path)
-    shown[0].save(
-        path,
-        save_all=True,
-        append_images=shown[1:],
-        loop=0,
-        duration=max(20, 10 * round(100.0 * SECONDS / len(shown))),  # [ms], in hundredths of 1 s
-        optimize=False,
-    )
+    duration = max(20, 10 * round(100.0 * SECONDS / len(shown)))  # [ms], in steps of 10
+    timing = {"duration": duration, "loop": 0}
+    shown[0].save(path, save_all=True, append_images=shown[1:], optimize=False, **timing)
 
 
 def _palette(colours: _Colours) -> Image.Image:
-    """The colours used, and what smoothed edges make of them with black, white and each other."""
+    """The colours used, their blends with black and white, and greys."""
     used = [to_rgb(colour) for colour in (*INK.values(), COLOURS["blue"], TINT)]
     used += [tuple(row[:3]) for row in colours.map.colors]
     ink = np.array(used)
-    shades = [
-        weight * ink + (1.0 - weight) * other
-        for weight in (0.75, 0.5, 0.25)
-        for other in (0.0, 1.0)
-    ]
+    shades = [w * ink + (1.0 - w) * other for w in (0.75, 0.5, 0.25) for other in (0.0, 1.0)]
     greys = np.repeat(np.linspace(0.0, 1.0, 17)[:, None], 3, axis=1)
     entries = np.concatenate([greys, ink, *shades])[:256]
     palette = Image.new("P", (1, 1))
@@ -319,29 +297,26 @@ def _palette(colours: _Colours) -> Image.Image:
 
 
 def _look_at_all(plotter: Any, fields: PeriodFields, room: float = 1.03) -> None:
-    """Set the camera so that the plate stays in the picture for the whole period, with room."""
+    """Set the camera so that the plate stays in the picture for the whole period."""
     moved = fields.mesh.points + fields.magnification * fields.displacement
     every = [fields.mesh.points, *moved]
     if np.any(fields.load):
         frames = range(len(fields.time))
         every.append(np.array([np.sum(_load_arrow(fields, frame), axis=0) for frame in frames]))
-    low, high = np.min(np.concatenate(every), axis=0), np.max(np.concatenate(every), axis=0)
+    points, size, camera = np.concatenate(every), fields.mesh.size, plotter.camera
+    low, high = points.min(axis=0), points.max(axis=0)
     width, height = plotter.window_size
-    half = 0.5 * max(high[1] - low[1], (high[0] - low[0]) * height / width)
     middle = 0.5 * (low + high)
-    plotter.camera.focal_point = (*middle, 0.0)
-    plotter.camera.position = (*middle, 10.0 * fields.mesh.size)
-    plotter.camera.parallel_scale = room * half
-    plotter.camera.clipping_range = (1.0 * fields.mesh.size, 20.0 * fields.mesh.size)
+    camera.focal_point, camera.position = (*middle, 0.0), (*middle, 10.0 * size)
+    camera.parallel_scale = 0.5 * room * max(high[1] - low[1], (high[0] - low[0]) * height / width)
+    camera.clipping_range = (size, 20.0 * size)
 
 
 def _draw_bar(figure: Figure, place: tuple[float, float, float, float], colours: _Colours) -> None:
-    """Draw the colours' bar at a place in a figure."""
-    norm = BoundaryNorm(colours.levels, colours.steps)
-    bar = figure.colorbar(
-        ScalarMappable(norm, colours.map), cax=figure.add_axes(place), ticks=colours.levels[::2],
-        extend="max" if colours.beyond else "neither", spacing="proportional",
-    )  # fmt: skip
+    """Draw the colour bar at a place in a figure."""
+    mapped = ScalarMappable(BoundaryNorm(colours.levels, colours.steps), colours.map)
+    ends = {"extend": "max" if colours.beyond else "neither", "spacing": "proportional"}
+    bar = figure.colorbar(mapped, cax=figure.add_axes(place), ticks=colours.levels[::2], **ends)
     bar.set_label(colours.label, fontsize=12)
     bar.ax.tick_params(labelsize=11)
 
@@ -353,10 +328,9 @@ class _Page:
         self.loads = fields.time * solution.omega / (2.0 * np.pi)
         self.figure = Figure(figsize=(6.4, 7.4), dpi=100, facecolor="white")
         self.canvas = FigureCanvasAgg(self.figure)
-        self.figure.text(
-            0.5, 0.968, "Breathing crack" if len(fields.mesh.lips) else "Vibrating plate",
-            ha="center", va="center", fontsize=16, weight="bold",
-        )  # fmt: skip
+        title = "Breathing crack" if len(fields.mesh.lips) else "Vibrating plate"
+        centred = {"ha": "center", "va": "center"}
+        self.figure.text(0.5, 0.968, title, fontsize=16, weight="bold", **centred)
         self.caption = _caption(solution, fields)
         self.text = self.figure.text(0.06, 0.932, "", va="center", fontsize=12)
         self.plate = self.figure.add_axes((0.01, 0.275, 0.83, 0.60))
@@ -379,21 +353,21 @@ class _Page:
         return Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3].copy())
 
     def _legend(self, fields: PeriodFields) -> None:
-        keys = [Line2D([], [], color=INK["rest"], lw=1.5, label="at rest")]
-        if fields.mesh.clamped.any():
-            keys.append(Line2D([], [], color=INK["rest"], lw=6, label="clamped"))
-        if np.any(fields.load):
-            keys.append(Line2D([], [], color=INK["load"], marker=">", ms=8, lw=3, label="load"))
-        if len(fields.mesh.lips):
-            keys.append(Line2D([], [], color=INK["lips"], lw=3, label="lips"))
-        if len(fields.areas):
-            keys.append(
-                Line2D([], [], color=INK["contact"], marker="o", lw=0, label="lips in contact")
-            )
-        self.figure.legend(
-            handles=keys, loc="center", bbox_to_anchor=(0.5, 0.893), ncol=5, fontsize=11,
-            frameon=False, handletextpad=0.5, columnspacing=1.5,
-        )  # fmt: skip
+        lines = (
+            ("at rest", True, "rest", 1.5, None),
+            ("clamped", fields.mesh.clamped.any(), "rest", 6, None),
+            ("load", np.any(fields.load), "load", 3, ">"),
+            ("lips", len(fields.mesh.lips), "lips", 3, None),
+            ("lips in contact", len(fields.areas), "contact", 0, "o"),
+        )
+        keys = [
+            Line2D([], [], label=label, color=INK[ink], lw=width, marker=marker, ms=8)
+            for label, shown, ink, width, marker in lines
+            if shown
+        ]
+        spaces = {"handletextpad": 0.5, "columnspacing": 1.5, "frameon": False}
+        centre = {"loc": "center", "bbox_to_anchor": (0.5, 0.893)}
+        self.figure.legend(handles=keys, ncol=5, fontsize=11, **centre, **spaces)
 
     def _wave(self, solution: PeriodicSolution, fields: PeriodFields) -> None:
         axes = self.figure.add_axes((0.15, 0.085, 0.82, 0.16))
@@ -403,10 +377,8 @@ class _Page:
             quantity, wave = "opening at\nthe mouth", -solution.gap(time)[:, 0]
             self.values = -solution.gap(fields.time)[:, 0]
             closed = (solution.contact_force(time) > 0.0).any(axis=1)
-            axes.fill_between(
-                loads, 0.0, 1.0, where=closed, transform=axes.get_xaxis_transform(),
-                color=TINT, lw=0,
-            )  # fmt: skip
+            whole = axes.get_xaxis_transform()
+            axes.fill_between(loads, 0.0, 1.0, where=closed, transform=whole, color=TINT, lw=0)
         else:
             self.values = np.linalg.norm(fields.displacement, axis=2).max(axis=1)
             quantity, wave = "largest\ndisplacement", np.append(self.values, self.values[0])

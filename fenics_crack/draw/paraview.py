@@ -1,8 +1,8 @@
 """Files for ParaView: mode shapes and one period of the breathing crack (VTK XML).
 
-Everything is gathered on rank 0 and written there, with all nodes of quadratic elements. Stresses
-are those of the displacement's gradient by VTK, taken in the cells at each node and averaged there;
-the lips have nodes of their own, so nothing is averaged across the crack.
+Rank 0 writes all nodes, also those of quadratic elements. Stresses follow from the gradient of the
+displacement, which VTK takes in the cells at each node and averages; the lips have nodes of their
+own, so nothing is averaged across the crack.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import pyvista
 
 from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.draw.nodal import moved_grid
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.files.store import make_folder
@@ -25,70 +26,42 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows, on_root
 from fenics_crack.scene.scene import Material
 
-__all__ = [
-    "PeriodFields",
-    "nodal_stress",
-    "von_mises",
-    "write_modes",
-    "write_period",
-    "write_state",
-]
+__all__ = ["PeriodFields", "nodal_stress", "von_mises", "write_modes", "write_period"]
 
 
-def write_modes(structure: Structure, modes: Modes, path: str | Path) -> None:
+def write_modes(modes: Modes, path: str | Path) -> None:
     """Write mode shapes as vector fields of one .vtu file (collective).
 
-    The fields are called ``mode 1: 2302.9 rad/s`` and so on and scaled to a largest displacement of
-    a tenth of the structure's size, ready for ParaView's Warp By Vector.
+    The fields are called ``mode 1: 2302.9 rad/s`` and so on. Their largest displacement is a tenth
+    of the structure's size, ready for ParaView's Warp By Vector.
     """
-    mesh = NodalMesh(structure)
-    shapes = mesh.field(structure.expand(modes.shapes.T))
+    mesh = NodalMesh(modes.structure)
+    shapes = mesh.field(modes.structure.expand(modes.shapes.T))
 
     def write() -> None:
-        grid = mesh.grid(np.zeros_like(mesh.points))
+        grid = moved_grid(mesh)
         for number, (omega, shape) in enumerate(zip(modes.omega, shapes, strict=True), 1):
-            grid[f"mode {number}: {omega:.1f} rad/s"] = _scaled(shape, 0.1 * mesh.size)
+            scaled = _tenth(shape, mesh.size) * shape
+            grid[f"mode {number}: {omega:.1f} rad/s"] = np.pad(scaled, ((0, 0), (0, 1)))
         make_folder(path)
         grid.save(str(path))
 
-    on_root(structure.comm, write)
+    on_root(mesh.structure.comm, write)
 
 
 @dataclass(frozen=True)
 class PeriodFields:
-    """What is shown of a vibration: nodal fields at instants of one period, on every rank.
-
-    Attributes
-    ----------
-    mesh : NodalMesh
-        Where the nodes are.
-    time : (n,) [s]
-        Instants, evenly from 0 to the period, which is left out.
-    displacement : (n, n_nodes, 2) [m]
-        True to scale.
-    force : (n, n_pairs) [N]
-        Contact force of the pairs.
-    areas : (n_pairs,) [m^2]
-        Area of the lip that belongs to each pair.
-    load : (n, n_nodes, 2) [N]
-        What excites the vibration.
-    pair_nodes : (n_nodes, n_pairs)
-        1 where a node belongs to a pair, else 0.
-    magnification : float
-        By which the displacement is multiplied to be seen.
-    material : Material or None
-        For stresses.
-    """
+    """Nodal fields of a vibration at n instants of one period, on every rank."""
 
     mesh: NodalMesh
-    time: np.ndarray
-    displacement: np.ndarray
-    force: np.ndarray
-    areas: np.ndarray
-    load: np.ndarray
-    pair_nodes: np.ndarray
-    magnification: float
-    material: Material | None
+    time: np.ndarray  # (n,) [s], equally spaced from 0; the period itself is left out
+    displacement: np.ndarray  # (n, n_nodes, 2) [m], true to scale
+    force: np.ndarray  # (n, n_pairs) [N], of the contact
+    areas: np.ndarray  # (n_pairs,) [m^2], of one lip
+    load: np.ndarray  # (n, n_nodes, 2) [N]
+    pair_nodes: np.ndarray  # (n_nodes, n_pairs), 1 where a node belongs to a pair, else 0
+    magnification: float  # of the displacement in pictures
+    material: Material | None  # for stresses
 
     @classmethod
     def of(
@@ -98,13 +71,7 @@ class PeriodFields:
         magnification: float | None = None,
         material: Material | None = None,
     ) -> PeriodFields:
-        """The fields of a solution (collective); the arguments are those of `write_period`.
-
-        Raises
-        ------
-        InputError
-            The structure has no mesh, or an argument cannot be used.
-        """
+        """The fields of a solution, arguments as of :func:`write_period` (collective)."""
         check_count("frames", frames, 1)
         if magnification is not None:
             check_number("magnification", magnification, 0.0, above=True)
@@ -114,42 +81,35 @@ class PeriodFields:
         mesh = NodalMesh(structure)
         time = np.arange(frames) * solution.period / frames
         displacement = mesh.field(solution.displacement_field(time))
-        if magnification is None:
-            largest = np.linalg.norm(displacement, axis=2).max()
-            magnification = 0.1 * mesh.size / largest if largest > 0.0 else 1.0
-        assert structure.pair_areas is not None
-        return cls(
-            mesh,
-            time,
-            displacement,
-            solution.contact_force(time),
-            structure.pair_areas,
-            evaluate(mesh.field(structure.force).reshape(3, -1), solution.omega, time).reshape(
-                displacement.shape
-            ),
-            _node_of_pairs(structure),
-            float(magnification),
-            material,
-        )
+        magnification = float(magnification or _tenth(displacement, mesh.size))
+        force, areas = solution.contact_force(time), structure.pair_areas
+        load = evaluate(mesh.field(structure.force).reshape(3, -1), solution.omega, time)
+        load = load.reshape(displacement.shape)
+        assert areas is not None
+        nodes = _nodes_of_pairs(structure)
+        return cls(mesh, time, displacement, force, areas, load, nodes, magnification, material)
+
+    def shown(self, frame: int) -> np.ndarray:
+        """The magnified displacement of a frame: (n_nodes, 2) [m]."""
+        return self.magnification * self.displacement[frame]
 
     @property
     def colour(self) -> tuple[str, str]:
-        """Name and unit of the field to colour by: von Mises stress where there is a material."""
+        """Name and unit of the field to colour by: with a material the von Mises stress."""
         return ("von Mises stress", "Pa") if self.material else ("displacement", "m")
 
     @cached_property
     def colour_values(self) -> np.ndarray:
-        """That field, of vectors their lengths: (n, n_nodes)."""
+        """That field, or the length of its vectors: (n, n_nodes)."""
         if self.material is None:
             return np.linalg.norm(self.displacement, axis=2)
         return von_mises(self.stress)
 
     @property
     def colour_end(self) -> float:
-        """Where one colour scale for the whole period ends; it begins at 0.
+        """End of the colour scale of the whole period, which begins at 0.
 
-        Of stresses one node in 50 goes beyond: those at the tip and under the load, where they
-        have no bound.
+        The stresses of one node in 50 lie beyond: at the tip and under the load they are unbounded.
         """
         largest = self.colour_values.max(axis=0)
         end = largest.max() if self.material is None else np.quantile(largest, 0.98)
@@ -162,9 +122,9 @@ class PeriodFields:
         return np.array([nodal_stress(self.mesh, u, self.material) for u in self.displacement])
 
     def grid(self, frame: int) -> pyvista.UnstructuredGrid:
-        """The magnified mesh of a frame with its point fields, see :func:`write_period`."""
+        """The magnified mesh of a frame with the point fields of :func:`write_period`."""
         force, displacement = self.force[frame], self.displacement[frame]
-        grid = self.mesh.grid(self.magnification * displacement)
+        grid = moved_grid(self.mesh, self.shown(frame))
         closed = self.pair_nodes @ (force > 0.0)
         grid["displacement"] = np.pad(displacement, ((0, 0), (0, 1)))
         grid["contact state"] = np.where(self.pair_nodes.any(axis=1), np.minimum(closed, 1.0), -1.0)
@@ -181,31 +141,14 @@ class PeriodFields:
 
 
 def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) -> np.ndarray:
-    """Stresses xx, yy, xy of plane stress at the nodes: (n_nodes, 3) [Pa].
-
-    Parameters
-    ----------
-    mesh : NodalMesh
-        Where the nodes are.
-    displacement : (n_nodes, 2) [m]
-        Nodal vectors.
-    material : Material
-        Its Young's modulus and Poisson's ratio.
-    """
-    grid = mesh.grid(np.zeros_like(mesh.points))
+    """Plane stresses xx, yy, xy of nodal displacements (n_nodes, 2) [m]: (n_nodes, 3) [Pa]."""
+    grid = moved_grid(mesh)
     grid["displacement"] = np.pad(displacement, ((0, 0), (0, 1)))
     gradient = grid.compute_derivative("displacement", gradient="gradient")["gradient"]
-    strain_xx, strain_yy = gradient[:, 0], gradient[:, 4]
-    shear = gradient[:, 1] + gradient[:, 3]
-    young, poisson = material.young, material.poisson
-    factor = young / (1.0 - poisson**2)
-    return np.column_stack(
-        [
-            factor * (strain_xx + poisson * strain_yy),
-            factor * (strain_yy + poisson * strain_xx),
-            young / (2.0 * (1.0 + poisson)) * shear,
-        ]
-    )
+    strain = np.column_stack([gradient[:, 0], gradient[:, 4], gradient[:, 1] + gradient[:, 3]])
+    nu = material.poisson
+    plane = np.array([[1.0, nu, 0.0], [nu, 1.0, 0.0], [0.0, 0.0, 0.5 * (1.0 - nu)]])
+    return strain @ (material.young / (1.0 - nu**2) * plane)
 
 
 def von_mises(stress: np.ndarray) -> np.ndarray:
@@ -224,8 +167,8 @@ def write_period(
 ) -> float:
     """Write one period of a vibration as a time series for ParaView (collective).
 
-    Beside it goes a script that shows it: ``paraview --script=NAME_paraview.py``, see
-    :func:`write_state`.
+    A script beside it, ``paraview --script=NAME_paraview.py``, shows the plate from the front,
+    coloured by stress or displacement, and plays the period once.
 
     Parameters
     ----------
@@ -236,10 +179,10 @@ def write_period(
     frames : int
         Instants in the period.
     magnification : float, optional
-        The nodes are moved by the displacement times this; default: so that the largest
-        displacement is a tenth of the structure's size.
+        Factor of the displacement that moves the nodes; default: the largest displacement becomes a
+        tenth of the structure's size.
     material : Material, optional
-        That of the scene, to write stresses.
+        Of the scene, for stresses.
 
     Returns
     -------
@@ -255,10 +198,10 @@ def write_period(
     -----
     Point fields: ``displacement`` [m], true to scale; ``contact state``: 1 on a closed pair of lip
     nodes, 0 on an open one, -1 away from the lips; ``contact force`` [N] on each node of a pair,
-    and ``contact pressure`` [Pa], that force over the pair's area: smooth along the lips where the
+    and ``contact pressure`` [Pa], that force over the pair's area: smooth along the lips if the
     contact stiffness is given per area. With a material: ``stress`` (xx, yy, xy) and ``von Mises
-    stress`` [Pa] of plane stress; at the tip and under the point load the exact ones have no
-    bound, and the ones shown grow as the mesh is refined.
+    stress`` [Pa] of plane stress. At the tip and under the point load they grow without bound as
+    the mesh is refined.
     """
     fields = PeriodFields.of(solution, frames, magnification, material)
     target = Path(path)
@@ -273,8 +216,11 @@ def write_period(
             entries.append(f'    <DataSet timestep="{instant:.12g}" file={quoteattr(name)}/>')
         lines = ['<VTKFile type="Collection" version="0.1">', "  <Collection>", *entries]
         target.write_text("\n".join([*lines, "  </Collection>", "</VTKFile>", ""]))
-        state = target.with_name(f"{target.stem}_paraview.py")
-        write_state(state, target, *fields.colour, end=fields.colour_end)
+        field, unit = fields.colour
+        script = target.with_name(f"{target.stem}_paraview.py")
+        names = {"script": script.name, "folder": str(target.parent.resolve()), "pvd": target.name}
+        colours = {"field": field, "title": f"{field} [{unit}]", "end": fields.colour_end}
+        script.write_text(STATE.format(**names, **colours))
 
     on_root(fields.mesh.structure.comm, write)
     return fields.magnification
@@ -319,54 +265,16 @@ scene.Loop = 1  # from now on; the play button starts it again
 """
 
 
-def write_state(
-    path: str | Path,
-    pvd: str | Path,
-    field: str = "displacement",
-    unit: str = "m",
-    *,
-    end: float = 1.0,
-) -> None:
-    """Write a Python script that shows a series written by :func:`write_period` in ParaView.
-
-    It colours by a point field, shows the colours' bar, looks at the plate from the front and
-    plays the period once.
-
-    Parameters
-    ----------
-    path, pvd : str or Path
-        The script, and the series in the same folder.
-    field, unit : str
-        Point field and its unit; of vectors the length is shown.
-    end : float
-        Where the colours end; they begin at 0.
-    """
-    path, pvd = Path(path), Path(pvd)
-    make_folder(path)
-    path.write_text(
-        STATE.format(
-            script=path.name,
-            folder=str(path.parent.resolve()),
-            pvd=pvd.name,
-            field=field,
-            title=f"{field} [{unit}]",
-            end=float(end),
-        )
-    )
-
-
-def _node_of_pairs(structure: Structure) -> np.ndarray:
+def _nodes_of_pairs(structure: Structure) -> np.ndarray:
     """1 where a node belongs to a pair, else 0: (n_nodes, n_pairs) on every rank (collective)."""
     assert structure.nodes is not None
-    touched = structure.gap.copy()
-    touched.data = np.abs(touched.data)
     dofs = structure.nodes.dofs
     local = np.where(dofs >= 0, dofs - structure.first_dof, structure.n_local)
-    rows = np.vstack([touched.toarray(), np.zeros((1, structure.n_pairs))])
-    return gather_rows(structure.comm, (rows[local].sum(axis=1) > 0.0).astype(float))
+    rows = np.vstack([structure.gap.toarray() != 0.0, np.zeros((1, structure.n_pairs))])
+    return gather_rows(structure.comm, rows[local].any(axis=1).astype(float))
 
 
-def _scaled(vectors: np.ndarray, largest: float) -> np.ndarray:
-    """Three-dimensional vectors (n, 3) scaled to a largest length."""
-    length = np.linalg.norm(vectors, axis=1).max()
-    return np.pad(vectors * (largest / length if length > 0.0 else 0.0), ((0, 0), (0, 1)))
+def _tenth(vectors: np.ndarray, size: float) -> float:
+    """Factor that makes the longest of some vectors (..., 2) a tenth of a size; 1 if all are 0."""
+    largest = np.linalg.norm(vectors, axis=-1).max()
+    return float(0.1 * size / largest) if largest > 0.0 else 1.0

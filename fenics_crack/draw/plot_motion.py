@@ -1,49 +1,57 @@
-"""Pictures of one vibration: the harmonics it is made of, and its orbit in the phase plane."""
+"""Pictures of one vibration: its spectrum, and its orbit in the phase plane."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.draw.figure import COLOURS, new_figure, readable, save
+from fenics_crack.draw.figure import COLOURS, figure_of, label_axis, make_axes
 from fenics_crack.errors import InputError
-from fenics_crack.parallel import on_root
 
 __all__ = ["draw_orbits", "draw_spectrum"]
 
 DECADES = 9
-"""Of a spectrum: what is smaller than the largest by more is left out as rounding."""
+"""Range of a spectrum below its largest amplitude; what is smaller is rounding."""
 
 
 def draw_spectrum(
-    path: str | Path, solution: PeriodicSolution, dof: int | None = None, *, title: str
-) -> None:
+    solution: PeriodicSolution,
+    dof: int | None = None,
+    *,
+    axes: Any = None,
+    path: str | Path | None = None,
+    title: str | None = None,
+) -> Figure:
     """Draw the amplitudes of the harmonics, logarithmically, over their orders (collective).
 
-    Above, of the gap of the pair that moves most and of the displacement of a dof; below, of the
-    contact force, the sum of all pairs, where there is contact. Order 1 is the load's, 0 the mean;
-    the orders of a subharmonic response are fractions. How fast the amplitudes fall says whether
-    there are enough harmonics.
+    The upper panel shows the gap of the pair that moves most and the displacement of a dof, the
+    lower one the contact force, summed over the pairs. Order 1 is the load's, 0 the mean; the
+    orders of a subharmonic response are fractions. There are enough harmonics where the amplitudes
+    have fallen far.
 
     Parameters
     ----------
-    path : str or Path
-        The picture file.
     solution : PeriodicSolution
         What to draw.
     dof : int, optional
         Whose displacement.
-    title : str
-        Heading.
+    axes : Axes or sequence of them, optional
+        One or two; default: a new figure with a second panel if there is contact.
+    path : str or Path, optional
+        Where to save the new figure.
+    title : str, optional
+        Title of the picture.
 
     Raises
     ------
     InputError
-        There is neither a pair nor a dof.
+        There is neither a pair nor a dof, or the number of axes is wrong.
     """
     lengths: dict[str, np.ndarray] = {}
     if solution.structure.n_pairs:
@@ -52,28 +60,22 @@ def draw_spectrum(
         name = "gap at the mouth" if pair == 0 else f"gap of pair {pair + 1} from the mouth"
         lengths[name] = _amplitudes(solution.gap_coefficients[:, pair])
     if dof is not None:
-        lengths[solution.structure.dof_name(dof)] = _amplitudes(
-            solution.coefficients_at([dof])[:, 0]
-        )
+        name = solution.structure.dof_name(dof)
+        lengths[name] = _amplitudes(solution.coefficients_at([dof])[:, 0])
     if not lengths:
         raise InputError("dof", None, "given where there is no contact pair")
     force = _amplitudes(solution.force_coefficients.sum(axis=1))
-    panels = [(lengths, "displacement", "m")]
-    if np.any(force):
-        panels.append(({"contact force, all pairs": force}, "contact force", "N"))
-
-    def draw() -> None:
-        figure, axes = new_figure(
-            len(panels), size=(7.0, 2.4 + 2.2 * len(panels)), sharex=True, squeeze=False
-        )
-        for panel, (series, quantity, unit) in zip(axes[:, 0], panels, strict=True):
-            _stems(panel, series, quantity, unit, solution.subharmonic)
-        axes[-1, 0].set_xlabel("order of the harmonic, in load frequencies (0: mean)")
-        axes[0, 0].set_title(title)
-        figure.align_ylabels()
-        save(figure, path)
-
-    on_root(solution.structure.comm, draw)
+    series = [(lengths, "displacement", "m")]
+    if np.any(force) if axes is None else np.size(axes) > 1:
+        series.append(({"contact force, all pairs": force}, "contact force", "N"))
+    size = (7.0, 2.4 + 2.2 * len(series))
+    panels = make_axes(axes, path, len(series), size=size, sharex=True)
+    for panel, content in zip(panels, series, strict=True):
+        _stems(panel, *content, solution.subharmonic)
+    panels[-1].set_xlabel("order of the harmonic, in load frequencies (0: mean)")
+    if axes is None:
+        panels[0].figure.align_ylabels()
+    return figure_of(panels[0], path, title, solution.structure.comm)
 
 
 def _amplitudes(column: np.ndarray) -> np.ndarray:
@@ -84,11 +86,9 @@ def _amplitudes(column: np.ndarray) -> np.ndarray:
 def _stems(
     axes: Axes, series: dict[str, np.ndarray], quantity: str, unit: str, subharmonic: int
 ) -> None:
-    """Draw amplitudes as stems; several series side by side."""
-    top = max(float(values.max()) for values in series.values())
-    scale, unit = readable(top, unit)
-    top = scale * top if top > 0.0 else 1.0
-    seen = scale * np.concatenate(list(series.values()))
+    """Draw amplitudes as stems, several series side by side."""
+    seen = np.concatenate([*series.values()])
+    top = float(seen.max()) or 1.0
     lowest = np.min(seen, where=seen > 10.0**-DECADES * top, initial=0.1 * top)
     bottom = 10.0 ** np.floor(np.log10(0.5 * lowest))
     highest = max(map(len, series.values())) - 1
@@ -96,36 +96,37 @@ def _stems(
     styles = zip(series.items(), COLOURS.values(), "os", strict=False)
     for number, ((label, values), colour, marker) in enumerate(styles):
         shift = 0.25 * (number - 0.5 * (len(series) - 1)) / subharmonic
-        kept = np.flatnonzero(scale * values >= bottom)
-        order, shown = kept / subharmonic + shift, scale * values[kept]
+        kept = np.flatnonzero(values >= bottom)
+        order, shown = kept / subharmonic + shift, values[kept]
         axes.vlines(order, bottom, shown, color=colour, lw=1.2)
         axes.plot(order, shown, marker, color=colour, ms=size, label=label)
     axes.set_xlim(-0.5, highest / subharmonic + 0.5)
     axes.set_yscale("log")
     axes.set_ylim(bottom, top * (top / bottom) ** 0.25)  # room for the legend
     axes.xaxis.get_major_locator().set_params(integer=True)
-    axes.set_ylabel(f"amplitude of the\n{quantity} [{unit}]")
+    label_axis(axes.yaxis, f"amplitude of the\n{quantity}", unit)
     axes.grid(alpha=0.3)
     axes.legend(loc="upper right", fontsize=8, framealpha=0.9)
 
 
 def draw_orbits(
-    path: str | Path,
     solution: PeriodicSolution,
     dof: int | None = None,
     *,
-    title: str,
+    axes: Any = None,
+    path: str | Path | None = None,
+    title: str | None = None,
     instants: int = 2000,
-) -> None:
-    """Draw the motion in the phase plane: velocity over displacement (collective).
+) -> Figure:
+    """Draw the motion in the phase plane, velocity over displacement (collective).
 
-    Of the gap at the mouth, and of a dof; where the lips touch the orbit is drawn thick: at the
-    mouth, for the dof anywhere. A dot marks the beginning of every period of the load; the motion
-    goes round clockwise.
+    One panel shows the gap at the mouth, one the displacement of a dof. The orbit is thick where
+    the lips touch: at the mouth, or in the panel of the dof anywhere. A dot marks the beginning of
+    each load period; the motion runs clockwise.
 
     Parameters
     ----------
-    path, solution, dof, title
+    solution, dof, axes, path, title
         As of :func:`draw_spectrum`.
     instants : int
         Points of the orbit.
@@ -133,30 +134,25 @@ def draw_orbits(
     Raises
     ------
     InputError
-        There is neither a pair nor a dof.
+        As of :func:`draw_spectrum`.
     """
     closed = solution.contact_force(np.linspace(0.0, solution.period, instants + 1)) > 0.0
-    panels: list[tuple[np.ndarray, np.ndarray, str, str]] = []
+    orbits: list[tuple[np.ndarray, np.ndarray, str, str]] = []
     if solution.structure.n_pairs:
         mouth = solution.gap_coefficients[:, :1]
-        panels.append((mouth, closed[:, 0], "closing of the mouth", "mouth closed"))
+        orbits.append((mouth, closed[:, 0], "closing of the mouth", "mouth closed"))
     if dof is not None:
-        column = solution.coefficients_at([dof])
-        name = solution.structure.dof_name(dof)
-        panels.append((column, np.any(closed, axis=1), name, "lips touch somewhere"))
-    if not panels:
+        column, name = solution.coefficients_at([dof]), solution.structure.dof_name(dof)
+        orbits.append((column, np.any(closed, axis=1), name, "lips touch somewhere"))
+    if not orbits:
         raise InputError("dof", None, "given where there is no contact pair")
-
-    def draw() -> None:
-        figure, axes = new_figure(
-            1, len(panels), size=(1.0 + 4.2 * len(panels), 4.4), squeeze=False
-        )
-        for panel, content in zip(axes[0], panels, strict=True):
-            _orbit(panel, solution, *content)
-        figure.suptitle(title, fontsize="large")
-        save(figure, path)
-
-    on_root(solution.structure.comm, draw)
+    count = len(orbits)
+    panels = make_axes(axes, path, count, columns=count, size=(1.0 + 4.2 * count, 4.4))
+    for panel, content in zip(panels, orbits, strict=True):
+        _orbit(panel, solution, *content)
+    if title is not None:
+        panels[0].figure.suptitle(title, fontsize="large")
+    return figure_of(panels[0], path, None, solution.structure.comm)
 
 
 def _orbit(
@@ -172,30 +168,18 @@ def _orbit(
     order = base * np.arange(1, solution.harmonics + 1)[:, None]
     rates = np.zeros_like(coefficients)
     rates[1::2], rates[2::2] = order * coefficients[2::2], -order * coefficients[1::2]
-    time = np.linspace(0.0, solution.period, len(closed))
-    place, speed = evaluate(coefficients, base, time)[:, 0], evaluate(rates, base, time)[:, 0]
-    (scale, unit), (fast, unit_fast) = (
-        readable(float(np.abs(values).max()), name)
-        for values, name in ((place, "m"), (speed, "m/s"))
-    )
-    place, speed = scale * place, fast * speed
-    axes.plot(place, speed, color=COLOURS["blue"], lw=1.4, label="orbit")
+    both = np.hstack([coefficients, rates])
+    orbit = evaluate(both, base, np.linspace(0.0, solution.period, len(closed))).T
+    axes.plot(*orbit, color=COLOURS["blue"], lw=1.4, label="orbit")
     if closed.any():
-        axes.plot(
-            np.where(closed, place, np.nan), np.where(closed, speed, np.nan),
-            color=COLOURS["orange"], lw=3.2, label=touching,
-        )  # fmt: skip
+        touch = np.where(closed, orbit, np.nan)
+        axes.plot(*touch, color=COLOURS["orange"], lw=3.2, label=touching)
     starts = 2.0 * np.pi / solution.omega * np.arange(solution.subharmonic)
-    axes.plot(
-        scale * evaluate(coefficients, base, starts)[:, 0],
-        fast * evaluate(rates, base, starts)[:, 0],
-        "o", color="black", ms=5.5, label="a load period begins",
-    )  # fmt: skip
-    axes.set_xlabel(f"{quantity} [{unit}]")
-    axes.set_ylabel(f"its velocity [{unit_fast}]")
+    beginnings = evaluate(both, base, starts).T
+    axes.plot(*beginnings, "o", color="black", ms=5.5, label="a load period begins")
+    label_axis(axes.xaxis, quantity, "m")
+    label_axis(axes.yaxis, "its velocity", "m/s")
     axes.margins(0.08)
     axes.grid(alpha=0.3)
-    axes.legend(
-        loc="lower center", bbox_to_anchor=(0.5, 1.0), ncol=3, fontsize=7.5, frameon=False,
-        columnspacing=1.2, handletextpad=0.5,
-    )  # fmt: skip
+    above = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "ncol": 3, "frameon": False}
+    axes.legend(fontsize=7.5, columnspacing=1.2, handletextpad=0.5, **above)

@@ -8,114 +8,58 @@ with thickness t. Clamped dofs are left out, so that no spurious mode stands for
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import dolfinx
 import numpy as np
-import scipy.optimize
 import scipy.sparse as sparse
 import ufl
 from mpi4py import MPI
 from petsc4py import PETSc
 from scipy.spatial import cKDTree
 
-from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.errors import InputError
 from fenics_crack.fem import compat
 from fenics_crack.fem.plate import PlateMesh, build_mesh
-from fenics_crack.model.modes import solve_modes
-from fenics_crack.model.structure import ModalDamping, Nodes, Structure
+from fenics_crack.model.nodes import Nodes
+from fenics_crack.model.structure import ModalDamping, Structure
 from fenics_crack.parallel import collect_garbage, gather_rows
 from fenics_crack.scene.scene import Scene
 
-__all__ = ["build_structure", "find_crack_length"]
+__all__ = ["assemble"]
 
 
-def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
-    """Mesh a scene and assemble its structure (collective).
+def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
+    """Mesh a scene whose crack length is known, and assemble its structure (collective).
 
-    A crack that is given by ``first_omega`` gets the length found by :func:`find_crack_length`.
-
-    Parameters
-    ----------
-    scene : Scene
-        What to build.
-    comm : MPI.Comm
-        Ranks that share the mesh.
-
-    Raises
-    ------
-    InputError
-        The mesh file is unusable, the load is off the mesh or clamped, or the lips do not match.
+    Parameters and errors are those of :func:`fenics_crack.build_structure`.
     """
-    if scene.crack is not None and scene.crack.first_omega is not None:
-        scene = scene.replace(
-            {"crack.length": find_crack_length(scene, comm), "crack.first_omega": None}
-        )
     plate = build_mesh(scene, comm)
     if not plate.cracked and scene.mesh.layout == "file" and (scene.contact or scene.crack):
         allowed = "a mesh with curves named 'lower_lip' and 'upper_lip', as the scene has contact"
         raise InputError("mesh.file", scene.mesh.file, allowed)
     space = compat.function_space(plate.mesh, scene.mesh.order)
     dofs = _Dofs(plate, space)
-    stiffness, mass = _assemble(scene, space)
+    stiffness, mass = _matrices(scene, space)
     if not all(np.isfinite(matrix.norm()) for matrix in (stiffness, mass)):
         raise InputError("mesh", "cells of no area", "one whose cells all have an area")
-    lips = _pair_lips(scene, plate, space, dofs)
-    damping = ModalDamping(
-        scene.damping.ratio, None if scene.damping.modes == "all" else int(scene.damping.modes)
-    )
-    structure = Structure(
-        dofs.free_block(mass),
-        dofs.free_block(stiffness),
-        lips.gap,
-        force=_load(scene, plate, space, dofs),
-        clearance=np.full(lips.gap.shape[1], scene.crack.clearance if scene.crack else 0.0),
-        damping=damping,
-        nodes=dofs.nodes(),
-        pair_points=lips.points,
-        pair_areas=lips.areas,
-    )
+    gap, points, areas = _pair_lips(scene, plate, space, dofs)
+    blocks = dofs.free_block(mass), dofs.free_block(stiffness)
     mass.destroy()
     stiffness.destroy()
+    modes = None if scene.damping.modes == "all" else int(scene.damping.modes)
+    structure = Structure(
+        *blocks,
+        gap,
+        force=_load(scene, plate, space, dofs),
+        clearance=np.full(gap.shape[1], scene.crack.clearance if scene.crack else 0.0),
+        damping=ModalDamping(scene.damping.ratio, modes),
+        nodes=dofs.nodes(),
+        pair_points=points,
+        pair_areas=areas,
+    )
     collect_garbage(comm)
     return structure
-
-
-def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
-    """Find the crack length [m] at which the first natural frequency is ``crack.first_omega``.
-
-    The frequency of the open crack falls with its length; Brent's method over re-meshed plates, to
-    1e-5 of the width.
-
-    Raises
-    ------
-    InputError
-        No length between 1 % and 95 % of the width gives that frequency.
-    """
-    crack, width = scene.crack, scene.geometry.width
-    if crack is None or crack.first_omega is None or width is None:
-        raise InputError("crack.first_omega", None, "given: a finite number > 0")
-    target = crack.first_omega
-
-    def excess(length: float) -> float:
-        cut = scene.replace({"crack.length": length, "crack.first_omega": None})
-        return float(solve_modes(build_structure(cut, comm), 1).omega[0]) - target
-
-    shortest, longest = 0.01 * width, 0.95 * width
-    highest, lowest = target + excess(shortest), target + excess(longest)
-    if not lowest <= target <= highest:
-        raise InputError(
-            "crack.first_omega",
-            target,
-            f"between {lowest:.1f} and {highest:.1f} rad/s: cracks of 95 % and 1 % of the width",
-        )
-    length, result = scipy.optimize.brentq(
-        excess, shortest, longest, xtol=1e-5 * width, full_output=True
-    )
-    if not result.converged:
-        raise ConvergenceError(f"crack length: {result.flag}")
-    return float(length)
 
 
 # --- numbering ------------------------------------------------------------------------------------
@@ -141,9 +85,8 @@ class _Dofs:
 
     def free_block(self, matrix: Any) -> Any:
         """Leave the clamped rows and columns out of a matrix."""
-        rows = PETSc.IS().createGeneral(
-            (2 * self.first_node + self.free).astype(PETSc.IntType), comm=self.comm
-        )
+        free = (2 * self.first_node + self.free).astype(PETSc.IntType)
+        rows = PETSc.IS().createGeneral(free, comm=self.comm)
         block = matrix.createSubMatrix(rows, rows)
         rows.destroy()
         return block
@@ -171,26 +114,17 @@ def nodes_on(plate: PlateMesh, space: Any, group: str) -> np.ndarray:
 # --- matrices and load ----------------------------------------------------------------------------
 
 
-def _assemble(scene: Scene, space: Any) -> tuple[Any, Any]:
+def _matrices(scene: Scene, space: Any) -> tuple[Any, Any]:
     """Stiffness and mass matrix of all dofs, clamped ones included."""
-    mesh = space.mesh
-    scalar = PETSc.ScalarType
+    material, thickness = scene.material, scene.geometry.thickness
     young, poisson, density, thickness = (
-        dolfinx.fem.Constant(mesh, scalar(value))
-        for value in (
-            scene.material.young,
-            scene.material.poisson,
-            scene.material.density,
-            scene.geometry.thickness,
-        )
+        dolfinx.fem.Constant(space.mesh, PETSc.ScalarType(value))
+        for value in (material.young, material.poisson, material.density, thickness)
     )
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
     strain = ufl.sym(ufl.grad(u))
-    stress = (
-        young
-        / (1.0 - poisson**2)
-        * ((1.0 - poisson) * strain + poisson * ufl.tr(strain) * ufl.Identity(2))
-    )
+    stress = (1.0 - poisson) * strain + poisson * ufl.tr(strain) * ufl.Identity(2)
+    stress = young / (1.0 - poisson**2) * stress
     stiffness = thickness * ufl.inner(stress, ufl.sym(ufl.grad(v))) * ufl.dx
     mass = thickness * density * ufl.inner(u, v) * ufl.dx
     return compat.assembled_matrix(stiffness), compat.assembled_matrix(mass)
@@ -204,9 +138,8 @@ def _load(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> np.ndarray
     excitation = scene.excitation
     point = excitation.point if excitation.point is not None else plate.load_point
     if point is None:
-        raise InputError(
-            "excitation.point", None, "given, or a physical point 'load' in the mesh file"
-        )
+        allowed = "given, or a physical point 'load' in the mesh file"
+        raise InputError("excitation.point", None, allowed)
     nodes, values = compat.basis_at(space, scene.mesh.order, np.array(point))
     values = np.where(np.abs(values) < 1e-12, 0.0, values)  # rounding
     hits = dofs.comm.allgather(len(nodes) > 0)
@@ -232,24 +165,17 @@ def _load(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> np.ndarray
 # --- the crack ------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Lips:
-    gap: sparse.csr_matrix
-    """(n_local, n_pairs)"""
-    points: np.ndarray
-    """(n_pairs, 2) [m]"""
-    areas: np.ndarray
-    """(n_pairs,) [m^2]: thickness times the integral of the node's basis function over the lip"""
-
-
-def _pair_lips(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> _Lips:
-    """Pair the nodes of the lips' groups that lie in the same place, from the mouth to the tip.
+def _pair_lips(
+    scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs
+) -> tuple[sparse.csr_matrix, np.ndarray, np.ndarray]:
+    """Pair the nodes of the lips in the same place, from the mouth to the tip: B, points, areas.
 
     The normal at a node is the lower lip's outward normal, averaged with the node's basis function
-    over the lip: the load vector of a unit pressure points along it.
+    over the lip: the load vector of a unit pressure points along it. The area of a pair is the
+    thickness times the integral of that function.
     """
     if not plate.cracked:
-        return _Lips(sparse.csr_matrix((len(dofs.free), 0)), np.zeros((0, 2)), np.zeros(0))
+        return sparse.csr_matrix((len(dofs.free), 0)), np.zeros((0, 2)), np.zeros(0)
     comm = dofs.comm
     normal = ufl.FacetNormal(plate.mesh)
     lip = ufl.ds(domain=plate.mesh, subdomain_data=plate.facet_tags)(plate.groups["lower_lip"])
@@ -261,12 +187,8 @@ def _pair_lips(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> _Lips
     for group in ("lower_lip", "upper_lip"):
         local = nodes_on(plate, space, group)
         local = local[local < dofs.n_nodes]
-        sides.append(
-            gather_rows(
-                comm,
-                np.column_stack([local + dofs.first_node, coordinates[local], pressure[local]]),
-            )
-        )
+        rows = np.column_stack([local + dofs.first_node, coordinates[local], pressure[local]])
+        sides.append(gather_rows(comm, rows))
     lower, upper = sides
     shared = np.intersect1d(lower[:, 0], upper[:, 0])
     tip = lower[np.isin(lower[:, 0], shared), 1:3]
@@ -277,13 +199,12 @@ def _pair_lips(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> _Lips
         distance, partner = cKDTree(upper[:, 1:3]).query(lower[:, 1:3])
         matched = distance.max() <= 1e-6 * size and len(set(partner)) == len(partner)
     if not matched:
-        raise InputError(
-            "lips",
-            f"{len(lower)} lower and {len(upper)} upper nodes",
-            "meshed identically, so that the nodes of the two lips pair one to one",
-        )
+        allowed = "meshed identically, so that the nodes of the two lips pair one to one"
+        raise InputError("lips", f"{len(lower)} lower and {len(upper)} upper nodes", allowed)
     upper = upper[partner]
-    order = _from_mouth(lower[:, 1:3], tip[0] if len(tip) else None)
+    order = np.lexsort(lower[:, 1:3].T)
+    if len(tip):
+        order = np.argsort(-np.linalg.norm(lower[:, 1:3] - tip[0], axis=1), kind="stable")
     if scene.contact is not None and scene.contact.pairs == "mouth":
         order = order[:1]
     lower, upper = lower[order], upper[order]
@@ -298,11 +219,4 @@ def _pair_lips(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> _Lips
         for component in (0, 1):
             gap[2 * node[mine] + component, mine] = sign * normals[mine, component]
     areas = scene.geometry.thickness * lengths
-    return _Lips(sparse.csr_matrix(gap)[dofs.free], lower[:, 1:3], areas)
-
-
-def _from_mouth(points: np.ndarray, tip: np.ndarray | None) -> np.ndarray:
-    """Order of the points with the farthest from the tip first; without a tip, as they are."""
-    if tip is None:
-        return np.lexsort(points.T)
-    return np.argsort(-np.linalg.norm(points - tip, axis=1), kind="stable")
+    return sparse.csr_matrix(gap)[dofs.free], lower[:, 1:3], areas

@@ -24,11 +24,20 @@ import ufl
 from mpi4py import MPI
 from petsc4py import PETSc
 
-_interrupt = signal.getsignal(signal.SIGINT)
-import gmsh  # noqa: E402  (4.8 takes Ctrl-C for itself when it is imported)
 
-if threading.current_thread() is threading.main_thread():
-    signal.signal(signal.SIGINT, _interrupt)
+@contextmanager
+def kept_interrupts() -> Iterator[None]:
+    """Restore the handler of Ctrl-C afterwards: gmsh 4.8 replaces it and leaves it so."""
+    handler = signal.getsignal(signal.SIGINT)
+    try:
+        yield
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, handler)
+
+
+with kept_interrupts():
+    import gmsh
 
 __all__ = [
     "assembled_matrix",
@@ -43,22 +52,13 @@ __all__ = [
     "vtk_cells",
 ]
 
-_JIT = {"timeout": 300}  # [s] while another process compiles the same form
-
-
-@contextmanager
-def kept_interrupts() -> Iterator[None]:
-    """What Ctrl-C does is as before: gmsh sets it, and 4.8 does not set it back."""
-    handler = signal.getsignal(signal.SIGINT)
-    try:
-        yield
-    finally:
-        if threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGINT, handler)
+_NEW = hasattr(dolfinx.fem, "functionspace")
+_JIT = {"jit_options" if _NEW else "jit_params": {"timeout": 300}}
+"""[s] while another process compiles the same form."""
 
 
 def gmsh_is_running() -> bool:
-    """Whether somebody else has initialised gmsh; gmsh 4.8 cannot tell, so there nobody has."""
+    """Whether gmsh is initialised; gmsh 4.8 cannot tell, which is taken as no."""
     return bool(getattr(gmsh, "isInitialized", lambda: False)())
 
 
@@ -76,28 +76,23 @@ def model_to_mesh(model: Any, comm: MPI.Comm) -> tuple[Any, Any, Any]:
 
 def function_space(mesh: Any, order: int) -> Any:
     """Continuous piecewise polynomials of the given order with two components."""
-    if hasattr(dolfinx.fem, "functionspace"):
+    if _NEW:
         element = ("Lagrange", order, (mesh.geometry.dim,))
-        return dolfinx.fem.functionspace(mesh, element, jit_options=_JIT)
+        return dolfinx.fem.functionspace(mesh, element, **_JIT)
     element = ufl.VectorElement("Lagrange", mesh.ufl_cell(), order)
-    return dolfinx.fem.FunctionSpace(mesh, element, jit_params=_JIT)
-
-
-def _compiled(form: ufl.Form) -> Any:
-    options = "jit_options" if hasattr(dolfinx.fem, "functionspace") else "jit_params"
-    return dolfinx.fem.form(form, **{options: _JIT})
+    return dolfinx.fem.FunctionSpace(mesh, element, **_JIT)
 
 
 def assembled_matrix(form: ufl.Form) -> Any:
     """Assemble a bilinear form without boundary conditions into a PETSc matrix (collective)."""
-    matrix = dolfinx.fem.petsc.assemble_matrix(_compiled(form))
+    matrix = dolfinx.fem.petsc.assemble_matrix(dolfinx.fem.form(form, **_JIT))
     matrix.assemble()
     return matrix
 
 
 def assembled_vector(form: ufl.Form) -> np.ndarray:
     """Assemble a linear form; return the entries of the dofs that this rank owns (collective)."""
-    vector = dolfinx.fem.petsc.assemble_vector(_compiled(form))
+    vector = dolfinx.fem.petsc.assemble_vector(dolfinx.fem.form(form, **_JIT))
     vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
     owned = vector.array_r.copy()
     vector.destroy()

@@ -1,4 +1,4 @@
-"""Mesh files: read by gmsh where a damaged one does no harm, and checked before they are used."""
+"""Mesh files: gmsh reads them in a process of its own, and they are checked before use."""
 
 from __future__ import annotations
 
@@ -16,50 +16,55 @@ from fenics_crack.fem.compat import gmsh
 __all__ = ["read_file"]
 
 FARTHEST = 1e6
-"""A node of a mesh file [m]."""
+"""Largest coordinate of a node [m]."""
 LONGEST_READING = 300
-"""Of a mesh file by gmsh [s]."""
+"""Time allowed for reading a file [s]."""
 _POINT, _TRIANGLES = 15, (2, 9, 21)
 _EDGES = {2: 1, 3: 1, 9: 8, 10: 8, 21: 26, 36: 26}
 """gmsh's kinds of cells that DOLFINx reads, and of their edges, order by order; and of points."""
 
 
 def read_file(path: Path) -> None:
-    """Fill gmsh's current model with what a mesh file holds.
+    """Read a mesh file into gmsh's current model.
 
     Raises
     ------
     InputError
         The file is not a plane mesh of one kind of cells, or is damaged.
     """
-    if not path.is_file():
-        raise InputError("mesh.file", str(path), "an existing gmsh mesh file")
+
+    def require(condition: object, allowed: str) -> None:
+        if not condition:
+            raise InputError("mesh.file", str(path), allowed)
+
+    require(path.is_file(), "an existing gmsh mesh file")
     found = _read_by_child(path)
     if isinstance(found, str):
         raise InputError("mesh.file", str(path), f"readable by gmsh ({found})")
     numbers, positions, groups = found
     flat = len(positions) > 0 and np.ptp(positions[:, 2]) == 0.0
-    if not flat or not np.all(np.abs(positions) < FARTHEST):
-        allowed = f"a plane mesh, z the same at every node, within {FARTHEST:g} m of the origin"
-        raise InputError("mesh.file", str(path), allowed)
+    require(
+        flat and np.all(np.abs(positions) < FARTHEST),
+        f"a plane mesh, z the same at every node, within {FARTHEST:g} m of the origin",
+    )
     kinds = {kind for dimension, _, _, kind, _ in groups if dimension == 2}
-    if len(kinds) != 1 or not kinds <= set(_EDGES):
-        raise InputError(
-            "mesh.file",
-            str(path),
-            "a mesh whose physical surfaces hold one kind of cells, triangles or quadrilaterals"
-            f" (it holds {len(kinds)} kinds)",
-        )
+    require(
+        len(kinds) == 1 and kinds <= _EDGES.keys(),
+        "a mesh whose physical surfaces hold one kind of cells, triangles or quadrilaterals"
+        f" (it holds {len(kinds)} kinds)",
+    )
     kind = kinds.pop()
     cells = _cells(kind, [nodes for dimension, *_, nodes in groups if dimension == 2])
-    if not _is_sound(kind, cells) or not np.isin(cells, numbers).all():
-        allowed = "a mesh whose cells have different corners, and at most two of them an edge"
-        raise InputError("mesh.file", str(path), allowed)
+    require(
+        _is_sound(kind, cells) and np.isin(cells, numbers).all(),
+        "a mesh whose cells have different corners, and at most two of them an edge",
+    )
     expected = {0: _POINT, 1: _EDGES[kind]}
     parts = [group for group in groups if group[0] != 2]
-    if not all(k == expected.get(d) and np.isin(nodes, cells).all() for d, *_, k, nodes in parts):
-        allowed = "a mesh whose physical curves and points hold edges and corners of its cells"
-        raise InputError("mesh.file", str(path), allowed)
+    require(
+        all(k == expected.get(d) and np.isin(nodes, cells).all() for d, *_, k, nodes in parts),
+        "a mesh whose physical curves and points hold edges and corners of its cells",
+    )
     numbers, first = np.unique(numbers, return_index=True)
     used = np.isin(numbers, cells)
     plate = (2, 1, "plate", kind, cells.ravel())
@@ -104,7 +109,7 @@ def _fill(numbers: np.ndarray, positions: np.ndarray, groups: list[_Group]) -> N
 
 
 def _read_by_child(path: Path) -> tuple[np.ndarray, np.ndarray, list[_Group]] | str:
-    """Numbers and positions of a file's nodes and its groups, or what gmsh says against it."""
+    """Numbers and positions of a file's nodes and its groups, or gmsh's error message."""
     reader = [sys.executable, "-I", str(Path(__file__).with_name("msh_reader.py")), str(path)]
     try:
         done = subprocess.run(reader, capture_output=True, timeout=LONGEST_READING)

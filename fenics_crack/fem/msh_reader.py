@@ -1,7 +1,7 @@
 """A program of its own that reads a mesh file with gmsh: ``python -I msh_reader.py FILE``.
 
-A damaged file may crash gmsh, or spoil the memory it works in. What is found goes to standard
-output: numbers and positions of the nodes, and the physical groups; or what gmsh says against it.
+A damaged file may crash gmsh or corrupt its memory. The result goes to standard output, pickled:
+numbers and positions of the nodes, and the physical groups; or gmsh's error message.
 """
 
 import pickle
@@ -11,7 +11,7 @@ import gmsh
 
 
 def main(path: str) -> None:
-    """Read and answer."""
+    """Read a file and write what it holds."""
     gmsh.initialize(readConfigFiles=False)
     gmsh.option.setNumber("General.Terminal", 0)
     gmsh.option.setNumber("General.ExpertMode", 1)  # it must not ask

@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-import pyvista
 from scipy.spatial import cKDTree
 
 from fenics_crack.errors import InputError
@@ -24,6 +23,8 @@ class NodalMesh:
         Node positions.
     cells : (n_cells, k) int
         Their nodes in VTK's order.
+    vtk_type : int
+        VTK's number of the cell type.
     size : float [m]
         Largest extent.
     clamped : (n_nodes,) bool
@@ -32,7 +33,7 @@ class NodalMesh:
 
     def __init__(self, structure: Structure) -> None:
         if structure.nodes is None:
-            raise InputError("structure", "made from matrices", "made from a mesh, to be drawn")
+            raise InputError("structure", "made from matrices", "made from a mesh")
         whole = structure.whole
         nodes, comm = structure.nodes, whole.comm
         self.structure = whole
@@ -41,31 +42,13 @@ class NodalMesh:
         self._dofs = gather_rows(comm, nodes.dofs)
         self.clamped = np.all(self._dofs < 0, axis=1)
         self.cells = np.concatenate([c for c in comm.allgather(nodes.cells) if len(c)])
-        self._vtk_type = nodes.vtk_type
+        self.vtk_type = nodes.vtk_type
 
     def field(self, rows: np.ndarray) -> np.ndarray:
         """Nodal vectors (m, n_nodes, 2) of dof values (m, n_local); zero where clamped."""
         comm = self.structure.comm
         whole = np.concatenate(comm.allgather(rows), axis=1)
         return np.where(self._dofs >= 0, whole[:, np.maximum(self._dofs, 0)], 0.0)
-
-    def grid(self, displacement: np.ndarray) -> pyvista.UnstructuredGrid:
-        """The mesh displaced by nodal vectors (n_nodes, 2) [m]."""
-        points = np.zeros((len(self.points), 3))
-        points[:, :2] = self.points + displacement
-        count, nodes = self.cells.shape
-        cells = np.column_stack([np.full(count, nodes), self.cells]).ravel()
-        return pyvista.UnstructuredGrid(cells, np.full(count, self._vtk_type), points)
-
-    def lines(
-        self, edges: np.ndarray, displacement: np.ndarray | float = 0.0, height: float = 0.0
-    ) -> pyvista.PolyData:
-        """Edges displaced by nodal vectors, and lifted towards the eye [m]."""
-        count, nodes = edges.shape
-        points = (self.points + displacement)[edges.ravel()]
-        cells = np.column_stack([np.full(count, nodes), np.arange(edges.size).reshape(count, -1)])
-        lifted = np.pad(points, ((0, 0), (0, 1)), constant_values=height)
-        return pyvista.PolyData(lifted, lines=cells.ravel())
 
     @cached_property
     def _edges_and_uses(self) -> tuple[np.ndarray, np.ndarray]:
@@ -93,7 +76,7 @@ class NodalMesh:
 
     @cached_property
     def lips(self) -> np.ndarray:
-        """Edges of the boundary that lie two in one place, likewise."""
+        """Edges of the boundary that coincide with another one: the lips, likewise."""
         middle = self.points[self.boundary[:, [0, -1]]].mean(axis=1)
         pairs = cKDTree(middle).query_pairs(1e-6 * self.size, output_type="ndarray")
         return np.asarray(self.boundary[np.unique(pairs)])

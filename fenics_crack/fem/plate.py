@@ -37,9 +37,9 @@ from fenics_crack.scene.scene import Scene
 __all__ = ["PlateMesh", "build_mesh", "write_msh"]
 
 MOST_CELLS = 5_000_000
-"""Of a plate; a mesh file may have any number."""
+"""For a plate; a mesh file may have any number of cells."""
 SMALLEST_CELL = 1e-7
-"""Relative to the plate; gmsh and the elements' matrices need it."""
+"""Relative to the plate: gmsh and the matrices allow no smaller one."""
 _GROUPS = {"plate": 1, "clamp": 2, "lower_lip": 3, "upper_lip": 4, "load": 5}
 
 
@@ -49,13 +49,10 @@ class PlateMesh:
 
     Attributes
     ----------
-    mesh : dolfinx.mesh.Mesh
-        The plate.
-    facet_tags : dolfinx.mesh.MeshTags
-        Tags of the facets in the groups below.
+    mesh, facet_tags : dolfinx.mesh.Mesh, dolfinx.mesh.MeshTags
+        The plate, and the tags of its facets.
     groups : dict of str to int
-        Facet tag of ``clamp``, ``lower_lip`` and ``upper_lip``; the lips only where there is a
-        crack.
+        Facet tag of ``clamp``, and with a crack of ``lower_lip`` and ``upper_lip``.
     load_point : tuple of float or None
         Position of the physical point ``load`` [m].
     """
@@ -127,15 +124,10 @@ def _model(scene: Scene) -> tuple[dict[str, int], tuple[float, float] | None]:
 
 
 def _draw(scene: Scene) -> None:
-    """Draw the plate and say how each curve and surface is to be divided."""
-    width, height = scene.geometry.width, scene.geometry.height
-    assert width is not None and height is not None
-    crack = scene.crack
-    if crack is None:
-        columns = [(0.0, width, *_division(scene, width, scene.mesh.columns))]
-        rows = [(0.0, height, *_division(scene, height, scene.mesh.rows))]
-    else:
-        columns, rows = _crack_divisions(scene)
+    """Draw the plate and set how each curve and surface is divided."""
+    crack, width = scene.crack, scene.geometry.width
+    assert width is not None
+    columns, rows = _divisions(scene)
     cells = math.prod(sum(interval[2] for interval in side) for side in (columns, rows))
     if cells > MOST_CELLS:
         key = "columns" if scene.mesh.layout == "grid" else "size"
@@ -146,8 +138,7 @@ def _draw(scene: Scene) -> None:
     def position(x: float, y: float) -> tuple[float, float]:
         return (width - x, y) if mirrored else (x, y)
 
-    xs = [columns[0][0], *(column[1] for column in columns)]
-    ys = [rows[0][0], *(row[1] for row in rows)]
+    xs, ys = ([0.0, *(interval[1] for interval in side)] for side in (columns, rows))
     add_point = gmsh.model.geo.addPoint
     points = {
         (i, j): add_point(*position(x, y), 0.0) for i, x in enumerate(xs) for j, y in enumerate(ys)
@@ -162,9 +153,7 @@ def _draw(scene: Scene) -> None:
         for i in range(len(xs)):
             start = mouth_above if (i, j) == (0, 1) and mouth_above else points[i, j]
             vertical[i, j] = _curve(start, points[i, j + 1], count, progression)
-    upper_lip = None
-    if mouth_above is not None:
-        upper_lip = _curve(mouth_above, points[1, 1], *columns[0][2:])
+    upper_lip = mouth_above and _curve(mouth_above, points[1, 1], *columns[0][2:])
 
     surfaces = []
     for i in range(len(columns)):
@@ -185,7 +174,7 @@ def _draw(scene: Scene) -> None:
         "plate": (2, surfaces),
         "clamp": (1, [horizontal[i, 0] for i in range(len(columns))]),
     }
-    if upper_lip is not None:
+    if upper_lip:
         groups |= {"lower_lip": (1, [horizontal[0, 1]]), "upper_lip": (1, [upper_lip])}
     at_load = [
         tag
@@ -203,19 +192,17 @@ Division = tuple[int, float]  # number of elements, ratio of the lengths of neig
 Interval = tuple[float, float, int, float]  # from, to, and its division
 
 
-def _division(scene: Scene, length: float, cells: int | None) -> Division:
-    """Equal elements: as many as the grid has, or as the size asks for."""
-    if cells is not None:
-        return cells, 1.0
-    assert scene.mesh.size is not None
-    return max(1, round(length / scene.mesh.size)), 1.0
-
-
-def _crack_divisions(scene: Scene) -> tuple[list[Interval], list[Interval]]:
-    """Divide the plate left and right of the tip, below and above the crack."""
+def _divisions(scene: Scene) -> tuple[list[Interval], list[Interval]]:
+    """Divide the plate left and right of the tip, and below and above the crack; or as a whole."""
     mesh, crack = scene.mesh, scene.crack
     width, height = scene.geometry.width, scene.geometry.height
-    assert crack and crack.length and crack.height and width and height
+    assert width and height
+    if crack is None:
+        cells: Any = mesh.columns, mesh.rows
+        if mesh.size is not None:
+            cells = [max(1, round(side / mesh.size)) for side in (width, height)]
+        return [(0.0, width, cells[0], 1.0)], [(0.0, height, cells[1], 1.0)]
+    assert crack.length and crack.height
     length, level = crack.length, crack.height
     if mesh.layout == "grid":
         assert mesh.columns and mesh.rows

@@ -1,4 +1,4 @@
-"""Modes on disk, node by node, so that a file does not depend on how ranks number the dofs."""
+"""Modes on disk, node by node: independent of how the ranks number the dofs."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ __all__ = ["pack_modes", "unpack_modes"]
 
 
 def pack_modes(modes: Modes) -> dict[str, Any]:
-    """What a file holds of the modes of a meshed structure (collective)."""
+    """Datasets of the modes of a meshed structure (collective)."""
     mesh = NodalMesh(modes.structure)
     shapes = mesh.field(modes.structure.expand(modes.shapes.T))
     return {"omega": modes.omega, "nodes": _marks(mesh), "shapes": shapes}
 
 
 def unpack_modes(parts: dict[str, Any], structure: Structure, contact: object = None) -> Modes:
-    """Modes of the same mesh, on any number of ranks.
+    """Modes from these datasets, on any number of ranks (collective).
 
     Raises
     ------
     InputError
-        The nodes are not those of the structure.
+        The structure has other nodes.
     """
     mesh, whole = NodalMesh(structure), structure.whole
     assert whole.nodes is not None
@@ -47,7 +47,7 @@ def unpack_modes(parts: dict[str, Any], structure: Structure, contact: object = 
 
 
 def _marks(mesh: NodalMesh) -> np.ndarray:
-    """Where a node is, and the middle of its cells, which tells the two lips apart: (n, 4)."""
+    """Position of each node and mean midpoint of its cells, which tells the lips apart: (n, 4)."""
     sums, counts = np.zeros((len(mesh.points), 2)), np.zeros((len(mesh.points), 1))
     middles = mesh.points[mesh.cells].mean(axis=1)
     for nodes in mesh.cells.T:

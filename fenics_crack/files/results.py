@@ -1,8 +1,8 @@
-"""Every kind of result to an HDF5 file and back: one :func:`save`, one :func:`load`."""
+"""Write and read every kind of result (HDF5): one :func:`save`, one :func:`load`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
 from fenics_crack.files.modes_file import pack_modes, unpack_modes
 from fenics_crack.files.store import kind_of, reading, write
-from fenics_crack.model.contact import ContactLaw, UnilateralConstraint
+from fenics_crack.model.contact import ContactLaw, UnilateralConstraint, is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.reduction import reduce_structure
@@ -26,20 +26,11 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.time.march import TimeHistory
 
-__all__ = ["Result", "check_gap", "check_pairs", "load", "save"]
+__all__ = ["Result", "check_gap", "check_pairs", "load", "save", "type_of"]
 
 Result = Modes | PeriodicSolution | ResponseCurve | Backbone | TimeHistory
-Law = ContactLaw | UnilateralConstraint | None
+Law = ContactLaw | None
 Parts = dict[str, Any]
-
-CURVE = (
-    "parameter", "values", "omega", "gap_coefficients", "harmonics", "iterations", "truncation",
-    "complete", "status", "subharmonic", "multipliers", "branch",
-)  # fmt: skip
-BACKBONE = (
-    "mode", "omega", "energy", "rest_energy", "cosines", "iterations", "complete", "status",
-    "jumps",
-)  # fmt: skip
 
 
 def save(result: Result, path: str | Path, scene: Scene | None = None) -> None:
@@ -51,34 +42,37 @@ def save(result: Result, path: str | Path, scene: Scene | None = None) -> None:
     Parameters
     ----------
     result : Modes, PeriodicSolution, ResponseCurve, Backbone or TimeHistory
-        What was found.
+        What to write.
     path : path
-        The file; an older one is replaced when the new one is complete.
+        The file; an older one is replaced once the new one is complete.
     scene : Scene, optional
-        What was computed.
+        Its scene.
 
     Raises
     ------
     InputError
-        The file cannot be written, modes are those of a structure without a mesh, or a time history
-        is spread over several ranks.
+        The file cannot be written, the modes have no mesh, or a time history is spread over
+        several ranks.
     """
     if type(result) not in _FORMS:
         names = ", ".join(kind.__name__ for kind in _FORMS)
         raise InputError("result", type(result).__name__, f"one of {names}")
-    pack = _FORMS[type(result)][0]
-    write(path, result.KIND, pack(result), scene, result.structure.comm)
+    parts = _FORMS[type(result)][0](result)
+    write(parts, path, result.KIND, scene, result.structure.comm)
 
 
 def load(path: str | Path, structure: Structure, contact: Law = None) -> Result:
     """Read a result written by :func:`save`; nothing is solved again (collective).
 
+    :func:`fenics_crack.load_run` reads a file with a scene without a structure at hand;
+    ``SweepResult.load`` reads a sweep.
+
     Parameters
     ----------
     path : path
         The file.
-    structure, contact : Structure, ContactLaw, UnilateralConstraint or None
-        Those with which it was found; of a curve, a structure with many dofs is reduced by
+    structure, contact : Structure, ContactLaw or None
+        Those with which it was found; for a curve, a structure with many dofs is reduced by
         :func:`reduce_structure`, as it was then. Modes and time histories need no law.
 
     Raises
@@ -86,34 +80,44 @@ def load(path: str | Path, structure: Structure, contact: Law = None) -> Result:
     InputError
         The file is not one of :func:`save`, or the structure or the law is another.
     """
-    kind = kind_of(path)
-    for result, (_, unpack) in _FORMS.items():
-        if kind == result.KIND:
-            with reading(path, kind) as parts:
-                return unpack(parts, structure, contact)
-    raise InputError("path", str(path), f"a result written by save; in it is a {kind}")
+    kind = type_of(path)
+    with reading(path, kind.KIND) as parts:
+        return _FORMS[kind][1](parts, structure, contact)
+
+
+def type_of(path: str | Path) -> type[Result]:
+    """Class of the result in a file written by :func:`save`.
+
+    Raises
+    ------
+    InputError
+        The file holds something else.
+    """
+    found = kind_of(path)
+    for kind in _FORMS:
+        if kind.KIND == found:
+            return kind
+    allowed = f"a result written by save; this is a {found} (SweepResult.load reads sweeps)"
+    raise InputError("path", str(path), allowed)
+
+
+def _fields(result: Result, *apart: str) -> Parts:
+    """What a result holds besides its structure, its law and the fields kept apart."""
+    apart = ("structure", "contact", *apart)
+    return {f.name: getattr(result, f.name) for f in fields(result) if f.name not in apart}
 
 
 # --- solutions ------------------------------------------------------------------------------------
 
 
 def _pack_solution(solution: PeriodicSolution) -> Parts:
-    parts = {
-        "omega": solution.omega,
-        "gap_coefficients": solution.gap_coefficients,
-        "force_coefficients": solution.force_coefficients,
-        "subharmonic": solution.subharmonic,
-        "converged": solution.converged,
-        "status": solution.status,
-        "iterations": solution.iterations,
-        **{f"error_{name}": value for name, value in asdict(solution.report).items()},
-        **_law_parts(solution.contact),
-    }
-    if isinstance(solution.contact, UnilateralConstraint):
+    parts = _fields(solution, "displacement_coefficients", "report", "stability")
+    parts |= {f"error_{name}": value for name, value in asdict(solution.report).items()}
+    if is_rigid(solution.contact):
         parts["weight"] = solution.contact.weight
     if solution.stability is not None:
         parts |= asdict(solution.stability)
-    return parts
+    return parts | _law_parts(solution.contact)
 
 
 def _unpack_solution(parts: Parts, structure: Structure, contact: Law) -> PeriodicSolution:
@@ -121,44 +125,30 @@ def _unpack_solution(parts: Parts, structure: Structure, contact: Law) -> Period
     if gap.ndim != 2 or gap.shape != force.shape or not len(gap) % 2:
         raise ValueError("coefficients do not fit")
     check_pairs(structure, gap)
-    _check_law_parts(parts, contact)
-    if isinstance(contact, UnilateralConstraint):
-        contact = UnilateralConstraint(float(parts["weight"]))
-    omega, subharmonic = float(parts["omega"]), int(parts["subharmonic"])
-    stability = None
-    if "verdict" in parts:
-        stability = Stability(
-            parts["multipliers"],
-            parts["verdict"],
-            float(parts["uncertainty"]),
-            bool(parts["refined"]),
-        )
-    names = [field.name for field in fields(ErrorReport)]
-    report = ErrorReport(*[float(parts[f"error_{name}"]) for name in names])
-    converged = bool(parts["converged"])
+    _take_law(parts, contact)
+    if is_rigid(contact):
+        contact = UnilateralConstraint(parts.pop("weight"))
+    report = ErrorReport(**{f.name: parts.pop(f"error_{f.name}") for f in fields(ErrorReport)})
+    judged = {f.name: parts.pop(f.name) for f in fields(Stability) if f.name in parts}
+    omega, subharmonic = parts["omega"], parts["subharmonic"]
     compliance = dynamic_compliance(structure, omega / subharmonic, len(gap) // 2, subharmonic)
     displacement = compliance.displacement(force)
     compliance.destroy()
-    if converged:
-        check_gap(structure, displacement, gap, max(1e-6, 10.0 * report.residual))
-    return PeriodicSolution(
-        structure,
-        omega,
-        contact,
-        displacement,
-        gap,
-        force,
-        subharmonic=subharmonic,
-        converged=converged,
-        status=parts["status"],
-        iterations=int(parts["iterations"]),
+    solution = PeriodicSolution(
+        structure=structure,
+        contact=contact,
+        displacement_coefficients=displacement,
         report=report,
-        stability=stability,
+        stability=Stability(**judged) if judged else None,
+        **parts,
     )
+    if solution.converged:
+        check_gap(structure, displacement, gap, max(1e-6, 10.0 * report.residual))
+    return solution
 
 
 def check_pairs(structure: Structure, gaps: np.ndarray) -> None:
-    """Raise InputError unless a structure has as many pairs as gaps (..., n_pairs)."""
+    """Raise InputError unless gaps (..., n_pairs) have as many pairs as the structure."""
     if gaps.shape[-1] != structure.n_pairs:
         allowed = f"one with {gaps.shape[-1]} pairs"
         raise InputError("structure", f"{structure.n_pairs} pairs", allowed)
@@ -167,7 +157,7 @@ def check_pairs(structure: Structure, gaps: np.ndarray) -> None:
 def check_gap(
     structure: Structure, displacement: np.ndarray, gap: np.ndarray, tolerance: float
 ) -> None:
-    """Raise InputError unless coefficients of displacement and gap belong together (collective)."""
+    """Raise InputError unless displacement and gap coefficients agree (collective)."""
     closing = structure.closing(displacement)
     size = np.linalg.norm(closing)
     closing[0] -= structure.clearance
@@ -179,8 +169,7 @@ def check_gap(
 
 
 def _pack_curve(curve: ResponseCurve) -> Parts:
-    parts = {name: getattr(curve, name) for name in CURVE}
-    parts["samples"] = curve.samples or 0
+    parts = _fields(curve, "bifurcations")
     parts["kinds"] = [b.kind for b in curve.bifurcations]
     parts["bifurcation_values"] = [b.value for b in curve.bifurcations]
     for number, bifurcation in enumerate(curve.bifurcations):
@@ -191,64 +180,34 @@ def _pack_curve(curve: ResponseCurve) -> Parts:
 def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseCurve:
     if not is_small(structure):
         structure = reduce_structure(structure)
-    _check_law_parts(parts, contact)
+    _take_law(parts, contact)
     gaps = parts["gap_coefficients"]
     sizes = {len(part) for part in (parts["values"], parts["omega"], gaps, parts["harmonics"])}
     if parts["parameter"] not in FAMILIES or gaps.ndim != 3 or len(sizes) != 1:
         raise ValueError("its parts do not fit")
     check_pairs(structure, gaps)
-    curve = ResponseCurve(
-        structure,
-        contact,  # type: ignore[arg-type]
-        parts["parameter"],
-        parts["values"],
-        parts["omega"],
-        gaps,
-        parts["harmonics"],
-        parts["iterations"],
-        parts["truncation"],
-        (),
-        bool(parts["complete"]),
-        parts["status"],
-        int(parts["samples"]) or None,
-        int(parts["subharmonic"]),
-        parts.get("multipliers"),
-        bool(parts["branch"]),
-    )
+    kinds, values = parts.pop("kinds"), parts.pop("bifurcation_values").tolist()
     special = [
-        (kind, float(value), parts[f"bifurcation_{number}"])
-        for number, (kind, value) in enumerate(
-            zip(parts["kinds"], parts["bifurcation_values"], strict=True)
-        )
+        (kind, value, parts.pop(f"bifurcation_{number}"))
+        for number, (kind, value) in enumerate(zip(kinds, values, strict=True))
     ]
+    known: Parts = {"structure": structure, "contact": contact, "bifurcations": (), "samples": None}
+    curve = ResponseCurve(**(known | parts))
     first = curve.solution(0)
     check_gap(first.structure, first.displacement_coefficients, curve.gap(0), 1e-4)
     return replace(curve, bifurcations=curve.expand_bifurcations(special))
 
 
 def _pack_backbone(backbone: Backbone) -> Parts:
-    parts = {name: getattr(backbone, name) for name in BACKBONE}
-    parts |= {"samples": backbone.samples or 0, "couplings": backbone.structure.couplings}
+    parts = _fields(backbone) | {"couplings": _couplings(backbone.structure)}
     return parts | _law_parts(backbone.contact)
 
 
 def _unpack_backbone(parts: Parts, structure: Structure, contact: Law) -> Backbone:
-    _check_law_parts(parts, contact)
-    signs = structure.signs_since(parts["couplings"])
-    return Backbone(
-        structure,
-        contact,  # type: ignore[arg-type]
-        int(parts["mode"]),
-        parts["omega"],
-        parts["energy"],
-        float(parts["rest_energy"]),
-        signs * parts["cosines"],
-        parts["iterations"],
-        bool(parts["complete"]),
-        parts["status"],
-        parts["jumps"],
-        int(parts["samples"]) or None,
-    )
+    _take_law(parts, contact)
+    parts["cosines"] = _signs(structure, parts.pop("couplings")) * parts["cosines"]
+    known: Parts = {"structure": structure, "contact": contact, "samples": None}
+    return Backbone(**(known | parts))
 
 
 # --- motion in time -------------------------------------------------------------------------------
@@ -257,43 +216,50 @@ def _unpack_backbone(parts: Parts, structure: Structure, contact: Law) -> Backbo
 def _pack_history(history: TimeHistory) -> Parts:
     if history.structure.comm.size > 1:
         raise InputError("result", "spread over several ranks", "a time history of one rank")
-    parts = {field.name: getattr(history, field.name) for field in fields(history)}
-    del parts["structure"]
-    displacement, velocity = parts.pop("final_state")
-    parts |= {"displacement": displacement, "velocity": velocity}
-    return parts | {"couplings": history.structure.couplings}
+    return _fields(history) | {"couplings": _couplings(history.structure)}
 
 
 def _unpack_history(parts: Parts, structure: Structure, contact: Law) -> TimeHistory:
-    signs = structure.signs_since(parts.pop("couplings"))
-    state = signs * parts.pop("displacement"), signs * parts.pop("velocity")
-    dofs = parts["recorded_dofs"]
-    parts["recorded"] = signs[dofs - structure.first_dof] * parts["recorded"]
-    for name in ("settled", "created_energy", "seconds"):
-        parts[name] = float(parts[name])
-    for name in ("periods", "steps_per_period"):
-        parts[name] = int(parts[name])
-    return TimeHistory(structure=structure, final_state=state, **parts)
+    signs = _signs(structure, parts.pop("couplings"))
+    parts["final_state"] = tuple(signs * parts["final_state"])
+    parts["recorded"] = signs[parts["recorded_dofs"] - structure.first_dof] * parts["recorded"]
+    return TimeHistory(structure=structure, **parts)
 
 
-# --- laws -----------------------------------------------------------------------------------------
+# --- dofs and laws --------------------------------------------------------------------------------
+
+
+def _couplings(structure: Structure) -> np.ndarray:
+    """B^T and the load, by which a file identifies the dofs: (n_pairs + 3, n_local)."""
+    return np.vstack([structure.gap.toarray().T, structure.force])
+
+
+def _signs(structure: Structure, then: np.ndarray) -> np.ndarray:
+    """Signs (n_local,) of the dofs since a file: those of modes found again may differ."""
+    now = _couplings(structure)
+    if then.shape != now.shape:
+        found = f"{structure.n_local} dofs, {structure.n_pairs} pairs"
+        allowed = f"one with {then.shape[1]} dofs and {len(then) - 3} pairs"
+        raise InputError("structure", found, allowed)
+    signs = np.where((then * now).sum(axis=0) < 0.0, -1.0, 1.0)
+    largest = np.abs(then).max(axis=1, initial=0.0, keepdims=True)
+    if np.any(np.abs(then - now * signs) > 1e-6 * largest):
+        raise InputError("structure", "other load or pairs", "that of the file")
+    return signs
 
 
 def _law_parts(contact: Law) -> Parts:
-    """By which a file knows the law: its name, stiffness and sharpness."""
-    parts: Parts = {"law": type(contact).__name__}
-    for name in ("stiffness", "sharpness"):
-        if getattr(contact, name, None) is not None:
-            parts[f"law_{name}"] = getattr(contact, name)
-    return parts
+    """Name, stiffness and sharpness of a law, by which a file identifies it."""
+    values = {f"law_{name}": getattr(contact, name, None) for name in ("stiffness", "sharpness")}
+    known = {name: value for name, value in values.items() if value is not None}
+    return {"law": type(contact).__name__, **known}
 
 
-def _check_law_parts(parts: Mapping[str, Any], contact: Law) -> None:
-    """Raise InputError unless a law is the one of a file."""
+def _take_law(parts: Parts, contact: Law) -> None:
+    """Take the law out of the datasets; raise InputError unless it is the one given."""
     now = _law_parts(contact)
-    then = {
-        name: parts[name] for name in ("law", "law_stiffness", "law_sharpness") if name in parts
-    }
+    names = ("law", "law_stiffness", "law_sharpness")
+    then = {name: parts.pop(name) for name in names if name in parts}
     same = now.keys() == then.keys() and now["law"] == then["law"]
     if not same or not all(np.allclose(now[n], then[n], rtol=1e-9) for n in now if n != "law"):
         raise InputError("contact", now, f"the law of the file: {then}")

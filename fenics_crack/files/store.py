@@ -10,11 +10,11 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import dolfinx
 import h5py
 import numpy as np
 from mpi4py import MPI
@@ -42,9 +42,9 @@ PROGRAM = "fenics_crack"
 
 
 def write(
+    parts: Mapping[str, Any],
     path: str | Path,
     kind: str,
-    parts: Mapping[str, Any],
     scene: Scene | None = None,
     comm: MPI.Comm = MPI.COMM_SELF,
 ) -> None:
@@ -52,15 +52,14 @@ def write(
 
     Parameters
     ----------
+    parts : mapping
+        Datasets by their names: arrays, numbers, words, lists of words; None is left out.
     path : path
-        Its name; an older file is replaced when the new one is complete.
+        The file; an older one is replaced once the new one is complete.
     kind : str
         What is in it, for example "response curve".
-    parts : mapping
-        Datasets by their names: arrays of numbers, numbers, words, lists of words; None is left
-        out.
     scene : Scene, optional
-        What was computed.
+        Its scene.
 
     Raises
     ------
@@ -90,17 +89,26 @@ def write(
 
 
 def write_header(file: h5py.File, kind: str, scene: Scene | None) -> None:
-    """Say what a file is, what made it, and from which scene."""
+    """Write the attributes: what is in the file, what made it, and from which scene."""
     file.attrs["kind"] = kind
     file.attrs["program"] = PROGRAM
     file.attrs["version"] = VERSION
-    file.attrs["versions"] = (
-        f"DOLFINx {dolfinx.__version__}, PETSc {PETSc.Sys.getVersion()}, "
-        f"SLEPc {SLEPc.Sys.getVersion()}, NumPy {np.__version__}"
-    )
+    file.attrs["versions"] = _versions()
     if scene is not None:
         file.attrs["scene"] = scene_text(scene)
         file.attrs["meshes"] = "\n".join(map(_digest, scene.mesh_files))
+
+
+def _versions() -> str:
+    """Versions of what the program uses; of DOLFINx where it is loaded."""
+    found = {
+        name: ".".join(map(str, library.Sys.getVersion()))
+        for name, library in (("PETSc", PETSc), ("SLEPc", SLEPc))
+    }
+    for name, module in (("NumPy", "numpy"), ("DOLFINx", "dolfinx")):
+        if module in sys.modules:
+            found[name] = sys.modules[module].__version__
+    return ", ".join(f"{name} {version}" for name, version in found.items())
 
 
 def scene_text(scene: Scene) -> str:
@@ -109,7 +117,7 @@ def scene_text(scene: Scene) -> str:
 
 
 def check_meshes(file: h5py.File, scene: Scene) -> None:
-    """Raise InputError where a mesh file of the scene is no more what it was."""
+    """Raise InputError if a mesh file of the scene has changed."""
     digests = str(file.attrs.get("meshes", "")).split()
     for path, digest in zip(scene.mesh_files, digests, strict=False):
         if _digest(path) != digest:
@@ -118,7 +126,7 @@ def check_meshes(file: h5py.File, scene: Scene) -> None:
 
 
 def _digest(path: str) -> str:
-    """SHA-256 of a file; a word where there is none."""
+    """SHA-256 of a file, or "missing"."""
     try:
         return hashlib.sha256(Path(path).read_bytes()).hexdigest()
     except OSError:
@@ -127,13 +135,13 @@ def _digest(path: str) -> str:
 
 @contextlib.contextmanager
 def reading(path: str | Path, kind: str) -> Iterator[dict[str, Any]]:
-    """Datasets of a file by their names: arrays, numbers (0-dimensional arrays) and words.
+    """Datasets of a file by their names: arrays, numbers and words.
 
     Raises
     ------
     InputError
-        The file cannot be read, something else is in it, or a dataset that is used within the
-        ``with`` block is missing or not of the kind expected there.
+        As :func:`opened`, or a dataset is missing or not of the kind expected in the ``with``
+        block.
     """
     with opened(path, kind) as file:
         parts = {n: _value(item) for n, item in file.items() if isinstance(item, h5py.Dataset)}
@@ -146,13 +154,7 @@ def reading(path: str | Path, kind: str) -> Iterator[dict[str, Any]]:
 
 
 def kind_of(path: str | Path) -> str:
-    """What a file holds.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or is not one of this program.
-    """
+    """Kind of result in a file; raises as :func:`opened`."""
     with opened(path) as file:
         return str(file.attrs["kind"])
 
@@ -163,8 +165,7 @@ def read_scene(path: str | Path) -> Scene | None:
     Raises
     ------
     InputError
-        The file cannot be read, is not one of this program, its scene cannot be used, or a mesh
-        file of it has changed.
+        As :func:`opened`, its scene cannot be used, or a mesh file of it has changed.
     """
     with opened(path) as file:
         if "scene" not in file.attrs:
@@ -176,12 +177,12 @@ def read_scene(path: str | Path) -> Scene | None:
 
 @contextlib.contextmanager
 def opened(path: str | Path, kind: str | None = None) -> Iterator[h5py.File]:
-    """A result file for reading, of any kind or one, without a lock: it may be being written.
+    """Open a result file for reading, without a lock: a sweep may be writing it.
 
     Raises
     ------
     InputError
-        The file cannot be read, is not one of this program, or lacks what is asked of it.
+        The file cannot be read, is not one of this program, or is of another kind.
     """
     try:
         with h5py.File(path, "r", locking=False) as file:
@@ -200,7 +201,8 @@ def opened(path: str | Path, kind: str | None = None) -> Iterator[h5py.File]:
 
 def _value(item: h5py.Dataset) -> Any:
     if h5py.check_string_dtype(item.dtype) is None:
-        return item[()]
+        value = item[()]
+        return value if np.ndim(value) else value.item()
     words = item.asstr()[()]
     return words if isinstance(words, str) else [str(word) for word in words]
 

@@ -4,19 +4,19 @@ A law is a function of the gap alone, pair by pair; the force enters the equatio
 left, M u'' + C u' + K u + B lambda(g) = f, so lambda >= 0 pushes the lips apart. To add a law,
 write a class with the four members of :class:`ContactLaw`.
 
-What a method has to know of a law beyond these members it asks the functions of this module:
-whether a force follows from the gap at all (:func:`is_rigid`), and whether it is linear while a
-pair is closed (:func:`is_piecewise_linear`). No other module looks at a law's class.
+What else a method needs to know of a law, :func:`is_rigid` and :func:`is_piecewise_linear` answer:
+no other module looks at a law's class.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeVar
+from typing import Any, Protocol, Self, TypeGuard
 
 import numpy as np
 
 from fenics_crack.errors import InputError
+from fenics_crack.model.matrices import numbers
 from fenics_crack.model.structure import Structure
 
 __all__ = [
@@ -30,8 +30,6 @@ __all__ = [
     "is_rigid",
     "repeated",
 ]
-
-Law = TypeVar("Law", bound="ContactLaw")
 
 
 class ContactLaw(Protocol):
@@ -47,12 +45,27 @@ class ContactLaw(Protocol):
     def tangent(self, gap: np.ndarray) -> np.ndarray:
         """d lambda / d g for gaps (..., n_pairs) [m]: the same shape [N/m]."""
 
-    def scaled(self: Law, factor: float) -> Law:
+    def scaled(self, factor: float) -> Self:
         """Return the same law with its stiffness multiplied by a factor."""
 
 
 @dataclass(frozen=True)
-class UnilateralPenalty:
+class _Penalty:
+    """What the laws with a penalty stiffness share."""
+
+    stiffness: float | np.ndarray
+
+    def __post_init__(self) -> None:
+        stiffness = _positive("contact stiffness", self.stiffness, each_pair=True)
+        object.__setattr__(self, "stiffness", stiffness)
+
+    def scaled(self, factor: float) -> Self:
+        """The same law with factor * k."""
+        return replace(self, stiffness=np.multiply(factor, self.stiffness))
+
+
+@dataclass(frozen=True)
+class UnilateralPenalty(_Penalty):
     """Penalty law: lambda = k g for g > 0, else 0 (paper, eq. 11).
 
     The tangent jumps from 0 to k where the pair closes; at g = 0 itself it is 0.
@@ -68,12 +81,6 @@ class UnilateralPenalty:
         The stiffness is not positive and finite.
     """
 
-    stiffness: float | np.ndarray
-
-    def __post_init__(self) -> None:
-        stiffness = _positive("contact stiffness", self.stiffness, each_pair=True)
-        object.__setattr__(self, "stiffness", stiffness)
-
     def force(self, gap: np.ndarray) -> np.ndarray:
         """lambda(g) [N]."""
         return self.stiffness * np.maximum(gap, 0.0)
@@ -82,13 +89,9 @@ class UnilateralPenalty:
         """d lambda / d g [N/m]."""
         return self.stiffness * (gap > 0.0)
 
-    def scaled(self, factor: float) -> UnilateralPenalty:
-        """The same law with factor * k."""
-        return replace(self, stiffness=np.multiply(factor, self.stiffness))
-
 
 @dataclass(frozen=True)
-class SmoothedPenalty:
+class SmoothedPenalty(_Penalty):
     """Smoothed penalty: lambda = k g (1/2 + arctan(s g) / pi) (paper, eq. 12, sign corrected).
 
     It tends to the penalty law as s grows, but not faster than 1/s: an open crack keeps feeling a
@@ -108,12 +111,10 @@ class SmoothedPenalty:
         The stiffness or the sharpness is not positive and finite.
     """
 
-    stiffness: float | np.ndarray
     sharpness: float
 
     def __post_init__(self) -> None:
-        stiffness = _positive("contact stiffness", self.stiffness, each_pair=True)
-        object.__setattr__(self, "stiffness", stiffness)
+        super().__post_init__()
         object.__setattr__(self, "sharpness", _positive("contact sharpness", self.sharpness))
 
     def force(self, gap: np.ndarray) -> np.ndarray:
@@ -124,10 +125,6 @@ class SmoothedPenalty:
         """d lambda / d g = k (1/2 + arctan(s g)/pi + s g / (pi (1 + (s g)^2))) [N/m]."""
         x = self.sharpness * gap
         return self.stiffness * (0.5 + (np.arctan(x) + x / (1.0 + x * x)) / np.pi)
-
-    def scaled(self, factor: float) -> SmoothedPenalty:
-        """The same law with factor * k."""
-        return replace(self, stiffness=np.multiply(factor, self.stiffness))
 
 
 @dataclass(frozen=True)
@@ -168,12 +165,12 @@ class UnilateralConstraint:
         return self
 
 
-def is_rigid(contact: object) -> bool:
+def is_rigid(contact: object) -> TypeGuard[UnilateralConstraint]:
     """Whether no force follows from the gap: :class:`UnilateralConstraint`."""
     return isinstance(contact, UnilateralConstraint)
 
 
-def is_piecewise_linear(contact: object) -> bool:
+def is_piecewise_linear(contact: object) -> TypeGuard[UnilateralPenalty]:
     """Whether lambda = k max(0, g), linear between switching instants: the penalty law."""
     return isinstance(contact, UnilateralPenalty)
 
@@ -183,14 +180,14 @@ def force_in_time(contact: ContactLaw, gap: np.ndarray, force: np.ndarray) -> np
 
     lambda(g), or without penetration eps max(0, g + lambda / eps).
     """
-    if isinstance(contact, UnilateralConstraint):
+    if is_rigid(contact):
         assert contact.weight is not None
         return np.maximum(0.0, contact.weight * gap + force)
     return contact.force(gap)
 
 
-def repeated(contact: Law, pairs: int, times: int) -> Law:
-    """The law of ``times`` structures with as many pairs each, side by side.
+def repeated(contact: ContactLaw, times: int) -> ContactLaw:
+    """The law of ``times`` equal structures side by side.
 
     Raises
     ------
@@ -199,45 +196,33 @@ def repeated(contact: Law, pairs: int, times: int) -> Law:
     """
     if np.ndim(contact.stiffness) == 0:
         return contact
-    if isinstance(contact, UnilateralPenalty | SmoothedPenalty):
+    if isinstance(contact, _Penalty):
         return replace(contact, stiffness=np.tile(contact.stiffness, times))
     raise InputError("contact", contact, "a law that is the same for all pairs")
 
 
-def check_law(structure: Structure, contact: object, *, rigid: bool = False) -> None:
+def check_law(structure: Structure, contact: Any, *, rigid: bool = False) -> None:
     """Raise InputError unless an object is a contact law for a structure's pairs.
 
-    ``rigid``: :class:`UnilateralConstraint` will do.
+    :class:`UnilateralConstraint` is one only with ``rigid``.
     """
     members = ("stiffness", "force", "tangent", "scaled")
     known = not isinstance(contact, type) and all(hasattr(contact, name) for name in members)
     if not known or (is_rigid(contact) and not rigid):
         raise InputError("contact", contact, "a contact law such as UnilateralPenalty(1e9)")
-    stiffness = np.asarray(getattr(contact, "stiffness"), dtype=np.float64)  # noqa: B009
-    if stiffness.ndim > 0 and stiffness.shape != (structure.n_pairs,):
-        raise InputError(
-            "contact stiffness", stiffness.shape, f"one number or {structure.n_pairs}, one per pair"
-        )
+    stiffness = np.asarray(contact.stiffness, dtype=np.float64)
+    if stiffness.shape not in ((), (structure.n_pairs,)):
+        allowed = f"one number or {structure.n_pairs}, one per pair"
+        raise InputError("contact stiffness", stiffness.shape, allowed)
     if not is_rigid(contact) and not np.all(np.isfinite(stiffness)):
         raise InputError("contact stiffness", contact, "finite")
 
 
 def _positive(key: str, value: object, *, each_pair: bool = False) -> float | np.ndarray:
-    """A positive number, or an array of them, one per pair.
-
-    Raises
-    ------
-    InputError
-        It is neither.
-    """
-    allowed = "a finite number > 0" + (", or one per pair" if each_pair else "")
-    if isinstance(value, str | bool):
+    """A number > 0, or an array of them, one per pair; else InputError."""
+    found = numbers(value)
+    positive = found.size > 0 and np.all(np.isfinite(found) & (found > 0.0))
+    if isinstance(value, str | bool) or found.ndim > each_pair or not positive:
+        allowed = "a finite number > 0" + (", or one per pair" if each_pair else "")
         raise InputError(key, value, allowed)
-    try:
-        numbers = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(key, value, allowed) from None
-    right = numbers.ndim <= (1 if each_pair else 0) and numbers.size > 0
-    if not right or not np.all(np.isfinite(numbers)) or np.any(numbers <= 0.0):
-        raise InputError(key, value, allowed)
-    return float(numbers) if numbers.ndim == 0 else numbers
+    return found.copy() if found.ndim else float(found)

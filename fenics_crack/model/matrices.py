@@ -19,78 +19,68 @@ from fenics_crack.parallel import gather_rows, raise_together
 __all__ = [
     "check_positive_definite",
     "check_symmetric",
-    "diagonal_rows",
     "distributed",
     "numbers",
     "per_pair",
     "petsc_matrix",
+    "read_only",
     "whole_rows",
 ]
-
 
 SYMMETRY_TOLERANCE = 1e-10
 
 
-def distributed(rows: Any, comm: MPI.Comm) -> Any:
-    """Square PETSc matrix whose rows on this rank are given: (n_local, n)."""
+def distributed(rows: Any, comm: MPI.Comm, columns: int | None = None) -> Any:
+    """PETSc matrix of the rows on this rank (n_local, n); square unless it owns other columns."""
     rows = sparse.csr_matrix(rows, copy=True)
     rows.sum_duplicates()  # PETSc would keep the last of them
     local, total = rows.shape
-    sizes = ((local, total), (local, total))
+    sizes = ((local, PETSc.DETERMINE), (local if columns is None else columns, total))
     matrix = PETSc.Mat().createAIJ(sizes, csr=(rows.indptr, rows.indices, rows.data), comm=comm)
     matrix.assemble()
     return matrix
 
 
 def numbers(given: Any) -> np.ndarray:
-    """What was given as an array of floats; nan if it is something else."""
+    """Convert to an array of floats; nan if that is impossible."""
     try:
         return np.asarray(np.nan if np.iscomplexobj(given) else given, dtype=float)
     except (TypeError, ValueError, OverflowError):
         return np.asarray(np.nan)
 
 
+def read_only(array: np.ndarray) -> np.ndarray:
+    """The array itself if it cannot be written to, else a copy that cannot."""
+    if array.flags.writeable:
+        array = array.copy(order="K")
+        array.flags.writeable = False
+    return array
+
+
 def per_pair(name: str, given: Any, pairs: int) -> np.ndarray:
-    """One finite number for each pair, of one for all or of as many: (pairs,)."""
+    """One finite number per pair, from one for all or one for each: (pairs,)."""
     values = numbers(given)
     if values.shape not in ((), (pairs,)) or not np.all(np.isfinite(values)):
         raise InputError(name, given, f"one finite number, or {pairs}")
     return np.broadcast_to(values, (pairs,)).copy()
 
 
-def diagonal_rows(vector: Any) -> sparse.csr_matrix:
-    """The rows of a distributed diagonal matrix that this rank owns."""
-    first, last = vector.owner_range
-    local = np.arange(last - first)
-    return sparse.csr_matrix(
-        (vector.array_r.copy(), (local, first + local)), shape=(last - first, vector.size)
-    )
-
-
 def petsc_matrix(name: str, given: Any, comm: MPI.Comm, n: int | None = None) -> Any:
     """Make a square PETSc matrix of what was given; check shape and entries."""
-    if isinstance(given, PETSc.Mat):
-        shape = tuple(given.size)
-    else:
-        whole = sparse.csr_matrix(_read_matrix(name, given, n))
-        shape = whole.shape
-    if (
-        len(shape) != 2
-        or shape[0] != shape[1]
-        or shape[0] == 0
-        or (n is not None and shape[0] != n)
-    ):
-        raise InputError(name, shape, "of shape (n, n)" if n is None else f"of shape ({n}, {n})")
-    if isinstance(given, PETSc.Mat):
-        matrix = given.convert("aij", PETSc.Mat())
-        finite = np.all(np.isfinite(matrix.getValuesCSR()[2]))
-        error = None if finite else InputError(name, "nan or inf", "finite in every entry")
-        raise_together(given.comm.tompi4py(), error)
-    else:
+    made = isinstance(given, PETSc.Mat)
+    whole = given if made else sparse.csr_matrix(_read_matrix(name, given, n))
+    rows, columns = whole.size if made else whole.shape
+    if rows != columns or rows == 0 or n not in (None, rows):
+        allowed = "of shape (n, n)" if n is None else f"of shape ({n}, {n})"
+        raise InputError(name, (rows, columns), allowed)
+    if not made:
         _check_finite(name, whole.data)
-        size = shape[0]
-        start, stop = (size * comm.rank) // comm.size, (size * (comm.rank + 1)) // comm.size
-        matrix = distributed(whole[start:stop], comm)
+        start, stop = (rows * comm.rank) // comm.size, (rows * (comm.rank + 1)) // comm.size
+        return distributed(whole[start:stop], comm)
+    matrix = given.convert("aij", PETSc.Mat())
+    finite = np.all(np.isfinite(matrix.getValuesCSR()[2]))
+    error = None if finite else InputError(name, "nan or inf", "finite in every entry")
+    raise_together(given.comm.tompi4py(), error)
     return matrix
 
 
@@ -101,24 +91,20 @@ def _read_matrix(name: str, given: Any, rows: int | None) -> Any:
             given = read_matrix_market(Path(given), rows)
         except (OSError, EOFError, ValueError, OverflowError, zlib.error) as error:
             raise InputError(name, str(given), f"a Matrix Market file ({error})") from None
-    if sparse.issparse(given):
-        if np.iscomplexobj(given):
-            raise InputError(name, given.dtype, "real")
-        return given.astype(float)
     try:
-        array = np.asarray(given)
-        if np.iscomplexobj(array):
-            raise InputError(name, array.dtype, "real")
-        array = array.astype(float)
+        matrix = given if sparse.issparse(given) else np.asarray(given)
+        if np.iscomplexobj(matrix):
+            raise TypeError
+        matrix = matrix.astype(float)
     except (ValueError, TypeError, OverflowError):
         raise InputError(name, type(given).__name__, "a real matrix") from None
-    if array.ndim > 2:
-        raise InputError(name, array.shape, "a matrix, two-dimensional")
-    return array
+    if matrix.ndim > 2:
+        raise InputError(name, matrix.shape, "a matrix, two-dimensional")
+    return matrix
 
 
-def whole_rows(name: str, given: Any, n: int) -> Any:
-    """A vector or a matrix with n rows: a 1-d array for forces, a CSR matrix for the gap."""
+def whole_rows(name: str, given: Any, n: int) -> sparse.csr_matrix:
+    """A vector or a matrix with n rows, given whole or distributed: (n, m) on every rank."""
     if isinstance(given, PETSc.Vec):
         given = gather_rows(given.comm.tompi4py(), given.array_r)
     elif isinstance(given, PETSc.Mat):
@@ -128,13 +114,8 @@ def whole_rows(name: str, given: Any, n: int) -> Any:
     matrix = _read_matrix(name, given, n)
     if matrix.ndim == 0 or matrix.shape[0] != n:
         raise InputError(name, matrix.shape, f"with {n} rows")
-    if name == "gap":
-        matrix = sparse.csr_matrix(matrix.reshape(n, -1))
-        _check_finite(name, matrix.data)
-    else:
-        dense = matrix.toarray() if sparse.issparse(matrix) else matrix
-        matrix = dense.ravel() if dense.size == n else dense
-        _check_finite(name, matrix)
+    matrix = sparse.csr_matrix(matrix.reshape(n, -1))
+    _check_finite(name, matrix.data)
     return matrix
 
 
@@ -146,10 +127,8 @@ def _check_finite(name: str, values: np.ndarray) -> None:
 
 def check_symmetric(name: str, matrix: Any) -> None:
     size = matrix.norm(PETSc.NormType.INFINITY)
-    raise_together(
-        matrix.comm.tompi4py(),
-        None if np.isfinite(size) else InputError(name, size, "finite in every entry"),
-    )
+    if not np.isfinite(size):
+        raise InputError(name, size, "finite in every entry")
     difference = matrix.transpose(PETSc.Mat())
     difference.axpy(-1.0, matrix, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
     asymmetry = difference.norm(PETSc.NormType.INFINITY)
@@ -165,6 +144,5 @@ def check_positive_definite(name: str, matrix: Any) -> None:
     with Factor(matrix, symmetric=True) as factor:
         negative, null = factor.negative_pivots, factor.null_pivots
     if negative or null:
-        raise InputError(
-            name, f"{negative} negative and {null} zero eigenvalues", "positive definite"
-        )
+        found = f"{negative} negative and {null} zero eigenvalues"
+        raise InputError(name, found, "positive definite")

@@ -24,19 +24,12 @@ SYMMETRIES = ("general", "symmetric", "skew-symmetric")
 
 
 def read_matrix_market(path: Path, rows: int | None = None) -> np.ndarray | sparse.csr_matrix:
-    """Read a real matrix, dense or sparse as the file is; .gz and .bz2 too.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    rows : int, optional
-        How many rows are expected.
+    """Read a real matrix, dense or sparse as the file is, of ``rows`` rows; .gz and .bz2 too.
 
     Raises
     ------
     OSError, ValueError
-        The file cannot be read, or is not what it says.
+        The file cannot be read, or contradicts itself.
     """
     opened: Any = {".gz": gzip.open, ".bz2": bz2.open}.get(path.suffix, open)
     with opened(path, "rt", encoding="utf-8") as file:
@@ -77,17 +70,15 @@ def _header(line: str) -> tuple[str, str, str]:
 
 def _dense(values: np.ndarray, shape: tuple[int, int], symmetry: str) -> np.ndarray:
     """Columns one after the other; of a symmetric matrix their part from the diagonal down."""
-    if symmetry == "general":
-        expected = shape[0] * shape[1]
-    else:
-        expected = shape[0] * (shape[0] + (1 if symmetry == "symmetric" else -1)) // 2
+    general, sign = symmetry == "general", -1 if symmetry == "skew-symmetric" else 1
+    expected = shape[0] * shape[1] if general else shape[0] * (shape[0] + sign) // 2
     if len(values) != expected:
         raise ValueError(f"it has {len(values)} entries instead of {expected}")
-    if symmetry == "general":
+    if general:
         return values.reshape(shape, order="F")
     matrix = np.zeros(shape)
-    columns, rows = np.triu_indices(shape[0], 0 if symmetry == "symmetric" else 1)
-    matrix[columns, rows] = values if symmetry == "symmetric" else -values
+    columns, rows = np.triu_indices(shape[0], 1 if sign < 0 else 0)
+    matrix[columns, rows] = sign * values
     matrix[rows, columns] = values
     return matrix
 

@@ -1,72 +1,72 @@
-"""All modes of a small structure: it is taken apart into them once."""
+"""All modes of a small structure, computed once."""
 
 from __future__ import annotations
 
-from weakref import WeakKeyDictionary
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy.linalg
 
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.factor import Factor
-from fenics_crack.model.modes import damped_modes
+from fenics_crack.model.modes import damped_modes, projected_damping
 from fenics_crack.model.structure import Structure
 
-__all__ = ["AllModes", "all_modes", "flow_matrix", "is_small"]
-
+__all__ = ["SMALL", "AllModes", "all_modes", "flow_matrix", "is_small"]
 
 SMALL = 600
-"""Structures with at most so many dofs are taken apart into all of their modes."""
+"""Up to so many dofs a structure is decomposed into all of its modes."""
 
 
 def is_small(structure: Structure) -> bool:
-    """Whether a structure can be taken apart into all of its modes: few dofs, on one rank."""
+    """Whether a structure can be decomposed into all of its modes: few dofs, on one rank."""
     return structure.comm.size == 1 and structure.n_dofs <= SMALL
 
 
+@dataclass(frozen=True)
 class AllModes:
-    """All modes of a small structure, its pairs and its damping in modal coordinates."""
+    """All modes of a small structure, its pairs and its damping in modal coordinates.
 
-    def __init__(self, structure: Structure) -> None:
-        known = damped_modes(structure)
-        if known is not None and len(known.omega) == structure.n_dofs:
-            self.squares, self.shapes = known.omega**2, known.shapes
-            self.damping: np.ndarray = known.rate
-        else:
-            mass, stiffness = (
-                matrix.getValues(range(structure.n_dofs), range(structure.n_dofs))
-                for matrix in (structure.mass, structure.stiffness)
-            )
-            self.squares, self.shapes = scipy.linalg.eigh(stiffness, mass)
-            if structure.damping_matrix is not None:
-                everywhere = range(structure.n_dofs)
-                matrix = structure.damping_matrix.getValues(everywhere, everywhere)
-                coupled = self.shapes.T @ matrix @ self.shapes
-            elif known is not None:  # of the lowest modes alone
-                projected = self.shapes.T @ known.mass_shapes
-                coupled = (projected * known.rate) @ projected.T
-            else:
-                coupled = np.zeros((structure.n_dofs, structure.n_dofs))
-            rate = np.diag(coupled).copy()
-            coupling = np.abs(coupled - np.diag(rate)).max()
-            self.damping = rate if coupling <= 1e-14 * np.abs(rate).max() else coupled
-        self.pairs = (structure.gap.T @ self.shapes).T
-        """(n_modes, n_pairs)"""
-        # Loose: it can move as a rigid body.
-        with Factor(structure.stiffness, symmetric=True) as factor:
-            self._loose = factor.null_pivots > 0
-        # The lowest modes may have drowned in the rounding of the highest ones.
-        self.spread = not self._loose and bool(self.squares[0] < 1e-12 * self.squares[-1])
+    Attributes
+    ----------
+    squares : (n,) [rad^2/s^2]
+        omega_j^2, ascending.
+    shapes : (n, n)
+        Phi, mass-normalised.
+    damping : (n,) or (n, n) [1/s]
+        Phi^T C Phi: its diagonal where it is diagonal.
+    pairs : (n, n_pairs)
+        Phi^T B.
+    unconstrained : bool
+        Whether the structure can move as a rigid body.
+    """
+
+    squares: np.ndarray
+    shapes: np.ndarray
+    damping: np.ndarray
+    pairs: np.ndarray
+    unconstrained: bool
+
+    @property
+    def ill_conditioned(self) -> bool:
+        """Whether rounding relative to the highest modes may spoil the lowest ones."""
+        return not self.unconstrained and bool(self.squares[0] < 1e-12 * self.squares[-1])
 
     def receptance(self, omega: np.ndarray, factor: float = 1.0) -> np.ndarray:
-        """Inverse impedance at frequencies (m,): (m, n_modes), or with coupling (m, n, n).
+        """Inverse impedance at frequencies (m,): (m, n), or where damping couples modes (m, n, n).
 
         ``factor`` multiplies the damping.
+
+        Raises
+        ------
+        ConvergenceError
+            The structure is singular at a frequency.
         """
         square = (omega * omega)[:, None]
         stiffness = self.squares - square
         diagonal = self.damping.ndim == 1
-        singular = self._loose & (omega == 0.0)
+        singular = self.unconstrained & (omega == 0.0)
         if diagonal:
             impedance = stiffness + (1j * factor * omega)[:, None] * self.damping
             tiny = np.abs(impedance) <= 1e-15 * (np.abs(self.squares) + square)
@@ -75,7 +75,7 @@ class AllModes:
             impedance = 1j * factor * omega[:, None, None] * self.damping
             place = np.arange(len(self.squares))
             impedance[:, place, place] += stiffness
-            # Only a mode that the damping leaves alone can make this singular.
+            # Only an undamped mode can make this singular.
             free = np.abs(self.damping).sum(axis=1) == 0.0
             singular |= np.any(stiffness[:, free] == 0.0, axis=1)
         if singular.any():
@@ -86,15 +86,51 @@ class AllModes:
             )
         return 1.0 / impedance if diagonal else np.linalg.inv(impedance)
 
+    def damped(self, modal: np.ndarray) -> np.ndarray:
+        """Phi^T C Phi q of modal coordinates (..., n)."""
+        return modal * self.damping if self.damping.ndim == 1 else modal @ self.damping.T
 
-_ALL_MODES: WeakKeyDictionary[Structure, AllModes] = WeakKeyDictionary()
+    def respond(self, receptance: np.ndarray, drive: np.ndarray) -> np.ndarray:
+        """Modal response to modal forces (..., n)."""
+        if self.damping.ndim == 1:
+            return receptance * drive
+        return np.matmul(receptance, drive[..., None])[..., 0]
+
+    def seen_by_pairs(self, receptance: np.ndarray) -> np.ndarray:
+        """B^T Phi H Phi^T B: (..., n_pairs, n_pairs)."""
+        if self.damping.ndim == 1:
+            return np.matmul(self.pairs.T * receptance[..., None, :], self.pairs)
+        return self.pairs.T @ receptance @ self.pairs
 
 
 def all_modes(structure: Structure) -> AllModes:
-    """All modes of a small structure, computed once."""
-    if structure not in _ALL_MODES:
-        _ALL_MODES[structure] = AllModes(structure)
-    return _ALL_MODES[structure]
+    """All modes of a small structure, computed once for it and its varied copies."""
+    modes, factor = structure.once(_all_modes), structure.damping_factor
+    return modes if factor == 1.0 else replace(modes, damping=factor * modes.damping)
+
+
+def _all_modes(structure: Structure) -> AllModes:
+    known = damped_modes(structure)
+    if known is not None and len(known.omega) == structure.n_dofs:
+        squares, shapes, damping = known.omega**2, known.shapes, known.rate
+    else:
+        squares, shapes = scipy.linalg.eigh(*map(_dense, (structure.stiffness, structure.mass)))
+        if structure.damping_matrix is None:
+            coupled = projected_damping(structure, shapes)
+        else:
+            coupled = shapes.T @ _dense(structure.damping_matrix) @ shapes
+        rate = np.diag(coupled).copy()
+        coupling = np.abs(coupled - np.diag(rate)).max()
+        damping = rate if coupling <= 1e-14 * np.abs(rate).max() else coupled
+    with Factor(structure.stiffness, symmetric=True) as factor:
+        unconstrained = factor.null_pivots > 0
+    pairs = (structure.gap.T @ shapes).T
+    return AllModes(squares, shapes, damping, pairs, unconstrained)
+
+
+def _dense(matrix: Any) -> np.ndarray:
+    """A PETSc matrix on one rank as an array."""
+    return np.asarray(matrix.getValues(range(matrix.size[0]), range(matrix.size[1])))
 
 
 def flow_matrix(modes: AllModes, stiffness: np.ndarray, scale: float) -> np.ndarray:

@@ -9,10 +9,9 @@ rigid-body modes are found too.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Integral
 from typing import Any, ClassVar
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from slepc4py import SLEPc
@@ -21,14 +20,23 @@ from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.structure import ModalDamping, Structure
 from fenics_crack.parallel import gather_rows
+from fenics_crack.table import Tabular, counted
 
-__all__ = ["DampedModes", "Modes", "by_columns", "damped_modes", "largest_frequency", "solve_modes"]
+__all__ = [
+    "DampedModes",
+    "Modes",
+    "by_columns",
+    "damped_modes",
+    "largest_frequency",
+    "mass_norms",
+    "projected_damping",
+    "solve_modes",
+    "times",
+]
 
-_CACHE: WeakKeyDictionary[Structure, DampedModes] = WeakKeyDictionary()
 
-
-@dataclass(frozen=True)
-class Modes:
+@dataclass(frozen=True, repr=False)
+class Modes(Tabular):
     """Natural frequencies and mode shapes.
 
     Attributes
@@ -36,10 +44,9 @@ class Modes:
     omega : (count,) [rad/s]
         Natural angular frequencies, ascending.
     shapes : (n_local, count) [kg^-1/2]
-        Mass-normalised; the largest component is positive (of several as large, the first by
-        position).
+        Mass-normalised; the largest component is positive (of equal ones, the first by position).
     structure : Structure
-        Whose modes they are.
+        What vibrates.
     """
 
     omega: np.ndarray
@@ -48,6 +55,18 @@ class Modes:
 
     KIND: ClassVar[str] = "set of modes"
 
+    def to_dict(self) -> dict[str, Any]:
+        """Columns, a row for every mode: its number, omega [rad/s] and frequency [Hz]."""
+        return {
+            "mode": list(range(1, len(self.omega) + 1)),
+            "omega": self.omega.tolist(),
+            "frequency": (self.omega / (2.0 * np.pi)).tolist(),
+        }
+
+    def _title(self) -> str:
+        span = " to ".join(f"{omega:.6g}" for omega in self.omega[[0, -1]])
+        return f"{counted(len(self.omega), 'mode')}, {span} rad/s, of {self.structure.n_dofs} dofs"
+
 
 def solve_modes(structure: Structure, count: int) -> Modes:
     """Find the lowest natural modes of the structure with its cracks open (collective).
@@ -55,9 +74,9 @@ def solve_modes(structure: Structure, count: int) -> Modes:
     Parameters
     ----------
     structure : Structure
-        Where M and K come from.
+        Its M and K are taken.
     count : int
-        How many modes.
+        Number of modes.
 
     Raises
     ------
@@ -69,50 +88,62 @@ def solve_modes(structure: Structure, count: int) -> Modes:
     whole = isinstance(count, Integral) and not isinstance(count, bool)
     if not (whole and 1 <= count <= structure.n_dofs):
         raise InputError("count", count, f"a whole number from 1 to n_dofs = {structure.n_dofs}")
-    count = int(count)
-    scale = _rayleigh_scale(structure)
-    asked = count
+    quotients = structure.stiffness.getDiagonal().array_r / structure.mass.getDiagonal().array_r
+    smallest = float(np.min(gather_rows(structure.comm, quotients)))
+    scale = smallest if smallest > 0.0 else 1.0  # [rad^2/s^2]
+    asked = count = int(count)
     while True:
         squares, shapes = _nearest_zero(structure, asked, scale)
         if squares[0] < -1e-8 * scale:
             worst = f"{squares[0]:.3g} = omega^2 of a mode"
             raise InputError("stiffness", worst, "positive semidefinite")
         # A Krylov space holds one mode of a multiple frequency until rounding brings in the
-        # others. So count the frequencies below the highest one; where some are missing, ask for
-        # more.
+        # others. So count the frequencies below the highest one; if some are missing, ask for more.
         bound = squares[count - 1] - 1e-6 * max(squares[count - 1], 0.01 * scale)
         if asked == structure.n_dofs or _count_below(structure, bound) <= np.sum(squares < bound):
             break
         asked = min(2 * asked + 2, structure.n_dofs)
-    omega = np.sqrt(np.maximum(squares[:count], 0.0))
-    shapes = _mass_normalised(structure, shapes[:, :count])
+    omega, shapes = np.sqrt(np.maximum(squares[:count], 0.0)), shapes[:, :count]
+    shapes = shapes / mass_norms(structure, shapes)
     return Modes(omega, shapes * _signs(structure, shapes), structure)
 
 
-def _nearest_zero(structure: Structure, count: int, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Eigenvalues omega^2, ascending, and shapes of the modes closest to zero."""
+def _solved(
+    structure: Structure, prefix: str, count: int, krylov: int, shift: float | None = None
+) -> Any:
+    """SLEPc's solver with the eigenvalues omega^2 closest to a shift, or the highest ones."""
     solver = SLEPc.EPS().create(structure.comm)
-    solver.setOptionsPrefix("crack_modes_")
+    solver.setOptionsPrefix(prefix)
     solver.setOperators(structure.stiffness, structure.mass)
     solver.setProblemType(SLEPc.EPS.ProblemType.GHEP)
-    # A few more Krylov vectors than SLEPc's default keep large counts in one sweep.
-    solver.setDimensions(count, min(structure.n_dofs, max(2 * count, count + 15)))
-    solver.setTolerances(1e-12, 500)
-    solver.setPurify(False)  # only a singular mass needs it, and it costs orthogonality
-    solver.setTarget(-1e-6 * scale)
-    solver.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
-    transform = solver.getST()
-    transform.setType(SLEPc.ST.Type.SINVERT)
-    inner = transform.getKSP()
+    solver.setDimensions(count, min(structure.n_dofs, krylov))
+    if shift is None:
+        solver.setWhichEigenpairs(SLEPc.EPS.Which.LARGEST_REAL)
+        solver.setTolerances(1e-6, 1000)
+    else:
+        solver.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
+        solver.setTolerances(1e-12, 500)
+        solver.setTarget(shift)
+        solver.getST().setType(SLEPc.ST.Type.SINVERT)
+        solver.setPurify(False)  # only a singular mass needs it, and it costs orthogonality
+    inner = solver.getST().getKSP()
     inner.setType("preonly")
     inner.getPC().setType("cholesky")
     inner.getPC().setFactorSolverType("mumps")
     solver.setFromOptions()
     solver.solve()
-    if solver.getConverged() < count:
-        found = solver.getConverged()
+    found = solver.getConverged()
+    if found < count:
         solver.destroy()
         raise ConvergenceError(f"modes: only {found} of {count} converged")
+    return solver
+
+
+def _nearest_zero(structure: Structure, count: int, scale: float) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues omega^2, ascending, and shapes of the modes closest to zero."""
+    # A few more Krylov vectors than SLEPc's default keep large counts in one sweep.
+    krylov = max(2 * count, count + 15)
+    solver = _solved(structure, "crack_modes_", count, krylov, -1e-6 * scale)
     vector = structure.mass.createVecRight()
     squares, shapes = np.empty(count), np.empty((structure.n_local, count))
     for index in range(count):
@@ -134,32 +165,10 @@ def _count_below(structure: Structure, square: float) -> int:
 
 def largest_frequency(structure: Structure) -> float:
     """Largest natural angular frequency [rad/s] (collective)."""
-    solver = SLEPc.EPS().create(structure.comm)
-    solver.setOptionsPrefix("crack_largest_")
-    solver.setOperators(structure.stiffness, structure.mass)
-    solver.setProblemType(SLEPc.EPS.ProblemType.GHEP)
-    solver.setDimensions(1, min(structure.n_dofs, 30))
-    solver.setTolerances(1e-6, 1000)
-    solver.setWhichEigenpairs(SLEPc.EPS.Which.LARGEST_REAL)
-    inner = solver.getST().getKSP()
-    inner.setType("preonly")
-    inner.getPC().setType("cholesky")
-    inner.getPC().setFactorSolverType("mumps")
-    solver.setFromOptions()
-    solver.solve()
-    if solver.getConverged() < 1:
-        solver.destroy()
-        raise ConvergenceError("modes: the largest natural frequency did not converge")
+    solver = _solved(structure, "crack_largest_", 1, 30)
     square = solver.getEigenvalue(0).real
     solver.destroy()
     return float(np.sqrt(square))
-
-
-def _rayleigh_scale(structure: Structure) -> float:
-    """Smallest Rayleigh quotient K_ii / M_ii [rad^2/s^2]; one where K vanishes."""
-    quotients = structure.stiffness.getDiagonal().array_r / structure.mass.getDiagonal().array_r
-    smallest = float(np.min(gather_rows(structure.comm, quotients)))
-    return smallest if smallest > 0.0 else 1.0
 
 
 def times(matrix: Any, columns: np.ndarray) -> np.ndarray:
@@ -180,22 +189,17 @@ def by_columns(apply: Callable[[Any, Any], None], matrix: Any, columns: np.ndarr
     return found
 
 
-def mass_times(structure: Structure, shapes: np.ndarray) -> np.ndarray:
-    """M X for the columns of X (n_local, m) (collective)."""
-    return times(structure.mass, shapes)
-
-
-def _mass_normalised(structure: Structure, shapes: np.ndarray) -> np.ndarray:
-    """Scale the shapes so that phi^T M phi = 1."""
-    squares = structure.sum_over_ranks((shapes * mass_times(structure, shapes)).sum(axis=0))
-    return shapes / np.sqrt(squares)
+def mass_norms(structure: Structure, columns: np.ndarray) -> np.ndarray:
+    """sqrt(x^T M x) of the columns (n_local, m), never zero (collective)."""
+    squares = (columns * times(structure.mass, columns)).sum(axis=0)
+    return np.sqrt(np.maximum(structure.sum_over_ranks(squares), 1e-300))
 
 
 def _signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
-    """Sign that makes the largest component positive; ties go to the first by position, then dof.
+    """Signs that make the largest component positive; ties go to the first by position, then dof.
 
-    A symmetric structure has equally large components; which of them rounding makes the largest
-    must not decide, nor may the numbering, which depends on the number of ranks.
+    A symmetric structure has equally large components: neither rounding may decide between them,
+    nor the numbering, which depends on the number of ranks.
     """
     first = structure.first_dof
     keys = np.zeros((structure.n_local, 3))
@@ -218,7 +222,7 @@ def _signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class DampedModes:
-    """Modal damping ready for use: C = M Phi diag(rate) Phi^T M.
+    """Modal damping as C = M Phi diag(rate) Phi^T M.
 
     Attributes
     ----------
@@ -239,28 +243,39 @@ class DampedModes:
 def damped_modes(structure: Structure) -> DampedModes | None:
     """Modes that carry the structure's modal damping; None without modal damping (collective).
 
-    They are computed once for a structure.
+    They are computed once for a structure and its varied copies.
 
     Raises
     ------
     InputError
         The number of ratios or of modes does not fit the structure.
     """
-    damping = structure.damping
-    if not isinstance(damping, ModalDamping):
+    if not isinstance(structure.original.damping, ModalDamping):
         return None
-    if structure not in _CACHE:
-        count = structure.n_dofs if damping.modes is None else damping.modes
-        if count > structure.n_dofs:
-            raise InputError("damping modes", count, f"at most n_dofs = {structure.n_dofs}")
-        ratio = np.asarray(damping.ratio, dtype=float)
-        if ratio.ndim == 1 and len(ratio) != count:
-            raise InputError(
-                "damping ratio", f"{len(ratio)} ratios", f"one or {count}, one per mode"
-            )
-        modes = solve_modes(structure, count)
-        rate = 2.0 * ratio * modes.omega
-        _CACHE[structure] = DampedModes(
-            modes.omega, rate, modes.shapes, mass_times(structure, modes.shapes)
-        )
-    return _CACHE[structure]
+    modes, factor = structure.once(_damped_modes), structure.damping_factor
+    return modes if factor == 1.0 else replace(modes, rate=factor * modes.rate)
+
+
+def _damped_modes(structure: Structure) -> DampedModes:
+    damping = structure.damping
+    count = structure.n_dofs if damping.modes is None else damping.modes
+    if count > structure.n_dofs:
+        raise InputError("damping modes", count, f"at most n_dofs = {structure.n_dofs}")
+    ratio = np.asarray(damping.ratio, dtype=float)
+    if ratio.ndim == 1 and len(ratio) != count:
+        raise InputError("damping ratio", f"{len(ratio)} ratios", f"one or {count}, one per mode")
+    modes = solve_modes(structure, count)
+    mass_shapes = times(structure.mass, modes.shapes)
+    return DampedModes(modes.omega, 2.0 * ratio * modes.omega, modes.shapes, mass_shapes)
+
+
+def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:
+    """X^T C X of the columns of X (n_local, m): (m, m) [kg/s] (collective)."""
+    if structure.damping_matrix is not None:
+        product = times(structure.damping_matrix, columns)
+        return structure.sum_over_ranks(columns.T @ product)
+    damped = damped_modes(structure)
+    if damped is None:
+        return np.zeros((columns.shape[1], columns.shape[1]))
+    projected = structure.sum_over_ranks(damped.mass_shapes.T @ columns)
+    return (projected.T * damped.rate) @ projected

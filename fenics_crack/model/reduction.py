@@ -21,7 +21,8 @@ w^2; the difference between both is the estimate of the reduction error.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -30,19 +31,22 @@ import scipy.sparse as sparse
 
 from fenics_crack.errors import InputError
 from fenics_crack.model.factor import Factor, weighted_sum
-from fenics_crack.model.modes import damped_modes, mass_times, solve_modes, times
+from fenics_crack.model.modal import SMALL
+from fenics_crack.model.modes import damped_modes, mass_norms, projected_damping, solve_modes, times
 from fenics_crack.model.structure import ModalDamping, Structure
 
 __all__ = ["ReducedStructure", "reduce_structure"]
 
 METHODS = ("free_interface", "craig_bampton", "truncation")
+MODES = 50
+"""Kept of a large structure whose modes are all damped."""
 
 
 class ReducedStructure(Structure):
     """A structure in the coordinates q of a basis, u = T q; the same on every rank.
 
-    It answers as the structure that it stands for: ``find_dof`` and ``values_at`` speak of the
-    dofs of the whole one, and so does everything drawn or written of its solutions.
+    ``find_dof`` and ``values_at`` refer to the dofs of the whole structure, and so does everything
+    drawn or written of its solutions.
 
     Attributes
     ----------
@@ -56,6 +60,13 @@ class ReducedStructure(Structure):
         The same with a larger basis, against which the reduction error is estimated.
     """
 
+    basis: np.ndarray
+    omega: np.ndarray
+    reference: ReducedStructure | None
+
+    _whole: Structure
+    _VARIED_TOO = ("_whole", "reference")
+
     def __init__(
         self,
         whole: Structure,
@@ -68,7 +79,6 @@ class ReducedStructure(Structure):
             sparse.identity(len(squares)),
             sparse.diags(squares),
             whole.closing(basis.T),
-            clearance=whole.clearance,
             damping=damping,
         )
         super().__init__(
@@ -82,14 +92,16 @@ class ReducedStructure(Structure):
             pair_points=whole.pair_points,
             pair_areas=whole.pair_areas,
         )
-        self.basis = basis
-        self.omega = np.sqrt(np.maximum(squares, 0.0))
-        self.reference = reference
-        self._whole = whole
+        omega = np.sqrt(np.maximum(squares, 0.0))
+        self._hold(basis=basis, omega=omega, reference=reference, _whole=whole)
+
+    @property
+    def _size_words(self) -> str:
+        return f"{self.n_dofs} coordinates of {self.whole.n_dofs} dofs"
 
     @property
     def whole(self) -> Structure:
-        """The structure that was reduced, in the first place."""
+        """The structure that was reduced first."""
         return self._whole.whole
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
@@ -100,22 +112,6 @@ class ReducedStructure(Structure):
         """Displacement of dofs of the whole structure from coordinates (m, n_dofs) (collective)."""
         return displacement @ self._whole.values_at(self.basis.T, dofs)
 
-    def find_dof(self, point: Sequence[float], component: int | str) -> int:
-        """Return a dof of the whole structure (collective)."""
-        return self._whole.find_dof(point, component)
-
-    def varied(
-        self, *, load: float = 1.0, damping: float = 1.0, clearance: float = 0.0
-    ) -> Structure:
-        """Return this structure with its load and damping multiplied, and a clearance added."""
-        other = super().varied(load=load, damping=damping, clearance=clearance)
-        assert isinstance(other, ReducedStructure)
-        if self.reference is not None:
-            reference = self.reference.varied(load=load, damping=damping, clearance=clearance)
-            assert isinstance(reference, ReducedStructure)
-            other.reference = reference
-        return other
-
     def damped(self, damping: ModalDamping | None) -> ReducedStructure:
         """Return this structure with a modal damping of its own coordinates, or none."""
         if damping is not None and not isinstance(damping, ModalDamping):
@@ -124,7 +120,7 @@ class ReducedStructure(Structure):
         return ReducedStructure(self._whole, self.basis, self.omega**2, damping, reference)
 
     def _changed(self, **changes: Any) -> Structure:
-        # A plain structure of the coordinates: it does not know where they are.
+        """A plain structure of the coordinates, which have no positions."""
         return super()._changed(**({"nodes": None} | changes))
 
 
@@ -133,89 +129,91 @@ def reduce_structure(
 ) -> ReducedStructure:
     """Reduce a structure to a few coordinates (collective).
 
+    Where one ratio damps all modes, it damps all coordinates: these are the modes of the reduced
+    structure. Any other damping is projected.
+
     Parameters
     ----------
     structure : Structure
         What to reduce.
     modes : int, optional
-        Lowest modes to keep; default: those that are damped, else 20.
+        How many of the lowest modes to keep; default: those that are damped, but 50 if all of more
+        than 600 are; without modal damping 20.
     method : "free_interface", "craig_bampton" or "truncation"
-        The basis, see the module's text.
+        The basis.
 
     Raises
     ------
     InputError
-        The method is unknown, or there are fewer modes than asked for.
+        The method is unknown, there are fewer modes than asked for, or a structure with more than
+        600 dofs has a ratio for each of its modes.
 
     Source: Craig and Kurdila, Fundamentals of Structural Dynamics, chapter 17.
     """
     if method not in METHODS:
         raise InputError("method", method, "one of " + ", ".join(map(repr, METHODS)))
-    damped = damped_modes(structure)
+    ratio = _ratio_of_all(structure)
+    damped = damped_modes(structure) if ratio is None else None
     if modes is None:
         modes = min(20, structure.n_dofs) if damped is None else len(damped.omega)
+        if ratio is not None:
+            modes = MODES if structure.n_dofs > SMALL else structure.n_dofs
     whole = isinstance(modes, int | np.integer) and not isinstance(modes, bool)
     if not (whole and 1 <= modes <= structure.n_dofs):
         raise InputError("modes", modes, f"a whole number from 1 to n_dofs = {structure.n_dofs}")
 
-    attachments = _sources(structure)
-    with _StaticSolver(structure) as static:
-        kept: np.ndarray = np.zeros((structure.n_local, 0))
-        squares: np.ndarray = np.zeros(0)
+    kept: np.ndarray = np.zeros((structure.n_local, 0))
+    squares: np.ndarray = np.zeros(0)
+    if method != "craig_bampton":
+        known = damped if damped is not None and len(damped.omega) >= modes else None
+        found = known or solve_modes(structure, modes)
+        kept, squares = found.shapes[:, :modes], found.omega[:modes] ** 2
+    loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
+    sources = np.hstack([structure.gap.toarray(), structure.force[loaded].T])
+    with _static_factor(structure) as factor:
+        response = factor.solve(sources.T).T
+        extra = response if method == "free_interface" else response[:, :0]
         if method == "craig_bampton":
-            response = static.solve(attachments)
             compliance = structure.closing(response[:, : structure.n_pairs].T)
             scale = 1e3 / np.abs(compliance).max(initial=1e-300)
             tied = solve_modes(structure.tied(scale), modes).shapes
             extra = np.hstack([response, tied])
-        else:
-            if damped is not None and len(damped.omega) >= modes:
-                kept, squares = damped.shapes[:, :modes], damped.omega[:modes] ** 2
-            else:
-                found = solve_modes(structure, modes)
-                kept, squares = found.shapes, found.omega**2
-            response = static.solve(attachments)
-            extra = response if method == "free_interface" else response[:, :0]
-        following = [extra, response, static.solve(mass_times(structure, response))]
+        following = [extra, response, factor.solve(times(structure.mass, response).T).T]
         if structure.damping_matrix is not None:
             damping = times(structure.damping_matrix, np.hstack([kept, extra, response]))
-            following.append(static.solve(damping))
+            following.append(factor.solve(damping.T).T)
     reference = _reduced(structure, kept, squares, np.hstack(following), None)
     return _reduced(structure, kept, squares, extra, reference)
 
 
-def _sources(structure: Structure) -> np.ndarray:
-    """B and the parts of the load that are there, as columns (n_local, m)."""
-    norms = structure.sum_over_ranks((structure.force**2).sum(axis=1))
-    loads = structure.force[norms > 0.0].T
-    return np.hstack([structure.gap.toarray(), loads])
+def _ratio_of_all(structure: Structure) -> float | None:
+    """The one ratio that damps all modes, or None; InputError for too many ratios."""
+    damping = structure.damping
+    if not isinstance(damping, ModalDamping) or damping.modes not in (None, structure.n_dofs):
+        return None
+    if isinstance(damping.ratio, float):
+        return damping.ratio
+    if structure.n_dofs <= SMALL:
+        return None
+    found = f"{len(damping.ratio)} ratios for all {structure.n_dofs} modes"
+    allowed = (
+        f"one ratio, or ratios of the lowest damping.modes, as there are more than {SMALL} dofs"
+    )
+    raise InputError("damping ratio", found, allowed)
 
 
-class _StaticSolver:
-    """K^-1; where the structure is loose, (K + s M)^-1 with s the size of its smallest quotient."""
-
-    def __init__(self, structure: Structure) -> None:
-        self._structure = structure
-        self._matrix: Any = None
-        self._factor = Factor(structure.stiffness, symmetric=True)
-        if self._factor.null_pivots:
-            self._factor.destroy()
-            count = min(structure.n_dofs, 10)
-            elastic = solve_modes(structure, count).omega[-1] ** 2
-            self._matrix = weighted_sum(structure.stiffness, elastic or 1.0, structure.mass)
-            self._factor = Factor(self._matrix, symmetric=True)
-
-    def solve(self, columns: np.ndarray) -> np.ndarray:
-        """K^-1 X of columns (n_local, m)."""
-        return self._factor.solve(columns.T).T
-
-    def __enter__(self) -> _StaticSolver:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._factor.destroy()
-        if self._matrix is not None:
-            self._matrix.destroy()
+@contextmanager
+def _static_factor(structure: Structure) -> Iterator[Factor]:
+    """Of K; of an unconstrained structure of K + s M, s one of its lowest eigenvalues."""
+    with Factor(structure.stiffness, symmetric=True) as factor:
+        if not factor.null_pivots:
+            yield factor
+            return
+    elastic = solve_modes(structure, min(structure.n_dofs, 10)).omega[-1] ** 2
+    matrix = weighted_sum(structure.stiffness, elastic or 1.0, structure.mass)
+    with Factor(matrix, symmetric=True) as factor:
+        yield factor
+    matrix.destroy()
 
 
 def _reduced(
@@ -225,18 +223,19 @@ def _reduced(
     extra: np.ndarray,
     reference: ReducedStructure | None,
 ) -> ReducedStructure:
-    """Reduce to modes already known and the rest of other vectors, orthonormal and diagonal."""
-    whole_size = _norms(structure, extra)
+    """Reduce to known modes and the rest of other vectors, made M-orthonormal and K-diagonal."""
+    whole_size = mass_norms(structure, extra)
     for _ in range(2):  # once more against rounding
-        extra = extra - kept @ structure.sum_over_ranks(kept.T @ mass_times(structure, extra))
-    size = _norms(structure, extra)
-    extra = extra[:, size > 1e-8 * whole_size] / size[size > 1e-8 * whole_size]
-    gram = structure.sum_over_ranks(extra.T @ mass_times(structure, extra))
+        extra = extra - kept @ structure.sum_over_ranks(kept.T @ times(structure.mass, extra))
+    size = mass_norms(structure, extra)
+    large = size > 1e-8 * whole_size
+    extra = extra[:, large] / size[large]
+    gram = structure.sum_over_ranks(extra.T @ times(structure.mass, extra))
     weights, vectors = np.linalg.eigh(gram)
     independent = weights > 1e-12 * weights.max(initial=0.0)
     extra = extra @ (vectors[:, independent] / np.sqrt(weights[independent]))
     elastic = structure.sum_over_ranks(extra.T @ times(structure.stiffness, extra))
-    mass = structure.sum_over_ranks(extra.T @ mass_times(structure, extra))
+    mass = structure.sum_over_ranks(extra.T @ times(structure.mass, extra))
     more, rotation = scipy.linalg.eigh(elastic, mass) if len(mass) else (np.zeros(0), mass)
     extra = extra @ rotation
     basis = np.hstack([kept, extra])
@@ -245,24 +244,16 @@ def _reduced(
     return ReducedStructure(structure, basis, squares, damping, reference)
 
 
-def _norms(structure: Structure, columns: np.ndarray) -> np.ndarray:
-    """sqrt(x^T M x) of columns."""
-    squares = (columns * mass_times(structure, columns)).sum(axis=0)
-    return np.sqrt(np.maximum(structure.sum_over_ranks(squares), 1e-300))
-
-
 def _damping(
     structure: Structure, basis: np.ndarray, squares: np.ndarray
 ) -> ModalDamping | np.ndarray | None:
-    """T^T C T: modal where it is diagonal, else a matrix."""
-    damped = damped_modes(structure)
-    if damped is not None:
-        projected = structure.sum_over_ranks(damped.mass_shapes.T @ basis)
-        matrix = (projected.T * damped.rate) @ projected
-    elif structure.damping_matrix is not None:
-        matrix = structure.sum_over_ranks(basis.T @ times(structure.damping_matrix, basis))
-    else:
+    """T^T C T, or one ratio for all; modal where it is diagonal, else a matrix."""
+    one = _ratio_of_all(structure)
+    if structure.damping is None:
         return None
+    if one is not None:
+        return ModalDamping(one)
+    matrix = projected_damping(structure, basis)
     rate = np.diag(matrix)
     if np.abs(matrix - np.diag(rate)).max() > 1e-9 * rate.max(initial=0.0):
         return matrix

@@ -6,35 +6,40 @@
 of the lower lip's node and -1 on the upper lip's. Matrices are PETSc's and distributed by rows;
 every array that stands for a displacement holds the rows that this rank owns ("n_local"), which on
 one rank are all.
+
+A structure never changes: what is computed from it stays true. Copies that differ in load,
+clearance, or a factor of the damping share its matrices, and its modes once they are computed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from numbers import Integral
-from typing import Any
+from functools import cached_property
+from typing import Any, ClassVar, NoReturn, Self, TypeVar
 
 import numpy as np
 import scipy.sparse as sparse
 from mpi4py import MPI
 
-from fenics_crack.errors import InputError
+from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.matrices import (
     check_positive_definite,
     check_symmetric,
-    diagonal_rows,
     distributed,
     numbers,
     per_pair,
     petsc_matrix,
+    read_only,
     whole_rows,
 )
-from fenics_crack.parallel import gather_rows
+from fenics_crack.model.nodes import Nodes
 
-__all__ = ["ModalDamping", "Nodes", "Structure"]
+__all__ = ["ModalDamping", "Structure"]
+
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True)
@@ -43,10 +48,15 @@ class ModalDamping:
 
     Attributes
     ----------
-    ratio : float or sequence of float
-        xi_j of critical damping: one for all, or one per mode.
+    ratio : float or tuple of float
+        xi_j, of critical damping: one for all modes, or one per mode.
     modes : int or None
-        The lowest so many modes; None: all.
+        How many of the lowest modes are damped; None: all.
+
+    Raises
+    ------
+    InputError
+        A ratio is negative or not finite, or ``modes`` is no whole number >= 1.
     """
 
     ratio: float | Sequence[float]
@@ -56,35 +66,24 @@ class ModalDamping:
         ratio = numbers(self.ratio)
         if ratio.ndim > 1 or not ratio.size or not np.all(np.isfinite(ratio)) or ratio.min() < 0.0:
             raise InputError("damping ratio", self.ratio, "finite and >= 0, one or one per mode")
-        whole = isinstance(self.modes, Integral) and not isinstance(self.modes, bool)
-        if self.modes is not None and not (whole and self.modes >= 1):
-            raise InputError("damping modes", self.modes, "None (all) or a whole number >= 1")
+        if self.modes is not None:
+            check_count("damping modes", self.modes, 1)
+        given = tuple(ratio.tolist()) if ratio.ndim else float(ratio)
+        object.__setattr__(self, "ratio", given)
 
+    def scaled(self, factor: float) -> ModalDamping:
+        """The same with every ratio multiplied by a factor."""
+        return replace(self, ratio=(factor * np.asarray(self.ratio)).tolist())
 
-@dataclass(frozen=True)
-class Nodes:
-    """Where the dofs of a meshed structure are: the nodes that this rank owns.
-
-    Attributes
-    ----------
-    points : (m, 2) [m]
-        Positions.
-    dofs : (m, 2) int
-        Number of the x and the y displacement in the structure; -1 where it is clamped.
-    cells : (n_cells, k) int
-        This rank's cells in VTK's node order; nodes are numbered through all ranks.
-    vtk_type : int
-        VTK's number for the kind of cells.
-    """
-
-    points: np.ndarray
-    dofs: np.ndarray
-    cells: np.ndarray
-    vtk_type: int
+    def __str__(self) -> str:
+        percent = 100.0 * np.asarray(self.ratio)
+        low, high = f"{percent.min():.3g}", f"{percent.max():.3g}"
+        modes = "" if self.modes is None else f" of {self.modes} modes"
+        return f"modal damping {low if low == high else f'{low} to {high}'} %{modes}"
 
 
 class Structure:
-    """A linear structure with contact pairs.
+    """A linear structure with contact pairs; none of its attributes can be set.
 
     Made by :func:`fenics_crack.build_structure` from a scene or by :meth:`from_matrices`.
 
@@ -99,16 +98,34 @@ class Structure:
     force : (3, n_local) [N]
         Mean, cosine and sine part of the load on the first harmonic.
     clearance : (n_pairs,) [m]
-        g0 of every pair; positive: a gap to close first, negative: preload.
-    damping : ModalDamping, PETSc.Mat or None
-        Modal damping, a damping matrix C [N s/m], or none.
+        g0 of every pair; positive: an opening that closes first, negative: preload.
     nodes : Nodes or None
         Positions of the dofs where there is a mesh.
     pair_points : (n_pairs, 2) [m] or None
         Positions of the contact pairs where there is a mesh.
     pair_areas : (n_pairs,) [m^2] or None
         Area of the lip that belongs to each pair, where there is a mesh.
+    damping_factor : float
+        Factor of the damping relative to that of :attr:`original`; 1 unless varied.
     """
+
+    comm: MPI.Comm
+    mass: Any
+    stiffness: Any
+    gap: sparse.csr_matrix
+    force: np.ndarray
+    clearance: np.ndarray
+    nodes: Nodes | None
+    pair_points: np.ndarray | None
+    pair_areas: np.ndarray | None
+    damping_factor: float
+
+    _gap_transposed: sparse.csr_matrix
+    _original: Structure | None
+    """None: itself. A reference to itself would keep it alive."""
+    _known: dict[Callable[[Structure], Any], Any]
+    _VARIED_TOO: ClassVar[tuple[str, ...]] = ()
+    """Attributes that are structures, varied with this one."""
 
     def __init__(
         self,
@@ -123,43 +140,76 @@ class Structure:
         pair_points: np.ndarray | None = None,
         pair_areas: np.ndarray | None = None,
     ) -> None:
-        self.comm: MPI.Comm = mass.comm.tompi4py()
-        self._mass = mass
-        self._stiffness = stiffness
-        self._gap = sparse.csr_matrix(gap)
-        self._gap_transposed = sparse.csr_matrix(self._gap.T)
-        self.force = force
-        self.clearance = clearance
-        self._damping = damping
-        self.nodes = nodes
-        self.pair_points = pair_points
-        self.pair_areas = pair_areas
+        self._hold(
+            comm=mass.comm.tompi4py(),
+            mass=mass,
+            stiffness=stiffness,
+            gap=_read_only_rows(gap),
+            force=force,
+            clearance=clearance,
+            damping=damping,
+            nodes=nodes,
+            pair_points=pair_points,
+            pair_areas=pair_areas,
+            damping_factor=1.0,
+            _gap_transposed=_read_only_rows(gap.T),
+            _original=None,
+            _known={},
+        )
 
-    # What modes and compliances have been computed from may not change under them.
+    def _hold(self, **values: Any) -> None:
+        """Set attributes of a structure that is being made; arrays become read-only."""
+        for name, value in values.items():
+            vars(self)[name] = read_only(value) if isinstance(value, np.ndarray) else value
+
+    def __setattr__(self, name: str, value: object) -> NoReturn:
+        raise AttributeError(
+            f"{name}: a structure cannot be changed; varied() and damped() make another one"
+        )
+
+    def __repr__(self) -> str:
+        pairs = f"{self.n_pairs} pair{'' if self.n_pairs == 1 else 's'}"
+        damping = self.original.damping
+        if isinstance(damping, ModalDamping):
+            words = str(damping.scaled(self.damping_factor))
+        else:
+            words = "no damping" if damping is None else "damping matrix"
+        return f"{type(self).__name__}({self._size_words}, {pairs}, {words})"
 
     @property
-    def mass(self) -> Any:
-        """M, PETSc (n, n) [kg]."""
-        return self._mass
+    def _size_words(self) -> str:
+        return f"{self.n_dofs} dofs"
 
-    @property
-    def stiffness(self) -> Any:
-        """K, PETSc (n, n) [N/m]."""
-        return self._stiffness
-
-    @property
-    def gap(self) -> sparse.csr_matrix:
-        """B, the rows owned by this rank: (n_local, n_pairs)."""
-        return self._gap
-
-    @property
+    @cached_property
     def damping(self) -> Any:
-        """ModalDamping, the matrix C [N s/m], or None."""
-        return self._damping
+        """ModalDamping, the matrix C [N s/m], or None (collective).
+
+        A varied copy computes it when it is first asked for: many copies never are.
+        """
+        given = self.original.damping
+        if given is None or self.damping_factor == 1.0:
+            return given
+        if isinstance(given, ModalDamping):
+            return given.scaled(self.damping_factor)
+        matrix = given.copy()
+        matrix.scale(self.damping_factor)
+        return matrix
+
+    @property
+    def original(self) -> Structure:
+        """The structure of which this is a varied copy, or itself."""
+        return self._original or self
+
+    def once(self, compute: Callable[[Structure], Found]) -> Found:
+        """A result computed from :attr:`original` once, for it and all of its varied copies."""
+        if compute not in self._known:
+            self._known[compute] = compute(self.original)
+        found: Found = self._known[compute]
+        return found
 
     @property
     def n_dofs(self) -> int:
-        """Number of degrees of freedom, clamped ones left out."""
+        """Number of degrees of freedom, without clamped ones."""
         return int(self.mass.size[0])
 
     @property
@@ -184,7 +234,7 @@ class Structure:
 
     @property
     def whole(self) -> Structure:
-        """The structure whose dofs and nodes this one speaks of: itself, unless it is reduced."""
+        """The structure to which dof numbers and nodes refer: itself, unless it is reduced."""
         return self
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
@@ -213,10 +263,7 @@ class Structure:
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int]) -> np.ndarray:
         """Pick dofs from displacements (m, n_local): (m, len(dofs)) on every rank (collective).
 
-        Raises
-        ------
-        InputError
-            A dof is not between 0 and n_dofs - 1.
+        Raises as :meth:`check_dofs`.
         """
         wanted = self.check_dofs(dofs)
         mine = (wanted >= self.first_dof) & (wanted < self.first_dof + self.n_local)
@@ -243,79 +290,25 @@ class Structure:
         Parameters
         ----------
         point : (2,) [m]
-            Position of the node; up to 1e-6 of the structure's size may be missing.
+            Position of the node, to 1e-6 of the structure's size.
         component : 0, 1, "x" or "y"
             Direction.
 
         Raises
         ------
         InputError
-            There is no node there, or two (on the lips), or the dof is clamped, or the structure
-            was made from matrices and knows no positions.
+            There is no node there, or two (on the lips), the dof is clamped, or the structure was
+            made from matrices and has no positions.
         """
-        names: dict[int | str, int] = {0: 0, 1: 1, "x": 0, "y": 1}
-        if component not in list(names):
-            raise InputError("component", component, "0, 1, 'x' or 'y'")
         if self.nodes is None:
             raise InputError("point", point, "given only for a structure made from a mesh")
-        target = numbers(point)
-        if target.shape != (2,) or not np.all(np.isfinite(target)):
-            raise InputError("point", point, "[x, y], two finite numbers")
-        points = gather_rows(self.comm, self.nodes.points)
-        distance = np.linalg.norm(points - target, axis=1)
-        found = np.flatnonzero(distance <= 1e-6 * np.ptp(points, axis=0).max())
-        if len(found) != 1:
-            nearest = points[np.argmin(distance)]
-            raise InputError(
-                "point",
-                tuple(target),
-                f"at a node that exists once ({len(found)} found there; the nearest node is at "
-                f"({nearest[0]:g}, {nearest[1]:g}))",
-            )
-        dof = int(gather_rows(self.comm, self.nodes.dofs)[found[0], names[component]])
-        if dof < 0:
-            raise InputError(
-                "point", tuple(target), f"free in component {component!r}, not clamped"
-            )
-        return dof
+        return self.nodes.find_dof(self.whole.comm, point, component)
 
     def dof_name(self, dof: int) -> str:
-        """What a dof is, for people: "x displacement at (0.1, 0.1) m" (collective)."""
+        """A dof in words: "x displacement at (0.1, 0.1) m" (collective)."""
         if self.nodes is None:
             return f"displacement of dof {dof}"
-        comm = self.whole.comm
-        node, component = np.argwhere(gather_rows(comm, self.nodes.dofs) == dof)[0]
-        points = gather_rows(comm, self.nodes.points)
-        x, y = np.round(points[node], 12) + 0.0  # no -1e-19
-        return f"{'xy'[component]} displacement at ({x:.4g}, {y:.4g}) m"
-
-    @property
-    def couplings(self) -> np.ndarray:
-        """What pairs and load see of each dof: (n_pairs + 3, n_local)."""
-        return np.vstack([self.gap.toarray().T, self.force])
-
-    def signs_since(self, couplings: np.ndarray) -> np.ndarray:
-        """Signs (n_local,) that the dofs have changed since the structure had these couplings.
-
-        The coordinates of a reduction may come out with other signs when it is made anew.
-
-        Raises
-        ------
-        InputError
-            They are those of another structure.
-        """
-        now = self.couplings
-        if couplings.shape != now.shape:
-            raise InputError(
-                "structure",
-                f"{self.n_local} dofs, {self.n_pairs} pairs",
-                f"one with {couplings.shape[1]} dofs and {len(couplings) - 3} pairs",
-            )
-        signs = np.where((couplings * now).sum(axis=0) < 0.0, -1.0, 1.0)
-        largest = np.abs(couplings).max(axis=1, initial=0.0, keepdims=True)
-        if np.any(np.abs(couplings - now * signs) > 1e-6 * largest):
-            raise InputError("structure", "other load or pairs", "that of the file")
-        return signs
+        return self.nodes.dof_name(self.whole.comm, dof)
 
     # --- related structures -----------------------------------------------------------------------
 
@@ -334,21 +327,16 @@ class Structure:
         self.mass.mult(ones, sums)
         smallest = sums.min()[1]
         if smallest <= 1e-10 * sums.max()[1]:  # zero but for rounding at a triangle's corners
-            raise InputError(
-                "mass", f"row sum {smallest:.3g}", "lumped only where every row sum is positive"
-            )
-        return self._changed(mass=distributed(diagonal_rows(sums), self.comm))
+            allowed = "lumped only where every row sum is positive"
+            raise InputError("mass", f"row sum {smallest:.3g}", allowed)
+        rows = sparse.diags(sums.array_r, self.first_dof, shape=(self.n_local, self.n_dofs))
+        return self._changed(mass=distributed(rows, self.comm))
 
     def tied(self, stiffness: float | np.ndarray) -> Structure:
-        """Return this structure with every pair tied by a spring that both pulls and pushes.
+        """Return this structure with every pair tied by a spring k [N/m] that pulls and pushes.
 
-        Its stiffness is K + B diag(k) B^T, its pairs are gone; modal damping follows the tied
+        Its stiffness is K + B diag(k) B^T, and it has no pairs; modal damping follows the tied
         modes.
-
-        Parameters
-        ----------
-        stiffness : float or (n_pairs,) [N/m]
-            k.
         """
         whole = sparse.vstack(self.comm.allgather(self.gap), format="csr")
         diagonal = sparse.diags(per_pair("stiffness", stiffness, self.n_pairs))
@@ -370,49 +358,51 @@ class Structure:
         return self._changed(damping=damping)
 
     def varied(
-        self, *, load: float = 1.0, damping: float = 1.0, clearance: float = 0.0
-    ) -> Structure:
+        self,
+        *,
+        load: float | np.ndarray = 1.0,
+        damping: float = 1.0,
+        clearance: float | np.ndarray = 0.0,
+    ) -> Self:
         """Return this structure with its load and damping multiplied, and a clearance added.
+
+        The copy shares matrices, and modes once they are computed. Of a reduced structure the whole
+        one and the reference are varied too.
 
         Parameters
         ----------
-        load, damping : float
-            Factors; damping >= 0.
-        clearance : float [m]
-            Added to that of every pair.
+        load : float or (3, 3)
+            Factor, or the matrix that maps mean, cosine and sine part to the new ones.
+        damping : float
+            Factor >= 0.
+        clearance : float or (n_pairs,) [m]
+            What is added.
+
+        Raises
+        ------
+        InputError
+            A value cannot be used.
         """
+        weights = numbers(load)
+        if weights.shape not in ((), (3, 3)) or not np.all(np.isfinite(weights)):
+            raise InputError("load", load, "a finite number, or a finite matrix of shape (3, 3)")
+        check_number("damping", damping, 0.0)
         other = copy(self)
-        other.force = load * self.force
-        other.clearance = self.clearance + clearance
-        if isinstance(self.damping, ModalDamping):
-            given = self.damping.ratio
-            if np.ndim(given):
-                ratio: float | tuple[float, ...] = tuple(damping * np.asarray(given, dtype=float))
-            else:
-                ratio = damping * float(given)  # type: ignore[arg-type]
-            other._damping = replace(self.damping, ratio=ratio)
-        elif self.damping is not None and damping != 1.0:
-            matrix = self.damping.copy()
-            matrix.scale(damping)
-            other._damping = matrix
+        vars(other).pop("damping", None)
+        other._hold(
+            force=weights @ self.force if weights.ndim else weights * self.force,
+            clearance=self.clearance + per_pair("clearance", clearance, self.n_pairs),
+            damping_factor=damping * self.damping_factor,
+            _original=self.original,
+        )
+        for name in self._VARIED_TOO:
+            if (part := getattr(self, name)) is not None:
+                vars(other)[name] = part.varied(load=load, damping=damping, clearance=clearance)
         return other
 
     def _changed(self, **changes: Any) -> Structure:
-        parts = {
-            name: getattr(self, name)
-            for name in (
-                "mass",
-                "stiffness",
-                "gap",
-                "force",
-                "clearance",
-                "damping",
-                "nodes",
-                "pair_points",
-                "pair_areas",
-            )
-        }
-        return Structure(**(parts | changes))
+        kept = "mass stiffness gap force clearance damping nodes pair_points pair_areas".split()
+        return Structure(**({name: getattr(self, name) for name in kept} | changes))
 
     @classmethod
     def from_matrices(
@@ -436,46 +426,54 @@ class Structure:
             NumPy, SciPy sparse, PETSc, or the path of a Matrix Market file; symmetric, the mass
             positive definite; [kg], [N/m].
         gap : (n, n_pairs) or (n,)
-            B: the closing of the pairs is g = B^T u - clearance; None: no pairs.
+            B; None: no pairs.
         force_sin, force_cos, force_mean : (n,) [N] or None
             Load on the first harmonic, and its mean.
         clearance : float or (n_pairs,) [m]
-            Initial gap g0; negative for preload.
+            g0; negative for preload.
         damping : ModalDamping, (n, n) matrix or None
             Modal damping, or C [N s/m] in any of the forms above.
         comm : MPI.Comm
-            Ranks over which to spread matrices that are given whole on every rank; PETSc matrices
-            keep their own.
+            Ranks that share matrices given whole on every rank; PETSc matrices keep their own.
 
         Raises
         ------
         InputError
-            A shape does not fit, an entry is not finite, mass or stiffness is not symmetric, or
-            the mass is not positive definite.
+            A shape does not fit, an entry is not finite, a matrix is not symmetric, or the mass is
+            not positive definite.
         """
         mass = petsc_matrix("mass", mass, comm)
-        comm = mass.comm.tompi4py()
-        n, n_local = mass.size[0], mass.local_size[0]
-        first = mass.owner_range[0]
+        comm, n, own = mass.comm.tompi4py(), mass.size[0], slice(*mass.owner_range)
         stiffness = petsc_matrix("stiffness", stiffness, comm, n)
         if damping is not None and not isinstance(damping, ModalDamping):
             damping = petsc_matrix("damping", damping, comm, n)
-        for name, matrix in (("mass", mass), ("stiffness", stiffness)):
-            check_symmetric(name, matrix)
+        check_symmetric("mass", mass)
+        check_symmetric("stiffness", stiffness)
         check_positive_definite("mass", mass)
 
         gap = sparse.csr_matrix((n, 0)) if gap is None else whole_rows("gap", gap, n)
-        parts = []
-        for name, part in (("mean", force_mean), ("cos", force_cos), ("sin", force_sin)):
-            whole = np.zeros(n) if part is None else whole_rows(f"force_{name}", part, n)
-            if whole.shape != (n,):
-                raise InputError(f"force_{name}", whole.shape, f"of shape ({n},)")
-            parts.append(whole[first : first + n_local])
+        force = np.zeros((3, n))
+        parts = {"force_mean": force_mean, "force_cos": force_cos, "force_sin": force_sin}
+        for row, (name, part) in zip(force, parts.items(), strict=True):
+            if part is not None:
+                column = whole_rows(name, part, n)
+                if column.shape != (n, 1):
+                    raise InputError(name, column.shape, f"of shape ({n},)")
+                row[:] = column.toarray().ravel()
         return cls(
             mass,
             stiffness,
-            gap[first : first + n_local],
-            force=np.array(parts),
+            gap[own],
+            force=force[:, own],
             clearance=per_pair("clearance", clearance, gap.shape[1]),
             damping=damping,
         )
+
+
+def _read_only_rows(matrix: Any) -> sparse.csr_matrix:
+    """A sparse matrix by rows, read-only."""
+    rows = sparse.csr_matrix(matrix, copy=True)
+    rows.sum_duplicates()
+    for part in (rows.data, rows.indices, rows.indptr):
+        part.flags.writeable = False
+    return rows

@@ -1,14 +1,14 @@
 """What a key of a scene may hold, and the tables that check it.
 
 A :class:`Table` is a frozen dataclass whose fields are made by the functions below: each states
-once how its value is read and what is allowed.
+once what is allowed. How a value is read follows from the field's type.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields
 from numbers import Integral, Real
 from typing import Any
@@ -17,84 +17,15 @@ import numpy as np
 
 from fenics_crack.errors import InputError
 
-__all__ = [
-    "OR_ZERO",
-    "Axis",
-    "Table",
-    "Vector",
-    "at_least_one",
-    "axes",
-    "boolean",
-    "choice",
-    "count_or_all",
-    "holds",
-    "integer",
-    "positive",
-    "ratio",
-    "real",
-    "text",
-    "vector",
-]
+__all__ = ["OR_ZERO", "Axis", "Table", "Vector", "at_least_one", "choice", "holds", "positive"]
 
 Vector = tuple[float, float]
 SMALLEST, LARGEST = 1e-30, 1e30
-"""Sizes of the numbers of a scene: their products and squares must not leave floating point."""
+"""Magnitudes allowed in a scene: their products and squares neither overflow nor underflow."""
 SIZES = f"{SMALLEST:g} to {LARGEST:g}"
 OR_ZERO = f"(0, or of size {SIZES})"
-
-
-# --- what a key may hold --------------------------------------------------------------------------
-
-
-def boolean(value: object) -> bool:
-    """true or false."""
-    if not isinstance(value, bool):
-        raise TypeError
-    return value
-
-
-def real(value: object) -> float:
-    """A number that is zero or of a size that can be computed with."""
-    if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
-        raise TypeError
-    number = float(value)
-    if value != 0 and not SMALLEST <= abs(number) <= LARGEST:
-        raise OverflowError
-    return number
-
-
-def integer(value: object) -> int:
-    """A whole number that 32 bits hold."""
-    if isinstance(value, bool) or not isinstance(value, Integral):
-        raise TypeError
-    number = int(value)
-    if abs(number) >= 2**31:  # gmsh and PETSc count with 32 bits
-        raise OverflowError
-    return number
-
-
-def text(value: object) -> str:
-    """A string that a file can hold."""
-    if not isinstance(value, str) or any("\ud800" <= c <= "\udfff" for c in value):
-        raise TypeError
-    return value
-
-
-def vector(value: object) -> Vector:
-    """Two numbers."""
-    if not isinstance(value, list | tuple) or len(value) != 2:
-        raise TypeError
-    return real(value[0]), real(value[1])
-
-
-def ratio(value: object) -> float | tuple[float, ...]:
-    """A number, or a list of them."""
-    return tuple(map(real, value)) if isinstance(value, list | tuple) else real(value)
-
-
-def count_or_all(value: object) -> int | str:
-    """A whole number or 'all'."""
-    return value if value == "all" else integer(value)  # type: ignore[return-value]
+MOST_VALUES = 1_000_000
+"""Values of one axis, at most."""
 
 
 @dataclass(frozen=True)
@@ -104,20 +35,64 @@ class Axis:
     Attributes
     ----------
     key : str
-        Of the scene, for example "crack.length".
+        A key of the scene, for example "crack.length".
     values : tuple
-        What it takes, in order.
+        In order.
     """
 
     key: str
     values: tuple[Any, ...]
 
 
-MOST_VALUES = 1_000_000
-"""On one axis."""
+# --- how a value is read --------------------------------------------------------------------------
 
 
-def axes(value: object) -> tuple[Axis, ...]:
+def _bool(value: object) -> bool:
+    if not isinstance(value, bool):
+        raise TypeError
+    return value
+
+
+def _float(value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
+        raise TypeError
+    number = float(value)
+    if value != 0 and not SMALLEST <= abs(number) <= LARGEST:
+        raise OverflowError
+    return number
+
+
+def _int(value: object) -> int:
+    if isinstance(value, bool) or not isinstance(value, Integral):
+        raise TypeError
+    number = int(value)
+    if abs(number) >= 2**31:  # gmsh and PETSc count with 32 bits
+        raise OverflowError
+    return number
+
+
+def _str(value: object) -> str:
+    """A string that can be written as UTF-8."""
+    if not isinstance(value, str) or any("\ud800" <= c <= "\udfff" for c in value):
+        raise TypeError
+    return value
+
+
+def _vector(value: object) -> Vector:
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise TypeError
+    return _float(value[0]), _float(value[1])
+
+
+def _one_or_more(value: object) -> float | tuple[float, ...]:
+    if not isinstance(value, list | tuple):
+        return _float(value)
+    if not value:
+        raise TypeError
+    return tuple(map(_float, value))
+
+
+def _axes(value: object) -> tuple[Axis, ...]:
     """Axes of a mapping from keys to a list, or to start, stop, count and spacing."""
     if isinstance(value, tuple) and all(isinstance(axis, Axis) for axis in value):
         return value
@@ -127,22 +102,21 @@ def axes(value: object) -> tuple[Axis, ...]:
 
 
 def _values(name: str, given: object) -> tuple[Any, ...]:
-    allowed = (
-        "a list of values, or a table of start, stop, count (>= 2) and, if wanted, "
-        "spacing = 'linear' or 'logarithmic'"
-    )
-    full_name = f'sweep.over."{name}"'
     if isinstance(given, list | tuple) and given:
         return tuple(given)
-    if not isinstance(given, Mapping) or not {"start", "stop", "count"} <= set(given):
-        raise InputError(full_name, given, allowed)
+    span = given if isinstance(given, Mapping) else {}
+    spacing = span.get("spacing", "linear")
     try:
-        start, stop, count = real(given["start"]), real(given["stop"]), integer(given["count"])
-    except (TypeError, OverflowError):
-        raise InputError(full_name, given, allowed) from None
-    spacing = given.get("spacing", "linear")
-    known = set(given) <= {"start", "stop", "count", "spacing"}
-    if not known or spacing not in ("linear", "logarithmic") or not 2 <= count <= MOST_VALUES:
+        start, stop, count = _float(span["start"]), _float(span["stop"]), _int(span["count"])
+        right = span.keys() <= {"start", "stop", "count", "spacing"} and 2 <= count <= MOST_VALUES
+    except (KeyError, TypeError, OverflowError):
+        right = False
+    full_name = f'sweep.over."{name}"'
+    if not right or spacing not in ("linear", "logarithmic"):
+        allowed = (
+            "a list of values, or a table of start, stop, count (>= 2) and, if wanted, "
+            "spacing = 'linear' or 'logarithmic'"
+        )
         raise InputError(full_name, given, allowed)
     if spacing == "linear":
         return tuple(map(float, np.linspace(start, stop, count)))
@@ -151,35 +125,45 @@ def _values(name: str, given: object) -> tuple[Any, ...]:
     return tuple(map(float, np.sign(start) * np.geomspace(abs(start), abs(stop), count)))
 
 
+_READERS: dict[str, Callable[[object], Any]] = {
+    "bool": _bool,
+    "float": _float,
+    "int": _int,
+    "str": _str,
+    "Vector": _vector,
+    "float | tuple[float, ...]": _one_or_more,
+    "int | str": lambda value: value if value == "all" else _int(value),
+    "tuple[Axis, ...]": _axes,
+}
+"""By the type of a field that is not None."""
+
+# --- what a key may hold --------------------------------------------------------------------------
+
+
 def holds(
-    convert: Callable[[object], Any],
-    allowed: str,
-    accepts: Callable[[Any], bool] = lambda value: True,
-    default: Any = MISSING,
+    allowed: str, accepts: Callable[[Any], bool] = lambda value: True, default: Any = MISSING
 ) -> Any:
-    """Field that holds what ``convert`` makes of a value for which ``accepts`` is true."""
-    return field(
-        default=default, metadata={"convert": convert, "allowed": allowed, "accepts": accepts}
-    )
+    """Field of values for which ``accepts`` is true, ``allowed`` in words."""
+    return field(default=default, metadata={"allowed": allowed, "accepts": accepts})
 
 
 def positive(default: Any = MISSING) -> Any:
     """Field of a number > 0."""
-    return holds(real, f"a finite number > 0 ({SIZES})", lambda value: value > 0, default)
+    return holds(f"a finite number > 0 ({SIZES})", lambda value: value > 0, default)
 
 
 def at_least_one(default: Any = MISSING) -> Any:
     """Field of a whole number >= 1."""
-    return holds(integer, "a whole number >= 1", lambda value: value >= 1, default)
+    return holds("a whole number >= 1", lambda value: value >= 1, default)
 
 
 def choice(*words: str, default: Any = MISSING) -> Any:
     """Field of one of some words."""
-    return holds(text, "one of " + ", ".join(map(repr, words)), lambda v: v in words, default)
+    return holds("one of " + ", ".join(map(repr, words)), lambda v: v in words, default)
 
 
 def _as_toml(value: object) -> str:
-    """What JSON and TOML write alike; neither DEL nor half a character may stand in TOML."""
+    """A value as TOML, which is JSON but for DEL."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
@@ -194,21 +178,16 @@ class Table:
 
     @classmethod
     def checked(cls, key: str, value: object) -> Any:
-        """What a key holds when it is given a value.
-
-        Raises
-        ------
-        InputError
-            It may not hold that.
-        """
-        rule = cls.keys()[key].metadata
+        """A value as a key holds it; raises InputError if the key may not hold it."""
+        item = cls.keys()[key]
         try:
-            converted = rule["convert"](value)
+            found = _READERS[str(item.type).removesuffix(" | None")](value)
+            accepted = item.metadata["accepts"](found)
         except (TypeError, OverflowError):
-            raise InputError(cls.name_of(key), value, rule["allowed"]) from None
-        if not rule["accepts"](converted):
-            raise InputError(cls.name_of(key), value, rule["allowed"])
-        return converted
+            accepted = False
+        if not accepted:
+            raise InputError(cls.name_of(key), value, item.metadata["allowed"])
+        return found
 
     @classmethod
     def keys(cls) -> dict[str, Field[Any]]:
@@ -216,14 +195,14 @@ class Table:
         return {item.name: item for item in fields(cls)}  # type: ignore[arg-type]
 
     @classmethod
-    def name_of(cls, key: str) -> str:
-        """The key as it stands in a scene file: ``[harmonic_balance] samples``."""
+    def name_of(cls, key: str = "") -> str:
+        """A key as it stands in a scene file: ``harmonic_balance.samples``; or the table alone."""
         table = "".join("_" + c.lower() if c.isupper() else c for c in cls.__name__).lstrip("_")
-        return f"{table}.{key}"
+        return f"{table}.{key}" if key else table
 
     def as_toml(self) -> str:
         """The table as it would stand in a file; what has its default is left out."""
-        lines, after = [f"[{self.name_of('').rstrip('.')}]"], []
+        lines, after = [f"[{self.name_of()}]"], []
         for name, item in self.keys().items():
             value = getattr(self, name)
             if isinstance(value, tuple) and value and isinstance(value[0], Axis):
@@ -234,21 +213,30 @@ class Table:
         return "\n".join([*lines, *after, ""])
 
     def require(self, condition: bool, key: str, allowed: str) -> None:
+        """Raise InputError for a key unless a condition holds."""
         if not condition:
             raise InputError(self.name_of(key), getattr(self, key), allowed)
+
+    def given(self, key: str, allowed: str) -> Any:
+        """The value of a key that may not be left out."""
+        self.require(getattr(self, key) is not None, key, allowed)
+        return getattr(self, key)
+
+    def leave_out(self, keys: Iterable[str], why: str) -> None:
+        """Raise InputError if one of the keys is given."""
+        for key in keys:
+            self.require(getattr(self, key) is None, key, f"left out with {why}")
 
     @classmethod
     def from_mapping(cls, values: object) -> Any:
         """Make the table from the mapping read in a file."""
-        table = cls.name_of("").rstrip(".")
         known = cls.keys()
+        keys = ", ".join(known)
         if not isinstance(values, Mapping):
-            raise InputError(table, values, f"a table with the keys {', '.join(known)}")
+            raise InputError(cls.name_of(), values, f"a table with the keys {keys}")
         for key, value in values.items():
             if key not in known:
-                raise InputError(
-                    cls.name_of(key), value, f"left out; known keys: {', '.join(known)}"
-                )
+                raise InputError(cls.name_of(key), value, f"left out; known keys: {keys}")
         for key, item in known.items():
             if item.default is MISSING and key not in values:
                 raise InputError(cls.name_of(key), None, f"given: {item.metadata['allowed']}")

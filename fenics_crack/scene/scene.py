@@ -13,7 +13,9 @@ import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
+
+import numpy as np
 
 from fenics_crack.errors import MOST_SAMPLES, InputError
 from fenics_crack.scene.fields import (
@@ -22,17 +24,9 @@ from fenics_crack.scene.fields import (
     Table,
     Vector,
     at_least_one,
-    axes,
-    boolean,
     choice,
-    count_or_all,
     holds,
-    integer,
     positive,
-    ratio,
-    real,
-    text,
-    vector,
 )
 
 __all__ = [
@@ -52,11 +46,12 @@ __all__ = [
 ]
 
 EXTENT = "a number from 1e-6 to 1e6"
+NUMBER = f"a finite number {OR_ZERO}"
 FORCE = f"[fx, fy], two finite numbers {OR_ZERO}"
 STEEPEST, THINNEST = 1e6, 1e4
 """Largest ``mesh.grading``, and largest ratio of the plate's sides."""
 NEAREST = 1e-4
-"""Of the plate's side: the least from the crack, or its tip, to an edge."""
+"""Least distance of the crack and its tip from the edges, relative to the plate's side."""
 
 # --- the tables -----------------------------------------------------------------------------------
 
@@ -67,9 +62,9 @@ class Geometry(Table):
 
     thickness: float = positive()
     """[m]"""
-    width: float | None = holds(real, EXTENT, lambda value: 1e-6 <= value <= 1e6, None)
+    width: float | None = holds(EXTENT, lambda value: 1e-6 <= value <= 1e6, None)
     """[m]"""
-    height: float | None = holds(real, EXTENT, lambda value: 1e-6 <= value <= 1e6, None)
+    height: float | None = holds(EXTENT, lambda value: 1e-6 <= value <= 1e6, None)
     """[m]"""
 
 
@@ -78,15 +73,15 @@ class Crack(Table):
     """Straight horizontal edge crack: a slit whose two lips share only the tip."""
 
     edge: str | None = choice("left", "right", default=None)
-    """Where the crack's mouth is."""
+    """Edge of the plate at the crack's mouth."""
     height: float | None = positive(None)
     """y of the crack [m]."""
     length: float | None = positive(None)
     """[m]; or let ``first_omega`` determine it."""
     first_omega: float | None = positive(None)
-    """First natural frequency with the open crack [rad/s], from which to find the length."""
-    clearance: float = holds(real, f"a finite number {OR_ZERO}", default=0.0)
-    """g0 >= 0: opening that must close before the lips touch; < 0: preload [m]."""
+    """First natural frequency with the crack open [rad/s], from which the length is found."""
+    clearance: float = holds(NUMBER, default=0.0)
+    """g0 >= 0: opening that closes before the lips touch; < 0: preload [m]."""
 
 
 @dataclass(frozen=True)
@@ -95,9 +90,7 @@ class Material(Table):
 
     young: float = positive()
     """Young's modulus E [Pa]."""
-    poisson: float = holds(
-        real, "a finite number with -1 < nu < 0.5", lambda value: -1.0 < value < 0.5
-    )
+    poisson: float = holds("a finite number with -1 < nu < 0.5", lambda nu: -1.0 < nu < 0.5)
     """Poisson's ratio [-]."""
     density: float = positive()
     """[kg/m^3]"""
@@ -105,33 +98,23 @@ class Material(Table):
 
 @dataclass(frozen=True)
 class Damping(Table):
-    """Modal damping: ratio xi_j of critical for each of the lowest modes.
+    """Modal damping: ratio xi_j of critical damping for each of the lowest modes.
 
     With ``modes = "all"`` and one ratio, all coordinates of a reduced structure are damped.
     """
 
     ratio: float | tuple[float, ...] = holds(
-        ratio,
         "a number from 0 to 1 (0.02 for 2 %), or a list of them, one per mode",
-        lambda value: (
-            0 <= min(value, default=-1.0) and max(value) <= 1
-            if isinstance(value, tuple)
-            else 0 <= value <= 1
-        ),
+        lambda ratio: np.min(ratio) >= 0 and np.max(ratio) <= 1,
     )
     modes: int | str = holds(
-        count_or_all,
-        "'all' or a whole number >= 1",
-        lambda value: value == "all" or value >= 1,
-        default="all",
+        "'all' or a whole number >= 1", lambda value: value == "all" or value >= 1, "all"
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if isinstance(self.ratio, tuple) and self.modes != "all":
-            self.require(
-                len(self.ratio) == self.modes, "ratio", f"a list of damping.modes = {self.modes}"
-            )
+        fits = isinstance(self.ratio, float) or self.modes in ("all", len(self.ratio))
+        self.require(fits, "ratio", f"a list of damping.modes = {self.modes}")
 
 
 @dataclass(frozen=True)
@@ -140,13 +123,13 @@ class Excitation(Table):
 
     omega: float = positive()
     """Angular frequency [rad/s]."""
-    point: Vector | None = holds(vector, f"[x, y], two finite numbers {OR_ZERO}", default=None)
+    point: Vector | None = holds(f"[x, y], two finite numbers {OR_ZERO}", default=None)
     """[m]; a mesh file may give it instead by a physical point named ``load``."""
-    force_sin: Vector = holds(vector, FORCE, default=(0.0, 0.0))
+    force_sin: Vector = holds(FORCE, default=(0.0, 0.0))
     """[N]"""
-    force_cos: Vector = holds(vector, FORCE, default=(0.0, 0.0))
+    force_cos: Vector = holds(FORCE, default=(0.0, 0.0))
     """[N]"""
-    force_mean: Vector = holds(vector, FORCE, default=(0.0, 0.0))
+    force_mean: Vector = holds(FORCE, default=(0.0, 0.0))
     """[N]"""
 
 
@@ -166,19 +149,16 @@ class Contact(Table):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        law = f"law = {self.law!r}"
         if self.law == "constraint":
-            for key in ("stiffness", "stiffness_per_area"):
-                self.require(getattr(self, key) is None, key, "left out with law = 'constraint'")
+            self.leave_out(("stiffness", "stiffness_per_area"), law)
         else:
-            self.require(
-                (self.stiffness is None) != (self.stiffness_per_area is None),
-                "stiffness",
-                f"given, or contact.stiffness_per_area, with law = {self.law!r}",
-            )
+            one = (self.stiffness is None) != (self.stiffness_per_area is None)
+            self.require(one, "stiffness", f"given, or contact.stiffness_per_area, with {law}")
         if self.law == "smoothed":
-            self.require(self.sharpness is not None, "sharpness", "given with law = 'smoothed'")
+            self.given("sharpness", f"given with {law}")
         else:
-            self.require(self.sharpness is None, "sharpness", f"left out with law = {self.law!r}")
+            self.leave_out(("sharpness",), law)
 
 
 @dataclass(frozen=True)
@@ -213,7 +193,7 @@ class Mesh(Table):
 
     layout: str = choice("grid", "graded", "file")
     cells: str = choice("triangle", "quadrilateral", default="quadrilateral")
-    order: int = holds(integer, "1 or 2", lambda value: value in (1, 2), default=1)
+    order: int = holds("1 or 2", lambda value: value in (1, 2), default=1)
     """Polynomial order of the displacement."""
     columns: int | None = at_least_one(None)
     rows: int | None = at_least_one(None)
@@ -221,24 +201,19 @@ class Mesh(Table):
     """[m]"""
     lip_elements: int | None = at_least_one(None)
     grading: float = holds(
-        real, f"a number from 1 to {STEEPEST:g}", lambda value: 1 <= value <= STEEPEST, default=4.0
+        f"a number from 1 to {STEEPEST:g}", lambda value: 1 <= value <= STEEPEST, default=4.0
     )
-    file: str | None = holds(text, "the path of a .msh file", default=None)
+    file: str | None = holds("the path of a .msh file", default=None)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        needed = {
-            "grid": ("columns", "rows"),
-            "graded": ("size", "lip_elements"),
-            "file": ("file",),
-        }
-        for layout, keys in needed.items():
-            for key in keys:
-                given = getattr(self, key) is not None
-                if layout != self.layout:
-                    self.require(not given, key, f"left out with layout = {self.layout!r}")
-                elif key != "lip_elements":  # an uncracked plate has no lips
-                    self.require(given, key, f"given with layout = {self.layout!r}")
+        keys = {"grid": ("columns", "rows"), "graded": ("size", "lip_elements"), "file": ("file",)}
+        given = keys.pop(self.layout)
+        for others in keys.values():
+            self.leave_out(others, f"layout = {self.layout!r}")
+        for key in given:
+            if key != "lip_elements":  # an uncracked plate has no lips
+                self.given(key, f"given with layout = {self.layout!r}")
 
 
 @dataclass(frozen=True)
@@ -258,12 +233,12 @@ class Reduction(Table):
 class Curve(Table):
     """A response curve, followed through its folds by continuation."""
 
-    start: float = holds(real, f"a finite number {OR_ZERO}")
-    stop: float = holds(real, f"a finite number {OR_ZERO}")
+    start: float = holds(NUMBER)
+    stop: float = holds(NUMBER)
     """Of the parameter: load frequencies [rad/s], factors of load, stiffness or damping, or
     clearances added [m]."""
     parameter: str = choice("omega", "load", "stiffness", "damping", "clearance", default="omega")
-    stability: bool = holds(boolean, "true or false", default=True)
+    stability: bool = holds("true or false", default=True)
     """Floquet multipliers and period doublings along the curve."""
 
     def __post_init__(self) -> None:
@@ -291,7 +266,7 @@ class Integration(Table):
 
 @dataclass(frozen=True)
 class Sweep(Table):
-    """Many cases: the product of what some keys of the scene take.
+    """Many cases: all combinations of the values of some keys of the scene.
 
     [sweep.over]
     "excitation.omega" = { start = 1000.0, stop = 4000.0, count = 61 }
@@ -299,7 +274,7 @@ class Sweep(Table):
     """
 
     over: tuple[Axis, ...] = holds(
-        axes, "a table of keys of the scene and the values that they take", lambda value: value
+        "a table of keys of the scene and the values that they take", lambda value: value
     )
     ranks: int = at_least_one(1)
     """Ranks that share the mesh of one case."""
@@ -312,7 +287,7 @@ class Sweep(Table):
 
 @dataclass(frozen=True)
 class Scene:
-    """A cracked plate, how it is loaded, and how its vibration is to be computed.
+    """A cracked plate, its load, and how its vibration is computed.
 
     Raises
     ------
@@ -346,32 +321,24 @@ class Scene:
             object.__setattr__(self, "sweep", self._checked_sweep(self.sweep))
 
     def _check_plate(self) -> None:
-        geometry, crack, excitation = self.geometry, self.crack, self.excitation
-        for key in ("width", "height"):
-            geometry.require(getattr(geometry, key) is not None, key, f"given: {EXTENT}")
-        assert geometry.width is not None and geometry.height is not None
+        geometry, crack = self.geometry, self.crack
+        width, height = (geometry.given(key, f"given: {EXTENT}") for key in ("width", "height"))
         geometry.require(
-            geometry.height / THINNEST <= geometry.width <= geometry.height * THINNEST,
+            height / THINNEST <= width <= height * THINNEST,
             "width",
-            f"within a factor {THINNEST:g} of geometry.height = {geometry.height:g}",
+            f"within a factor {THINNEST:g} of geometry.height = {height:g}",
         )
-        excitation.require(excitation.point is not None, "point", "given: [x, y] on the plate")
-        assert excitation.point is not None
-        on_plate = (
-            0.0 <= excitation.point[0] <= geometry.width
-            and 0.0 <= excitation.point[1] <= geometry.height
-        )
-        excitation.require(
-            on_plate, "point", f"on the plate: [0..{geometry.width:g}, 0..{geometry.height:g}]"
-        )
+        x, y = self.excitation.given("point", "given: [x, y] on the plate")
+        on_plate = 0.0 <= x <= width and 0.0 <= y <= height
+        self.excitation.require(on_plate, "point", f"on the plate: [0..{width:g}, 0..{height:g}]")
         if crack is None:
             return
-        crack.require(crack.edge is not None, "edge", "given: 'left' or 'right'")
+        crack.given("edge", "given: 'left' or 'right'")
+        margin = f"at least {NEAREST:g} of that from both"
         crack.require(
-            crack.height is not None and _inside(crack.height, geometry.height),
+            crack.height is not None and _inside(crack.height, height),
             "height",
-            f"inside the plate: between 0 and geometry.height = {geometry.height:g}, at least "
-            f"{NEAREST:g} of that from both",
+            f"inside the plate: between 0 and geometry.height = {height:g}, {margin}",
         )
         crack.require(
             (crack.length is None) != (crack.first_omega is None),
@@ -379,30 +346,22 @@ class Scene:
             "given, or left out where crack.first_omega determines it",
         )
         crack.require(
-            crack.length is None or _inside(crack.length, geometry.width),
+            crack.length is None or _inside(crack.length, width),
             "length",
-            f"shorter than the plate: between 0 and geometry.width = {geometry.width:g}, at least "
-            f"{NEAREST:g} of that from both",
+            f"shorter than the plate: between 0 and geometry.width = {width:g}, {margin}",
         )
         if self.contact is None:
             raise InputError("contact", None, "given where there is a crack: a table")
         if self.mesh.layout == "grid":
             self._check_grid(crack)
         else:
-            self.mesh.require(
-                self.mesh.lip_elements is not None, "lip_elements", "given where there is a crack"
-            )
+            self.mesh.given("lip_elements", "given where there is a crack")
 
     def _check_grid(self, crack: Crack) -> None:
-        geometry, mesh = self.geometry, self.mesh
-        assert geometry.width and geometry.height and mesh.columns and mesh.rows and crack.height
-        crack.require(crack.length is not None, "length", "given with mesh.layout = 'grid'")
-        assert crack.length is not None
-        for key, value, extent, count in (
-            ("length", crack.length, geometry.width, mesh.columns),
-            ("height", crack.height, geometry.height, mesh.rows),
-        ):
-            cells = value / extent * count
+        crack.given("length", "given with mesh.layout = 'grid'")
+        for key, side, lines in (("length", "width", "columns"), ("height", "height", "rows")):
+            extent, count = getattr(self.geometry, side), getattr(self.mesh, lines)
+            cells = getattr(crack, key) / extent * count
             crack.require(
                 0 < round(cells) < count and abs(cells - round(cells)) < 1e-9 * count,
                 key,
@@ -410,25 +369,19 @@ class Scene:
             )
 
     def _check_file(self) -> None:
-        for key in ("width", "height"):
-            self.geometry.require(
-                getattr(self.geometry, key) is None, key, "left out with mesh.layout = 'file'"
-            )
-        for key in ("edge", "height", "length", "first_omega"):
-            if self.crack is not None:
-                self.crack.require(
-                    getattr(self.crack, key) is None, key, "left out with mesh.layout = 'file'"
-                )
+        self.geometry.leave_out(("width", "height"), "mesh.layout = 'file'")
+        if self.crack is not None:
+            own = ("edge", "height", "length", "first_omega")
+            self.crack.leave_out(own, "mesh.layout = 'file'")
 
     def _checked_sweep(self, sweep: Sweep) -> Sweep:
-        """The sweep with values as their keys hold them; combinations are checked in time."""
+        """The sweep with values as their keys hold them; each case is checked when it is made."""
         axes, seen = [], set()
         for axis in sweep.over:
             table, _, key = axis.key.partition(".")
             if table not in _SWEPT or key not in _TABLES[table].keys() or axis.key in seen:
-                allowed = (
-                    f"a table.key of the scene, given once, with a table of {', '.join(_SWEPT)}"
-                )
+                known = ", ".join(_SWEPT)
+                allowed = f"a table.key of the scene, given once, with a table of {known}"
                 raise InputError("sweep.over", axis.key, allowed)
             seen.add(axis.key)
             values = tuple(_TABLES[table].checked(key, value) for value in axis.values)
@@ -478,11 +431,9 @@ class Scene:
     @property
     def mesh_files(self) -> list[str]:
         """The mesh files of the scene and its sweep."""
-        found = [] if self.mesh.file is None else [self.mesh.file]
-        for axis in self.sweep.over if self.sweep is not None else ():
-            if axis.key == "mesh.file":
-                found += axis.values
-        return found
+        axes = self.sweep.over if self.sweep is not None else ()
+        swept = (axis.values for axis in axes if axis.key == "mesh.file")
+        return [file for files in ([self.mesh.file], *swept) for file in files if file is not None]
 
     def with_mesh_files(self, change: Callable[[str], str]) -> Scene:
         """Return the scene with the paths of its mesh files changed."""
@@ -518,10 +469,8 @@ class Scene:
             else:
                 changes.setdefault(table, {})[key] = value
         for table, change in changes.items():
-            if tables[table] is None:
-                tables[table] = _TABLES[table].from_mapping(change)
-            else:
-                tables[table] = dataclasses.replace(tables[table], **change)
+            now, kind = tables[table], _TABLES[table]
+            tables[table] = dataclasses.replace(now, **change) if now else kind.from_mapping(change)
         return Scene(**tables)
 
     def as_toml(self) -> str:
@@ -536,21 +485,7 @@ def _inside(place: float, extent: float) -> bool:
 
 
 _TABLES: dict[str, type[Table]] = {
-    "geometry": Geometry,
-    "material": Material,
-    "damping": Damping,
-    "excitation": Excitation,
-    "mesh": Mesh,
-    "contact": Contact,
-    "crack": Crack,
-    "harmonic_balance": HarmonicBalance,
-    "reduction": Reduction,
-    "curve": Curve,
-    "integration": Integration,
-    "sweep": Sweep,
+    name: (get_args(hint) or (hint,))[0] for name, hint in get_type_hints(Scene).items()
 }
-_SWEPT = (
-    "geometry", "material", "damping", "excitation", "mesh", "contact", "crack",
-    "harmonic_balance", "reduction",
-)  # fmt: skip
-_OPTIONAL = ("contact", "crack", "reduction", "curve", "integration", "sweep")
+_OPTIONAL = tuple(item.name for item in fields(Scene) if item.default is None)
+_SWEPT = tuple(name for name in _TABLES if name not in ("curve", "integration", "sweep"))

@@ -28,18 +28,20 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
+import scipy.optimize
 
-from fenics_crack.balance.compliance import dynamic_compliance
 from fenics_crack.balance.condensed import CondensedSystem
-from fenics_crack.balance.contact_integrals import SampledIntegrals, closed_means, contact_integrals
+from fenics_crack.balance.contact_integrals import SampledIntegrals, closed_means
 from fenics_crack.balance.error_report import beyond_truncation
 from fenics_crack.balance.fourier import evaluate, resized, to_complex
+from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.balance.switching import switching_instants
 from fenics_crack.errors import ConvergenceError, InputError
-from fenics_crack.model.contact import ContactLaw, UnilateralPenalty, check_law
+from fenics_crack.model.contact import ContactLaw, check_law, is_piecewise_linear
 from fenics_crack.model.modal import AllModes, all_modes, flow_matrix, is_small
 from fenics_crack.model.structure import Structure
+from fenics_crack.stability.eigenbasis import Eigenbasis, UndampedModes, eigenbasis, undamped_modes
 from fenics_crack.stability.shooting import shoot
 
 __all__ = ["LeadingMultiplier", "PiecewiseFlow", "Stability", "doubling_test", "floquet"]
@@ -50,13 +52,16 @@ LONGEST_PERIOD = 1e12
 """Times the highest natural frequency, beyond which rounding leaves nothing of the motion."""
 FEW_PAIRS = 4
 """Up to so many, shooting takes seconds at most; many pairs switch too often."""
-MOST_CHANGES = 256
-"""Changes of basis that are kept."""
+MOST_KEPT = 256
+"""Changes of basis, and undamped modes with pairs closed, that are kept."""
 BLOCK, FULL = 8, 40
 """Columns of a subspace in which the leading multiplier is sought; up to so many multipliers, all
 are computed at once."""
 SQUARINGS = (4, 7, 9, 11)
 """Of M, after which it is sought."""
+MOST_SECANTS = 12
+FARTHEST = 0.05
+"""From a multiplier's exponent to the root of Hill's determinant, relative to the frequency."""
 
 
 def floquet(
@@ -105,7 +110,7 @@ def floquet(
         verdict = "stable"
     elif np.all(known > 1.0 + 1e-9):
         verdict = "unstable"
-    elif refine and isinstance(contact, UnilateralPenalty) and structure.n_pairs <= FEW_PAIRS:
+    elif refine and is_piecewise_linear(contact) and structure.n_pairs <= FEW_PAIRS:
         return _refined(structure, solution, contact) or Stability(multipliers, verdict, np.nan)
     return Stability(multipliers, verdict, float(np.abs(known - largest).max()))
 
@@ -153,11 +158,11 @@ class LeadingMultiplier:
 class PiecewiseFlow:
     """The linear flows between switching instants of one structure and one contact law.
 
-    While a set of pairs is closed, exp(A t) = V E(t) V^-1 with a real basis V of the eigenvectors
-    and E made of decaying rotations, two rows each. So the product over a period needs, at every
-    switching instant, one real matrix V_next^-1 V, which is computed once for a curve: a point
-    costs one product of real matrices for each switching instant, and the eigenvalues of M: all of
-    them (:meth:`multipliers`), or the leading one for a fraction of that (:meth:`leading`).
+    While a set of pairs is closed, the flow is made of decaying rotations in a real basis
+    (:mod:`eigenbasis`). So the product over a period needs, at every switching instant, one real
+    matrix V_next^-1 V, which is computed once for a curve: a point costs one product of real
+    matrices for each switching instant, and the eigenvalues of M: all of them
+    (:meth:`multipliers`), or the leading one for a fraction of that (:meth:`leading`).
     """
 
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
@@ -165,8 +170,17 @@ class PiecewiseFlow:
         self._contact = contact
         self._pairs = structure.n_pairs
         self._scale = float(np.sqrt(np.abs(self._modes.squares).max())) or 1.0
-        self._bases: dict[bytes, _Basis | None] = {}
+        self._undamped: dict[bytes, UndampedModes] = {}
+        self._bases: dict[bytes, Eigenbasis | None] = {}
         self._changes: dict[tuple[bytes, bytes], np.ndarray] = {}
+
+    def varied(self, structure: Structure, contact: ContactLaw) -> PiecewiseFlow:
+        """The flow of a varied structure or law; it shares the undamped modes that stay."""
+        other = PiecewiseFlow(structure, contact)
+        one, two = self._modes, other._modes
+        if np.array_equal(one.squares, two.squares) and np.array_equal(one.pairs, two.pairs):
+            other._undamped = self._undamped
+        return other
 
     def multipliers(self, gap: np.ndarray, base_omega: float) -> np.ndarray:
         """Eigenvalues of the monodromy matrix, largest modulus first: (2n,) complex; or nan.
@@ -201,8 +215,18 @@ class PiecewiseFlow:
         if value is None:
             found = np.linalg.eigvals(product)
             value = complex(found[np.argmax(np.abs(found))])
-        doubling = float(np.linalg.slogdet(np.eye(len(product)) + product)[0])
+        doubling = float(np.sign(doubling_test(product)))
         return LeadingMultiplier(complex(value.real, abs(value.imag)), doubling)
+
+    def doubling(self, gap: np.ndarray, base_omega: float) -> float:
+        """det(I + M): it changes its sign where a multiplier passes through -1."""
+        return doubling_test(self._product(gap, base_omega)[0])
+
+    def growth(self, gap: np.ndarray, base_omega: float) -> float:
+        """Modulus of the leading multiplier less one, to locate where it vanishes."""
+        product = self._product(gap, base_omega)[0]
+        value = _leading(product, proven=False) if len(product) > FULL else None
+        return float(np.abs(np.linalg.eigvals(product) if value is None else value).max()) - 1.0
 
     def monodromy(self, gap: np.ndarray, base_omega: float) -> np.ndarray:
         """M over one period of the gap (2H+1, n_pairs), from phase zero: (2n, 2n).
@@ -212,9 +236,10 @@ class PiecewiseFlow:
         product, first = self._product(gap, base_omega)
         return product if first is None else first.vectors @ product @ first.inverse
 
-    def _product(self, gap: np.ndarray, base_omega: float) -> tuple[np.ndarray, _Basis | None]:
+    def _product(self, gap: np.ndarray, base_omega: float) -> tuple[np.ndarray, Eigenbasis | None]:
         """M in the basis that holds at phase zero, and this basis; None: in (s q, q')."""
         intervals = self._intervals(gap, base_omega)
+        keys = [stiffness.tobytes() for stiffness, _ in intervals]
         bases = [self._basis(stiffness) for stiffness, _ in intervals]
         product: np.ndarray = np.eye(2 * len(self._modes.squares))
         if any(basis is None for basis in bases):
@@ -225,19 +250,19 @@ class PiecewiseFlow:
                 else:
                     product = basis.vectors @ basis.advance(duration, basis.inverse @ product)
             return product, None
-        first = before = bases[0]
-        assert first is not None and before is not None
-        product = first.advance(intervals[0][1], product)
-        for (_, duration), basis in zip(intervals[1:], bases[1:], strict=True):
+        for place, (basis, (_, duration)) in enumerate(zip(bases, intervals, strict=True)):
             assert basis is not None
-            product = basis.advance(duration, self._change(before, basis) @ product)
-            before = basis
-        return (product if before is first else self._change(before, first) @ product), first
+            if place > 0:
+                product = self._change(keys[place - 1], keys[place]) @ product
+            product = basis.advance(duration, product)
+        if keys[-1] != keys[0]:
+            product = self._change(keys[-1], keys[0]) @ product
+        return product, bases[0]
 
     def _intervals(self, gap: np.ndarray, base_omega: float) -> list[tuple[np.ndarray, float]]:
         """Contact stiffness of the pairs, and for how long, in order."""
         period = 2.0 * np.pi / base_omega
-        if not isinstance(self._contact, UnilateralPenalty):
+        if not is_piecewise_linear(self._contact):
             time = (np.arange(SMOOTH_INTERVALS) + 0.5) * period / SMOOTH_INTERVALS
             slopes = self._contact.tangent(evaluate(gap, base_omega, time))
             return [(slope, period / SMOOTH_INTERVALS) for slope in slopes]
@@ -255,28 +280,40 @@ class PiecewiseFlow:
         intervals.append((closed * stiffness, (2.0 * np.pi - reached) / base_omega))
         return intervals
 
-    def _basis(self, stiffness: np.ndarray) -> _Basis | None:
-        """The real basis of the flow with contact springs; None where there is no good one."""
-        if not isinstance(self._contact, UnilateralPenalty):
+    def _basis(self, stiffness: np.ndarray) -> Eigenbasis | None:
+        """Basis of the flow with contact springs; None where there is no good one."""
+        if not is_piecewise_linear(self._contact):
             return None  # another one in each interval
         key = stiffness.tobytes()
         if key not in self._bases:
-            matrix = flow_matrix(self._modes, stiffness, self._scale)
-            self._bases[key] = _real_basis(matrix, key)
+            if key not in self._undamped:
+                _make_room(self._undamped)
+                self._undamped[key] = undamped_modes(self._modes, stiffness)
+            self._bases[key] = eigenbasis(self._modes, stiffness, self._scale, self._undamped[key])
         return self._bases[key]
 
-    def _change(self, before: _Basis, after: _Basis) -> np.ndarray:
+    def _change(self, before: bytes, after: bytes) -> np.ndarray:
         """V_after^-1 V_before."""
-        key = (before.key, after.key)
+        key = (before, after)
         if key not in self._changes:
-            if len(self._changes) >= MOST_CHANGES:
-                self._changes.clear()
-            self._changes[key] = after.inverse @ before.vectors
+            _make_room(self._changes)
+            one, other = self._bases[before], self._bases[after]
+            assert one is not None and other is not None
+            self._changes[key] = other.inverse @ one.vectors
         return self._changes[key]
 
 
-def _leading(matrix: np.ndarray) -> complex | None:
-    """The eigenvalue of largest modulus by powers of a matrix; None where they do not tell."""
+def _make_room(kept: dict) -> None:
+    """Forget what is kept where it has become much."""
+    if len(kept) >= MOST_KEPT:
+        kept.clear()
+
+
+def _leading(matrix: np.ndarray, *, proven: bool = True) -> complex | None:
+    """The eigenvalue of largest modulus by powers of a matrix; None where they do not tell.
+
+    ``proven``: none inside the unit circle unless all are.
+    """
     columns = np.random.default_rng(0).normal(size=(len(matrix), BLOCK))
     power, logarithm = matrix, 0.0  # matrix^m = exp(logarithm) power
     for squaring in range(1, SQUARINGS[-1] + 1):
@@ -294,63 +331,25 @@ def _leading(matrix: np.ndarray) -> complex | None:
         place = np.argmax(np.abs(values))
         value, vector = complex(values[place]), vectors[:, place]
         error = np.linalg.norm(image @ vector - value * (columns @ vector))
-        if error < 1e-10 * abs(value) and (abs(value) > 1.0 or logarithm < 0.0):
+        if error < 1e-10 * abs(value) and (not proven or abs(value) > 1.0 or logarithm < 0.0):
             return value
     return None
 
 
-@dataclass(frozen=True)
-class _Basis:
-    """Real basis in which exp(A t) is made of decaying rotations of two rows each."""
-
-    key: bytes
-    decay: np.ndarray
-    """Real parts of the eigenvalues: (2n,)."""
-    turn: np.ndarray
-    """Imaginary parts, + and - in turn: (2n,); zero for real eigenvalues, which come last."""
-    vectors: np.ndarray
-    inverse: np.ndarray
-
-    def advance(self, duration: float, state: np.ndarray) -> np.ndarray:
-        """E(duration) times a matrix (2n, m) in this basis."""
-        size = np.exp(self.decay * duration)
-        along = (size * np.cos(self.turn * duration))[:, None] * state
-        swapped = state.reshape(-1, 2, state.shape[1])[:, ::-1].reshape(state.shape)
-        along += (size * np.sin(self.turn * duration))[:, None] * swapped
-        return along
-
-
-def _real_basis(matrix: np.ndarray, key: bytes) -> _Basis | None:
-    """Real and imaginary parts of eigenvectors; None where these are all but dependent."""
-    values, vectors = np.linalg.eig(matrix)
-    above, real = np.flatnonzero(values.imag > 0.0), np.flatnonzero(values.imag == 0.0)
-    # A (x + i y) = (a + i b) (x + i y): (x, y) turn with b, their coordinates with (b, -b).
-    basis = np.empty(matrix.shape)
-    basis[:, : 2 * len(above) : 2] = vectors[:, above].real
-    basis[:, 1 : 2 * len(above) : 2] = vectors[:, above].imag
-    basis[:, 2 * len(above) :] = vectors[:, real].real
-    if np.linalg.cond(basis) > 1e6:
-        return None
-    decay = np.concatenate([np.repeat(values[above].real, 2), values[real].real])
-    turn = np.zeros(len(values))
-    turn[: 2 * len(above) : 2] = values[above].imag
-    turn[1 : 2 * len(above) : 2] = -values[above].imag
-    return _Basis(key, decay, turn, basis, np.linalg.inv(basis))
-
-
-def doubling_test(multipliers: np.ndarray) -> float:
-    """det(I + M), scaled: changes its sign where a multiplier passes through -1."""
-    return float(np.prod((1.0 + multipliers) / (1.0 + np.abs(multipliers))).real)
+def doubling_test(monodromy: np.ndarray) -> float:
+    """det(I + M): changes its sign where a multiplier passes through -1."""
+    sign, logarithm = np.linalg.slogdet(np.eye(len(monodromy)) + monodromy)
+    return float(sign * np.exp(min(logarithm, 500.0)))
 
 
 def _wider(structure: Structure, solution: PeriodicSolution, contact: ContactLaw) -> np.ndarray:
     """The gap improved by a Newton step with more harmonics."""
-    harmonics = solution.harmonics
-    compliance = dynamic_compliance(structure, solution.base_omega, harmonics, solution.subharmonic)
-    system = CondensedSystem(compliance, contact_integrals(contact, harmonics))
-    gap = solution.gap_coefficients
-    system.linearise(gap)
-    change = beyond_truncation(system, gap)
+    problem = Problem(
+        structure, solution.omega, contact, solution.harmonics, subharmonic=solution.subharmonic
+    )
+    compliance, gap = problem.compliance(), solution.gap_coefficients
+    change = beyond_truncation(CondensedSystem(compliance, problem.integrals()).linearise(gap))
+    compliance.destroy()
     return resized(gap, len(change) // 2) + change
 
 
@@ -359,56 +358,69 @@ def _hill(
 ) -> complex:
     """The root of Hill's condensed determinant next to a multiplier, as a multiplier; nan if none.
 
-    Successive linear problems on D(s) = I + R(s) kappa.
+    D(s) = I + R(s) kappa is singular where f(s) vanishes in
+
+        [ D(s)  b ] [x]   [0]
+        [ a^T   0 ] [f] = [1],
+
+    with a, b from a step of inverse iteration at the multiplier. Found by SciPy's secants.
     """
-    modes, omega = all_modes(structure), solution.base_omega
-    harmonics, pairs = solution.harmonics, structure.n_pairs
-    order = np.arange(-harmonics, harmonics + 1)
-    means = _stiffness_means(solution.gap_coefficients, contact, 2 * harmonics)
+    means = _stiffness_means(solution.gap_coefficients, contact, 2 * solution.harmonics)
     if not np.any(means):
         return multiplier  # no contact: the monodromy matrix is that of the linear structure
-    lag = order[:, None] - order
-    coupling = np.where(lag[None] >= 0, means[:, np.abs(lag)].conj(), means[:, np.abs(lag)])
+    omega = solution.base_omega
+    start = complex(np.log(complex(multiplier)) / solution.period)
 
     def matrix(exponent: complex) -> np.ndarray:
-        points = exponent + 1j * order * omega
-        if modes.damping.ndim == 1:
-            receptance = 1.0 / (
-                modes.squares + points[:, None] ** 2 + points[:, None] * modes.damping
-            )
-            compliance = np.einsum("jp,kj,jq->kpq", modes.pairs, receptance, modes.pairs)
-        else:
-            impedance = points[:, None, None] * modes.damping + np.zeros((1, 1, 1), complex)
-            diagonal = np.arange(len(modes.squares))
-            impedance[:, diagonal, diagonal] += modes.squares + points[:, None] ** 2
-            compliance = modes.pairs.T @ np.linalg.inv(impedance) @ modes.pairs
-        product = np.einsum("kpq,qkl->kplq", compliance, coupling)
-        size = len(order) * pairs
-        return np.eye(size) + product.reshape(size, size)
+        return _hill_matrix(all_modes(structure), means, exponent, omega)
 
-    exponent = complex(np.log(complex(multiplier)) / solution.period)
-    step = 1e-7 * omega
-    for _ in range(6):
-        if not np.isfinite(exponent):
-            break
-        here = matrix(exponent)
-        slope = (matrix(exponent + step) - matrix(exponent - step)) / (2.0 * step)
-        if not (np.all(np.isfinite(here)) and np.all(np.isfinite(slope))):
-            break
-        # Newton on the generalised eigenproblem D + ds D' = 0: ds closest to zero.
-        shifts = scipy.linalg.eigvals(here, -slope)
-        shift = shifts[np.argmin(np.where(np.isfinite(shifts), np.abs(shifts), np.inf))]
-        exponent += shift
-        if abs(shift) < 1e-10 * omega:
-            return complex(np.exp(exponent * solution.period))
-        if abs(shift) > 0.05 * omega:
-            break
-    return complex(np.nan)
+    try:
+        first = matrix(start)
+        size = len(first)
+        bordered, last = np.zeros((size + 1, size + 1), complex), np.eye(size + 1)[-1]
+        random = np.random.default_rng(0).normal(size=size)
+        for vector, side in ((bordered[:size, -1], first.T), (bordered[-1, :size], first)):
+            found = np.linalg.solve(side, random)
+            vector[:] = found.conj() / np.linalg.norm(found)
+
+        def bordering(exponent: complex) -> complex:
+            if not abs(exponent - start) < FARTHEST * omega:
+                return complex(np.nan)
+            bordered[:size, :size] = matrix(exponent)
+            return complex(np.linalg.solve(bordered, last)[-1])
+
+        root, report = scipy.optimize.newton(
+            bordering, start, x1=start + 1e-7 * omega, tol=1e-10 * omega, maxiter=MOST_SECANTS,
+            full_output=True, disp=False,
+        )  # fmt: skip
+    except np.linalg.LinAlgError:
+        return complex(np.nan)
+    return complex(np.exp(root * solution.period)) if report.converged else complex(np.nan)
+
+
+def _hill_matrix(modes: AllModes, means: np.ndarray, exponent: complex, omega: float) -> np.ndarray:
+    """I + R(s) kappa for rows (harmonic -H..H, pair), from the harmonics of the stiffness."""
+    harmonics, pairs = means.shape[1] // 2, len(means)
+    order = np.arange(-harmonics, harmonics + 1)
+    lag = order[:, None] - order
+    coupling = np.where(lag[None] >= 0, means[:, np.abs(lag)].conj(), means[:, np.abs(lag)])
+    points = exponent + 1j * order * omega
+    if modes.damping.ndim == 1:
+        receptance = 1.0 / (modes.squares + points[:, None] ** 2 + points[:, None] * modes.damping)
+        compliance = np.einsum("jp,kj,jq->kpq", modes.pairs, receptance, modes.pairs)
+    else:
+        impedance = points[:, None, None] * modes.damping + np.zeros((1, 1, 1), complex)
+        diagonal = np.arange(len(modes.squares))
+        impedance[:, diagonal, diagonal] += modes.squares + points[:, None] ** 2
+        compliance = modes.pairs.T @ np.linalg.inv(impedance) @ modes.pairs
+    product = np.einsum("kpq,qkl->kplq", compliance, coupling)
+    size = len(order) * pairs
+    return np.eye(size) + product.reshape(size, size)
 
 
 def _stiffness_means(gap: np.ndarray, contact: ContactLaw, highest: int) -> np.ndarray:
     """Means of the contact stiffness times exp(i m theta): (n_pairs, highest + 1)."""
-    if isinstance(contact, UnilateralPenalty):
+    if is_piecewise_linear(contact):
         stiffness = np.broadcast_to(np.asarray(contact.stiffness, float), gap.shape[1:])
         means = closed_means(switching_instants(to_complex(gap)), highest)
         return stiffness[:, None] * means

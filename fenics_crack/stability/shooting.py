@@ -1,27 +1,41 @@
-"""Exact periodic orbits by shooting: z(T) = z(0) on the exact flow."""
+"""Exact periodic orbits by shooting: z(T) = z(0) on the exact flow.
+
+In x = z / |z_0| and p = w / w_0, z_0 and w_0 those of a solution nearby, an orbit solves
+
+    F(x, p) = z(T; x, p) / |z_0| - x = 0,        T = 2 pi m / w,
+
+z the state at phase zero, m the periods of the load in the response's; dF/dx = M - I with the
+monodromy matrix M, dF/dp by central differences. Newton's method is that of :mod:`bordered`.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
+from fenics_crack.balance.bordered import PathPoint, solve_in_plane
+from fenics_crack.balance.linearisation import DenseLinearisation
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
+from fenics_crack.table import Described, counted
 from fenics_crack.time.events import EventFlow
 from fenics_crack.time.march import initial_state
 
-__all__ = ["PeriodicOrbit", "describe_orbit", "shoot"]
+__all__ = ["ExactOrbits", "OrbitPoint", "PeriodicOrbit", "shoot"]
+
+MOST_STEPS, LEAST_DAMPING = 20, 1e-3
+"""Newton steps of shooting, and how much they may be shortened."""
+DIFFERENCE = 1e-6
+"""Of p, for dF/dp."""
 
 
-PATIENCE = 6
-"""Newton steps of shooting that may together fail to halve the residual."""
-
-
-@dataclass(frozen=True)
-class PeriodicOrbit:
+@dataclass(frozen=True, repr=False)
+class PeriodicOrbit(Described):
     """A periodic orbit of the exact flow.
 
     Attributes
@@ -45,27 +59,121 @@ class PeriodicOrbit:
     iterations: int
     events: int
 
+    def to_dict(self) -> dict[str, Any]:
+        """Largest multiplier, extremes of the gap [m] of all pairs, and how it was found."""
+        return {
+            "multiplier": float(abs(self.multipliers[0])),
+            "opening": float(max(0.0, -self.gap.min(initial=0.0))),
+            "penetration": float(self.gap.max(initial=0.0)),
+            "events": int(self.events),
+            "residual": float(self.residual),
+            "iterations": int(self.iterations),
+        }
 
-def describe_orbit(
-    flow: EventFlow,
-    state: np.ndarray,
-    period: float,
-    monodromy: np.ndarray,
-    residual: float,
-    iterations: int,
-    events: int,
-) -> PeriodicOrbit:
-    """The orbit through a state at phase zero whose monodromy matrix is known."""
-    _, gap, _, _ = flow.advance(state, 0.0, period, instants=np.arange(512) * period / 512)
-    values = np.linalg.eigvals(monodromy)
-    return PeriodicOrbit(
-        state,
-        values[np.argsort(-np.abs(values), kind="stable")],
-        gap - flow.structure.clearance,
-        residual,
-        iterations,
-        events,
-    )
+    def _title(self) -> str:
+        return (
+            f"largest multiplier {abs(self.multipliers[0]):.6g} of {len(self.multipliers)}, "
+            f"{counted(self.events, 'event')}, residual {self.residual:.2g}"
+        )
+
+
+class OrbitPoint(DenseLinearisation):
+    """The equations of exact orbits at a state and a frequency.
+
+    Attributes
+    ----------
+    monodromy : (2n, 2n)
+        M = dz(T)/dz.
+    events : int
+        Switching instants in the period.
+    """
+
+    def __init__(self, system: ExactOrbits, unknown: np.ndarray, parameter: float) -> None:
+        moved, monodromy, self.events = system.moved(unknown, parameter, np.eye(len(unknown)))
+        assert monodromy is not None
+        self.monodromy, self._system, self._parameter = monodromy, system, parameter
+        super().__init__(unknown, moved - unknown)
+
+    def assemble(self) -> np.ndarray:
+        """M - I."""
+        return self.monodromy - np.eye(len(self.monodromy))
+
+    def differentiate(self) -> np.ndarray:
+        """dF/dp."""
+        return self._system.by_parameter(self.unknown, self._parameter)
+
+    @cached_property
+    def multipliers(self) -> np.ndarray:
+        """Floquet multipliers, largest modulus first: (2n,) complex."""
+        values = np.linalg.eigvals(self.monodromy)
+        return values[np.argsort(-np.abs(values), kind="stable")]
+
+
+class ExactOrbits:
+    """F(x, p) of exact orbits next to a solution.
+
+    Attributes
+    ----------
+    start : (2n,)
+        x of the solution, at p = 1.
+
+    Raises
+    ------
+    InputError
+        As :class:`EventFlow`.
+    """
+
+    def __init__(
+        self, structure: Structure, contact: ContactLaw, solution: PeriodicSolution
+    ) -> None:
+        self.omega = solution.omega
+        self._turns = 2.0 * np.pi * solution.subharmonic
+        self._flow = EventFlow(structure, self.omega, contact)
+        state = self._flow.state(*initial_state(structure, solution))
+        self._size = float(np.linalg.norm(state)) or 1.0
+        self.start = state / self._size
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
+        """The equations at (x, p)."""
+        return OrbitPoint(self, unknown, parameter)
+
+    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
+        """Inner product."""
+        return float(first @ second)
+
+    def moved(
+        self, unknown: np.ndarray, parameter: float, monodromy: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray | None, int]:
+        """z(T) / |z_0|; M times the matrix given; switching instants."""
+        omega = parameter * self.omega
+        if omega != self._flow.omega:
+            self._flow = self._flow.at(omega)
+        moved, _, monodromy, events = self._flow.advance(
+            self._size * unknown, 0.0, self._turns / omega, monodromy=monodromy
+        )
+        return moved / self._size, monodromy, events
+
+    def by_parameter(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
+        """dF/dp at fixed x, by central differences."""
+        after, before = (self.moved(unknown, parameter + h)[0] for h in (DIFFERENCE, -DIFFERENCE))
+        return (after - before) / (2.0 * DIFFERENCE)
+
+    def orbit(self, found: PathPoint) -> PeriodicOrbit:
+        """The orbit of a solution of the equations."""
+        assert isinstance(found.at, OrbitPoint)
+        flow = self._flow.at(found.parameter * self.omega)
+        period = self._turns / flow.omega
+        state = self._size * found.unknown
+        _, gap, _, _ = flow.advance(state, 0.0, period, instants=np.arange(512) * period / 512)
+        size = float(np.linalg.norm(found.unknown))
+        return PeriodicOrbit(
+            state,
+            found.at.multipliers,
+            gap - flow.structure.clearance,
+            float(np.linalg.norm(found.at.residual)) / size if size > 0.0 else 0.0,
+            found.iterations,
+            found.at.events,
+        )
 
 
 def shoot(
@@ -77,7 +185,7 @@ def shoot(
 ) -> PeriodicOrbit:
     """Refine a harmonic-balance solution to an exact periodic orbit: z(T) = z(0).
 
-    Newton's method, dz = (I - M)^-1 (z(T) - z(0)), damped where the residual would grow.
+    Newton's method at the solution's frequency, damped where the residual would grow.
 
     Raises
     ------
@@ -87,34 +195,15 @@ def shoot(
         No orbit nearby was found.
     """
     law = contact if contact is not None else solution.contact
-    flow = EventFlow(structure, solution.omega, law)  # type: ignore[arg-type]
-    state = flow.state(*initial_state(structure, solution))
-    period, size = solution.period, 2 * structure.n_dofs
-    moved, _, monodromy, events = flow.advance(state, 0.0, period, monodromy=np.eye(size))
-    before = float(np.linalg.norm(moved - state) / np.linalg.norm(state))
-    history = [before]
-    for iteration in range(50):
-        assert monodromy is not None
-        if before <= tolerance:
-            return describe_orbit(flow, state, period, monodromy, before, iteration, events)
-        try:
-            change = np.linalg.solve(np.eye(size) - monodromy, moved - state)
-        except np.linalg.LinAlgError:
-            break
-        damping = 1.0
-        while True:
-            trial = state + damping * change
-            moved, _, monodromy, events = flow.advance(trial, 0.0, period, monodromy=np.eye(size))
-            now = float(np.linalg.norm(moved - trial) / np.linalg.norm(trial))
-            if now < before or damping < 1e-3:
-                break
-            damping *= 0.5
-        history.append(now)
-        stalls = len(history) > PATIENCE and now > 0.5 * history[-1 - PATIENCE]
-        if not now < before or stalls:
-            break
-        state, before = trial, now
-    raise ConvergenceError(
-        f"shooting: no periodic orbit near the solution; closest {before:.1e} "
-        f"after {iteration} steps"
-    )
+    orbits = ExactOrbits(structure, law, solution)  # type: ignore[arg-type]
+    sizes: list[float] = []
+    found = solve_in_plane(
+        orbits, orbits.start, 1.0, None, tolerance=tolerance, iterations=MOST_STEPS,
+        least_damping=LEAST_DAMPING, history=sizes,
+    )  # fmt: skip
+    if found is None:
+        raise ConvergenceError(
+            f"shooting: no periodic orbit near the solution; closest {sizes[-1]:.1e} "
+            f"after {len(sizes) - 1} steps"
+        )
+    return orbits.orbit(found)

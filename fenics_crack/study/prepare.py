@@ -1,64 +1,82 @@
-"""The structure that a scene asks for: crack length found, reduced as it says; and its law."""
+"""From a scene to what is solved: its structure, reduced as it says, and its contact law."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError
-from fenics_crack.fem.assembly import build_structure, find_crack_length
+from fenics_crack.fem.assembly import assemble
+from fenics_crack.fem.build import with_crack_length
 from fenics_crack.model.contact import (
     ContactLaw,
     SmoothedPenalty,
     UnilateralConstraint,
     UnilateralPenalty,
 )
-from fenics_crack.model.reduction import reduce_structure
-from fenics_crack.model.structure import ModalDamping, Structure
+from fenics_crack.model.reduction import MODES, reduce_structure
+from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Contact, Reduction, Scene
 
-__all__ = ["contact_law", "law_of", "prepare", "reduction_of", "with_crack_length"]
+__all__ = ["Study", "contact_law", "law_of", "prepare", "reduction_of"]
 
 FEW_DOFS = 100
-"""So many need no reduction."""
-MODES = 50
+"""A structure with at most so many dofs is reduced only on request."""
 
 
-def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
-    """Return the scene with the length found from ``crack.first_omega``, if that is given."""
-    if scene.crack is None or scene.crack.first_omega is None:
-        return scene
-    length = find_crack_length(scene, comm)
-    return scene.replace({"crack.length": length, "crack.first_omega": None})
+@dataclass(frozen=True)
+class Study:
+    """A scene prepared for solution.
+
+    Attributes
+    ----------
+    scene : Scene
+        With the crack length found and the reduction chosen.
+    structure : Structure
+        Reduced as the scene says.
+    contact : ContactLaw or None
+        Law of all pairs; None without a crack.
+    """
+
+    scene: Scene
+    structure: Structure
+    contact: ContactLaw | None
 
 
-def prepare(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
-    """Build the structure of a scene and reduce it as :func:`reduction_of` says (collective).
+def prepare(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, whole: bool = False) -> Study:
+    """Find a scene's crack length, build its structure, reduce it, and make its law (collective).
+
+    Parameters
+    ----------
+    scene : Scene
+        What to prepare.
+    comm : MPI.Comm
+        Ranks that share the mesh.
+    whole : bool
+        Do not reduce, whatever the scene says.
 
     Raises
     ------
     InputError
         As :func:`build_structure` and :func:`reduce_structure`.
     """
-    structure = build_structure(scene, comm)
-    table = reduction_of(scene, structure)
+    scene = with_crack_length(scene, comm)
+    structure = assemble(scene, comm)
+    law = law_of(scene, structure)
+    table = None if whole else reduction_of(scene, structure)
     if table is None:
-        return structure
-    if scene.damping.modes == "all" and isinstance(scene.damping.ratio, float):
-        # All that are kept: those of a large structure cannot be computed.
-        undamped = structure.damped(None)
-        reduced = reduce_structure(undamped, modes=table.modes, method=table.method)
-        return reduced.damped(ModalDamping(scene.damping.ratio))
-    return reduce_structure(structure, modes=table.modes, method=table.method)
+        return Study(scene, structure, law)
+    settled = scene.replace({f"reduction.{name}": value for name, value in asdict(table).items()})
+    return Study(settled, reduce_structure(structure, modes=table.modes, method=table.method), law)
 
 
 def reduction_of(scene: Scene, structure: Structure) -> Reduction | None:
-    """How the structure of a scene is reduced; None: not at all.
+    """How the structure of a scene is reduced; None if it is not.
 
-    Without the table ``[reduction]`` a structure of up to 100 dofs on one rank is left as it is.
-    Where all modes are damped and no number of modes is given, 50 are kept.
+    Without the table ``[reduction]`` a structure of up to 100 dofs on one rank is not reduced. If
+    all modes are damped and no number of modes is given, 50 are kept.
     """
     table = scene.reduction
     if table is None:
@@ -72,16 +90,14 @@ def reduction_of(scene: Scene, structure: Structure) -> Reduction | None:
     return table
 
 
-def law_of(scene: Scene, structure: Structure) -> ContactLaw | UnilateralConstraint | None:
-    """The contact law of a scene's pairs; None where there are none."""
+def law_of(scene: Scene, structure: Structure) -> ContactLaw | None:
+    """The contact law of a scene's pairs; None if there are no pairs."""
     if structure.n_pairs == 0 or scene.contact is None:
         return None
     return contact_law(scene.contact, structure)
 
 
-def contact_law(
-    contact: Contact, structure: Structure | None = None
-) -> UnilateralPenalty | SmoothedPenalty | UnilateralConstraint:
+def contact_law(contact: Contact, structure: Structure | None = None) -> ContactLaw:
     """The law that a scene's contact table describes.
 
     A stiffness per area [N/m^3] becomes that of each pair [N/m] by the structure's ``pair_areas``,
@@ -99,11 +115,10 @@ def contact_law(
     stiffness: float | np.ndarray | None = contact.stiffness
     if contact.stiffness_per_area is not None:
         if structure is None or structure.pair_areas is None:
-            raise InputError(
-                "contact.stiffness_per_area",
-                contact.stiffness_per_area,
-                "used with the structure, made from a mesh: contact_law(scene.contact, structure)",
+            allowed = (
+                "used with a structure made from a mesh: contact_law(scene.contact, structure)"
             )
+            raise InputError("contact.stiffness_per_area", contact.stiffness_per_area, allowed)
         stiffness = contact.stiffness_per_area * structure.pair_areas
     assert stiffness is not None
     if contact.law == "smoothed":

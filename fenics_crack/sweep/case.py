@@ -1,10 +1,9 @@
-"""The cases of one geometry of a sweep: a small structure that travels, and what is found of it."""
+"""The cases of one geometry of a sweep: the structure that ranks exchange, and the solutions."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,24 +14,23 @@ from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.harmonic_balance import solve_harmonic_balance, solve_linear
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError, InputError
-from fenics_crack.model.contact import ContactLaw, UnilateralConstraint
+from fenics_crack.model.contact import is_rigid
+from fenics_crack.model.matrices import distributed
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import ReducedStructure
 from fenics_crack.model.structure import ModalDamping, Structure
-from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.scene import Contact, Scene
 from fenics_crack.stability.floquet import FEW_PAIRS, PiecewiseFlow, floquet
-from fenics_crack.study.prepare import law_of, prepare, with_crack_length
-from fenics_crack.sweep.file import COLUMNS, CONVERGED, FAILED, STATUS_BYTES
+from fenics_crack.study.prepare import law_of, prepare
+from fenics_crack.sweep.file import COLUMNS
 from fenics_crack.sweep.plan import FORCES, Chunk
 
-__all__ = ["REFUSALS", "Arrays", "Geometry", "Solved", "all_failed", "build", "solve_chunk"]
+__all__ = ["REFUSALS", "Arrays", "Found", "Geometry", "all_failed", "build", "solve_chunk"]
 
 UNSURE = 0.05
-"""By which, and by the truncation error, a multiplier must differ from 1 to be judged by itself."""
-INSTANTS = 1024
-"""Of a period, at which gaps and forces are looked at."""
+"""The verdict is undecided within this and the truncation error of the unit circle."""
 REFUSALS = (InputError, ConvergenceError, np.linalg.LinAlgError)
-"""What makes a case fail, and lets the others go on."""
+"""Errors that fail one case while the others go on."""
 
 
 @dataclass(frozen=True)
@@ -54,10 +52,9 @@ class Arrays:
     def of(cls, structure: Structure, crack_length: float) -> Arrays:
         """Take a structure apart."""
         damping = structure.damping_matrix
-        reduced = isinstance(structure, ReducedStructure)
         reference = structure.reference if isinstance(structure, ReducedStructure) else None
         return cls(
-            reduced=reduced,
+            reduced=isinstance(structure, ReducedStructure),
             mass=_rows(structure.mass),
             stiffness=_rows(structure.stiffness),
             gap=structure.gap,
@@ -70,15 +67,19 @@ class Arrays:
         )
 
     def structure(self) -> Structure:
-        """Put it together again; a reduced one stands for itself, in its own coordinates."""
-        plain = Structure.from_matrices(
-            self.mass,
-            self.stiffness,
+        """Put it together again; a reduced one without its whole, in its own coordinates."""
+        damping = self.damping
+        if isinstance(damping, np.ndarray) and not self.reduced:
+            damping = distributed(damping, MPI.COMM_SELF)
+        plain = Structure(
+            distributed(self.mass, MPI.COMM_SELF),
+            distributed(self.stiffness, MPI.COMM_SELF),
             self.gap,
+            force=self.force,
             clearance=self.clearance,
-            damping=None if self.reduced else self.damping,
+            damping=None if self.reduced else damping,
+            pair_areas=self.pair_areas,
         )
-        plain.force, plain.pair_areas = self.force, self.pair_areas
         if not self.reduced:
             return plain
         reference = None if self.reference is None else self.reference.structure()
@@ -93,166 +94,99 @@ def _rows(matrix: Any) -> sparse.csr_matrix:
     return sparse.csr_matrix((values, columns, starts), shape=matrix.size)
 
 
-def build(scene: Scene, comm: MPI.Comm, unit_loads: bool) -> tuple[Structure, float]:
-    """The structure of a geometry and its crack length [m], nan where it is unknown (collective).
-
-    With unit loads the sine part of its load is 1 N in x, the cosine part 1 N in y.
-    """
-    scene = with_crack_length(scene, comm)
+def build(scene: Scene, comm: MPI.Comm, unit_loads: bool) -> Geometry:
+    """The geometry of a case (collective)."""
+    if scene.crack is not None:
+        scene = scene.replace({"crack.clearance": 0.0})
     if unit_loads:
         units = {"force_mean": (0.0, 0.0), "force_cos": (0.0, 1.0), "force_sin": (1.0, 0.0)}
         scene = scene.replace({f"excitation.{name}": value for name, value in units.items()})
-    structure = prepare(scene, comm)
-    if not is_small(structure):
+    study = prepare(scene, comm)
+    if not is_small(study.structure):
         method = "off" if scene.reduction is None else scene.reduction.method
-        raise InputError(
-            "reduction.method", method, f"one that leaves fewer than {structure.n_dofs} coordinates"
-        )
-    length = scene.crack.length if scene.crack is not None else None
-    return structure, np.nan if length is None else length
+        allowed = f"one that leaves fewer than {study.structure.n_dofs} coordinates"
+        raise InputError("reduction.method", method, allowed)
+    crack = study.scene.crack
+    length = np.nan if crack is None or crack.length is None else crack.length
+    return Geometry(study.structure, length, unit_loads)
 
 
+@dataclass(frozen=True)
 class Geometry:
-    """A structure whose load and clearance follow the cases."""
+    """What cases share that differ in load, clearance, law and harmonics."""
 
-    def __init__(self, structure: Structure, crack_length: float, unit_loads: bool) -> None:
-        self.structure = structure
-        self.crack_length = crack_length
-        self._unit_loads = unit_loads
-        parts = [structure, getattr(structure, "reference", None), structure.whole]
-        self._parts = [part for part in parts if part is not None]
-        self._given = [part.force for part in self._parts]
+    structure: Structure  # without clearance
+    crack_length: float  # [m], nan where it is unknown
+    unit_loads: bool  # the load has a sine part of 1 N in x and a cosine part of 1 N in y
 
-    def set_case(self, scene: Scene) -> None:
-        """Give it the load and the clearance of a case."""
+    def of_case(self, scene: Scene) -> Structure:
+        """The structure with the load and the clearance of a case."""
+        load: float | np.ndarray = 1.0
+        if self.unit_loads:
+            wanted = np.array([getattr(scene.excitation, name) for name in FORCES])
+            load = np.column_stack([np.zeros(len(FORCES)), wanted[:, ::-1]])
         clearance = scene.crack.clearance if scene.crack is not None else 0.0
-        weights = np.array([getattr(scene.excitation, name)[::-1] for name in FORCES])
-        for part, given in zip(self._parts, self._given, strict=True):
-            part.clearance = np.full(part.n_pairs, clearance)
-            if self._unit_loads:
-                part.force = weights @ given[1:]
+        return self.structure.varied(load=load, clearance=clearance)
 
 
 # --- a case ---------------------------------------------------------------------------------------
 
 
-@dataclass
-class Solved:
-    """Cases of a chunk: their columns, and waves of gap and force."""
-
-    state: list[int] = field(default_factory=list)
-    columns: dict[str, list[Any]] = field(default_factory=lambda: {name: [] for name in COLUMNS})
-    waves: dict[str, list[np.ndarray]] = field(default_factory=lambda: {"gap": [], "force": []})
-
-    def add(self, values: Mapping[str, Any], solution: PeriodicSolution | None) -> None:
-        """Add the next case; what is not given is nan, 0 or empty."""
-        blank: dict[str, Any] = {"f": np.nan, "i": 0, "S": b""}
-        self.state.append(FAILED if solution is None else CONVERGED)
-        for name, (_, kind) in COLUMNS.items():
-            value = values.get(name, blank[kind[0]])
-            self.columns[name].append(_bytes(value) if isinstance(value, str) else value)
-        empty = np.zeros((0, 0))
-        self.waves["gap"].append(empty if solution is None else solution.gap_coefficients)
-        self.waves["force"].append(empty if solution is None else solution.force_coefficients)
+Found = dict[str, Any]
+"""The :data:`COLUMNS` known of a case, and "gap" and "force" coefficients if it converged."""
 
 
-def _bytes(text: str) -> bytes:
-    """Text as what a fixed length holds, no character cut in two."""
-    return text.encode()[:STATUS_BYTES].decode("utf-8", "ignore").encode()
-
-
-def all_failed(chunk: Chunk, reason: str) -> Solved:
+def all_failed(chunk: Chunk, reason: str) -> list[Found]:
     """The cases of a chunk whose geometry cannot be built."""
-    solved = Solved()
-    for case in chunk.cases:
-        solved.add({"status": case if isinstance(case, str) else reason}, None)
-    return solved
+    return [{"status": case if isinstance(case, str) else reason} for case in chunk.cases]
 
 
-def solve_chunk(geometry: Geometry, chunk: Chunk) -> Solved:
+def solve_chunk(geometry: Geometry, chunk: Chunk) -> list[Found]:
     """Solve cases one after the other."""
-    solved = Solved()
+    solved: list[Found] = []
     flow = Flow(geometry.structure)
     last: PeriodicSolution | None = None
     for case in chunk.cases:
         if isinstance(case, str):
-            solved.add({"status": case}, None)
+            solved.append({"status": case})
             last = None
             continue
         started = time.perf_counter()
-        values: dict[str, Any] = {
-            "crack_length": geometry.crack_length,
-            "harmonics": case.harmonic_balance.harmonics,
-        }
+        harmonics = case.harmonic_balance.harmonics
+        found: Found = {"crack_length": geometry.crack_length, "harmonics": harmonics}
         try:
-            geometry.set_case(case)
-            last = _solve(geometry.structure, case, last)
-            values |= _measures(last, case) | flow.verdict(last)
+            last = _solve(geometry.of_case(case), case, last)
+            measured = {name: v for name, v in last.to_dict().items() if name in COLUMNS}
+            found |= measured | {"response": _response(last, case)} | flow.verdict(last, case)
+            found |= {"gap": last.gap_coefficients, "force": last.force_coefficients}
         except REFUSALS as error:
             last = None
-            values["status"] = str(error)
-        values["seconds"] = time.perf_counter() - started
-        solved.add(values, last)
+            found["status"] = str(error)
+        solved.append(found | {"seconds": time.perf_counter() - started})
     return solved
 
 
 def _solve(structure: Structure, case: Scene, last: PeriodicSolution | None) -> PeriodicSolution:
-    """Solve a case from its neighbour, or where that fails from the linear solution."""
+    """Solve a case from its neighbour, or if that fails from the linear solution."""
     omega, table = case.excitation.omega, case.harmonic_balance
     law = law_of(case, structure)
     if law is None:
         return solve_linear(structure, omega, harmonics=table.harmonics)
+    truncation: Any = {"harmonics": table.harmonics, "samples": table.samples}
     for initial in (last, None):
         try:
-            return solve_harmonic_balance(
-                structure,
-                omega,
-                law,
-                harmonics=table.harmonics,
-                samples=table.samples,
-                initial=initial,
-            )
+            return solve_harmonic_balance(structure, omega, law, initial=initial, **truncation)
         except ConvergenceError:
             if initial is None:
                 raise
     raise AssertionError
 
 
-def _measures(solution: PeriodicSolution, case: Scene) -> dict[str, Any]:
-    """What the table says of a solution."""
-    report = solution.report
-    found = {
-        "response": _response(solution, case),
-        "residual_error": report.residual,
-        "truncation_error": report.truncation,
-        "sampling_error": report.sampling,
-        "reduction_error": report.reduction,
-        "penetration_share": report.penetration,
-        "harmonics": solution.harmonics,
-        "iterations": solution.iterations,
-        "status": solution.status,
-    }
-    if solution.structure.n_pairs:
-        instants = _instants(solution)
-        gap, force = solution.gap(instants), solution.contact_force(instants)
-        found |= {
-            "opening": max(0.0, -float(gap.min())),
-            "penetration": max(0.0, float(gap.max())),
-            "contact_force": float(force.max()),
-            "closed_share": float(np.mean(force > 0.0)),
-        }
-    return found
-
-
-def _instants(solution: PeriodicSolution) -> np.ndarray:
-    return solution.period * np.arange(INSTANTS) / INSTANTS
-
-
 def _response(solution: PeriodicSolution, case: Scene) -> float:
     """Half the peak-to-peak displacement of the load's point in the load's direction [m].
 
-    The direction is that of the larger of the sine and the cosine part, of the mean where there is
-    neither. The force's row of the structure sees the displacement there: f . u = F . u(x).
+    The direction is that of the larger of the sine and the cosine part, of the mean if there is
+    neither. The load vector f of a force F at the point x gives the displacement: f . u = F . u(x).
     """
     sizes = {name: float(np.hypot(*getattr(case.excitation, name))) for name in FORCES}
     name = max(("force_sin", "force_cos"), key=sizes.__getitem__)
@@ -262,34 +196,35 @@ def _response(solution: PeriodicSolution, case: Scene) -> float:
         return np.nan
     row = solution.structure.force[FORCES.index(name)] / sizes[name]
     wave = solution.displacement_coefficients @ row[:, None]
-    return float(np.ptp(evaluate(wave, solution.base_omega, _instants(solution))) / 2.0)
+    instants = np.linspace(0.0, solution.period, 1024, endpoint=False)
+    return float(np.ptp(evaluate(wave, solution.base_omega, instants)) / 2.0)
 
 
 class Flow:
     """Stability of the solutions of a chunk.
 
     Up to four pairs the verdict is that of :func:`fenics_crack.floquet`, which compares three
-    estimates. That takes 0.5 s with 18 pairs, many times as long as the solution; with more than
+    estimates. That takes 0.5 s with 18 pairs, many times as long as the solution. With more than
     four pairs the leading multiplier of the solution decides, as along response curves, unless it
     is near the unit circle.
     """
 
     def __init__(self, structure: Structure) -> None:
         self._structure = structure
-        self._law: ContactLaw | None = None
+        self._contact: Contact | None = None
         self._flow: PiecewiseFlow | None = None
 
-    def verdict(self, solution: PeriodicSolution) -> dict[str, Any]:
-        """Verdict, and modulus of the leading multiplier; nothing where there is no law of it."""
+    def verdict(self, solution: PeriodicSolution, case: Scene) -> Found:
+        """Verdict and modulus of the leading multiplier; empty without a law of the gap."""
         law = solution.contact
-        if law is None or isinstance(law, UnilateralConstraint):
+        if law is None or is_rigid(law):
             return {}
         try:
             if self._structure.n_pairs <= FEW_PAIRS:
                 found = floquet(self._structure, solution, refine=False)
                 return {"verdict": found.verdict, "multiplier": abs(found.multipliers[0])}
-            if self._flow is None or not _equal(law, self._law):
-                self._law, self._flow = law, PiecewiseFlow(self._structure, law)
+            if self._flow is None or self._contact != case.contact:
+                self._contact, self._flow = case.contact, PiecewiseFlow(self._structure, law)
             leading = self._flow.leading(solution.gap_coefficients, solution.base_omega)
         except REFUSALS:
             return {"verdict": "undecided"}
@@ -298,12 +233,3 @@ class Flow:
         if abs(size - 1.0) <= UNSURE + solution.report.truncation:
             verdict = "undecided"
         return {"verdict": verdict, "multiplier": size}
-
-
-def _equal(one: ContactLaw, other: ContactLaw | None) -> bool:
-    """Whether two laws are the same; their stiffness may be an array."""
-    return (
-        type(one) is type(other)
-        and np.array_equal(one.stiffness, other.stiffness)  # type: ignore[union-attr]
-        and getattr(one, "sharpness", None) == getattr(other, "sharpness", None)
-    )

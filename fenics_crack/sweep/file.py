@@ -1,23 +1,23 @@
-"""The file of a sweep: filled in while the sweep runs, and sound whenever the program is killed.
+"""The file of a sweep: filled in while the sweep runs, and valid whenever the program is killed.
 
-HDF5 keeps its metadata in memory and writes it when it likes; a program that dies meanwhile leaves
-a file that cannot be opened. So here no metadata changes once the file has its name:
+HDF5 keeps metadata in memory and writes it at times of its own choice. A program killed in between
+leaves a file that cannot be opened. So no metadata changes once the file has its name:
 
-- it is made whole under another name, closed, and then renamed;
+- it is made under another name, closed, and renamed;
 - every dataset has its full size from the start, in one contiguous piece whose place is fixed
-  (early allocation), and the oldest file format, which keeps no mark of who has it open;
-- finished cases overwrite their own bytes: first all their numbers, which are handed to the system
-  (flush), and only then their ``state``. What has a state is complete; what a kill has left half
-  written has none, and is computed again.
+  (early allocation), in the oldest file format, which does not mark a file as open;
+- a finished case overwrites its own bytes: first all its numbers, which are handed to the operating
+  system (flush), and only then its ``state``. A case with a state is complete; one that a kill left
+  half written has none and is computed again.
 
-What has not been written takes no space on disk where the file system knows holes. The file can be
-read while it is being written. A lock keeps a second sweep from writing to it.
+Unwritten parts take no space if the file system supports sparse files. The file can be read while
+it is being written. A lock keeps other sweeps from writing to it.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -63,32 +63,24 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "seconds": ("s", "f8"),
     "status": ("", f"S{STATUS_BYTES}"),
 }
-"""Of each case, beside its state: unit and type."""
+"""Unit and type of what is kept of each case beside its state."""
+WAVES = {"gap": "m", "force": "N"}
+"""Coefficients kept of a case that converged, and their units."""
+BLANKS: dict[str, Any] = {"f": np.nan, "i": 0, "S": b""}
+"""Of a case without a value, by the kind of the type."""
 
 
 def shape_of(scene: Scene) -> tuple[int, ...]:
-    """How many values each axis of a scene's sweep has."""
+    """Number of values on each axis of a scene's sweep."""
     assert scene.sweep is not None
     return tuple(len(axis.values) for axis in scene.sweep.over)
 
 
 class SweepFile:
-    """A sweep's file, open for writing.
+    """A sweep's file, open for writing; continued if it exists, else made.
 
-    Parameters
-    ----------
-    path : path
-        An existing file is continued; without one it is made.
-    scene : Scene
-        With its table ``[sweep]``.
-    harmonics, pairs : int
-        Most harmonics and most contact pairs of any case.
-
-    Raises
-    ------
-    InputError
-        The file cannot be written, is being written by another program, is not a sweep, or is one
-        of another scene.
+    ``harmonics`` and ``pairs`` are upper bounds for all cases. Raises InputError if the file cannot
+    be written, another program is writing it, or it is not a sweep of this scene.
     """
 
     def __init__(self, path: Path, scene: Scene, harmonics: int, pairs: int) -> None:
@@ -104,11 +96,20 @@ class SweepFile:
                 _check(path, scene)
             self._file = h5py.File(path, "r+", libver="earliest")
         except OSError as error:
-            raise InputError(
-                "path", str(path), f"a file that can be written, by one sweep at a time ({error})"
-            ) from None
+            allowed = f"a file that can be written, by one sweep at a time ({error})"
+            raise InputError("path", str(path), allowed) from None
         self.state: np.ndarray = self._file["state"][()]
         """PENDING, CONVERGED or FAILED, in the shape of the axes."""
+
+    def record(self, index: tuple[Any, ...], cases: Sequence[Mapping[str, Any]]) -> None:
+        """Write some cases: some :data:`COLUMNS` of each, and its waves if it converged."""
+        columns = {
+            name: np.array([_stored(case.get(name, BLANKS[kind[0]])) for case in cases], kind)
+            for name, (_, kind) in COLUMNS.items()
+        }
+        waves = {name: [case.get(name, np.zeros((0, 0))) for case in cases] for name in WAVES}
+        state = np.array([CONVERGED if "gap" in case else FAILED for case in cases])
+        self.write(index, state, columns, waves)
 
     def write(
         self,
@@ -117,18 +118,9 @@ class SweepFile:
         columns: Mapping[str, np.ndarray],
         waves: Mapping[str, list[np.ndarray]],
     ) -> None:
-        """Write some cases: all of their numbers, and then their states.
+        """Write some cases: all of their numbers, then their states, (n,) each.
 
-        Parameters
-        ----------
-        index : tuple of int and slice
-            Which; one of them a slice.
-        state : (n,)
-            CONVERGED or FAILED.
-        columns : mapping
-            :data:`COLUMNS`, (n,) each.
-        waves : mapping
-            "gap" [m] and "force" [N]: n arrays (2H+1, n_pairs), empty where a case failed.
+        ``index`` has one slice; ``waves`` are n arrays (2H+1, n_pairs), empty where a case failed.
         """
         for name, values in columns.items():
             self._file[name][index] = values
@@ -151,6 +143,13 @@ class SweepFile:
             self._path.unlink(missing_ok=True)
 
 
+def _stored(value: Any) -> Any:
+    """A value for the file: words are encoded and cut to the column, between characters."""
+    if not isinstance(value, str):
+        return value
+    return value.encode()[:STATUS_BYTES].decode("utf-8", "ignore").encode()
+
+
 def _make(path: Path, scene: Scene, harmonics: int, pairs: int) -> None:
     partial = path.with_name(f".{path.name}.{os.getpid()}")
     shape = shape_of(scene)
@@ -158,7 +157,7 @@ def _make(path: Path, scene: Scene, harmonics: int, pairs: int) -> None:
     sizes |= {name: (unit, kind, shape) for name, (unit, kind) in COLUMNS.items()}
     if pairs:
         wave = (*shape, 2 * harmonics + 1, pairs)
-        sizes |= {"gap": ("m", "f8", wave), "force": ("N", "f8", wave)}
+        sizes |= {name: (unit, "f8", wave) for name, unit in WAVES.items()}
     store.make_folder(path)
     try:
         with h5py.File(partial, "w", libver="earliest") as file:
@@ -185,9 +184,8 @@ def _check(path: Path, scene: Scene) -> None:
         version = str(file.attrs.get("version"))
         store.check_meshes(file, scene)
     if not same:
-        raise InputError(
-            "path", str(path), "the file of the same scene; for another one choose a new folder"
-        )
+        allowed = "the file of the same scene; for another one choose a new folder"
+        raise InputError("path", str(path), allowed)
     if version != VERSION:
         allowed = f"a new name: it was begun by version {version}, this is {VERSION}"
         raise InputError("path", str(path), allowed)
@@ -196,7 +194,7 @@ def _check(path: Path, scene: Scene) -> None:
 def read_columns(path: Path) -> tuple[Scene, dict[str, np.ndarray]]:
     """The scene, and ``state`` and the columns in the shape of the axes.
 
-    Numbers of pending cases are nan (0 where they are whole numbers), words are empty.
+    Pending cases have nan, 0 in columns of whole numbers, and empty words.
     """
     with store.opened(path, KIND) as file:
         scene = Scene.from_text(str(file.attrs["scene"]), str(path))
@@ -205,14 +203,9 @@ def read_columns(path: Path) -> tuple[Scene, dict[str, np.ndarray]]:
         found = {"state": file["state"][()]}  # first: what is written later counts as pending
         for name in COLUMNS:
             values = file[name][()]
-            if values.dtype.kind == "f":
-                values[found["state"] == PENDING] = np.nan
-            elif values.dtype.kind == "S":
-                values = np.char.decode(values, "utf-8", "replace")
-                values[found["state"] == PENDING] = ""
-            else:
-                values[found["state"] == PENDING] = 0
-            found[name] = values
+            values[found["state"] == PENDING] = BLANKS[values.dtype.kind]
+            words = values.dtype.kind == "S"
+            found[name] = np.char.decode(values, "utf-8", "replace") if words else values
     return scene, found
 
 

@@ -1,4 +1,4 @@
-"""The jobs of a sweep: what a group of ranks does, and who hands out what."""
+"""The jobs of a sweep: how ranks do them, and how rank 0 hands them out."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.sweep.case import (
     REFUSALS,
     Arrays,
+    Found,
     Geometry,
-    Solved,
     all_failed,
     build,
     solve_chunk,
 )
-from fenics_crack.sweep.file import COLUMNS, PENDING, SweepFile
+from fenics_crack.sweep.file import PENDING, SweepFile
 from fenics_crack.sweep.plan import Chunk, Index, Plan, everywhere
 
 __all__ = ["Manager", "Worker", "no_garbage_in_threads"]
 
 LONGEST = 2.0
-"""Duration of a job [s] that is aimed at: what a kill can lose."""
+"""Intended duration of a job [s]: what a killed run loses at most."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """Some chunks of a geometry, which is to be built if there is a scene of it."""
+    """Some chunks of a geometry, which is built first if there is a scene."""
 
     geometry: int
     scene: Scene | None
@@ -52,23 +52,23 @@ class Job:
 
 @dataclass
 class Answer:
-    """What became of a job."""
+    """The outcome of a job."""
 
     arrays: Arrays | None = None
     refusal: Exception | None = None
     """Why the geometry cannot be built."""
-    solved: list[tuple[Chunk, Solved]] = field(default_factory=list)
+    solved: list[tuple[Chunk, list[Found]]] = field(default_factory=list)
     seconds: float = 0.0
     """Spent on the chunks."""
     error: str | None = None
-    """A traceback: something that should not happen."""
+    """Traceback of an unexpected error."""
 
 
 class Worker:
-    """A group of ranks, or one, that does jobs."""
+    """A group of one or more ranks that does jobs."""
 
     current: Worker | None = None
-    """This rank's."""
+    """The worker of this rank."""
 
     def __init__(self, group: MPI.Comm) -> None:
         self._group = group
@@ -85,8 +85,8 @@ class Worker:
         arrays = job.arrays
         try:
             if job.scene is not None:
-                structure, length = build(job.scene, self._group, job.unit_loads)
-                arrays = Arrays.of(structure, length)
+                built = build(job.scene, self._group, job.unit_loads)
+                arrays = Arrays.of(built.structure, built.crack_length)
                 answer.arrays = arrays if job.wanted else None
         except REFUSALS as error:
             answer.refusal = error
@@ -97,30 +97,27 @@ class Worker:
                 self._group.Abort(1)
             answer.error = traceback.format_exc()
             return answer
-        started, error_text = time.perf_counter(), None
+        started = time.perf_counter()
         try:
             if job.chunks:
-                geometry = self._geometry(job, self._group.bcast(arrays))
+                arrays = self._group.bcast(arrays)
+                if job.geometry not in self._known:
+                    geometry = Geometry(arrays.structure(), arrays.crack_length, job.unit_loads)
+                    self._known = {job.geometry: geometry}
                 for chunk in job.chunks[self._group.rank :: self._group.size]:
-                    answer.solved.append((chunk, solve_chunk(geometry, chunk)))
+                    answer.solved.append((chunk, solve_chunk(self._known[job.geometry], chunk)))
         except Exception:
-            error_text = traceback.format_exc()
-        parts = self._group.gather((answer.solved, error_text))
+            answer.error = traceback.format_exc()
+        parts = self._group.gather((answer.solved, answer.error))
         if parts is not None:
             answer.solved = [item for solved, _ in parts for item in solved]
             answer.error = next((text for _, text in parts if text is not None), None)
         answer.seconds = time.perf_counter() - started
         return answer
 
-    def _geometry(self, job: Job, arrays: Arrays) -> Geometry:
-        if job.geometry not in self._known:
-            geometry = Geometry(arrays.structure(), arrays.crack_length, job.unit_loads)
-            self._known = {job.geometry: geometry}
-        return self._known[job.geometry]
-
 
 def lead(job: Job) -> Answer:
-    """What the executor calls on a leader."""
+    """Do a job on a leader, for the executor."""
     assert Worker.current is not None
     return Worker.current.lead(job)
 
@@ -137,10 +134,10 @@ class Manager:
         self._news = threading.Condition()
         self._executor: Any = None
         self._given: dict[Any, Job] = {}
-        """Jobs with the executor, by their futures."""
+        """Jobs at the executor, by their futures."""
         self._stopped = False
         self._waiting: dict[int, deque[Index]] = {}
-        """Places of the chunks of geometries that are built or being built."""
+        """Places of the chunks left of geometries that are built or being built."""
         self._built: dict[int, Arrays] = {}
         self._unbuilt = deque(
             number
@@ -149,23 +146,19 @@ class Manager:
         )
         self._chunks_left = sum(len(self._pending(number)) for number in self._unbuilt)
         self._seconds, self._chunks_done, self._recorded = 0.0, 0, 0
-        self._bar = tqdm(
-            total=file.state.size,
-            initial=int(np.count_nonzero(file.state != PENDING)),
-            desc="sweep",
-            unit="case",
-            disable=not progress,
-        )
+        done = int(np.count_nonzero(file.state != PENDING))
+        how = {"desc": "sweep", "unit": "case", "disable": not progress}
+        self._bar = tqdm(total=file.state.size, initial=done, **how)
 
     @property
     def error_for_others(self) -> BaseException | None:
-        """The error as ranks that did not meet it raise it."""
+        """The error that the other ranks raise."""
         if self.error is None or isinstance(self.error, InputError | KeyboardInterrupt):
             return self.error
         return RuntimeError(f"the sweep ended on rank 0: {self.error}")
 
     def run(self, executor: Any, stop: StopRequest) -> None:
-        """Have all jobs done."""
+        """See that all jobs are done."""
         self._executor = executor
         takes_part = executor is None or MPI.Query_thread() >= MPI.THREAD_MULTIPLE
         while True:
@@ -194,13 +187,13 @@ class Manager:
             self._news.notify()
 
     def close(self) -> None:
-        """Close the file; one that is new and has nothing in it is removed after an error."""
+        """Close the file; after an error remove it if it is new and empty."""
         self._bar.close()
         useless = self._file.made and self._recorded == 0 and self.error is not None
         self._file.close(remove=useless)
 
     def _submit(self) -> None:
-        """Keep one more job with the executor than it has workers."""
+        """Keep one more job at the executor than it has workers."""
         if self._executor is None:
             return
         while len(self._given) < self._groups:
@@ -212,7 +205,7 @@ class Manager:
             future.add_done_callback(self._arrived)
 
     def _take_back(self) -> Job | None:
-        """A job that the executor has not begun, for rank 0, which has none; at the end None."""
+        """A job that the executor has not begun, for an idle rank 0; None at the end."""
         ending = self._stopped or self.error is not None
         for future, job in list(self._given.items()):
             if future.cancel() and not ending:
@@ -220,7 +213,7 @@ class Manager:
         return None
 
     def _arrived(self, future: Any) -> None:
-        """Record what a worker has done, and send it more: in the executor's thread."""
+        """Record what a worker has done and send it more, in the executor's thread."""
         with self._news:
             job = self._given.pop(future)
             if future.cancelled():
@@ -233,7 +226,7 @@ class Manager:
             self._news.notify()
 
     def _next_job(self) -> Job | None:
-        """Chunks of a built geometry, or a geometry to build, or nothing for now."""
+        """Chunks of a built geometry, or a geometry to build, or None for now."""
         if self._stopped or self.error is not None:
             return None
         in_time = LONGEST * self._chunks_done / max(self._seconds, 1e-9)  # none known: one
@@ -253,7 +246,7 @@ class Manager:
             cases = (case for chunk in every for case in chunk.cases)
             scene = next((case for case in cases if not isinstance(case, str)), None)
             if scene is None:
-                self._refuse(number, self._pop(number), "")
+                self._refuse(number, (), "")
                 continue
             # The others have something to do meanwhile.
             alone = self._groups == 1 or len(self._unbuilt) >= self._groups
@@ -284,8 +277,7 @@ class Manager:
             hopeless = isinstance(refusal, InputError) and refusal.key == "reduction.method"
             if hopeless and not self._plan.reduction_swept:
                 raise refusal
-            rest = self._pop(job.geometry)
-            self._refuse(job.geometry, job.chunks + rest, str(refusal))
+            self._refuse(job.geometry, job.chunks, str(refusal))
         elif answer.arrays is not None:
             self._built[job.geometry] = answer.arrays
         elif job.scene is not None:
@@ -293,16 +285,13 @@ class Manager:
         self._news.notify()
 
     def _refuse(self, number: int, chunks: tuple[Chunk, ...], reason: str) -> None:
-        for chunk in chunks:
+        """Write chunks of a geometry that cannot be built, and all others that are left of it."""
+        for chunk in chunks + self._pop(number):
             self._write(chunk, all_failed(chunk, reason))
         del self._waiting[number]
 
-    def _write(self, chunk: Chunk, solved: Solved) -> None:
-        columns = {
-            name: np.array(values, dtype=COLUMNS[name][1])
-            for name, values in solved.columns.items()
-        }
-        self._file.write(chunk.index, np.array(solved.state), columns, solved.waves)
+    def _write(self, chunk: Chunk, solved: list[Found]) -> None:
+        self._file.record(chunk.index, solved)
         self._recorded += 1
         self._bar.update(len(chunk.cases))
 
@@ -312,13 +301,13 @@ class Manager:
 
 @contextmanager
 def no_garbage_in_threads() -> Iterator[None]:
-    """Python's cyclic garbage is collected where it is safe to destroy PETSc's objects.
+    """Collect no cyclic garbage here: the executor's thread must not destroy PETSc's objects.
 
-    Else it could be in the executor's thread, while the main one is in PETSc.
+    The main thread may be in PETSc at the same time.
     """
     enabled = gc.isenabled()
     gc.disable()
-    gc.freeze()  # what is there already need not be looked at after every job
+    gc.freeze()  # what exists need not be traversed after every job
     try:
         yield
     finally:

@@ -1,4 +1,4 @@
-"""The cases of a sweep: which geometries there are, and chunks of neighbouring cases of each."""
+"""The cases of a sweep: its geometries, and chunks of neighbouring cases of each."""
 
 from __future__ import annotations
 
@@ -17,59 +17,41 @@ from fenics_crack.sweep.file import PENDING, shape_of
 __all__ = ["FORCES", "Chunk", "Index", "Plan", "everywhere"]
 
 CHUNK = 12
-"""Cases of a chunk at most."""
+"""Most cases of a chunk."""
 SAME_GEOMETRY = (
     "excitation.omega", "excitation.force_sin", "excitation.force_cos", "excitation.force_mean",
     "contact.stiffness", "contact.stiffness_per_area", "contact.law", "contact.sharpness",
     "crack.clearance", "harmonic_balance.harmonics", "harmonic_balance.samples",
 )  # fmt: skip
-"""Keys that leave mesh, matrices, modes and the place of the load alone."""
+"""Keys that change neither mesh, matrices and modes nor the place of the load."""
 FORCES = ("force_mean", "force_cos", "force_sin")
 """Parts of the load."""
 
 Index = tuple[Any, ...]
-"""Of whole numbers, and a slice on one axis."""
+"""A whole number on each axis, and a slice on one."""
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """Neighbouring cases along one axis.
+    """Neighbouring cases along one axis."""
 
-    Attributes
-    ----------
-    index : Index
-        Where they are in the table.
-    cases : tuple of Scene or str
-        What to solve, or why it cannot be.
-    """
-
-    index: Index
-    cases: tuple[Scene | str, ...]
+    index: Index  # their place in the table
+    cases: tuple[Scene | str, ...]  # what to solve, or why it cannot be
 
 
 class Plan:
-    """Geometries and chunks of a scene.
-
-    Attributes
-    ----------
-    shape : tuple of int
-        Of the table of cases.
-    geometries : list of tuple
-        Where the geometries are: an index on each axis that changes them, None on the others.
-    harmonics, pairs : int
-        Most of any case; an upper bound.
-    unit_loads : bool
-        Whether the force is swept, so that geometries are to be built with unit loads.
-    """
+    """Geometries and chunks of a scene."""
 
     def __init__(self, scene: Scene) -> None:
         assert scene.sweep is not None
         self._base = scene.replace({"sweep": None})
         self._axes = scene.sweep.over
-        keys = [axis.key for axis in self._axes]
+        swept = {axis.key: axis.values for axis in self._axes}
+        keys = list(swept)
         if scene.sweep.ranks > 1 and scene.reduction is None:  # on one rank too
             self._base = self._base.replace({"reduction.method": "free_interface"})
-        self.shape = shape_of(scene)
+        self.shape = shape_of(scene)  # of the table of cases
+        # Where the force is swept, geometries are built with unit loads.
         self.unit_loads = any(f"excitation.{name}" in keys for name in FORCES)
         self.reduction_swept = "reduction.method" in keys
         same = [number for number, key in enumerate(keys) if key in SAME_GEOMETRY]
@@ -77,39 +59,33 @@ class Plan:
         if "excitation.omega" in keys:
             self._along = keys.index("excitation.omega")
         self._inner = [number for number in same if number != self._along]
-        self.geometries = list(
-            itertools.product(
-                *((None,) if n in same else range(size) for n, size in enumerate(self.shape))
-            )
-        )
-        counts = [scene.harmonic_balance.harmonics]
-        for axis in self._axes:
-            if axis.key == "harmonic_balance.harmonics":
-                counts = list(axis.values)
-        self.harmonics = max(counts)
-        self._measure()
+        # Places of the geometries: an index on each axis that changes them, None on the others.
+        ranges = ((None,) if n in same else range(size) for n, size in enumerate(self.shape))
+        self.geometries = list(itertools.product(*ranges))
+        base = scene.harmonic_balance.harmonics  # upper bounds for all cases:
+        self.harmonics = max(swept.get("harmonic_balance.harmonics", (base,)))
+        self.pairs = self._bound_of_pairs()
 
-    def _measure(self) -> None:
-        """Bound the pairs; raise InputError if no combination is a scene."""
+    def _bound_of_pairs(self) -> int:
+        """Bound of the pairs of all cases; raise InputError if no combination is a scene."""
         bounds: dict[Any, int] = {}
-        found, reason = False, ""
         for geometry in self.geometries:
-            ranges = [range(size) if at is None else (at,)
-                      for at, size in zip(geometry, self.shape, strict=True)]  # fmt: skip
-            for index in itertools.product(*ranges):
-                case = self.case(index)
-                if not isinstance(case, str):
-                    found = True
-                    pairs = case.contact and case.contact.pairs
-                    length = case.crack and case.crack.length
-                    key = case.mesh, pairs, length, case.geometry.width
-                    if key not in bounds:
-                        bounds[key] = _most_pairs(case)
-                    break
-                reason = reason or case
-        if not found:
+            index = (
+                range(n) if at is None else (at,)
+                for at, n in zip(geometry, self.shape, strict=True)
+            )
+            cases = map(self.case, itertools.product(*index))
+            case = next((case for case in cases if not isinstance(case, str)), None)
+            if case is not None:
+                pairs = case.contact and case.contact.pairs
+                length = case.crack and case.crack.length
+                key = case.mesh, pairs, length, case.geometry.width
+                if key not in bounds:
+                    bounds[key] = _most_pairs(case)
+        if not bounds:
+            reason = self.case((0,) * len(self.shape))
             raise InputError("sweep.over", reason, "values of which a combination can be used")
-        self.pairs = max(bounds.values())
+        return max(bounds.values())
 
     def case(self, index: tuple[int, ...]) -> Scene | str:
         """The scene of a case, or why there is none."""
@@ -120,16 +96,16 @@ class Plan:
             return str(error)
 
     def pending(self, geometry: tuple[int | None, ...], state: np.ndarray) -> list[Index]:
-        """Where the chunks of a geometry are that are not complete."""
+        """Places of the chunks of a geometry that are not complete."""
         found = []
         along = len(self.shape) - 1 if self._along is None else self._along
-        for inner in itertools.product(*(range(self.shape[number]) for number in self._inner)):
-            place: list[Any] = list(geometry)
-            for number, at in zip(self._inner, inner, strict=True):
-                place[number] = at
-            first, length = 0, self.shape[along]
-            if self._along is None:  # a chunk is one case
-                first, length = place[along], 1
+        axes = [
+            range(size) if number in self._inner else (at,)
+            for number, (at, size) in enumerate(zip(geometry, self.shape, strict=True))
+        ]
+        for place in itertools.product(*axes):
+            at = place[along]
+            first, length = (0, self.shape[along]) if at is None else (at, 1)
             pieces = -(-length // CHUNK)
             for piece in range(pieces):
                 low, high = (first + (length * n) // pieces for n in (piece, piece + 1))
@@ -145,7 +121,7 @@ class Plan:
 
 
 def _most_pairs(scene: Scene) -> int:
-    """Bound of the contact pairs of a scene, without the mesh where the plate is drawn."""
+    """Upper bound of the contact pairs of a scene; only a mesh file is read."""
     mesh, crack = scene.mesh, scene.crack
     if scene.contact is not None and scene.contact.pairs == "mouth":
         return 1

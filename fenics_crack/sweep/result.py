@@ -1,23 +1,23 @@
-"""Sweeps: many cases of a scene, spread over ranks, in a file from which a killed run goes on.
+"""Sweeps: many cases of a scene, spread over ranks, in a file from which a killed run continues.
 
 The cases are the product of the axes in ``[sweep.over]``, numbered with the last axis fastest.
 
-*Geometries.* What changes mesh, matrices, modes, damping or the place of the load makes another
-geometry; frequency, force, contact law, clearance and truncation do not. A geometry is built once,
-and is then a small structure in plain arrays that any rank can solve.
+*Geometries.* Each combination of mesh, matrices, modes, damping and place of the load is a
+geometry; frequency, force, contact law, clearance and truncation do not change it. A geometry is
+built once and is then a small structure in plain arrays that any rank can solve.
 
-*Chunks.* The cases of a geometry are cut into chunks of up to 12 along the frequency (or, where it
-is not swept, along the last axis that leaves the geometry alone). The first case of a chunk starts
-from the linear solution, each further one from its neighbour. Chunks depend on the scene alone: so
-do the results, whatever the number of ranks (that share the cases, not a mesh) and interruptions;
-to the bit, if the number of BLAS threads is the same.
+*Chunks.* The cases of a geometry are cut into chunks of up to 12 along the frequency (if it is not
+swept, along the last axis that leaves the geometry alone). The first case of a chunk starts from
+the linear solution, each further one from its neighbour. Chunks depend on the scene alone, and so
+do the results, to the bit with the same number of BLAS threads: neither interruptions nor the
+number of ranks change them, as long as the ranks share the cases and not a mesh.
 
-*Jobs.* Rank 0 hands jobs to the other ranks by mpi4py.futures and takes jobs itself: some chunks of
-a geometry that is built, or a geometry to be built. Jobs shrink towards the end, so that all ranks
-finish together. Finished jobs arrive in the executor's own thread, which writes them and sends the
-next one, also while rank 0 computes; MPI must allow this (``THREAD_MULTIPLE``), else rank 0 only
-hands out jobs. With ``sweep.ranks = s`` the ranks form groups of s: a group builds a geometry
-together, and shares its chunks.
+*Jobs.* A job is some chunks of a geometry that is built, or a geometry to be built. Rank 0 hands
+jobs to the other ranks by mpi4py.futures and takes some itself. They shrink towards the end, so
+that all ranks finish together. The executor's own thread writes the results of a finished job and
+sends the next one while rank 0 computes. If MPI does not allow this (``THREAD_MULTIPLE``), rank 0
+only hands out jobs. With ``sweep.ranks = s`` groups of s ranks build a geometry together and share
+its chunks.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import InputError
 from fenics_crack.files.results import check_gap, check_pairs
 from fenics_crack.files.store import read_scene
-from fenics_crack.model.contact import UnilateralConstraint
+from fenics_crack.model.contact import UnilateralConstraint, is_rigid
 from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import law_of
-from fenics_crack.sweep.case import Geometry, build
+from fenics_crack.sweep.case import build
 from fenics_crack.sweep.file import (
     COLUMNS,
     CONVERGED,
@@ -58,6 +58,7 @@ from fenics_crack.sweep.file import (
 )
 from fenics_crack.sweep.jobs import Manager, Worker, no_garbage_in_threads
 from fenics_crack.sweep.plan import Plan
+from fenics_crack.table import Tabular, with_unit
 
 __all__ = ["SweepResult", "axis_name", "run_sweep"]
 
@@ -70,26 +71,25 @@ UNITS = {
     "contact.stiffness_per_area": "N/m^3", "contact.sharpness": "1/m", "mesh.size": "m",
 }  # fmt: skip
 
+STATES = np.array(["pending", "converged", "failed"])
+"""Words for PENDING, CONVERGED and FAILED."""
+
 
 def run_sweep(
-    scene: Scene,
-    path: str | Path,
-    comm: MPI.Comm = MPI.COMM_WORLD,
-    *,
-    progress: bool = False,
+    scene: Scene, path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: bool = False
 ) -> SweepResult:
     """Solve all cases of a scene's sweep by harmonic balance (collective).
 
-    A case that cannot be solved is recorded with its reason. Ctrl-C stops after the jobs at hand;
-    the same call goes on with what is missing.
+    A case that cannot be solved is recorded with the reason. Ctrl-C stops after the present jobs;
+    the same call continues with the cases that are missing.
 
     Parameters
     ----------
     scene : Scene
         With its table ``[sweep]``.
     path : path
-        The file for the results. If it exists and is of the same scene, what it has is kept,
-        failed cases too; a mesh file is taken to be the same.
+        The file for the results. If it exists, it must be of the same scene and mesh files; its
+        cases are kept, failed ones too.
     comm : MPI.Comm
         The ranks; with ``sweep.ranks = s`` a multiple of s.
     progress : bool
@@ -104,7 +104,7 @@ def run_sweep(
     ------
     InputError
         The scene has no sweep, no combination of its values is a scene, the number of ranks does
-        not fit, a structure is not to be reduced and too large, or the file cannot be used.
+        not fit, a structure is too large and not to be reduced, or the file cannot be used.
     """
     if scene.sweep is None:
         raise InputError("sweep", None, "given: what to vary")
@@ -151,7 +151,7 @@ def run_sweep(
 
 
 def manage(manager: Manager, leaders: MPI.Comm, stop: StopRequest) -> None:
-    """Run all jobs from rank 0; whatever happens is kept as the manager's error."""
+    """Run all jobs from rank 0; keep any error as the manager's."""
     try:
         if leaders.size == 1:
             manager.run(None, stop)
@@ -170,26 +170,26 @@ def manage(manager: Manager, leaders: MPI.Comm, stop: StopRequest) -> None:
 # --- the result -----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class SweepResult:
-    """The table of a sweep; the waves are read from its file when they are asked for.
+@dataclass(frozen=True, repr=False)
+class SweepResult(Tabular):
+    """The table of a sweep; its waves are read from the file on request.
 
     Attributes
     ----------
     path : Path
         The file.
     scene : Scene
-        What was swept.
+        With the axes of the sweep.
     columns : dict of str to array
-        Numbers and words by their names, in the shape of the axes; nan where there is none:
+        Numbers and words by name, in the shape of the axes, nan where there is no value:
         ``response``, half the peak-to-peak displacement of the load's point in the load's direction
         [m]; ``opening`` and ``penetration``, the largest of any pair [m]; ``contact_force``, the
-        largest on a pair [N]; ``closed_share`` of the period, mean over the pairs; ``multiplier``,
-        largest modulus, and the ``verdict`` that follows, empty where there is no contact law;
+        largest of any pair [N]; ``closed_share`` of the period, mean over the pairs;
+        ``multiplier``, largest modulus, and the ``verdict`` from it, empty without a contact law;
         ``residual_error`` to ``reduction_error`` and ``penetration_share`` as in
         :class:`ErrorReport`; ``harmonics``; Newton ``iterations``; ``crack_length``, given or found
-        [m]; ``seconds`` on the clock; ``status``, how it was solved or why not; ``state``: 0
-        pending, 1 converged, 2 failed.
+        [m]; ``seconds`` of wall-clock time; ``status``, how the case was solved or why not;
+        ``state``: 0 pending, 1 converged, 2 failed.
     """
 
     path: Path
@@ -219,7 +219,7 @@ class SweepResult:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """How many values each axis has."""
+        """Number of values on each axis."""
         return shape_of(self.scene)
 
     @property
@@ -229,12 +229,12 @@ class SweepResult:
 
     @property
     def converged(self) -> np.ndarray:
-        """Which cases were solved, bool in the shape of the axes."""
+        """Which cases were solved: bool in the shape of the axes."""
         return self["state"] == CONVERGED
 
     @property
     def inexact(self) -> np.ndarray:
-        """Which cases estimate a large error of the harmonics left out, likewise."""
+        """Which cases have a large estimated truncation error, likewise."""
         return np.asarray(self["truncation_error"] > LARGE_ERROR)
 
     @property
@@ -244,18 +244,9 @@ class SweepResult:
 
     @property
     def failed(self) -> list[tuple[tuple[int, ...], str]]:
-        """Index and reason of every case that could not be solved."""
+        """Index and reason of each case that could not be solved."""
         places = np.argwhere(self["state"] == FAILED)
         return [(tuple(map(int, at)), str(self["status"][tuple(at)])) for at in places]
-
-    def table(self) -> tuple[list[str], list[list[Any]]]:
-        """Names with units, and a row for every case in their order: for a CSV file."""
-        names = [axis_name(axis) for axis in self.axes]
-        names += ["state", *(_with_unit(name, unit) for name, (unit, _) in COLUMNS.items())]
-        words = np.array(["pending", "converged", "failed"])[self["state"]]
-        flat = [words.ravel().tolist(), *(self[name].ravel().tolist() for name in COLUMNS)]
-        values = itertools.product(*(axis.values for axis in self.axes))
-        return names, [[*at, *row] for at, row in zip(values, zip(*flat, strict=True), strict=True)]
 
     def gap(self, index: tuple[int, ...] | int) -> np.ndarray:
         """Gap coefficients of a case that converged: (2H+1, n_pairs) [m].
@@ -278,7 +269,7 @@ class SweepResult:
         Raises
         ------
         InputError
-            As :meth:`gap`; or a mesh file is no more what it was.
+            As :meth:`gap`; or a mesh file has changed.
         """
         place = self._place(index)
         read_scene(self.path)  # checks the mesh files
@@ -288,8 +279,7 @@ class SweepResult:
         length = float(self["crack_length"][place])
         if case.crack is not None and case.crack.first_omega is not None:
             case = case.replace({"crack.length": length, "crack.first_omega": None})
-        structure, length = build(case, MPI.COMM_SELF, plan.unit_loads)
-        Geometry(structure, length, plan.unit_loads).set_case(case)
+        structure = build(case, MPI.COMM_SELF, plan.unit_loads).of_case(case)
         omega = case.excitation.omega
         law = law_of(case, structure)
         if law is None:
@@ -297,11 +287,12 @@ class SweepResult:
         gap, force = read_waves(self.path, place)
         check_pairs(structure, gap)
         compliance = dynamic_compliance(structure, omega, len(gap) // 2)
-        if isinstance(law, UnilateralConstraint):
+        if is_rigid(law):
             law = UnilateralConstraint(default_weight(compliance))
-        found = {name: float(self[name][place]) for name in COLUMNS if self[name].dtype.kind == "f"}
+        names = ("residual", "truncation", "sampling", "reduction")
+        errors = {name: float(self[f"{name}_error"][place]) for name in names}
         displacement = compliance.displacement(force)
-        check_gap(structure, displacement, gap, max(1e-6, 10.0 * found["residual_error"]))
+        check_gap(structure, displacement, gap, max(1e-6, 10.0 * errors["residual"]))
         solution = PeriodicSolution(
             structure,
             omega,
@@ -311,13 +302,7 @@ class SweepResult:
             force,
             status=str(self["status"][place]),
             iterations=int(self["iterations"][place]),
-            report=ErrorReport(
-                residual=found["residual_error"],
-                truncation=found["truncation_error"],
-                sampling=found["sampling_error"],
-                reduction=found["reduction_error"],
-                penetration=found["penetration_share"],
-            ),
+            report=ErrorReport(**errors, penetration=float(self["penetration_share"][place])),
         )
         compliance.destroy()
         return solution
@@ -335,11 +320,24 @@ class SweepResult:
             raise InputError("index", index, f"that of a case that converged, of {self.shape}")
         return place
 
+    # --- shown ------------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, Any]:
+        """The values of the axes by their keys, then the columns; a row for each case."""
+        values = zip(*itertools.product(*(axis.values for axis in self.axes)), strict=True)
+        found = {axis.key: list(swept) for axis, swept in zip(self.axes, values, strict=True)}
+        found["state"] = STATES[self["state"]].ravel().tolist()
+        return found | {name: self[name].ravel().tolist() for name in COLUMNS}
+
+    def _units(self) -> dict[str, str]:
+        return UNITS | {name: unit for name, (unit, _) in COLUMNS.items()}
+
+    def _title(self) -> str:
+        counts = zip(STATES, np.bincount(self["state"].ravel(), minlength=3), strict=True)
+        swept = " x ".join(f"{len(axis.values)} {axis.key}" for axis in self.axes)
+        return ", ".join([swept, *(f"{count} {state}" for state, count in counts if count)])
+
 
 def axis_name(axis: Axis) -> str:
-    """Its key, with the unit."""
-    return _with_unit(axis.key, UNITS.get(axis.key, ""))
-
-
-def _with_unit(name: str, unit: str) -> str:
-    return f"{name} [{unit}]" if unit not in ("", "1") else name
+    """The key of an axis with its unit."""
+    return with_unit(axis.key, UNITS.get(axis.key, ""))

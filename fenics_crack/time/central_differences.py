@@ -1,4 +1,4 @@
-"""Direct integration in time by central differences: the yardstick of the harmonic balance.
+"""Direct integration in time by central differences: the reference for harmonic balance.
 
     M u'' + C u' + K u + B lambda(g) = f(t)
 
@@ -21,8 +21,8 @@ conserves energy as long as no pair changes its state; a contact from step a to 
 
     1/2 k (g_b |g_{b+1}| - g_a |g_{a-1}|),
 
-of either sign, which close to the limit can outgrow the damping. So the energy that contact creates
-is booked, reported, and an error where it outweighs what the load has put in.
+of either sign, which close to the limit can outgrow the damping. So this energy is summed up and
+reported, and it is an error if it outweighs what the load has put in.
 
 Without penetration (:class:`UnilateralConstraint`) the forces of instant n are those that keep the
 gaps of the next from penetrating, with d* the increment without them and A^-1 as above,
@@ -38,56 +38,34 @@ the lips, when the mesh is refined.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from petsc4py import PETSc
 
-from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.errors import ConvergenceError, InputError, check_omega
-from fenics_crack.model.contact import ContactLaw, UnilateralConstraint, check_law
+from fenics_crack.errors import InputError, check_omega
+from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.factor import weighted_sum
-from fenics_crack.model.modes import damped_modes, largest_frequency
+from fenics_crack.model.modes import by_columns, largest_frequency
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import collect_garbage
 from fenics_crack.time.complementarity import solve_complementarity
-from fenics_crack.time.march import (
-    Recorder,
-    TimeHistory,
-    check_march,
-    dofs_to_record,
-    gap_block,
-    initial_state,
-    inverse_of,
-    linear_energy,
-    load_waves,
-    march,
-    moved_apart,
-    solve_columns,
-)
+from fenics_crack.time.march import March, TimeHistory, Window, march
+from fenics_crack.time.steps import StepScheme, inverse_of, solve_once
 
 __all__ = ["integrate_central_difference", "stable_steps_per_period"]
 
 
-def stable_steps_per_period(
-    structure: Structure,
-    omega: float,
-    contact: ContactLaw | UnilateralConstraint,
-    *,
-    mass: str = "consistent",
-) -> int:
+def stable_steps_per_period(structure: Structure, omega: float, contact: ContactLaw) -> int:
     """Smallest number of steps per load period that is stable (collective).
 
     dt <= 2 / omega_max with every pair closed by its spring; with a constraint, which lowers the
     largest frequency, with every pair open.
     """
     check_omega(omega)
-    marched = _with_mass(structure, mass)
-    if not isinstance(contact, UnilateralConstraint):
-        check_law(structure, contact)
-        marched = marched.tied(contact.stiffness)
-    highest = largest_frequency(marched)
+    check_law(structure, contact, rigid=True)
+    closed = structure if is_rigid(contact) else structure.tied(contact.stiffness)
+    highest = largest_frequency(closed)
     collect_garbage(structure.comm)
     return int(np.floor(np.pi * highest * (1.0 + 1e-6) / omega)) + 1
 
@@ -95,50 +73,27 @@ def stable_steps_per_period(
 def integrate_central_difference(
     structure: Structure,
     omega: float,
-    contact: ContactLaw | UnilateralConstraint,
+    contact: ContactLaw,
     *,
     periods: int,
     steps_per_period: int,
-    initial: PeriodicSolution | tuple[np.ndarray, np.ndarray] | None = None,
-    mass: str = "consistent",
-    settle: float = 0.0,
-    record_periods: int | None = None,
-    dofs: Sequence[int] | None = None,
-    progress: bool = False,
+    **options: Any,
 ) -> TimeHistory:
     """March the equation of motion under the structure's load (collective).
 
     Parameters
     ----------
-    structure : Structure
-        What vibrates.
-    omega : float
-        Angular frequency of the load [rad/s].
-    contact : ContactLaw or UnilateralConstraint
-        Law of all pairs.
-    periods : int
-        Load periods to march.
+    structure, omega, contact, periods, **options
+        As in :class:`fenics_crack.time.march.March`; best with :meth:`Structure.lumped` mass. With
+        a constraint, pairs that penetrate in the initial state are moved apart by the least change
+        in the norm of M.
     steps_per_period : int
-        Steps in one load period; at least :func:`stable_steps_per_period`.
-    initial : PeriodicSolution, (displacement, velocity) or None
-        State at time 0: a solution's, two arrays (n_local,) [m], [m/s], or rest. With a constraint,
-        pairs that penetrate are moved apart by the least change in the norm of M.
-    mass : "consistent" or "lumped"
-        M itself, or the diagonal matrix of its row sums.
-    settle : float
-        Stop early when the relative change over a period is below this.
-    record_periods : int, optional
-        Keep only the last so many periods; default: all.
-    dofs : sequence of int, optional
-        Record only these displacements; default: all. A reduced structure records all.
-    progress : bool
-        Show a progress bar.
+        At least :func:`stable_steps_per_period`.
 
     Raises
     ------
     InputError
-        An argument cannot be used, the step is beyond the stable one, or the history would not fit
-        in memory.
+        An argument cannot be used, or the step is longer than the stable one.
     ConvergenceError
         The motion grows without bound, or contact creates more energy than the load puts in: the
         steps are too long. Or no contact forces keep the lips from penetrating.
@@ -146,58 +101,33 @@ def integrate_central_difference(
     Notes
     -----
     A motion that does not settle is a result, not an error: look at ``settled``.
-
-    Source: the paper, section 2, with the contact force added; the module's text for constraints.
     """
-    check_march(periods, steps_per_period, record_periods, settle)
-    least = stable_steps_per_period(structure, omega, contact, mass=mass)
+    asked = March(structure, omega, contact, periods, steps_per_period, **options)
+    least = stable_steps_per_period(structure, omega, contact)
     if steps_per_period < least:
         raise InputError(
             "steps_per_period", steps_per_period, f">= {least}, the stable limit of the scheme"
         )
-    marched = _with_mass(structure, mass)
-    displacement, velocity = initial_state(structure, initial)
-    recorder = Recorder(
-        structure,
-        dofs_to_record(structure, dofs, "dofs"),
-        periods,
-        record_periods,
-        steps_per_period,
-    )
-    scheme = _CentralDifferences(marched, omega, contact, steps_per_period)
-    scheme.start(displacement, velocity)
-    return march(recorder, scheme, omega, settle, "central differences", hidden=not progress)
+    return march(asked, _CentralDifferences(asked))
 
 
-class _CentralDifferences:
-    """State and one step of the scheme; everything that does not change is prepared once."""
+class _CentralDifferences(StepScheme):
+    """State and one step of the scheme."""
 
-    def __init__(
-        self,
-        structure: Structure,
-        omega: float,
-        contact: ContactLaw | UnilateralConstraint,
-        steps_per_period: int,
-    ) -> None:
-        self.structure, self.contact = structure, contact
-        self.step_size = dt = 2.0 * np.pi / omega / steps_per_period
-        local = np.zeros(structure.n_local)
-        self.displacement, self.increment = local.copy(), local.copy()
-        self.before = local.copy()
-        """Displacement at the instant that :meth:`advance` has measured."""
-        self.rhs, self.solved = local.copy(), local.copy()
-        comm, size = structure.comm, (structure.n_local, structure.n_dofs)
+    name = "central differences"
+    remedy = "take more steps per period"
+
+    def __init__(self, asked: March) -> None:
+        super().__init__(asked)
+        structure, dt = self.structure, self.step_size
+        self.displacement, self.increment, self.before, self.rhs, self.solved = (
+            np.zeros(structure.n_local) for _ in range(5)
+        )
+        size = (structure.n_local, structure.n_dofs)
         self._u, self._r, self._a, self._d = (
-            PETSc.Vec().createWithArray(array, size, comm=comm)
+            PETSc.Vec().createWithArray(array, size, comm=structure.comm)
             for array in (self.displacement, self.rhs, self.solved, self.increment)
         )
-        # Only few rows of B and of the load are not zero.
-        self._gap_rows, self._gap_block = gap_block(structure)
-        self.load_rows, self.load = load_waves(structure, steps_per_period)
-        self.force = np.zeros(structure.n_pairs)
-
-        self._modes = damped_modes(structure)
-        self._damping = structure.damping_matrix
         self._mixed: Any = None
         matrix = structure.mass
         if self._modes is not None:
@@ -207,35 +137,36 @@ class _CentralDifferences:
             matrix = weighted_sum(structure.mass, 0.5 * dt, self._damping)
             self._mixed = weighted_sum(structure.mass, -0.5 * dt, self._damping)
         self._inverse = inverse_of(matrix, symmetric=self._mixed is None)
-        self._push: np.ndarray | None = None
-        if isinstance(contact, UnilateralConstraint):
+        self.owned = self._u, self._r, self._a, self._d, self._inverse
+        if self.rigid:
             self._push, self._modal_push = self._response()
             self._compliance = structure.closing(self._push.T).T
+        widths = len(self.load_rows), structure.n_pairs, structure.n_pairs, len(self.load_rows)
+        self._tail = [np.empty((0, width)) for width in widths]
+        self._start(*asked.start)
 
     def _response(self) -> tuple[np.ndarray, np.ndarray]:
         """What unit forces on the pairs take from the increment (n_local, n_pairs), and from q."""
         dt2 = self.step_size**2
-        push = dt2 * solve_columns(self._inverse, self.structure.mass, self.structure.gap.toarray())
+        pairs = self.structure.gap.toarray()
+        push = dt2 * by_columns(self._inverse.apply, self.structure.mass, pairs)
         if self._modes is None:
             return push, np.zeros((0, self.structure.n_pairs))
         pushed = dt2 * self.structure.closing(self._modes.shapes.T)
         push -= self._modes.shapes @ (self._share[:, None] * pushed)
         return push, (1.0 - self._share)[:, None] * pushed
 
-    def start(self, displacement: np.ndarray, velocity: np.ndarray) -> None:
+    def _start(self, displacement: np.ndarray, velocity: np.ndarray) -> None:
         """Set the state at time 0; the step before follows from u_{-1} = u - dt v + dt^2 a / 2."""
         dt = self.step_size
-        if self._push is not None:
-            displacement = moved_apart(self.structure, displacement)
-        self.displacement[:] = displacement
+        self.displacement[:] = displacement = self._admissible(displacement)
         acceleration = self._acceleration(velocity)
         self.increment[:] = dt * velocity - 0.5 * dt**2 * acceleration
-        self._book = _EnergyBook(self, displacement, velocity)
+        self._put_in = self._linear_energy(displacement, velocity)
         if self._modes is not None:
             self._modal = self.structure.sum_over_ranks(self.increment @ self._modes.mass_shapes)
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
-        """Displacement and velocity, after whole periods, from which :meth:`start` goes on."""
         backwards = self.increment / self.step_size
         velocity = backwards.copy()
         for _ in range(3):  # the acceleration depends on the velocity a little
@@ -248,38 +179,25 @@ class _CentralDifferences:
 
         The forces of a constraint, which belong to the next increment, are left out.
         """
-        self._measure()
+        self.gap = self._measured(self.displacement)
         self._unbalance(0)
-        modes, structure = self._modes, self.structure
-        if self._mixed is None:
-            self._inverse.apply(self._r, self._a)
-        else:
+        if self._mixed is not None:
             self._d.array_w[:] = velocity
             self._damping.mult(self._d, self._a)
             self.rhs -= self.solved
-            inverse = inverse_of(structure.mass, symmetric=True)
-            inverse.apply(self._r, self._a)
-            inverse.destroy()
+            return solve_once(self.structure.mass, self.rhs[:, None])[:, 0]
+        self._inverse.apply(self._r, self._a)
         acceleration = self.solved.copy()
-        if modes is not None:
-            modal = structure.sum_over_ranks(velocity @ modes.mass_shapes)
-            acceleration -= modes.shapes @ (modes.rate * modal)
+        if self._modes is not None:
+            modal = self.structure.sum_over_ranks(velocity @ self._modes.mass_shapes)
+            acceleration -= self._modes.shapes @ (self._modes.rate * modal)
         return acceleration
 
     def advance(self, step: int) -> None:
-        """Measure the gap at this instant, ``step`` of the period, and march to the next."""
         dt2 = self.step_size**2
-        self._measure()
+        self.gap = self._measured(self.displacement)
         self._unbalance(step)
-        if self._modes is not None:
-            shapes = self._modes.shapes
-            pushed = dt2 * self.structure.sum_over_ranks(self.rhs @ shapes)
-            lost = self._share * (pushed + 2.0 * self._modal)
-            self._modal += pushed - lost
-            self._inverse.apply(self._r, self._a)
-            self.increment += dt2 * self.solved
-            self.increment -= shapes @ lost
-        elif self._mixed is not None:
+        if self._mixed is not None:
             self._mixed.mult(self._d, self._a)
             self.rhs *= dt2
             self.rhs += self.solved
@@ -287,97 +205,42 @@ class _CentralDifferences:
         else:
             self._inverse.apply(self._r, self._a)
             self.increment += dt2 * self.solved
-        if self._push is not None:
+        if self._modes is not None:
+            pushed = dt2 * self.structure.sum_over_ranks(self.rhs @ self._modes.shapes)
+            lost = self._share * (pushed + 2.0 * self._modal)
+            self._modal += pushed - lost
+            self.increment -= self._modes.shapes @ lost
+        if self.rigid:
             self._push_apart()
         self.before[:] = self.displacement
         self.displacement += self.increment
 
     def _push_apart(self) -> None:
         """Find the forces of a constraint and take their part from the increment."""
-        assert self._push is not None
-        closing = self.increment[self._gap_rows] @ self._gap_block
-        reached = self.gap + self.structure.sum_over_ranks(closing)
+        reached = self.gap + self._closing(self.increment)
         self.force = solve_complementarity(self._compliance, reached, self.force > 0.0)
         self.increment -= self._push @ self.force
         if self._modes is not None:
             self._modal -= self._modal_push @ self.force
-
-    def _measure(self) -> None:
-        """Gap at the current displacement."""
-        closing = self.displacement[self._gap_rows] @ self._gap_block
-        self.gap = self.structure.sum_over_ranks(closing) - self.structure.clearance
 
     def _unbalance(self, step: int) -> None:
         """r = f - K u - B lambda."""
         self.structure.stiffness.mult(self._u, self._r)
         np.negative(self.rhs, out=self.rhs)
         self.rhs[self.load_rows] += self.load[step]
-        if not isinstance(self.contact, UnilateralConstraint):
+        if not self.rigid:
             self.force = self.contact.force(self.gap)
             self.rhs[self._gap_rows] -= self._gap_block @ self.force
 
-    def close_period(self, gap: np.ndarray, force: np.ndarray, load_motion: np.ndarray) -> None:
-        """Book a period."""
-        self._book.close_period(gap, force, load_motion)
-
-    @property
-    def created_share(self) -> float:
-        """Energy created by contact relative to the energy put in."""
-        return self._book.created_share
-
-    def free(self) -> None:
-        """Free PETSc's objects (collective)."""
-        for item in (self._u, self._r, self._a, self._d, self._inverse):
-            item.destroy()
-
-
-class _EnergyBook:
-    """Energy put in by the load, and created by contact, period by period.
-
-    Work over a step is force times half the displacement from the step before to the step after,
-    for which the scheme balances kinetic and elastic energy exactly.
-    """
-
-    def __init__(
-        self, scheme: _CentralDifferences, displacement: np.ndarray, velocity: np.ndarray
-    ) -> None:
-        self._scheme = scheme
-        self._put_in = linear_energy(scheme.structure, displacement, velocity)
-        self._created = 0.0
-        self._tail: tuple[np.ndarray, ...] | None = None
-
-    def close_period(self, gap: np.ndarray, force: np.ndarray, load_motion: np.ndarray) -> None:
-        """Book a period from gaps and forces (N, n_pairs) and the motion of the loaded dofs."""
-        scheme = self._scheme
-        loads = scheme.load
-        tail = (gap[-2:].copy(), force[-2:].copy(), load_motion[-2:].copy())
-        if self._tail is not None:
-            gap, force, load_motion = (
-                np.vstack(both) for both in zip(self._tail, (gap, force, load_motion), strict=True)
-            )
-            loads = np.vstack([scheme.load[-2:], scheme.load])
-        self._tail = tail
-        stored = 0.0
-        if not isinstance(scheme.contact, UnilateralConstraint):
-            potential = 0.25 * (gap * force).sum(axis=1)
-            stored = potential[-1] + potential[-2] - potential[0] - potential[1]
-        self._created += stored - 0.5 * float(np.sum(force[1:-1] * (gap[2:] - gap[:-2])))
-        work = 0.5 * (loads[1:-1] * (load_motion[2:] - load_motion[:-2])).sum(axis=1)
-        total = scheme.structure.sum_over_ranks(np.array([work.sum()]))
-        self._put_in += abs(float(total[0]))
-        if not np.isfinite(self._created) or self._created > 2.0 * self._put_in > 0.0:
-            raise ConvergenceError(
-                "central differences: the steps are too long for this contact, which creates "
-                f"{self.created_share:.3g} times the energy put in; take more steps per period"
-            )
-
-    @property
-    def created_share(self) -> float:
-        """Energy created by contact relative to the energy put in."""
-        return self._created / self._put_in if self._put_in > 0.0 else 0.0
-
-
-def _with_mass(structure: Structure, mass: str) -> Structure:
-    if mass not in ("consistent", "lumped"):
-        raise InputError("mass", mass, "'consistent' or 'lumped'")
-    return structure if mass == "consistent" else structure.lumped()
+    def _book(self, window: Window) -> None:
+        """Work over a step is force times half the displacement from the step before to the one
+        after, for which the scheme balances kinetic and elastic energy exactly."""
+        period = self.load, window.gap, window.force, window.load_motion
+        parts = [np.vstack(part) for part in zip(self._tail, period, strict=True)]
+        self._tail = [part[-2:] for part in parts]
+        load, gap, force, motion = parts
+        self._created -= 0.5 * float(np.sum(force[1:-1] * (gap[2:] - gap[:-2])))
+        if not self.rigid:
+            stored = 0.25 * (gap * force).sum(axis=1)
+            self._created += stored[-2:].sum() - stored[:2].sum()
+        self._put_in += abs(self._total(0.5 * np.sum(load[1:-1] * (motion[2:] - motion[:-2]))))

@@ -9,11 +9,15 @@ asks for
 a linear complementarity problem. It is solved by the primal-dual active set method, a semismooth
 Newton method that ends with the exact solution after few steps: pairs taken as closed have g = 0,
 the others lambda = 0; pairs then pulled are opened, those that penetrate are closed. Where it
-cycles, the same solution is the minimum of lambda^T D lambda / 2 - lambda^T g_free for
-lambda >= 0, a least-squares problem with bounds, for which the method of Lawson and Hanson ends.
+cycles, the solution is found as the minimum of lambda^T D lambda / 2 - lambda^T g_free for
+lambda >= 0, a least-squares problem with bounds, for which the method of Lawson and Hanson is
+finite.
 
 With forces that follow from the gap, lambda = h(g) pair by pair, Newton's method solves
-lambda = h(g_free - D lambda).
+lambda = h(g_free - D lambda). With h = max(0, lambda + c g) it would go through the same active
+sets. Those have a loop of their own, which solves for the closed pairs alone and ends when the set
+stays the same: 12 us with 1 to 4 pairs, where the general loop takes 27 to 45 us; a whole step of
+central differences takes 27 us.
 
 Sources: Hintermueller, Ito and Kunisch, SIAM Journal on Optimization 13 (2002) 865; Lawson and
 Hanson, Solving Least Squares Problems (1974), chapter 23.
@@ -40,19 +44,8 @@ def solve_complementarity(
 ) -> np.ndarray:
     """Find lambda with 0 <= lambda, D lambda - g >= 0, lambda^T (D lambda - g) = 0: (n,).
 
-    Parameters
-    ----------
-    matrix : (n, n)
-        D, positive definite, and symmetric but for a small part.
-    gap : (n,)
-        g.
-    closed : (n,) bool, optional
-        First guess of where lambda > 0; default: where g > 0.
-
-    Raises
-    ------
-    ConvergenceError
-        There is no solution, or it was not found.
+    D is positive definite, and symmetric but for a small part; ``closed`` is a first guess of where
+    lambda > 0. Raises ConvergenceError where there is no solution, or it was not found.
     """
     allowed = ROUNDING * float(np.abs(gap).max(initial=0.0))
     closed = gap > 0.0 if closed is None else closed
@@ -97,57 +90,50 @@ def solve_forces(
     gap: np.ndarray,
     guess: np.ndarray,
 ) -> np.ndarray:
-    """Find lambda = h(g - D lambda) by Newton's method: (n,).
+    """Find lambda = h(g - D lambda) by Newton's method, D symmetric and positive definite: (n,).
 
-    Parameters
-    ----------
-    response : callable
-        h(g) and its derivative, pair by pair; it may not fall where g grows. The solution is then
-        the minimum of a convex function, whose slope along a step shortens steps that go too far.
-    matrix : (n, n)
-        D, symmetric and positive definite.
-    gap : (n,)
-        g.
-    guess : (n,)
-        lambda to start from.
-
-    Raises
-    ------
-    ConvergenceError
-        Newton's method does not converge.
+    ``response`` gives h(g) and its derivative, pair by pair; h may not fall where g grows. The
+    solution is then the minimum of a convex function, whose slope along a step shortens steps that
+    go too far. Raises ConvergenceError where Newton's method fails.
     """
-    force = guess
 
-    def excess(trial: np.ndarray) -> np.ndarray:
-        return trial - response(gap - matrix @ trial)[0]
-
-    for _ in range(MOST_ITERATIONS):
+    def evaluate(force: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         reached = gap - matrix @ force
-        found, tangent = response(reached)
-        if not np.any(found != force):
+        return (reached, *response(reached))
+
+    force, (reached, found, tangent) = guess, evaluate(guess)
+    for _ in range(MOST_ITERATIONS):
+        excess = force - found
+        if not np.any(excess):
             return force
         jacobian = np.eye(len(gap)) + tangent[:, None] * matrix
         try:
-            change = np.linalg.solve(jacobian, found - force)
+            change = np.linalg.solve(jacobian, -excess)
         except np.linalg.LinAlgError:
             break
-        moved = matrix @ change
-        size = np.abs(gap).max() + np.abs(gap - reached).max()
         if not np.all(np.isfinite(change)):
             break
-        if np.abs(moved).max() <= ROUNDING * size:
-            return force + change
-
-        def slope(
-            share: float,
-            start: np.ndarray = force,
-            change: np.ndarray = change,
-            moved: np.ndarray = moved,
-        ) -> float:
-            return float(moved @ excess(start + share * change))
-
-        share, before = 1.0, slope(0.0)
-        if before < 0.0 and slope(1.0) > -0.1 * before:
-            share = float(scipy.optimize.brentq(slope, 0.0, 1.0, xtol=1e-6))
-        force = force + share * change
+        moved, trial = matrix @ change, force + change
+        if np.abs(moved).max() <= ROUNDING * (np.abs(gap).max() + np.abs(gap - reached).max()):
+            return trial
+        slope, (reached, found, tangent) = float(moved @ excess), evaluate(trial)
+        if slope < 0.0 and moved @ (trial - found) > -0.1 * slope:
+            trial = force + _lowest(evaluate, force, change, moved) * change
+            reached, found, tangent = evaluate(trial)
+        force = trial
     raise ConvergenceError("contact: Newton's method for the forces of a step does not converge")
+
+
+def _lowest(
+    evaluate: Callable[[np.ndarray], tuple[np.ndarray, ...]],
+    force: np.ndarray,
+    change: np.ndarray,
+    moved: np.ndarray,
+) -> float:
+    """Share of a step where the convex function is lowest along it; D times the step is given."""
+
+    def slope(share: float) -> float:
+        trial = force + share * change
+        return float(moved @ (trial - evaluate(trial)[1]))
+
+    return float(scipy.optimize.brentq(slope, 0.0, 1.0, xtol=1e-6))

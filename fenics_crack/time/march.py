@@ -1,58 +1,138 @@
-"""Motion in time: the march that all schemes share, its record, and what they need."""
+"""Motion in time: what is asked of a march, the loop over its periods, and its record."""
 
 from __future__ import annotations
 
 import time as clock
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol
+from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
-from petsc4py import PETSc
 from tqdm import tqdm
 
 from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.errors import (
-    InputError,
-    check_count,
-    check_number,
-)
-from fenics_crack.model.modes import by_columns
+from fenics_crack.errors import InputError, check_count, check_number, check_omega
+from fenics_crack.model.contact import ContactLaw, check_law
+from fenics_crack.model.matrices import numbers
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import StopRequest, raise_together
-from fenics_crack.time.complementarity import solve_complementarity
+from fenics_crack.table import counted
 
-__all__ = [
-    "Recorder",
-    "Scheme",
-    "TimeHistory",
-    "check_march",
-    "dofs_to_record",
-    "gap_block",
-    "initial_state",
-    "inverse_of",
-    "linear_energy",
-    "load_waves",
-    "march",
-    "moved_apart",
-    "solve_columns",
-]
+__all__ = ["March", "Scheme", "TimeHistory", "Window", "initial_state", "march"]
 
 MEMORY_LIMIT = 2**31
 """Bytes of history on one rank beyond which recording is refused."""
 
 
 @dataclass(frozen=True)
+class March:
+    """What is marched, how far, from where, and what is kept of it; checked when made (collective).
+
+    Attributes
+    ----------
+    structure : Structure
+        What vibrates, under its own load.
+    omega : float
+        Angular frequency of the load [rad/s].
+    contact : ContactLaw
+        Law of all pairs.
+    periods : int
+        Load periods to march.
+    steps_per_period : int
+        Instants in one load period.
+    initial : PeriodicSolution, (displacement, velocity) or None
+        State at time 0: a solution's, two arrays (n_local,) [m], [m/s], or rest.
+    settle : float
+        Stop early when the relative change over a period is below this.
+    record_periods : int, optional
+        Keep only the last so many periods.
+    dofs : sequence of int, optional
+        Record only these displacements. A reduced structure records all.
+    progress : bool
+        Show a progress bar.
+
+    Raises
+    ------
+    InputError
+        One of them cannot be used, or the history would not fit in memory.
+    """
+
+    structure: Structure
+    omega: float
+    contact: ContactLaw
+    periods: int
+    steps_per_period: int
+    initial: PeriodicSolution | tuple[np.ndarray, np.ndarray] | None = None
+    settle: float = 0.0
+    record_periods: int | None = None
+    dofs: Sequence[int] | None = None
+    progress: bool = False
+
+    def __post_init__(self) -> None:
+        check_omega(self.omega)
+        check_law(self.structure, self.contact, rigid=True)
+        check_count("periods", self.periods, 1)
+        check_count("steps_per_period", self.steps_per_period, 1)
+        if self.record_periods is not None:
+            check_count("record_periods", self.record_periods, 1)
+        check_number("settle", self.settle, 0.0)
+        most = max(self.structure.comm.allgather(len(self.recorded_dofs)))
+        instants = self.kept * self.steps_per_period
+        if 8 * instants * (most + 2 * self.structure.n_pairs) > MEMORY_LIMIT:
+            raise InputError(
+                "record_periods",
+                self.record_periods,
+                f"fewer, or fewer dofs: {instants} instants of {most} dofs do not fit in "
+                f"{MEMORY_LIMIT // 2**30} GiB",
+            )
+        _ = self.start
+
+    @property
+    def kept(self) -> int:
+        """Periods that are recorded."""
+        return min(self.record_periods or self.periods, self.periods)
+
+    @property
+    def step_size(self) -> float:
+        """From one instant to the next [s]."""
+        return 2.0 * np.pi / self.omega / self.steps_per_period
+
+    @cached_property
+    def start(self) -> tuple[np.ndarray, np.ndarray]:
+        """Displacement and velocity (n_local,) at time 0."""
+        return initial_state(self.structure, self.initial)
+
+    @cached_property
+    def recorded_dofs(self) -> np.ndarray:
+        """Dofs that this rank records: all of a reduced structure, which carry those asked for."""
+        first, last = self.structure.first_dof, self.structure.first_dof + self.structure.n_local
+        everything, whole = np.arange(first, last), self.structure.whole
+        if self.dofs is None:
+            return everything
+        wanted = whole.check_dofs(self.dofs)
+        if whole is not self.structure:
+            return everything
+        return wanted[(wanted >= first) & (wanted < last)]
+
+    @cached_property
+    def load_rows(self) -> np.ndarray:
+        """Rows of this rank where the load is not zero."""
+        return np.flatnonzero(np.any(self.structure.force, axis=0))
+
+
+@dataclass(frozen=True, repr=False)
 class TimeHistory:
-    """Motion found by direct integration, the last periods of it.
+    """The last periods of a motion found by direct integration.
 
     Attributes
     ----------
     time : (n,) [s]
         Equally spaced; the load's phase is omega * time.
     gap : (n, n_pairs) [m]
-        Closing of the pairs.
+        g = B^T u - g0; g > 0: penetration.
     settled : float
         Relative change of the gaps (without pairs: of the load's displacement) over the last
         period; a small number says that the motion repeats with the load.
@@ -89,6 +169,13 @@ class TimeHistory:
 
     KIND: ClassVar[str] = "time history"
 
+    def __repr__(self) -> str:
+        periods = counted(self.periods, "period")
+        steps = counted(self.steps_per_period, "step")
+        pairs = counted(self.structure.n_pairs, "pair")
+        settled = f", settled to {self.settled:.0e}" if np.isfinite(self.settled) else ""
+        return f"TimeHistory({periods} of {steps}{settled}, {pairs})"
+
     def by_period(self, values: np.ndarray) -> np.ndarray:
         """Fold a record (n, ...) at the load's period: (periods kept, steps_per_period, ...).
 
@@ -107,210 +194,92 @@ class TimeHistory:
         if self.structure.whole is not self.structure:
             return self.structure.values_at(self.recorded, dofs)
         wanted = self.structure.check_dofs(dofs)
-        place = {int(dof): column for column, dof in enumerate(self.recorded_dofs)}
+        place = {dof: column for column, dof in enumerate(self.recorded_dofs.tolist())}
+        here = np.isin(wanted, self.recorded_dofs)
         found = np.zeros((len(self.time), len(wanted)))
-        known = np.zeros(len(wanted))
-        for column, dof in enumerate(wanted):
-            if int(dof) in place:
-                found[:, column] = self.recorded[:, place[int(dof)]]
-                known[column] = 1.0
-        known = self.structure.sum_over_ranks(known)
-        if not np.all(known):
-            raise InputError("dofs", [int(d) for d in wanted[known == 0.0]], "among those recorded")
+        found[:, here] = self.recorded[:, [place[dof] for dof in wanted[here].tolist()]]
+        missing = wanted[self.structure.sum_over_ranks(here.astype(float)) == 0.0]
+        if len(missing):
+            raise InputError("dofs", missing.tolist(), "among those recorded")
         return self.structure.sum_over_ranks(found)
 
 
-class Scheme(Protocol):
-    """What :func:`march` needs of a scheme."""
+@dataclass(frozen=True)
+class Window:
+    """Room for one period of a march, a row for each instant."""
 
-    load_rows: np.ndarray
-    """Rows of this rank where the load is not zero."""
-    before: np.ndarray
-    """Displacement (n_local,) at the instant from which :meth:`advance` has started."""
     gap: np.ndarray
-    """(n_pairs,), at the same instant."""
     force: np.ndarray
-    """(n_pairs,), at the same instant."""
+    motion: np.ndarray
+    """Displacement of the recorded dofs."""
+    load_motion: np.ndarray
+    """Displacement where the load acts."""
 
-    def advance(self, step: int) -> None:
-        """March from an instant of the period to the next."""
 
-    def close_period(self, gap: np.ndarray, force: np.ndarray, load_motion: np.ndarray) -> None:
-        """Book a period from its gaps, contact forces, and the motion of the loaded dofs."""
+class Scheme(ABC):
+    """What :func:`march` needs of a scheme, which starts at time 0."""
 
-    @property
-    def created_share(self) -> float:
-        """Energy created relative to the energy put in."""
+    name: ClassVar[str]
+    created_share = 0.0
+    """Energy created relative to the energy put in."""
+    owned: tuple[Any, ...] = ()
+    """PETSc's objects, to be freed after the march."""
 
+    @abstractmethod
+    def fill(self, window: Window, number: int) -> None:
+        """March period ``number``, record it, and add up its energy."""
+
+    @abstractmethod
     def state(self) -> tuple[np.ndarray, np.ndarray]:
-        """Displacement and velocity."""
-
-    def free(self) -> None:
-        """Free PETSc's objects (collective)."""
+        """Displacement and velocity, after whole periods, from which a march can go on."""
 
 
-def check_march(
-    periods: object, steps_per_period: object, record_periods: object, settle: object
-) -> None:
-    """Raise InputError unless these arguments can be used."""
-    check_count("periods", periods, 1)
-    check_count("steps_per_period", steps_per_period, 1)
-    if record_periods is not None:
-        check_count("record_periods", record_periods, 1)
-    check_number("settle", settle, 0.0)
-
-
-class Recorder:
-    """Room for the last periods of a motion (collective).
-
-    Raises
-    ------
-    InputError
-        The history would not fit in memory.
-    """
-
-    def __init__(
-        self,
-        structure: Structure,
-        dofs: np.ndarray,
-        periods: int,
-        record_periods: int | None,
-        steps_per_period: int,
-    ) -> None:
-        self.structure, self.dofs = structure, dofs
-        self.periods, self.steps_per_period = periods, steps_per_period
-        self.kept = periods if record_periods is None else min(record_periods, periods)
-        slots = self.kept * steps_per_period
-        most = max(structure.comm.allgather(len(dofs)))
-        if 8 * slots * (most + 2 * structure.n_pairs) > MEMORY_LIMIT:
-            raise InputError(
-                "record_periods",
-                record_periods,
-                f"fewer, or fewer dofs: {slots} instants of {most} dofs do not fit in "
-                f"{MEMORY_LIMIT // 2**30} GiB",
-            )
-        self.recorded = np.empty((slots, len(dofs)))
-        self.gaps = np.empty((slots, structure.n_pairs))
-        self.forces = np.empty((slots, structure.n_pairs))
-
-
-def march(
-    recorder: Recorder, scheme: Scheme, omega: float, settle: float, name: str, *, hidden: bool
-) -> TimeHistory:
-    """March a scheme that has started, until it settles, and free it (collective)."""
-    structure, kept = recorder.structure, recorder.kept
-    steps_per_period = recorder.steps_per_period
-    load_now = np.empty((steps_per_period, len(scheme.load_rows)))
-    columns = recorder.dofs - structure.first_dof
+def march(asked: March, scheme: Scheme) -> TimeHistory:
+    """March a scheme, period by period, until it settles, and free it (collective)."""
+    structure, kept, steps = asked.structure, asked.kept, asked.steps_per_period
+    widths = structure.n_pairs, structure.n_pairs, len(asked.recorded_dofs)
+    gap, force, motion = records = [np.empty((kept * steps, width)) for width in widths]
+    load_motion = np.empty((steps, len(asked.load_rows)))
     settled, done, before = np.inf, 0, None
+    hidden = not asked.progress or structure.comm.rank != 0
     started = clock.perf_counter()
-    hidden = hidden or structure.comm.rank != 0
     with StopRequest() as stop:
-        for period in tqdm(range(recorder.periods), name, unit="period", disable=hidden):
-            slot = (period % kept) * steps_per_period
-            gap_now = recorder.gaps[slot : slot + steps_per_period]
-            force_now = recorder.forces[slot : slot + steps_per_period]
-            for step in range(steps_per_period):
-                scheme.advance(step)
-                gap_now[step], force_now[step] = scheme.gap, scheme.force
-                load_now[step] = scheme.before[scheme.load_rows]
-                recorder.recorded[slot + step] = scheme.before[columns]
-            done = period + 1
-            scheme.close_period(gap_now, force_now, load_now)
-            now = gap_now if structure.n_pairs else _whole(structure, load_now)
+        for number in tqdm(range(asked.periods), scheme.name, unit="period", disable=hidden):
+            place = slice(number % kept * steps, (number % kept + 1) * steps)
+            window = Window(gap[place], force[place], motion[place], load_motion)
+            scheme.fill(window, number)
+            done = number + 1
+            now = window.gap
+            if not structure.n_pairs:
+                now = np.concatenate(structure.comm.allgather(load_motion), axis=1)
             if before is not None:
                 size = np.linalg.norm(now)
                 settled = float(np.linalg.norm(now - before) / size) if size > 0.0 else 0.0
             before = now.copy()
-            if settled < settle or stop.asked(structure.comm):
+            if settled < asked.settle or stop.asked(structure.comm):
                 break
     seconds = clock.perf_counter() - started
 
-    count = min(done, kept) * steps_per_period
-    newest = (done % kept) * steps_per_period if done > kept else 0
-    steps = np.arange(done * steps_per_period - count, done * steps_per_period)
+    count = min(done, kept) * steps
+    newest = done % kept * steps if done > kept else 0
+    gap, force, motion = (np.roll(rows[:count], -newest, axis=0) for rows in records)
     final_state = scheme.state()
-    scheme.free()
-    gap, force, recorded = (
-        np.roll(rows[:count], -newest, axis=0)
-        for rows in (recorder.gaps, recorder.forces, recorder.recorded)
-    )
+    for item in scheme.owned:
+        item.destroy()
     return TimeHistory(
-        time=steps * (2.0 * np.pi / omega / steps_per_period),
+        time=np.arange(done * steps - count, done * steps) * asked.step_size,
         gap=gap,
         settled=settled,
         created_energy=scheme.created_share,
         periods=done,
         seconds=seconds,
-        steps_per_period=steps_per_period,
+        steps_per_period=steps,
         structure=structure,
-        recorded=recorded,
-        recorded_dofs=recorder.dofs,
+        recorded=motion,
+        recorded_dofs=asked.recorded_dofs,
         final_state=final_state,
         contact_force=force,
     )
-
-
-def gap_block(structure: Structure) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of this rank where B is not zero, and B there: (rows,), (rows, n_pairs)."""
-    rows = np.flatnonzero(np.diff(structure.gap.indptr))
-    return rows, structure.gap[rows].toarray()
-
-
-def load_waves(structure: Structure, steps_per_period: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of this rank where the load is not zero, and the load there: (N, rows) [N]."""
-    rows = np.flatnonzero(np.any(structure.force, axis=0))
-    phase = 2.0 * np.pi * np.arange(steps_per_period) / steps_per_period
-    waves = np.column_stack([np.ones_like(phase), np.cos(phase), np.sin(phase)])
-    return rows, waves @ structure.force[:, rows]
-
-
-def linear_energy(structure: Structure, displacement: np.ndarray, velocity: np.ndarray) -> float:
-    """(u^T K u + v^T M v) / 2 of arrays (n_local,): [J] (collective)."""
-    energy = 0.0
-    for matrix, motion in ((structure.stiffness, displacement), (structure.mass, velocity)):
-        source, target = matrix.createVecs()
-        source.array_w[:] = motion
-        matrix.mult(source, target)
-        energy += 0.5 * source.dot(target)
-        source.destroy()
-        target.destroy()
-    return energy
-
-
-def solve_columns(inverse: Any, matrix: Any, columns: np.ndarray) -> np.ndarray:
-    """X with A X = columns (n_local, m), A factored, of the layout of a matrix (collective)."""
-    return by_columns(inverse.apply, matrix, columns)
-
-
-def moved_apart(structure: Structure, displacement: np.ndarray) -> np.ndarray:
-    """The displacement (n_local,) closest in the norm of M without penetration (collective)."""
-    gap = structure.closing(displacement[None])[0] - structure.clearance
-    if not np.any(gap > 0.0):
-        return displacement
-    inverse = inverse_of(structure.mass, symmetric=True)
-    push = solve_columns(inverse, structure.mass, structure.gap.toarray())
-    inverse.destroy()
-    return displacement - push @ solve_complementarity(structure.closing(push.T).T, gap)
-
-
-def inverse_of(matrix: Any, *, symmetric: bool) -> Any:
-    """Factorisation with little overhead a solution: PETSc's own on one rank, MUMPS on several."""
-    solver = PETSc.PC().create(matrix.comm)
-    solver.setOperators(matrix)
-    if matrix.comm.size > 1:
-        solver.setType("cholesky" if symmetric else "lu")
-        solver.setFactorSolverType("mumps")
-    else:  # its triangular solves are the quickest for LU ordered by nested dissection
-        solver.setType("lu")
-        solver.setFactorOrdering("nd")
-    solver.setUp()
-    return solver
-
-
-def _whole(structure: Structure, columns: np.ndarray) -> np.ndarray:
-    """Columns of all ranks side by side (collective)."""
-    return np.concatenate(structure.comm.allgather(columns), axis=1)
 
 
 def initial_state(
@@ -326,12 +295,11 @@ def initial_state(
         rate = np.zeros_like(coefficients)
         order = omega * np.arange(1, initial.harmonics + 1)[:, None]
         rate[1::2], rate[2::2] = order * coefficients[2::2], -order * coefficients[1::2]
-        zero = np.zeros(1)
-        state = (evaluate(coefficients, omega, zero)[0], evaluate(rate, omega, zero)[0])
+        state = tuple(evaluate(wave, omega, np.zeros(1))[0] for wave in (coefficients, rate))
     else:
         try:
-            state = tuple(np.asarray(part, dtype=float) for part in initial)
-        except (TypeError, ValueError):
+            state = tuple(numbers(part) for part in initial)
+        except TypeError:
             state = ()
     right = len(state) == 2 and all(
         part.shape == shape and np.all(np.isfinite(part)) for part in state
@@ -343,16 +311,3 @@ def initial_state(
     )
     raise_together(structure.comm, None if right else error)
     return state[0], state[1]
-
-
-def dofs_to_record(structure: Structure, dofs: Sequence[int] | None, key: str) -> np.ndarray:
-    """Dofs of this rank to record; all coordinates of a reduced structure, which carry all dofs."""
-    first, last = structure.first_dof, structure.first_dof + structure.n_local
-    whole = structure.whole
-    try:
-        wanted = np.arange(first, last) if dofs is None else whole.check_dofs(dofs)
-    except InputError as error:
-        raise InputError(key, error.value, error.allowed) from None
-    if whole is not structure:
-        return np.arange(first, last)
-    return wanted[(wanted >= first) & (wanted < last)]

@@ -8,8 +8,10 @@ import pytest
 from helpers import oscillator
 
 import fenics_crack as fc
-from fenics_crack.balance.arclength import PathPoint, follow_path
-from fenics_crack.balance.condensed import CondensedSystem
+from fenics_crack.balance.arclength import Stepping, follow_path
+from fenics_crack.balance.bordered import PathPoint
+from fenics_crack.balance.linearisation import DenseLinearisation, Linearisation
+from fenics_crack.balance.newton import Newton
 from fenics_crack.balance.search import Search
 
 FREQUENCIES = np.linspace(0.3, 2.0, 300)
@@ -111,9 +113,11 @@ def test_path_in_frequency(omega: float, monkeypatch: pytest.MonkeyPatch) -> Non
     usual = fc.solve_harmonic_balance(structure, omega, law, harmonics=10)
     assert "path in the contact stiffness: converged" in usual.status
 
-    def blocked(search: Search, system: CondensedSystem) -> np.ndarray:
+    def blocked(
+        search: Search, newton: Newton, linear: np.ndarray, product: float
+    ) -> Linearisation:
         search.converged = False
-        return system.linear
+        return newton.system.linearise(linear, 0.0)
 
     monkeypatch.setattr(Search, "_stiffness_path", blocked)
     found = fc.solve_harmonic_balance(structure, omega, law, harmonics=10)
@@ -126,37 +130,31 @@ def test_path_in_frequency(omega: float, monkeypatch: pytest.MonkeyPatch) -> Non
 Function = Callable[[float, float], float]
 
 
+class Place(DenseLinearisation):
+    """A plane's equations at a point: (f, y - 2); J is diagonal."""
+
+    def __init__(self, plane: "Plane", unknown: np.ndarray, p: float) -> None:
+        self.plane, self.p = plane, p
+        super().__init__(unknown, np.array([plane.f(unknown[0], p), unknown[1] - 2.0]))
+
+    def assemble(self) -> np.ndarray:
+        """J."""
+        return np.diag([self.plane.by_x(self.unknown[0], self.p), 1.0])
+
+    def differentiate(self) -> np.ndarray:
+        """dF/dp."""
+        return np.array([self.plane.by_p(self.unknown[0], self.p), 0.0])
+
+
 class Plane:
     """f(x, p) = 0 in a plane, beside y = 2, which keeps the norm of (x, y) from vanishing."""
 
     def __init__(self, f: Function, by_x: Function, by_p: Function) -> None:
         self.f, self.by_x, self.by_p = f, by_x, by_p
-        self.p = 0.0
-        self.jacobian = np.eye(2)
 
-    def set_parameter(self, parameter: float) -> None:
-        """Set p."""
-        self.p = parameter
-
-    def residual(self, unknown: np.ndarray) -> np.ndarray:
-        """(f, y - 2)."""
-        return np.array([self.f(unknown[0], self.p), unknown[1] - 2.0])
-
-    def linearise(self, unknown: np.ndarray) -> None:
-        """J is diagonal."""
-        self.jacobian = np.diag([self.by_x(unknown[0], self.p), 1.0])
-
-    def solve_jacobian(self, residual: np.ndarray) -> np.ndarray:
-        """J^-1 r."""
-        return np.linalg.solve(self.jacobian, residual)
-
-    def parameter_derivative(self, unknown: np.ndarray) -> np.ndarray:
-        """dF/dp."""
-        return np.array([self.by_p(unknown[0], self.p), 0.0])
-
-    def determinant_sign(self) -> float:
-        """Sign of det J."""
-        return float(np.sign(np.linalg.det(self.jacobian)))
+    def linearise(self, unknown: np.ndarray, parameter: float) -> Place:
+        """At a point."""
+        return Place(self, unknown, parameter)
 
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
         """Inner product."""
@@ -169,7 +167,7 @@ def follow(
     """x and p along the path up to p = end; every point lies on the curve."""
     points = []
     start = np.array([x, 2.0])
-    for point in islice(follow_path(plane, start, p, step=0.05, longest_step=longest), 500):
+    for point in islice(follow_path(plane, start, p, Stepping(0.05, longest)), 500):
         points.append(point)
         if point.parameter > end:
             break
@@ -183,9 +181,7 @@ def follow(
 def test_path_goes_round_a_circle(longest: float) -> None:
     """x^2 + p^2 = 1 from (1, 0): always on in the same sense, over both folds, again and again."""
     plane = Plane(lambda x, p: x * x + p * p - 1.0, lambda x, p: 2.0 * x, lambda x, p: 2.0 * p)
-    path = follow_path(
-        plane, np.array([1.0, 2.0]), 0.0, step=0.05, longest_step=longest, most_steps=150
-    )
+    path = follow_path(plane, np.array([1.0, 2.0]), 0.0, Stepping(0.05, longest, most=150))
     points = list(path)
     assert len(points) == 150
     x = np.array([1.0, *(point.unknown[0] for point in points)])
@@ -247,6 +243,6 @@ def test_path_stays_beside_a_parallel_branch(distance: float) -> None:
 def test_path_ends_where_there_is_no_more() -> None:
     """x = -p as far as p = 0, where the function ends: so does the path, by itself, close to it."""
     plane = Plane(lambda x, p: x + p if p < 0.0 else np.nan, lambda x, p: 1.0, lambda x, p: 1.0)
-    points = list(follow_path(plane, np.array([1.0, 2.0]), -1.0, step=0.05, most_steps=500))
+    points = list(follow_path(plane, np.array([1.0, 2.0]), -1.0, Stepping(0.05, most=500)))
     assert 3 < len(points) < 500
     assert -1e-3 < points[-1].parameter < 0.0

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import scipy.linalg
 from helpers import (
+    BILINEAR_ORBITS,
     DAMPINGS,
     OMEGA_0,
-    VERIFICATION_A,
     amplitudes,
     chain,
     dense_matrices,
@@ -20,6 +20,7 @@ from helpers import (
     relative,
     two_masses,
 )
+from laboratory import solve_form
 from mpi4py import MPI
 
 import fenics_crack as fc
@@ -29,9 +30,11 @@ from fenics_crack.balance.compliance import (
     dynamic_compliance,
     load_coefficients,
 )
-from fenics_crack.balance.condensed import CondensedSystem, ConstraintSystem, determinant_sign
+from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, ConstraintSystem
 from fenics_crack.balance.contact_integrals import contact_integrals
 from fenics_crack.balance.fourier import to_complex
+from fenics_crack.balance.linearisation import determinant_sign
+from fenics_crack.balance.problem import Problem
 
 # --- condensed and full ---------------------------------------------------------------------------
 
@@ -52,17 +55,9 @@ def test_condensed_is_the_full_block_on_chains(law: str, damping: str, subharmon
     contact, samples = LAWS[law]
     pressed = np.zeros(3, dtype=bool)
     for omega in (0.37, 1.05):
+        problem = Problem(structure, omega, contact, 7, samples, subharmonic)
         condensed, full = (
-            fc.solve_harmonic_balance(
-                structure,
-                omega,
-                contact,
-                harmonics=7,
-                samples=samples,
-                subharmonic=subharmonic,
-                form=form,
-                residual_tolerance=1e-12,
-            )
+            solve_form(problem, form=form, residual_tolerance=1e-12)
             for form in ("condensed", "full")
         )
         assert relative(condensed.gap_coefficients, full.gap_coefficients) < 1e-9
@@ -81,17 +76,9 @@ def test_condensed_is_the_full_block_on_the_plate(wide_plate: fc.Structure, law:
         "sampled": fc.UnilateralPenalty(1e9),
         "smoothed": fc.SmoothedPenalty(1e9, 1e9),
     }[law]
+    problem = Problem(wide_plate, 2000.0, contact, 6, LAWS[law][1])
     condensed, full = (
-        fc.solve_harmonic_balance(
-            wide_plate,
-            2000.0,
-            contact,
-            harmonics=6,
-            samples=LAWS[law][1],
-            form=form,
-            residual_tolerance=1e-12,
-        )
-        for form in ("condensed", "full")
+        solve_form(problem, form=form, residual_tolerance=1e-12) for form in ("condensed", "full")
     )
     assert relative(condensed.gap_coefficients, full.gap_coefficients) < 1e-9
     assert relative(condensed.displacement_coefficients, full.displacement_coefficients) < 1e-9
@@ -190,61 +177,67 @@ def test_jacobian_against_finite_differences(kind: str) -> None:
             change = np.zeros(unknown.size)
             change[column] = step
             change = change.reshape(system.shape)
-            slopes.append(system.residual(unknown + change) - system.residual(unknown - change))
+            sides = [system.linearise(unknown + sign * change) for sign in (1.0, -1.0)]
+            slopes.append(sides[0].residual - sides[1].residual)
         jacobian = np.array([slope.ravel() for slope in slopes]).T / (2.0 * step)
-        system.linearise(unknown)
-        assert relative(system.jacobian, jacobian) < 1e-6
+        at = system.linearise(unknown)
+        assert at.sign == np.linalg.slogdet(jacobian)[0]  # whatever is asked for first
+        assert relative(at.jacobian, jacobian) < 1e-6
         assert np.linalg.norm(jacobian - np.eye(len(jacobian))) > 0.1
         direction = rng.normal(size=system.shape)
-        product = (system.jacobian @ direction.ravel()).reshape(system.shape)
-        assert relative(system.apply_jacobian(direction), product) < 1e-14
-        assert relative(system.solve_jacobian(product), direction) < 1e-9
-        assert system.determinant_sign() == np.linalg.slogdet(jacobian)[0]
+        product = (at.jacobian @ direction.ravel()).reshape(system.shape)
+        assert relative(at.apply(direction), product) < 1e-14
+        assert relative(at.solve(product), direction) < 1e-9
 
 
 @pytest.mark.parametrize("kind", ["exact", "sampled", "smoothed"])
 def test_stiffness_derivative_against_finite_differences(kind: str) -> None:
-    """dF / d ln k, by laws a little stiffer and softer."""
+    """dF / d ln k, by laws a little stiffer and softer, also of the parameter's own."""
     system = systems()[kind]()
     gap = np.random.default_rng(9).normal(size=system.shape)
-    law, residuals = system.integrals.law, []
-    for sign in (1.0, -1.0):
-        system.with_law(law.scaled(np.exp(sign * 1e-5)))
-        residuals.append(system.residual(gap))
-    system.with_law(law)
+    integrals, residuals = system.integrals, []
+    for p in (1e-5, -1e-5):
+        law = integrals.law.scaled(np.exp(p))
+        other = CondensedSystem(system.compliance, integrals.of_law(law)).linearise(gap)
+        assert np.array_equal(other.residual, system.linearise(gap, p).residual)
+        residuals.append(other.residual)
     slope = (residuals[0] - residuals[1]) / 2e-5
-    assert relative(system.stiffness_derivative(gap), slope) < 1e-8
+    assert relative(system.linearise(gap).by_parameter, slope) < 1e-8
 
 
-def newton(system: CondensedSystem | ConstraintSystem, start: np.ndarray) -> np.ndarray:
+@pytest.mark.parametrize("kind", ["constraint", "weighted"])
+def test_constraint_derivative_against_finite_differences(kind: str) -> None:
+    """dF / dt between penalty and constraint."""
+    system = systems()[kind]()
+    unknown = np.random.default_rng(9).normal(size=system.shape)
+    sides = [system.linearise(unknown, 0.5 + step).residual for step in (1e-6, -1e-6)]
+    slope = (sides[0] - sides[1]) / 2e-6
+    assert relative(system.linearise(unknown, 0.5).by_parameter, slope) < 1e-7
+
+
+def newton(system: CondensedSystem | ConstraintSystem, start: np.ndarray) -> CondensedPoint:
     """Plain Newton steps to rounding, from close by."""
-    unknown = start.copy()
+    at = system.linearise(start)
     for _ in range(12):
-        residual = system.residual(unknown)
-        system.linearise(unknown)
-        unknown = unknown - system.solve_jacobian(residual)
-    assert np.linalg.norm(system.residual(unknown)) < 1e-12 * np.linalg.norm(unknown)
-    return unknown
+        at = system.linearise(at.unknown - at.solve(at.residual))
+    assert np.linalg.norm(at.residual) < 1e-12 * np.linalg.norm(at.unknown)
+    return at
 
 
 @pytest.mark.parametrize("kind", ["exact", "smoothed", "constraint"])
 def test_sensitivity_of_the_gap(kind: str) -> None:
-    """How a solution's gap follows another free gap: by solving again, to 1e-5."""
+    """Change of the gap with the gap without contact, against solving again, to 1e-5."""
     system = systems()[kind]()
     start = system.linear if kind != "constraint" else np.zeros(system.shape)
     solution = newton(system, start)
-    gap = system.gap_and_force(solution)[0].copy()
     change = np.random.default_rng(10).normal(size=system.shape)
-    system.residual(solution)
-    system.linearise(solution)
-    predicted = system.gap_change_of_free_gap(change)
+    predicted = solution.gap_by_linear_gap(change)
     linear, gaps = system.linear, []
     for sign in (1.0, -1.0):
         system.linear = linear + sign * 1e-6 * change
-        system._at = None
-        gaps.append(system.gap_and_force(newton(system, solution))[0].copy())
+        gaps.append(newton(system, solution.unknown).gap)
     assert relative(predicted, (gaps[0] - gaps[1]) / 2e-6) < 1e-5
-    assert np.linalg.norm(gaps[0] - gap) > 1e-8
+    assert np.linalg.norm(gaps[0] - solution.gap) > 1e-8
 
 
 def test_determinant_sign_against_numpy() -> None:
@@ -261,13 +254,14 @@ def test_determinant_sign_against_numpy() -> None:
 # --- published orbits -----------------------------------------------------------------------------
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize("form", ["condensed", "full"])
-@pytest.mark.parametrize("omega", VERIFICATION_A, ids=["w0/2", "1"])
-def test_verification_a(omega: float, form: str) -> None:
-    """Bilinear oscillator, event-driven reference values, H = 20, to 1e-5."""
-    mean, harmonics, largest, smallest = VERIFICATION_A[omega]
+@pytest.mark.parametrize("omega", BILINEAR_ORBITS, ids=["w0/2", "1"])
+def test_bilinear_oscillator(omega: float, form: str) -> None:
+    """Event-driven reference values at half and full frequency, H = 20, to 1e-5."""
+    mean, harmonics, largest, smallest = BILINEAR_ORBITS[omega]
     law = fc.UnilateralPenalty(1.0)
-    solution = fc.solve_harmonic_balance(oscillator(), omega, law, harmonics=20, form=form)
+    solution = solve_form(Problem(oscillator(), omega, law, 20), form=form)
     rows = solution.gap_coefficients[:, 0]
     assert rows[0] == pytest.approx(mean, rel=1e-5)
     assert amplitudes(rows)[:3] == pytest.approx(harmonics, rel=1e-5)
@@ -276,8 +270,9 @@ def test_verification_a(omega: float, form: str) -> None:
     assert wave.min() == pytest.approx(smallest, rel=1e-5)
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize("samples", [None, 8192])
-def test_verification_a_error_falls_with_the_harmonics(samples: int | None) -> None:
+def test_bilinear_oscillator_error_falls_with_the_harmonics(samples: int | None) -> None:
     """Relative L2 errors 3.1e-4, 3.7e-5, 4.0e-6, 3.9e-7 at H = 5, 10, 20, 40: order 3.2."""
     law, t = fc.UnilateralPenalty(1.0), np.linspace(0.0, 2.0 * np.pi, 4001)
     counts = (5, 10, 20, 40)
@@ -290,7 +285,8 @@ def test_verification_a_error_falls_with_the_harmonics(samples: int | None) -> N
     assert log_slope(counts, errors) == pytest.approx(-3.2, abs=0.2)
 
 
-def test_verification_b_period_doubled_orbit() -> None:
+@pytest.mark.verification
+def test_period_doubled_orbit() -> None:
     """W = 2 w0: |X1| = 0.2419996 of period 1; |X_1/2| = 0.7790634, X0 = -0.1735445 of period 2."""
     law, omega = fc.UnilateralPenalty(1.0), 2.0 * OMEGA_0
     once = fc.solve_harmonic_balance(oscillator(), omega, law, harmonics=20)
@@ -311,7 +307,8 @@ def test_verification_b_period_doubled_orbit() -> None:
         assert rows[0] == pytest.approx(-0.1735445, rel=near)
 
 
-def test_verification_c_two_orbits_coexist() -> None:
+@pytest.mark.verification
+def test_two_masses_and_a_stop_have_two_orbits() -> None:
     """At W = 0.70: 0.22134025 without contact, 0.77839461 with it, followed from 4 times the load.
 
     H = 21 has 0.77922, within 1e-3; H = 200 agrees to 1e-7.
@@ -386,31 +383,31 @@ def test_undamped_resonance_is_an_error(form: str, omega: float) -> None:
     """W or 3 W at the natural frequency of a structure without damping: no number is right."""
     law = fc.UnilateralPenalty(1.0)
     with pytest.raises(fc.ConvergenceError, match="resonance"):
-        fc.solve_harmonic_balance(oscillator(damping=None), omega, law, form=form)
+        solve_form(Problem(oscillator(damping=None), omega, law), form=form)
 
 
 @pytest.mark.parametrize("damping", [None, 0.1 * np.eye(2), fc.ModalDamping(0.01)])
-def test_loose_structure_is_an_error(damping: object) -> None:
-    """Nothing holds the masses: the mean of the contact force moves them away."""
+def test_unconstrained_structure_is_an_error(damping: object) -> None:
+    """Nothing holds the masses: the mean contact force moves them without limit."""
     loose = fc.Structure.from_matrices(
         np.eye(2), [[1.0, -1.0], [-1.0, 1.0]], [1.0, 0.0], force_cos=[1.0, 0.0], damping=damping
     )
     for form in ("condensed", "full"):
         with pytest.raises(fc.ConvergenceError, match="rigid body"):
-            fc.solve_harmonic_balance(loose, 0.5, fc.UnilateralPenalty(1.0), form=form)
+            solve_form(Problem(loose, 0.5, fc.UnilateralPenalty(1.0)), form=form)
 
 
 def test_without_any_stiffness_is_an_error() -> None:
-    """K = 0: no pivot to be found null, but nothing to stand on either."""
+    """K = 0: the factorisation meets no zero pivot, and yet there is no static answer."""
     free = fc.Structure.from_matrices(np.eye(1), np.zeros((1, 1)), [1.0], force_cos=[1.0])
     for form in ("condensed", "full"):
         with pytest.raises(fc.ConvergenceError, match="singular"):
-            fc.solve_harmonic_balance(free, 0.5, fc.UnilateralPenalty(1.0), form=form)
+            solve_form(Problem(free, 0.5, fc.UnilateralPenalty(1.0)), form=form)
 
 
 @pytest.mark.parametrize("form", ["condensed", "full"])
 def test_close_to_an_undamped_resonance(form: str) -> None:
-    """Resonance met but for rounding: the solution that a little damping gives, or an error."""
+    """At a resonance except for rounding: the solution with a little damping, or an error."""
     whole = chain("none", n=8, pairs=1)
     law = fc.UnilateralPenalty(1.0)
     omega = fc.solve_modes(whole, 1).omega[0]
@@ -427,9 +424,7 @@ def test_close_to_an_undamped_resonance(form: str) -> None:
     expected = fc.solve_harmonic_balance(damped, omega, law, harmonics=3).gap_coefficients
     for off in (0.0, 1e-14, 1e-8):
         try:
-            found = fc.solve_harmonic_balance(
-                whole, omega * (1.0 + off), law, harmonics=3, form=form
-            )
+            found = solve_form(Problem(whole, omega * (1.0 + off), law, 3), form=form)
         except fc.ConvergenceError:
             assert off < 1e-8
         else:
@@ -438,7 +433,7 @@ def test_close_to_an_undamped_resonance(form: str) -> None:
 
 
 def test_structure_without_pairs_is_refused() -> None:
-    """Without lips there is nothing to condense onto."""
+    """Without pairs there are no equations to condense onto."""
     one = np.ones((1, 1))
     free = fc.Structure.from_matrices(one, one, None, force_cos=[1.0], damping=0.1 * one)
     for contact in (fc.UnilateralPenalty(1.0), fc.UnilateralConstraint()):
@@ -455,6 +450,6 @@ def test_without_load_nothing_moves() -> None:
         (fc.SmoothedPenalty(3.0, 10.0), "condensed"),
         (fc.UnilateralConstraint(), "condensed"),
     ):
-        solution = fc.solve_harmonic_balance(still, 1.0, contact, form=form)
+        solution = solve_form(Problem(still, 1.0, contact), form=form)
         assert solution.converged and not np.any(solution.gap_coefficients)
         assert not np.any(solution.force_coefficients) and solution.report.total == 0.0

@@ -50,9 +50,7 @@ def test_penalty_approaches_the_constraint_like_one_over_k(soft_plate: fc.Struct
         assert slope == pytest.approx(-1.0, abs=0.06)
 
 
-def test_penetration_falls_with_the_harmonics(
-    constrained: dict[int, fc.PeriodicSolution],
-) -> None:
+def test_penetration_falls_with_the_harmonics(constrained: dict[int, fc.PeriodicSolution]) -> None:
     """What the truncated wave still penetrates, by sampling and by the report: order 1 or more."""
     sampled, reported = [], []
     for solution in constrained.values():
@@ -109,7 +107,7 @@ def test_impulse_is_that_of_a_stiff_penalty(
         assert far <= abs(solution.force_coefficients[0, 0] / exact - 1.0) < near
 
 
-def test_weights_agree_more_and_more(
+def test_weights_agree_with_more_harmonics(
     soft_plate: fc.Structure, constrained: dict[int, fc.PeriodicSolution]
 ) -> None:
     """The default weight and ten times as much: 8 % apart with H = 5, 0.15 % with H = 80."""
@@ -151,7 +149,7 @@ def test_constraint_over_the_frequencies(paper_structure: fc.Structure, harmonic
 def test_starts_from_a_solution_nearby(
     soft_plate: fc.Structure, constrained: dict[int, fc.PeriodicSolution]
 ) -> None:
-    """From itself nothing is left to do; its waves start more harmonics."""
+    """Started from itself it needs no iteration; it also starts a solution with more harmonics."""
     law = fc.UnilateralConstraint()
     start = constrained[10]
     again = fc.solve_harmonic_balance(soft_plate, 2000.0, law, harmonics=10, initial=start)
@@ -162,7 +160,7 @@ def test_starts_from_a_solution_nearby(
 
 
 def test_several_pairs(wide_plate: fc.Structure) -> None:
-    """Four pairs: ever closer to a penalty of 1e12 N/m with the same H, and none penetrates."""
+    """Four pairs: closer and closer to a penalty of 1e12 N/m with the same H; none penetrates."""
     differences = []
     for harmonics in (5, 10, 20):
         free, stiff = (
@@ -180,7 +178,7 @@ def test_several_pairs(wide_plate: fc.Structure) -> None:
 
 
 def test_stop_out_of_reach_and_stop_never_left() -> None:
-    """Out of reach: the linear solution, no force. Pressed for ever: at rest, the stop bears all.
+    """Out of reach: the linear solution, no force. Always closed: at rest, the stop bears the load.
 
     x = -100 at rest: lambda = cos(W t) + 100.
     """

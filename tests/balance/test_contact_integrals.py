@@ -267,7 +267,8 @@ def test_choice_of_integrals() -> None:
     assert default_samples(33) == 2048
 
 
-def test_sampling_error_of_verification_a() -> None:
+@pytest.mark.verification
+def test_sampling_error_of_the_bilinear_oscillator() -> None:
     """Bilinear oscillator at W = w0/2, H = 5: 6e-3, 5e-4, 7e-6 with 64, 256, 1024 samples."""
     structure, law, omega = oscillator(), UnilateralPenalty(1.0), 0.5 * OMEGA_0
     exact = fc.solve_harmonic_balance(structure, omega, law, harmonics=5)

@@ -38,8 +38,9 @@ def assert_estimated(
 # --- truncation -----------------------------------------------------------------------------------
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize("omega", [0.5 * OMEGA_0, 1.0, 2.0 * OMEGA_0], ids=["w0/2", "1", "2 w0"])
-def test_truncation_on_verification_a(omega: float) -> None:
+def test_truncation_on_the_bilinear_oscillator(omega: float) -> None:
     """H = 5, 10, 20, 40 against H = 300: within a factor 3 (it is 1 %)."""
     law = fc.UnilateralPenalty(1.0)
     exact = fc.solve_harmonic_balance(oscillator(), omega, law, harmonics=300)
@@ -149,7 +150,7 @@ def test_penetration_by_sampling_time(contact: Contact) -> None:
 
 
 def test_total_is_the_sum_of_the_errors() -> None:
-    """The penetration is the law's, no error of its solution."""
+    """Without the penetration, which is a property of the law."""
     assert fc.ErrorReport(1.0, 20.0, 300.0, 4000.0, 5e6).total == 4321.0
     linear = fc.solve_linear(oscillator(), 1.0).report
     assert linear == fc.ErrorReport(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -158,9 +159,10 @@ def test_total_is_the_sum_of_the_errors() -> None:
 # --- to a tolerance -------------------------------------------------------------------------------
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize("omega", [0.5 * OMEGA_0, 1.0], ids=["w0/2", "1"])
-def test_tolerance_on_verification_a(omega: float) -> None:
-    """1e-2 to 1e-6: the true error is below; looser takes fewer harmonics; the status says it."""
+def test_tolerance_on_the_bilinear_oscillator(omega: float) -> None:
+    """1e-2 to 1e-6: the true error is below; larger tolerances take fewer harmonics; see status."""
     law = fc.UnilateralPenalty(1.0)
     exact = fc.solve_harmonic_balance(oscillator(), omega, law, harmonics=300)
     counts = []
@@ -202,7 +204,7 @@ def test_tolerance_with_stiff_contact(soft_plate: fc.Structure) -> None:
 
 
 def test_tolerance_out_of_reach(soft_plate: fc.Structure, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The best solution is not lost, and does not claim to be good enough."""
+    """The best solution is returned, marked as not converged."""
     monkeypatch.setattr("fenics_crack.balance.harmonic_balance.MOST_HARMONICS", 40)
     law = fc.UnilateralPenalty(1e11)
     with pytest.raises(fc.ConvergenceError, match=r"with H = 40, stays above 1e-05.*truncation"):
@@ -262,6 +264,6 @@ def test_tolerance_with_several_stiff_pairs(
 
 
 def test_tolerance_out_of_reach_is_an_error() -> None:
-    """Better than rounding is impossible: an error, not a solution that claims it."""
+    """A tolerance below rounding is an error."""
     with pytest.raises(fc.ConvergenceError, match="estimated error"):
         fc.solve_harmonic_balance(oscillator(), 1.0, fc.UnilateralPenalty(1.0), tolerance=1e-18)

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import (
+    BILINEAR_ORBITS,
     DAMPINGS,
     OMEGA_0,
-    VERIFICATION_A,
     Cubic,
     chain,
     dense_matrices,
@@ -21,9 +21,9 @@ from helpers import (
     true_error,
 )
 from incremental import incremental_system
+from laboratory import BlockSystem, solve_form
 
 import fenics_crack as fc
-from fenics_crack.balance.block import BlockSystem
 from fenics_crack.balance.compliance import (
     FactoredCompliance,
     dynamic_compliance,
@@ -32,6 +32,7 @@ from fenics_crack.balance.compliance import (
 from fenics_crack.balance.condensed import CondensedSystem, respond_to_columns
 from fenics_crack.balance.contact_integrals import SampledIntegrals, contact_integrals
 from fenics_crack.balance.fourier import evaluate
+from fenics_crack.balance.problem import Problem
 from fenics_crack.model.contact import ContactLaw
 
 # --- the high-dimensional form is collocation -----------------------------------------------------
@@ -81,12 +82,14 @@ def test_collocation_satisfies_the_equation_of_motion_at_its_instants(
         return relative(motion + force @ pairs.T, drive)
 
     collocated, classical = (
-        fc.solve_harmonic_balance(
-            structure, omega, LAWS[law], harmonics=harmonics, subharmonic=subharmonic,
-            balance=balance, form=form, residual_tolerance=1e-12,
+        solve_form(
+            Problem(structure, omega, LAWS[law], harmonics, subharmonic=subharmonic),
+            balance=balance,
+            form=form,
+            residual_tolerance=1e-12,
         )
         for balance in ("collocation", "galerkin")
-    )  # fmt: skip
+    )
     assert left(collocated) < 1e-9
     assert left(classical) > 1e-3
 
@@ -106,26 +109,31 @@ def test_tangent_on_few_samples(samples: int) -> None:
 
 
 def test_refusals() -> None:
-    """Words that mean nothing, and arguments that collocation has no use for."""
-    structure, law = oscillator(), fc.UnilateralPenalty(1.0)
-    cases: list[tuple[str, Any, dict[str, Any]]] = [
-        ("balance", law, {"balance": "classical"}),
-        ("balance", fc.UnilateralConstraint(), {"balance": "collocation"}),
-        ("samples", law, {"balance": "collocation", "samples": 11}),
-        ("tolerance", law, {"balance": "collocation", "tolerance": 1e-3}),
-        ("samples", law, {"harmonics": 5, "samples": 11}),
+    """Unknown words, and arguments that do not go with collocation."""
+    structure, law, rigid = oscillator(), fc.UnilateralPenalty(1.0), fc.UnilateralConstraint()
+    cases: list[tuple[str, Problem, dict[str, Any]]] = [
+        ("balance", Problem(structure, 1.0, law), {"balance": "classical"}),
+        ("balance", Problem(structure, 1.0, rigid), {"balance": "collocation"}),
+        ("samples", Problem(structure, 1.0, law, samples=11), {"balance": "collocation"}),
+        ("form", Problem(structure, 1.0, rigid), {"form": "full"}),
+        *(
+            ("form", Problem(structure, 1.0, law), {"form": given})
+            for given in ("incremental", "dense", None)
+        ),
     ]
-    for key, contact, options in cases:
+    for key, problem, options in cases:
         with pytest.raises(fc.InputError) as error:
-            fc.solve_harmonic_balance(structure, 1.0, contact, **options)
+            solve_form(problem, **options)
         assert error.value.key == key
+    with pytest.raises(fc.InputError, match=r"^samples = 11"):
+        fc.solve_harmonic_balance(structure, 1.0, law, harmonics=5, samples=11)
 
 
 # --- spurious solutions: a Duffing oscillator -----------------------------------------------------
 
 
 def duffing() -> fc.Structure:
-    """VERIFICATION H: x'' + 0.2 x' + x (+ x^3) = 1.25 sin 2 t."""
+    """x'' + 0.2 x' + x (+ x^3) = 1.25 sin 2 t."""
     one = np.ones((1, 1))
     return fc.Structure.from_matrices(one, one, one, force_sin=[1.25], damping=0.2 * one)
 
@@ -167,20 +175,19 @@ def collocation_roots(harmonics: int) -> np.ndarray:
 
 
 def newton_roots(system: CondensedSystem, starts: int = 400) -> list[np.ndarray]:
-    """Different solutions to which Newton's method leads from random starts of many sizes."""
+    """The distinct solutions that Newton's method finds from random starts of many sizes."""
     size = np.linalg.norm(system.linear)
     rng, found = np.random.default_rng(0), list[np.ndarray]()
     for _ in range(starts):
         gap = rng.normal(size=system.shape)
         gap *= size * 10.0 ** rng.uniform(-1.0, 1.0) / np.linalg.norm(gap)
         for _ in range(100):
-            residual = system.residual(gap)
-            if np.linalg.norm(residual) < 1e-11 * np.linalg.norm(gap):
+            at = system.linearise(gap)
+            if np.linalg.norm(at.residual) < 1e-11 * np.linalg.norm(gap):
                 if all(np.linalg.norm(gap - other) > 1e-6 * size for other in found):
                     found.append(gap)
                 break
-            system.linearise(gap)
-            gap = gap - system.solve_jacobian(residual)
+            gap = gap - at.solve(at.residual)
     return found
 
 
@@ -197,7 +204,8 @@ def classical_amplitudes() -> np.ndarray:
     return np.sort(np.sqrt(squares.real))
 
 
-def test_verification_h() -> None:
+@pytest.mark.verification
+def test_duffing_with_spurious_roots() -> None:
     """3 roots by the classical form, 9 by collocation: by algebra, and by the package's equations.
 
     From 4H+1 = 5 samples on, which give the coefficients of a cube exactly, the 6 others are gone.
@@ -224,19 +232,21 @@ def test_spurious_roots_of_two_harmonics() -> None:
     assert len(newton_roots(duffing_system(2, 64))) == 3
 
 
-def test_the_report_betrays_spurious_solutions() -> None:
-    """All 9 roots pass for solutions. One is off by 2 %, and says so; the others report 11 % and
-    more, and are 30 % and more off the solution to which the classical form leads from there."""
+def test_the_report_reveals_spurious_solutions() -> None:
+    """All 9 roots are returned as solutions; their reports tell them apart.
+
+    One is 2 % off and reports that; the others report 11 % and more, and are 30 % and more off the
+    solution to which the classical form leads from there.
+    """
     structure, law, exact = duffing(), Cubic(1.0), classical_amplitudes()
-    start = fc.solve_harmonic_balance(structure, 2.0, law, harmonics=1, balance="collocation")
+    problem = Problem(structure, 2.0, law, 1)
+    start = solve_form(problem, balance="collocation")
     reported, strayed = [], []
     for gap in newton_roots(duffing_system(1, 3)):
         there = fc.PeriodicSolution(
             structure, 2.0, law, start.displacement_coefficients, gap, start.force_coefficients
         )
-        spurious = fc.solve_harmonic_balance(
-            structure, 2.0, law, harmonics=1, balance="collocation", initial=there
-        )
+        spurious = solve_form(problem, balance="collocation", initial=there)
         assert spurious.converged and spurious.iterations == 0
         reported.append(spurious.report.sampling)
         classical = fc.solve_harmonic_balance(structure, 2.0, law, harmonics=1, initial=spurious)
@@ -268,8 +278,8 @@ def collocated_states(structure: fc.Structure, omega: float, k: float, harmonics
 
 
 def test_spurious_solutions_of_contact(soft_plate: fc.Structure) -> None:
-    """Soft contact has one solution at 2H+1 instants, stiff contact the more the more harmonics."""
-    for omega in VERIFICATION_A:
+    """Soft contact has one solution at 2H+1 instants, stiff contact several, more with larger H."""
+    for omega in BILINEAR_ORBITS:
         assert collocated_states(oscillator(), omega, 1.0, 5) == 1
     assert collocated_states(oscillator(), 0.5 * OMEGA_0, 1.0, 3) == 3
     assert collocated_states(soft_plate, 2000.0, 1e9, 5) == 1
@@ -324,7 +334,7 @@ def test_error_of_collocation_on_contact(scene: str, soft_plate: fc.Structure) -
     errors = []
     for harmonics in orders:
         classical, collocated = (
-            fc.solve_harmonic_balance(structure, omega, law, harmonics=harmonics, balance=balance)
+            solve_form(Problem(structure, omega, law, harmonics), balance=balance)
             for balance in ("galerkin", "collocation")
         )
         errors.append([true_error(found, reference) for found in (classical, collocated)])
@@ -407,10 +417,9 @@ def test_incremental_iterates_are_the_newton_iterates(law: str, samples: int | N
             structure, omega, LAWS[law], incremental, samples=samples
         )
         incremental = incremental + np.linalg.solve(matrix, right.ravel()).reshape(right.shape)
-        full.linearise(newton)
-        newton = newton - full.solve_jacobian(full.residual(newton))
-        condensed.linearise(gap)
-        step = condensed.solve_jacobian(condensed.residual(gap))
+        whole, small = full.linearise(newton), condensed.linearise(gap)
+        newton = newton - whole.solve(whole.residual)
+        step = small.solve(small.residual)
         gap, moved = gap - step, moved + np.linalg.norm(step)
         assert relative(incremental, newton) < 1e-9
         assert relative(full.gap(incremental), gap) < 1e-9
@@ -437,7 +446,7 @@ def test_incremental_system_refuses() -> None:
 
 
 def test_incremental_residual_with_gyroscopic_damping() -> None:
-    """C need not be symmetric: at a solution nothing is left."""
+    """C need not be symmetric: the residual of a solution vanishes."""
     dashpots = np.array([[0.1, 0.3], [-0.3, 0.1]])
     structure = fc.Structure.from_matrices(
         np.eye(2),

@@ -176,7 +176,7 @@ def test_without_sign_change(sign: float) -> None:
 
 
 def test_zero_polynomial() -> None:
-    """Lips that just touch all the time are open and never switch, also beside others."""
+    """A pair that just touches all the time is open and never switches, also beside others."""
     for pairs in (1, 3):
         table = np.zeros((6, pairs), dtype=complex)
         table[1, 1:] = 1.0
@@ -186,8 +186,8 @@ def test_zero_polynomial() -> None:
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e308])
-def test_an_iterate_gone_astray_comes_to_an_end(value: float) -> None:
-    """What is not finite, or overflows, has no roots; its neighbours keep theirs."""
+def test_waves_that_are_not_finite(value: float) -> None:
+    """A wave that is not finite, or overflows, has no roots; the other pairs keep theirs."""
     table = np.zeros((6, 3), dtype=complex)
     table[1] = 1.0
     table[5, 1] = value

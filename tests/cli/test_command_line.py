@@ -20,7 +20,6 @@ from helpers import ROOT
 import fenics_crack as fc
 from fenics_crack.cli.command_line import main
 from fenics_crack.fem.plate import write_msh
-from fenics_crack.study.run import load_run
 
 ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
 PAPER = ROOT / "demos" / "paper_plate.toml"
@@ -45,7 +44,7 @@ def table(path: Path) -> list[dict[str, str]]:
 
 @pytest.mark.slow
 def test_numbers_are_those_of_the_library(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    """What the program prints, stores and reads back is what a script gets."""
+    """The program prints, stores and reads back what a script computes."""
     scene = fc.Scene.load(ROOT / "demos" / "paper_plate.toml").replace(
         {"contact.stiffness": 1e9, "damping.ratio": 0.01}
     )
@@ -59,7 +58,7 @@ def test_numbers_are_those_of_the_library(tmp_path: Path, capsys: pytest.Capture
     time = np.linspace(0.0, expected.period, 1024, endpoint=False)
     assert shown["largest opening"] == pytest.approx(-expected.gap(time).min(), rel=1e-12)
     assert shown["verdict"] == fc.floquet(plate, expected).verdict
-    read = load_run(tmp_path / "solution.h5")
+    read = fc.load_run(tmp_path / "solution.h5")
     assert read.scene == scene and isinstance(read.result, fc.PeriodicSolution)
     assert read.result.report == expected.report
     for name in ("gap_coefficients", "force_coefficients", "displacement_coefficients"):
@@ -75,7 +74,7 @@ def test_numbers_are_those_of_the_library(tmp_path: Path, capsys: pytest.Capture
 
 @pytest.mark.parametrize("law", ["constraint", "smoothed"])
 def test_other_laws_read_back(tmp_path: Path, law: str) -> None:
-    """The constraint and the smoothed law, too."""
+    """Also the constraint and the smoothed law."""
     words = ["solve", str(ROOT / "demos" / "paper_plate.toml"), "--quiet",
              "--output", str(tmp_path), "--set", f"contact.law={law}"]  # fmt: skip
     if law == "constraint":
@@ -83,7 +82,7 @@ def test_other_laws_read_back(tmp_path: Path, law: str) -> None:
     else:
         words += ["--set", "contact.sharpness=1e8", "--set", "contact.stiffness=1e9"]
     assert main(words) == 0
-    read = load_run(tmp_path / "solution.h5")
+    read = fc.load_run(tmp_path / "solution.h5")
     assert isinstance(read.result, fc.PeriodicSolution) and read.result.converged
     time = np.linspace(0.0, read.result.period, 200)
     assert read.result.contact_force(time).max() > 1.0
@@ -123,6 +122,16 @@ def test_help_and_version(capsys: pytest.CaptureFixture) -> None:
     with pytest.raises(SystemExit):
         main(["--version"])
     assert capsys.readouterr().out.strip() == f"fenics-crack {fc.__version__}"
+
+
+@pytest.mark.mpi
+@pytest.mark.parametrize("words", [["--version"], ["solve", "--help"], ["nothing"]])
+def test_one_rank_prints_before_a_command_runs(tmp_path: Path, words: list[str]) -> None:
+    """Help, version and the error of an unknown word are printed once."""
+    done = run(tmp_path, *words, ranks=2)
+    said = done.stdout + done.stderr
+    assert said.count("usage: fenics-crack") + said.count(f"fenics-crack {fc.__version__}") == 1
+    assert (done.returncode == 0) == (words != ["nothing"])
 
 
 def test_is_installed_as_a_program() -> None:
@@ -173,20 +182,31 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def test_points_of_a_curve(results: Path) -> None:
+    """The columns that the curve itself writes, and the amplitude at the load."""
+    run = fc.load_run(results / "curve.h5")
+    assert isinstance(run.result, fc.ResponseCurve)
+    rows = table(results / "curve.csv")
+    assert len(rows) == len(run.result) and run.watched_name in list(rows[0])[-1]
+    assert list(rows[0])[:-1] == run.result.table().columns
+    heights = [float(list(row.values())[-1]) for row in rows]
+    np.testing.assert_allclose(heights, run.result.amplitude(run.watched_dof), rtol=1e-9)
+
+
 @pytest.mark.parametrize("name", ["solution", "curve"])
 def test_file_with_another_law_or_structure(results: Path, name: str) -> None:
-    """Read with what they were not found with, results would be wrong: they are refused."""
-    run = load_run(results / f"{name}.h5")
+    """With another structure or law than its own a result would be wrong: it is refused."""
+    run = fc.load_run(results / f"{name}.h5")
     for law in (fc.UnilateralPenalty(1e8), fc.SmoothedPenalty(1e9, 1e8)):
         with pytest.raises(fc.InputError, match="contact"):
             fc.load(results / f"{name}.h5", run.structure, law)
-    heavier = fc.prepare(run.scene.replace({"material.density": 8000.0}))
+    heavier = fc.prepare(run.scene.replace({"material.density": 8000.0})).structure
     with pytest.raises(fc.InputError, match="structure"):
         fc.load(results / f"{name}.h5", heavier, run.contact)
 
 
 def test_file_of_a_mesh_that_has_changed(tmp_path: Path) -> None:
-    """The mesh file belongs to the result."""
+    """A result whose mesh file has changed is refused."""
     mesh = tmp_path / "plate.msh"
     drawn = fc.Scene.load(PAPER).replace({"contact.stiffness": 1e9, "damping.ratio": 0.02})
     write_msh(drawn, mesh)
@@ -200,14 +220,17 @@ def test_file_of_a_mesh_that_has_changed(tmp_path: Path) -> None:
     scene.write_text(text.replace("stiffness = 1e11", "stiffness = 1e9"))
     words = ["solve", str(scene), "--quiet", "--output", str(tmp_path)]
     assert main(words) == 0
-    assert isinstance(load_run(tmp_path / "solution.h5").result, fc.PeriodicSolution)
+    assert isinstance(fc.load_run(tmp_path / "solution.h5").result, fc.PeriodicSolution)
     words = ["sweep", *words[1:], "--set", "sweep.over={'excitation.omega'=[1900.0, 2000.0]}"]
     assert main(words) == 0
     swept = fc.SweepResult.load(tmp_path / "sweep.h5")
     assert swept.solution(0).converged
+    for read in (fc.load_run, lambda path: fc.load(path, swept.solution(0).structure)):
+        with pytest.raises(fc.InputError, match=r"sweep \(SweepResult.load reads sweeps\)"):
+            read(tmp_path / "sweep.h5")
     write_msh(drawn.replace({"crack.height": 0.0625}), mesh)
     with pytest.raises(fc.InputError, match="it has changed or gone"):
-        load_run(tmp_path / "solution.h5")
+        fc.load_run(tmp_path / "solution.h5")
     with pytest.raises(fc.InputError, match="it has changed or gone"):
         swept.solution(0)
     assert main(words) == 2  # neither does the sweep go on
@@ -221,8 +244,8 @@ def test_plot_on_two_ranks(results: Path, tmp_path: Path, name: str) -> None:
     assert done.returncode == 0 and list(tmp_path.glob("*.png")), done.stderr
 
 
-def test_reader_that_goes_away(tmp_path: Path) -> None:
-    """No message of PETSc's, no traceback."""
+def test_reader_that_closes_its_pipe(tmp_path: Path) -> None:
+    """Neither a message from PETSc nor a traceback."""
     command = " ".join([*PROGRAM, "modes", str(PAPER), "--output", str(tmp_path)])
     done = subprocess.run(
         f"{command} --verbose | true", shell=True, env=ENVIRONMENT, capture_output=True, text=True

@@ -15,11 +15,10 @@ from scipy.spatial import cKDTree
 
 import fenics_crack as fc
 from fenics_crack.draw import animation
-from fenics_crack.draw.animation import animate_period, show_period
-from fenics_crack.draw.figure import COLOURS, off_screen_plotter, readable
-from fenics_crack.draw.paraview import PeriodFields, write_period
-from fenics_crack.draw.plot import draw_map
-from fenics_crack.draw.plot_motion import draw_orbits, draw_spectrum
+from fenics_crack.draw.figure import COLOURS
+from fenics_crack.draw.nodal import off_screen_plotter
+from fenics_crack.draw.paraview import PeriodFields
+from fenics_crack.table import readable
 
 ORANGE = tuple(int(COLOURS["orange"][i : i + 2], 16) for i in (1, 3, 5))
 PLATE = (slice(110, 530), slice(0, 530))
@@ -75,7 +74,7 @@ def test_animation(
     """All frames, small; open and closed frames differ, and only closed ones mark contact."""
     path = tmp_path / "new" / "crack.gif"
     material = small_scene.material if with_stress else None
-    magnification = animate_period(breathing, path, frames=10, material=material)
+    magnification = fc.animate_period(breathing, path, frames=10, material=material)
     fields = PeriodFields.of(breathing, 10)
     assert magnification == pytest.approx(fields.magnification)
     with Image.open(path) as picture:
@@ -98,12 +97,12 @@ def test_animation_of_twice_the_period_without_a_crack(
 ) -> None:
     """A plate without lips and pairs is drawn too, and a reduced structure as the whole one."""
     plate = fc.build_structure(small_scene.replace({"crack": None, "contact": None}))
-    animate_period(fc.solve_linear(plate, 2000.0), tmp_path / "plain.gif", frames=2)
+    fc.animate_period(fc.solve_linear(plate, 2000.0), tmp_path / "plain.gif", frames=2)
     cracked = fc.reduce_structure(fc.build_structure(small_scene))
     twice = fc.solve_harmonic_balance(
         cracked, 2000.0, fc.UnilateralPenalty(1e9), harmonics=6, subharmonic=2
     )
-    animate_period(twice, tmp_path / "twice.gif", frames=2)
+    fc.animate_period(twice, tmp_path / "twice.gif", frames=2)
     for name in ("plain", "twice"):
         assert_drawn(tmp_path / f"{name}.gif", (640, 740))
 
@@ -124,19 +123,19 @@ def test_window(breathing: fc.PeriodicSolution, monkeypatch: pytest.MonkeyPatch)
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(fc.InputError, match="screen"):
-        show_period(breathing)
+        fc.show_period(breathing)
 
 
 def test_animation_refuses(breathing: fc.PeriodicSolution, tmp_path: Path) -> None:
-    """Other files than GIF, and what has no mesh."""
+    """Files other than GIF, and structures without a mesh."""
     for name in ("crack.mp4", "crack"):
         with pytest.raises(fc.InputError, match=r"path.*\.gif"):
-            animate_period(breathing, tmp_path / name)
+            fc.animate_period(breathing, tmp_path / name)
     for key, value in (("frames", 1.5), ("magnification", 0.0), ("material", 2e9)):
         with pytest.raises(fc.InputError, match=key):
-            animate_period(breathing, tmp_path / "crack.gif", **{key: value})  # type: ignore[arg-type]
+            fc.animate_period(breathing, tmp_path / "crack.gif", **{key: value})  # type: ignore[arg-type]
     with pytest.raises(fc.InputError, match="structure"):
-        animate_period(period_two_orbit(3), tmp_path / "crack.gif")
+        fc.animate_period(period_two_orbit(3), tmp_path / "crack.gif")
     assert not list(tmp_path.iterdir())
 
 
@@ -160,16 +159,16 @@ def test_spectrum_and_orbits(breathing: fc.PeriodicSolution, tmp_path: Path) -> 
     for (name, size), solution, given in zip(
         sizes.items(), (breathing, breathing, orbit, free), (None, dof, 0, 0), strict=True
     ):
-        draw_spectrum(tmp_path / f"{name}.png", solution, given, title="Harmonics")
+        fc.draw_spectrum(solution, given, path=tmp_path / f"{name}.png", title="Harmonics")
         assert_drawn(tmp_path / f"{name}.png", size)
-        draw_orbits(tmp_path / f"{name} orbit.png", solution, given, title="Phase plane")
+        fc.draw_orbits(solution, given, path=tmp_path / f"{name} orbit.png", title="Phase plane")
         panels = 2 if name in ("dof", "two") else 1
         assert_drawn(tmp_path / f"{name} orbit.png", (150 + 630 * panels, 660))
     contact = pixels(tmp_path / "dof orbit.png")
     assert share(contact, ORANGE) > 10.0 * share(pixels(tmp_path / "free orbit.png"), ORANGE)
-    for draw in (draw_spectrum, draw_orbits):
+    for draw in (fc.draw_spectrum, fc.draw_orbits):
         with pytest.raises(fc.InputError, match="dof"):
-            draw(tmp_path / "none.png", free, title="t")
+            draw(free)
 
 
 def test_units_that_read_well() -> None:
@@ -185,14 +184,14 @@ def test_units_that_read_well() -> None:
 
 
 def test_map(tmp_path: Path) -> None:
-    """Cells without a value are grey; the colours are logarithmic where that helps."""
+    """Cells without a value are grey; colours are logarithmic over large ranges."""
     x, y = np.linspace(1500.0, 4000.0, 8), np.linspace(0.02, 0.06, 5)
     words = {"title": "t", "x_label": "x", "y_label": "y", "value_label": "v [m]"}
     rising = np.outer(np.ones(5), np.arange(1.0, 9.0))
     steep, holes = 10.0**rising, rising.copy()
     holes[1:3, 2] = np.nan
     for name, values in (("map", rising), ("map holes", holes), ("map steep", steep)):
-        draw_map(tmp_path / f"{name}.png", x, y, values, **words)
+        fc.draw_map(x, y, values, path=tmp_path / f"{name}.png", **words)
         assert_drawn(tmp_path / f"{name}.png", (1050, 630))
     grey = (0xB5, 0xB5, 0xB5)
     plain, pierced, logarithmic = (
@@ -213,13 +212,11 @@ def test_map(tmp_path: Path) -> None:
         ("values", {"values": np.full((2, 3), np.nan)}),
     ],
 )
-def test_map_refuses(tmp_path: Path, key: str, change: dict[str, np.ndarray]) -> None:
+def test_map_refuses(key: str, change: dict[str, np.ndarray]) -> None:
     """Axes that do not rise, other shapes, and nothing but nan."""
     given = {"x": np.arange(3.0), "y": np.arange(2.0), "values": np.ones((2, 3))} | change
     with pytest.raises(fc.InputError, match=key):
-        draw_map(
-            tmp_path / "map.png", **given, title="t", x_label="x", y_label="y", value_label="v"
-        )
+        fc.draw_map(**given, x_label="x", y_label="y", value_label="v")
 
 
 # --- several ranks --------------------------------------------------------------------------------
@@ -230,10 +227,10 @@ def write_on_ranks(scene: fc.Scene, folder: str, comm: Any) -> float:
     solution = vibration(scene, comm)
     target = Path(folder)
     dof = solution.structure.find_dof((0.1, 0.1), "x")
-    draw_spectrum(target / "spectrum.png", solution, dof, title="t")
-    draw_orbits(target / "orbits.png", solution, dof, title="t")
-    animate_period(solution, target / "crack.gif", frames=4, material=scene.material)
-    return write_period(solution, target / "crack.pvd", frames=4, material=scene.material)
+    fc.draw_spectrum(solution, dof, path=target / "spectrum.png", title="t")
+    fc.draw_orbits(solution, dof, path=target / "orbits.png", title="t")
+    fc.animate_period(solution, target / "crack.gif", frames=4, material=scene.material)
+    return fc.write_period(solution, target / "crack.pvd", frames=4, material=scene.material)
 
 
 @pytest.mark.mpi

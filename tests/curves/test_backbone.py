@@ -18,7 +18,7 @@ HARMONICS = (10, 20, 40, 80)
 
 
 def two_masses(clearance: float = 1.0) -> fc.Structure:
-    """VERIFICATION C without load and damping: a stop at mass 1, natural frequencies 0.62, 1.62."""
+    """A stop at mass 1, without load and damping; natural frequencies 0.62 and 1.62."""
     stiffness = chain_stiffness(np.array([0.0, 1.0, 1.0]))
     return fc.Structure.from_matrices(np.eye(2), stiffness, [1.0, 0.0], clearance=clearance)
 
@@ -236,7 +236,7 @@ def test_both_pieces_of_the_paper_plate(paper_structure: fc.Structure) -> None:
 
 
 def test_another_modes_motion_is_no_backbone(paper_structure: fc.Structure) -> None:
-    """Tongues too broad to pass over: an error, though motions of other modes are met."""
+    """Tongues too broad to pass over: an error, although motions of other modes are found."""
     with pytest.raises(fc.ConvergenceError, match="mode 2"):
         fc.follow_backbone(paper_structure, fc.UnilateralPenalty(1e9), 2, 1e-4, 1e-3)
 

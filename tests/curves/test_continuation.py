@@ -98,8 +98,9 @@ def test_fold_of_a_duffing_oscillator() -> None:
     assert np.allclose(sorted(folds(curve)), exact, atol=1e-3)
 
 
+@pytest.mark.verification
 def test_both_stable_orbits_of_two_masses_and_a_stop() -> None:
-    """VERIFICATION C: three crossings of W = 0.70, the outer two as published."""
+    """The curve crosses W = 0.70 three times; the outer two solutions are as published."""
     structure, law = two_masses(), fc.UnilateralPenalty(100.0)
     curve = continue_frequency(structure, 0.6, 0.9, law, harmonics=21)
     crossing = np.flatnonzero((curve.omega[:-1] - 0.7) * (curve.omega[1:] - 0.7) < 0.0)
@@ -113,8 +114,9 @@ def test_both_stable_orbits_of_two_masses_and_a_stop() -> None:
     assert min(found) == pytest.approx(0.22134025, abs=1e-6)
 
 
+@pytest.mark.verification
 def test_period_doubling_of_two_masses_and_a_stop() -> None:
-    """VERIFICATION C: at W = 0.7387830; the located points approach it like H^-3."""
+    """Published at W = 0.7387830; the located points approach it like H^-3."""
     structure, law = two_masses(), fc.UnilateralPenalty(100.0)
     errors, counts = [], (61, 81, 121)
     for harmonics in counts:
@@ -302,8 +304,9 @@ def test_load_only_scales_without_clearance() -> None:
 # --- branches, loops, resuming --------------------------------------------------------------------
 
 
+@pytest.mark.verification
 def test_doubled_branch() -> None:
-    """VERIFICATION B: from the period doubling to the stable orbit of period 2 at W = 2 w0.
+    """From the oscillator's period doubling to the stable orbit of period 2 at W = 2 w0.
 
     The branch is stable, and joins the old one again at the other period doubling.
     """
@@ -330,7 +333,7 @@ def test_doubled_branch() -> None:
 
 
 def test_closed_loop() -> None:
-    """An orbit of three periods lives on a closed curve of its own: found, and followed once."""
+    """Orbits of three periods form a closed curve of their own, which is followed once."""
     law = fc.UnilateralPenalty(10.0)
     omega = 6.0 * np.sqrt(11.0) / (1.0 + np.sqrt(11.0))
     structure = oscillator(0.1, 1.0)
@@ -448,7 +451,7 @@ def test_bad_arguments_of_a_continuation(key: str, arguments: dict[str, object])
 
 
 def test_damping_that_is_not_there_cannot_vary() -> None:
-    """A factor of nothing."""
+    """A factor of the damping is refused where there is no damping."""
     one = np.ones((1, 1))
     bare = fc.Structure.from_matrices(one, one, one, force_cos=[1.0])
     with pytest.raises(fc.InputError, match="no damping"):
@@ -529,7 +532,7 @@ def test_curve_with_contact_stiffer_than_rounding_resolves(stiffness: float) -> 
 
 
 def test_load_does_not_pass_zero_without_clearance() -> None:
-    """There the motion vanishes; with a clearance it passes."""
+    """At zero load the motion vanishes; with a clearance the curve passes."""
     law = fc.UnilateralPenalty(1.0)
     with pytest.raises(fc.InputError, match="one sign"):
         fc.continue_parameter(oscillator(0.1, 1.0), 1.2, law, "load", 1.0, -1.0)

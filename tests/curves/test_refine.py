@@ -8,7 +8,7 @@ import fenics_crack as fc
 
 
 def assert_solutions(curve: fc.ResponseCurve, every: int) -> None:
-    """Points are solutions: solved again one by one, from themselves, they do not move."""
+    """Each point, solved again from itself, does not move."""
     for index in range(0, len(curve), every):
         solution = curve.solution(index)
         again = fc.solve_harmonic_balance(
@@ -25,7 +25,7 @@ def assert_solutions(curve: fc.ResponseCurve, every: int) -> None:
 
 
 def test_refined_curve_over_folds() -> None:
-    """Nine points in each gap of a coarse curve: in order, over both folds, all of them right."""
+    """Nine points between each two of a coarse curve: in order, over both folds, all solutions."""
     structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
     coarse = fc.continue_frequency(structure, 2.0, 0.3, law, harmonics=6, longest_step=0.2)
     fine = fc.refine_curve(coarse, 9)

@@ -11,15 +11,8 @@ from helpers import log_slope, relative
 from matplotlib.image import imread
 
 import fenics_crack as fc
-from fenics_crack.draw.paraview import nodal_stress, von_mises, write_modes, write_period
-from fenics_crack.draw.plot import (
-    Wave,
-    draw_contact_map,
-    draw_laws,
-    draw_modes,
-    draw_response,
-    draw_waves,
-)
+from fenics_crack.draw.nodal import moved_grid
+from fenics_crack.draw.paraview import nodal_stress, von_mises
 from fenics_crack.fem.nodal_mesh import NodalMesh
 
 
@@ -49,7 +42,7 @@ def assert_drawn(path: Path) -> None:
 def test_period_for_paraview(breathing: fc.PeriodicSolution, tmp_path: Path) -> None:
     """All nodes, the displacement true to scale, lips apart in the magnified mesh, their state."""
     path = tmp_path / "files" / "period.pvd"
-    magnification = write_period(breathing, path, frames=12)
+    magnification = fc.write_period(breathing, path, frames=12)
     entries = ElementTree.parse(path).getroot().findall("./Collection/DataSet")
     assert len(entries) == 12
     times = [float(entry.attrib["timestep"]) for entry in entries]
@@ -169,9 +162,9 @@ def test_stress_is_not_smeared_across_the_crack(paper_scene: fc.Scene) -> None:
     """One constant stress above the lips and another below: exact on both, though in one place."""
     scene = graded(paper_scene, "quadrilateral", 2)
     mesh = NodalMesh(fc.build_structure(scene))
-    centres = mesh.grid(np.zeros_like(mesh.points)).cell_centers().points
+    centres = moved_grid(mesh).cell_centers().points
     above = (centres[:, 0] < 0.035) & (centres[:, 1] > 0.05)
-    grid = mesh.grid(np.zeros_like(mesh.points))
+    grid = moved_grid(mesh)
     upper = np.zeros(len(mesh.points), dtype=bool)
     upper[np.concatenate([grid.get_cell(cell).point_ids for cell in np.flatnonzero(above)])] = True
     one, two = np.array([[1.0, 2.0], [3.0, 4.0]]), np.array([[-5.0, 6.0], [0.0, -1.0]])
@@ -211,7 +204,7 @@ def test_stresses_for_paraview(
     frames = {}
     for magnification in (1.0, 9000.0):
         path = tmp_path / f"{magnification:g}.pvd"
-        found = write_period(
+        found = fc.write_period(
             breathing, path, frames=6, magnification=magnification, material=paper_scene.material
         )
         assert found == magnification
@@ -242,7 +235,7 @@ def test_script_for_paraview(
 ) -> None:
     """It is Python, and names the series and a field that is in it."""
     material = paper_scene.material if with_stress else None
-    write_period(breathing, tmp_path / "a period.pvd", frames=2, material=material)
+    fc.write_period(breathing, tmp_path / "a period.pvd", frames=2, material=material)
     tree = ast.parse((tmp_path / "a period_paraview.py").read_text())
     given = {
         node.targets[0].id: node.value.value
@@ -267,7 +260,7 @@ def test_period_refuses(
 ) -> None:
     """What cannot be used is named, and nothing is written."""
     with pytest.raises(fc.InputError, match=key):
-        write_period(breathing, tmp_path / "p.pvd", **{key: value})  # type: ignore[arg-type]
+        fc.write_period(breathing, tmp_path / "p.pvd", **{key: value})  # type: ignore[arg-type]
     assert not list(tmp_path.iterdir())
 
 
@@ -277,7 +270,7 @@ def test_period_refuses(
 def test_modes_for_paraview(quadratic_plate: fc.Structure, tmp_path: Path) -> None:
     """One vector field a mode, named by its frequency, a tenth of the plate large."""
     modes = fc.solve_modes(quadratic_plate, 3)
-    write_modes(quadratic_plate, modes, tmp_path / "modes.vtu")
+    fc.write_modes(modes, tmp_path / "modes.vtu")
     grid = pyvista.read(tmp_path / "modes.vtu")
     assert list(grid.point_data) == [
         f"mode {number}: {omega:.1f} rad/s" for number, omega in enumerate(modes.omega, 1)
@@ -292,16 +285,15 @@ def test_pictures(
     """Every kind of picture is made, off screen."""
     t = np.linspace(0.0, breathing.period, 100)
     gap = breathing.gap(t)[:, 0]
-    wave = Wave("gap", t, gap, spread=0.1 * np.abs(gap))
-    draw_waves(
-        tmp_path / "waves.png", [wave], title="t", quantity="q", period=t[-1], zero="lips touch"
+    wave = fc.Wave("gap", t, gap, spread=0.1 * np.abs(gap))
+    fc.draw_waves(
+        [wave], quantity="q", path=tmp_path / "waves.png", period=t[-1], zero="lips touch"
     )
-    draw_laws(
-        tmp_path / "laws.png", {"penalty": fc.UnilateralPenalty(1e9)}, 1e-6 * (t / t[-1] - 0.5)
-    )
-    draw_contact_map(tmp_path / "map.png", breathing)
-    draw_response(tmp_path / "r.png", t, {"a": np.abs(gap)}, title="t", quantity="q")
-    draw_modes(quadratic_plate, fc.solve_modes(quadratic_plate, 6), tmp_path / "modes.png")
+    laws = {"penalty": fc.UnilateralPenalty(1e9)}
+    fc.draw_laws(laws, 1e-6 * (t / t[-1] - 0.5), path=tmp_path / "laws.png")
+    fc.draw_contact_map(breathing, path=tmp_path / "map.png")
+    fc.draw_response(t, {"a": np.abs(gap)}, quantity="q", path=tmp_path / "r.png")
+    fc.draw_modes(fc.solve_modes(quadratic_plate, 6), path=tmp_path / "modes.png")
     for name in ("waves", "laws", "map", "r", "modes"):
         assert_drawn(tmp_path / f"{name}.png")
 
@@ -310,7 +302,7 @@ def test_what_has_no_mesh_cannot_be_drawn(tmp_path: Path) -> None:
     """A structure from matrices has no positions: one clear error."""
     structure = fc.Structure.from_matrices(np.eye(2), np.eye(2), np.eye(2))
     with pytest.raises(fc.InputError, match="structure"):
-        write_modes(structure, fc.solve_modes(structure, 1), tmp_path / "modes.vtu")
+        fc.write_modes(fc.solve_modes(structure, 1), tmp_path / "modes.vtu")
     solution = fc.solve_linear(structure, 0.5)
     with pytest.raises(fc.InputError, match="pairs"):
-        draw_contact_map(tmp_path / "map.png", solution)
+        fc.draw_contact_map(solution)

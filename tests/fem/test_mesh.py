@@ -431,7 +431,7 @@ def test_lips_that_do_not_fit(msh: Callable[..., Path], how: dict[str, Any], wor
 
 @pytest.mark.parametrize("content", [None, "", "nonsense\n", "$MeshFormat\n4.1 0 8\n"])
 def test_unreadable_mesh_file(content: str | None, tmp_path: Path) -> None:
-    """A mesh file that is missing, empty, cut off or none at all is refused."""
+    """A file that is missing, empty, cut off or no mesh is refused."""
     path = tmp_path / "broken.msh"
     if content is not None:
         path.write_text(content)
@@ -524,7 +524,7 @@ def test_load_between_two_ranks(on_ranks: Callable[..., Any]) -> None:
 
 @pytest.mark.mpi
 def test_errors_reach_every_rank(mpirun: Callable[..., str], tmp_path: Path) -> None:
-    """A mesh file that only rank 0 reads is refused on every rank; nobody waits for ever."""
+    """A mesh file that only rank 0 reads is refused on every rank; no rank waits."""
     scene = pickle.dumps(file_plate(tmp_path / "missing.msh"))
     output = mpirun(
         "import pickle\n"

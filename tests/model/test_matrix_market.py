@@ -13,11 +13,7 @@ import scipy.sparse as sparse
 from fenics_crack.model.matrix_market import read_matrix_market
 
 RANDOM = sparse.random(30, 30, 0.1, random_state=1).tocsr()
-KINDS = {
-    "general": RANDOM,
-    "symmetric": RANDOM + RANDOM.T,
-    "skew-symmetric": RANDOM - RANDOM.T,
-}
+KINDS = {"general": RANDOM, "symmetric": RANDOM + RANDOM.T, "skew-symmetric": RANDOM - RANDOM.T}
 
 
 @pytest.mark.parametrize("symmetry", KINDS)

@@ -23,7 +23,7 @@ from fenics_crack import (
     find_crack_length,
     solve_modes,
 )
-from fenics_crack.model.modes import damped_modes, largest_frequency, mass_times
+from fenics_crack.model.modes import damped_modes, largest_frequency, times
 from fenics_crack.parallel import gather_rows
 
 
@@ -219,7 +219,7 @@ def test_order_of_convergence(cells: str, order: int, rate: float) -> None:
         dofs = structure.nodes.dofs[:, 1]
         exact = np.zeros((structure.n_dofs, 1))
         exact[dofs[dofs >= 0], 0] = np.sin(np.pi / 2 * structure.nodes.points[dofs >= 0, 1])
-        axial = np.argmax(np.abs(modes.shapes.T @ mass_times(structure, exact)))
+        axial = np.argmax(np.abs(modes.shapes.T @ times(structure.mass, exact)))
         errors.append(modes.omega[axial] / (np.pi / 2) - 1.0)
     assert min(errors) > 0.0
     assert log_slope(sizes, errors) == pytest.approx(-rate, abs=0.15)
@@ -235,14 +235,16 @@ def test_frequencies_fall_as_the_mesh_is_refined(order: int) -> None:
     assert np.all(np.diff(found, axis=0) < 0.0)
 
 
+@pytest.mark.verification
 def test_square_cantilever() -> None:
-    """Square clamped on one side, nu = 0.3: published omega L sqrt(rho/E) within 0.1 %."""
+    """In its plane, clamped on one side, nu = 0.3: published omega L sqrt(rho/E) within 0.1 %."""
     modes = solve_modes(build_structure(plate(24, 24, **{"mesh.order": 2})), 3)
     np.testing.assert_allclose(modes.omega, [0.65816, 1.57953, 1.77205], rtol=1e-3)
 
 
-def test_nafems_fv32(tmp_path: Path) -> None:
-    """Tapered membrane: published targets within 0.1 %, and never below those of a finer mesh.
+@pytest.mark.verification
+def test_nafems_tapered_membrane(tmp_path: Path) -> None:
+    """NAFEMS FV32: published targets within 0.1 %, and never below those of a finer mesh.
 
     The finer mesh (64 x 32 nine-node quadrilaterals) halves the cells of this one, so its space
     holds this one's and its frequencies, given to 1e-3 Hz, are lower bounds.
@@ -320,7 +322,7 @@ def test_unreachable_first_frequency(breathing: Scene, target: float) -> None:
 
 
 def test_length_without_a_frequency(paper_scene: Scene) -> None:
-    """Without crack.first_omega there is nothing to find."""
+    """Without crack.first_omega no length can be found."""
     with pytest.raises(InputError) as caught:
         find_crack_length(paper_scene, MPI.COMM_SELF)
     assert caught.value.key == "crack.first_omega"

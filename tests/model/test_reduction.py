@@ -1,4 +1,4 @@
-"""Reduced structures: exact where they must be, converging, and honest about their error."""
+"""Reduced structures: exact at zero frequency, convergent, their errors estimated."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -15,8 +15,8 @@ from mpi4py import MPI
 import fenics_crack as fc
 from fenics_crack.balance.compliance import dynamic_compliance
 from fenics_crack.balance.dynamic_stiffness import DynamicStiffness
-from fenics_crack.draw.paraview import write_modes, write_period
-from fenics_crack.draw.plot import draw_contact_map, draw_modes
+from fenics_crack.model import modes as model_modes
+from fenics_crack.model import reduction
 
 GOOD = ("free_interface", "craig_bampton")
 METHODS = (*GOOD, "truncation")
@@ -130,10 +130,10 @@ def test_truncation_lacks_the_residual_flexibility(
     assert errors["truncation"] > 10.0 * max(errors[method] for method in GOOD)
 
 
-def test_loose_chain() -> None:
-    """A chain that nothing holds: K is singular; compliance at w > 0, and the linear response."""
+def test_unconstrained_chain() -> None:
+    """A chain that is not fixed: K is singular; compliance at w > 0, and the linear response."""
     for damping in ("matrix", "none"):
-        whole = chain(damping, 60, loose=True)
+        whole = chain(damping, 60, unconstrained=True)
         elastic = fc.solve_modes(whole, 2).omega
         assert elastic[0] < 1e-4 * elastic[1]
         for method in GOOD:
@@ -208,7 +208,7 @@ def test_estimated_error_is_the_true_one(
 
 
 def test_estimate_in_a_truncated_basis_warns() -> None:
-    """Truncation's errors of 20 % and more are reported as such."""
+    """The errors of truncation, 20 % and more, are reported as such."""
     whole, law = chain(n=60), fc.UnilateralPenalty(4.0)
     exact = fc.solve_harmonic_balance(whole, 0.05, law, harmonics=7)
     reduced = fc.reduce_structure(whole, modes=10, method="truncation")
@@ -322,24 +322,24 @@ def test_files_and_pictures_of_a_reduced_solution(wide_plate: fc.Structure, tmp_
     grids = []
     for name, made in (("small", reduced), ("large", wide_plate)):
         solution = fc.solve_harmonic_balance(made, 2000.0, law)
-        magnification = write_period(solution, tmp_path / f"{name}.pvd", frames=5)
+        magnification = fc.write_period(solution, tmp_path / f"{name}.pvd", frames=5)
         assert magnification > 1.0
         grids.append([pyvista.read(tmp_path / name / f"frame_{i:04d}.vtu") for i in range(5)])
-        draw_contact_map(tmp_path / f"{name}.png", solution)
+        fc.draw_contact_map(solution, path=tmp_path / f"{name}.png")
     for small, large in zip(*grids, strict=True):
         assert small.n_points == large.n_points == len(wide_plate.nodes.points)
         assert np.allclose(small.points, large.points, atol=1e-5)
         assert relative(small["displacement"], large["displacement"]) < 1e-4
         assert np.array_equal(small["contact state"], large["contact state"])
     modes = fc.solve_modes(reduced, 3)
-    write_modes(reduced, modes, tmp_path / "small.vtu")
-    write_modes(wide_plate, fc.solve_modes(wide_plate, 3), tmp_path / "large.vtu")
+    fc.write_modes(modes, tmp_path / "small.vtu")
+    fc.write_modes(fc.solve_modes(wide_plate, 3), tmp_path / "large.vtu")
     small, large = (pyvista.read(tmp_path / f"{name}.vtu") for name in ("small", "large"))
     assert list(small.point_data) == list(large.point_data)
     for name in small.point_data:
         shapes = small[name], large[name]
         assert min(relative(shapes[0], s * shapes[1]) for s in (1.0, -1.0)) < 1e-5
-    draw_modes(reduced, modes, tmp_path / "modes.png", columns=3, rows=1)
+    fc.draw_modes(modes, path=tmp_path / "modes.png")
     for name in ("small", "modes"):
         assert imread(tmp_path / f"{name}.png")[..., :3].std() > 0.02
 
@@ -352,6 +352,82 @@ def test_default_modes_are_the_damped_ones(soft_plate: fc.Structure) -> None:
     made = [fc.reduce_structure(chain(kind, 60), method="truncation") for kind in DAMPINGS]
     assert [reduced.n_dofs for reduced in made] == [60, 20, 3, 20]
     assert fc.reduce_structure(soft_plate, method="truncation").n_dofs == 50
+
+
+@pytest.fixture(scope="module")
+def fine_plate(paper_scene: fc.Scene) -> fc.Structure:
+    """1,652 dofs, one pair, all modes damped; to compute them all takes minutes."""
+    changes = {"mesh.columns": 28, "mesh.rows": 28, "contact.pairs": "mouth", "damping.ratio": 0.02}
+    return fc.build_structure(paper_scene.replace(changes))
+
+
+@pytest.fixture
+def counts(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """How many modes are asked for from now on."""
+    asked: list[int] = []
+
+    def counted(structure: fc.Structure, count: int) -> fc.Modes:
+        asked.append(count)
+        return fc.solve_modes(structure, count)
+
+    monkeypatch.setattr(reduction, "solve_modes", counted)
+    monkeypatch.setattr(model_modes, "solve_modes", counted)
+    return asked
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_of_a_large_structure_few_modes_are_computed(
+    method: str, fine_plate: fc.Structure, counts: list[int]
+) -> None:
+    """50, or as many as are wanted; one ratio damps the modes of the reduced structure."""
+    assert fine_plate.n_dofs == 1652
+    for modes in (None, 12):
+        reduced = fc.reduce_structure(fine_plate, modes=modes, method=method)
+        assert counts == [modes or 50]
+        del counts[:]
+        assert reduced.damping == fc.ModalDamping(0.02)
+        if method == "truncation":
+            assert reduced.n_dofs == (modes or 50)
+        else:
+            assert reduced.reference is not None
+            assert reduced.reference.damping == reduced.damping
+
+
+def test_one_ratio_of_all_coordinates(fine_plate: fc.Structure) -> None:
+    """The same as with the damping given to the reduced structure, and as a number of modes."""
+    reduced = fc.reduce_structure(fine_plate)
+    damping = fc.ModalDamping(0.02)
+    later = fc.reduce_structure(fine_plate.damped(None), modes=50).damped(damping)
+    counted = fc.ModalDamping(0.02, fine_plate.n_dofs)
+    exact = compliances(reduced, 1000.0, 5)[0]
+    assert relative(compliances(later, 1000.0, 5)[0], exact) < 1e-12
+    same = fc.reduce_structure(fine_plate.damped(counted))
+    assert relative(compliances(same, 1000.0, 5)[0], exact) < 1e-12
+
+
+@pytest.mark.parametrize("modes", [None, 10])
+def test_a_ratio_for_each_of_too_many_modes(
+    modes: int | None, fine_plate: fc.Structure, counts: list[int]
+) -> None:
+    """They would all have to be computed: refused at once, with what is allowed."""
+    damped = fine_plate.damped(fc.ModalDamping(np.linspace(0.01, 0.02, fine_plate.n_dofs)))
+    with pytest.raises(fc.InputError, match=r"^damping ratio = '1652 .* 600 dofs"):
+        fc.reduce_structure(damped, modes=modes)
+    assert counts == []
+    lowest = fine_plate.damped(fc.ModalDamping(np.linspace(0.01, 0.02, 8), 8))
+    assert fc.reduce_structure(lowest, modes=modes).n_dofs < 16
+
+
+def test_what_reduces_by_itself(fine_plate: fc.Structure, counts: list[int]) -> None:
+    """Curves, backbones and solutions to a tolerance ask for few modes of the whole structure."""
+    law = fc.UnilateralPenalty(1e9)
+    curve = fc.continue_frequency(fine_plate, 1500.0, 1600.0, law)
+    assert curve.complete and counts[0] == 50
+    found = fc.solve_harmonic_balance(fine_plate, 1500.0, law, tolerance=0.03)
+    assert found.converged and found.structure.whole is fine_plate
+    backbone = fc.follow_backbone(fine_plate, law, 1, 1e-6, 1e-5, harmonics=3, throw=False)
+    assert backbone.structure.whole is fine_plate
+    assert max(counts) < 100  # all of a reduced structure are few
 
 
 @pytest.mark.parametrize("modes", [0, -1, 51, 2.5, True, "all", np.inf])
@@ -369,7 +445,7 @@ def test_bad_method_is_named(soft_plate: fc.Structure) -> None:
 
 
 def test_numpy_counts_are_counts(soft_plate: fc.Structure) -> None:
-    """As everywhere else."""
+    """A number of NumPy's kinds is accepted as a count."""
     assert fc.reduce_structure(soft_plate, modes=np.int64(4), method="truncation").n_dofs == 4
 
 
@@ -394,18 +470,21 @@ def test_same_reduction_on_two_ranks(paper_scene: fc.Scene, on_ranks: Callable[.
 
 
 def test_all_modes_damped_whatever_the_mesh() -> None:
-    """A scene with all modes damped: the reduced structure's own, at no more than its error."""
+    """A scene with all modes damped: those of the reduced structure, within its error."""
     scene = fc.Scene.load(ROOT / "fenics_crack" / "cli" / "new_scene.toml").replace(
         {"mesh.size": 0.03, "mesh.order": 1, "mesh.lip_elements": 3, "reduction.modes": 10}
     )
     assert scene.contact is not None and scene.damping.modes == "all"
     solutions = []
-    for structure in (fc.prepare(scene), fc.prepare(scene.replace({"reduction.method": "off"}))):
-        law = fc.contact_law(scene.contact, structure)
-        solutions.append(fc.solve_harmonic_balance(structure, 2000.0, law, harmonics=9))
+    for study in (fc.prepare(scene), fc.prepare(scene.replace({"reduction.method": "off"}))):
+        assert study.contact is not None
+        solutions.append(
+            fc.solve_harmonic_balance(study.structure, 2000.0, study.contact, harmonics=9)
+        )
     reduced, whole = (solution.gap_coefficients for solution in solutions)
     difference = np.linalg.norm(reduced - whole) / np.linalg.norm(whole)
     assert solutions[0].structure.n_dofs < solutions[1].structure.n_dofs == 86
     assert difference < 3.0 * solutions[0].report.reduction < 1e-3
-    fine = fc.prepare(scene.replace({"mesh.size": 0.004, "mesh.order": 2}))  # else minutes
+    finer = scene.replace({"mesh.size": 0.004, "mesh.order": 2})
+    fine = fc.prepare(finer).structure  # else minutes
     assert fine.whole.n_dofs > 4000 and fine.n_dofs < 50

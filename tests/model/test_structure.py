@@ -15,7 +15,15 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from petsc4py import PETSc
 
-from fenics_crack import InputError, ModalDamping, Scene, Structure, build_structure
+from fenics_crack import (
+    InputError,
+    ModalDamping,
+    ReducedStructure,
+    Scene,
+    Structure,
+    build_structure,
+    reduce_structure,
+)
 
 N, PAIRS = 5, 2
 
@@ -432,11 +440,152 @@ def test_duplicate_entries_are_added() -> None:
         assert np.array_equal(structure.stiffness[:, :], [[2.0, 0.0], [0.0, 3.0]])
 
 
-def test_what_modes_were_computed_from_cannot_be_replaced() -> None:
-    """Matrices and damping are read-only; another damping makes another structure."""
-    structure = Structure.from_matrices(np.eye(2), np.eye(2), None, damping=ModalDamping(0.1))
-    with pytest.raises(AttributeError):
-        structure.damping = ModalDamping(0.5)  # type: ignore[misc]
-    assert structure.damped(ModalDamping(0.5)).damping == ModalDamping(0.5)
+def test_damped_refuses_what_is_no_modal_damping() -> None:
+    """A damping matrix needs a new structure."""
     with pytest.raises(InputError, match="damping"):
-        structure.damped("much")  # type: ignore[arg-type]
+        Structure.from_matrices(**good()).damped("much")  # type: ignore[arg-type]
+
+
+# --- a structure never changes --------------------------------------------------------------------
+def plates(scene: Scene) -> list[Structure]:
+    """With a mesh, varied, reduced, and reduced and varied."""
+    plate = build_structure(scene)
+    reduced = reduce_structure(plate, modes=5)
+    return [plate, plate.varied(load=2.0), reduced, reduced.varied(damping=2.0)]
+
+
+def test_no_attribute_can_be_set(paper_scene: Scene) -> None:
+    """No attribute of any name can be set; the message says what to do instead."""
+    for structure in plates(paper_scene):
+        names = [name for name in dir(structure) if not name.startswith("_")]
+        known = {"force", "clearance", "damping", "pair_areas", "mass", "n_dofs", "whole", "nodes"}
+        assert known <= set(names)
+        for name in [*names, "another"]:
+            with pytest.raises(AttributeError, match=rf"^{name}: .* varied\(\)"):
+                setattr(structure, name, 0.0)
+
+
+def test_arrays_are_read_only(paper_scene: Scene) -> None:
+    """Those of the structure, of its nodes and of its gap."""
+    for structure in plates(paper_scene):
+        nodes = structure.nodes
+        assert nodes is not None
+        arrays = [structure.force, structure.clearance, structure.pair_points, structure.pair_areas]
+        arrays += [nodes.points, nodes.dofs, nodes.cells, structure.gap.data]
+        if isinstance(structure, ReducedStructure):
+            assert structure.reference is not None
+            arrays += [structure.basis, structure.omega, structure.reference.basis]
+        for array in arrays:
+            assert array is not None and array.size
+            with pytest.raises(ValueError, match="read-only"):
+                array[0] = 1.0
+    clearance = np.zeros(PAIRS)
+    Structure.from_matrices(**(good() | {"clearance": clearance}))
+    clearance[0] = 1.0  # that which was given is the user's
+
+
+def test_ratios_that_were_given_may_change() -> None:
+    """The damping has a copy of its own."""
+    ratios = [0.1, 0.2]
+    damping = ModalDamping(ratios)
+    ratios[0] = 0.5
+    assert damping.ratio == (0.1, 0.2) and damping == ModalDamping(np.array([0.1, 0.2]))
+
+
+# --- varied copies --------------------------------------------------------------------------------
+DAMPINGS = [None, ModalDamping(0.1), ModalDamping([0.1, 0.2], 2), good()["damping"]]
+
+
+@pytest.mark.parametrize("damping", DAMPINGS, ids=["none", "one ratio", "ratios", "matrix"])
+def test_varied(damping: Any) -> None:
+    """Factors multiply, clearances add up; the structure itself stays, and shares its matrices."""
+    structure = Structure.from_matrices(**(good() | {"damping": damping}))
+    force, clearance, given = structure.force.copy(), structure.clearance.copy(), structure.damping
+    once = structure.varied(load=2.0, damping=3.0, clearance=1e-3)
+    twice = once.varied(load=-0.5, damping=0.5, clearance=np.array([0.0, 1.0]))
+    for other, load, factor, added in (
+        (once, 2.0, 3.0, [1e-3, 1e-3]),
+        (twice, -1.0, 1.5, [1e-3, 1.001]),
+    ):
+        assert other.original is structure and other.mass is structure.mass
+        np.testing.assert_array_equal(other.force, load * force)
+        np.testing.assert_allclose(other.clearance, clearance + added, rtol=1e-14)
+        assert other.damping_factor == factor
+        if isinstance(damping, ModalDamping):
+            assert other.damping.modes == damping.modes
+            ratio = factor * np.asarray(damping.ratio)
+            np.testing.assert_allclose(other.damping.ratio, ratio, rtol=1e-14)
+        elif damping is None:
+            assert other.damping is None
+        else:
+            np.testing.assert_allclose(dense(other.damping), factor * damping, rtol=1e-14)
+    np.testing.assert_array_equal(structure.force, force)
+    np.testing.assert_array_equal(structure.clearance, clearance)
+    assert structure.damping is given and structure.original is structure
+
+
+def test_parts_of_the_load_mixed() -> None:
+    """A matrix makes the new mean, cosine and sine part of the old ones."""
+    structure = Structure.from_matrices(**good())
+    mean, cosine, sine = structure.force
+    matrix = np.array([[0.0, 1.0, 0.0], [2.0, 0.0, 0.0], [0.0, 3.0, 4.0]])
+    expected = np.array([cosine, 2.0 * mean, 3.0 * cosine + 4.0 * sine])
+    np.testing.assert_allclose(structure.varied(load=matrix).force, expected, rtol=1e-14)
+    twice = structure.varied(load=2.0).varied(load=matrix)
+    np.testing.assert_allclose(twice.force, 2.0 * expected, rtol=1e-14)
+
+
+def test_varied_reduction_speaks_of_the_varied_plate(paper_scene: Scene) -> None:
+    """Its whole structure and its reference are varied with it."""
+    plate = build_structure(paper_scene)
+    reduced = reduce_structure(plate, modes=5)
+    varied = reduced.varied(load=2.0, damping=3.0, clearance=1e-6)
+    assert isinstance(varied, ReducedStructure) and varied.reference is not None
+    for other, first in (
+        (varied, reduced),
+        (varied.reference, reduced.reference),
+        (varied.whole, plate),
+    ):
+        assert first is not None and other.original is first
+        np.testing.assert_array_equal(other.force, 2.0 * first.force)
+        np.testing.assert_array_equal(other.clearance, first.clearance + 1e-6)
+        assert other.damping == ModalDamping(3.0 * 0.001)
+    assert reduced.whole is plate
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("load", np.nan),
+        ("load", "much"),
+        ("load", np.ones(3)),
+        ("load", np.full((3, 3), np.inf)),
+        ("damping", -1.0),
+        ("damping", np.inf),
+        ("damping", [1.0]),
+        ("clearance", np.nan),
+        ("clearance", np.zeros(PAIRS + 1)),
+    ],
+)
+def test_varied_refuses(key: str, value: Any) -> None:
+    """What is not finite, of another shape, or a negative damping."""
+    structure = Structure.from_matrices(**good())
+    with pytest.raises(InputError) as caught:
+        structure.varied(**{key: value})
+    assert caught.value.key == key
+
+
+def test_printed_in_one_line(paper_scene: Scene) -> None:
+    """Sizes and damping."""
+    plate = build_structure(paper_scene)
+    assert repr(plate) == "Structure(50 dofs, 1 pair, modal damping 0.1 %)"
+    reduced = reduce_structure(plate, modes=5)
+    assert repr(reduced.varied(damping=2.0)) == (
+        "ReducedStructure(7 coordinates of 50 dofs, 1 pair, modal damping 0.2 %)"
+    )
+    bare = plate.tied(1.0).damped(ModalDamping([0.01, 0.02], 2))
+    assert repr(bare) == "Structure(50 dofs, 0 pairs, modal damping 1 to 2 % of 2 modes)"
+    assert repr(plate.damped(None)) == "Structure(50 dofs, 1 pair, no damping)"
+    given = Structure.from_matrices(**good())
+    assert repr(given) == repr(given.varied(damping=0.5))
+    assert repr(given) == "Structure(5 dofs, 2 pairs, damping matrix)"

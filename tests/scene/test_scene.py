@@ -1,4 +1,4 @@
-"""Scenes: what is accepted, what is refused, and with which words."""
+"""Scenes: what is accepted, what is refused, and the messages."""
 
 from __future__ import annotations
 

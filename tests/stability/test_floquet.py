@@ -16,14 +16,14 @@ from helpers import (
 from scipy.integrate import solve_ivp
 
 import fenics_crack as fc
-from fenics_crack.curves.continuation import continue_frequency
 from fenics_crack.model.modal import all_modes, flow_matrix
 from fenics_crack.stability.floquet import PiecewiseFlow, floquet
 from fenics_crack.time.events import EventFlow
 
 
-def test_verification_b() -> None:
-    """W = 2 w0: multiplier -1.23694, unstable; confirmed by Hill."""
+@pytest.mark.verification
+def test_multiplier_of_the_unstable_orbit() -> None:
+    """Bilinear oscillator at W = 2 w0: multiplier -1.23694; Hill's determinant agrees."""
     structure, law = oscillator(), fc.UnilateralPenalty(1.0)
     solution = fc.solve_harmonic_balance(structure, 2.0 * OMEGA_0, law, harmonics=20)
     found = floquet(structure, solution, law)
@@ -32,8 +32,9 @@ def test_verification_b() -> None:
     assert found.uncertainty < 1e-5
 
 
+@pytest.mark.verification
 def test_stable_orbit_of_twice_the_period() -> None:
-    """VERIFICATION B: the orbit that takes over where the other is unstable."""
+    """Stable at W = 2 w0, where the orbit of period 1 is not."""
     orbit = period_two_orbit(40)
     assert floquet(orbit.structure, orbit).verdict == "stable"
 
@@ -67,9 +68,7 @@ def test_without_contact_the_flow_is_linear() -> None:
 @pytest.mark.parametrize(
     "law", [fc.UnilateralPenalty(2.0), fc.SmoothedPenalty(2.0, 10.0)], ids=["penalty", "smoothed"]
 )
-def test_against_the_variational_equation(
-    law: fc.UnilateralPenalty | fc.SmoothedPenalty,
-) -> None:
+def test_against_the_variational_equation(law: fc.UnilateralPenalty | fc.SmoothedPenalty) -> None:
     """Multipliers of two masses from SciPy's integration of the linearised motion."""
     stiffness = chain_stiffness(np.ones(3))
     damping = 0.06 * stiffness
@@ -197,7 +196,7 @@ def test_leading_multiplier(paper_scene: fc.Scene, ratio: float, stiffness: floa
 
 
 def test_poor_truncation_is_not_decided(paper_structure: fc.Structure) -> None:
-    """The paper's data with few harmonics: the check disagrees, and the verdict says so."""
+    """The paper's data with few harmonics: the checks disagree, and the verdict is undecided."""
     plate = fc.reduce_structure(paper_structure, modes=10)
     solution = fc.solve_harmonic_balance(plate, 2000.0, fc.UnilateralPenalty(1e11), harmonics=5)
     found = floquet(plate, solution, refine=False)
@@ -209,7 +208,7 @@ def test_poor_truncation_is_not_decided(paper_structure: fc.Structure) -> None:
 def test_period_doubling_is_found_on_a_curve() -> None:
     """Between its two period doublings the orbit is unstable, and W = 2 w0 lies there."""
     structure, law = oscillator(), fc.UnilateralPenalty(1.0)
-    curve = continue_frequency(structure, 1.5, 3.0, law, harmonics=20, stability=True)
+    curve = fc.continue_frequency(structure, 1.5, 3.0, law, harmonics=20, stability=True)
     doublings = [b for b in curve.bifurcations if b.kind == "period_doubling"]
     assert len(doublings) == 2
     first, second = (b.omega for b in doublings)
@@ -222,7 +221,7 @@ def test_period_doubling_is_found_on_a_curve() -> None:
 
 
 def test_what_cannot_be_judged_is_refused() -> None:
-    """No law of the gap, no multipliers."""
+    """Multipliers need a law that gives the force from the gap."""
     structure = oscillator()
     linear = fc.solve_linear(structure, 1.0)
     with pytest.raises(fc.InputError, match="contact"):

@@ -16,11 +16,12 @@ EXACT = {
     "fold": (0.7556273526, 0.6534401345),
     "neimark_sacker": (0.6186068743,),
 }
-"""VERIFICATION C: by kind, along the curve. Found alike from 21, 41, 81 and 121 harmonics."""
+"""Two masses and a stop: by kind, along the curve; the same from 21, 41, 81 and 121 harmonics."""
 
 
+@pytest.mark.verification
 @pytest.mark.parametrize("harmonics", [21, 61])
-def test_verification_c(harmonics: int) -> None:
+def test_bifurcations_of_two_masses_and_a_stop(harmonics: int) -> None:
     """All special points of the contact branch, from wherever harmonic balance puts them."""
     curve = fc.continue_frequency(two_masses(), **CURVE, harmonics=harmonics, stability=True)
     for kind, expected in EXACT.items():
@@ -41,7 +42,7 @@ def test_verification_c(harmonics: int) -> None:
 
 
 def test_multiplier_seen_in_the_motion() -> None:
-    """At the period doubling of VERIFICATION C the critical direction alternates, undamped."""
+    """At the period doubling the critical direction changes its sign each period, undamped."""
     structure, law = two_masses(), fc.UnilateralPenalty(100.0)
     curve = fc.continue_frequency(structure, **CURVE, harmonics=61, stability=True)
     doubling = next(b for b in curve.bifurcations if b.kind == "period_doubling")
@@ -59,7 +60,7 @@ def test_multiplier_seen_in_the_motion() -> None:
 
 
 def test_order_of_the_location_by_harmonic_balance() -> None:
-    """The error of the period doubling of VERIFICATION C falls like H^-3."""
+    """Two masses and a stop: the error of the period doubling falls like H^-3."""
     harmonics, errors = (21, 41, 61, 81, 121, 161), []
     for count in harmonics:
         curve = fc.continue_frequency(two_masses(), **CURVE, harmonics=count, stability=True)
@@ -71,7 +72,7 @@ def test_order_of_the_location_by_harmonic_balance() -> None:
 
 
 def test_doublings_of_the_oscillator() -> None:
-    """VERIFICATION B lies between them, and its orbit is unstable there."""
+    """W = 2 w0 lies between them, and the orbit of period 1 is unstable there."""
     structure, law = oscillator(), fc.UnilateralPenalty(1.0)
     found = []
     for harmonics in (5, 20):
@@ -90,8 +91,8 @@ def test_doublings_of_the_oscillator() -> None:
 def test_paper_plate(soft_plate: fc.Structure) -> None:
     """All 50 modes, k = 1e9: 20 and 40 harmonics lead to the same points.
 
-    The folds between which 20 harmonics see two more, and the pairs that they see there crossing
-    the unit circle, are none of the exact branch: its fold is one.
+    With 20 harmonics the curve has more folds, and pairs that cross the unit circle between them;
+    the exact branch has one fold there.
     """
     law, found = fc.UnilateralPenalty(1e9), []
     for harmonics in (20, 40):
@@ -118,7 +119,7 @@ class Special:
     solution: fc.PeriodicSolution
 
 
-def test_what_is_not_there_is_not_found() -> None:
+def test_bifurcations_that_do_not_exist() -> None:
     """One error that says what was looked for, or which argument cannot be used."""
     structure, law = oscillator(), fc.UnilateralPenalty(1.0)
     solution = fc.solve_harmonic_balance(structure, 1.0, law, harmonics=10)

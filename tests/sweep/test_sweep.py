@@ -1,4 +1,4 @@
-"""Sweeps: right numbers, the same on any number of ranks, nothing lost when killed."""
+"""Sweeps: right numbers, the same on any number of ranks; nothing is lost when killed."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def by_hand(scene: fc.Scene, values: Over) -> tuple[fc.Structure, fc.PeriodicSol
     """One case on its own."""
     case = scene.replace({"sweep": None}).replace(dict(values))
     assert case.contact is not None
-    plate = prepare(case, MPI.COMM_SELF)
+    plate = prepare(case, MPI.COMM_SELF).structure
     solution = fc.solve_harmonic_balance(
         plate,
         case.excitation.omega,
@@ -90,7 +90,7 @@ def test_table_is_the_product_of_the_axes(paper_scene: fc.Scene, tmp_path: Path)
     scene = swept(paper_scene, FAST | {"contact.stiffness": [1e9, 2e9, 4e9]})
     result = run_sweep(scene, tmp_path / "sweep.h5")
     assert result.shape == (2, 2, 3) and result.complete and result.failed == []
-    names, rows = result.table()
+    names, rows = result.table().columns, result.table().rows
     assert names[:5] == [
         "excitation.omega [rad/s]", "harmonic_balance.harmonics", "contact.stiffness [N/m]",
         "state", "response [m]",
@@ -168,8 +168,34 @@ def test_force_clearance_and_law_are_swept_without_a_new_geometry(
                       - again.gap_coefficients[1:]).max() < 1e-9 * np.abs(gap).max()  # fmt: skip
 
 
+@pytest.mark.parametrize("reduction", ["off", "free_interface"])
+def test_a_case_leaves_the_solution_of_another_alone(paper_scene: fc.Scene, reduction: str) -> None:
+    """Each has a structure of its own, with its load and clearance, also where it has travelled."""
+    given = [(100.0, 0.0), (30.0, -1e-7)]
+    cases = [
+        paper_scene.replace(SOFT | {"reduction.method": reduction}).replace(
+            {"excitation.force_sin": (load, 0.0), "crack.clearance": clearance}
+        )
+        for load, clearance in given
+    ]
+    built = sweep_case.build(cases[1], MPI.COMM_SELF, True)
+    arrays = sweep_case.Arrays.of(built.structure, built.crack_length)
+    for geometry in (built, dataclasses.replace(built, structure=arrays.structure())):
+        found = [sweep_case._solve(geometry.of_case(case), case, None) for case in cases]
+        for solution, (load, clearance) in zip(found, given, strict=True):
+            structure = solution.structure
+            assert structure.original is geometry.structure
+            for part in (structure, structure.whole, getattr(structure, "reference", structure)):
+                assert np.all(part.clearance == clearance)
+                np.testing.assert_allclose(part.force[2], load * part.original.force[2])
+            expected = fc.solve_harmonic_balance(
+                structure, solution.omega, solution.contact, harmonics=solution.harmonics
+            )
+            np.testing.assert_array_equal(solution.gap_coefficients, expected.gap_coefficients)
+
+
 def test_constraint(paper_scene: fc.Scene, tmp_path: Path) -> None:
-    """No law of the gap: no verdict; the solution knows its weight."""
+    """No verdict on stability; the solution carries its weight."""
     changes = {"damping.ratio": 0.01, "contact.stiffness": None, "contact.law": "constraint"}
     scene = swept(paper_scene, {"excitation.omega": [1900.0, 2000.0]}, changes)
     result = run_sweep(scene, tmp_path / "sweep.h5")
@@ -184,11 +210,11 @@ def test_constraint(paper_scene: fc.Scene, tmp_path: Path) -> None:
 
 
 def test_without_a_crack(paper_scene: fc.Scene, tmp_path: Path) -> None:
-    """The linear plate: a response, nothing of contact."""
+    """The linear plate: a response without columns of contact."""
     base = paper_scene.replace({"crack": None, "contact": None, "damping.ratio": 0.01})
     scene = swept(base, {"excitation.omega": [2000.0, 3000.0]}, {})
     result = run_sweep(scene, tmp_path / "sweep.h5")
-    plate = prepare(scene.replace({"sweep": None}))
+    plate = prepare(scene.replace({"sweep": None})).structure
     row = fc.solve_linear(plate, 3000.0).coefficients_at([plate.find_dof((0.1, 0.1), "x")])
     assert result["response"][1] == pytest.approx(np.hypot(*row[1:3, 0]), rel=1e-4)
     assert np.isnan(result["opening"]).all() and result.gap(0).shape[1] == 0
@@ -226,7 +252,7 @@ def test_failures_are_recorded_and_the_others_go_on(paper_scene: fc.Scene, tmp_p
     assert "whole number of grid cells" in reasons[2, 1, 1]
     assert "free to move" in reasons[0, 1, 0]
     assert np.isnan(result["response"][1, 0, 0])
-    names, rows = result.table()
+    names, rows = result.table().columns, result.table().rows
     assert rows[4][names.index("state")] == "failed" and "0.2" in rows[4][-1]
     with pytest.raises(fc.InputError, match="converged"):
         result.gap((1, 0, 0))
@@ -395,6 +421,7 @@ def test_errors_reach_every_rank(paper_scene: fc.Scene, tmp_path: Path, mpirun: 
     output = mpirun(
         f"""
 import sys
+import time
 import fenics_crack as fc
 from fenics_crack.sweep import case as sweep_case, result as sweep
 from mpi4py import MPI
@@ -408,6 +435,7 @@ def broken(*given):
     calls.append(given)
     if comm.rank == 1 and len(calls) > 10:  # after its first chunk
         raise KeyError("unforeseen")
+    time.sleep(0.02 if comm.rank == 0 else 0.0)  # the other rank gets a second chunk
     return whole(*given)
 sweep_case._solve = broken
 try:
@@ -572,7 +600,7 @@ while True:
 
 @pytest.mark.slow
 def test_stops_at_ctrl_c(paper_scene: fc.Scene, tmp_path: Path, undisturbed: SweepResult) -> None:
-    """What is at hand is finished and kept; the next call goes on."""
+    """The cases at hand are finished and kept; the next call resumes."""
     scene, path = swept(paper_scene, LONG_OVER, LONG), tmp_path / "sweep.h5"
     run = Run(scene, path)
     run.wait_for(0)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from helpers import (
+    BILINEAR_ORBITS,
     OMEGA_0,
-    VERIFICATION_A,
     chain,
     dense_matrices,
     heavy_mass,
@@ -23,7 +23,8 @@ from fenics_crack.stability.shooting import shoot
 from fenics_crack.time.events import EventFlow, integrate_events
 
 
-def test_verification_g_contact_release() -> None:
+@pytest.mark.verification
+def test_contact_release() -> None:
     """Contact time, peak force and impulse in closed form, and speed after it, to 1e-9."""
     flow = EventFlow(heavy_mass(), 1.0, fc.UnilateralPenalty(1e6))
     start = flow.state(np.zeros(1), np.ones(1))
@@ -44,10 +45,11 @@ def test_verification_g_contact_release() -> None:
     assert impulse == pytest.approx(198.0198, rel=1e-7)
 
 
-@pytest.mark.parametrize("omega", VERIFICATION_A, ids=["w0/2", "1"])
-def test_verification_a_by_shooting(omega: float) -> None:
+@pytest.mark.verification
+@pytest.mark.parametrize("omega", BILINEAR_ORBITS, ids=["w0/2", "1"])
+def test_bilinear_oscillator_by_shooting(omega: float) -> None:
     """Event-driven reference values, to 1e-8; and harmonic balance converges to this orbit."""
-    mean, harmonics, _, _ = VERIFICATION_A[omega]
+    mean, harmonics, _, _ = BILINEAR_ORBITS[omega]
     structure, law = oscillator(), fc.UnilateralPenalty(1.0)
     solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=12)
     orbit = shoot(structure, solution)
@@ -65,13 +67,14 @@ def test_verification_a_by_shooting(omega: float) -> None:
     assert log_slope([5, 10, 20, 40], errors) < -2.7
 
 
-@pytest.mark.parametrize("omega", VERIFICATION_A, ids=["w0/2", "1"])
-def test_verification_a_from_rest(omega: float) -> None:
+@pytest.mark.verification
+@pytest.mark.parametrize("omega", BILINEAR_ORBITS, ids=["w0/2", "1"])
+def test_bilinear_oscillator_from_rest(omega: float) -> None:
     """To every digit published: 1e-8 of the larger values, half a unit of the last place of all.
 
     The published extremes are those of 4096 samples; between them lie values larger by up to 1e-6.
     """
-    mean, harmonics, largest, smallest = VERIFICATION_A[omega]
+    mean, harmonics, largest, smallest = BILINEAR_ORBITS[omega]
     history = integrate_events(
         oscillator(), omega, fc.UnilateralPenalty(1.0), periods=300, settle=1e-12,
         record_periods=1, steps_per_period=4096,
@@ -85,15 +88,17 @@ def test_verification_a_from_rest(omega: float) -> None:
     assert [found, waves[0]] == pytest.approx([mean, harmonics[0]], rel=1e-8)
 
 
-def test_verification_b_multiplier() -> None:
-    """The unstable orbit at W = 2 w0: -1.23694."""
+@pytest.mark.verification
+def test_multiplier_of_the_unstable_orbit() -> None:
+    """Bilinear oscillator at W = 2 w0: -1.23694."""
     structure, law = oscillator(), fc.UnilateralPenalty(1.0)
     solution = fc.solve_harmonic_balance(structure, 2.0 * OMEGA_0, law, harmonics=10)
     orbit = shoot(structure, solution)
     assert orbit.multipliers[0] == pytest.approx(-1.23694, abs=1e-5)
 
 
-def test_verification_i_paper_plate(soft_plate: fc.Structure) -> None:
+@pytest.mark.verification
+def test_paper_plate_with_soft_contact(soft_plate: fc.Structure) -> None:
     """All 50 modes, k = 1e9, xi = 0.01: integrated from rest, to the digits published."""
     history = integrate_events(
         soft_plate, 2000.0, fc.UnilateralPenalty(1e9), periods=300, settle=1e-11, record_periods=1,
@@ -192,7 +197,7 @@ def test_brief_contacts_are_not_missed() -> None:
 
 
 def test_the_papers_data_are_unstable(paper_structure: fc.Structure) -> None:
-    """k = 1e11, xi = 0.001 on ten modes: harmonics cannot tell, the exact orbit can."""
+    """k = 1e11, xi = 0.001 on ten modes: undecided by harmonics, decided by the exact orbit."""
     plate = fc.reduce_structure(paper_structure, modes=10)
     solution = fc.solve_harmonic_balance(plate, 2000.0, fc.UnilateralPenalty(1e11), harmonics=20)
     assert floquet(plate, solution, refine=False).verdict == "undecided"
@@ -215,7 +220,7 @@ def test_what_it_cannot_do_is_refused() -> None:
 
 @pytest.mark.parametrize("rounding", [-1e-17, 0.0, 1e-17])
 def test_pairs_that_touch_at_the_start(rounding: float) -> None:
-    """At rest on the stop, pressed into it: contact begins at once, whatever rounding says."""
+    """At rest on the stop, pressed into it: contact begins at once, despite rounding."""
     structure = fc.Structure.from_matrices(
         np.eye(2),
         np.array([[2.0, -1.0], [-1.0, 2.0]]),
@@ -233,7 +238,7 @@ def test_pairs_that_touch_at_the_start(rounding: float) -> None:
 
 
 def test_many_pairs_are_refused() -> None:
-    """2^n regimes: a clear error that says what to use instead."""
+    """With n pairs there are 2^n regimes: an error that says what to use instead."""
     n = 13
     structure = fc.Structure.from_matrices(np.eye(n), 2.0 * np.eye(n), np.eye(n))
     with pytest.raises(fc.InputError, match=r"13 pairs.*at most 12.*integrate_implicit"):

@@ -69,7 +69,8 @@ def test_second_order_with_contact_that_begins_within_steps(damping: str) -> Non
         assert errors[-1] < 1e-3
 
 
-def test_verification_g_contact_release() -> None:
+@pytest.mark.verification
+def test_contact_release() -> None:
     """Contact time, peak force and impulse against the closed form, to 1e-3."""
     history = fc.integrate_implicit(
         heavy_mass(), 2.0 * np.pi / 0.04, fc.UnilateralPenalty(1e6), periods=1,
@@ -82,7 +83,8 @@ def test_verification_g_contact_release() -> None:
     assert force.sum() * step == pytest.approx(198.0198, rel=1e-6)
 
 
-def test_verification_i_paper_plate(soft_plate: fc.Structure) -> None:
+@pytest.mark.verification
+def test_paper_plate_with_soft_contact(soft_plate: fc.Structure) -> None:
     """k = 1e9, xi = 0.01: settles from rest on the exact values with 256 steps a period."""
     history = fc.integrate_implicit(
         soft_plate, 2000.0, LAW, periods=200, steps_per_period=256, settle=1e-6, record_periods=1,
@@ -281,9 +283,7 @@ def test_paper_plate_without_penetration(
 
 
 @both_schemes
-def test_limit_of_stiff_penalty_in_lasting_contact(
-    scheme: Callable[..., fc.TimeHistory],
-) -> None:
+def test_limit_of_stiff_penalty_in_lasting_contact(scheme: Callable[..., fc.TimeHistory]) -> None:
     """Two masses, the first pressed on a stop: the motion without penetration, like 1/k."""
     stiffness = chain_stiffness(np.array([1.0, 1.0, 1.0]))
     structure = fc.Structure.from_matrices(
@@ -314,7 +314,7 @@ def test_reduced_structure(wide_plate: fc.Structure, method: str, law: Any) -> N
     corner = wide_plate.find_dof((0.1, 0.1), "x")
     whole, small = (
         fc.integrate_implicit(
-            structure, 2000.0, law, periods=2, steps_per_period=128, record_dofs=[corner]
+            structure, 2000.0, law, periods=2, steps_per_period=128, dofs=[corner]
         )
         for structure in (wide_plate, reduced)
     )
@@ -341,23 +341,6 @@ def test_a_run_goes_on_from_another(law: Any) -> None:
         errors.append(relative(second.gap, whole.gap))
     order = 1.8 if law is not RIGID else 0.8
     assert errors[-1] < 1e-2 and log_slope(counts, errors) < -order
-
-
-def test_recording(soft_plate: fc.Structure) -> None:
-    """Some dofs of the last periods are the same numbers as everything."""
-    options = {"periods": 4, "steps_per_period": 64}
-    everything = fc.integrate_implicit(soft_plate, 2000.0, LAW, **options)  # type: ignore[arg-type]
-    some = fc.integrate_implicit(
-        soft_plate,
-        2000.0,
-        LAW,
-        record_periods=2,
-        record_dofs=[3, 40],
-        **options,  # type: ignore[arg-type]
-    )
-    assert np.array_equal(some.gap, everything.gap[-128:])
-    assert np.array_equal(some.contact_force, everything.contact_force[-128:])
-    assert np.array_equal(some.displacement([40, 3]), everything.displacement([40, 3])[-128:])
 
 
 def test_no_pairs() -> None:
@@ -396,37 +379,13 @@ def test_same_motion_on_one_and_two_ranks(
     assert relative(on_ranks(motion, scene), motion(scene, MPI.COMM_SELF)) < 1e-7
 
 
-@pytest.mark.parametrize(
-    ("key", "arguments"),
-    [
-        ("periods", {"periods": 0}),
-        ("steps_per_period", {"steps_per_period": 1.5}),
-        ("omega", {"omega": -3.0}),
-        ("omega", {"omega": "fast"}),
-        ("spectral_radius", {"spectral_radius": -0.1}),
-        ("spectral_radius", {"spectral_radius": 1.1}),
-        ("spectral_radius", {"spectral_radius": np.nan}),
-        ("spectral_radius", {"spectral_radius": "none"}),
-        ("contact", {"contact": "rigid"}),
-        ("contact", {"contact": fc.UnilateralConstraint}),
-        ("contact stiffness", {"contact": fc.UnilateralPenalty([1e9, 1e9, 1e9])}),
-        ("initial", {"initial": (np.zeros(3), np.zeros(3))}),
-        ("record_dofs", {"record_dofs": [1000]}),
-        ("record_periods", {"periods": 10**7}),
-        ("record_periods", {"record_periods": 0}),
-        ("settle", {"settle": "soon"}),
-    ],
-)
-def test_bad_arguments_are_named(
-    soft_plate: fc.Structure, key: str, arguments: dict[str, object]
-) -> None:
-    """One error that names the key."""
-    given: dict[str, Any] = {
-        "omega": 2000.0, "contact": LAW, "periods": 1, "steps_per_period": 64,
-    } | arguments  # fmt: skip
-    with pytest.raises(fc.InputError) as caught:
-        fc.integrate_implicit(soft_plate, given.pop("omega"), given.pop("contact"), **given)
-    assert caught.value.key == key
+@pytest.mark.parametrize("radius", [-0.1, 1.1, np.nan, "none"])
+def test_a_spectral_radius_beyond_0_to_1_is_refused(soft_plate: fc.Structure, radius: Any) -> None:
+    """One error that names it; what all schemes refuse is in test_march.py."""
+    with pytest.raises(fc.InputError, match=r"^spectral_radius"):
+        fc.integrate_implicit(
+            soft_plate, 2000.0, LAW, periods=1, steps_per_period=64, spectral_radius=radius
+        )
 
 
 # --- the contact of one step ----------------------------------------------------------------------

@@ -1,0 +1,222 @@
+"""Other forms of harmonic balance, for comparison with that of the package.
+
+*Full* (``form="full"``): the unknowns are all displacements, see :class:`BlockSystem`; the same
+solutions as the condensed form, at a far higher cost.
+
+*Collocation* (``balance="collocation"``): the equations hold at 2H+1 instants of the period, the
+high-dimensional form (Hall, Thomas, Clark, AIAA Journal 40, 2002, 879-886). With E the square
+matrix of the functions' values at the instants theta_n = 2 pi n / (2H+1),
+
+    w^2 M D^2 U + w C D U + K U + B lambda(B^T U - g0) = f,      D = E (d/dtheta) E^-1,   U = E u,
+
+and E^-1 times that is A u + B b - c = 0 with b = E^-1 lambda(E g): harmonic balance whose contact
+force is sampled only 2H+1 times. It is cheap for any law, but harmonics of the force beyond H are
+folded back onto those kept and can create spurious solutions, which a large ``report.sampling``
+reveals (Liu, Thomas, Dowell, Attar, Hall, Journal of Computational Physics 215, 2006,
+298-320).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+
+from fenics_crack.balance.compliance import Compliance, FactoredCompliance
+from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, respond_to_columns
+from fenics_crack.balance.contact_integrals import ContactIntegrals, apply_to_pairs
+from fenics_crack.balance.harmonic_balance import check_initial
+from fenics_crack.balance.linearisation import Linearisation, determinant_sign
+from fenics_crack.balance.problem import Problem
+from fenics_crack.balance.search import Search
+from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.balance.solver import Solver
+from fenics_crack.errors import InputError, check_number
+from fenics_crack.model.contact import is_rigid
+
+__all__ = ["BlockSystem", "solve_form"]
+
+
+def solve_form(
+    problem: Problem,
+    *,
+    form: str = "condensed",
+    balance: str = "galerkin",
+    initial: PeriodicSolution | None = None,
+    residual_tolerance: float = 1e-10,
+    throw: bool = True,
+) -> PeriodicSolution:
+    """Solve a problem by another form of harmonic balance (collective).
+
+    Parameters
+    ----------
+    problem : Problem
+        What is solved; without samples for collocation, whose 2H+1 instants follow from H.
+    form : "condensed" or "full"
+        Unknowns on the gaps, or in all degrees of freedom.
+    balance : "galerkin" or "collocation"
+        By integrals over the period, or at 2H+1 instants.
+    initial, residual_tolerance, throw
+        As in :func:`solve_harmonic_balance`.
+
+    Raises
+    ------
+    InputError
+        An argument cannot be used.
+    ConvergenceError
+        Nothing converged.
+    """
+    if not isinstance(form, str) or form not in ("condensed", "full"):
+        raise InputError("form", form, "'condensed' or 'full'")
+    if not isinstance(balance, str) or balance not in ("galerkin", "collocation"):
+        raise InputError("balance", balance, "'galerkin' or 'collocation'")
+    check_number("residual_tolerance", residual_tolerance, 0.0, above=True)
+    if form == "full" and is_rigid(problem.contact):
+        raise InputError("form", form, "'condensed' with UnilateralConstraint")
+    if balance == "collocation":
+        if is_rigid(problem.contact):
+            raise InputError("balance", balance, "'galerkin' with UnilateralConstraint")
+        if problem.samples is not None:
+            allowed = "left out with balance='collocation', whose 2H+1 instants follow from H"
+            raise InputError("samples", problem.samples, allowed)
+        problem = replace(problem, samples=2 * problem.harmonics + 1)
+    if initial is not None:
+        check_initial(problem, initial)
+    solver = _FullSolver if form == "full" else Solver
+    return solver(problem, residual_tolerance, throw).solve(initial)
+
+
+class _FullSolver(Solver):
+    """All degrees of freedom."""
+
+    @contextmanager
+    def compliance(self) -> Iterator[FactoredCompliance]:
+        """From factorisations, which the full form needs."""
+        problem = self.problem
+        found = FactoredCompliance(problem.structure, problem.base_omega, problem.load)
+        try:
+            yield found
+        finally:
+            found.destroy()
+
+    def penalised(
+        self, search: Search, compliance: Compliance, initial: PeriodicSolution | None
+    ) -> CondensedPoint:
+        """Solve for a law that gives the force from the gap."""
+        assert isinstance(compliance, FactoredCompliance)
+        integrals = self.problem.integrals()
+        block = BlockSystem(compliance, integrals)
+        start = block.linear
+        if initial is not None:
+            start = compliance.displacement(self.start(initial, "force_coefficients"))
+        gap = block.gap(search.penalty(block, start).unknown)
+        return CondensedSystem(compliance, integrals).linearise(gap)
+
+
+class BlockSystem:
+    """F(u), inverted through its structure; amplitudes are (2H+1, n_local).
+
+    The Fourier coefficients u of the displacement, (2H+1, n) in the paper's order, solve (eqs 5 to
+    9)
+
+        R(u) = A u + B b(B^T u - g0) - c = 0,
+
+    A block diagonal in the harmonics (Z_k of :mod:`dynamic_stiffness`), b the coefficients of the
+    contact force, c those of the load. Newton's method (eqs 13 to 15, the update with its minus
+    sign) runs on the system multiplied by A^-1,
+
+        F(u) = A^-1 R(u) = u - u_lin + A^-1 B b = 0,     u_lin = A^-1 c,
+
+    whose steps are the same and whose residual is a displacement: no rounding error of the elastic
+    forces, huge beside the load near a resonance, hides it. The Jacobian I + A^-1 B T B^T,
+    T = db/dg coupling all harmonics of one pair (eq. 14), is never formed: with the compliance
+    R = B^T A^-1 B,
+
+        (I + A^-1 B T B^T)^-1 r = r - A^-1 B T (I + R T)^-1 B^T r,
+
+    one small dense system of (2H+1) n_pairs unknowns and one solution with the factors of each
+    harmonic.
+
+    Its parameter is p = ln(k / k of the law), the contact stiffness.
+
+    Attributes
+    ----------
+    linear : (2H+1, n_local) [m]
+        The solution without contact.
+    """
+
+    def __init__(self, compliance: FactoredCompliance, integrals: ContactIntegrals) -> None:
+        self.compliance, self.integrals = compliance, integrals
+        self.structure = compliance.structure
+        self.comm = self.structure.comm
+        rows = 2 * integrals.harmonics + 1
+        self.shape: tuple[int, ...] = (rows, self.structure.n_local)
+        self.global_size = rows * self.structure.n_dofs
+        self.linear = compliance.solve_blocks(compliance.load)
+
+    def gap(self, amplitude: np.ndarray) -> np.ndarray:
+        """g = B^T u - g0: (2H+1, n_pairs)."""
+        gap = self.structure.closing(amplitude)
+        gap[0] -= self.structure.clearance
+        return gap
+
+    def linearise(self, amplitude: np.ndarray, parameter: float = 0.0) -> BlockPoint:
+        """The equations at an amplitude and a stiffness."""
+        integrals = self.integrals
+        if parameter != 0.0:
+            integrals = integrals.of_law(integrals.law.scaled(float(np.exp(parameter))))
+        return BlockPoint(self, amplitude, integrals)
+
+    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
+        """Inner product (collective)."""
+        product = np.array([np.vdot(first, second)])
+        return float(self.structure.sum_over_ranks(product)[0])
+
+
+class BlockPoint(Linearisation):
+    """:class:`BlockSystem` at an amplitude (collective)."""
+
+    def __init__(
+        self, system: BlockSystem, amplitude: np.ndarray, integrals: ContactIntegrals
+    ) -> None:
+        self._system, self.unknown = system, amplitude
+        force, self._tangent = integrals.linearise(system.gap(amplitude))
+        self._moved = self._through_structure(force)
+        self.residual = amplitude - system.linear + self._moved
+
+    def _through_structure(self, force: np.ndarray) -> np.ndarray:
+        """A^-1 B of forces on the pairs."""
+        system = self._system
+        return system.compliance.solve_blocks(system.structure.spread(force))
+
+    def apply(self, change: np.ndarray) -> np.ndarray:
+        """dF = (I + A^-1 B T B^T) du."""
+        closing = self._system.structure.closing(change)
+        return change + self._through_structure(apply_to_pairs(self._tangent, closing))
+
+    @cached_property
+    def _factors(self) -> Any:
+        small = respond_to_columns(self._system.compliance.matrices, self._tangent)
+        small.flat[:: len(small) + 1] += 1.0
+        return scipy.linalg.lu_factor(small)
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """(I + A^-1 B T B^T)^-1 r = r - A^-1 B T (I + R T)^-1 B^T r."""
+        closing = self._system.structure.closing(right)
+        gap = scipy.linalg.lu_solve(self._factors, closing.ravel()).reshape(closing.shape)
+        return right - self._through_structure(apply_to_pairs(self._tangent, gap))
+
+    @property
+    def by_parameter(self) -> np.ndarray:
+        """dF / d ln k = A^-1 B b, for a law proportional to its stiffness."""
+        return self._moved
+
+    @property
+    def sign(self) -> float:
+        """Sign of det(I + R T), which is that of the Jacobian."""
+        return determinant_sign(self._factors)

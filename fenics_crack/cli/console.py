@@ -1,0 +1,82 @@
+"""Where a command prints and writes."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from mpi4py import MPI
+
+from fenics_crack.errors import InputError
+from fenics_crack.parallel import on_root
+from fenics_crack.table import Table
+
+__all__ = ["Console", "make_writable"]
+
+
+@dataclass(frozen=True)
+class Console:
+    """Prints a command's table to standard output, all else to standard error."""
+
+    comm: MPI.Comm  # rank 0 writes files
+    form: str  # of the table: "text", "csv" or "json"
+    quiet: bool  # print the table alone
+    verbose: bool  # print how long each part took
+
+    @property
+    def progress(self) -> bool:
+        """Whether to show a progress bar."""
+        return not self.quiet and (self.verbose or sys.stderr.isatty())
+
+    def table(self, table: Table) -> None:
+        """Print a table."""
+        print(table.formatted(self.form), end="", flush=True)
+
+    def note(self, text: str) -> None:
+        """Print a remark, unless quiet."""
+        if not self.quiet:
+            print(text, file=sys.stderr, flush=True)
+
+    def warn(self, text: str) -> None:
+        """Print a warning, even if quiet."""
+        print(f"fenics-crack: warning: {text}", file=sys.stderr, flush=True)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Print how long a part took, if verbose."""
+        started = time.perf_counter()
+        yield
+        if self.verbose:
+            print(f"{name}: {time.perf_counter() - started:.2f} s", file=sys.stderr, flush=True)
+
+    def finish(self, folder: Path, name: str, shown: Table, rows: Table, summary: Table) -> None:
+        """Write rows as CSV and a summary as JSON; print a table, and where the files are."""
+
+        def write() -> None:
+            summary.save(folder / f"{name}.json")
+            rows.save(folder / f"{name}.csv")
+
+        on_root(self.comm, write)
+        self.table(shown)
+        result = folder / f"{name}.h5"
+        self.note(f"{result}, .csv, .json; pictures: fenics-crack plot {result}")
+
+
+def make_writable(folder: Path, comm: MPI.Comm) -> None:
+    """Make a folder for results; raise InputError unless a file can be written there."""
+
+    def work() -> None:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                pass
+        except OSError as error:
+            allowed = f"a folder that can be written ({error.strerror})"
+            raise InputError("--output", str(folder), allowed) from None
+
+    on_root(comm, work)

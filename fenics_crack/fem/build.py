@@ -1,0 +1,75 @@
+"""The structure of a scene, whose crack may be given by its length or by a natural frequency."""
+
+from __future__ import annotations
+
+import scipy.optimize
+from mpi4py import MPI
+
+from fenics_crack.errors import InputError
+from fenics_crack.fem.assembly import assemble
+from fenics_crack.model.modes import solve_modes
+from fenics_crack.model.structure import Structure
+from fenics_crack.scene.scene import Scene
+
+__all__ = ["build_structure", "find_crack_length", "with_crack_length"]
+
+
+def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
+    """Mesh a scene and assemble its structure (collective).
+
+    A crack that is given by ``first_omega`` gets the length found by :func:`find_crack_length`.
+
+    Parameters
+    ----------
+    scene : Scene
+        What to build.
+    comm : MPI.Comm
+        Ranks that share the mesh.
+
+    Raises
+    ------
+    InputError
+        The mesh file is unusable, the load is off the mesh or clamped, or the lips do not match.
+    """
+    return assemble(with_crack_length(scene, comm), comm)
+
+
+def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
+    """Return the scene with the length found from ``crack.first_omega``, if that is given."""
+    if scene.crack is None or scene.crack.first_omega is None:
+        return scene
+    return _with_length(scene, find_crack_length(scene, comm))
+
+
+def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
+    """Find the crack length [m] at which the first natural frequency is ``crack.first_omega``.
+
+    The frequency of the open crack falls with its length; Brent's method over re-meshed plates, to
+    1e-5 of the width.
+
+    Raises
+    ------
+    InputError
+        No length between 1 % and 95 % of the width gives that frequency.
+    """
+    crack, width = scene.crack, scene.geometry.width
+    if crack is None or crack.first_omega is None or width is None:
+        raise InputError("crack.first_omega", None, "given: a finite number > 0")
+    target = crack.first_omega
+
+    def excess(length: float) -> float:
+        plate = assemble(_with_length(scene, length), comm)
+        return float(solve_modes(plate, 1).omega[0]) - target
+
+    shortest, longest = 0.01 * width, 0.95 * width
+    highest, lowest = target + excess(shortest), target + excess(longest)
+    if not lowest <= target <= highest:
+        span = f"between {lowest:.1f} and {highest:.1f} rad/s"
+        raise InputError(
+            "crack.first_omega", target, f"{span}: cracks of 95 % and 1 % of the width"
+        )
+    return float(scipy.optimize.brentq(excess, shortest, longest, xtol=1e-5 * width))
+
+
+def _with_length(scene: Scene, length: float) -> Scene:
+    return scene.replace({"crack.length": length, "crack.first_omega": None})

@@ -1,0 +1,200 @@
+"""Tables for people (text, HTML), shells (CSV) and programs (JSON), and results that become tables.
+
+A result derives from :class:`Described`, or from :class:`Tabular` where it is a table, and defines
+``to_dict``. Its one line, its table in a notebook and its CSV file follow from that.
+"""
+
+from __future__ import annotations
+
+import csv
+import html
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.errors import InputError
+
+__all__ = ["Described", "Table", "Tabular", "counted", "quantity", "readable", "with_unit"]
+
+SHOWN_ROWS, NOTEBOOK_ROWS = 40, 20
+"""Rows shown as text and in a notebook; files have all of them."""
+UNITS = {"omega": "rad/s", "frequency": "Hz", "energy": "J", "contact_force": "N"}
+UNITS |= dict.fromkeys(("opening", "penetration", "clearance"), "m")
+"""Units of the entries of ``to_dict``; all others have none."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Named columns of numbers and words.
+
+    Attributes
+    ----------
+    columns : sequence of str
+        Names with their units.
+    rows : sequence of sequences
+        Numbers, words, truth values; nan where a value is unknown.
+    """
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[Any]]
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any], units: Mapping[str, str]) -> Table:
+        """A table of lists, one for each column, or of single values, one for each row."""
+        names = [with_unit(name, units.get(name, "")) for name in values]
+        if any(isinstance(value, list) for value in values.values()):
+            return cls(names, [list(row) for row in zip(*values.values(), strict=True)])
+        return cls(("quantity", "value"), list(zip(names, values.values(), strict=True)))
+
+    def formatted(self, how: str) -> str:
+        """The table as "text" (the first rows of a long one), "csv" or "json"."""
+        return {"text": self._text, "csv": self._csv, "json": self._json}[how]()
+
+    def html(self, caption: str) -> str:
+        """The table for a notebook (the first rows of a long one)."""
+        rows = [("th", self.columns)]
+        rows += [("td", [_words(value) for value in row]) for row in self.rows[:NOTEBOOK_ROWS]]
+        if len(self.rows) > NOTEBOOK_ROWS:
+            caption += f"; the first {NOTEBOOK_ROWS} of {len(self.rows)} rows"
+        lines = ("".join(f"<{tag}>{html.escape(c)}</{tag}>" for c in cells) for tag, cells in rows)
+        body = "".join(f"<tr>{line}</tr>" for line in lines)
+        return f"<table><caption>{html.escape(caption)}</caption>{body}</table>"
+
+    def save(self, path: str | Path) -> None:
+        """Write the table as JSON if the name ends in ``.json``, else as CSV.
+
+        Raises
+        ------
+        InputError
+            The file cannot be written.
+        """
+        text = self._json() if Path(path).suffix == ".json" else self._csv()
+        try:
+            Path(path).parent.mkdir(parents=True, exist_ok=True)
+            Path(path).write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise InputError("path", str(path), f"a file that can be written ({error})") from None
+
+    def _text(self) -> str:
+        shown = self.rows[:SHOWN_ROWS]
+        columns = []
+        for place, name in enumerate(self.columns):
+            values = [row[place] for row in shown]
+            words = [name, *map(_words, values)]
+            width = max(map(len, words))
+            words.insert(1, width * "-")
+            numbers = all(isinstance(value, float | int | np.number) for value in values)
+            columns.append([w.rjust(width) if numbers else w.ljust(width) for w in words])
+        lines = ["  ".join(line).rstrip() for line in zip(*columns, strict=True)]
+        if len(self.rows) > len(shown):
+            lines.append(f"... and {len(self.rows) - len(shown)} more")
+        return "\n".join(lines) + "\n"
+
+    def _csv(self) -> str:
+        file = io.StringIO()
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(self.columns)
+        writer.writerows(map(_plain, row) for row in self.rows)
+        return file.getvalue()
+
+    def _json(self) -> str:
+        records = [dict(zip(self.columns, map(_known, row), strict=True)) for row in self.rows]
+        return json.dumps(records, indent=1, ensure_ascii=False) + "\n"
+
+
+class Described:
+    """A result that describes itself: in one line, as a table in a notebook, as a dict."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Numbers and words by name, or lists of equal length; SI units.
+
+        ``pandas.DataFrame`` takes such a dict of lists, and a list of dicts of numbers.
+        """
+        raise NotImplementedError
+
+    def table(self, *names: str) -> Table:
+        """:meth:`to_dict`, or some entries of it, as a table with units."""
+        values = self.to_dict()
+        return Table.of({name: values[name] for name in names or values}, self._units())
+
+    def _units(self) -> Mapping[str, str]:
+        """Units of the entries of :meth:`to_dict`."""
+        return UNITS
+
+    def _title(self) -> str:
+        """The text between the brackets of the one line."""
+        return ", ".join(f"{name} = {_words(value)}" for name, value in self.to_dict().items())
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self._title()})"
+
+    def _repr_html_(self) -> str:
+        return self.table().html(repr(self))
+
+
+class Tabular(Described):
+    """A result that is a table: :meth:`to_dict` has lists of equal length."""
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write :meth:`table` as CSV.
+
+        Raises
+        ------
+        InputError
+            The file cannot be written.
+        """
+        self.table().save(path)
+
+
+# --- numbers for people ---------------------------------------------------------------------------
+
+_PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+
+
+def readable(largest: float, unit: str) -> tuple[float, str]:
+    """Factor and prefixed unit for numbers up to a largest one: (1e6, "µm")."""
+    exponent = 3 * int(np.floor(np.log10(largest) / 3.0)) if 0.0 < largest < math.inf else 0
+    prefix = _PREFIXES.get(exponent)
+    return 10.0 ** (-exponent), f"10^{exponent} {unit}" if prefix is None else prefix + unit
+
+
+def quantity(value: float, unit: str) -> str:
+    """A number with its unit: "1.452 µm"."""
+    factor, unit = readable(abs(value), unit)
+    return f"{factor * value:.4g} {unit}"
+
+
+def with_unit(name: str, unit: str) -> str:
+    """A heading: "omega [rad/s]"."""
+    return f"{name} [{unit}]" if unit not in ("", "1") else name
+
+
+def counted(count: int, thing: str) -> str:
+    """A number of things: "1 pair", "2 pairs"."""
+    return f"{count} {thing}{'' if count == 1 else 's'}"
+
+
+def _plain(value: Any) -> Any:
+    """A value as one of Python's own types."""
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def _known(value: Any) -> Any:
+    """A value for JSON: None where a number is nan or infinite."""
+    value = _plain(value)
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _words(value: Any) -> str:
+    value = _plain(value)
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return "-" if math.isnan(value) else f"{value:.6g}"
+    return str(value)

@@ -1,0 +1,60 @@
+"""A scene made ready: length found once, reduction chosen, law of its pairs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+import fenics_crack as fc
+from fenics_crack.fem import build
+
+FINE = {
+    "mesh.layout": "graded", "mesh.columns": None, "mesh.rows": None, "mesh.size": 0.02,
+    "mesh.lip_elements": 3, "crack.length": None, "crack.first_omega": 2300.0,
+    "damping.modes": 6, "damping.ratio": 0.01,
+}  # fmt: skip
+
+
+@pytest.fixture
+def scene(paper_scene: fc.Scene) -> fc.Scene:
+    """The plate on a finer mesh, its crack given by a natural frequency."""
+    return paper_scene.replace(FINE)
+
+
+def test_length_is_found_once(scene: fc.Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The scene comes out with its length; the structure has the frequency that was asked for."""
+    searches: list[fc.Scene] = []
+    search = build.find_crack_length
+
+    def counted(scene: fc.Scene, comm: Any) -> float:
+        searches.append(scene)
+        return search(scene, comm)
+
+    monkeypatch.setattr(build, "find_crack_length", counted)
+    study = fc.prepare(scene, MPI.COMM_SELF)
+    assert len(searches) == 1
+    crack = study.scene.crack
+    assert crack is not None and crack.length is not None and crack.first_omega is None
+    assert fc.solve_modes(study.structure.whole, 1).omega[0] == pytest.approx(2300.0, rel=1e-3)
+    built = fc.build_structure(scene, MPI.COMM_SELF)
+    assert len(searches) == 2
+    np.testing.assert_array_equal(built.pair_points, study.structure.pair_points)
+
+
+def test_reduction_stands_in_the_scene(scene: fc.Scene) -> None:
+    """A larger structure is reduced unasked; what was chosen can be read, and repeated."""
+    study = fc.prepare(scene, MPI.COMM_SELF)
+    assert study.structure.n_dofs < study.structure.whole.n_dofs > 100
+    assert study.scene.reduction is not None
+    again = fc.prepare(study.scene, MPI.COMM_SELF)
+    assert again.scene == study.scene and again.structure.n_dofs == study.structure.n_dofs
+    assert study.contact == fc.UnilateralPenalty(1e11)
+
+
+def test_whole_is_not_reduced(scene: fc.Scene) -> None:
+    """Whatever the scene says."""
+    study = fc.prepare(scene.replace({"reduction.modes": 3}), MPI.COMM_SELF, whole=True)
+    assert study.structure.whole is study.structure and study.structure.n_dofs > 100

@@ -1,0 +1,195 @@
+"""The house rules, read from the code: who imports whom, how long a function may be."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from graphlib import TopologicalSorter
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from helpers import ROOT
+
+import fenics_crack as fc
+
+PACKAGE = ROOT / "fenics_crack"
+LONGEST_FUNCTION = 80
+"""Lines, docstring included."""
+MOST_PARAMETERS = 10
+NEED_MPI_FIRST = {"petsc4py", "slepc4py", "dolfinx"}
+
+
+def module_name(path: Path) -> str:
+    """``fenics_crack.model.modes``; of a folder's __init__.py the folder's."""
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+MODULES = {module_name(path): ast.parse(path.read_text()) for path in sorted(PACKAGE.rglob("*.py"))}
+FACE = {"fenics_crack", "fenics_crack.__main__"}
+"""They lead to every floor."""
+
+
+def floors() -> list[str]:
+    """The folders in the order of the README, top to bottom."""
+    section = (ROOT / "README.md").read_text().split("## How it is built")[1].split("\n## ")[0]
+    return re.findall(r"^    (\w+)/ ", section, re.M)
+
+
+def folder_of(module: str) -> str | None:
+    """Its folder, None for a module beside the folders."""
+    parts = module.split(".")
+    return parts[1] if len(parts) > 1 and (PACKAGE / parts[1]).is_dir() else None
+
+
+def imports(module: str) -> Iterator[tuple[str, list[str]]]:
+    """Modules of the package that a module imports anywhere in its text, and the names it takes."""
+    for node in ast.walk(MODULES[module]):
+        if isinstance(node, ast.Import):
+            yield from ((a.name, []) for a in node.names if a.name.startswith("fenics_crack"))
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("fenics_crack"):
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                yield (inner, []) if inner in MODULES else (str(node.module), [alias.name])
+
+
+def packages(tree: ast.Module) -> list[str]:
+    """Other packages that a module imports, in the order of its text."""
+    found = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found += [(node.lineno, alias.name.split(".")[0]) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found.append((node.lineno, node.module.split(".")[0]))
+    return [name for _, name in sorted(found)]
+
+
+def functions() -> Iterator[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef]]:
+    """Every function and method, with the place where it begins."""
+    for module, tree in MODULES.items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                yield f"{module}:{node.lineno} {node.name}", node
+
+
+def names_in(node: ast.AST) -> set[str]:
+    """Names and attributes that an expression mentions."""
+    parts = list(ast.walk(node))
+    attributes = {part.attr for part in parts if isinstance(part, ast.Attribute)}
+    return attributes | {part.id for part in parts if isinstance(part, ast.Name)}
+
+
+def test_readme_shows_the_folders() -> None:
+    """Each folder once."""
+    here = [path.name for path in PACKAGE.iterdir() if (path / "__init__.py").exists()]
+    assert sorted(floors()) == sorted(here)
+
+
+def test_folders_import_only_from_below() -> None:
+    """In the README's order; what stands beside the folders imports from none."""
+    order = floors()
+    wrong = []
+    for module in MODULES.keys() - FACE:
+        for target, _ in imports(module):
+            here, there = folder_of(module), folder_of(target)
+            if target in FACE or (there is not None and here is None):
+                wrong.append(f"{module} -> {target}")
+            elif here and there and order.index(here) > order.index(there):
+                wrong.append(f"{module} -> {target}")
+    assert not wrong
+
+
+def test_no_circle_of_files() -> None:
+    """Files can be put in an order in which each imports only from those before it."""
+    graph = {module: {target for target, _ in imports(module)} for module in MODULES.keys() - FACE}
+    assert list(TopologicalSorter(graph).static_order())  # raises CycleError
+
+
+def test_no_private_name_is_imported() -> None:
+    """What begins with an underscore is its module's own."""
+    taken = {
+        f"{module}: {target}.{name}"
+        for module in MODULES
+        for target, names in imports(module)
+        for name in names
+        if name.startswith("_")
+    }
+    assert not taken
+
+
+def test_functions_are_short() -> None:
+    """No function is longer than a page or two."""
+    lengths = {place: (node.end_lineno or 0) - node.lineno + 1 for place, node in functions()}
+    assert not {place: n for place, n in lengths.items() if n > LONGEST_FUNCTION}
+
+
+def test_functions_take_few_parameters() -> None:
+    """Constructors too, self left out; the fields of a dataclass are no parameters."""
+    many = {}
+    for place, node in functions():
+        given = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+        count = len([a for a in given if a.arg not in ("self", "cls")])
+        if count > MOST_PARAMETERS:
+            many[place] = count
+    assert not many
+
+
+def test_laws_answer_for_themselves() -> None:
+    """No module but that of the laws asks for a law's class."""
+    home = "fenics_crack.model.contact"
+    laws = {node.name for node in MODULES[home].body if isinstance(node, ast.ClassDef)}
+    asked = {
+        f"{module}:{node.lineno}"
+        for module in MODULES.keys() - {home}
+        for node in ast.walk(MODULES[module])
+        if isinstance(node, ast.Call)
+        and names_in(node.func) & {"isinstance", "issubclass"}
+        and names_in(node.args[-1]) & laws
+    }
+    assert laws and not asked
+
+
+def test_no_module_keeps_objects() -> None:
+    """What is computed of an object is kept with it: no module has a dictionary to be filled."""
+    kept = set()
+    for module, tree in MODULES.items():
+        for node in tree.body:
+            if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
+                empty = isinstance(node.value, ast.Dict) and not node.value.keys
+                if empty or names_in(node.value) & {"WeakKeyDictionary", "WeakValueDictionary"}:
+                    kept.add(f"{module}:{node.lineno}")
+    assert not kept
+
+
+@pytest.mark.parametrize("name", fc.__all__)
+def test_face(name: str) -> None:
+    """Every name of the package is there, in the file that it is said to be from, and explained."""
+    thing = getattr(fc, name)
+    assert name in dir(fc)
+    text = thing.__doc__
+    assert text and not text.startswith(f"{name}(")  # what a dataclass without one says
+
+
+def test_unknown_name_is_no_attribute() -> None:
+    """As of any module."""
+    with pytest.raises(AttributeError, match="no attribute 'solve_everything'"):
+        fc.solve_everything  # noqa: B018
+
+
+def test_mpi_is_imported_before_petsc() -> None:
+    """PETSc would start MPI for one thread: a folder that uses it imports ``parallel`` first."""
+    parallel = "fenics_crack.parallel"
+    order = packages(MODULES[parallel])
+    assert order.index("mpi4py") < order.index("petsc4py")
+    for module in MODULES.keys() - {parallel}:
+        if NEED_MPI_FIRST & set(packages(MODULES[module])):
+            first = next(imports(f"fenics_crack.{folder_of(module)}"), None)
+            assert first == (parallel, []), module
+
+
+def test_face_is_sorted() -> None:
+    """The list of names reads in the order of the files."""
+    lines = (PACKAGE / "__init__.pyi").read_text().splitlines()
+    given = [line for line in lines if line.startswith("from ")]
+    assert all(one.split()[1] <= two.split()[1] for one, two in pairwise(given))

@@ -1,0 +1,105 @@
+"""What is imported when: nothing that is not needed, and MPI before PETSc."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+from helpers import ROOT
+
+HEAVY = ("dolfinx", "ufl", "basix", "ffcx", "gmsh", "pyvista", "vtk", "vtkmodules", "matplotlib")
+ALL = (*HEAVY, "numpy", "scipy", "mpi4py", "petsc4py", "slepc4py", "h5py")
+
+
+def fresh(program: str) -> str:
+    """What a program says in a process of its own, without what this one has imported."""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=120,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+@pytest.mark.parametrize(
+    "line", ["import fenics_crack", "from fenics_crack.cli import command_line"]
+)
+def test_the_package_alone_imports_nothing(line: str) -> None:
+    """Neither meshes and pictures nor NumPy and MPI."""
+    program = f"{line}\nimport sys\nprint([name for name in {ALL} if name in sys.modules])"
+    assert fresh(program) == "[]"
+
+
+@pytest.mark.parametrize("words", ["--help", "--version", "solve --help"])
+def test_help_imports_nothing(words: str) -> None:
+    """It answers at once."""
+    program = f"""
+import sys
+from fenics_crack.cli.command_line import main
+try:
+    main({words.split()})
+except SystemExit as left:
+    assert left.code == 0
+print([name for name in {ALL} if name in sys.modules])
+"""
+    assert fresh(program).splitlines()[-1] == "[]"
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "from fenics_crack.model import structure",
+        "import fenics_crack as fc; fc.Structure",
+        "from fenics_crack.time.march import TimeHistory",
+        "from fenics_crack.fem import compat",
+        "import fenics_crack.files.store",
+    ],
+)
+def test_mpi_allows_several_threads(line: str) -> None:
+    """PETSc, were it first, would start MPI for one; a sweep's rank 0 needs more."""
+    program = f"""
+{line}
+import sys
+from petsc4py import PETSc
+from mpi4py import MPI
+print(PETSc.Sys.isInitialized(), MPI.Query_thread() == MPI.THREAD_MULTIPLE)
+"""
+    assert fresh(program) == "True True"
+
+
+def test_own_matrices_need_no_meshes_and_no_pictures() -> None:
+    """From matrices to a curve, a motion in time and a file, with those imports blocked."""
+    program = f"""
+import sys, tempfile
+
+class Blocked:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in {HEAVY}:
+            raise ImportError(name + " is blocked")
+
+sys.meta_path.insert(0, Blocked())
+import numpy as np
+import fenics_crack as fc
+
+n = 12
+springs = 2.0 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+gap, force = np.zeros(n), np.zeros(n)
+gap[4], gap[5], force[-1] = 1.0, -1.0, 1.0
+whole = fc.Structure.from_matrices(
+    np.eye(n), springs, gap, force_sin=force, damping=fc.ModalDamping(0.05)
+)
+structure, law = fc.reduce_structure(whole, modes=6), fc.UnilateralPenalty(2.0)
+solution = fc.solve_harmonic_balance(structure, 0.3, law, harmonics=7)
+assert fc.floquet(structure, solution).verdict == "stable"
+curve = fc.continue_frequency(structure, 0.3, 0.31, law, harmonics=5)
+history = fc.integrate_events(structure, 0.3, law, periods=3)
+with tempfile.TemporaryDirectory() as folder:
+    for number, result in enumerate((solution, curve, history)):
+        fc.save(result, f"{{folder}}/{{number}}.h5")
+        again = fc.load(f"{{folder}}/{{number}}.h5", structure, law)
+        assert type(again) is type(result)
+print("done")
+"""
+    assert fresh(program) == "done"

@@ -1,0 +1,143 @@
+"""What all schemes share: the checks of what is asked, the record, and when a march ends."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import chain, oscillator, relative
+
+import fenics_crack as fc
+
+LAW = fc.UnilateralPenalty(1e9)
+SCHEMES = (fc.integrate_central_difference, fc.integrate_implicit, fc.integrate_events)
+all_schemes = pytest.mark.parametrize("scheme", SCHEMES, ids=["central", "implicit", "events"])
+Scheme = Callable[..., fc.TimeHistory]
+ZEROS = np.zeros(50)
+
+
+@pytest.mark.parametrize(
+    ("key", "values"),
+    [
+        ("omega", [-3.0, 0.0, np.inf, "fast", None]),
+        ("contact", ["rigid", None, fc.UnilateralPenalty]),
+        ("contact stiffness", [fc.UnilateralPenalty([1e9, 1e9, 1e9])]),
+        ("periods", [0, -1, 1.5, "ten", True, None]),
+        ("steps_per_period", [0, 512.0, "many", True, None]),
+        ("settle", [-1, -1e-9, np.nan, np.inf, "x", True, None]),
+        ("record_periods", [0, -3, 1.5, "last", True]),
+        ("dofs", [[1000], [-1], [0.5], [np.nan], [1j], "corner", {"corner": 1}]),
+        (
+            "initial",
+            [
+                "rest",
+                5,
+                ZEROS,
+                (ZEROS,),
+                (ZEROS, ZEROS, ZEROS),
+                (np.zeros(3), np.zeros(3)),
+                (ZEROS, ZEROS + 1j),
+                (np.full(50, np.nan), ZEROS),
+                (None, None),
+                fc.solve_linear(oscillator(), 1.0),
+            ],
+        ),
+    ],
+)
+@all_schemes
+def test_bad_arguments_are_named(
+    scheme: Scheme, soft_plate: fc.Structure, key: str, values: list[Any]
+) -> None:
+    """One error that names the key, whatever is wrong with its value, from every scheme."""
+    for value in values:
+        given: dict[str, Any] = {
+            "omega": 2000.0, "contact": LAW, "periods": 1, "steps_per_period": 512,
+        } | {key.split()[0]: value}  # fmt: skip
+        with pytest.raises(fc.InputError) as caught:
+            scheme(soft_plate, **given)
+        assert caught.value.key == key, value
+
+
+@all_schemes
+def test_a_history_beyond_the_memory_is_refused(scheme: Scheme, soft_plate: fc.Structure) -> None:
+    """Before anything is marched."""
+    with pytest.raises(fc.InputError, match=r"^record_periods.*GiB"):
+        scheme(soft_plate, 2000.0, LAW, periods=10**7, steps_per_period=512)
+
+
+@all_schemes
+def test_a_misspelt_option_is_named(scheme: Scheme, soft_plate: fc.Structure) -> None:
+    """It does not pass silently."""
+    with pytest.raises(TypeError, match="record_dofs"):
+        scheme(soft_plate, 2000.0, LAW, periods=1, steps_per_period=512, record_dofs=[3])
+
+
+@all_schemes
+def test_recording(scheme: Scheme, soft_plate: fc.Structure) -> None:
+    """Some dofs of the last periods are the same numbers as everything."""
+    options: dict[str, Any] = {"periods": 5, "steps_per_period": 320}
+    # Products with fewer rows may round otherwise.
+    rounding = 1e-14 if scheme is fc.integrate_events else 0.0
+    everything = scheme(soft_plate, 2000.0, LAW, **options)
+    some = scheme(soft_plate, 2000.0, LAW, record_periods=2, dofs=[3, 40], **options)
+    assert len(everything.time) == 5 * 320 and len(some.time) == 2 * 320
+    for found, whole in (
+        (some.time, everything.time),
+        (some.gap, everything.gap),
+        (some.contact_force, everything.contact_force),
+        (some.displacement([40, 3]), everything.displacement([40, 3])),
+    ):
+        assert np.abs(found - whole[-640:]).max() <= rounding * np.abs(whole).max()
+    assert np.allclose(np.diff(everything.time), everything.time[1])
+    gap = everything.displacement(range(50)) @ soft_plate.gap.toarray()
+    assert np.allclose(gap, everything.gap, atol=1e-20)
+    with pytest.raises(fc.InputError, match="dofs"):
+        some.displacement([5])
+    more = scheme(soft_plate, 2000.0, LAW, record_periods=7, **options)
+    assert np.array_equal(more.gap, everything.gap)
+
+
+@all_schemes
+def test_a_march_without_pairs_settles_by_the_motion_of_its_load(scheme: Scheme) -> None:
+    """Nothing but the displacement can say whether it repeats: exp(-0.05 t) of the oscillator."""
+    bare = fc.Structure.from_matrices(
+        np.ones((1, 1)), np.ones((1, 1)), None, force_cos=[1.0], damping=0.1 * np.ones((1, 1))
+    )
+    law, options = fc.UnilateralPenalty(1.0), {"steps_per_period": 128, "settle": 1e-2}
+    history = scheme(bare, 0.7, law, periods=50, **options)
+    assert 8 <= history.periods <= 14 and 1e-3 < history.settled < 1e-2
+    assert history.gap.shape == history.contact_force.shape == (128 * history.periods, 0)
+
+
+@all_schemes
+def test_one_instant_in_a_period(scheme: Scheme) -> None:
+    """A load faster than everything else: books and record take it."""
+    structure = oscillator(clearance=1.0)
+    history = scheme(structure, 20.0, fc.UnilateralPenalty(1.0), periods=3, steps_per_period=1)
+    assert len(history.time) == 3 and np.all(np.isfinite(history.gap))
+    assert abs(history.created_energy) < 1e-3
+
+
+@all_schemes
+def test_history_in_one_line(scheme: Scheme) -> None:
+    """How far it went, whether it settled, and how many pairs there are."""
+    structure, law = chain(), fc.UnilateralPenalty(4.0)
+    two = scheme(structure, 0.8, law, periods=2, steps_per_period=64)
+    settled = f", settled to {two.settled:.0e}"
+    assert repr(two) == f"TimeHistory(2 periods of 64 steps{settled}, 3 pairs)"
+    one = scheme(oscillator(), 0.8, law, periods=1, steps_per_period=64)
+    assert repr(one) == "TimeHistory(1 period of 64 steps, 1 pair)"
+
+
+def test_all_schemes_march_alike() -> None:
+    """Same arguments, same motion and force, to the schemes' errors."""
+    structure, law = chain("modal"), fc.UnilateralPenalty(4.0)
+    central, implicit, events = (
+        scheme(structure, 0.8, law, periods=3, steps_per_period=1024, record_periods=1, dofs=[2])
+        for scheme in SCHEMES
+    )
+    for history in (central, implicit):
+        assert np.array_equal(history.time, events.time)
+        assert relative(history.gap, events.gap) < 1e-3
+        assert relative(history.contact_force, events.contact_force) < 1e-3
+        assert relative(history.displacement([2]), events.displacement([2])) < 1e-3
