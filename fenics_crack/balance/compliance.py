@@ -13,7 +13,6 @@ known.
 
 from __future__ import annotations
 
-from copy import copy
 from typing import Protocol
 
 import numpy as np
@@ -114,7 +113,8 @@ class ModalCompliance:
         self, base_omega: float, *, load: float = 1.0, damping: float = 1.0, clearance: float = 0.0
     ) -> ModalCompliance:
         """The same at another frequency, and of a varied structure (:meth:`Structure.varied`)."""
-        other = copy(self)
+        other = object.__new__(type(self))  # faster than copy
+        vars(other).update(vars(self))
         other._set(base_omega, load, damping, clearance)
         return other
 
