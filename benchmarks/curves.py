@@ -32,7 +32,7 @@ from fenics_crack.balance.newton import Newton
 from fenics_crack.draw.figure import COLOURS
 
 Pairs = list[tuple[np.ndarray, float]]
-TOLERANCE, MOST_ITERATIONS = 1e-9, 8
+TOLERANCE, MAX_ITERATIONS = 1e-9, 8
 
 COLUMNS = (
     "case", "k", "xi", "H", "unknowns", "complete", "points", "folds", "iterations",
@@ -158,7 +158,7 @@ def by_snes(family: FrequencyFamily, pairs: Pairs) -> tuple[int, int]:
     iterations = found = 0
     with Newton(family) as snes:
         for start, place in pairs:
-            _, converged, count = snes.solve(start, place, TOLERANCE, MOST_ITERATIONS)
+            _, converged, count = snes.solve(start, place, TOLERANCE, MAX_ITERATIONS)
             iterations, found = iterations + count, found + converged
     return iterations, found
 
@@ -167,8 +167,8 @@ def by_own(family: FrequencyFamily, pairs: Pairs) -> tuple[int, int]:
     """The same by the loop of curves."""
     iterations = found = 0
     for start, place in pairs:
-        point = solve_at(family, start, place, tolerance=TOLERANCE, iterations=MOST_ITERATIONS)
-        iterations += point.iterations if point else MOST_ITERATIONS
+        point = solve_at(family, start, place, tolerance=TOLERANCE, iterations=MAX_ITERATIONS)
+        iterations += point.iterations if point else MAX_ITERATIONS
         found += point is not None
     return iterations, found
 

@@ -90,7 +90,7 @@ def incremental_system(
     harmonics = rows // 2
     if samples is not None:
         check_count("samples", samples, rows)
-    gap = structure.closing(displacement)
+    gap = structure.apply_bt(displacement)
     gap[0] -= structure.clearance
     if samples is None and isinstance(contact, UnilateralPenalty):
         theta, weight = _between_switching(gap)

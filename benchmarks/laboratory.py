@@ -161,7 +161,7 @@ class BlockSystem:
 
     def gap(self, amplitude: np.ndarray) -> np.ndarray:
         """g = B^T u - g0: (2H+1, n_pairs)."""
-        gap = self.structure.closing(amplitude)
+        gap = self.structure.apply_bt(amplitude)
         gap[0] -= self.structure.clearance
         return gap
 
@@ -192,11 +192,11 @@ class BlockPoint(Linearisation):
     def _through_structure(self, force: np.ndarray) -> np.ndarray:
         """A^-1 B of forces on the pairs."""
         system = self._system
-        return system.compliance.solve_blocks(system.structure.spread(force))
+        return system.compliance.solve_blocks(system.structure.apply_b(force))
 
     def apply(self, change: np.ndarray) -> np.ndarray:
         """dF = (I + A^-1 B T B^T) du."""
-        closing = self._system.structure.closing(change)
+        closing = self._system.structure.apply_bt(change)
         return change + self._through_structure(apply_to_pairs(self._tangent, closing))
 
     @cached_property
@@ -207,7 +207,7 @@ class BlockPoint(Linearisation):
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """(I + A^-1 B T B^T)^-1 r = r - A^-1 B T (I + R T)^-1 B^T r."""
-        closing = self._system.structure.closing(right)
+        closing = self._system.structure.apply_bt(right)
         gap = scipy.linalg.lu_solve(self._factors, closing.ravel()).reshape(closing.shape)
         return right - self._through_structure(apply_to_pairs(self._tangent, gap))
 

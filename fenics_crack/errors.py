@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from numbers import Integral, Real
 
 __all__ = [
-    "MOST_SAMPLES",
+    "MAX_SAMPLES",
     "ConvergenceError",
     "InputError",
     "check_count",
@@ -20,7 +20,7 @@ __all__ = [
 LONGEST_VALUE = 1000
 """Characters of a value shown in a message."""
 LARGEST_COUNT = 10**9
-MOST_SAMPLES = 2**20
+MAX_SAMPLES = 2**20
 """Samples of a period at which the contact force may be evaluated."""
 
 

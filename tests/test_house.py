@@ -17,7 +17,7 @@ import fenics_crack as fc
 PACKAGE = ROOT / "fenics_crack"
 LONGEST_FUNCTION = 80
 """Lines, docstring included."""
-MOST_PARAMETERS = 10
+MAX_PARAMETERS = 10
 NEED_MPI_FIRST = {"petsc4py", "slepc4py", "dolfinx"}
 
 
@@ -130,7 +130,7 @@ def test_functions_take_few_parameters() -> None:
     for place, node in functions():
         given = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
         count = len([a for a in given if a.arg not in ("self", "cls")])
-        if count > MOST_PARAMETERS:
+        if count > MAX_PARAMETERS:
             many[place] = count
     assert not many
 

@@ -47,9 +47,9 @@ __all__ = [
     "tangent_of",
 ]
 
-MOST_ITERATIONS = 8
+MAX_ITERATIONS = 8
 """Of one correction."""
-LEAST_DAMPING = 0.05
+MIN_DAMPING = 0.05
 """Of a Newton step."""
 
 
@@ -102,10 +102,10 @@ def solve_in_plane(
     plane: Tangent | None,
     *,
     tolerance: float,
-    iterations: int = MOST_ITERATIONS,
+    iterations: int = MAX_ITERATIONS,
     reach: float = np.inf,
     damped: bool = True,
-    least_damping: float = LEAST_DAMPING,
+    least_damping: float = MIN_DAMPING,
     history: list[float] | None = None,
 ) -> PathPoint | None:
     """Newton's method in the plane across a tangent, or at a given parameter; None where it fails.

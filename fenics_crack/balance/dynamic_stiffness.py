@@ -121,7 +121,7 @@ class DynamicStiffness:
 
     def compliance(self) -> np.ndarray:
         """Return R = B^T Z^-1 B as seen by the contact pairs: (n_pairs, n_pairs) [m/N]."""
-        return self.structure.closing(self.solve(self.structure.gap.T.toarray())).T
+        return self.structure.apply_bt(self.solve(self.structure.gap.T.toarray())).T
 
     def destroy(self) -> None:
         """Free the matrices and factors (collective)."""

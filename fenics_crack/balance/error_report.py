@@ -90,7 +90,7 @@ def estimate_errors(at: CondensedPoint, displacement: np.ndarray, problem: Probl
     """Estimate the errors of a solution, given as the equations there and as the coefficients of
     the structure's displacement (2H+1, n_local) [m] (collective)."""
     structure = problem.structure
-    expanded = structure.closing(displacement)
+    expanded = structure.apply_bt(displacement)
     expanded[0] -= structure.clearance
 
     def relative(change: np.ndarray) -> float:

@@ -21,7 +21,7 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.balance.solver import Solver
 from fenics_crack.errors import (
-    MOST_SAMPLES,
+    MAX_SAMPLES,
     ConvergenceError,
     InputError,
     check_count,
@@ -35,8 +35,8 @@ from fenics_crack.model.structure import Structure
 
 __all__ = ["check_initial", "check_memory", "solve_harmonic_balance", "solve_linear"]
 
-MOST_HARMONICS = 300
-"""If more are needed for a tolerance, or more than MOST_SAMPLES, it is out of reach."""
+MAX_HARMONICS = 300
+"""If more are needed for a tolerance, or more than MAX_SAMPLES, it is out of reach."""
 MATRICES = 4
 """Dense matrices of the size of the Jacobian that are held at a time."""
 
@@ -67,7 +67,7 @@ def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> P
             with DynamicStiffness(structure, k * omega) as block:
                 amplitude[k] = block.solve(load[k].real[None] if k == 0 else load[k][None])[0]
     displacement = from_complex(amplitude)
-    gap = structure.closing(displacement)
+    gap = structure.apply_bt(displacement)
     gap[0] -= structure.clearance
     return PeriodicSolution(structure, omega, None, displacement, gap, np.zeros_like(gap))
 
@@ -210,14 +210,14 @@ def _finer(problem: Problem, solution: PeriodicSolution, tolerance: float) -> tu
         return problem, "that of the reduced structure given"
     if report.sampling > 0.3 * tolerance:
         used = problem.samples or problem.subharmonic * default_samples(harmonics)
-        if used > MOST_SAMPLES // 4:
+        if used > MAX_SAMPLES // 4:
             return problem, "sampling"
         return replace(problem, samples=4 * used), ""
-    if harmonics >= MOST_HARMONICS:
+    if harmonics >= MAX_HARMONICS:
         return problem, f"truncation at H = {harmonics}"
     # The error falls like H^-3 or slower: aim a little past the goal, but not too far.
     wanted = harmonics * min(2.5, 1.1 * (report.truncation / tolerance) ** (1.0 / 3.0))
-    harmonics = min(MOST_HARMONICS, max(harmonics + 2, int(np.ceil(wanted))))
+    harmonics = min(MAX_HARMONICS, max(harmonics + 2, int(np.ceil(wanted))))
     samples = problem.samples and max(problem.samples, 8 * harmonics)
     return replace(problem, harmonics=harmonics, samples=samples), ""
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from fenics_crack.balance.compliance import Compliance, dynamic_compliance, load_coefficients
 from fenics_crack.balance.contact_integrals import ContactIntegrals, contact_integrals
-from fenics_crack.errors import MOST_SAMPLES, InputError, check_count, check_omega
+from fenics_crack.errors import MAX_SAMPLES, InputError, check_count, check_omega
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.structure import Structure
 
@@ -62,8 +62,8 @@ class Problem:
             if is_rigid(self.contact):
                 raise InputError("samples", self.samples, "left out with UnilateralConstraint")
             check_count("samples", self.samples, 2 * self.harmonics + 1)
-            if self.samples > MOST_SAMPLES:
-                raise InputError("samples", self.samples, f"at most {MOST_SAMPLES}")
+            if self.samples > MAX_SAMPLES:
+                raise InputError("samples", self.samples, f"at most {MAX_SAMPLES}")
 
     @property
     def base_omega(self) -> float:

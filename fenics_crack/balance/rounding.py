@@ -15,7 +15,7 @@ from fenics_crack.model.contact import ContactLaw
 __all__ = ["ROUNDING", "SOFT", "check_stiffness", "least_residual", "stiffness_times_compliance"]
 
 EPSILON, ROUNDING = float(np.finfo(float).eps), 1e-13
-MOST_ROUNDING = 1e-5
+MAX_ROUNDING = 1e-5
 """eps k R_0, of the static compliance, beyond which a stiffness is refused."""
 SOFT = 0.05
 """k R up to which contact is so soft that the solution is unique and close to the linear one."""
@@ -29,17 +29,17 @@ def stiffness_times_compliance(compliance: Compliance, law: ContactLaw) -> float
 
 def least_residual(product: float) -> float:
     """What rounding leaves of |F| / |x| where the largest k R is a ``product``."""
-    return max(ROUNDING, min(MOST_ROUNDING, EPSILON * product))
+    return max(ROUNDING, min(MAX_ROUNDING, EPSILON * product))
 
 
 def check_stiffness(compliance: Compliance, law: ContactLaw) -> None:
     """Raise InputError where rounding would leave nothing of the contact force."""
     stiffest = float(np.max(law.stiffness))
     static = float(np.abs(compliance.matrices[0]).sum(axis=1).max())
-    if not EPSILON * stiffest * static < MOST_ROUNDING:
+    if not EPSILON * stiffest * static < MAX_ROUNDING:
         raise InputError(
             "contact stiffness",
             stiffest,
-            f"at most {MOST_ROUNDING / (EPSILON * static):.2g} N/m on this structure, beyond "
+            f"at most {MAX_ROUNDING / (EPSILON * static):.2g} N/m on this structure, beyond "
             "which rounding leaves nothing; UnilateralConstraint is the limit",
         )

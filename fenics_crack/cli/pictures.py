@@ -154,7 +154,7 @@ def draw_sweep(found: SweepResult, folder: Path) -> list[Path]:
     doubtful = pages(found.converged & (found.not_stable | found.inexact))
     files = []
     fixed = itertools.product(*(axes[place].values for place in others))
-    for number, at in enumerate(itertools.islice(fixed, MOST_PICTURES)):
+    for number, at in enumerate(itertools.islice(fixed, MAX_PICTURES)):
         words = [f"{axes[place].key} = {value}" for place, value in zip(others, at, strict=True)]
         title = ", ".join(words) or f"Sweep of {axes[shown[0]].key}"
         for name, quantity in QUANTITIES.items():
@@ -171,7 +171,7 @@ QUANTITIES = {
     "response": "half peak-to-peak at the load's point",
     "opening": "largest opening of the crack",
 }
-FEW_LINES, MOST_PICTURES = 6, 12
+FEW_LINES, MAX_PICTURES = 6, 12
 
 
 def _page(

@@ -22,7 +22,7 @@ from fenics_crack.table import Table
 
 __all__ = ["check", "new"]
 
-MOST_CHECKED = 10_000
+MAX_CHECKED = 10_000
 """Cases of a sweep that are checked before it is run."""
 
 
@@ -87,7 +87,7 @@ def check(scene: Scene, console: Console) -> Exit:
 def _impossible(scene: Scene) -> str:
     """How many cases of a sweep cannot be scenes, and why the first one cannot."""
     plan = Plan(scene)
-    places = itertools.islice(np.ndindex(*plan.shape), MOST_CHECKED)
+    places = itertools.islice(np.ndindex(*plan.shape), MAX_CHECKED)
     reasons = [case for case in map(plan.case, places) if isinstance(case, str)]
-    more = f" of the first {MOST_CHECKED}" if np.prod(plan.shape) > MOST_CHECKED else ""
+    more = f" of the first {MAX_CHECKED}" if np.prod(plan.shape) > MAX_CHECKED else ""
     return f"{len(reasons)}{more}" + (f": {reasons[0]}" if reasons else "")

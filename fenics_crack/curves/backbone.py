@@ -153,7 +153,7 @@ class Backbone(Tabular):
         shape = (2 * self.harmonics + 1, self.structure.n_dofs)
         rows = np.zeros(shape)
         rows[cosine_rows(self.harmonics)] = self.cosines[index]
-        gap = self.structure.closing(rows)
+        gap = self.structure.apply_bt(rows)
         gap[0] -= self.structure.clearance
         integrals = contact_integrals(self.contact, self.harmonics, self.samples)
         return PeriodicSolution(

@@ -51,7 +51,7 @@ from fenics_crack.stability.floquet import LeadingMultiplier, PiecewiseFlow
 __all__ = ["Continuation", "CurvePoint"]
 
 Answer = TypeVar("Answer")
-MOST_HARMONICS = 100
+MAX_HARMONICS = 100
 """Beyond these a curve's harmonics are not raised."""
 EVERY = 4
 """Points between two looks at the truncation."""
@@ -431,10 +431,10 @@ def _first_solution(
 
 def _more_harmonics(count: int, truncation: float, tolerance: float | None) -> int | None:
     """As many harmonics as an error that falls like H^-3 asks for; None where these are enough."""
-    if tolerance is None or truncation <= tolerance or count >= MOST_HARMONICS:
+    if tolerance is None or truncation <= tolerance or count >= MAX_HARMONICS:
         return None
     factor = min(2.0, 1.1 * (truncation / tolerance) ** (1.0 / 3.0))
-    return min(MOST_HARMONICS, math.ceil(factor * count))
+    return min(MAX_HARMONICS, math.ceil(factor * count))
 
 
 def _check_range(structure: Structure, parameter: str, start: float, end: float) -> None:

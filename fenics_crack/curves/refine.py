@@ -30,8 +30,8 @@ from fenics_crack.stability.floquet import PiecewiseFlow
 __all__ = ["refine_curve"]
 
 TOLERANCE = 1e-9
-STEPS, MOST_BETWEEN = 4, 1000
-MOST_NUMBERS = 4_000_000
+STEPS, MAX_BETWEEN = 4, 1000
+MAX_NUMBERS = 4_000_000
 """In the Jacobians of the points that are treated together."""
 
 
@@ -53,8 +53,8 @@ def refine_curve(curve: ResponseCurve, between: int) -> ResponseCurve:
         is unknown to :func:`fenics_crack.model.contact.repeated`.
     """
     check_count("between", between, 1)
-    if between > MOST_BETWEEN:
-        raise InputError("between", between, f"at most {MOST_BETWEEN}")
+    if between > MAX_BETWEEN:
+        raise InputError("between", between, f"at most {MAX_BETWEEN}")
     if curve.parameter != "omega":
         raise InputError("curve", f"in {curve.parameter!r}", "in 'omega'")
     if len(curve) < 4:
@@ -75,7 +75,7 @@ def refine_curve(curve: ResponseCurve, between: int) -> ResponseCurve:
     omegas, iterations = np.empty(len(wanted)), np.zeros(len(wanted), dtype=int)
     for count in np.unique(counts):
         rows = 2 * int(count) + 1
-        chunk = max(1, MOST_NUMBERS // (rows * pairs) ** 2)
+        chunk = max(1, MAX_NUMBERS // (rows * pairs) ** 2)
         system = _Together(curve.problem.with_harmonics(int(count)), span)
         chosen = np.flatnonzero(counts == count)
         for some in np.array_split(chosen, -(-len(chosen) // chunk)):

@@ -36,7 +36,7 @@ from fenics_crack.scene.scene import Scene
 
 __all__ = ["PlateMesh", "build_mesh", "write_msh"]
 
-MOST_CELLS = 5_000_000
+MAX_CELLS = 5_000_000
 """For a plate; a mesh file may have any number of cells."""
 SMALLEST_CELL = 1e-7
 """Relative to the plate: gmsh and the matrices allow no smaller one."""
@@ -129,9 +129,9 @@ def _draw(scene: Scene) -> None:
     assert width is not None
     columns, rows = _divisions(scene)
     cells = math.prod(sum(interval[2] for interval in side) for side in (columns, rows))
-    if cells > MOST_CELLS:
+    if cells > MAX_CELLS:
         key = "columns" if scene.mesh.layout == "grid" else "size"
-        allowed = f"so that there are fewer cells: {cells:.2g} are more than {MOST_CELLS:.0e}"
+        allowed = f"so that there are fewer cells: {cells:.2g} are more than {MAX_CELLS:.0e}"
         raise InputError(f"mesh.{key}", getattr(scene.mesh, key), allowed)
     mirrored = crack is not None and crack.edge == "right"
 

@@ -158,7 +158,7 @@ def check_gap(
     structure: Structure, displacement: np.ndarray, gap: np.ndarray, tolerance: float
 ) -> None:
     """Raise InputError unless displacement and gap coefficients agree (collective)."""
-    closing = structure.closing(displacement)
+    closing = structure.apply_bt(displacement)
     size = np.linalg.norm(closing)
     closing[0] -= structure.clearance
     if np.linalg.norm(closing - gap) > tolerance * size:

@@ -78,7 +78,7 @@ class ReducedStructure(Structure):
         small = Structure.from_matrices(
             sparse.identity(len(squares)),
             sparse.diags(squares),
-            whole.closing(basis.T),
+            whole.apply_bt(basis.T),
             damping=damping,
         )
         super().__init__(
@@ -174,7 +174,7 @@ def reduce_structure(
         response = factor.solve(sources.T).T
         extra = response if method == "free_interface" else response[:, :0]
         if method == "craig_bampton":
-            compliance = structure.closing(response[:, : structure.n_pairs].T)
+            compliance = structure.apply_bt(response[:, : structure.n_pairs].T)
             scale = 1e3 / np.abs(compliance).max(initial=1e-300)
             tied = solve_modes(structure.tied(scale), modes).shapes
             extra = np.hstack([response, tied])

@@ -243,11 +243,11 @@ class Structure:
 
     # --- displacement and gap ---------------------------------------------------------------------
 
-    def closing(self, displacement: np.ndarray) -> np.ndarray:
+    def apply_bt(self, displacement: np.ndarray) -> np.ndarray:
         """B^T u of displacements (m, n_local): (m, n_pairs) on every rank (collective)."""
         return self.sum_over_ranks((self._gap_transposed @ displacement.T).T)
 
-    def spread(self, pair_force: np.ndarray) -> np.ndarray:
+    def apply_b(self, pair_force: np.ndarray) -> np.ndarray:
         """B lambda of forces on the pairs (m, n_pairs): (m, n_local)."""
         return (self.gap @ pair_force.T).T
 

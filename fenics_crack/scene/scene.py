@@ -17,7 +17,7 @@ from typing import Any, get_args, get_type_hints
 
 import numpy as np
 
-from fenics_crack.errors import MOST_SAMPLES, InputError
+from fenics_crack.errors import MAX_SAMPLES, InputError
 from fenics_crack.scene.fields import (
     OR_ZERO,
     Axis,
@@ -173,9 +173,9 @@ class HarmonicBalance(Table):
         super().__post_init__()
         least = 4 * self.harmonics + 1
         self.require(
-            self.samples is None or least <= self.samples <= MOST_SAMPLES,
+            self.samples is None or least <= self.samples <= MAX_SAMPLES,
             "samples",
-            f"a whole number from {least} (4 harmonics + 1) to {MOST_SAMPLES}, or left out",
+            f"a whole number from {least} (4 harmonics + 1) to {MAX_SAMPLES}, or left out",
         )
 
 

@@ -35,7 +35,7 @@ from fenics_crack.model.modal import AllModes, flow_matrix
 
 __all__ = ["Eigenbasis", "UndampedModes", "eigenbasis", "undamped_modes"]
 
-MOST_CORRECTIONS = 8
+MAX_CORRECTIONS = 8
 ENOUGH, SMALLEST = 1e-11, 1e-8
 """What the last correction may leave of the shapes' errors; smaller corrections are rounding."""
 ORTHOGONAL = 1e-9
@@ -134,7 +134,7 @@ def _corrected(stiffness: np.ndarray, damping: np.ndarray) -> tuple[np.ndarray, 
     np.divide(coupling, impedance, out=shapes, where=np.abs(impedance) > np.abs(coupling))
     before = np.abs(shapes).max()
     np.fill_diagonal(shapes, 1.0)
-    for _ in range(MOST_CORRECTIONS):
+    for _ in range(MAX_CORRECTIONS):
         damped, moved = _times(damping, shapes), shapes * values
         norms = (shapes * (2.0 * moved + damped)).sum(axis=0)[:, None]
         residual = (moved + damped) * values + _times(stiffness, shapes)

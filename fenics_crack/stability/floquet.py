@@ -52,14 +52,14 @@ LONGEST_PERIOD = 1e12
 """Times the highest natural frequency, beyond which rounding leaves nothing of the motion."""
 FEW_PAIRS = 4
 """Up to so many, shooting takes seconds at most; many pairs switch too often."""
-MOST_KEPT = 256
+MAX_KEPT = 256
 """Changes of basis, and undamped modes with pairs closed, that are kept."""
 BLOCK, FULL = 8, 40
 """Columns of a subspace in which the leading multiplier is sought; up to so many multipliers, all
 are computed at once."""
 SQUARINGS = (4, 7, 9, 11)
 """Of M, after which it is sought."""
-MOST_SECANTS = 12
+MAX_SECANTS = 12
 FARTHEST = 0.05
 """From a multiplier's exponent to the root of Hill's determinant, relative to the frequency."""
 
@@ -305,7 +305,7 @@ class PiecewiseFlow:
 
 def _make_room(kept: dict) -> None:
     """Forget what is kept where it has become much."""
-    if len(kept) >= MOST_KEPT:
+    if len(kept) >= MAX_KEPT:
         kept.clear()
 
 
@@ -390,7 +390,7 @@ def _hill(
             return complex(np.linalg.solve(bordered, last)[-1])
 
         root, report = scipy.optimize.newton(
-            bordering, start, x1=start + 1e-7 * omega, tol=1e-10 * omega, maxiter=MOST_SECANTS,
+            bordering, start, x1=start + 1e-7 * omega, tol=1e-10 * omega, maxiter=MAX_SECANTS,
             full_output=True, disp=False,
         )  # fmt: skip
     except np.linalg.LinAlgError:

@@ -39,9 +39,9 @@ __all__ = ["refine_bifurcation"]
 
 TOLERANCE = 1e-12
 """|z(T) - z| / |z| of the points, where the flow does not enlarge rounding beyond it."""
-MOST_ITERATIONS, LEAST_DAMPING = 30, 0.01
+MAX_ITERATIONS, MIN_DAMPING = 30, 0.01
 """From the solution to the branch."""
-MOST_STEPS = 400
+MAX_STEPS = 400
 """In each direction."""
 
 Test = Callable[[PathPoint], float]
@@ -174,9 +174,9 @@ class _Branch(ExactOrbits):
             1.0,
             tangent_of(self, self.start, at),
             tolerance=self.tolerance,
-            iterations=MOST_ITERATIONS,
+            iterations=MAX_ITERATIONS,
             reach=0.5,
-            least_damping=LEAST_DAMPING,
+            least_damping=MIN_DAMPING,
         )
         if found is None:
             return None
@@ -189,7 +189,7 @@ def _sought(
 ) -> Iterator[PathPoint | None]:
     """Follow the branch; yield None after each step, and the point where the test vanishes."""
     stepping = Stepping(
-        0.1 * longest, longest, 1e-7 * longest, MOST_STEPS, branch.tolerance, least_cosine=0.9,
+        0.1 * longest, longest, 1e-7 * longest, MAX_STEPS, branch.tolerance, least_cosine=0.9,
         rounding=branch.tolerance,
     )  # fmt: skip
     before, value = start, test(start)

@@ -28,7 +28,7 @@ from fenics_crack.time.march import initial_state
 
 __all__ = ["ExactOrbits", "OrbitPoint", "PeriodicOrbit", "shoot"]
 
-MOST_STEPS, LEAST_DAMPING = 20, 1e-3
+MAX_STEPS, MIN_DAMPING = 20, 1e-3
 """Newton steps of shooting, and how much they may be shortened."""
 DIFFERENCE = 1e-6
 """Of p, for dF/dp."""
@@ -198,8 +198,8 @@ def shoot(
     orbits = ExactOrbits(structure, law, solution)  # type: ignore[arg-type]
     sizes: list[float] = []
     found = solve_in_plane(
-        orbits, orbits.start, 1.0, None, tolerance=tolerance, iterations=MOST_STEPS,
-        least_damping=LEAST_DAMPING, history=sizes,
+        orbits, orbits.start, 1.0, None, tolerance=tolerance, iterations=MAX_STEPS,
+        least_damping=MIN_DAMPING, history=sizes,
     )  # fmt: skip
     if found is None:
         raise ConvergenceError(

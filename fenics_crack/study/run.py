@@ -28,7 +28,7 @@ from fenics_crack.time.central_differences import (
     integrate_central_difference,
     stable_steps_per_period,
 )
-from fenics_crack.time.events import MOST_PAIRS, integrate_events
+from fenics_crack.time.events import MAX_PAIRS, integrate_events
 from fenics_crack.time.implicit import integrate_implicit
 from fenics_crack.time.march import TimeHistory
 
@@ -131,8 +131,8 @@ def integrate(
         raise InputError("reduction.method", "off", "a reduction, or one rank, for this command")
     study = prepare(scene, comm)
     structure, omega = study.structure, scene.excitation.omega
-    if table.method == "events" and structure.n_pairs > MOST_PAIRS:
-        allowed = f"another with {structure.n_pairs} contact pairs: it takes {MOST_PAIRS} at most"
+    if table.method == "events" and structure.n_pairs > MAX_PAIRS:
+        allowed = f"another with {structure.n_pairs} contact pairs: it takes {MAX_PAIRS} at most"
         raise InputError("integration.method", "events", allowed)
     law = _needed_law(study)
     options: dict[str, Any] = {

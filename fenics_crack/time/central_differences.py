@@ -140,7 +140,7 @@ class _CentralDifferences(StepScheme):
         self.owned = self._u, self._r, self._a, self._d, self._inverse
         if self.rigid:
             self._push, self._modal_push = self._response()
-            self._compliance = structure.closing(self._push.T).T
+            self._compliance = structure.apply_bt(self._push.T).T
         widths = len(self.load_rows), structure.n_pairs, structure.n_pairs, len(self.load_rows)
         self._tail = [np.empty((0, width)) for width in widths]
         self._start(*asked.start)
@@ -152,7 +152,7 @@ class _CentralDifferences(StepScheme):
         push = dt2 * by_columns(self._inverse.apply, self.structure.mass, pairs)
         if self._modes is None:
             return push, np.zeros((0, self.structure.n_pairs))
-        pushed = dt2 * self.structure.closing(self._modes.shapes.T)
+        pushed = dt2 * self.structure.apply_bt(self._modes.shapes.T)
         push -= self._modes.shapes @ (self._share[:, None] * pushed)
         return push, (1.0 - self._share)[:, None] * pushed
 

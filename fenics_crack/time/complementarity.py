@@ -36,7 +36,7 @@ __all__ = ["solve_complementarity", "solve_forces"]
 
 ROUNDING = 1e-14
 """Gaps relative to the largest one that count as zero."""
-MOST_ITERATIONS = 100
+MAX_ITERATIONS = 100
 
 
 def solve_complementarity(
@@ -50,7 +50,7 @@ def solve_complementarity(
     allowed = ROUNDING * float(np.abs(gap).max(initial=0.0))
     closed = gap > 0.0 if closed is None else closed
     seen: set[bytes] = set()
-    while closed.tobytes() not in seen and len(seen) < MOST_ITERATIONS:
+    while closed.tobytes() not in seen and len(seen) < MAX_ITERATIONS:
         seen.add(closed.tobytes())
         force = np.zeros(len(gap))
         try:
@@ -72,7 +72,7 @@ def _by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
     root = np.sqrt(np.maximum(values, 1e-15 * values.max(initial=0.0)))
     allowed = 1e-10 * float(np.abs(gap).max(initial=0.0))
     force = np.zeros(len(gap))
-    for _ in range(MOST_ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         target = (vectors.T @ (scale * (gap - (matrix - symmetric) @ force))) / root
         try:
             force = scale * scipy.optimize.nnls((vectors * root).T, target)[0]
@@ -102,7 +102,7 @@ def solve_forces(
         return (reached, *response(reached))
 
     force, (reached, found, tangent) = guess, evaluate(guess)
-    for _ in range(MOST_ITERATIONS):
+    for _ in range(MAX_ITERATIONS):
         excess = force - found
         if not np.any(excess):
             return force

@@ -22,12 +22,12 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
 from fenics_crack.time.regime import FreeMotion, Gaps, Regime, next_event
 
-__all__ = ["MOST_PAIRS", "EventFlow", "integrate_events"]
+__all__ = ["MAX_PAIRS", "EventFlow", "integrate_events"]
 
-MOST_PAIRS = 12
-MOST_EVENTS = 100_000
+MAX_PAIRS = 12
+MAX_EVENTS = 100_000
 """In one flow; more are a sign that pairs chatter without end."""
-MOST_STEPS = 3e5
+MAX_STEPS = 3e5
 """Twelfths of the period of the highest mode in one flow, about half a second of work."""
 
 
@@ -44,11 +44,11 @@ class EventFlow:
         check_law(structure, contact)
         if not is_small(structure):
             raise InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
-        if structure.n_pairs > MOST_PAIRS:
+        if structure.n_pairs > MAX_PAIRS:
             raise InputError(
                 "structure",
                 f"{structure.n_pairs} pairs",
-                f"one with at most {MOST_PAIRS}: n pairs have 2^n regimes, each taken apart into "
+                f"one with at most {MAX_PAIRS}: n pairs have 2^n regimes, each taken apart into "
                 "its modes; integrate_implicit takes many",
             )
         self.structure, self.omega = structure, omega
@@ -104,7 +104,7 @@ class EventFlow:
         while True:
             regime = self._regime(closed)
             free = regime.free
-            if not (end - now) / free.step < MOST_STEPS:
+            if not (end - now) / free.step < MAX_STEPS:
                 raise ConvergenceError("events: the highest modes are too fast for that long")
             weights = regime.weights(state, now)
             gaps = Gaps(regime, self.gap_rows, self.structure.clearance, closed, weights, now)
@@ -122,7 +122,7 @@ class EventFlow:
             closed = closed.copy()
             closed[pair] = ~closed[pair]
             events += 1
-            if events > MOST_EVENTS:
+            if events > MAX_EVENTS:
                 raise ConvergenceError("events: the pairs open and close without end")
 
     def _closed_at(self, state: np.ndarray) -> np.ndarray:

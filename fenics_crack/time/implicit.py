@@ -173,13 +173,13 @@ class _GeneralisedAlpha(StepScheme):
                 right[:, column] = self._damped(kick[:, column]) + self._now * dt * self._times(
                     structure.stiffness, kick[:, column]
                 )
-            self._kick, self._rates = self._with_modal(kick), structure.closing(kick.T).T
+            self._kick, self._rates = self._with_modal(kick), structure.apply_bt(kick.T).T
             pull = self._solve(right)
             moved = dt * kick - dt**2 * self._beta * pull
         else:
             pull = -self._solve(pairs)
             moved = -(dt**2) * self._beta * pull
-        self._pull, self._compliance = self._with_modal(pull), structure.closing(moved.T).T
+        self._pull, self._compliance = self._with_modal(pull), structure.apply_bt(moved.T).T
 
     def _kicks(self, pairs: np.ndarray) -> np.ndarray:
         """(1 - am) D^-1 B: change of velocity by unit impulses."""

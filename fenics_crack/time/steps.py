@@ -95,7 +95,7 @@ class StepScheme(Scheme):
         if not self.rigid or not np.any(gap > 0.0):
             return displacement
         push = solve_once(self.structure.mass, self.structure.gap.toarray())
-        return displacement - push @ solve_complementarity(self.structure.closing(push.T).T, gap)
+        return displacement - push @ solve_complementarity(self.structure.apply_bt(push.T).T, gap)
 
 
 def solve_once(matrix: Any, columns: np.ndarray) -> np.ndarray:

@@ -231,10 +231,10 @@ def test_sign_of_the_closing(layout: str, cells: str, order: int) -> None:
     everywhere = np.ones((len(structure.nodes.points), 1))
     for direction in ([1.0, 0.0], [0.0, 1.0], [2.0, -3.0]):
         shift = field(structure, everywhere * direction)
-        np.testing.assert_allclose(structure.closing(shift), 0.0, atol=1e-13)
+        np.testing.assert_allclose(structure.apply_bt(shift), 0.0, atol=1e-13)
     lifted = np.zeros((len(everywhere), 2))
     lifted[nodes_of_side(structure, (0.0, HEIGHT / 2), (0.0, 1.0)), 1] = 1.0
-    np.testing.assert_allclose(structure.closing(field(structure, lifted)), -1.0, rtol=1e-12)
+    np.testing.assert_allclose(structure.apply_bt(field(structure, lifted)), -1.0, rtol=1e-12)
 
 
 def test_written_mesh_gives_the_same_structure(tmp_path: Path) -> None:
@@ -486,7 +486,7 @@ def summary(scene: Scene, comm: MPI.Comm) -> dict[str, Any]:
         "pairs": structure.n_pairs,
         "nodes": nodes[np.lexsort(nodes.round(9).T)],
         "points": structure.pair_points,
-        "closing": structure.closing(moved),
+        "closing": structure.apply_bt(moved),
         "load": comm.allreduce(structure.force.sum(axis=1)),
         "work": comm.allreduce(structure.force @ moved[0]),
         "stiffness": structure.stiffness.norm(),

@@ -369,7 +369,7 @@ def spread_modes(comm: MPI.Comm) -> tuple[Any, ...]:
         *random_matrices(15), np.ones(15), force_sin=np.arange(15.0), comm=comm
     )
     modes = solve_modes(structure, 5)
-    closing = structure.closing(np.abs(modes.shapes.T))[0, 0]
+    closing = structure.apply_bt(np.abs(modes.shapes.T))[0, 0]
     return structure.n_local, modes.omega, closing, comm.allreduce(structure.force[2].sum())
 
 

@@ -94,11 +94,11 @@ def test_every_form_of_the_matrices_gives_the_same(convert: Any, tmp_path: Path)
     np.testing.assert_array_equal(structure.clearance, expected["clearance"])
     displacement = np.random.default_rng(2).standard_normal((3, N))
     np.testing.assert_allclose(
-        structure.closing(displacement), displacement @ expected["gap"], rtol=1e-13, atol=1e-14
+        structure.apply_bt(displacement), displacement @ expected["gap"], rtol=1e-13, atol=1e-14
     )
     forces = displacement[:, :PAIRS]
     np.testing.assert_allclose(
-        structure.spread(forces), forces @ expected["gap"].T, rtol=1e-13, atol=1e-14
+        structure.apply_b(forces), forces @ expected["gap"].T, rtol=1e-13, atol=1e-14
     )
 
 

@@ -164,7 +164,7 @@ def test_force_clearance_and_law_are_swept_without_a_new_geometry(
             again.displacement(time_, components), motion, atol=1e-4 * np.ptp(motion)
         )
         assert again.structure.clearance[0] == values["crack.clearance"]
-        assert np.abs(again.structure.closing(again.displacement_coefficients)[1:]
+        assert np.abs(again.structure.apply_bt(again.displacement_coefficients)[1:]
                       - again.gap_coefficients[1:]).max() < 1e-9 * np.abs(gap).max()  # fmt: skip
 
 

@@ -248,7 +248,7 @@ def test_no_penetration_and_no_pull(scheme: Callable[..., fc.TimeHistory], dampi
     assert np.abs(gap[1:][force[:-1] > 0.0]).max() < 1e-13 * size
     displacement = history.displacement(range(structure.n_dofs))
     assert np.allclose(
-        structure.closing(displacement) - structure.clearance, gap, atol=1e-13 * size
+        structure.apply_bt(displacement) - structure.clearance, gap, atol=1e-13 * size
     )
 
 
