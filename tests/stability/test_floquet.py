@@ -68,6 +68,7 @@ def test_without_contact_the_flow_is_linear() -> None:
 @pytest.mark.parametrize(
     "law", [fc.UnilateralPenalty(2.0), fc.SmoothedPenalty(2.0, 10.0)], ids=["penalty", "smoothed"]
 )
+@pytest.mark.filterwarnings("error")
 def test_against_the_variational_equation(law: fc.UnilateralPenalty | fc.SmoothedPenalty) -> None:
     """Multipliers of two masses from SciPy's integration of the linearised motion."""
     stiffness = chain_stiffness(np.ones(3))

@@ -1,0 +1,78 @@
+"""Exact orbits by shooting."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import oscillator
+
+import fenics_crack as fc
+from fenics_crack.balance.bordered import PathPoint, locate, solve_in_plane, tangent_of
+from fenics_crack.stability.shooting import ExactOrbits
+
+
+def orbits(omega: float = 1.0) -> ExactOrbits:
+    """Of the bilinear oscillator next to a solution with few harmonics."""
+    law = fc.UnilateralPenalty(1.0)
+    solution = fc.solve_harmonic_balance(oscillator(), omega, law, harmonics=5)
+    return ExactOrbits(oscillator(), law, solution)
+
+
+def test_slopes_against_differences() -> None:
+    """M - I and dF/dp at a state that is no orbit."""
+    system = orbits()
+    x = 1.1 * system.start
+    at, step = system.linearise(x, 1.02), 1e-5
+    for index, direction in enumerate(np.eye(2)):
+        one, other = (system.linearise(x + h * direction, 1.02) for h in (step, -step))
+        slope = (one.residual - other.residual) / (2.0 * step)
+        assert at.assemble()[:, index] == pytest.approx(slope, abs=1e-8)
+    one, other = (system.linearise(x, 1.02 + h) for h in (step, -step))
+    assert at.by_parameter == pytest.approx((one.residual - other.residual) / (2 * step), rel=1e-6)
+
+
+def test_history_of_a_solution_and_of_a_failure() -> None:
+    """Residuals fall quadratically; where they get no further, the closest one is named."""
+    system, sizes = orbits(), list[float]()
+    found = solve_in_plane(system, system.start, 1.0, None, tolerance=1e-12, history=sizes)
+    assert found is not None and len(sizes) == found.iterations >= 2
+    assert sizes[-1] < 1e-3 * sizes[0]
+    law = fc.UnilateralPenalty(1.0)
+    solution = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=5)
+    with pytest.raises(fc.ConvergenceError, match=r"closest \d\.\de-1[4-9] after \d+ steps"):
+        fc.shoot(oscillator(), solution, tolerance=-1.0)
+
+
+def test_point_between_two_is_judged_once() -> None:
+    """Brent's method asks the test function once at each orbit that it meets."""
+    system = orbits()
+    start = solve_in_plane(system, system.start, 1.0, None, tolerance=1e-12)
+    assert start is not None and start.at is not None
+    tangent = tangent_of(system, start.unknown, start.at)
+    before = replace(start, tangent=tangent)
+    after = solve_in_plane(
+        system,
+        before.unknown + 0.02 * tangent.x,
+        before.parameter + 0.02 * tangent.p,
+        tangent,
+        tolerance=1e-12,
+    )
+    assert after is not None
+    asked: list[float] = []
+
+    def test(point: PathPoint) -> float:
+        asked.append(point.parameter)
+        return point.parameter - (before.parameter + 0.004 * tangent.p)
+
+    found = locate(system, before, after, test, 1e-12)
+    assert found.parameter == pytest.approx(before.parameter + 0.004 * tangent.p, rel=1e-11)
+    assert len(set(asked)) == len(asked)
+
+
+def test_short_steps_lead_to_an_orbit(paper_structure: fc.Structure) -> None:
+    """Little damping and stiff contact: only a small share of the first step is right."""
+    law = fc.UnilateralPenalty(1e10)
+    solution = fc.solve_harmonic_balance(paper_structure, 1300.0, law, harmonics=100, throw=False)
+    orbit = fc.shoot(paper_structure, solution)
+    assert orbit.residual < 1e-10
+    assert abs(orbit.multipliers[0]) == pytest.approx(1.917148, rel=1e-5)
