@@ -218,14 +218,14 @@ class _ConstraintPoint(CondensedPoint):
         super().__init__(unknown, unknown - projected)
 
     def assemble(self) -> np.ndarray:
+        """I - T (t I - eps R), with T R = (R^T T^T)^T."""
         rows, pairs = self.unknown.shape
-        identity = np.broadcast_to(np.eye(rows), (pairs, rows, rows))
-        matrices = self.system.compliance.matrices
-        inner = -self.system.weight * respond_to_columns(matrices, identity)
-        inner.flat[:: len(inner) + 1] += self._share
-        inner = inner.reshape(rows, pairs, -1).transpose(1, 0, 2)
-        product = np.matmul(self.tangent, inner).transpose(1, 0, 2)
-        jacobian: np.ndarray = -product.reshape(rows * pairs, rows * pairs)
+        conjugate = self.system.compliance.matrices.conj()  # R^T in its real form
+        jacobian = respond_to_columns(conjugate, self.tangent.transpose(0, 2, 1)).T
+        jacobian *= self.system.weight
+        blocks = jacobian.reshape(rows, pairs, rows, pairs)
+        for pair, tangent in enumerate(self.tangent):
+            blocks[:, pair, :, pair] -= self._share * tangent
         jacobian.flat[:: len(jacobian) + 1] += 1.0
         return jacobian
 
