@@ -104,20 +104,21 @@ def solve_in_plane(
     tolerance: float,
     iterations: int = MAX_ITERATIONS,
     reach: float = np.inf,
-    damped: bool = True,
-    least_damping: float = MIN_DAMPING,
+    least_damping: float | None = MIN_DAMPING,
+    patience: int | None = None,
     history: list[float] | None = None,
 ) -> PathPoint | None:
     """Newton's method in the plane across a tangent, or at a given parameter; None where it fails.
 
     ``tolerance`` is |F| / |x| of the solution, |x| that of the tangent's point; ``reach``: how far
-    from the guess the parameter may go; ``damped``: shorten steps where the residual would grow, to
-    ``least_damping`` of them; ``history`` gets |F| / |x| of the guess and after each step, except
-    the one that meets the tolerance.
+    from the guess the parameter may go; ``least_damping``: how much a step may be shortened where
+    the residual would grow, None for full steps whatever it does; ``patience``: steps that may
+    together fail to halve |F| / |x|; ``history`` gets |F| / |x| of the guess and after each step,
+    except the one that meets the tolerance.
     """
     guess = parameter
     change, shift, damping, before = np.zeros_like(unknown), 0.0, 1.0, np.inf
-    linearised = 0
+    linearised, history = 0, [] if history is None else history
     for _ in range(4 * iterations):
         at = system.linearise(unknown, parameter)
         square = system.inner(at.residual, at.residual)
@@ -130,15 +131,15 @@ def solve_in_plane(
             return PathPoint(unknown, parameter, linearised, flat, at=at)
         if not np.isfinite(size):
             return None
-        if damped and not size < before:
+        if least_damping is not None and not size < before:
             damping *= 0.5
             if damping < least_damping:
                 return None
             unknown, parameter = unknown - damping * change, parameter - damping * shift
             continue
-        if history is not None:
-            history.append(size)
-        if linearised == iterations:
+        history.append(size)
+        stalls = patience is not None and 0.5 * min(history[:-patience], default=np.inf) < size
+        if linearised == iterations or stalls:
             return None
         change, shift = -at.solve(at.residual), 0.0
         if plane is not None:
@@ -207,8 +208,9 @@ def solve_at(
 ) -> PathPoint | None:
     """Full Newton steps from a guess at a given parameter; None where they do not converge."""
     return solve_in_plane(
-        system, unknown, parameter, None, tolerance=tolerance, iterations=iterations, damped=False
-    )
+        system, unknown, parameter, None,
+        tolerance=tolerance, iterations=iterations, least_damping=None,
+    )  # fmt: skip
 
 
 def land(

@@ -58,6 +58,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _be_silent()
     try:
         return _run(parser().parse_args(arguments))
+    except SystemExit:  # --help, or words that the parser refuses
+        if any(name in os.environ for name in LAUNCHERS):
+            from mpi4py import MPI
+
+            MPI.COMM_WORLD.Barrier()  # a rank that fails earlier would silence the one that prints
+        raise
     except InputError as error:
         named = InputError(KEYS.get(error.key, error.key), error.value, error.allowed)
         print(f"fenics-crack: {named}", file=sys.stderr)

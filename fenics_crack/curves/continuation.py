@@ -405,8 +405,8 @@ class Continuation:
     def _take_over(self, curve: ResponseCurve) -> None:
         """Begin with the points of another curve, on its way."""
         check_resumed(curve, self._family)
-        for index, value in enumerate(curve.values.tolist()):
-            found = self._known(curve.gap(index), value, int(curve.iterations[index]))
+        for index, value in enumerate(curve.values):
+            found = self._known(curve.gap(index), float(value), int(curve.iterations[index]))
             self._points.append(replace(found, truncation=float(curve.truncation[index])))
         self._special = [(b.kind, b.value, b.gap_coefficients) for b in curve.bifurcations]
         self._branch, self._least = curve.branch, int(curve.harmonics.min())

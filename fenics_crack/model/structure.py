@@ -73,7 +73,8 @@ class ModalDamping:
 
     def scaled(self, factor: float) -> ModalDamping:
         """The same with every ratio multiplied by a factor."""
-        return replace(self, ratio=(factor * np.asarray(self.ratio)).tolist())
+        ratio: Any = (factor * np.asarray(self.ratio)).tolist()
+        return replace(self, ratio=ratio)
 
     def __str__(self) -> str:
         percent = 100.0 * np.asarray(self.ratio)

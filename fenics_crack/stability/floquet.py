@@ -389,10 +389,11 @@ def _hill(
             bordered[:size, :size] = matrix(exponent)
             return complex(np.linalg.solve(bordered, last)[-1])
 
-        root, report = scipy.optimize.newton(
-            bordering, start, x1=start + 1e-7 * omega, tol=1e-10 * omega, maxiter=MAX_SECANTS,
-            full_output=True, disp=False,
-        )  # fmt: skip
+        with np.errstate(invalid="ignore", divide="ignore"):  # NaN: too far from the start
+            root, report = scipy.optimize.newton(
+                bordering, start, x1=start + 1e-7 * omega, tol=1e-10 * omega, maxiter=MAX_SECANTS,
+                full_output=True, disp=False,
+            )  # fmt: skip
     except np.linalg.LinAlgError:
         return complex(np.nan)
     return complex(np.exp(root * solution.period)) if report.converged else complex(np.nan)

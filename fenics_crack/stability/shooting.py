@@ -28,8 +28,9 @@ from fenics_crack.time.march import initial_state
 
 __all__ = ["ExactOrbits", "OrbitPoint", "PeriodicOrbit", "shoot"]
 
-MAX_STEPS, MIN_DAMPING = 20, 1e-3
-"""Newton steps of shooting, and how much they may be shortened."""
+MAX_STEPS, MIN_DAMPING, PATIENCE = 20, 1e-3, 6
+"""Newton steps of shooting, how much they may be shortened, and how many may together fail to halve
+the residual."""
 DIFFERENCE = 1e-6
 """Of p, for dF/dp."""
 
@@ -199,7 +200,7 @@ def shoot(
     sizes: list[float] = []
     found = solve_in_plane(
         orbits, orbits.start, 1.0, None, tolerance=tolerance, iterations=MAX_STEPS,
-        least_damping=MIN_DAMPING, history=sizes,
+        least_damping=MIN_DAMPING, patience=PATIENCE, history=sizes,
     )  # fmt: skip
     if found is None:
         raise ConvergenceError(

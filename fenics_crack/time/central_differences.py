@@ -142,7 +142,7 @@ class _CentralDifferences(StepScheme):
             self._push, self._modal_push = self._response()
             self._compliance = structure.apply_bt(self._push.T).T
         widths = len(self.load_rows), structure.n_pairs, structure.n_pairs, len(self.load_rows)
-        self._tail = [np.empty((0, width)) for width in widths]
+        self._tail: list[np.ndarray] = [np.empty((0, width)) for width in widths]
         self._start(*asked.start)
 
     def _response(self) -> tuple[np.ndarray, np.ndarray]:

@@ -194,10 +194,11 @@ class TimeHistory:
         if self.structure.whole is not self.structure:
             return self.structure.values_at(self.recorded, dofs)
         wanted = self.structure.check_dofs(dofs)
-        place = {dof: column for column, dof in enumerate(self.recorded_dofs.tolist())}
+        place = {int(dof): column for column, dof in enumerate(self.recorded_dofs)}
         here = np.isin(wanted, self.recorded_dofs)
         found = np.zeros((len(self.time), len(wanted)))
-        found[:, here] = self.recorded[:, [place[dof] for dof in wanted[here].tolist()]]
+        columns = np.array([place[int(dof)] for dof in wanted[here]], dtype=int)
+        found[:, here] = self.recorded[:, columns]
         missing = wanted[self.structure.sum_over_ranks(here.astype(float)) == 0.0]
         if len(missing):
             raise InputError("dofs", missing.tolist(), "among those recorded")
@@ -238,7 +239,8 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
     """March a scheme, period by period, until it settles, and free it (collective)."""
     structure, kept, steps = asked.structure, asked.kept, asked.steps_per_period
     widths = structure.n_pairs, structure.n_pairs, len(asked.recorded_dofs)
-    gap, force, motion = records = [np.empty((kept * steps, width)) for width in widths]
+    records: list[np.ndarray] = [np.empty((kept * steps, width)) for width in widths]
+    gap, force, motion = records
     load_motion = np.empty((steps, len(asked.load_rows)))
     settled, done, before = np.inf, 0, None
     hidden = not asked.progress or structure.comm.rank != 0
