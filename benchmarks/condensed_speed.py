@@ -474,6 +474,7 @@ def race(python: str, case: dict[str, Any], harmonics: int, turns: int) -> list[
     times: dict[str, list[float]] = {}
     converged = dict.fromkeys(ways, 0)
     theirs: dict[str, Any] = {}
+    follow, refine = fc.continue_frequency, fc.refine_curve  # imported here, not while timed
     for _ in range(turns):
         finished = run_python(python, [str(WORKER)], json.dumps(job))
         if finished.returncode != 0:
@@ -485,12 +486,12 @@ def race(python: str, case: dict[str, Any], harmonics: int, turns: int) -> list[
             times.setdefault(who, []).append(seconds / max(converged[who], 1))
         for who, (longest, between) in CURVES.items():
             started = time.process_time()
-            curve = fc.continue_frequency(
+            curve = follow(
                 structure, case["start"], case["end"], law, harmonics=harmonics,
                 longest_step=longest,
             )  # fmt: skip
             if between:
-                curve = fc.refine_curve(curve, between)
+                curve = refine(curve, between)
             seconds = time.process_time() - started
             converged[who] = len(curve)
             times.setdefault(who, []).append(seconds / len(curve))
