@@ -194,11 +194,11 @@ class TimeHistory:
         if self.structure.whole is not self.structure:
             return self.structure.values_at(self.recorded, dofs)
         wanted = self.structure.check_dofs(dofs)
-        place = {int(dof): column for column, dof in enumerate(self.recorded_dofs)}
         here = np.isin(wanted, self.recorded_dofs)
         found = np.zeros((len(self.time), len(wanted)))
-        columns = np.array([place[int(dof)] for dof in wanted[here]], dtype=int)
-        found[:, here] = self.recorded[:, columns]
+        order = np.argsort(self.recorded_dofs)
+        place = np.searchsorted(self.recorded_dofs, wanted[here], sorter=order)
+        found[:, here] = self.recorded[:, order[place]]
         missing = wanted[self.structure.sum_over_ranks(here.astype(float)) == 0.0]
         if len(missing):
             raise InputError("dofs", missing.tolist(), "among those recorded")
