@@ -153,7 +153,7 @@ class BlockSystem:
     def __init__(self, compliance: FactoredCompliance, integrals: ContactIntegrals) -> None:
         self.compliance, self.integrals = compliance, integrals
         self.structure = compliance.structure
-        self.comm = self.structure.comm
+        self.comm, self.matrix_free = self.structure.comm, False
         rows = 2 * integrals.harmonics + 1
         self.shape: tuple[int, ...] = (rows, self.structure.n_local)
         self.global_size = rows * self.structure.n_dofs

@@ -44,7 +44,8 @@ from fenics_crack.model.contact import UnilateralConstraint as UnilateralConstra
 from fenics_crack.model.contact import UnilateralPenalty as UnilateralPenalty
 from fenics_crack.model.modes import Modes as Modes
 from fenics_crack.model.modes import solve_modes as solve_modes
-from fenics_crack.model.reduction import ReducedStructure as ReducedStructure
+from fenics_crack.model.reduced import MasslessStructure as MasslessStructure
+from fenics_crack.model.reduced import ReducedStructure as ReducedStructure
 from fenics_crack.model.reduction import reduce_structure as reduce_structure
 from fenics_crack.model.structure import ModalDamping as ModalDamping
 from fenics_crack.model.structure import Structure as Structure

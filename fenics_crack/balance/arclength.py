@@ -73,7 +73,7 @@ def follow_path(
             if found is not None:
                 # The determinant of the bordered matrix keeps its sign along a path: it tells where
                 # the path goes on, and the angle whether the step has left it.
-                ahead = _oriented(system, found.unknown, found.at, orientation)
+                ahead = _oriented(system, found.unknown, found.at, orientation, here.tangent)
                 cosine = ahead.along(here.tangent, system)
                 if cosine > stepping.least_cosine:
                     break
@@ -98,12 +98,20 @@ def follow_path(
 
 
 def _oriented(
-    system: System, unknown: np.ndarray, at: Linearisation | None, orientation: float
+    system: System,
+    unknown: np.ndarray,
+    at: Linearisation | None,
+    orientation: float,
+    before: Tangent,
 ) -> Tangent:
-    """The tangent at a point along which the path goes on."""
+    """The tangent at a point along which the path goes on, behind one with another tangent."""
     assert at is not None
-    tangent = tangent_of(system, unknown, at)
-    return tangent if at.sign == orientation else tangent.reversed()
+    tangent, sign = tangent_of(system, unknown, at), at.sign
+    if np.isnan(sign):  # unknown: not back again
+        onwards = tangent.along(before, system) >= 0.0
+    else:
+        onwards = sign == orientation
+    return tangent if onwards else tangent.reversed()
 
 
 def _round_corner(
@@ -118,11 +126,11 @@ def _round_corner(
     for step in stepping.longest * 10.0 ** np.arange(-7.0, -1.5, 0.5):
         behind = here.unknown + step * here.tangent.x
         at = system.linearise(behind, here.parameter + step * here.tangent.p)
-        turned = _oriented(system, behind, at, orientation)
+        turned = _oriented(system, behind, at, orientation, here.tangent)
         sharp = max(stepping.rounding, 1e-4 * step)
         found = correct(system, here, step, sharp, tangent=turned)
         if found is not None:
-            ahead = _oriented(system, found.unknown, found.at, orientation)
+            ahead = _oriented(system, found.unknown, found.at, orientation, turned)
             if ahead.along(turned, system) > 0.5:
                 return found, ahead, step
     return None

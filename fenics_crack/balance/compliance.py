@@ -32,6 +32,7 @@ __all__ = [
     "WidenedCompliance",
     "dynamic_compliance",
     "load_coefficients",
+    "narrowed",
 ]
 
 
@@ -99,14 +100,21 @@ class ModalCompliance:
         self._modes = all_modes(structure)
         self._order = np.arange(len(load) // 2 + 1.0)
         self._unit_load = to_complex(load @ self._modes.shapes)
+        self._unit_static: np.ndarray | None = None
+        if self._modes.static_loads is not None:
+            self._unit_static = load @ self._modes.static_loads
+            self._static_gap = structure.apply_bt(self._unit_static)
         self._set(base_omega, 1.0, 1.0, 0.0)
 
     def _set(self, base_omega: float, load: float, damping: float, clearance: float) -> None:
         self._base, self._damping = base_omega, damping
         self._receptance = self._modes.receptance(base_omega * self._order, damping)
-        self.matrices = self._modes.seen_by_pairs(self._receptance)
+        self.matrices = self._seen(self._receptance)
         self._modal_load = load * self._unit_load
         self.linear_gap = self._gap(self._modal_load)
+        self._load = load
+        if self._unit_static is not None:
+            self.linear_gap += load * self._static_gap
         self.linear_gap[0] -= self._clearance + clearance
 
     def at(
@@ -121,11 +129,20 @@ class ModalCompliance:
     def beyond(self, highest: int) -> np.ndarray:
         """R_k for k = H+1 to ``highest``."""
         order = np.arange(len(self.matrices), highest + 1)
-        return self._modes.seen_by_pairs(self._modes.receptance(self._base * order, self._damping))
+        return self._seen(self._modes.receptance(self._base * order, self._damping))
+
+    def _seen(self, receptance: np.ndarray) -> np.ndarray:
+        """R_k of receptances."""
+        found = self._modes.seen_by_pairs(receptance)
+        return found if self._modes.residual is None else found + self._modes.residual
 
     def displacement(self, force: np.ndarray) -> np.ndarray:
         """u = A^-1 (c - B lambda)."""
-        return self.seen_through(self._modes.shapes, force)
+        found = self.seen_through(self._modes.shapes, force)
+        if self._unit_static is not None:
+            assert self._modes.static_pairs is not None
+            found += self._load * self._unit_static - force @ self._modes.static_pairs.T
+        return found
 
     def seen_through(self, shapes: np.ndarray, force: np.ndarray) -> np.ndarray:
         """The displacement of some dofs, from their rows of all modes (m, n_modes): (2H+1, m)."""
@@ -146,7 +163,8 @@ class ModalCompliance:
 
     def load_derivative(self) -> np.ndarray:
         """By the factor of the load."""
-        return -self._gap(self._unit_load)
+        found = self._gap(self._unit_load)
+        return -found if self._unit_static is None else -found - self._static_gap
 
     def _gap(self, drive: np.ndarray) -> np.ndarray:
         """Gap coefficients (2H+1, n_pairs) under modal forces (H+1, n_modes)."""
@@ -222,6 +240,31 @@ class WidenedCompliance:
         self.beyond = compliance.beyond
         self.displacement = compliance.displacement
         self.destroy = compliance.destroy
+
+
+class NarrowedCompliance:
+    """A compliance with fewer harmonics."""
+
+    def __init__(self, compliance: Compliance, harmonics: int) -> None:
+        self.matrices = compliance.matrices[: harmonics + 1]
+        self.linear_gap = compliance.linear_gap[: 2 * harmonics + 1]
+        self._whole = compliance.matrices
+        self.displacement, self.destroy = compliance.displacement, compliance.destroy
+        self._further = compliance.beyond
+
+    def beyond(self, highest: int) -> np.ndarray:
+        """R_k for k = H+1 to ``highest``, among those known or as the whole compliance has them."""
+        known = self._whole[len(self.matrices) : highest + 1]
+        if highest < len(self._whole):
+            return known
+        return np.concatenate([known, self._further(highest)])
+
+
+def narrowed(compliance: Compliance, harmonics: int) -> Compliance:
+    """A compliance with at most so many harmonics."""
+    if len(compliance.matrices) == harmonics + 1:
+        return compliance
+    return NarrowedCompliance(compliance, harmonics)
 
 
 def _lowest_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

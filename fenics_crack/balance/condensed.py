@@ -99,7 +99,7 @@ class CondensedPoint(DenseLinearisation, ABC):
 class _Condensed:
     """What both condensed systems share: they are small, and the same on every rank."""
 
-    comm = MPI.COMM_SELF
+    comm, matrix_free = MPI.COMM_SELF, False
 
     def __init__(self, compliance: Compliance, integrals: ContactIntegrals) -> None:
         self.compliance, self.integrals = compliance, integrals
@@ -132,6 +132,10 @@ class CondensedSystem(_Condensed):
     ) -> _GapPoint:
         """The equations at a gap, with the derivative by another parameter."""
         return _GapPoint(self, gap, self.integrals, by_parameter)
+
+    def with_compliance(self, compliance: Compliance) -> CondensedSystem:
+        """The same with another compliance."""
+        return CondensedSystem(compliance, self.integrals)
 
     def widened(self, harmonics: int) -> CondensedSystem:
         """The same equations with more harmonics, to the accuracy of an error estimate."""

@@ -27,10 +27,12 @@ from fenics_crack.balance.contact_integrals import (
     contact_integrals,
     default_samples,
 )
+from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
+from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.problem import Problem
 from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear
-from fenics_crack.model.reduction import ReducedStructure
+from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.table import Described
 
 __all__ = [
@@ -45,6 +47,11 @@ __all__ = [
 LARGE_ERROR = 0.05
 """Estimated error beyond which a solution is not shown without a warning."""
 
+ROUGH = 1e-2
+"""To which equations of an estimate are solved."""
+SMALL_STEP, MAX_STEPS = 0.02, 4
+"""Of Newton's method for an estimate: a first step, relative to the solution, that is enough, and
+how many follow where it is not."""
 MANY = 600
 """Unknowns beyond which the truncation is judged with twice instead of four times the harmonics."""
 
@@ -119,19 +126,69 @@ def beyond_truncation(at: CondensedPoint) -> np.ndarray:
     The step is found by elimination: iterative solutions of these equations do not converge where
     many pairs are stiff.
     """
-    kept, rows = at.system.integrals.harmonics, len(at.unknown)
-    harmonics = max(4 * kept, kept + 8)
-    if (2 * harmonics + 1) * at.unknown.shape[1] > MANY:
-        harmonics = max(2 * kept, kept + 4)
+    if isinstance(at, CoupledPoint):
+        return _beyond_coupled(at)
+    rows, harmonics = len(at.unknown), _more_harmonics(at)
     wide = at.system.widened(harmonics).linearise(resized(at.unknown, harmonics))
     missing = -wide.residual
     missing[:rows] = 0.0  # solved; what samples leave is another error
     return wide.gap_of(wide.solve(missing))
 
 
+def _more_harmonics(at: CondensedPoint) -> int:
+    """With how many harmonics the truncation is judged."""
+    kept = at.system.integrals.harmonics
+    harmonics = max(4 * kept, kept + 8)
+    if (2 * harmonics + 1) * at.unknown.shape[1] > MANY:
+        harmonics = max(2 * kept, kept + 4)
+    return harmonics
+
+
+def _beyond_coupled(at: CoupledPoint) -> np.ndarray:
+    """The same for pairs that are coupled."""
+    harmonics = _more_harmonics(at)
+    return _change_of_gap(at, at.system.widened(harmonics), resized(at.unknown, harmonics))
+
+
+def _change_of_gap(at: CoupledPoint, system: CoupledSystem, start: np.ndarray) -> np.ndarray:
+    """The gap by better equations less that of a point, by Newton's method from its neighbourhood:
+    one step where that is small, else some, as far as they come closer."""
+    rows, known = len(start), at.gap.copy()
+    point = system.linearise(start)
+    first = point.solve(-point.residual, ROUGH)
+    change = point.gap_of(first) + point.gap
+    change[: len(known)] -= known
+    size = system.inner(start, start)
+    if system.inner(first, first) < SMALL_STEP**2 * size:
+        return change
+    best = float(np.sqrt(system.inner(point.residual, point.residual)))
+    moved = first
+    for _ in range(MAX_STEPS):
+        point = system.linearise(point.unknown + moved)
+        left = float(np.sqrt(system.inner(point.residual, point.residual)))
+        if not left < 2.0 * best:
+            break
+        best = min(best, left)
+        change = point.gap.copy()
+        change[: min(rows, len(known))] -= known
+        if left < ROUGH * np.sqrt(system.inner(first, first)):
+            break
+        moved = point.solve(-point.residual, ROUGH)
+    return change
+
+
 def _missed_by_samples(at: CondensedPoint) -> np.ndarray:
     """Better coefficients of the contact force less those used."""
     integrals, gap = at.system.integrals, at.gap
+    if isinstance(integrals, CoupledIntegrals):
+        if integrals.samples is None and integrals.piecewise:
+            return np.zeros_like(gap)
+        finer = (
+            None
+            if integrals.piecewise
+            else 4 * (integrals.samples or default_samples(integrals.harmonics))
+        )
+        return replace(integrals, samples=finer).linearise(at.unknown).force - at.force
     if not isinstance(integrals, SampledIntegrals):
         return np.zeros_like(gap)
     law, harmonics, samples = integrals.law, integrals.harmonics, None
@@ -146,6 +203,12 @@ def _lost_in_reduction(at: CondensedPoint, problem: Problem) -> np.ndarray:
     reference = structure.reference if isinstance(structure, ReducedStructure) else None
     if reference is None:
         return np.zeros_like(at.gap)
+    if isinstance(at, CoupledPoint):
+        other = replace(problem, structure=reference, static_above=problem.cutoff)
+        compliance = other.compliance()
+        system = other.system(compliance)
+        assert isinstance(system, CoupledSystem)
+        return _change_of_gap(at, system, at.gap + at.force @ system.residual)
     better, used = replace(problem, structure=reference).compliance(), at.system.compliance
     free = better.linear_gap - used.linear_gap
     return at.gap_by_linear_gap(free - respond(better.matrices - used.matrices, at.force))
@@ -154,6 +217,9 @@ def _lost_in_reduction(at: CondensedPoint, problem: Problem) -> np.ndarray:
 def _penetration(at: CondensedPoint) -> np.ndarray:
     """Coefficients whose mean square is that of max(g, 0)."""
     integrals, gap = at.system.integrals, at.gap
+    if isinstance(integrals, CoupledIntegrals):
+        inside = at.force / np.asarray(integrals.law.stiffness)  # but of a smoothed law
+        return np.sqrt(inside[:1] ** 2 + 0.5 * np.sum(inside[1:] ** 2, axis=0, keepdims=True))
     if isinstance(at.system, CondensedSystem) and isinstance(integrals, ExactIntegrals):
         # lambda / k = max(g, 0), whose mean square is the mean of g lambda / k.
         inside = at.force / integrals.law.stiffness

@@ -15,6 +15,7 @@ import numpy as np
 
 from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, respond
+from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
 from fenics_crack.balance.problem import Problem
 from fenics_crack.errors import InputError, check_number, check_omega
 from fenics_crack.model.structure import Structure
@@ -29,12 +30,17 @@ class Family(ABC):
     name: str
 
     def __init__(self, problem: Problem, start: float, end: float) -> None:
+        self._asked = problem
+        if problem.residual is not None:
+            problem = replace(problem, static_above=self._cutoff(problem, start, end))
         self.problem, self.start, self.end = problem, start, end
         self._compliance = ModalCompliance(problem.structure, problem.base_omega, problem.load)
-        self._integrals = problem.integrals()
-        self._last: tuple[float, CondensedSystem] | None = None
+        self._last: tuple[float, CondensedSystem | CoupledSystem] | None = None
+        self._first: CondensedSystem | CoupledSystem | None = None
         first = self.system(start)
         self.comm, self.shape, self.global_size = first.comm, first.shape, first.global_size
+        self.matrix_free = first.matrix_free
+        self._last = None
 
     @classmethod
     def check(cls, structure: Structure, key: str, value: float) -> None:
@@ -43,7 +49,11 @@ class Family(ABC):
 
     def with_harmonics(self, harmonics: int) -> Family:
         """The same family with other harmonics."""
-        return type(self)(replace(self.problem, harmonics=harmonics), self.start, self.end)
+        return type(self)(replace(self._asked, harmonics=harmonics), self.start, self.end)
+
+    def _cutoff(self, problem: Problem, start: float, end: float) -> float:
+        """Frequency above which modes answer at once, the same for all of the family [rad/s]."""
+        return problem.cutoff
 
     def value(self, parameter: float) -> float:
         """v of p."""
@@ -66,14 +76,17 @@ class Family(ABC):
         """The family's own problem where the parameter has a value."""
         return self.vary(self.problem, value)
 
-    def _make(self, value: float) -> CondensedSystem:
-        return CondensedSystem(self.compliance(value), self._integrals)
+    def _make(self, value: float) -> CondensedSystem | CoupledSystem:
+        compliance = self.compliance(value)
+        if self._first is None:
+            self._first = self.problem.system(compliance)
+        return self._first.with_compliance(compliance)
 
     @abstractmethod
     def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
         """dF/dv."""
 
-    def system(self, value: float) -> CondensedSystem:
+    def system(self, value: float) -> CondensedSystem | CoupledSystem:
         """The equations where the parameter has a value; the last ones are kept."""
         if self._last is None or self._last[0] != value:
             self._last = value, self._make(value)
@@ -106,6 +119,9 @@ class FrequencyFamily(Family):
     @classmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
         return replace(problem, omega=value)
+
+    def _cutoff(self, problem: Problem, start: float, end: float) -> float:
+        return max(replace(problem, omega=value).cutoff for value in (start, end))
 
     def compliance(self, value: float) -> ModalCompliance:
         return self._compliance.at(value / self.problem.subharmonic)
@@ -184,11 +200,12 @@ class StiffnessFamily(Family):
     def vary(cls, problem: Problem, value: float) -> Problem:
         return replace(problem, contact=problem.contact.scaled(value))
 
-    def _make(self, value: float) -> CondensedSystem:
-        law = self.problem.contact.scaled(value)
-        return CondensedSystem(self._compliance, self._integrals.of_law(law))
+    def _make(self, value: float) -> CondensedSystem | CoupledSystem:
+        return self.at(value).system(self._compliance)
 
     def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
+        if isinstance(at, CoupledPoint):
+            return respond(at.system.moving, at.forces.by_stiffness()) / value
         return respond(self._compliance.matrices, at.force) / value  # b is proportional to v
 
 

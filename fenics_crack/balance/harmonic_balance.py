@@ -30,7 +30,8 @@ from fenics_crack.errors import (
 )
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import is_small
-from fenics_crack.model.reduction import ReducedStructure, reduce_structure
+from fenics_crack.model.reduced import ReducedStructure
+from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 
 __all__ = ["check_initial", "check_memory", "solve_harmonic_balance", "solve_linear"]

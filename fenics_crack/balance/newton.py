@@ -12,11 +12,15 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from fenics_crack.balance.krylov import RESTART
 from fenics_crack.balance.linearisation import Linearisation, System
 
 __all__ = ["DistributedSystem", "Newton"]
 
 OPTIONS_PREFIX = "crack_hb_"
+FORCING = 1e-2
+"""Relative residual of GMRES in the first steps; later ones are solved as sharply as pays
+(Eisenstat and Walker, SIAM Journal on Scientific Computing 17, 1996, 16)."""
 
 
 class DistributedSystem(System, Protocol):
@@ -26,6 +30,8 @@ class DistributedSystem(System, Protocol):
     global_size: int
     shape: tuple[int, ...]
     """Of the unknowns on this rank."""
+    matrix_free: bool
+    """Whether it only applies its Jacobian: GMRES solves with it then."""
 
 
 class Newton:
@@ -57,9 +63,17 @@ class Newton:
         if choose_search:
             options["snes_linesearch_type"] = "basic"
         solver = self._snes.getKSP()
-        solver.setType("preonly")
-        solver.getPC().setType("python")
-        solver.getPC().setPythonContext(self)
+        if system.matrix_free:
+            solver.setType("gmres")
+            solver.setGMRESRestart(RESTART)
+            solver.setTolerances(max_it=RESTART)
+            solver.getPC().setType("none")
+            self._snes.setUseEW(True, version=2, rtol_0=FORCING, rtol_max=FORCING)
+            self._snes.setMaxLinearSolveFailures(1000)  # an inexact step is better than none
+        else:
+            solver.setType("preonly")
+            solver.getPC().setType("python")
+            solver.getPC().setPythonContext(self)
         self._snes.setFromOptions()
         if choose_search:
             options.delValue("snes_linesearch_type")

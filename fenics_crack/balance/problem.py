@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from fenics_crack.balance.compliance import Compliance, dynamic_compliance, load_coefficients
+from fenics_crack.balance.condensed import CondensedSystem
 from fenics_crack.balance.contact_integrals import ContactIntegrals, contact_integrals
-from fenics_crack.errors import MAX_SAMPLES, InputError, check_count, check_omega
+from fenics_crack.balance.coupled import CoupledSystem
+from fenics_crack.balance.coupled_integrals import CoupledIntegrals
+from fenics_crack.errors import MAX_SAMPLES, InputError, check_count, check_number, check_omega
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
+from fenics_crack.model.modal import all_modes, is_small
+from fenics_crack.model.reduced import massless
 from fenics_crack.model.structure import Structure
 
 __all__ = ["Problem"]
+
+BEYOND = 2.0
+"""Modes above so many times the highest harmonic answer at once."""
+REGULAR = 1e-6
+"""Smallest eigenvalue of R_inf, relative to the largest, with which a constraint is solved."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +46,10 @@ class Problem:
         load, or 32 H where that is more.
     subharmonic : int
         The response has this many times the load's period.
+    static_above : float, optional
+        Modes of higher frequencies [rad/s] answer the harmonics of the contact force above H at
+        once, as all that a massless reduction leaves out does. Default: 2 H times the base
+        frequency, where all pairs are seen through a static compliance then; else none.
 
     Raises
     ------
@@ -48,6 +63,7 @@ class Problem:
     harmonics: int = 5
     samples: int | None = None
     subharmonic: int = 1
+    static_above: float | None = None
 
     def __post_init__(self) -> None:
         check_omega(self.omega)
@@ -64,6 +80,8 @@ class Problem:
             check_count("samples", self.samples, 2 * self.harmonics + 1)
             if self.samples > MAX_SAMPLES:
                 raise InputError("samples", self.samples, f"at most {MAX_SAMPLES}")
+        if self.static_above is not None:
+            check_number("static_above", self.static_above, 0.0)
 
     @property
     def base_omega(self) -> float:
@@ -74,6 +92,42 @@ class Problem:
     def load(self) -> np.ndarray:
         """c: coefficients of the load, (2H+1, n_local) [N]."""
         return load_coefficients(self.structure, self.harmonics, self.subharmonic)
+
+    @property
+    def cutoff(self) -> float:
+        """Frequency above which modes answer at once, where there is a :attr:`residual` [rad/s]."""
+        default = BEYOND * self.harmonics * self.base_omega
+        return default if self.static_above is None else self.static_above
+
+    @cached_property
+    def residual(self) -> np.ndarray | None:
+        """R_inf, the static compliance through which contact is seen; None where there is none, or
+        a law with a stiffness acts on a structure with mass at its lips."""
+        structure, contact = self.structure, self.contact
+        lips, rigid = massless(structure), is_rigid(contact)
+        projected = is_rigid(contact) and contact.weight is not None and lips is None
+        wanted = lips is not None or self.static_above is not None or rigid
+        if projected or not wanted or not is_small(structure):
+            return None
+        found = all_modes(structure).static_part(self.cutoff)
+        if rigid and not _regular(found):
+            if lips is not None:
+                raise InputError(
+                    "contact", self.contact, "a penalty where R_inf, what modes leave out, is zero"
+                )
+            return None
+        return found
+
+    def coupled_integrals(self) -> CoupledIntegrals:
+        """How the contact force is integrated where pairs are seen through :attr:`residual`."""
+        assert self.residual is not None
+        return CoupledIntegrals(self.contact, self.residual, self.harmonics, self.samples)
+
+    def system(self, compliance: Compliance) -> CondensedSystem | CoupledSystem:
+        """The equations of all laws but a constraint of pairs that nothing couples."""
+        if self.residual is None:
+            return CondensedSystem(compliance, self.integrals())
+        return CoupledSystem(compliance, self.coupled_integrals())
 
     def integrals(self) -> ContactIntegrals:
         """How the contact force is integrated."""
@@ -86,3 +140,9 @@ class Problem:
     def with_harmonics(self, harmonics: int) -> Problem:
         """The same with other harmonics."""
         return replace(self, harmonics=harmonics)
+
+
+def _regular(matrix: np.ndarray) -> bool:
+    """Whether a symmetric matrix is positive definite, and not badly scaled."""
+    values = np.linalg.eigvalsh(matrix)
+    return bool(values[0] > REGULAR * values[-1] > 0.0)

@@ -16,18 +16,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import PathPoint, Tangent, land
+from fenics_crack.balance.bordered import PathPoint, Tangent, land, solve_in_plane
 from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, ConstraintSystem
 from fenics_crack.balance.contact_integrals import ContactIntegrals, ExactIntegrals
+from fenics_crack.balance.coupled import CoupledSystem
+from fenics_crack.balance.coupled_integrals import balanced
 from fenics_crack.balance.family import FrequencyFamily
+from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.linearisation import Linearisation
 from fenics_crack.balance.newton import DistributedSystem, Newton
+from fenics_crack.balance.orbits import MarchedOrbits
+from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.rounding import (
     ROUNDING,
     SOFT,
@@ -36,6 +41,7 @@ from fenics_crack.balance.rounding import (
     stiffness_times_compliance,
 )
 from fenics_crack.model.contact import UnilateralPenalty
+from fenics_crack.model.flow import ExponentialFlow
 
 __all__ = ["Search"]
 
@@ -46,6 +52,13 @@ STIFF = 10.0
 """Stiffness of the penalty, relative to eps, from which full steps to the constraint start."""
 NEARBY = (1.02, 0.98, 1.1, 0.9, 1.3, 0.75, 2.0, 0.5)
 """Where a path in the frequency may start, relative to the frequency wanted."""
+FEWEST = 5
+"""Harmonics with which a solution is sought first where pairs are coupled."""
+SOFTNESS = (30.0, 300.0)
+"""In series with coupled pairs, in parts of their own compliance, where a path begins."""
+MARCHED, ROUGHLY = 10, 1e-6
+"""Periods of a response that are marched for a start, and how closely it shall then repeat."""
+RAMP = Stepping(first=0.3, longest=0.5)
 WIDE, NARROW = Stepping(first=1.0, longest=2.0), Stepping(first=0.1, longest=0.3)
 """For paths in ln k, and for paths whose parameter runs from 0 to 1."""
 
@@ -74,6 +87,7 @@ class Search:
     attempts: list[str] = field(default_factory=list)
     """What was tried and how it ended."""
     _rounding: float = ROUNDING
+    _last_coupled: Any = None
 
     @property
     def status(self) -> str:
@@ -121,6 +135,83 @@ class Search:
             if not self.converged:
                 return system.linearise(at.unknown)
             return self._path("from penalty to constraint", newton, at, (0.0, 1.0), NARROW)
+
+    def coupled(
+        self,
+        system_with: Callable[[int], CoupledSystem],
+        problem: Problem,
+        start: np.ndarray | None,
+        family_from: Callable[[float], FrequencyFamily] | None = None,
+        *,
+        marched: bool = True,
+    ) -> Linearisation:
+        """Solve for pairs that are seen through a static compliance; return the equations there.
+
+        Without a start, from a marched orbit; where that fails with half the harmonics first, down
+        to a few.
+        """
+        marched = marched and problem.coupled_integrals().piecewise
+        harmonics = problem.harmonics
+        system = system_with(harmonics)
+        with Newton(system) as newton:
+            if start is not None:
+                found = self._newton(newton, start, 1.0, 20, "full Newton steps")
+                if self.converged:
+                    return found
+            elif marched:
+                found = self._newton(newton, self._marched(problem), 1.0, 12)
+                self._note("from a marched orbit", f"{newton.history[-1]:.1e}")
+                if self.converged:
+                    self._last_coupled = found
+                    return found
+            fewer = harmonics // 2
+            if fewer >= max(FEWEST, problem.subharmonic):
+                self.coupled(system_with, problem.with_harmonics(fewer), None, marched=False)
+                if self.converged:
+                    below = self._last_coupled
+                    slow = below.gap + below.force @ system.residual
+                    name = f"from H = {fewer} to {harmonics}"
+                    found = self._newton(newton, resized(slow, harmonics), 1.0, 20, name)
+            if not self.converged:
+                if start is None:
+                    found = self._newton(newton, system.linear, 1.0, 12, "full Newton steps")
+                if not self.converged:
+                    found = self._softness_path(system)
+        if not self.converged and family_from is not None:
+            found = self._frequency_path(family_from)
+        self._last_coupled = found
+        return found
+
+    def _marched(self, problem: Problem) -> np.ndarray:
+        """The slow gap of a motion that has been marched for some periods and led to an orbit by
+        shooting."""
+        harmonics, periods = problem.harmonics, problem.subharmonic
+        steps = 1 << max(8, (8 * harmonics // periods).bit_length())
+        flow = ExponentialFlow(
+            problem.structure, problem.omega, problem.contact, steps, static_above=problem.cutoff
+        )
+        settled = flow.advance(flow.steady[0], MARCHED * periods)
+        orbits = MarchedOrbits(flow, settled.states[-1], periods)
+        orbit = solve_in_plane(
+            orbits, orbits.start, 1.0, None,
+            tolerance=ROUGHLY, iterations=12, least_damping=0.05, patience=6,
+        )  # fmt: skip
+        last = orbits.steps(orbits.start if orbit is None else orbit.unknown, 1.0)
+        return balanced(last.gap + last.forces[:-1] @ flow.residual, harmonics)
+
+    def _softness_path(self, system: CoupledSystem) -> Linearisation:
+        """From pairs with a soft compliance in series, where the solution is close to the linear
+        one, to none: a path with an end."""
+        name = "in the softness"
+        for softness in SOFTNESS:
+            soft = system.softened(softness)
+            with Newton(soft) as newton:
+                found = self._newton(newton, soft.linear, 0.0, 20)
+                if self.converged:
+                    found = self._path(name, newton, found, (0.0, 1.0), RAMP)
+                    if self.converged:
+                        return system.linearise(found.unknown)
+        return system.linearise(found.unknown)
 
     def _from_penalty(self, system: ConstraintSystem, factor: float) -> np.ndarray:
         """The unknowns that stand for the contact force of a penalty, relative to the weight."""

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 
 from fenics_crack.balance.condensed import CondensedPoint
+from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.balance.error_report import ErrorReport, estimate_errors
 from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.problem import Problem
 from fenics_crack.model.contact import ContactLaw, force_in_time
+from fenics_crack.model.modal import all_modes
+from fenics_crack.model.reduced import massless
 from fenics_crack.model.structure import Structure
 from fenics_crack.table import Described, counted, quantity
 
@@ -90,6 +94,9 @@ class PeriodicSolution(Described):
         Estimated errors, relative to the gap's amplitude.
     stability : Stability or None
         Where it has been judged (:func:`fenics_crack.floquet`).
+    static_above : float or None
+        Modes of higher frequencies [rad/s] answer contact forces at once, as all that a massless
+        reduction leaves out does (:class:`fenics_crack.Problem`); None: none does.
     """
 
     structure: Structure
@@ -104,6 +111,7 @@ class PeriodicSolution(Described):
     iterations: int = 0
     report: ErrorReport = ErrorReport(0.0, 0.0, 0.0, 0.0, 0.0)
     stability: Stability | None = None
+    static_above: float | None = None
 
     KIND: ClassVar[str] = "periodic solution"
 
@@ -122,22 +130,53 @@ class PeriodicSolution(Described):
         """Period of the response [s]."""
         return float(2.0 * np.pi / self.base_omega)
 
+    @cached_property
+    def residual(self) -> np.ndarray | None:
+        """R_inf, the compliance of what answers contact forces at once: (n_pairs, n_pairs) [m/N];
+        None where nothing does."""
+        if self.static_above is None:
+            return None
+        return all_modes(self.structure).static_part(self.static_above)
+
+    @property
+    def slow_gap_coefficients(self) -> np.ndarray:
+        """Of s = g + R_inf lambda, the gap without what answers at once: (2H+1, n_pairs) [m]."""
+        if self.residual is None:
+            return self.gap_coefficients
+        return self.gap_coefficients + self.force_coefficients @ self.residual
+
     def gap(self, time: np.ndarray) -> np.ndarray:
-        """g at times [s]: (len(time), n_pairs) [m]."""
-        return evaluate(self.gap_coefficients, self.base_omega, time)
+        """g at times [s]: (len(time), n_pairs) [m]. Where some of it answers contact forces at
+        once, s(t) - R_inf lambda(s(t)), with its kinks."""
+        slow = evaluate(self.slow_gap_coefficients, self.base_omega, time)
+        if self.residual is None:
+            return slow
+        return slow - self.contact_force(time) @ self.residual
 
     def contact_force(self, time: np.ndarray) -> np.ndarray:
-        """Contact force lambda(g(t)) at times [s]: (len(time), n_pairs) [N]; of a constraint
-        eps max(0, g + lambda / eps) of the waves."""
-        gap = self.gap(time)
+        """Contact force at times [s]: (len(time), n_pairs) [N], lambda(g(t)) or lambda(s(t)); of a
+        constraint of pairs that nothing couples, eps max(0, g + lambda / eps) of the waves."""
+        gap = evaluate(self.slow_gap_coefficients, self.base_omega, time)
         if self.contact is None:
             return np.zeros_like(gap)
+        if self.residual is not None:
+            return CoupledIntegrals(self.contact, self.residual, self.harmonics).forces(gap)
         force = evaluate(self.force_coefficients, self.base_omega, time)
         return force_in_time(self.contact, gap, force)
 
     def displacement(self, time: np.ndarray, dofs: Sequence[int]) -> np.ndarray:
         """Displacement of dofs at times [s]: (len(time), len(dofs)) [m] (collective)."""
-        return evaluate(self.coefficients_at(dofs), self.base_omega, time)
+        found = evaluate(self.coefficients_at(dofs), self.base_omega, time)
+        if self.contact is None or (reduced := massless(self.structure)) is None:
+            return found
+        # What answers at once follows the forces as they are, with their kinks.
+        missing = self.contact_force(time) - evaluate(
+            self.force_coefficients, self.base_omega, time
+        )
+        static = np.zeros((len(missing), self.structure.n_dofs))
+        place = reduced.n_modes
+        static[:, place : place + self.structure.n_pairs] = -missing
+        return found + self.structure.values_at(static, dofs)
 
     def amplitude(self, dof: int) -> float:
         """Half the peak-to-peak displacement of a dof [m], of 1024 instants (collective)."""
@@ -217,4 +256,5 @@ def solution_of(problem: Problem, at: CondensedPoint, *, status: str) -> Periodi
         problem.subharmonic,
         status=status,
         report=estimate_errors(at, displacement, problem),
+        static_above=None if problem.residual is None else problem.cutoff,
     )

@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.compliance import Compliance
+from fenics_crack.balance.compliance import Compliance, narrowed
 from fenics_crack.balance.condensed import (
     CondensedPoint,
     CondensedSystem,
     ConstraintSystem,
     default_weight,
 )
+from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
 from fenics_crack.balance.family import FrequencyFamily
 from fenics_crack.balance.fourier import resized, stretched
 from fenics_crack.balance.problem import Problem
@@ -54,7 +55,9 @@ class Solver:
         """The same, whether or not it converged, and the record of the search."""
         search = Search(self.residual_tolerance)
         with self.compliance() as compliance:
-            if is_rigid(self.problem.contact):
+            if self.problem.residual is not None:
+                problem, at = self.problem, self._coupled(search, compliance, initial)
+            elif is_rigid(self.problem.contact):
                 problem, at = self._constrained(search, compliance, initial)
             else:
                 problem, at = self.problem, self.penalised(search, compliance, initial)
@@ -87,6 +90,30 @@ class Solver:
         at = search.constraint(system, start)
         assert isinstance(at, CondensedPoint)
         return replace(self.problem, contact=replace(contact, weight=weight)), at
+
+    def _coupled(
+        self, search: Search, compliance: Compliance, initial: PeriodicSolution | None
+    ) -> CoupledPoint:
+        """Solve for pairs that are seen through a static compliance."""
+        problem = self.problem
+
+        def with_harmonics(harmonics: int) -> CoupledSystem:
+            fewer = problem if harmonics == problem.harmonics else problem.with_harmonics(harmonics)
+            system = fewer.system(narrowed(compliance, harmonics))
+            assert isinstance(system, CoupledSystem)
+            return system
+
+        def family_from(factor: float) -> FrequencyFamily:
+            return FrequencyFamily(problem, factor * problem.omega, problem.omega)
+
+        start = None
+        if initial is not None:
+            assert problem.residual is not None
+            start = self.start(initial, "gap_coefficients")
+            start = start + self.start(initial, "force_coefficients") @ problem.residual
+        at = search.coupled(with_harmonics, problem, start, family_from)
+        assert isinstance(at, CoupledPoint)
+        return at
 
     def penalised(
         self, search: Search, compliance: Compliance, initial: PeriodicSolution | None

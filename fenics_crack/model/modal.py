@@ -11,6 +11,7 @@ import scipy.linalg
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.factor import Factor
 from fenics_crack.model.modes import damped_modes, projected_damping
+from fenics_crack.model.reduced import MasslessStructure, massless
 from fenics_crack.model.structure import Structure
 
 __all__ = ["SMALL", "AllModes", "all_modes", "flow_matrix", "is_small"]
@@ -20,8 +21,10 @@ SMALL = 600
 
 
 def is_small(structure: Structure) -> bool:
-    """Whether a structure can be decomposed into all of its modes: few dofs, on one rank."""
-    return structure.comm.size == 1 and structure.n_dofs <= SMALL
+    """Whether a structure can be decomposed into all of its modes: few dofs on one rank, or
+    known by its modes."""
+    few = structure.comm.size == 1 and structure.n_dofs <= SMALL
+    return few or massless(structure) is not None
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,8 @@ class AllModes:
         Phi^T B.
     unconstrained : bool
         Whether the structure can move as a rigid body.
+    residual : (n_pairs, n_pairs) [m/N] or None
+        R_inf, the compliance of what has no mass; None where all has.
     """
 
     squares: np.ndarray
@@ -47,6 +52,13 @@ class AllModes:
     damping: np.ndarray
     pairs: np.ndarray
     unconstrained: bool
+    residual: np.ndarray | None = None
+    static_pairs: np.ndarray | None = None
+    """(n_dofs, n_pairs): displacement of the coordinates without mass by unit forces on pairs."""
+    static_loads: np.ndarray | None = None
+    """(n_dofs, n_dofs): displacement of the coordinates without mass by forces on them."""
+    rows: np.ndarray | None = None
+    """Phi^T M where that is at hand."""
 
     @property
     def ill_conditioned(self) -> bool:
@@ -86,6 +98,42 @@ class AllModes:
             )
         return 1.0 / impedance if diagonal else np.linalg.inv(impedance)
 
+    def static_part(self, above: float) -> np.ndarray:
+        """R_inf and the static compliance of the modes beyond a frequency [rad/s]: what answers
+        contact forces at once if these modes do; (n_pairs, n_pairs) [m/N]."""
+        fast = self.squares > above**2
+        found = (self.pairs[fast].T / self.squares[fast]) @ self.pairs[fast]
+        return found if self.residual is None else found + self.residual
+
+    def below(self, above: float) -> AllModes:
+        """The same with the modes beyond a frequency [rad/s] among what has no mass."""
+        slow = self.squares <= above**2
+        if np.all(slow) or not np.any(slow):
+            return self
+        squares, shapes, fast = self.squares[~slow], self.shapes[:, ~slow], self.pairs[~slow]
+        loads, pairs = (shapes / squares) @ shapes.T, (shapes / squares) @ fast
+        if self.static_loads is not None and self.static_pairs is not None:
+            loads, pairs = loads + self.static_loads, pairs + self.static_pairs
+        rate = self.damping[slow] if self.damping.ndim == 1 else self.damping[np.ix_(slow, slow)]
+        return AllModes(
+            self.squares[slow],
+            self.shapes[:, slow],
+            rate,
+            self.pairs[slow],
+            self.unconstrained,
+            self.static_part(above),
+            pairs,
+            loads,
+            self.inverse[slow],
+        )
+
+    @property
+    def inverse(self) -> np.ndarray:
+        """Modal coordinates of displacements: (n_modes, n_dofs)."""
+        if self.rows is not None:
+            return self.rows
+        return np.linalg.inv(self.shapes)
+
     def damped(self, modal: np.ndarray) -> np.ndarray:
         """Phi^T C Phi q of modal coordinates (..., n)."""
         return modal * self.damping if self.damping.ndim == 1 else modal @ self.damping.T
@@ -110,6 +158,8 @@ def all_modes(structure: Structure) -> AllModes:
 
 
 def _all_modes(structure: Structure) -> AllModes:
+    if (reduced := massless(structure)) is not None:
+        return _of_massless(reduced)
     known = damped_modes(structure)
     if known is not None and len(known.omega) == structure.n_dofs:
         squares, shapes, damping = known.omega**2, known.shapes, known.rate
@@ -126,6 +176,24 @@ def _all_modes(structure: Structure) -> AllModes:
         unconstrained = factor.null_pivots > 0
     pairs = (structure.gap.T @ shapes).T
     return AllModes(squares, shapes, damping, pairs, unconstrained)
+
+
+def _of_massless(structure: MasslessStructure) -> AllModes:
+    count, gap = structure.n_modes, structure.gap.toarray()
+    loads = np.zeros((structure.n_dofs,) * 2)
+    loads[count:, count:] = structure.flexibility
+    squares = structure.omega**2
+    return AllModes(
+        squares,
+        np.eye(structure.n_dofs)[:, :count],
+        structure.rate,
+        gap[:count],
+        bool(squares[0] <= 1e-12 * squares[-1]),
+        structure.residual,
+        loads @ gap,
+        loads,
+        np.eye(count, structure.n_dofs),
+    )
 
 
 def _dense(matrix: Any) -> np.ndarray:

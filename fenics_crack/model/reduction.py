@@ -1,8 +1,12 @@
 """Reduced structures: few coordinates that carry the same contact pairs, load and damping.
 
-The displacement is sought in the span of a basis T, u = T q. Three bases:
+The displacement is sought in the span of a basis T, u = T q:
 
-- ``free_interface`` (the default; MacNeal, Rubin): the lowest modes Phi with free lips, and for
+- ``massless``: the lowest modes Phi with free lips, and all that they leave out without mass
+  (:class:`fenics_crack.model.reduced.MasslessStructure`). Lips with mass bounce on stiff contact,
+  at frequencies of the mesh; these do not. The compliance seen by the pairs is exact at w = 0, and
+  wrong by a mode's share (w/w_j)^2 / (1 - (w/w_j)^2) of its static one for each mode left out;
+- ``free_interface`` (MacNeal, Rubin): the lowest modes Phi with free lips, and for
   every pair and load the *residual attachment vector*, what the modes leave out of the static
   response,
 
@@ -14,16 +18,16 @@ The displacement is sought in the span of a basis T, u = T q. Three bases:
 - ``truncation``: the lowest modes alone, which leaves out the static compliance of all others: a
   contact pair then looks far too stiff.
 
-T is made M-orthonormal and K-diagonal: the reduced structure is diagonal. Its *reference* has in
-addition the static response to the inertia of Psi, K^-1 M Psi, the next term of the expansion in
-w^2; the difference between both is the estimate of the reduction error.
+With mass, T is made M-orthonormal and K-diagonal: the reduced structure is diagonal. Its
+*reference* has in addition the static response to the inertia of Psi, K^-1 M Psi, the next term of
+the expansion in w^2; that of a massless one has half as many modes more. The difference between
+both is the estimate of the reduction error.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -32,96 +36,22 @@ import scipy.sparse as sparse
 from fenics_crack.errors import InputError
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import SMALL
-from fenics_crack.model.modes import damped_modes, mass_norms, projected_damping, solve_modes, times
+from fenics_crack.model.modes import (
+    DampedModes,
+    damped_modes,
+    mass_norms,
+    projected_damping,
+    solve_modes,
+    times,
+)
+from fenics_crack.model.reduced import MasslessStructure, ReducedStructure, ResidualFlexibility
 from fenics_crack.model.structure import ModalDamping, Structure
 
-__all__ = ["ReducedStructure", "reduce_structure"]
+__all__ = ["reduce_structure"]
 
-METHODS = ("free_interface", "craig_bampton", "truncation")
+METHODS = ("massless", "free_interface", "craig_bampton", "truncation")
 MODES = 50
 """Kept of a large structure whose modes are all damped."""
-
-
-class ReducedStructure(Structure):
-    """A structure in the coordinates q of a basis, u = T q; the same on every rank.
-
-    ``find_dof`` and ``values_at`` refer to the dofs of the whole structure, and so does everything
-    drawn or written of its solutions.
-
-    Attributes
-    ----------
-    whole : Structure
-        What was reduced.
-    basis : (whole.n_local, n_dofs)
-        T, M-orthonormal; its columns are modes of the reduced structure.
-    omega : (n_dofs,) [rad/s]
-        Their frequencies.
-    reference : ReducedStructure or None
-        The same with a larger basis, against which the reduction error is estimated.
-    """
-
-    basis: np.ndarray
-    omega: np.ndarray
-    reference: ReducedStructure | None
-
-    _whole: Structure
-    _VARIED_TOO = ("_whole", "reference")
-
-    def __init__(
-        self,
-        whole: Structure,
-        basis: np.ndarray,
-        squares: np.ndarray,
-        damping: ModalDamping | np.ndarray | None,
-        reference: ReducedStructure | None = None,
-    ) -> None:
-        small = Structure.from_matrices(
-            sparse.identity(len(squares)),
-            sparse.diags(squares),
-            whole.apply_bt(basis.T),
-            damping=damping,
-        )
-        super().__init__(
-            small.mass,
-            small.stiffness,
-            small.gap,
-            force=whole.sum_over_ranks(whole.force @ basis),
-            clearance=whole.clearance,
-            damping=small.damping,
-            nodes=whole.nodes,
-            pair_points=whole.pair_points,
-            pair_areas=whole.pair_areas,
-        )
-        omega = np.sqrt(np.maximum(squares, 0.0))
-        self._hold(basis=basis, omega=omega, reference=reference, _whole=whole)
-
-    @property
-    def _size_words(self) -> str:
-        return f"{self.n_dofs} coordinates of {self.whole.n_dofs} dofs"
-
-    @property
-    def whole(self) -> Structure:
-        """The structure that was reduced first."""
-        return self._whole.whole
-
-    def expand(self, displacement: np.ndarray) -> np.ndarray:
-        """u = T q of coordinates (m, n_dofs): (m, whole.n_local)."""
-        return self._whole.expand(displacement @ self.basis.T)
-
-    def values_at(self, displacement: np.ndarray, dofs: Sequence[int]) -> np.ndarray:
-        """Displacement of dofs of the whole structure from coordinates (m, n_dofs) (collective)."""
-        return displacement @ self._whole.values_at(self.basis.T, dofs)
-
-    def damped(self, damping: ModalDamping | None) -> ReducedStructure:
-        """Return this structure with a modal damping of its own coordinates, or none."""
-        if damping is not None and not isinstance(damping, ModalDamping):
-            raise InputError("damping", damping, "a ModalDamping or None")
-        reference = None if self.reference is None else self.reference.damped(damping)
-        return ReducedStructure(self._whole, self.basis, self.omega**2, damping, reference)
-
-    def _changed(self, **changes: Any) -> Structure:
-        """A plain structure of the coordinates, which have no positions."""
-        return super()._changed(**({"nodes": None} | changes))
 
 
 def reduce_structure(
@@ -130,7 +60,8 @@ def reduce_structure(
     """Reduce a structure to a few coordinates (collective).
 
     Where one ratio damps all modes, it damps all coordinates: these are the modes of the reduced
-    structure. Any other damping is projected.
+    structure. Any other damping is projected; but with ``massless`` all modes that are kept are
+    damped, those beyond the damped ones with the last ratio.
 
     Parameters
     ----------
@@ -139,7 +70,7 @@ def reduce_structure(
     modes : int, optional
         How many of the lowest modes to keep; default: those that are damped, but 50 if all of more
         than 600 are; without modal damping 20.
-    method : "free_interface", "craig_bampton" or "truncation"
+    method : "massless", "free_interface", "craig_bampton" or "truncation"
         The basis.
 
     Raises
@@ -161,6 +92,9 @@ def reduce_structure(
     whole = isinstance(modes, int | np.integer) and not isinstance(modes, bool)
     if not (whole and 1 <= modes <= structure.n_dofs):
         raise InputError("modes", modes, f"a whole number from 1 to n_dofs = {structure.n_dofs}")
+
+    if method == "massless":
+        return _massless(structure, int(modes), damped)
 
     kept: np.ndarray = np.zeros((structure.n_local, 0))
     squares: np.ndarray = np.zeros(0)
@@ -184,6 +118,51 @@ def reduce_structure(
             following.append(factor.solve(damping.T).T)
     reference = _reduced(structure, kept, squares, np.hstack(following), None)
     return _reduced(structure, kept, squares, extra, reference)
+
+
+def _massless(structure: Structure, modes: int, damped: DampedModes | None) -> MasslessStructure:
+    """Modes and the rest without mass; its reference has more modes."""
+    more = min(structure.n_dofs, modes + max(modes // 2, 10))
+    known = damped if damped is not None and len(damped.omega) >= more else None
+    found = known or solve_modes(structure, more)
+    squares, shapes = found.omega[:more] ** 2, np.ascontiguousarray(found.shapes[:, :more])
+    loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
+    sources = sparse.hstack([structure.gap, structure.force[loaded].T]).tocsr()
+    seen = structure.sum_over_ranks((sources.T @ shapes).T)
+    force = structure.sum_over_ranks(structure.force @ shapes)
+    compliance = np.zeros((sources.shape[1],) * 2)
+    if more < structure.n_dofs:
+        compliance = ResidualFlexibility(structure, shapes, sources).compliance()
+    reference = None
+    for count in (more, modes):
+        # What fewer modes leave out is what more do, and the static part of those between.
+        between = slice(count, more)
+        left = compliance + (seen[between].T / squares[between]) @ seen[between]
+        reference = MasslessStructure(
+            structure,
+            squares[:count],
+            _damping_of_modes(structure, shapes[:, :count], squares[:count]),
+            seen[:count, : structure.n_pairs],
+            force[:, :count],
+            left,
+            static=ResidualFlexibility(structure, shapes[:, :count], sources),
+            reference=reference,
+        )
+    assert reference is not None
+    return reference
+
+
+def _damping_of_modes(
+    structure: Structure, shapes: np.ndarray, squares: np.ndarray
+) -> ModalDamping | np.ndarray | None:
+    """Of all modes that are kept."""
+    damping = structure.damping
+    if not isinstance(damping, ModalDamping):
+        return _damping(structure, shapes, squares)
+    if isinstance(damping.ratio, float):
+        return ModalDamping(damping.ratio)
+    ratio = list(damping.ratio)[: len(squares)]
+    return ModalDamping(tuple(ratio + ratio[-1:] * (len(squares) - len(ratio))))
 
 
 def _ratio_of_all(structure: Structure) -> float | None:

@@ -27,13 +27,14 @@ import numpy as np
 from fenics_crack.balance.arclength import Stepping, follow_path
 from fenics_crack.balance.bordered import PathPoint, locate, solve_in_plane, tangent_of
 from fenics_crack.balance.linearisation import DenseLinearisation
+from fenics_crack.balance.orbits import OrbitPoint
 from fenics_crack.balance.rounding import EPSILON
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError, InputError, check_number
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
 from fenics_crack.stability.floquet import doubling_test
-from fenics_crack.stability.shooting import ExactOrbits, OrbitPoint, PeriodicOrbit
+from fenics_crack.stability.shooting import ExactOrbits, PeriodicOrbit
 
 __all__ = ["refine_bifurcation"]
 

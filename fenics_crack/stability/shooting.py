@@ -11,13 +11,12 @@ monodromy matrix M, dF/dp by central differences. Newton's method is that of :mo
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from fenics_crack.balance.bordered import PathPoint, solve_in_plane
-from fenics_crack.balance.linearisation import DenseLinearisation
+from fenics_crack.balance.orbits import OrbitPoint, Orbits
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import ContactLaw
@@ -26,13 +25,11 @@ from fenics_crack.table import Described, counted
 from fenics_crack.time.events import EventFlow
 from fenics_crack.time.march import initial_state
 
-__all__ = ["ExactOrbits", "OrbitPoint", "PeriodicOrbit", "shoot"]
+__all__ = ["ExactOrbits", "PeriodicOrbit", "shoot"]
 
 MAX_STEPS, MIN_DAMPING, PATIENCE = 20, 1e-3, 6
 """Newton steps of shooting, how much they may be shortened, and how many may together fail to halve
 the residual."""
-DIFFERENCE = 1e-6
-"""Of p, for dF/dp."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -78,45 +75,8 @@ class PeriodicOrbit(Described):
         )
 
 
-class OrbitPoint(DenseLinearisation):
-    """The equations of exact orbits at a state and a frequency.
-
-    Attributes
-    ----------
-    monodromy : (2n, 2n)
-        M = dz(T)/dz.
-    events : int
-        Switching instants in the period.
-    """
-
-    def __init__(self, system: ExactOrbits, unknown: np.ndarray, parameter: float) -> None:
-        moved, monodromy, self.events = system.moved(unknown, parameter, np.eye(len(unknown)))
-        assert monodromy is not None
-        self.monodromy, self._system, self._parameter = monodromy, system, parameter
-        super().__init__(unknown, moved - unknown)
-
-    def assemble(self) -> np.ndarray:
-        """M - I."""
-        return self.monodromy - np.eye(len(self.monodromy))
-
-    def differentiate(self) -> np.ndarray:
-        """dF/dp."""
-        return self._system.by_parameter(self.unknown, self._parameter)
-
-    @cached_property
-    def multipliers(self) -> np.ndarray:
-        """Floquet multipliers, largest modulus first: (2n,) complex."""
-        values = np.linalg.eigvals(self.monodromy)
-        return values[np.argsort(-np.abs(values), kind="stable")]
-
-
-class ExactOrbits:
+class ExactOrbits(Orbits):
     """F(x, p) of exact orbits next to a solution.
-
-    Attributes
-    ----------
-    start : (2n,)
-        x of the solution, at p = 1.
 
     Raises
     ------
@@ -127,20 +87,10 @@ class ExactOrbits:
     def __init__(
         self, structure: Structure, contact: ContactLaw, solution: PeriodicSolution
     ) -> None:
-        self.omega = solution.omega
         self._turns = 2.0 * np.pi * solution.subharmonic
-        self._flow = EventFlow(structure, self.omega, contact)
+        self._flow = EventFlow(structure, solution.omega, contact)
         state = self._flow.state(*initial_state(structure, solution))
-        self._size = float(np.linalg.norm(state)) or 1.0
-        self.start = state / self._size
-
-    def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
-        """The equations at (x, p)."""
-        return OrbitPoint(self, unknown, parameter)
-
-    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
-        """Inner product."""
-        return float(first @ second)
+        super().__init__(solution.omega, state)
 
     def moved(
         self, unknown: np.ndarray, parameter: float, monodromy: np.ndarray | None = None
@@ -153,11 +103,6 @@ class ExactOrbits:
             self._size * unknown, 0.0, self._turns / omega, monodromy=monodromy
         )
         return moved / self._size, monodromy, events
-
-    def by_parameter(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
-        """dF/dp at fixed x, by central differences."""
-        after, before = (self.moved(unknown, parameter + h)[0] for h in (DIFFERENCE, -DIFFERENCE))
-        return (after - before) / (2.0 * DIFFERENCE)
 
     def orbit(self, found: PathPoint) -> PeriodicOrbit:
         """The orbit of a solution of the equations."""

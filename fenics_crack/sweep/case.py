@@ -17,7 +17,7 @@ from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.matrices import distributed
 from fenics_crack.model.modal import is_small
-from fenics_crack.model.reduction import ReducedStructure
+from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import ModalDamping, Structure
 from fenics_crack.scene.scene import Contact, Scene
 from fenics_crack.stability.floquet import FEW_PAIRS, PiecewiseFlow, floquet

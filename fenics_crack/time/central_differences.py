@@ -44,12 +44,12 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenics_crack.errors import InputError, check_omega
+from fenics_crack.model.complementarity import solve_complementarity
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.modes import by_columns, largest_frequency
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import collect_garbage
-from fenics_crack.time.complementarity import solve_complementarity
 from fenics_crack.time.march import March, TimeHistory, Window, march
 from fenics_crack.time.steps import StepScheme, inverse_of, solve_once
 

@@ -9,9 +9,9 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenics_crack.errors import ConvergenceError
+from fenics_crack.model.complementarity import solve_complementarity
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modes import by_columns, damped_modes, times
-from fenics_crack.time.complementarity import solve_complementarity
 from fenics_crack.time.march import March, Scheme, Window
 
 __all__ = ["StepScheme", "inverse_of", "solve_once"]

@@ -22,7 +22,7 @@ from helpers import (
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.time.complementarity import _by_least_squares, solve_complementarity, solve_forces
+from fenics_crack.model.complementarity import by_least_squares, solve_complementarity, solve_forces
 
 LAW = fc.UnilateralPenalty(1e9)
 RIGID = fc.UnilateralConstraint()
@@ -412,7 +412,7 @@ def test_complementarity_against_enumeration(seed: int) -> None:
     exact = by_enumeration(matrix, gap)
     for guess in (None, np.zeros(6, dtype=bool), np.ones(6, dtype=bool), rng.normal(size=6) > 0.0):
         assert np.allclose(solve_complementarity(matrix, gap, guess), exact, atol=1e-9)
-    assert np.allclose(_by_least_squares(matrix, gap), exact, atol=1e-9)
+    assert np.allclose(by_least_squares(matrix, gap), exact, atol=1e-9)
 
 
 def test_complementarity_where_active_sets_cycle() -> None:

@@ -32,7 +32,7 @@ import scipy.optimize
 
 from fenics_crack.errors import ConvergenceError
 
-__all__ = ["solve_complementarity", "solve_forces"]
+__all__ = ["by_least_squares", "solve_complementarity", "solve_forces"]
 
 ROUNDING = 1e-14
 """Gaps relative to the largest one that count as zero."""
@@ -61,10 +61,10 @@ def solve_complementarity(
         if np.array_equal(now, closed):
             return force
         closed = now
-    return _by_least_squares(matrix, gap)
+    return by_least_squares(matrix, gap)
 
 
-def _by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
+def by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
     """The same by least squares with bounds; what of D is not symmetric follows by iteration."""
     symmetric = 0.5 * (matrix + matrix.T)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(symmetric), np.finfo(float).tiny))

@@ -1,0 +1,156 @@
+"""Harmonic balance of contact seen through a static compliance: the gap s of the slow modes.
+
+With R_inf the static compliance of what answers contact forces at once
+(:mod:`fenics_crack.model.coupled`) the gap is g = s - R_inf lambda(s), and
+
+    F(s) = s - g_lin + (R_k - R_inf) b_k(lambda(s)) = 0,       J = I + (R - R_inf) T.
+
+R_k - R_inf falls like k^-2: s is smooth, and only s is truncated; g keeps its kinks. The slope of
+lambda(s) is bounded by the inverse of R_inf, however stiff the contact: the penalty law and the
+constraint are one law, with a stiffness or without.
+
+With many unknowns J is not formed: J v costs two FFTs (:mod:`coupled_integrals`), and GMRES needs
+some dozens of them.
+
+Sources: Monjaraz-Tec, Gross and Krack, arXiv 2111.07693 and 2207.00795 (in time), 2603.26446 (in
+frequency).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from mpi4py import MPI
+
+from fenics_crack.balance.compliance import Compliance, WidenedCompliance
+from fenics_crack.balance.condensed import CondensedPoint, respond
+from fenics_crack.balance.coupled_integrals import CoupledIntegrals
+from fenics_crack.balance.krylov import gmres
+
+__all__ = ["MATRIX_FREE", "CoupledPoint", "CoupledSystem"]
+
+MATRIX_FREE = 300
+"""Unknowns from which the Jacobian is not formed."""
+SHARP = 1e-9
+"""Relative residual of GMRES where a solution with J is asked for."""
+
+
+class CoupledSystem:
+    """F(s) = s - g_lin + (R_k - R_inf) b(lambda(s)).
+
+    Its parameter is the softness in series with the pairs, ``softness`` (1 - p)^2: 0 at p = 1.
+    """
+
+    comm = MPI.COMM_SELF
+
+    def __init__(
+        self, compliance: Compliance, integrals: CoupledIntegrals, softness: float = 0.0
+    ) -> None:
+        self.compliance, self.integrals, self._softness = compliance, integrals, softness
+        self.residual = integrals.residual
+        """R_inf [m/N]."""
+        self.linear = compliance.linear_gap
+        """g_lin: (2H+1, n_pairs) [m]."""
+        self.moving = compliance.matrices - self.residual
+        """R_k - R_inf."""
+        self.shape: tuple[int, ...] = self.linear.shape
+        self.global_size = self.linear.size
+        self.matrix_free = self.global_size > MATRIX_FREE
+
+    def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> CoupledPoint:
+        """The equations at s, with a softness in series."""
+        integrals = self.integrals.with_softness(self._softness * (1.0 - parameter) ** 2)
+
+        def by_parameter(at: CoupledPoint) -> np.ndarray:
+            rate = -2.0 * self._softness * (1.0 - parameter)
+            return respond(self.moving, rate * at.forces.by_softness())
+
+        return CoupledPoint(self, unknown, integrals, by_parameter)
+
+    def along(
+        self, unknown: np.ndarray, by_parameter: Callable[[CoupledPoint], np.ndarray]
+    ) -> CoupledPoint:
+        """The equations at s, with the derivative by another parameter."""
+        return CoupledPoint(self, unknown, self.integrals, by_parameter)
+
+    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
+        """Inner product."""
+        return float(np.vdot(first, second))
+
+    def softened(self, softness: float) -> CoupledSystem:
+        """The same equations, whose parameter starts at another softness."""
+        return CoupledSystem(self.compliance, self.integrals, softness)
+
+    def with_compliance(self, compliance: Compliance) -> CoupledSystem:
+        """The same with another compliance."""
+        return CoupledSystem(compliance, self.integrals, self._softness)
+
+    def widened(self, harmonics: int) -> CoupledSystem:
+        """The same equations with more harmonics, to the accuracy of an error estimate."""
+        compliance = WidenedCompliance(self.compliance, harmonics)
+        return CoupledSystem(compliance, self.integrals.widened(harmonics))
+
+
+class CoupledPoint(CondensedPoint):
+    """:class:`CoupledSystem` at s."""
+
+    system: CoupledSystem  # type: ignore[assignment]
+
+    def __init__(
+        self,
+        system: CoupledSystem,
+        unknown: np.ndarray,
+        integrals: CoupledIntegrals,
+        by_parameter: Callable[[CoupledPoint], np.ndarray],
+    ) -> None:
+        self.system, self._derivative = system, by_parameter
+        self.forces = integrals.linearise(unknown)
+        self.force, self.tangent = self.forces.force, self.forces.tangent  # type: ignore[assignment]
+        self.gap = unknown - self.force @ system.residual
+        super().__init__(unknown, unknown - system.linear + respond(system.moving, self.force))
+
+    def assemble(self) -> np.ndarray:
+        """I + (R - R_inf) T."""
+        found = self.forces.tangent.matrix()
+        rows, pairs = self.unknown.shape
+        moving, jacobian = self.system.moving, np.empty_like(found)
+        even, odd = (found[first::2].reshape(rows // 2, pairs, -1) for first in (1, 2))
+        real, imaginary = moving[1:].real, moving[1:].imag
+        shape = (rows // 2, pairs, rows, pairs)
+        jacobian[0] = np.tensordot(moving[0].real, found[0], 1)
+        jacobian[1::2] = (np.matmul(real, even) + np.matmul(imaginary, odd)).reshape(shape)
+        jacobian[2::2] = (np.matmul(real, odd) - np.matmul(imaginary, even)).reshape(shape)
+        whole = jacobian.reshape(rows * pairs, rows * pairs)
+        whole.flat[:: len(whole) + 1] += 1.0
+        return whole
+
+    def apply(self, change: np.ndarray) -> np.ndarray:
+        if not self.system.matrix_free:
+            return super().apply(change)
+        return change + respond(self.system.moving, self.forces.tangent.apply(change))
+
+    def solve(self, right: np.ndarray, tolerance: float = SHARP) -> np.ndarray:
+        """J^-1 r, as sharply as GMRES finds it."""
+        if not self.system.matrix_free:
+            return super().solve(right)
+        return gmres(self.apply, right, tolerance)
+
+    @property
+    def sign(self) -> float:
+        """Sign of det J; nan where J is not formed."""
+        return np.nan if self.system.matrix_free else super().sign
+
+    def differentiate(self) -> np.ndarray:
+        return self._derivative(self)
+
+    def gap_of(self, change: np.ndarray) -> np.ndarray:
+        """ds - R_inf T ds."""
+        return change - self.forces.tangent.apply(change) @ self.system.residual
+
+    def gap_by_force(self, change: np.ndarray) -> np.ndarray:
+        moved = self.solve(-respond(self.system.moving, change))
+        return self.gap_of(moved) - change @ self.system.residual
+
+    def gap_by_linear_gap(self, change: np.ndarray) -> np.ndarray:
+        return self.gap_of(self.solve(change))

@@ -1,0 +1,121 @@
+"""Periodic orbits of a flow as a system of equations: z(T) = z(0).
+
+In x = z / |z_0| and p = w / w_0, z_0 and w_0 those of a motion nearby, an orbit solves
+
+    F(x, p) = z(T; x, p) / |z_0| - x = 0,        T = 2 pi m / w,
+
+z the state at phase zero, m the periods of the load in the response's; dF/dx = M - I with the
+monodromy matrix M, dF/dp by central differences.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from functools import cached_property
+
+import numpy as np
+
+from fenics_crack.balance.linearisation import DenseLinearisation
+from fenics_crack.model.flow import ExponentialFlow, Steps
+
+__all__ = ["MarchedOrbits", "OrbitPoint", "Orbits"]
+
+DIFFERENCE = 1e-6
+"""Of p, for dF/dp."""
+
+
+class OrbitPoint(DenseLinearisation):
+    """The equations of exact orbits at a state and a frequency.
+
+    Attributes
+    ----------
+    monodromy : (2n, 2n)
+        M = dz(T)/dz.
+    events : int
+        Switching instants in the period.
+    """
+
+    def __init__(self, system: Orbits, unknown: np.ndarray, parameter: float) -> None:
+        moved, monodromy, self.events = system.moved(unknown, parameter, np.eye(len(unknown)))
+        assert monodromy is not None
+        self.monodromy, self._system, self._parameter = monodromy, system, parameter
+        super().__init__(unknown, moved - unknown)
+
+    def assemble(self) -> np.ndarray:
+        """M - I."""
+        return self.monodromy - np.eye(len(self.monodromy))
+
+    def differentiate(self) -> np.ndarray:
+        """dF/dp."""
+        return self._system.by_parameter(self.unknown, self._parameter)
+
+    @cached_property
+    def multipliers(self) -> np.ndarray:
+        """Floquet multipliers, largest modulus first: (2n,) complex."""
+        values = np.linalg.eigvals(self.monodromy)
+        return values[np.argsort(-np.abs(values), kind="stable")]
+
+
+class Orbits(ABC):
+    """F(x, p) of the orbits of a flow.
+
+    Attributes
+    ----------
+    omega : float
+        w_0, of the load [rad/s].
+    start : (2n,)
+        x of the motion nearby, at p = 1.
+    """
+
+    matrix_free = False
+
+    def __init__(self, omega: float, state: np.ndarray) -> None:
+        self.omega = omega
+        self._size = float(np.linalg.norm(state)) or 1.0
+        self.start = state / self._size
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
+        """The equations at (x, p)."""
+        return OrbitPoint(self, unknown, parameter)
+
+    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
+        """Inner product."""
+        return float(first @ second)
+
+    @abstractmethod
+    def moved(
+        self, unknown: np.ndarray, parameter: float, monodromy: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray | None, int]:
+        """z(T) / |z_0|; M times the matrix given; switching instants."""
+
+    def by_parameter(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
+        """dF/dp at fixed x, by central differences."""
+        after, before = (self.moved(unknown, parameter + h)[0] for h in (DIFFERENCE, -DIFFERENCE))
+        return (after - before) / (2.0 * DIFFERENCE)
+
+
+class MarchedOrbits(Orbits):
+    """Of the flow by exponential steps."""
+
+    def __init__(self, flow: ExponentialFlow, state: np.ndarray, subharmonic: int = 1) -> None:
+        super().__init__(flow.omega, state)
+        self._flow, self._periods = flow, subharmonic
+
+    def flow_at(self, parameter: float) -> ExponentialFlow:
+        """The flow where the frequency has a value."""
+        omega = parameter * self.omega
+        if omega != self._flow.omega:
+            self._flow = self._flow.at(omega)
+        return self._flow
+
+    def steps(self, unknown: np.ndarray, parameter: float) -> Steps:
+        """A period from a state."""
+        return self.flow_at(parameter).advance(self._size * unknown, self._periods)
+
+    def moved(
+        self, unknown: np.ndarray, parameter: float, monodromy: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray | None, int]:
+        steps = self.steps(unknown, parameter)
+        if monodromy is not None:
+            monodromy = steps.monodromy() @ monodromy
+        return steps.states[-1] / self._size, monodromy, steps.switches

@@ -1,0 +1,334 @@
+"""Structures in the coordinates of a basis, u = T q: the same interface, few unknowns.
+
+:class:`ReducedStructure` has mass in all of its coordinates. In :class:`MasslessStructure` only the
+lowest modes Phi have mass; what they leave out answers at once (MacNeal, Computers & Structures 1,
+1971, 581),
+
+    u = Phi q + G (f - B lambda),        G = K^-1 - Phi Lambda^-1 Phi^T,
+
+so its coordinates are those of the modes, and the forces c on which G acts: c = -lambda on the
+pairs and the amplitudes of the load's parts. With X = [B, f] these have no mass and the stiffness
+S = X^T G X. No column of G X is held: displacements are expanded by static solutions when they are
+asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sparse
+from mpi4py import MPI
+
+from fenics_crack.errors import InputError
+from fenics_crack.model.factor import Factor
+from fenics_crack.model.matrices import distributed
+from fenics_crack.model.modes import times
+from fenics_crack.model.structure import ModalDamping, Structure
+
+__all__ = ["MasslessStructure", "ReducedStructure", "ResidualFlexibility", "massless"]
+
+
+class ReducedStructure(Structure):
+    """A structure in the coordinates q of a basis, u = T q; the same on every rank.
+
+    ``find_dof`` and ``values_at`` refer to the dofs of the whole structure, and so does everything
+    drawn or written of its solutions.
+
+    Attributes
+    ----------
+    whole : Structure
+        What was reduced.
+    basis : (whole.n_local, n_dofs)
+        T, M-orthonormal; its columns are modes of the reduced structure.
+    omega : (n_dofs,) [rad/s]
+        Their frequencies.
+    reference : ReducedStructure or None
+        The same with a larger basis, against which the reduction error is estimated.
+    """
+
+    basis: np.ndarray
+    omega: np.ndarray
+    reference: ReducedStructure | None
+
+    _whole: Structure
+    _VARIED_TOO = ("_whole", "reference")
+
+    def __init__(
+        self,
+        whole: Structure,
+        basis: np.ndarray,
+        squares: np.ndarray,
+        damping: ModalDamping | np.ndarray | None,
+        reference: ReducedStructure | None = None,
+    ) -> None:
+        small = Structure.from_matrices(
+            sparse.identity(len(squares)),
+            sparse.diags(squares),
+            whole.apply_bt(basis.T),
+            damping=damping,
+        )
+        super().__init__(
+            small.mass,
+            small.stiffness,
+            small.gap,
+            force=whole.sum_over_ranks(whole.force @ basis),
+            clearance=whole.clearance,
+            damping=small.damping,
+            nodes=whole.nodes,
+            pair_points=whole.pair_points,
+            pair_areas=whole.pair_areas,
+        )
+        omega = np.sqrt(np.maximum(squares, 0.0))
+        self._hold(basis=basis, omega=omega, reference=reference, _whole=whole)
+
+    @property
+    def _size_words(self) -> str:
+        return f"{self.n_dofs} coordinates of {self.whole.n_dofs} dofs"
+
+    @property
+    def whole(self) -> Structure:
+        """The structure that was reduced first."""
+        return self._whole.whole
+
+    def expand(self, displacement: np.ndarray) -> np.ndarray:
+        """u = T q of coordinates (m, n_dofs): (m, whole.n_local)."""
+        return self._whole.expand(displacement @ self.basis.T)
+
+    def values_at(self, displacement: np.ndarray, dofs: Sequence[int]) -> np.ndarray:
+        """Displacement of dofs of the whole structure from coordinates (m, n_dofs) (collective)."""
+        return displacement @ self._whole.values_at(self.basis.T, dofs)
+
+    def damped(self, damping: ModalDamping | None) -> ReducedStructure:
+        """Return this structure with a modal damping of its own coordinates, or none."""
+        if damping is not None and not isinstance(damping, ModalDamping):
+            raise InputError("damping", damping, "a ModalDamping or None")
+        reference = None if self.reference is None else self.reference.damped(damping)
+        return ReducedStructure(self._whole, self.basis, self.omega**2, damping, reference)
+
+    def _changed(self, **changes: Any) -> Structure:
+        """A plain structure of the coordinates, which have no positions."""
+        return super()._changed(**({"nodes": None} | changes))
+
+
+class ResidualFlexibility:
+    """G = K^-1 - Phi Lambda^-1 Phi^T of a structure, as a map of forces to displacements.
+
+    A force is first freed of its part on the modes, r = f - M Phi Phi^T f, and the displacement
+    x = K^-1 r of its own, x - Phi Phi^T M x: nothing cancels, and a structure that can move as a
+    rigid body is held by its modes.
+
+    Attributes
+    ----------
+    structure : Structure
+        The whole one.
+    shapes : (n_local, n_modes)
+        Phi, mass-normalised.
+    sources : (n_local, n_sources)
+        X: the forces of unit amplitude, a sparse matrix.
+    """
+
+    def __init__(self, structure: Structure, shapes: np.ndarray, sources: Any) -> None:
+        self.structure, self.shapes, self.sources = structure, shapes, sparse.csr_matrix(sources)
+        self._measured: dict[int, np.ndarray] = {}
+
+    def solve(self, factor: Factor, forces: np.ndarray) -> np.ndarray:
+        """G f of forces (m, n_local), with the factor of K: the same shape (collective)."""
+        structure, shapes = self.structure, self.shapes
+        modal = structure.sum_over_ranks(forces @ shapes)
+        found = factor.solve(forces - times(structure.mass, shapes @ modal.T).T)
+        moved = times(structure.mass, found.T).T
+        return found - structure.sum_over_ranks(moved @ shapes) @ shapes.T
+
+    def compliance(self) -> np.ndarray:
+        """S = X^T G X: (n_sources, n_sources) (collective)."""
+        columns = [
+            self.sources[:, start : start + BLOCK].T.toarray()
+            for start in range(0, self.sources.shape[1], BLOCK)
+        ]
+        rows = [np.zeros((0, self.sources.shape[1]))]
+        with Factor(self.structure.stiffness, symmetric=True) as factor:
+            for block in columns:
+                moved = self.solve(factor, block)
+                rows.append(self.structure.sum_over_ranks((self.sources.T @ moved.T).T))
+        found = np.concatenate(rows)
+        return 0.5 * (found + found.T)
+
+    def expand(self, amplitude: np.ndarray) -> np.ndarray:
+        """G X c of amplitudes (m, n_sources): (m, n_local) (collective)."""
+        used = np.any(amplitude != 0.0, axis=1)
+        found = np.zeros((len(amplitude), self.structure.n_local))
+        if np.any(used):
+            with Factor(self.structure.stiffness, symmetric=True) as factor:
+                found[used] = self.solve(factor, (self.sources @ amplitude[used].T).T)
+        return found
+
+    def rows(self, dofs: np.ndarray) -> np.ndarray:
+        """G X at some dofs: (n_dofs, n_sources); kept (collective)."""
+        missing = [dof for dof in dict.fromkeys(dofs.tolist()) if dof not in self._measured]
+        if missing:
+            structure = self.structure
+            units = np.zeros((len(missing), structure.n_local))
+            for row, dof in zip(units, missing, strict=True):
+                if 0 <= dof - structure.first_dof < structure.n_local:
+                    row[dof - structure.first_dof] = 1.0
+            with Factor(structure.stiffness, symmetric=True) as factor:
+                moved = self.solve(factor, units)
+            found = structure.sum_over_ranks((self.sources.T @ moved.T).T)
+            self._measured |= dict(zip(missing, found, strict=True))
+        return np.array([self._measured[dof] for dof in dofs.tolist()])
+
+
+class MasslessStructure(ReducedStructure):
+    """Modes with free lips, and what they leave out without mass; the same on every rank.
+
+    Attributes
+    ----------
+    flexibility : (n_dofs - n_modes,) * 2
+        Inverse of S, the stiffness of the coordinates without mass; its pseudoinverse where forces
+        depend on each other.
+    rate : (n_modes,) or (n_modes, n_modes) [1/s]
+        Phi^T C Phi, its diagonal where it is diagonal; without the factor of a varied copy.
+    """
+
+    flexibility: np.ndarray
+    rate: np.ndarray
+    _static: ResidualFlexibility | None
+
+    def __init__(
+        self,
+        whole: Structure,
+        squares: np.ndarray,
+        damping: ModalDamping | np.ndarray | None,
+        pairs: np.ndarray,
+        force: np.ndarray,
+        compliance: np.ndarray,
+        *,
+        static: ResidualFlexibility | None = None,
+        reference: MasslessStructure | None = None,
+    ) -> None:
+        """Of Phi^T B (n_modes, n_pairs), Phi^T f (3, n_modes) and S."""
+        count, extra, shared = len(squares), len(compliance), whole.n_pairs
+        omega = np.sqrt(np.maximum(squares, 0.0))
+        stiffness = sparse.block_diag([sparse.diags(squares), compliance]).tocsr()
+        mass = sparse.diags(np.repeat([1.0, 0.0], [count, extra])).tocsr()
+        # The amplitudes of the load's parts are unknowns whose force is S times themselves.
+        patterns = np.zeros((3, extra))
+        patterns[:, shared:] = _patterns(whole)
+        rate: np.ndarray = np.zeros(count)
+        if isinstance(damping, ModalDamping):
+            rate = 2.0 * np.asarray(damping.ratio) * omega
+        elif damping is not None:
+            rate = damping
+        Structure.__init__(
+            self,
+            distributed(mass, MPI.COMM_SELF),
+            distributed(stiffness, MPI.COMM_SELF),
+            sparse.csr_matrix(np.vstack([pairs, compliance[:, :shared]])),
+            force=np.hstack([force, patterns @ compliance]),
+            clearance=whole.clearance,
+            damping=_padded(damping, extra),
+            nodes=whole.nodes,
+            pair_points=whole.pair_points,
+            pair_areas=whole.pair_areas,
+        )
+        self._hold(
+            omega=omega,
+            rate=rate,
+            flexibility=_pseudoinverse(compliance),
+            reference=reference,
+            _whole=whole,
+        )
+        vars(self)["_static"] = static
+
+    @property
+    def n_modes(self) -> int:
+        """Coordinates with mass, the first ones."""
+        return len(self.omega)
+
+    @property
+    def residual(self) -> np.ndarray:
+        """R_inf = B^T G B: (n_pairs, n_pairs) [m/N]."""
+        rows = self.gap[self.n_modes :].toarray()
+        found: np.ndarray = rows.T @ self.flexibility @ rows
+        return 0.5 * (found + found.T)
+
+    @property
+    def _size_words(self) -> str:
+        return f"{self.n_modes} modes of {self.whole.n_dofs} dofs, lips without mass"
+
+    @property
+    def basis(self) -> np.ndarray:  # type: ignore[override]
+        """Phi: (whole.n_local, n_modes)."""
+        return (
+            np.eye(self.n_dofs)[:, : self.n_modes] if self._static is None else self._static.shapes
+        )
+
+    def expand(self, displacement: np.ndarray) -> np.ndarray:
+        """u = Phi q + G X c of coordinates (m, n_dofs): (m, whole.n_local) (collective)."""
+        if self._static is None:
+            return displacement
+        modal, static = np.split(displacement, [self.n_modes], axis=1)
+        return self._whole.expand(modal @ self._static.shapes.T + self._static.expand(static))
+
+    def values_at(self, displacement: np.ndarray, dofs: Sequence[int]) -> np.ndarray:
+        """Displacement of dofs of the whole structure from coordinates (m, n_dofs) (collective)."""
+        if self._static is None:
+            return displacement[:, self.check_dofs(dofs)]
+        wanted = self._whole.check_dofs(dofs)
+        modal, static = np.split(displacement, [self.n_modes], axis=1)
+        seen = modal @ self._whole.values_at(self._static.shapes.T, dofs)
+        return seen + static @ self._static.rows(wanted).T
+
+    def damped(self, damping: ModalDamping | None) -> MasslessStructure:
+        """Return this structure with a modal damping of its modes, or none."""
+        if damping is not None and not isinstance(damping, ModalDamping):
+            raise InputError("damping", damping, "a ModalDamping or None")
+        count = self.n_modes
+        reference = None
+        if isinstance(self.reference, MasslessStructure):
+            reference = self.reference.damped(damping)
+        return MasslessStructure(
+            self._whole,
+            self.omega**2,
+            damping,
+            self.gap[:count].toarray(),
+            self.force[:, :count],
+            np.linalg.pinv(self.flexibility, hermitian=True),
+            static=self._static,
+            reference=reference,
+        )
+
+
+BLOCK = 16
+"""Static solutions that are held at a time."""
+
+
+def massless(structure: Structure) -> MasslessStructure | None:
+    """The structure itself if its lips have no mass, else None."""
+    return structure if isinstance(structure, MasslessStructure) else None
+
+
+def _patterns(whole: Structure) -> np.ndarray:
+    """The parts of a load as combinations of those that are not zero: (3, n_loads)."""
+    loaded = whole.sum_over_ranks((whole.force**2).sum(axis=1)) > 0.0
+    return np.eye(3)[:, loaded]
+
+
+def _padded(damping: ModalDamping | np.ndarray | None, extra: int) -> ModalDamping | Any | None:
+    """A matrix of modal damping with rows for coordinates without mass."""
+    if not isinstance(damping, np.ndarray):
+        return damping
+    return distributed(
+        sparse.block_diag([damping, sparse.csr_matrix((extra, extra))]), MPI.COMM_SELF
+    )
+
+
+def _pseudoinverse(compliance: np.ndarray) -> np.ndarray:
+    """Of S, whose units differ from load to pair: scaled to a unit diagonal first."""
+    size = np.sqrt(np.maximum(np.diag(compliance), 0.0))
+    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
+    scaled = scale[:, None] * compliance * scale
+    found: np.ndarray = scale[:, None] * np.linalg.pinv(scaled, 1e-12, hermitian=True) * scale
+    return found

@@ -1,0 +1,124 @@
+"""Direct integration in time by exact exponential steps (:mod:`fenics_crack.model.flow`)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.model.contact import ContactLaw
+from fenics_crack.model.flow import ExponentialFlow, Steps
+from fenics_crack.model.structure import Structure
+from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
+
+__all__ = ["integrate_exponential"]
+
+
+def integrate_exponential(
+    structure: Structure,
+    omega: float,
+    contact: ContactLaw,
+    *,
+    periods: int,
+    steps_per_period: int = 512,
+    **options: Any,
+) -> TimeHistory:
+    """March by exact exponential steps, under the penalty law or without penetration.
+
+    Parameters
+    ----------
+    structure : Structure
+        At most 600 dofs; reduce a larger one first. Without penetration lips have no mass
+        (``reduce_structure(method="massless")``).
+    contact : UnilateralPenalty or UnilateralConstraint
+        Law of all pairs.
+    steps_per_period : int
+        Of the load; the error falls with its square.
+    omega, periods, **options
+        As in :class:`fenics_crack.time.march.March`.
+
+    Returns
+    -------
+    TimeHistory
+        ``created_energy`` is what is missing in the balance of energy, by the trapezoidal rule.
+
+    Raises
+    ------
+    InputError
+        The structure is too large or has mass at its lips, or an argument cannot be used.
+    ConvergenceError
+        The load is on an undamped resonance, or no contact forces of a step were found.
+    """
+    asked = March(structure, omega, contact, periods, steps_per_period, **options)
+    return march(asked, _ByExponentials(asked))
+
+
+class _ByExponentials(Scheme):
+    """The march, period by period."""
+
+    name = "exponential"
+
+    def __init__(self, asked: March) -> None:
+        structure = asked.structure
+        self._flow = flow = ExponentialFlow(
+            structure, asked.omega, asked.contact, asked.steps_per_period
+        )
+        self._columns, self._load_rows = asked.recorded_dofs, asked.load_rows
+        self._state = flow.state(*asked.start)
+        self._force = np.zeros(structure.n_pairs)
+        self._contact = asked.contact
+        self._stiffness = structure.stiffness.getDiagonal().array_r.copy()
+        self._work = self._lost = 0.0
+        self._first: float | None = None
+        self._put_in = 0.0
+
+    def fill(self, window: Window, number: int) -> None:
+        flow = self._flow
+        steps = flow.advance(self._state)
+        window.gap[:], window.force[:] = steps.gap, steps.forces[:-1]
+        motion = flow.coordinates(steps.states, steps.forces)
+        window.motion[:] = motion[:-1, self._columns]
+        window.load_motion[:] = motion[:-1, self._load_rows]
+        self._state, self._force = steps.states[-1], steps.forces[-1]
+        self._motion = motion[-1]
+        self._book(steps, motion)
+
+    def _book(self, steps: Steps, motion: np.ndarray) -> None:
+        """Energy at both ends, put in by the load, and lost in the modes' damping."""
+        flow, structure = self._flow, self._flow.structure
+        count = len(flow.modes.squares)
+        rate = steps.states[:, count:]
+        lost = np.sum(flow.modes.damped(rate) * rate, axis=1)
+        self._lost += flow.step_size * float(np.sum(0.5 * (lost[1:] + lost[:-1])))
+        phase = 2.0 * np.pi * np.arange(len(motion)) / flow.steps
+        waves = np.column_stack([np.ones_like(phase), np.cos(phase), np.sin(phase)])
+        conjugate = motion @ structure.force.T
+        gained = float(np.sum(0.5 * (waves[1:] + waves[:-1]) * np.diff(conjugate, axis=0)))
+        self._work += gained
+        energies = [self._energy(steps, motion, place) for place in (0, -1)]
+        if self._first is None:
+            self._first = energies[0]
+            self._put_in = abs(energies[0])
+        self._put_in += abs(gained)
+        if self._put_in > 0.0:
+            created = energies[1] + self._lost - self._first - self._work
+            self.created_share = created / self._put_in
+
+    def _energy(self, steps: Steps, motion: np.ndarray, place: int) -> float:
+        """Kinetic, elastic, and contact energy at an instant."""
+        flow = self._flow
+        structure, count = flow.structure, len(flow.modes.squares)
+        stretched = structure.stiffness.createVecLeft()
+        shape = structure.stiffness.createVecRight()
+        shape.array_w[:] = motion[place]
+        structure.stiffness.mult(shape, stretched)
+        energy = 0.5 * float(shape.array_r @ stretched.array_r)
+        shape.destroy()
+        stretched.destroy()
+        rate = steps.states[place, count:]
+        springs = 0.5 * float(np.sum(flow.springs * steps.forces[place] ** 2))
+        return energy + 0.5 * float(rate @ rate) + springs
+
+    def state(self) -> tuple[np.ndarray, np.ndarray]:
+        flow, count = self._flow, len(self._flow.modes.squares)
+        return self._motion.copy(), flow.modes.shapes @ self._state[count:]
