@@ -1,4 +1,4 @@
-"""Natural modes by SLEPc, and modal damping on them.
+"""Natural modes by SLEPc, and damping on them.
 
     K phi_j = omega_j^2 M phi_j,     phi_i^T M phi_j = delta_ij
 
@@ -17,8 +17,9 @@ import numpy as np
 from slepc4py import SLEPc
 
 from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.model.damping import ModalDamping, RayleighDamping
 from fenics_crack.model.factor import Factor, weighted_sum
-from fenics_crack.model.structure import ModalDamping, Structure
+from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.table import Tabular, counted
 
@@ -271,6 +272,11 @@ def _damped_modes(structure: Structure) -> DampedModes:
 
 def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:
     """X^T C X of the columns of X (n_local, m): (m, m) [kg/s] (collective)."""
+    rule = structure.damping
+    if isinstance(rule, RayleighDamping):  # without C
+        product = rule.mass * times(structure.mass, columns)
+        product += rule.stiffness * times(structure.stiffness, columns)
+        return structure.sum_over_ranks(columns.T @ product)
     if structure.damping_matrix is not None:
         product = times(structure.damping_matrix, columns)
         return structure.sum_over_ranks(columns.T @ product)

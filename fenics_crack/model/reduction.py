@@ -30,10 +30,11 @@ import scipy.linalg
 import scipy.sparse as sparse
 
 from fenics_crack.errors import InputError
+from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import SMALL
 from fenics_crack.model.modes import damped_modes, mass_norms, projected_damping, solve_modes, times
-from fenics_crack.model.structure import ModalDamping, Structure
+from fenics_crack.model.structure import Structure
 
 __all__ = ["ReducedStructure", "reduce_structure"]
 
@@ -72,7 +73,7 @@ class ReducedStructure(Structure):
         whole: Structure,
         basis: np.ndarray,
         squares: np.ndarray,
-        damping: ModalDamping | np.ndarray | None,
+        damping: DampingRule | np.ndarray | None,
         reference: ReducedStructure | None = None,
     ) -> None:
         small = Structure.from_matrices(
@@ -112,10 +113,13 @@ class ReducedStructure(Structure):
         """Displacement of dofs of the whole structure from coordinates (m, n_dofs) (collective)."""
         return displacement @ self._whole.values_at(self.basis.T, dofs)
 
-    def damped(self, damping: ModalDamping | None) -> ReducedStructure:
-        """Return this structure with a modal damping of its own coordinates, or none."""
-        if damping is not None and not isinstance(damping, ModalDamping):
-            raise InputError("damping", damping, "a ModalDamping or None")
+    def damped(self, damping: DampingRule | None) -> ReducedStructure:
+        """Return this structure with a modal or Rayleigh damping of its own coordinates, or none.
+
+        Rayleigh damping of the coordinates is that of the whole structure, projected.
+        """
+        if damping is not None and not isinstance(damping, DampingRule):
+            raise InputError("damping", damping, "a ModalDamping, a RayleighDamping or None")
         reference = None if self.reference is None else self.reference.damped(damping)
         return ReducedStructure(self._whole, self.basis, self.omega**2, damping, reference)
 
@@ -130,7 +134,7 @@ def reduce_structure(
     """Reduce a structure to a few coordinates (collective).
 
     Where one ratio damps all modes, it damps all coordinates: these are the modes of the reduced
-    structure. Any other damping is projected.
+    structure. Rayleigh damping keeps its coefficients. Any other damping is projected.
 
     Parameters
     ----------
@@ -138,7 +142,7 @@ def reduce_structure(
         What to reduce.
     modes : int, optional
         How many of the lowest modes to keep; default: those that are damped, but 50 if all of more
-        than 600 are; without modal damping 20.
+        than 600 are; without damping, or with a matrix, 20.
     method : "free_interface", "craig_bampton" or "truncation"
         The basis.
 
@@ -152,11 +156,11 @@ def reduce_structure(
     """
     if method not in METHODS:
         raise InputError("method", method, "one of " + ", ".join(map(repr, METHODS)))
-    ratio = _ratio_of_all(structure)
-    damped = damped_modes(structure) if ratio is None else None
+    rule = _rule_of_all(structure)
+    damped = damped_modes(structure) if rule is None else None
     if modes is None:
         modes = min(20, structure.n_dofs) if damped is None else len(damped.omega)
-        if ratio is not None:
+        if rule is not None:
             modes = MODES if structure.n_dofs > SMALL else structure.n_dofs
     whole = isinstance(modes, int | np.integer) and not isinstance(modes, bool)
     if not (whole and 1 <= modes <= structure.n_dofs):
@@ -179,20 +183,23 @@ def reduce_structure(
             tied = solve_modes(structure.tied(scale), modes).shapes
             extra = np.hstack([response, tied])
         following = [extra, response, factor.solve(times(structure.mass, response).T).T]
-        if structure.damping_matrix is not None:
+        if rule is None and structure.damping_matrix is not None:
             damping = times(structure.damping_matrix, np.hstack([kept, extra, response]))
             following.append(factor.solve(damping.T).T)
     reference = _reduced(structure, kept, squares, np.hstack(following), None)
     return _reduced(structure, kept, squares, extra, reference)
 
 
-def _ratio_of_all(structure: Structure) -> float | None:
-    """The one ratio that damps all modes, or None; InputError for too many ratios."""
+def _rule_of_all(structure: Structure) -> DampingRule | None:
+    """What damps all modes alike, and so those of the reduced structure: one ratio, or Rayleigh's
+    coefficients; else None. InputError for too many ratios."""
     damping = structure.damping
+    if isinstance(damping, RayleighDamping):
+        return damping
     if not isinstance(damping, ModalDamping) or damping.modes not in (None, structure.n_dofs):
         return None
     if isinstance(damping.ratio, float):
-        return damping.ratio
+        return ModalDamping(damping.ratio)
     if structure.n_dofs <= SMALL:
         return None
     found = f"{len(damping.ratio)} ratios for all {structure.n_dofs} modes"
@@ -246,13 +253,15 @@ def _reduced(
 
 def _damping(
     structure: Structure, basis: np.ndarray, squares: np.ndarray
-) -> ModalDamping | np.ndarray | None:
-    """T^T C T, or one ratio for all; modal where it is diagonal, else a matrix."""
-    one = _ratio_of_all(structure)
+) -> DampingRule | np.ndarray | None:
+    """T^T C T, or one ratio for all; a rule where it is diagonal, else a matrix.
+
+    T^T M T = I and T^T K T is diagonal: Rayleigh's coefficients stay.
+    """
     if structure.damping is None:
         return None
-    if one is not None:
-        return ModalDamping(one)
+    if (rule := _rule_of_all(structure)) is not None:
+        return rule
     matrix = projected_damping(structure, basis)
     rate = np.diag(matrix)
     if np.abs(matrix - np.diag(rate)).max() > 1e-9 * rate.max(initial=0.0):
