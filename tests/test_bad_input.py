@@ -65,6 +65,7 @@ TABLE = [
     ("solve scene.toml damping.ratio=-1", "damping.ratio = -1: must be a number from 0 to 1 (0.02 for 2 %), or a list of them, one per mode"),
     ("solve scene.toml damping.modes=0", "damping.modes = 0: must be 'all' or a whole number >= 1"),
     ("solve scene.toml damping.modes=1000", "damping.modes = 1000: must be at most n_dofs = 14"),
+    ("check scene.toml damping.modes=1000", "damping.modes = 1000: must be at most n_dofs = 14"),
     ("solve scene.toml excitation.omega=0", "excitation.omega = 0: must be a finite number > 0 (1e-30 to 1e+30)"),
     ("solve scene.toml excitation.point=1", "excitation.point = 1: must be [x, y], two finite numbers (0, or of size 1e-30 to 1e+30)"),
     ("solve scene.toml excitation.point=none", "excitation.point = None: must be given: [x, y] on the plate"),

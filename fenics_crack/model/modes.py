@@ -17,7 +17,7 @@ import numpy as np
 from slepc4py import SLEPc
 
 from fenics_crack.errors import ConvergenceError, InputError
-from fenics_crack.model.damping import ModalDamping, RayleighDamping
+from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
@@ -28,6 +28,7 @@ __all__ = [
     "Modes",
     "by_columns",
     "damped_modes",
+    "damped_range",
     "largest_frequency",
     "mass_norms",
     "projected_damping",
@@ -268,6 +269,35 @@ def _damped_modes(structure: Structure) -> DampedModes:
     modes = solve_modes(structure, count)
     mass_shapes = times(structure.mass, modes.shapes)
     return DampedModes(modes.omega, 2.0 * ratio * modes.omega, modes.shapes, mass_shapes)
+
+
+def damped_range(structure: Structure) -> tuple[int, float] | None:
+    """How many modes are damped, and the highest frequency of one [rad/s] (collective).
+
+    None where no mode above it is left without damping, and where a damping matrix was given. Where
+    projection has made a matrix of modal damping, the modes are those of the whole structure.
+
+    Raises
+    ------
+    InputError
+        As :func:`damped_modes`.
+    """
+    if not isinstance(structure.damping, DampingRule | None):
+        structure = structure.whole
+    rule = structure.damping
+    if not isinstance(rule, DampingRule):
+        return (0, 0.0) if rule is None else None
+    if isinstance(rule, RayleighDamping):
+        return None if rule.mass or rule.stiffness else (0, 0.0)
+    if isinstance(rule.ratio, float) and rule.modes in (None, structure.n_dofs):
+        return None if rule.ratio else (0, 0.0)
+    known = damped_modes(structure)
+    assert known is not None
+    found = np.flatnonzero(known.rate > 1e-9 * known.rate.max())  # not rounding of a projection
+    if not found.size:
+        return 0, 0.0
+    last = int(found[-1])
+    return None if last == structure.n_dofs - 1 else (len(found), float(known.omega[last]))
 
 
 def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:

@@ -152,6 +152,13 @@ class Damping(Table):
             omegas = self.given("omegas", f"given with ratios = {self.ratios}")
             check_two_ratios(self.name_of("ratios"), ratios, omegas)
 
+    @property
+    def of_all_modes(self) -> bool:
+        """Whether every mode is damped, whatever the structure."""
+        if self.ratio is None:
+            return max(self.mass or 0.0, self.stiffness or 0.0, *(self.ratios or ())) > 0.0
+        return self.modes == "all" and float(np.min(self.ratio)) > 0.0
+
 
 @dataclass(frozen=True)
 class Excitation(Table):

@@ -11,7 +11,7 @@ from helpers import chain, dense, relative
 
 import fenics_crack as fc
 from fenics_crack.model.modal import all_modes
-from fenics_crack.model.modes import damped_modes, projected_damping
+from fenics_crack.model.modes import damped_modes, damped_range, projected_damping
 
 RAYLEIGH = fc.RayleighDamping(0.05, 0.03)
 LAW = fc.UnilateralPenalty(4.0)
@@ -214,3 +214,44 @@ def test_curve_over_the_factor() -> None:
     end = fc.solve_harmonic_balance(structure.varied(damping=2.0), 0.9, LAW, harmonics=7)
     assert curve.complete
     assert relative(curve.solution(-1).gap_coefficients, end.gap_coefficients) < 1e-8
+
+
+# --- what is damped -------------------------------------------------------------------------------
+def test_range_of_damped_modes() -> None:
+    """The highest damped mode, where there are others above it."""
+    structure = chain("none", 30)
+    omega = fc.solve_modes(structure, 30).omega
+    ratios = [0.1, 0.0, 0.1, 0.0]
+    for damping, expected in (
+        (None, (0, 0.0)),
+        (fc.ModalDamping(0.0), (0, 0.0)),
+        (fc.ModalDamping(0.0, 3), (0, 0.0)),
+        (fc.RayleighDamping(), (0, 0.0)),
+        (fc.ModalDamping(0.01), None),
+        (fc.ModalDamping(0.01, 30), None),
+        (fc.ModalDamping([0.01] * 30), None),
+        (fc.RayleighDamping(0.1), None),
+        (fc.RayleighDamping(0.0, 0.1), None),
+        (fc.ModalDamping(0.01, 4), (4, omega[3])),
+        (fc.ModalDamping(ratios, 4), (2, omega[2])),
+        (fc.ModalDamping([0.01] * 12 + [0.0] * 18), (12, omega[11])),
+    ):
+        found = damped_range(structure.damped(damping))
+        assert found == (expected and pytest.approx(expected, rel=1e-9)), damping
+    assert damped_range(chain("matrix")) is None
+    assert damped_range(chain("modal").varied(damping=0.0)) == (0, 0.0)
+
+
+@pytest.mark.parametrize("method", ["free_interface", "craig_bampton"])
+def test_range_of_a_reduced_structure(method: str) -> None:
+    """That of the whole where its damping is projected; nothing is left out where all is damped."""
+    structure = chain("none", 60)
+    few = structure.damped(fc.ModalDamping(0.02, 8))
+    last = fc.solve_modes(structure, 8).omega[-1]
+    for modes in (5, 8, 20):
+        reduced = fc.reduce_structure(few, modes=modes, method=method)
+        assert damped_range(reduced) == pytest.approx((8, last), rel=1e-9)
+        assert damped_range(reduced.damped(fc.ModalDamping(0.02))) is None
+        assert damped_range(reduced.damped(None)) == (0, 0.0)
+    for rule in (fc.ModalDamping(0.02), RAYLEIGH):
+        assert damped_range(fc.reduce_structure(structure.damped(rule), modes=8)) is None

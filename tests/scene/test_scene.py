@@ -495,6 +495,25 @@ def test_rayleigh_damping_is_swept() -> None:
     assert Scene.from_text(again.as_toml()) == again
 
 
+@pytest.mark.parametrize(
+    ("table", "expected"),
+    [
+        ({"ratio": 0.01}, True),
+        ({"ratio": 0.0}, False),
+        ({"ratio": [0.1, 0.0]}, False),
+        ({"ratio": 0.01, "modes": 20}, False),
+        ({"mass": 1.0}, True),
+        ({"stiffness": 1e-6}, True),
+        ({"mass": 0.0, "stiffness": 0.0}, False),
+        ({"ratios": [0.1, 0.1], "omegas": [1.0, 2.0]}, True),
+        ({"ratios": [0.0, 0.0], "omegas": [1.0, 2.0]}, False),
+    ],
+)
+def test_damping_of_all_modes(table: dict[str, Any], expected: bool) -> None:
+    """Rayleigh's, and a ratio for all."""
+    assert Scene.from_mapping(changed({"damping": table})).damping.of_all_modes is expected
+
+
 def test_swept_mesh_files_lie_beside_the_scene(tmp_path: Path) -> None:
     """As ``mesh.file`` does."""
     made = {key: GOOD[key] for key in ("material", "damping", "excitation", "contact")}
