@@ -42,12 +42,13 @@ from fenics_crack.model.contact import ContactLaw as ContactLaw
 from fenics_crack.model.contact import SmoothedPenalty as SmoothedPenalty
 from fenics_crack.model.contact import UnilateralConstraint as UnilateralConstraint
 from fenics_crack.model.contact import UnilateralPenalty as UnilateralPenalty
+from fenics_crack.model.damping import ModalDamping as ModalDamping
+from fenics_crack.model.damping import RayleighDamping as RayleighDamping
 from fenics_crack.model.modes import Modes as Modes
 from fenics_crack.model.modes import solve_modes as solve_modes
 from fenics_crack.model.reduced import MasslessStructure as MasslessStructure
 from fenics_crack.model.reduced import ReducedStructure as ReducedStructure
 from fenics_crack.model.reduction import reduce_structure as reduce_structure
-from fenics_crack.model.structure import ModalDamping as ModalDamping
 from fenics_crack.model.structure import Structure as Structure
 from fenics_crack.scene.scene import Scene as Scene
 from fenics_crack.stability.floquet import floquet as floquet

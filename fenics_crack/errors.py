@@ -15,6 +15,7 @@ __all__ = [
     "check_number",
     "check_omega",
     "check_options",
+    "check_two_ratios",
 ]
 
 LONGEST_VALUE = 1000
@@ -99,3 +100,19 @@ def check_options(options: Mapping[str, object], known: Iterable[str]) -> None:
     for key, value in options.items():
         if key not in known:
             raise InputError(key, value, "left out; the options are " + ", ".join(known))
+
+
+def check_two_ratios(key: str, ratios: Sequence[float], omegas: Sequence[float]) -> None:
+    """Raise InputError unless Rayleigh damping can have two ratios at two frequencies [rad/s].
+
+    Both coefficients are >= 0 where the ratios of damping differ by no larger factor than the
+    frequencies; to rounding, as one coefficient may be 0.
+    """
+    (low, at_low), (high, at_high) = sorted(zip(omegas, ratios, strict=True))
+    least, most = at_low * (low / high), at_low * (high / low)
+    if not least * (1.0 - 1e-15) <= at_high <= most * (1.0 + 1e-15):
+        allowed = (
+            f"such that no coefficient is negative: with {at_low:g} at {low:g} rad/s, from "
+            f"{least:g} to {most:g} at {high:g} rad/s"
+        )
+        raise InputError(key, tuple(ratios), allowed)

@@ -26,7 +26,7 @@ BILINEAR_ORBITS = {
     1.0: (-0.564083304, (2.55314357, 0.19177737, 0.02283921), 2.19791942, -2.94941155),
 }
 """oscillator(), kc = 1: for each W the mean, |X1| to |X3|, and the extremes, event-driven."""
-DAMPINGS = ("modal", "matrix", "few modes", "none")
+DAMPINGS = ("modal", "rayleigh", "matrix", "few modes", "none")
 """Kinds of damping of a chain."""
 
 
@@ -88,6 +88,7 @@ def chain(
     dashpots = rng.uniform(0.0, 0.2, n)
     kinds = {
         "modal": fc.ModalDamping(rng.uniform(0.02, 0.08, n)),
+        "rayleigh": fc.RayleighDamping(0.05, 0.03),
         "matrix": np.diag(dashpots) + 0.02 * stiffness,  # does not commute: couples the modes
         "few modes": fc.ModalDamping([0.05, 0.02, 0.08], modes=3),
         "none": None,
@@ -138,7 +139,7 @@ def dense(matrix: Any) -> np.ndarray:
 
 
 def dense_matrices(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """M, C and K as arrays; modal damping by its definition, with LAPACK's modes."""
+    """M, C and K as arrays; damping by its definition, modal damping with LAPACK's modes."""
     mass, stiffness = dense(structure.mass), dense(structure.stiffness)
     damping = np.zeros_like(mass)
     if isinstance(structure.damping, fc.ModalDamping):
@@ -147,6 +148,8 @@ def dense_matrices(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray, np.
         mass_shapes = mass @ shapes[:, :count]
         rate = 2.0 * np.asarray(structure.damping.ratio) * np.sqrt(squares[:count])
         damping = (mass_shapes * rate) @ mass_shapes.T
+    elif isinstance(structure.damping, fc.RayleighDamping):
+        damping = structure.damping.mass * mass + structure.damping.stiffness * stiffness
     elif structure.damping is not None:
         damping = dense(structure.damping)
     return mass, damping, stiffness

@@ -263,6 +263,11 @@ def wild_scene(rng: random.Random) -> dict[str, Any]:
         tables["contact"][rng.choice(["stiffness", "stiffness_per_area"])] = size(1e9)
     if law == "smoothed":
         tables["contact"]["sharpness"] = size(1e6)
+    if rng.random() < 0.2:
+        ratios = {"ratios": [0.01, rng.choice([0.01, 0.02, 1.0])], "omegas": [size(1e3), 5e3]}
+        mass, stiffness = size(10.0), size(1e-6)
+        ways = [{"mass": mass}, {"stiffness": stiffness}, {"mass": mass, "stiffness": stiffness}]
+        tables["damping"] = rng.choice([*ways, ratios])
     return tables
 
 
@@ -615,7 +620,8 @@ SETTINGS = [
     "mesh.columns=1e9", "mesh.rows=3", "mesh.rows=[", "crack.length=0.03", "crack.length=nan",
     "crack.length='", "crack.edge=right", "crack.edge=top", "material.young=" + "9" * 5000,
     "material.young=" + "[" * 2000, "material.poisson=0.4999999", "damping.ratio=[0.1,0.2]",
-    "damping.ratio=0", "damping.modes=2", "damping.modes=1000", "excitation.omega=-1",
+    "damping.ratio=0", "damping.modes=2", "damping.modes=1000", "damping.ratio=none",
+    "damping.mass=10", "damping.stiffness=1e-6", "damping.stiffness=1", "excitation.omega=-1",
     "excitation.omega=3000", "excitation.point=[0,0]", "excitation.force_sin=[0,0]",
     "contact.law=constraint", "contact.stiffness=none", "contact.stiffness=1e30",
     "contact.stiffness_per_area=1e9", "contact.sharpness=1e6", "contact.law=smoothed",

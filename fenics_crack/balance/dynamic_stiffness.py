@@ -14,8 +14,8 @@ and D is all but singular. There the mode is deflated: the bordered matrix
 is regular, inverts D on the M-orthogonal complement of phi_j, and the mode itself contributes
 phi_j phi_j^T / (d_j + 2 i xi_j omega_j omega) with nothing cancelled.
 
-With a given damping matrix the real form of twice the size, [[D, omega C], [-omega C, D]], is
-factored.
+With a given damping matrix, or that of Rayleigh damping, the real form of twice the size,
+[[D, omega C], [-omega C, D]], is factored.
 """
 
 from __future__ import annotations

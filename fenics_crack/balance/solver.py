@@ -54,6 +54,7 @@ class Solver:
     def attempt(self, initial: PeriodicSolution | None) -> tuple[Search, PeriodicSolution]:
         """The same, whether or not it converged, and the record of the search."""
         search = Search(self.residual_tolerance)
+        at: CondensedPoint
         with self.compliance() as compliance:
             if self.problem.residual is not None:
                 problem, at = self.problem, self._coupled(search, compliance, initial)

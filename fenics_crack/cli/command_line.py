@@ -23,8 +23,12 @@ LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
 KEYS = {
     "contact stiffness": "contact.stiffness",
     "count": "--count",
+    "damping mass": "damping.mass",
     "damping modes": "damping.modes",
+    "damping omegas": "damping.omegas",
     "damping ratio": "damping.ratio",
+    "damping ratios": "damping.ratios",
+    "damping stiffness": "damping.stiffness",
     "harmonics": "harmonic_balance.harmonics",
     "modes": "reduction.modes",
     "omega": "excitation.omega",

@@ -12,6 +12,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli import tables
 from fenics_crack.cli.console import Console
 from fenics_crack.cli.exit_codes import Exit
+from fenics_crack.cli.remarks import highest_omega, remark_on, remark_on_sweep
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
 from fenics_crack.files.results import save
@@ -29,7 +30,8 @@ __all__ = ["curve", "integration", "modes", "plot", "solution", "sweep"]
 
 IN_SHORT = ("state", "response", "opening", "multiplier", "verdict", "truncation_error")
 """Columns of a sweep printed as text, beside the swept values."""
-UNDECIDED = "; more harmonics may decide it, or damping of all modes (damping.modes = 'all')"
+UNDECIDED = "; more harmonics may decide it"
+UNDAMPED = ", or damping of all modes (damping.modes = 'all')"
 SHOWN_FAILURES = 10
 """Failures of a sweep that are printed; its table has all."""
 
@@ -49,14 +51,16 @@ def solution(scene: Scene, folder: Path, console: Console) -> Exit:
     found = run.result
     table, waves = tables.solution_quantities(run), tables.solution_waves(run)
     _finish(run, folder, "solution", console, table, waves)
+    console.note(remark_on(run.structure, highest_omega(scene, "solve")))
     if not found.converged:
         console.warn(f"not converged: {found.status}")
         return Exit.NOT_CONVERGED
     _judge_error(found.report.total, "", console)
     if found.stability is not None and found.stability.verdict != "stable":
+        hint = UNDECIDED + ("" if scene.damping.of_all_modes else UNDAMPED)
         console.warn(
             f"the orbit is {found.stability.verdict}: a motion in time may leave it"
-            + (UNDECIDED if found.stability.verdict == "undecided" else "")
+            + (hint if found.stability.verdict == "undecided" else "")
         )
     return Exit.DONE
 
@@ -68,6 +72,7 @@ def curve(scene: Scene, folder: Path, console: Console) -> Exit:
     found = run.result
     table, points = tables.special_points(run), tables.curve_points(run)
     _finish(run, folder, "curve", console, table, points)
+    console.note(remark_on(run.structure, highest_omega(scene, "curve")))
     _judge_errors(run, console)
     special = [point.value for point in found.bifurcations]
     for index in tables.stability_changes(found):
@@ -152,6 +157,7 @@ def sweep(scene: Scene, folder: Path, console: Console) -> Exit:
     console.finish(folder, "sweep", shown, table, table)
     counts = {"converged": int(found.converged.sum()), "failed": len(found.failed)}
     counts["pending"] = found.converged.size - sum(counts.values())
+    console.note(remark_on_sweep(scene, console.comm))
     console.note("cases: " + ", ".join(f"{count} {name}" for name, count in counts.items()))
     for index, reason in found.failed[:SHOWN_FAILURES]:
         values = [axis.values[at] for axis, at in zip(found.axes, index, strict=True)]

@@ -38,8 +38,8 @@ class Console:
         print(table.formatted(self.form), end="", flush=True)
 
     def note(self, text: str) -> None:
-        """Print a remark, unless quiet."""
-        if not self.quiet:
+        """Print a remark, unless it is empty or quiet is asked for."""
+        if text and not self.quiet:
             print(text, file=sys.stderr, flush=True)
 
     def warn(self, text: str) -> None:

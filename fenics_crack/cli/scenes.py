@@ -11,6 +11,7 @@ import numpy as np
 from fenics_crack.balance.harmonic_balance import check_memory
 from fenics_crack.cli.console import Console
 from fenics_crack.cli.exit_codes import Exit
+from fenics_crack.cli.remarks import highest_omega, remark_on
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import make_folder
 from fenics_crack.model.contact import is_rigid
@@ -80,7 +81,10 @@ def check(scene: Scene, console: Console) -> Exit:
         rows["sweep"] = " x ".join(f"{len(axis.values)} {axis.key}" for axis in scene.sweep.over)
         rows["cases of the sweep"] = scene.sweep.n_cases
         rows["of them impossible"] = on_root(console.comm, lambda: _impossible(scene))
+    highest = max(highest_omega(scene, command) for command in ("solve", "curve", "sweep"))
+    remark = remark_on(whole, highest)
     console.table(Table(("what", "value"), [*rows.items()]))
+    console.note(remark)
     return Exit.DONE
 
 

@@ -21,10 +21,11 @@ from scipy.spatial import cKDTree
 from fenics_crack.errors import InputError
 from fenics_crack.fem import compat
 from fenics_crack.fem.plate import PlateMesh, build_mesh
+from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
 from fenics_crack.model.nodes import Nodes
-from fenics_crack.model.structure import ModalDamping, Structure
+from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import collect_garbage, gather_rows
-from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.scene import Damping, Scene
 
 __all__ = ["assemble"]
 
@@ -47,13 +48,12 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     blocks = dofs.free_block(mass), dofs.free_block(stiffness)
     mass.destroy()
     stiffness.destroy()
-    modes = None if scene.damping.modes == "all" else int(scene.damping.modes)
     structure = Structure(
         *blocks,
         gap,
         force=_load(scene, plate, space, dofs),
         clearance=np.full(gap.shape[1], scene.crack.clearance if scene.crack else 0.0),
-        damping=ModalDamping(scene.damping.ratio, modes),
+        damping=_damping(scene.damping),
         nodes=dofs.nodes(),
         pair_points=points,
         pair_areas=areas,
@@ -160,6 +160,15 @@ def _load(scene: Scene, plate: PlateMesh, space: Any, dofs: _Dofs) -> np.ndarray
     if any(map(any, parts)) and not np.any(gather_rows(dofs.comm, force.ravel())):
         raise InputError("excitation.point", tuple(point), "where the plate is free to move")
     return force
+
+
+def _damping(table: Damping) -> DampingRule:
+    """The damping that a scene's table describes."""
+    if table.ratio is not None:
+        return ModalDamping(table.ratio, None if table.modes == "all" else int(table.modes))
+    if table.ratios is not None and table.omegas is not None:
+        return RayleighDamping.from_ratios(table.ratios, table.omegas)
+    return RayleighDamping(table.mass or 0.0, table.stiffness or 0.0)
 
 
 # --- the crack ------------------------------------------------------------------------------------

@@ -317,7 +317,7 @@ def _response(modes: AllModes, omega: float, force: np.ndarray) -> np.ndarray:
         return np.zeros_like(force)
     if modes.damping.ndim == 2:
         impedance = np.diag(modes.squares - omega**2) + 1j * omega * modes.damping
-        found, _, rank, _ = np.linalg.lstsq(impedance, force, rcond=None)
+        found = np.linalg.lstsq(impedance, force, rcond=None)[0]
         singular = np.abs(impedance @ found - force).max() > 1e-9 * np.abs(force).max()
     else:
         impedance = modes.squares - omega**2 + 1j * omega * modes.damping

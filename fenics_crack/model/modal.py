@@ -9,6 +9,7 @@ import numpy as np
 import scipy.linalg
 
 from fenics_crack.errors import ConvergenceError
+from fenics_crack.model.damping import RayleighDamping
 from fenics_crack.model.factor import Factor
 from fenics_crack.model.modes import damped_modes, projected_damping
 from fenics_crack.model.reduced import MasslessStructure, massless
@@ -165,13 +166,7 @@ def _all_modes(structure: Structure) -> AllModes:
         squares, shapes, damping = known.omega**2, known.shapes, known.rate
     else:
         squares, shapes = scipy.linalg.eigh(*map(_dense, (structure.stiffness, structure.mass)))
-        if structure.damping_matrix is None:
-            coupled = projected_damping(structure, shapes)
-        else:
-            coupled = shapes.T @ _dense(structure.damping_matrix) @ shapes
-        rate = np.diag(coupled).copy()
-        coupling = np.abs(coupled - np.diag(rate)).max()
-        damping = rate if coupling <= 1e-14 * np.abs(rate).max() else coupled
+        damping = _in_modes(structure, squares, shapes)
     with Factor(structure.stiffness, symmetric=True) as factor:
         unconstrained = factor.null_pivots > 0
     pairs = (structure.gap.T @ shapes).T
@@ -194,6 +189,20 @@ def _of_massless(structure: MasslessStructure) -> AllModes:
         loads,
         np.eye(count, structure.n_dofs),
     )
+
+
+def _in_modes(structure: Structure, squares: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+    """Phi^T C Phi: its diagonal where it is diagonal."""
+    rule = structure.damping
+    if isinstance(rule, RayleighDamping):
+        return rule.rate(squares)
+    if structure.damping_matrix is None:
+        coupled = projected_damping(structure, shapes)
+    else:
+        coupled = shapes.T @ _dense(structure.damping_matrix) @ shapes
+    rate = np.diag(coupled).copy()
+    coupling = np.abs(coupled - np.diag(rate)).max()
+    return rate if coupling <= 1e-14 * np.abs(rate).max() else coupled
 
 
 def _dense(matrix: Any) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Natural modes by SLEPc, and modal damping on them.
+"""Natural modes by SLEPc, and damping on them.
 
     K phi_j = omega_j^2 M phi_j,     phi_i^T M phi_j = delta_ij
 
@@ -17,8 +17,9 @@ import numpy as np
 from slepc4py import SLEPc
 
 from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
 from fenics_crack.model.factor import Factor, weighted_sum
-from fenics_crack.model.structure import ModalDamping, Structure
+from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.table import Tabular, counted
 
@@ -27,6 +28,7 @@ __all__ = [
     "Modes",
     "by_columns",
     "damped_modes",
+    "damped_range",
     "largest_frequency",
     "mass_norms",
     "projected_damping",
@@ -269,8 +271,42 @@ def _damped_modes(structure: Structure) -> DampedModes:
     return DampedModes(modes.omega, 2.0 * ratio * modes.omega, modes.shapes, mass_shapes)
 
 
+def damped_range(structure: Structure) -> tuple[int, float] | None:
+    """How many modes are damped, and the highest frequency of one [rad/s] (collective).
+
+    None where no mode above it is left without damping, and where a damping matrix was given. Where
+    projection has made a matrix of modal damping, the modes are those of the whole structure.
+
+    Raises
+    ------
+    InputError
+        As :func:`damped_modes`.
+    """
+    if not isinstance(structure.damping, DampingRule | None):
+        structure = structure.whole
+    rule = structure.damping
+    if not isinstance(rule, DampingRule):
+        return (0, 0.0) if rule is None else None
+    if isinstance(rule, RayleighDamping):
+        return None if rule.mass or rule.stiffness else (0, 0.0)
+    if isinstance(rule.ratio, float) and rule.modes in (None, structure.n_dofs):
+        return None if rule.ratio else (0, 0.0)
+    known = damped_modes(structure)
+    assert known is not None
+    found = np.flatnonzero(known.rate > 1e-9 * known.rate.max())  # not rounding of a projection
+    if not found.size:
+        return 0, 0.0
+    last = int(found[-1])
+    return None if last == structure.n_dofs - 1 else (len(found), float(known.omega[last]))
+
+
 def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:
     """X^T C X of the columns of X (n_local, m): (m, m) [kg/s] (collective)."""
+    rule = structure.damping
+    if isinstance(rule, RayleighDamping):  # without C
+        product = rule.mass * times(structure.mass, columns)
+        product += rule.stiffness * times(structure.stiffness, columns)
+        return structure.sum_over_ranks(columns.T @ product)
     if structure.damping_matrix is not None:
         product = times(structure.damping_matrix, columns)
         return structure.sum_over_ranks(columns.T @ product)

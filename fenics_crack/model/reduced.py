@@ -22,10 +22,11 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError
+from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
 from fenics_crack.model.factor import Factor
 from fenics_crack.model.matrices import distributed
 from fenics_crack.model.modes import times
-from fenics_crack.model.structure import ModalDamping, Structure
+from fenics_crack.model.structure import Structure
 
 __all__ = ["MasslessStructure", "ReducedStructure", "ResidualFlexibility", "massless"]
 
@@ -60,7 +61,7 @@ class ReducedStructure(Structure):
         whole: Structure,
         basis: np.ndarray,
         squares: np.ndarray,
-        damping: ModalDamping | np.ndarray | None,
+        damping: DampingRule | np.ndarray | None,
         reference: ReducedStructure | None = None,
     ) -> None:
         small = Structure.from_matrices(
@@ -100,10 +101,13 @@ class ReducedStructure(Structure):
         """Displacement of dofs of the whole structure from coordinates (m, n_dofs) (collective)."""
         return displacement @ self._whole.values_at(self.basis.T, dofs)
 
-    def damped(self, damping: ModalDamping | None) -> ReducedStructure:
-        """Return this structure with a modal damping of its own coordinates, or none."""
-        if damping is not None and not isinstance(damping, ModalDamping):
-            raise InputError("damping", damping, "a ModalDamping or None")
+    def damped(self, damping: DampingRule | None) -> ReducedStructure:
+        """Return this structure with a modal or Rayleigh damping of its own coordinates, or none.
+
+        Rayleigh damping of the coordinates is that of the whole structure, projected.
+        """
+        if damping is not None and not isinstance(damping, DampingRule):
+            raise InputError("damping", damping, "a ModalDamping, a RayleighDamping or None")
         reference = None if self.reference is None else self.reference.damped(damping)
         return ReducedStructure(self._whole, self.basis, self.omega**2, damping, reference)
 
@@ -200,7 +204,7 @@ class MasslessStructure(ReducedStructure):
         self,
         whole: Structure,
         squares: np.ndarray,
-        damping: ModalDamping | np.ndarray | None,
+        damping: DampingRule | np.ndarray | None,
         pairs: np.ndarray,
         force: np.ndarray,
         compliance: np.ndarray,
@@ -219,6 +223,8 @@ class MasslessStructure(ReducedStructure):
         rate: np.ndarray = np.zeros(count)
         if isinstance(damping, ModalDamping):
             rate = 2.0 * np.asarray(damping.ratio) * omega
+        elif isinstance(damping, RayleighDamping):
+            rate = damping.rate(squares)
         elif damping is not None:
             rate = damping
         Structure.__init__(
@@ -281,10 +287,10 @@ class MasslessStructure(ReducedStructure):
         seen = modal @ self._whole.values_at(self._static.shapes.T, dofs)
         return seen + static @ self._static.rows(wanted).T
 
-    def damped(self, damping: ModalDamping | None) -> MasslessStructure:
-        """Return this structure with a modal damping of its modes, or none."""
-        if damping is not None and not isinstance(damping, ModalDamping):
-            raise InputError("damping", damping, "a ModalDamping or None")
+    def damped(self, damping: DampingRule | None) -> MasslessStructure:
+        """Return this structure with a modal or Rayleigh damping of its modes, or none."""
+        if damping is not None and not isinstance(damping, DampingRule):
+            raise InputError("damping", damping, "a ModalDamping, a RayleighDamping or None")
         count = self.n_modes
         reference = None
         if isinstance(self.reference, MasslessStructure):
@@ -316,7 +322,7 @@ def _patterns(whole: Structure) -> np.ndarray:
     return np.eye(3)[:, loaded]
 
 
-def _padded(damping: ModalDamping | np.ndarray | None, extra: int) -> ModalDamping | Any | None:
+def _padded(damping: DampingRule | np.ndarray | None, extra: int) -> Any:
     """A matrix of modal damping with rows for coordinates without mass."""
     if not isinstance(damping, np.ndarray):
         return damping

@@ -34,6 +34,7 @@ import scipy.linalg
 import scipy.sparse as sparse
 
 from fenics_crack.errors import InputError
+from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import SMALL
 from fenics_crack.model.modes import (
@@ -45,7 +46,7 @@ from fenics_crack.model.modes import (
     times,
 )
 from fenics_crack.model.reduced import MasslessStructure, ReducedStructure, ResidualFlexibility
-from fenics_crack.model.structure import ModalDamping, Structure
+from fenics_crack.model.structure import Structure
 
 __all__ = ["reduce_structure"]
 
@@ -60,8 +61,9 @@ def reduce_structure(
     """Reduce a structure to a few coordinates (collective).
 
     Where one ratio damps all modes, it damps all coordinates: these are the modes of the reduced
-    structure. Any other damping is projected; but with ``massless`` all modes that are kept are
-    damped, those beyond the damped ones with the last ratio.
+    structure. Rayleigh damping keeps its coefficients. Any other damping is projected; but with
+    ``massless`` all modes that are kept are damped, those beyond the damped ones with the last
+    ratio.
 
     Parameters
     ----------
@@ -69,7 +71,7 @@ def reduce_structure(
         What to reduce.
     modes : int, optional
         How many of the lowest modes to keep; default: those that are damped, but 50 if all of more
-        than 600 are; without modal damping 20.
+        than 600 are; without damping, or with a matrix, 20.
     method : "massless", "free_interface", "craig_bampton" or "truncation"
         The basis.
 
@@ -83,11 +85,11 @@ def reduce_structure(
     """
     if method not in METHODS:
         raise InputError("method", method, "one of " + ", ".join(map(repr, METHODS)))
-    ratio = _ratio_of_all(structure)
-    damped = damped_modes(structure) if ratio is None else None
+    rule = _rule_of_all(structure)
+    damped = damped_modes(structure) if rule is None else None
     if modes is None:
         modes = min(20, structure.n_dofs) if damped is None else len(damped.omega)
-        if ratio is not None:
+        if rule is not None:
             modes = MODES if structure.n_dofs > SMALL else structure.n_dofs
     whole = isinstance(modes, int | np.integer) and not isinstance(modes, bool)
     if not (whole and 1 <= modes <= structure.n_dofs):
@@ -113,7 +115,7 @@ def reduce_structure(
             tied = solve_modes(structure.tied(scale), modes).shapes
             extra = np.hstack([response, tied])
         following = [extra, response, factor.solve(times(structure.mass, response).T).T]
-        if structure.damping_matrix is not None:
+        if rule is None and structure.damping_matrix is not None:
             damping = times(structure.damping_matrix, np.hstack([kept, extra, response]))
             following.append(factor.solve(damping.T).T)
     reference = _reduced(structure, kept, squares, np.hstack(following), None)
@@ -154,24 +156,27 @@ def _massless(structure: Structure, modes: int, damped: DampedModes | None) -> M
 
 def _damping_of_modes(
     structure: Structure, shapes: np.ndarray, squares: np.ndarray
-) -> ModalDamping | np.ndarray | None:
+) -> DampingRule | np.ndarray | None:
     """Of all modes that are kept."""
     damping = structure.damping
     if not isinstance(damping, ModalDamping):
-        return _damping(structure, shapes, squares)
+        return _damping(structure, shapes, squares)  # or Rayleigh's
     if isinstance(damping.ratio, float):
         return ModalDamping(damping.ratio)
     ratio = list(damping.ratio)[: len(squares)]
     return ModalDamping(tuple(ratio + ratio[-1:] * (len(squares) - len(ratio))))
 
 
-def _ratio_of_all(structure: Structure) -> float | None:
-    """The one ratio that damps all modes, or None; InputError for too many ratios."""
+def _rule_of_all(structure: Structure) -> DampingRule | None:
+    """What damps all modes alike, and so those of the reduced structure: one ratio, or Rayleigh's
+    coefficients; else None. InputError for too many ratios."""
     damping = structure.damping
+    if isinstance(damping, RayleighDamping):
+        return damping
     if not isinstance(damping, ModalDamping) or damping.modes not in (None, structure.n_dofs):
         return None
     if isinstance(damping.ratio, float):
-        return damping.ratio
+        return ModalDamping(damping.ratio)
     if structure.n_dofs <= SMALL:
         return None
     found = f"{len(damping.ratio)} ratios for all {structure.n_dofs} modes"
@@ -225,13 +230,15 @@ def _reduced(
 
 def _damping(
     structure: Structure, basis: np.ndarray, squares: np.ndarray
-) -> ModalDamping | np.ndarray | None:
-    """T^T C T, or one ratio for all; modal where it is diagonal, else a matrix."""
-    one = _ratio_of_all(structure)
+) -> DampingRule | np.ndarray | None:
+    """T^T C T, or one ratio for all; a rule where it is diagonal, else a matrix.
+
+    T^T M T = I and T^T K T is diagonal: Rayleigh's coefficients stay.
+    """
     if structure.damping is None:
         return None
-    if one is not None:
-        return ModalDamping(one)
+    if (rule := _rule_of_all(structure)) is not None:
+        return rule
     matrix = projected_damping(structure, basis)
     rate = np.diag(matrix)
     if np.abs(matrix - np.diag(rate)).max() > 1e-9 * rate.max(initial=0.0):

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, NoReturn, Self, TypeVar
 
@@ -23,7 +22,8 @@ import numpy as np
 import scipy.sparse as sparse
 from mpi4py import MPI
 
-from fenics_crack.errors import InputError, check_count, check_number
+from fenics_crack.errors import InputError, check_number
+from fenics_crack.model.damping import DampingRule, RayleighDamping
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.matrices import (
     check_positive_definite,
@@ -37,50 +37,9 @@ from fenics_crack.model.matrices import (
 )
 from fenics_crack.model.nodes import Nodes
 
-__all__ = ["ModalDamping", "Structure"]
+__all__ = ["Structure"]
 
 Found = TypeVar("Found")
-
-
-@dataclass(frozen=True)
-class ModalDamping:
-    """Damping C = M Phi diag(2 xi_j omega_j) Phi^T M over mass-normalised modes; never formed.
-
-    Attributes
-    ----------
-    ratio : float or tuple of float
-        xi_j, of critical damping: one for all modes, or one per mode.
-    modes : int or None
-        How many of the lowest modes are damped; None: all.
-
-    Raises
-    ------
-    InputError
-        A ratio is negative or not finite, or ``modes`` is no whole number >= 1.
-    """
-
-    ratio: float | Sequence[float]
-    modes: int | None = None
-
-    def __post_init__(self) -> None:
-        ratio = numbers(self.ratio)
-        if ratio.ndim > 1 or not ratio.size or not np.all(np.isfinite(ratio)) or ratio.min() < 0.0:
-            raise InputError("damping ratio", self.ratio, "finite and >= 0, one or one per mode")
-        if self.modes is not None:
-            check_count("damping modes", self.modes, 1)
-        given = tuple(ratio.tolist()) if ratio.ndim else float(ratio)
-        object.__setattr__(self, "ratio", given)
-
-    def scaled(self, factor: float) -> ModalDamping:
-        """The same with every ratio multiplied by a factor."""
-        ratio: Any = (factor * np.asarray(self.ratio)).tolist()
-        return replace(self, ratio=ratio)
-
-    def __str__(self) -> str:
-        percent = 100.0 * np.asarray(self.ratio)
-        low, high = f"{percent.min():.3g}", f"{percent.max():.3g}"
-        modes = "" if self.modes is None else f" of {self.modes} modes"
-        return f"modal damping {low if low == high else f'{low} to {high}'} %{modes}"
 
 
 class Structure:
@@ -136,7 +95,7 @@ class Structure:
         *,
         force: np.ndarray,
         clearance: np.ndarray,
-        damping: ModalDamping | Any | None = None,
+        damping: DampingRule | Any | None = None,
         nodes: Nodes | None = None,
         pair_points: np.ndarray | None = None,
         pair_areas: np.ndarray | None = None,
@@ -171,7 +130,7 @@ class Structure:
     def __repr__(self) -> str:
         pairs = f"{self.n_pairs} pair{'' if self.n_pairs == 1 else 's'}"
         damping = self.original.damping
-        if isinstance(damping, ModalDamping):
+        if isinstance(damping, DampingRule):
             words = str(damping.scaled(self.damping_factor))
         else:
             words = "no damping" if damping is None else "damping matrix"
@@ -183,14 +142,14 @@ class Structure:
 
     @cached_property
     def damping(self) -> Any:
-        """ModalDamping, the matrix C [N s/m], or None (collective).
+        """ModalDamping, RayleighDamping, the matrix C [N s/m], or None (collective).
 
         A varied copy computes it when it is first asked for: many copies never are.
         """
         given = self.original.damping
         if given is None or self.damping_factor == 1.0:
             return given
-        if isinstance(given, ModalDamping):
+        if isinstance(given, DampingRule):
             return given.scaled(self.damping_factor)
         matrix = given.copy()
         matrix.scale(self.damping_factor)
@@ -228,10 +187,16 @@ class Structure:
         """Number of contact pairs."""
         return int(self.gap.shape[1])
 
-    @property
+    @cached_property
     def damping_matrix(self) -> Any:
-        """C where damping is a matrix, else None."""
-        return None if isinstance(self.damping, ModalDamping) else self.damping
+        """C where damping is a matrix or Rayleigh's, else None (collective).
+
+        Rayleigh's is formed when it is first asked for.
+        """
+        damping = self.damping
+        if isinstance(damping, RayleighDamping):
+            return damping.matrix(self.mass, self.stiffness)
+        return None if isinstance(damping, DampingRule) else damping
 
     @property
     def whole(self) -> Structure:
@@ -316,7 +281,7 @@ class Structure:
     def lumped(self) -> Structure:
         """Return this structure with the diagonal mass of the row sums of M.
 
-        Modal damping then follows the modes with that mass.
+        Modal damping then follows the modes with that mass, and Rayleigh damping that mass.
 
         Raises
         ------
@@ -337,7 +302,7 @@ class Structure:
         """Return this structure with every pair tied by a spring k [N/m] that pulls and pushes.
 
         Its stiffness is K + B diag(k) B^T, and it has no pairs; modal damping follows the tied
-        modes.
+        modes, Rayleigh damping the tied stiffness.
         """
         whole = sparse.vstack(self.comm.allgather(self.gap), format="csr")
         diagonal = sparse.diags(per_pair("stiffness", stiffness, self.n_pairs))
@@ -352,10 +317,10 @@ class Structure:
             pair_areas=np.zeros(0),
         )
 
-    def damped(self, damping: ModalDamping | None) -> Structure:
-        """Return this structure with another modal damping, or none."""
-        if damping is not None and not isinstance(damping, ModalDamping):
-            raise InputError("damping", damping, "a ModalDamping or None")
+    def damped(self, damping: DampingRule | None) -> Structure:
+        """Return this structure with another modal or Rayleigh damping, or none."""
+        if damping is not None and not isinstance(damping, DampingRule):
+            raise InputError("damping", damping, "a ModalDamping, a RayleighDamping or None")
         return self._changed(damping=damping)
 
     def varied(
@@ -389,7 +354,8 @@ class Structure:
             raise InputError("load", load, "a finite number, or a finite matrix of shape (3, 3)")
         check_number("damping", damping, 0.0)
         other = copy(self)
-        vars(other).pop("damping", None)
+        for computed in ("damping", "damping_matrix"):
+            vars(other).pop(computed, None)
         other._hold(
             force=weights @ self.force if weights.ndim else weights * self.force,
             clearance=self.clearance + per_pair("clearance", clearance, self.n_pairs),
@@ -432,8 +398,8 @@ class Structure:
             Load on the first harmonic, and its mean.
         clearance : float or (n_pairs,) [m]
             g0; negative for preload.
-        damping : ModalDamping, (n, n) matrix or None
-            Modal damping, or C [N s/m] in any of the forms above.
+        damping : ModalDamping, RayleighDamping, (n, n) matrix or None
+            Modal or Rayleigh damping, or C [N s/m] in any of the forms above.
         comm : MPI.Comm
             Ranks that share matrices given whole on every rank; PETSc matrices keep their own.
 
@@ -446,7 +412,7 @@ class Structure:
         mass = petsc_matrix("mass", mass, comm)
         comm, n, own = mass.comm.tompi4py(), mass.size[0], slice(*mass.owner_range)
         stiffness = petsc_matrix("stiffness", stiffness, comm, n)
-        if damping is not None and not isinstance(damping, ModalDamping):
+        if damping is not None and not isinstance(damping, DampingRule):
             damping = petsc_matrix("damping", damping, comm, n)
         check_symmetric("mass", mass)
         check_symmetric("stiffness", stiffness)

@@ -17,7 +17,7 @@ from typing import Any, get_args, get_type_hints
 
 import numpy as np
 
-from fenics_crack.errors import MAX_SAMPLES, InputError
+from fenics_crack.errors import MAX_SAMPLES, InputError, check_two_ratios
 from fenics_crack.scene.fields import (
     OR_ZERO,
     Axis,
@@ -47,6 +47,7 @@ __all__ = [
 
 EXTENT = "a number from 1e-6 to 1e6"
 NUMBER = f"a finite number {OR_ZERO}"
+NOT_NEGATIVE = f"a finite number >= 0 {OR_ZERO}"
 FORCE = f"[fx, fy], two finite numbers {OR_ZERO}"
 STEEPEST, THINNEST = 1e6, 1e4
 """Largest ``mesh.grading``, and largest ratio of the plate's sides."""
@@ -98,23 +99,65 @@ class Material(Table):
 
 @dataclass(frozen=True)
 class Damping(Table):
-    """Modal damping: ratio xi_j of critical damping for each of the lowest modes.
+    """Modal or Rayleigh damping, given in one of three ways.
 
-    With ``modes = "all"`` and one ratio, all coordinates of a reduced structure are damped.
+    Modal: ``ratio``, xi_j of critical damping, for each of the lowest ``modes``. With ``modes =
+    "all"`` and one ratio, all coordinates of a reduced structure are damped.
+
+    Rayleigh, C = mass M + stiffness K: ``mass`` and ``stiffness``, or one of them; or ``ratios``,
+    the ratios of damping at the two frequencies ``omegas``.
     """
 
-    ratio: float | tuple[float, ...] = holds(
+    ratio: float | tuple[float, ...] | None = holds(
         "a number from 0 to 1 (0.02 for 2 %), or a list of them, one per mode",
         lambda ratio: np.min(ratio) >= 0 and np.max(ratio) <= 1,
+        None,
     )
     modes: int | str = holds(
         "'all' or a whole number >= 1", lambda value: value == "all" or value >= 1, "all"
     )
+    mass: float | None = holds(NOT_NEGATIVE, lambda value: value >= 0, None)
+    """[1/s]"""
+    stiffness: float | None = holds(NOT_NEGATIVE, lambda value: value >= 0, None)
+    """[s]"""
+    ratios: Vector | None = holds(
+        "[xi_1, xi_2], two numbers from 0 to 1",
+        lambda ratios: min(ratios) >= 0 and max(ratios) <= 1,
+        None,
+    )
+    omegas: Vector | None = holds(
+        "[omega_1, omega_2], two different numbers > 0",
+        lambda omegas: min(omegas) > 0 and omegas[0] != omegas[1],
+        None,
+    )
+    """[rad/s]"""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        fits = isinstance(self.ratio, float) or self.modes in ("all", len(self.ratio))
-        self.require(fits, "ratio", f"a list of damping.modes = {self.modes}")
+        ways = [("ratio",), ("mass", "stiffness"), ("ratios", "omegas")]
+        found = [(way, key) for way in ways for key in way if getattr(self, key) is not None]
+        allowed = "given, or damping.mass or damping.stiffness, or damping.ratios with omegas"
+        self.require(bool(found), "ratio", allowed)
+        (chosen, key), *_ = found
+        for way in ways:
+            if way is not chosen:
+                self.leave_out(way, f"{key} = {getattr(self, key)}")
+        if self.ratio is None:
+            self.require(self.modes == "all", "modes", f"left out with {key}: all are damped")
+        elif isinstance(self.ratio, tuple):
+            fits = self.modes in ("all", len(self.ratio))
+            self.require(fits, "ratio", f"a list of damping.modes = {self.modes}")
+        if chosen == ("ratios", "omegas"):
+            ratios = self.given("ratios", f"given with omegas = {self.omegas}")
+            omegas = self.given("omegas", f"given with ratios = {self.ratios}")
+            check_two_ratios(self.name_of("ratios"), ratios, omegas)
+
+    @property
+    def of_all_modes(self) -> bool:
+        """Whether every mode is damped, whatever the structure."""
+        if self.ratio is None:
+            return max(self.mass or 0.0, self.stiffness or 0.0, *(self.ratios or ())) > 0.0
+        return self.modes == "all" and float(np.min(self.ratio)) > 0.0
 
 
 @dataclass(frozen=True)

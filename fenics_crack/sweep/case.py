@@ -15,10 +15,11 @@ from fenics_crack.balance.harmonic_balance import solve_harmonic_balance, solve_
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import is_rigid
+from fenics_crack.model.damping import DampingRule
 from fenics_crack.model.matrices import distributed
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduced import ReducedStructure
-from fenics_crack.model.structure import ModalDamping, Structure
+from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Contact, Scene
 from fenics_crack.stability.floquet import FEW_PAIRS, PiecewiseFlow, floquet
 from fenics_crack.study.prepare import law_of, prepare
@@ -41,7 +42,7 @@ class Arrays:
     mass: sparse.csr_matrix
     stiffness: sparse.csr_matrix
     gap: sparse.csr_matrix
-    damping: ModalDamping | np.ndarray | None
+    damping: DampingRule | np.ndarray | None
     force: np.ndarray
     clearance: np.ndarray
     pair_areas: np.ndarray | None
@@ -51,14 +52,16 @@ class Arrays:
     @classmethod
     def of(cls, structure: Structure, crack_length: float) -> Arrays:
         """Take a structure apart."""
-        damping = structure.damping_matrix
+        damping = structure.damping
+        if damping is not None and not isinstance(damping, DampingRule):
+            damping = _rows(damping).toarray()
         reference = structure.reference if isinstance(structure, ReducedStructure) else None
         return cls(
             reduced=isinstance(structure, ReducedStructure),
             mass=_rows(structure.mass),
             stiffness=_rows(structure.stiffness),
             gap=structure.gap,
-            damping=structure.damping if damping is None else _rows(damping).toarray(),
+            damping=damping,
             force=structure.force,
             clearance=structure.clearance,
             pair_areas=structure.pair_areas,

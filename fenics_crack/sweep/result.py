@@ -69,6 +69,7 @@ UNITS = {
     "excitation.point": "m", "excitation.force_sin": "N", "excitation.force_cos": "N",
     "excitation.force_mean": "N", "contact.stiffness": "N/m",
     "contact.stiffness_per_area": "N/m^3", "contact.sharpness": "1/m", "mesh.size": "m",
+    "damping.mass": "1/s", "damping.stiffness": "s", "damping.omegas": "rad/s",
 }  # fmt: skip
 
 STATES = np.array(["pending", "converged", "failed"])

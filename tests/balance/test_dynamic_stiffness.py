@@ -15,6 +15,7 @@ from fenics_crack import (
     ConvergenceError,
     InputError,
     ModalDamping,
+    RayleighDamping,
     Scene,
     Structure,
     build_structure,
@@ -90,6 +91,7 @@ DAMPINGS = {
     "all modes, a ratio each": ModalDamping(RNG.uniform(0.0, 0.1, N).tolist()),
     "four modes": ModalDamping(0.02, 4),
     "four modes, a ratio each": ModalDamping([0.01, 0.0, 0.03, 0.1], 4),
+    "Rayleigh": RayleighDamping(0.3, 0.002),
     "symmetric matrix": np.eye(N) + 0.1,
     "any matrix": RNG.standard_normal((N, N)),
 }
@@ -329,19 +331,24 @@ def test_two_ranks_give_the_same_responses(
         assert two["residual"] < 1e-6 and one["residual"] < 1e-6  # of a load of 100 N
 
 
-def any_compliance(comm: MPI.Comm) -> np.ndarray:
-    """B^T Z^-1 B with a full damping matrix that is not symmetric (collective)."""
-    one = random_structure(DAMPINGS["any matrix"])
-    mass, damping, stiffness = dense_matrices(one)
-    spread = Structure.from_matrices(mass, stiffness, one.gap, damping=damping, comm=comm)
-    with DynamicStiffness(spread, 7.77) as dynamic:
-        return dynamic.compliance()
+def compliances(kinds: list[str], comm: MPI.Comm) -> list[np.ndarray]:
+    """B^T Z^-1 B with some kinds of damping (collective)."""
+    found = []
+    for kind in kinds:
+        one = random_structure(damping := DAMPINGS[kind])
+        mass, _, stiffness = dense_matrices(one)
+        spread = Structure.from_matrices(mass, stiffness, one.gap, damping=damping, comm=comm)
+        with DynamicStiffness(spread, 7.77) as dynamic:
+            found.append(dynamic.compliance())
+    return found
 
 
 @pytest.mark.mpi
 def test_damping_matrix_on_two_ranks(on_ranks: Callable[..., Any]) -> None:
-    """Spread over two ranks such a matrix gives the dense compliance."""
-    structure = random_structure(DAMPINGS["any matrix"])
-    gap = structure.gap.toarray()
-    expected = gap.T @ np.linalg.solve(dense_stiffness(structure, 7.77), gap)
-    assert relative_error(on_ranks(any_compliance), expected) < 1e-10
+    """Spread over two ranks, one that is not symmetric and Rayleigh's give the dense compliance."""
+    kinds = ["any matrix", "Rayleigh"]
+    for kind, found in zip(kinds, on_ranks(compliances, kinds), strict=True):
+        structure = random_structure(DAMPINGS[kind])
+        gap = structure.gap.toarray()
+        expected = gap.T @ np.linalg.solve(dense_stiffness(structure, 7.77), gap)
+        assert relative_error(found, expected) < 1e-10

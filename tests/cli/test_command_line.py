@@ -19,6 +19,7 @@ from helpers import ROOT
 
 import fenics_crack as fc
 from fenics_crack.cli.command_line import main
+from fenics_crack.cli.remarks import in_words
 from fenics_crack.fem.plate import write_msh
 
 ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
@@ -97,6 +98,65 @@ def test_uncracked_plate(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     assert main(["plot", str(tmp_path / "solution.h5")]) == 0
     assert main(["integrate", scene, *whole]) == 2
     assert "crack" in capsys.readouterr().err
+
+
+REMARKS = [
+    # (command and settings, what is said of harmonics that nothing damps)
+    ("solve", ""),
+    ("solve damping.modes=3", "beyond the 3 damped modes (8579.27 rad/s): nothing damps what"),
+    ("solve damping.modes=1", "H w = 10000 rad/s reach beyond the damped mode (2302.87"),
+    ("solve damping.modes=3 harmonic_balance.harmonics=4", ""),
+    ("solve damping.modes=3 reduction.modes=10", "beyond the 3 damped modes (8579.27 rad/s)"),
+    ("solve damping.modes=3 reduction.modes=2", "beyond the 3 damped modes (8579.27 rad/s)"),
+    ("solve reduction.modes=2", ""),
+    ("solve damping.ratio=0", "up to H w = 10000 rad/s: nothing damps what they excite"),
+    ("solve damping.ratio=none damping.mass=20", ""),
+    ("solve damping.modes=3 crack=none contact=none", ""),
+    ("curve damping.modes=3 curve.start=1700 curve.stop=1720", "H w = 8600 rad/s reach"),
+    ("curve damping.modes=3 curve.start=1690 curve.stop=1710", ""),
+    ("check damping.modes=3", "H w = 10000 rad/s reach beyond the 3 damped modes"),
+    ("check damping.modes=3 excitation.omega=1700", ""),
+    ("check damping.modes=3 excitation.omega=1700 curve.start=1 curve.stop=2e3", "H w = 10000 "),
+    ("sweep damping.modes=3 sweep.over={'excitation.omega'=[1700.0,2000.0]}", "H w = 10000 rad/s"),
+    ("sweep damping.modes=3 sweep.over={'excitation.omega'=[1700.0]}", ""),
+    ("sweep sweep.over={'excitation.omega'=[2000.0]}", ""),
+    ("sweep damping.modes=1000 sweep.over={'damping.modes'=[3]}", ""),
+]
+
+
+@pytest.mark.parametrize(("line", "expected"), REMARKS, ids=[line for line, _ in REMARKS])
+def test_harmonics_that_nothing_damps(
+    line: str, expected: str, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """One line where they are reached, and none where all is damped."""
+    command, *changes = line.split()
+    words = [command, str(PAPER), *(() if command == "check" else ("--output", str(tmp_path)))]
+    for change in ("contact.stiffness=1e9", "damping.ratio=0.01", *changes):
+        words += ["--set", change]
+    assert main(words) == 0
+    said = [row for row in capsys.readouterr().err.splitlines() if "H w =" in row]
+    assert len(said) == bool(expected) and expected in "".join(said)
+    assert main([*words, "--quiet"]) == 0
+    assert "H w =" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("highest", "damped", "expected"),
+    [
+        (1e4, None, ""),
+        (1e4, (3, 1e4), ""),
+        (1.1e4, (3, 1e4), "harmonics up to H w = 11000 rad/s reach beyond the 3 damped modes "
+         "(10000 rad/s): nothing damps what they excite there"),
+        (1.1e4, (1, 1e4), "harmonics up to H w = 11000 rad/s reach beyond the damped mode "
+         "(10000 rad/s): nothing damps what they excite there"),
+        (1e4, (0, 0.0), "harmonics up to H w = 10000 rad/s: nothing damps what they excite"),
+    ],
+)  # fmt: skip
+def test_words_of_the_remark(
+    highest: float, damped: tuple[int, float] | None, expected: str
+) -> None:
+    """From the highest frequency and the range of damped modes."""
+    assert in_words(highest, damped) == expected
 
 
 def test_not_converged_says_so(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

@@ -18,6 +18,7 @@ from petsc4py import PETSc
 from fenics_crack import (
     InputError,
     ModalDamping,
+    RayleighDamping,
     ReducedStructure,
     Scene,
     Structure,
@@ -401,9 +402,9 @@ def test_tied_refuses(stiffness: Any) -> None:
 def test_damped() -> None:
     """`damped` exchanges the damping and nothing else."""
     structure = Structure.from_matrices(**good())
-    damping = ModalDamping(0.01)
-    other = structure.damped(damping)
-    assert other.damping is damping
+    for damping in (ModalDamping(0.01), RayleighDamping(0.1, 0.01)):
+        other = structure.damped(damping)
+        assert other.damping is damping
     assert other.mass is structure.mass and other.stiffness is structure.stiffness
     assert structure.damped(None).damping is None
 
@@ -440,7 +441,7 @@ def test_duplicate_entries_are_added() -> None:
         assert np.array_equal(structure.stiffness[:, :], [[2.0, 0.0], [0.0, 3.0]])
 
 
-def test_damped_refuses_what_is_no_modal_damping() -> None:
+def test_damped_refuses_what_is_no_rule() -> None:
     """A damping matrix needs a new structure."""
     with pytest.raises(InputError, match="damping"):
         Structure.from_matrices(**good()).damped("much")  # type: ignore[arg-type]
@@ -493,10 +494,16 @@ def test_ratios_that_were_given_may_change() -> None:
 
 
 # --- varied copies --------------------------------------------------------------------------------
-DAMPINGS = [None, ModalDamping(0.1), ModalDamping([0.1, 0.2], 2), good()["damping"]]
+DAMPINGS = {
+    "none": None,
+    "one ratio": ModalDamping(0.1),
+    "ratios": ModalDamping([0.1, 0.2], 2),
+    "Rayleigh": RayleighDamping(0.1, 0.2),
+    "matrix": good()["damping"],
+}
 
 
-@pytest.mark.parametrize("damping", DAMPINGS, ids=["none", "one ratio", "ratios", "matrix"])
+@pytest.mark.parametrize("damping", DAMPINGS.values(), ids=DAMPINGS)
 def test_varied(damping: Any) -> None:
     """Factors multiply, clearances add up; the structure itself stays, and shares its matrices."""
     structure = Structure.from_matrices(**(good() | {"damping": damping}))
@@ -515,6 +522,8 @@ def test_varied(damping: Any) -> None:
             assert other.damping.modes == damping.modes
             ratio = factor * np.asarray(damping.ratio)
             np.testing.assert_allclose(other.damping.ratio, ratio, rtol=1e-14)
+        elif isinstance(damping, RayleighDamping):
+            assert other.damping == damping.scaled(factor)
         elif damping is None:
             assert other.damping is None
         else:

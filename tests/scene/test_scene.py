@@ -129,6 +129,11 @@ def test_a_good_file_loads(tmp_path: Path) -> None:
         {"contact": {"law": "constraint", "pairs": "mouth"}},
         {"damping": {"ratio": [0.01, 0.0], "modes": 2}},
         {"damping": {"ratio": [0.01, 0.02]}},
+        {"damping": {"mass": 10.0}},
+        {"damping": {"stiffness": 1e-6}},
+        {"damping": {"mass": 0, "stiffness": 1e-6, "modes": "all"}},
+        {"damping": {"ratios": [0.01, 0.02], "omegas": [1000.0, 5000.0]}},
+        {"damping": {"ratios": [0.01, 0.01], "omegas": [5000.0, 1000.0]}},
         {"material.poisson": 0},
         {"excitation.point": [0.0, 0.1]},
         {"crack.clearance": -1e-6},
@@ -238,6 +243,27 @@ BAD: list[tuple[str, dict[str, Any]]] = [
     ("damping.modes", {"damping.modes": 0}),
     ("damping.modes", {"damping.modes": "some"}),
     ("damping.modes", {"damping.modes": 1.5}),
+    # exactly one way to give the damping
+    ("damping.mass", {"damping.mass": 10.0}),
+    ("damping.stiffness", {"damping.stiffness": 1e-6}),
+    ("damping.ratios", {"damping.ratios": (0.01, 0.02)}),
+    ("damping.omegas", {"damping.omegas": (1.0, 2.0)}),
+    ("damping.ratios", {"damping": {"mass": 10.0, "ratios": (0.01, 0.02), "omegas": (1.0, 2.0)}}),
+    ("damping.ratios", {"damping": {"omegas": (1.0, 2.0)}}),
+    ("damping.omegas", {"damping": {"ratios": (0.01, 0.02)}}),
+    ("damping.modes", {"damping": {"mass": 10.0, "modes": 20}}),
+    ("damping.modes", {"damping": {"ratios": (0.1, 0.1), "omegas": (1.0, 2.0), "modes": 1}}),
+    ("damping.ratio", {"damping": {"modes": 20}}),
+    *(("damping.mass", {"damping": {"mass": value}}) for value in (-1.0, math.nan, "1", True)),
+    *(("damping.stiffness", {"damping": {"stiffness": v}}) for v in (-1e-9, math.inf, [1.0])),
+    *(
+        ("damping.ratios", {"damping": {"ratios": value, "omegas": (1.0, 2.0)}})
+        for value in (0.01, (0.01,), (-0.01, 0.01), (0.01, 1.01), (0.01, 0.021), (0.021, 0.01))
+    ),
+    *(
+        ("damping.omegas", {"damping": {"ratios": (0.01, 0.01), "omegas": value}})
+        for value in (1.0, (1.0, 2.0, 3.0), (1.0, 1.0), (0.0, 1.0), (-1.0, 1.0), "ab")
+    ),
     # the crack
     ("crack.edge", {"crack.edge": "top"}),
     ("crack.edge", {"crack.edge": GONE}),
@@ -454,6 +480,40 @@ def test_axes_made_in_python() -> None:
             scene.replace({"sweep.over": wrong})
 
 
+def test_rayleigh_damping_is_swept() -> None:
+    """Its keys are swept like any other, and the way to give the damping is changed as a whole."""
+    scene = Scene.from_mapping(GOOD)
+    rayleigh = scene.replace({"damping.ratio": None, "damping.mass": 10})
+    assert (rayleigh.damping.mass, rayleigh.damping.stiffness) == (10.0, None)
+    over = (Axis("damping.mass", (1, 2.0)), Axis("damping.stiffness", (0.0, 1e-6)))
+    swept = rayleigh.replace({"sweep.over": over})
+    assert swept.sweep is not None and swept.sweep.over[0].values == (1.0, 2.0)
+    assert Scene.from_text(swept.as_toml()) == swept
+    two = {"damping.mass": None, "damping.ratios": [0.01, 0.02], "damping.omegas": [1.0, 2.0]}
+    again = rayleigh.replace(two)
+    assert again.damping.ratios == (0.01, 0.02)
+    assert Scene.from_text(again.as_toml()) == again
+
+
+@pytest.mark.parametrize(
+    ("table", "expected"),
+    [
+        ({"ratio": 0.01}, True),
+        ({"ratio": 0.0}, False),
+        ({"ratio": [0.1, 0.0]}, False),
+        ({"ratio": 0.01, "modes": 20}, False),
+        ({"mass": 1.0}, True),
+        ({"stiffness": 1e-6}, True),
+        ({"mass": 0.0, "stiffness": 0.0}, False),
+        ({"ratios": [0.1, 0.1], "omegas": [1.0, 2.0]}, True),
+        ({"ratios": [0.0, 0.0], "omegas": [1.0, 2.0]}, False),
+    ],
+)
+def test_damping_of_all_modes(table: dict[str, Any], expected: bool) -> None:
+    """Rayleigh's, and a ratio for all."""
+    assert Scene.from_mapping(changed({"damping": table})).damping.of_all_modes is expected
+
+
 def test_swept_mesh_files_lie_beside_the_scene(tmp_path: Path) -> None:
     """As ``mesh.file`` does."""
     made = {key: GOOD[key] for key in ("material", "damping", "excitation", "contact")}
@@ -483,7 +543,9 @@ def test_scene_as_toml_reads_back(path: Path) -> None:
 
 # --- anything at all ------------------------------------------------------------------------------
 KEYS = [(table, key) for table, keys in GOOD.items() for key in keys] + [
-    ("crack", "first_omega"), ("crack", "clearance"), ("damping", "modes"), ("contact", "law"),
+    ("crack", "first_omega"), ("crack", "clearance"), ("damping", "modes"),
+    ("damping", "mass"), ("damping", "stiffness"), ("damping", "ratios"), ("damping", "omegas"),
+    ("contact", "law"),
     ("contact", "sharpness"), ("contact", "pairs"), ("contact", "stiffness_per_area"),
     ("mesh", "cells"), ("mesh", "order"),
     ("mesh", "size"), ("mesh", "lip_elements"), ("mesh", "grading"), ("mesh", "file"),

@@ -58,3 +58,27 @@ def test_whole_is_not_reduced(scene: fc.Scene) -> None:
     """Whatever the scene says."""
     study = fc.prepare(scene.replace({"reduction.modes": 3}), MPI.COMM_SELF, whole=True)
     assert study.structure.whole is study.structure and study.structure.n_dofs > 100
+
+
+@pytest.mark.parametrize(
+    ("table", "expected"),
+    [
+        ({"mass": 20.0}, fc.RayleighDamping(20.0)),
+        ({"stiffness": 1e-6}, fc.RayleighDamping(0.0, 1e-6)),
+        ({"mass": 20.0, "stiffness": 1e-6}, fc.RayleighDamping(20.0, 1e-6)),
+        (
+            {"ratios": [0.01, 0.02], "omegas": [2300.0, 20000.0]},
+            fc.RayleighDamping.from_ratios((0.01, 0.02), (2300.0, 20000.0)),
+        ),
+    ],
+    ids=["mass", "stiffness", "both", "ratios"],
+)
+def test_rayleigh_damping(
+    scene: fc.Scene, table: dict[str, Any], expected: fc.RayleighDamping
+) -> None:
+    """Of the plate and of its reduced structure, which keeps 50 modes: all are damped."""
+    none = {"damping.ratio": None, "damping.modes": "all"}
+    damped = scene.replace(none | {f"damping.{key}": value for key, value in table.items()})
+    study = fc.prepare(damped, MPI.COMM_SELF)
+    assert study.structure.damping == study.structure.whole.damping == expected
+    assert study.scene.reduction is not None and study.scene.reduction.modes == 50

@@ -67,7 +67,7 @@ def test_second_order_on_a_smooth_motion(paper_structure: fc.Structure) -> None:
     assert errors[-1] < 1e-4
 
 
-@pytest.mark.parametrize("damping", ["none", "modal", "few modes", "matrix"])
+@pytest.mark.parametrize("damping", ["none", "modal", "few modes", "rayleigh", "matrix"])
 def test_damping_forms_against_matrix_exponential(damping: str) -> None:
     """Free vibration of a small system, every way of damping, against SciPy's expm."""
     rng = np.random.default_rng(4)
@@ -77,6 +77,7 @@ def test_damping_forms_against_matrix_exponential(damping: str) -> None:
     given = {
         "modal": fc.ModalDamping(0.05),
         "few modes": fc.ModalDamping(0.05, 2),
+        "rayleigh": fc.RayleighDamping(0.3, 0.02),
         "matrix": 0.3 * mass + 0.02 * stiffness,
     }.get(damping)
     structure = fc.Structure.from_matrices(mass, stiffness, np.zeros((n, 1)), damping=given)
