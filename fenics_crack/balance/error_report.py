@@ -40,6 +40,7 @@ __all__ = [
     "ErrorReport",
     "beyond_truncation",
     "estimate_errors",
+    "improved",
     "mean_square",
     "relative_size",
 ]
@@ -133,6 +134,15 @@ def beyond_truncation(at: CondensedPoint) -> np.ndarray:
     missing = -wide.residual
     missing[:rows] = 0.0  # solved; what samples leave is another error
     return wide.gap_of(wide.solve(missing))
+
+
+def improved(at: CondensedPoint) -> np.ndarray:
+    """The unknowns of a solution with more harmonics, by one Newton step: (2K+1, n_pairs)."""
+    unknown = resized(at.unknown, _more_harmonics(at))
+    if isinstance(at, CoupledPoint):
+        wide = at.system.widened(len(unknown) // 2).linearise(unknown)
+        return unknown + wide.solve(-wide.residual, ROUGH)
+    return unknown + beyond_truncation(at)
 
 
 def _more_harmonics(at: CondensedPoint) -> int:

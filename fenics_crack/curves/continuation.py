@@ -46,7 +46,7 @@ from fenics_crack.model.contact import check_law
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
-from fenics_crack.stability.floquet import LeadingMultiplier, PiecewiseFlow
+from fenics_crack.stability.piecewise_flow import LeadingMultiplier, PiecewiseFlow
 
 __all__ = ["Continuation", "CurvePoint"]
 
