@@ -325,7 +325,7 @@ class Continuation:
     def _truncation(self, point: PathPoint) -> float:
         at = self._family.linearise(point.unknown, point.parameter)
         structure = self._family.at(self._family.value(point.parameter)).structure
-        return relative_size(beyond_truncation(at), at, structure.clearance)
+        return relative_size(beyond_truncation(at).gap, at, structure.clearance)
 
     def _change_harmonics(self, truncation: float) -> bool:
         """Raise or lower H by the truncation's estimate; True where it has changed."""

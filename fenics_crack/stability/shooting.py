@@ -19,9 +19,10 @@ from fenics_crack.balance.bordered import PathPoint, solve_in_plane
 from fenics_crack.balance.orbits import MarchedOrbits, OrbitPoint, Orbits
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError, check_count
-from fenics_crack.model.contact import ContactLaw, is_rigid
+from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.model.modal import all_modes
+from fenics_crack.model.reduced import massless
 from fenics_crack.model.structure import Structure
 from fenics_crack.table import Described, counted
 from fenics_crack.time.events import EventFlow
@@ -141,7 +142,8 @@ class SteppedOrbits(MarchedOrbits):
     def __init__(
         self, structure: Structure, contact: ContactLaw, solution: PeriodicSolution, steps: int
     ) -> None:
-        above = moving_below(structure, solution.static_above or np.inf)
+        light = massless(structure) is not None or is_rigid(contact)
+        above = moving_below(structure, (solution.static_above if light else None) or np.inf)
         flow = ExponentialFlow(structure, solution.omega, contact, steps, static_above=above)
         state = flow.state(*initial_state(structure, solution))
         super().__init__(flow, state, solution.subharmonic)
@@ -177,7 +179,8 @@ def orbits_near(
     steps_per_period: int | None = None,
 ) -> ExactOrbits | SteppedOrbits:
     """Orbits of the exact flow, or of a march where steps are given, or lips have no mass."""
-    if solution.static_above is None and steps_per_period is None and not is_rigid(contact):
+    exact = massless(structure) is None and is_piecewise_linear(contact)
+    if exact and steps_per_period is None:
         return ExactOrbits(structure, contact, solution)
     return SteppedOrbits(structure, contact, solution, steps_per_period or STEPS)
 
@@ -188,6 +191,7 @@ def shoot(
     contact: ContactLaw | None = None,
     *,
     steps_per_period: int | None = None,
+    settle: int = 0,
     tolerance: float = 1e-10,
 ) -> PeriodicOrbit:
     """Refine a harmonic-balance solution to a periodic orbit in time: z(T) = z(0).
@@ -203,6 +207,8 @@ def shoot(
     steps_per_period : int, optional
         March by exponential steps, so many in a period of the load. Default: the exact flow where
         lips have mass, else 1024.
+    settle : int
+        Follow the flow for so many periods of the response first: towards what attracts it.
     tolerance : float
         |z(T) - z(0)| / |z(0)|.
 
@@ -217,10 +223,14 @@ def shoot(
     assert law is not None
     if steps_per_period is not None:
         check_count("steps_per_period", steps_per_period, 1)
+    check_count("settle", settle, 0)
     orbits = orbits_near(structure, law, solution, steps_per_period)
+    start = orbits.start
+    for _ in range(settle):
+        start = orbits.moved(start, 1.0)[0]
     sizes: list[float] = []
     found = solve_in_plane(
-        orbits, orbits.start, 1.0, None, tolerance=tolerance, iterations=MAX_STEPS,
+        orbits, start, 1.0, None, tolerance=tolerance, iterations=MAX_STEPS,
         least_damping=MIN_DAMPING, patience=PATIENCE, history=sizes,
     )  # fmt: skip
     if found is None:
