@@ -32,6 +32,7 @@ import numpy as np
 import scipy.linalg
 
 import fenics_crack as fc
+from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.model.reduced import MasslessStructure
 
 REFERENCE = 120
@@ -43,8 +44,8 @@ LAWS: dict[str, Any] = {
 SETTINGS = ((50, 10), (110, 20), (110, 40), (300, 40), (300, 80), (600, 80))
 """Modes and harmonics."""
 COLUMNS = (
-    "law", "omega", "modes", "H", "converged", "ms", "iterations", "gap", "estimate", "displacement",
-    "its estimate", "way",
+    "law", "omega", "modes", "H", "converged", "ms", "iterations", "gap", "estimate",
+    "displacement", "its estimate", "way",
 )  # fmt: skip
 INSTANTS = 1024
 
@@ -65,16 +66,18 @@ def damped_plate() -> fc.Structure:
 
 
 def all_of_it(whole: fc.Structure, ratio: float) -> MasslessStructure:
-    """A whole structure by all of its modes."""
+    """A whole structure by all of its modes; those beyond 2 H omega, at most, in their statics."""
     matrices = [m[:, :] for m in (whole.stiffness, whole.mass)]
     squares, shapes = scipy.linalg.eigh(*matrices)
+    sources = np.vstack([whole.gap.T @ shapes, whole.force[2] @ shapes]).T
+    slow = squares <= (2.0 * REFERENCE * 3000.0) ** 2
     return MasslessStructure(
         whole,
-        squares,
+        squares[slow],
         fc.ModalDamping(ratio),
-        (whole.gap.T @ shapes).T,
-        whole.force @ shapes,
-        np.zeros((whole.n_pairs + 1,) * 2),
+        sources[slow, :-1],
+        whole.force @ shapes[:, slow],
+        (sources[~slow].T / squares[~slow]) @ sources[~slow],
     )
 
 
@@ -83,10 +86,10 @@ def waves(solution: fc.PeriodicSolution) -> tuple[np.ndarray, np.ndarray]:
     instants = np.arange(INSTANTS) * solution.period / INSTANTS
     structure = solution.structure
     rows = solution.displacement_coefficients @ structure.force[2]
-    return solution.gap(instants), fc_evaluate(rows, solution.base_omega, instants)
+    return solution.gap(instants), wave_of(rows, solution.base_omega, instants)
 
 
-def fc_evaluate(rows: np.ndarray, omega: float, instants: np.ndarray) -> np.ndarray:
+def wave_of(rows: np.ndarray, omega: float, instants: np.ndarray) -> np.ndarray:
     """A wave from its coefficients."""
     phase = omega * np.multiply.outer(instants, np.arange(1, len(rows) // 2 + 1))
     return rows[0] + np.cos(phase) @ rows[1::2] + np.sin(phase) @ rows[2::2]
@@ -177,19 +180,216 @@ def judged(
 
 
 def today(arguments: common.Arguments) -> None:
-    """With mass on the lips."""
+    """The form with mass on the lips, which truncates the gap itself, beside the new one."""
+    omegas = np.arange(1000.0, 3001.0, 1000.0 if arguments.quick else 500.0)
+    structure, law = damped_plate(), LAWS["1e9 N/m"]
+    near = fc.reduce_structure(structure, modes=300, method="massless")
+    known = {
+        omega: waves(fc.solve_harmonic_balance(near, omega, law, harmonics=80)) for omega in omegas
+    }
+    with_mass = fc.reduce_structure(structure, modes=50, method="free_interface")
+    curves: dict[str, list[tuple[float, float]]] = {}
+    for harmonics in (5, 10, 20, 40):
+        measured: dict[str, list[tuple[float, float]]] = {}
+        for omega in omegas:
+            for name, reduced in (("mass on the lips", with_mass), ("massless", near)):
+                row = judged(reduced, (name, law), omega, harmonics, known[omega])
+                measured.setdefault(name, []).append((row[5], row[7]))
+        for name, points in measured.items():
+            curves.setdefault(name, []).append(tuple(np.median(points, axis=0)))
+    slow = fc.reduce_structure(structure, modes=50, method="massless")
+    for steps in (128, 256, 512, 1024, 2048):
+        points = []
+        for omega in omegas:
+            ms, gap = marched(slow, omega, law, steps)
+            points.append((ms, apart(gap, known[omega][0])))
+        curves.setdefault("marched from rest, 50 modes", []).append(
+            tuple(np.median(points, axis=0))
+        )
+    rows = [(name, *point) for name, points in curves.items() for point in points]
+    common.save_table(
+        arguments.folder / "many_pairs_time.csv", "Error against time, 1e9 N/m",
+        ("form", "ms", "gap"), rows,
+    )  # fmt: skip
+    drawing, (axes,) = common.figure()
+    for (name, points), mark in zip(curves.items(), "os^", strict=True):
+        axes.loglog(*np.array(points).T, marker=mark, label=name)
+    axes.set_xlabel("processor time of a cold start [ms]")
+    axes.set_ylabel("relative error of the gap")
+    axes.set_title("Breathing plate, 18 pairs, 1e9 N/m")
+    axes.legend()
+    drawing.savefig(arguments.folder / "many_pairs.png")
+
+
+def marched(reduced: fc.Structure, omega: float, law: Any, steps: int) -> tuple[float, np.ndarray]:
+    """Time [ms] and gap of a march from rest until it repeats to 1e-3."""
+    started = time.process_time()
+    found = fc.integrate_exponential(
+        reduced, omega, law, periods=400, steps_per_period=steps, settle=1e-3, record_periods=1
+    )
+    ms = 1e3 * (time.process_time() - started)
+    instants = np.arange(INSTANTS) * steps / INSTANTS
+    columns = [np.interp(instants, np.arange(steps), wave, period=steps) for wave in found.gap.T]
+    return ms, np.array(columns).T
 
 
 def march(arguments: common.Arguments) -> None:
-    """In time."""
+    """From rest to the orbit in time: steps and error against central differences."""
+    omega, law = 2000.0, LAWS["1e9 N/m"]
+    structure = damped_plate()
+    near = fc.reduce_structure(structure, modes=300, method="massless")
+    known = waves(fc.solve_harmonic_balance(near, omega, law, harmonics=80))[0]
+    rows = []
+    slow = fc.reduce_structure(structure, modes=50, method="massless")
+    for steps in (64, 128, 256, 512, 1024):
+        started = time.process_time()
+        found = fc.integrate_exponential(
+            slow, omega, law, periods=400, steps_per_period=steps, settle=1e-3, record_periods=1
+        )
+        seconds = time.process_time() - started
+        gap = marched(slow, omega, law, steps)[1]
+        rows.append(("exponential", steps, found.periods, steps * found.periods, seconds,
+                     1e6 * seconds / steps / found.periods, apart(gap, known)))  # fmt: skip
+    damped = common.plate("breathing_plate", {"damping.ratio": 0.01, "damping.modes": 150})
+    steps = 2 * fc.stable_steps_per_period(damped, omega, law)
+    periods = 5 if arguments.quick else 200
+    started = time.process_time()
+    found = fc.integrate_central_difference(
+        damped, omega, law, periods=periods, steps_per_period=steps, settle=1e-3, record_periods=1
+    )
+    seconds = time.process_time() - started
+    places = np.linspace(0, steps, INSTANTS, endpoint=False)
+    gap = np.array([np.interp(places, np.arange(steps), wave) for wave in found.gap.T]).T
+    rows.append(("central differences", steps, found.periods, steps * found.periods, seconds,
+                 1e6 * seconds / steps / found.periods, apart(gap, known)))  # fmt: skip
+    common.save_table(
+        arguments.folder / "many_pairs_march.csv",
+        "From rest to the orbit, 2000 rad/s, 1e9 N/m",
+        ("scheme", "steps a period", "periods", "steps", "s", "us a step", "gap"),
+        rows,
+    )
+
+
+# --- verdicts -------------------------------------------------------------------------------------
+
+
+def steel_plate() -> fc.Structure:
+    """Of CONTACT: 80 x 200 x 2 mm, 8 pairs, 0.2 % of damping."""
+    scene = fc.Scene.load(common.DEMOS / "breathing_plate.toml").replace(
+        {
+            "crack.first_omega": None, "crack.length": 0.025, "crack.height": 0.1,
+            "geometry.width": 0.08, "geometry.height": 0.2, "geometry.thickness": 0.002,
+            "material.young": 2.1e11, "material.density": 7850.0, "damping.ratio": 0.002,
+            "damping.modes": "all", "excitation.point": [0.08, 0.2], "mesh.size": 0.008,
+            "mesh.lip_elements": 4,
+        }
+    )  # fmt: skip
+    return fc.reduce_structure(fc.build_structure(scene), modes=20, method="massless")
 
 
 def steel(arguments: common.Arguments) -> None:
-    """Verdicts."""
+    """Verdicts, and a curve."""
+    reduced, law = steel_plate(), LAWS["rigid"]
+    rows = []
+    for omega in np.arange(6000.0, 15001.0, 1500.0 if arguments.quick else 100.0):
+        started = time.process_time()
+        found = fc.solve_harmonic_balance(reduced, omega, law, harmonics=20, throw=False)
+        solved = 1e3 * (time.process_time() - started)
+        started = time.process_time()
+        stability = fc.floquet(reduced, found) if found.converged else None
+        judged_in = 1e3 * (time.process_time() - started)
+        if stability is None:
+            rows.append((omega, solved, judged_in, "-", np.nan, np.nan, np.nan, "-"))
+            continue
+        rate = disturbed(reduced, found, law)
+        decided = stability.verdict != "undecided" and np.isfinite(rate)
+        agrees = "-"
+        if decided:
+            agrees = "yes" if (rate < 1.0) == (stability.verdict == "stable") else "NO"
+        size = float(abs(stability.multipliers[0]))
+        rows.append((omega, solved, judged_in, stability.verdict, size, stability.uncertainty,
+                     rate, agrees))  # fmt: skip
+    common.save_table(
+        arguments.folder / "many_pairs_steel.csv", "Steel plate, rigid, 0.2 %",
+        ("omega", "ms", "verdict ms", "verdict", "|mu|", "uncertainty", "rate", "agrees"), rows,
+    )  # fmt: skip
+    decided = sum(row[3] in ("stable", "unstable") for row in rows)
+    agree = sum(row[7] == "yes" for row in rows)
+    compared = sum(row[7] != "-" for row in rows)
+    print(f"{decided} of {len(rows)} decided; {agree} of {compared} agree with the disturbed march")
+    started = time.process_time()
+    stop = 7000.0 if arguments.quick else 11000.0
+    curve = fc.continue_frequency(
+        reduced, 6000.0, stop, law, harmonics=20, stability=True, throw=False
+    )
+    seconds = time.process_time() - started
+    kinds = [bifurcation.kind for bifurcation in curve.bifurcations]
+    print(
+        f"\ncurve 6000 to {stop:g} rad/s: {curve.status}, {len(curve)} points in {seconds:.1f} s, "
+        f"{len(kinds)} bifurcations: "
+        + ", ".join(f"{kinds.count(kind)} {kind}" for kind in sorted(set(kinds)))
+    )
+
+
+def disturbed(reduced: fc.Structure, solution: fc.PeriodicSolution, law: Any) -> float:
+    """Factor per period by which the distance to the marched orbit changes in the norm of energy,
+    after a disturbance of 1e-8 and up to 200 periods; nan without an orbit."""
+    try:
+        orbit = fc.shoot(reduced, solution, steps_per_period=1024, tolerance=1e-11)
+    except fc.ConvergenceError:
+        return float("nan")
+    flow = ExponentialFlow(reduced, solution.omega, law, 1024)
+    state, omega = orbit.state, np.sqrt(flow.modes.squares)
+    energy = np.concatenate([omega, np.ones_like(omega)])
+    size = np.linalg.norm(energy * state)
+    change = np.random.default_rng(0).normal(size=len(state)) / energy
+    moved = state + 1e-8 * size * change / np.linalg.norm(energy * change)
+    distances = []
+    for _ in range(200):
+        moved = flow.advance(moved).states[-1]
+        distances.append(np.linalg.norm(energy * (moved - state)))
+        if not 1e-11 * size < distances[-1] < 1e-3 * size:
+            break
+    tail = np.log(distances[len(distances) // 4 :])
+    return float(np.exp(np.polyfit(np.arange(len(tail)), tail, 1)[0]))
+
+
+# --- large meshes ---------------------------------------------------------------------------------
 
 
 def large(arguments: common.Arguments) -> None:
-    """Many dofs."""
+    """62 and 130 pairs."""
+    rows = []
+    for size, elements, modes in ((0.0021, 31, 300), (0.00103, 65, 80)):
+        if arguments.quick and elements > 31:
+            continue
+        scene = fc.Scene.load(common.DEMOS / "breathing_plate.toml").replace(
+            {
+                "crack.first_omega": None, "crack.length": 0.0431, "damping.ratio": 0.01,
+                "damping.modes": "all", "mesh.size": size, "mesh.lip_elements": elements,
+            }
+        )  # fmt: skip
+        structure = fc.build_structure(scene)
+        memory, started = common.PeakMemory(), time.process_time()
+        reduced = fc.reduce_structure(structure, modes=modes, method="massless")
+        set_up, peak = time.process_time() - started, memory.mib()
+        for name in ("rigid", "1e9 N/m"):
+            for harmonics in (20, 40, 80):
+                started = time.process_time()
+                found = fc.solve_harmonic_balance(
+                    reduced, 2000.0, LAWS[name], harmonics=harmonics, throw=False
+                )
+                seconds = time.process_time() - started
+                report = found.report
+                rows.append((structure.n_dofs, structure.n_pairs, modes, set_up, peak, name,
+                             harmonics, found.converged, seconds, found.iterations,
+                             report.truncation, report.reduction))  # fmt: skip
+    common.save_table(
+        arguments.folder / "many_pairs_large.csv", "Large meshes, 2000 rad/s, cold starts",
+        ("dofs", "pairs", "modes", "set-up s", "peak MiB", "law", "H", "converged", "s",
+         "iterations", "truncation", "reduction"),
+        rows,
+    )  # fmt: skip
 
 
 if __name__ == "__main__":

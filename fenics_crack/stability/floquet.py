@@ -125,7 +125,10 @@ def _by_harmonics(
         verdict = "unstable"
     elif is_piecewise_linear(contact) and structure.n_pairs <= FEW_PAIRS:
         return Stability(multipliers, verdict, np.nan)
-    return Stability(multipliers, verdict, float(np.abs(known - largest).max()))
+    uncertainty = float(np.abs(known - largest).max())
+    if solution.static_above is not None and not uncertainty < abs(largest - 1.0):
+        verdict = "undecided"
+    return Stability(multipliers, verdict, uncertainty)
 
 
 def _exact(

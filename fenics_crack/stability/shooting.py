@@ -142,8 +142,9 @@ class SteppedOrbits(MarchedOrbits):
     def __init__(
         self, structure: Structure, contact: ContactLaw, solution: PeriodicSolution, steps: int
     ) -> None:
-        light = massless(structure) is not None or is_rigid(contact)
-        above = moving_below(structure, (solution.static_above if light else None) or np.inf)
+        # A constraint needs something that answers at once.
+        heavy = massless(structure) is None and is_rigid(contact)
+        above = moving_below(structure, (solution.static_above if heavy else None) or np.inf)
         flow = ExponentialFlow(structure, solution.omega, contact, steps, static_above=above)
         state = flow.state(*initial_state(structure, solution))
         super().__init__(flow, state, solution.subharmonic)
