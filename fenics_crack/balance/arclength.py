@@ -9,7 +9,8 @@ A step of length h
    was left, which a large angle between the new tangent and the old one shows. Of the two tangents
    at a point the right one keeps the sign of t_p det J, which changes only where another branch
    crosses. Where J is not formed its determinant is unknown: the tangent is taken that goes on at
-   the smaller angle, and branches that cross go unnoticed.
+   the smaller angle, the chord must agree with both tangents, lest a step across a narrow turn
+   leads back, and branches that cross go unnoticed.
 
 Source: Keller, in Applications of Bifurcation Theory, 1977; Seydel, Practical Bifurcation and
 Stability Analysis, chapter 4.
@@ -79,7 +80,10 @@ def follow_path(
                 # the path goes on, and the angle whether the step has left it.
                 ahead = _oriented(system, found.unknown, found.at, orientation, here.tangent)
                 cosine = ahead.along(here.tangent, system)
-                if cosine > stepping.least_cosine:
+                known = not np.isnan(orientation)
+                if cosine > stepping.least_cosine and (
+                    known or _straight(system, here, found, ahead, stepping.least_cosine)
+                ):
                     break
                 if cosine < -0.999 and step < BRANCHING_STEP * stepping.longest:
                     # A short step straight on, but the sign has changed: another branch crosses.
@@ -116,6 +120,15 @@ def _oriented(
     else:
         onwards = sign == orientation
     return tangent if onwards else tangent.reversed()
+
+
+def _straight(
+    system: System, here: PathPoint, found: PathPoint, ahead: Tangent, least_cosine: float
+) -> bool:
+    """Whether the chord between two points agrees with the tangents at both."""
+    change, rise = found.unknown - here.unknown, found.parameter - here.parameter
+    chord = Tangent(change, rise, here.tangent.weight)
+    return all(chord.along(way, system) > least_cosine for way in (here.tangent, ahead))
 
 
 def _round_corner(
