@@ -76,6 +76,53 @@ def assert_solutions(curve: fc.ResponseCurve, every: int) -> None:
 # --- against ordinary structures ------------------------------------------------------------------
 
 
+@pytest.fixture(scope="module")
+def bilinear() -> fc.ResponseCurve:
+    """x'' + 0.1 x' + x + max(0, x) = cos(W t), with its multipliers."""
+    law = fc.UnilateralPenalty(1.0)
+    return fc.continue_frequency(oscillator(0.1, 1.0), 1.5, 3.0, law, harmonics=10, stability=True)
+
+
+@pytest.fixture(scope="module")
+def behind_a_spring() -> fc.Structure:
+    """The same mass, and a spring of stiffness 1 without mass in series with the pair."""
+    structure = fc.Structure.from_matrices(
+        np.diag([1.0, 0.25]), np.eye(2), [1.0, 1.0], force_cos=[1.0, 0.0],
+        damping=fc.ModalDamping(0.05),
+    )  # fmt: skip
+    return fc.reduce_structure(structure, modes=1, method="massless")
+
+
+def test_a_rigid_pair_behind_a_spring(
+    bilinear: fc.ResponseCurve, behind_a_spring: fc.Structure
+) -> None:
+    """R_inf = 1/kc: the bilinear oscillator, whose motion is the slow gap."""
+    found = fc.continue_frequency(behind_a_spring, 1.5, 3.0, RIGID, harmonics=10)
+    assert found.omega == pytest.approx(bilinear.omega, rel=1e-7)
+    np.testing.assert_allclose(found.unknowns, bilinear.unknowns, atol=1e-6)
+    assert found.amplitude(0) == pytest.approx(bilinear.amplitude(0), rel=1e-6)
+    solution = found.solution(5)
+    time = np.arange(256) * solution.period / 256
+    force = solution.contact_force(time)[:, 0]
+    assert found.amplitude(1)[5] == pytest.approx(np.ptp(force) / 2.0, rel=1e-9)
+    assert solution.gap(time).max() < 1e-12
+    np.testing.assert_allclose(found.coefficients_at(1)[5], -solution.force_coefficients[:, 0])
+
+
+def test_doubled_branch_of_a_rigid_pair(
+    bilinear: fc.ResponseCurve, behind_a_spring: fc.Structure, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the period doubling of the bilinear oscillator to the other one."""
+    old = fc.continue_frequency(behind_a_spring, 1.5, 3.0, RIGID, harmonics=10)
+    doublings = [b for b in bilinear.bifurcations if b.kind == "period_doubling"]
+    for matrix_free in (300, 10):
+        monkeypatch.setattr("fenics_crack.balance.coupled.MATRIX_FREE", matrix_free)
+        branch = fc.follow_branch(old, doublings[0])
+        assert branch.status == "joined the branch that it left" and branch.subharmonic == 2
+        assert branch.static_above == old.static_above
+        assert branch.omega.max() == pytest.approx(doublings[1].omega, abs=1e-3)
+
+
 def test_all_modes_are_the_structure_itself() -> None:
     """With all modes nothing is without mass: the ordinary curve, point by point."""
     structure, law = chain(n=6, pairs=1, seed=3), fc.UnilateralPenalty(5.0)
@@ -268,14 +315,6 @@ def test_refined_curve(plate: fc.Structure) -> None:
     assert np.mean(fine.iterations) < 3.0
     assert np.sum(np.diff(np.sign(np.diff(fine.omega))) != 0) == 2
     assert_solutions(fine, 37)
-
-
-def test_no_branch_where_none_begins(plate: fc.Structure) -> None:
-    """It is looked for from the slow gap, and there is none."""
-    curve = fc.continue_frequency(plate, 8000.0, 8100.0, RIGID, harmonics=5)
-    fake = fc.Bifurcation("branch_point", 8050.0, curve.unknown(3), curve.solution(3))
-    with pytest.raises(fc.ConvergenceError, match="no point of another branch"):
-        fc.follow_branch(curve, fake)
 
 
 # --- structures with many dofs, and what is refused -----------------------------------------------
