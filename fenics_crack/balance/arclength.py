@@ -8,7 +8,9 @@ A step of length h
 3. is lengthened where few iterations were needed, and halved where they failed or where the path
    was left, which a large angle between the new tangent and the old one shows. Of the two tangents
    at a point the right one keeps the sign of t_p det J, which changes only where another branch
-   crosses.
+   crosses. Where J is not formed its determinant is unknown: the tangent is taken that goes on at
+   the smaller angle, the chord must agree with both tangents, lest a step across a narrow turn
+   leads back, and branches that cross go unnoticed.
 
 Source: Keller, in Applications of Bifurcation Theory, 1977; Seydel, Practical Bifurcation and
 Stability Analysis, chapter 4.
@@ -28,6 +30,9 @@ __all__ = ["Stepping", "follow_path"]
 
 BRANCHING_STEP = 1e-3
 """Share of the longest step below which a change of sign straight ahead means a branch crosses."""
+
+BACK = 0.9
+"""Cosine of an angle above which the opposite direction leads back."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +80,10 @@ def follow_path(
                 # the path goes on, and the angle whether the step has left it.
                 ahead = _oriented(system, found.unknown, found.at, orientation, here.tangent)
                 cosine = ahead.along(here.tangent, system)
-                if cosine > stepping.least_cosine:
+                known = not np.isnan(orientation)
+                if cosine > stepping.least_cosine and (
+                    known or _straight(system, here, found, ahead, stepping.least_cosine)
+                ):
                     break
                 if cosine < -0.999 and step < BRANCHING_STEP * stepping.longest:
                     # A short step straight on, but the sign has changed: another branch crosses.
@@ -114,6 +122,15 @@ def _oriented(
     return tangent if onwards else tangent.reversed()
 
 
+def _straight(
+    system: System, here: PathPoint, found: PathPoint, ahead: Tangent, least_cosine: float
+) -> bool:
+    """Whether the chord between two points agrees with the tangents at both."""
+    change, rise = found.unknown - here.unknown, found.parameter - here.parameter
+    chord = Tangent(change, rise, here.tangent.weight)
+    return all(chord.along(way, system) > least_cosine for way in (here.tangent, ahead))
+
+
 def _round_corner(
     system: System, here: PathPoint, orientation: float, stepping: Stepping
 ) -> tuple[PathPoint, Tangent, float] | None:
@@ -121,18 +138,23 @@ def _round_corner(
 
     Where stiff contact begins to graze, the Jacobian changes by orders of magnitude over the
     smallest distance. The direction in which the path goes on is that of the Jacobian just behind
-    the point.
+    the point; where the sign of its determinant is unknown, that or its opposite, unless this leads
+    straight back.
     """
     for step in stepping.longest * 10.0 ** np.arange(-7.0, -1.5, 0.5):
         behind = here.unknown + step * here.tangent.x
         at = system.linearise(behind, here.parameter + step * here.tangent.p)
         turned = _oriented(system, behind, at, orientation, here.tangent)
+        ways = [turned]
+        if np.isnan(orientation) and turned.along(here.tangent, system) < BACK:
+            ways.append(turned.reversed())
         sharp = max(stepping.rounding, 1e-4 * step)
-        found = correct(system, here, step, sharp, tangent=turned)
-        if found is not None:
-            ahead = _oriented(system, found.unknown, found.at, orientation, turned)
-            if ahead.along(turned, system) > 0.5:
-                return found, ahead, step
+        for way in ways:
+            found = correct(system, here, step, sharp, tangent=way)
+            if found is not None:
+                ahead = _oriented(system, found.unknown, found.at, orientation, way)
+                if ahead.along(way, system) > 0.5:
+                    return found, ahead, step
     return None
 
 

@@ -142,15 +142,19 @@ class ModalCompliance:
 
     def displacement(self, force: np.ndarray) -> np.ndarray:
         """u = A^-1 (c - B lambda)."""
-        found = self.seen_through(self._modes.shapes, force)
-        if self._unit_static is not None:
-            assert self._modes.static_pairs is not None
-            found += self._load * self._unit_static - force @ self._modes.static_pairs.T
-        return found
+        found = from_complex(-self._moved(force) @ self._modes.shapes.T)
+        return found if self._unit_static is None else found + self._at_once(force)
 
-    def seen_through(self, shapes: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """The displacement of some dofs, from their rows of all modes (m, n_modes): (2H+1, m)."""
-        return from_complex(-self._moved(force) @ shapes.T)
+    def seen_through(self, rows: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """T u for rows T (m, n_local) that give the displacement of some dofs: (2H+1, m)."""
+        found = from_complex(-self._moved(force) @ (rows @ self._modes.shapes).T)
+        return found if self._unit_static is None else found + self._at_once(force) @ rows.T
+
+    def _at_once(self, force: np.ndarray) -> np.ndarray:
+        """Displacement of what has no mass: (2H+1, n_local)."""
+        assert self._modes.static_pairs is not None and self._unit_static is not None
+        found: np.ndarray = self._load * self._unit_static - force @ self._modes.static_pairs.T
+        return found
 
     # Derivatives of R lambda - g_lin for fixed forces (2H+1, n_pairs): (2H+1, n_pairs).
 

@@ -27,6 +27,7 @@ from fenics_crack.balance.compliance import Compliance, WidenedCompliance
 from fenics_crack.balance.condensed import CondensedPoint, respond
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.balance.krylov import gmres
+from fenics_crack.model.contact import ContactLaw
 
 __all__ = ["MATRIX_FREE", "CoupledPoint", "CoupledSystem"]
 
@@ -84,6 +85,14 @@ class CoupledSystem:
         what moves."""
         largest = float(np.abs(self.moving).sum(axis=2).max())
         return largest / (0.5 * self.integrals.unit)
+
+    def steepness(self, law: ContactLaw) -> float:
+        """Largest slope of (R_k - R_inf) lambda(s) by s, for a stiffness of the pairs: that of
+        lambda(s) is at most the inverse of the smallest eigenvalue of R_inf + I/k."""
+        softness = 1.0 / np.broadcast_to(np.asarray(law.stiffness, dtype=float), self.shape[1:])
+        least = float(np.linalg.eigvalsh(self.residual + np.diag(softness))[0])
+        least = max(least, float(softness.min()), 1e-300)
+        return float(np.abs(self.moving).sum(axis=2).max()) / least
 
     def softened(self, softness: float) -> CoupledSystem:
         """The same equations, whose parameter starts at another softness."""

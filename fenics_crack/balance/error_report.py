@@ -15,6 +15,7 @@ All are root mean squares over the period and the pairs, relative to that of B^T
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -32,6 +33,7 @@ from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.problem import Problem
+from fenics_crack.errors import InputError
 from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.table import Described
@@ -269,9 +271,10 @@ def _lost_in_reduction(at: CondensedPoint, problem: Problem) -> _Change:
     other = replace(problem, structure=reference)
     if isinstance(at, CoupledPoint):
         other = replace(other, static_above=problem.cutoff)
-        system = other.system(other.compliance())
-        assert isinstance(system, CoupledSystem)
-        return _improvement(system, at.gap + at.force @ system.residual, rows, other)
+        with suppress(InputError):  # a constraint, and the reference leaves nothing out
+            system = other.system(other.compliance())
+            assert isinstance(system, CoupledSystem)
+            return _improvement(system, at.gap + at.force @ system.residual, rows, other)
     better, used = other.compliance(), at.system.compliance
     free = better.linear_gap - used.linear_gap
     gap = at.gap_by_linear_gap(free - respond(better.matrices - used.matrices, at.force))

@@ -18,6 +18,7 @@ from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, resp
 from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
 from fenics_crack.balance.problem import Problem
 from fenics_crack.errors import InputError, check_number, check_omega
+from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.structure import Structure
 
 __all__ = ["FAMILIES", "Family", "FrequencyFamily"]
@@ -30,9 +31,11 @@ class Family(ABC):
     name: str
 
     def __init__(self, problem: Problem, start: float, end: float) -> None:
-        self._asked = problem
         if problem.residual is not None:
             problem = replace(problem, static_above=self._cutoff(problem, start, end))
+        if is_rigid(problem.contact) and problem.residual is None:
+            allowed = 'a penalty, or a structure of reduce_structure(method="massless")'
+            raise InputError("contact", problem.contact, allowed)
         self.problem, self.start, self.end = problem, start, end
         self._compliance = ModalCompliance(problem.structure, problem.base_omega, problem.load)
         self._last: tuple[float, CondensedSystem | CoupledSystem] | None = None
@@ -48,8 +51,8 @@ class Family(ABC):
         check_number(key, value, 0.0, above=True)
 
     def with_harmonics(self, harmonics: int) -> Family:
-        """The same family with other harmonics."""
-        return type(self)(replace(self._asked, harmonics=harmonics), self.start, self.end)
+        """The same family with other harmonics; what answers at once stays."""
+        return type(self)(self.problem.with_harmonics(harmonics), self.start, self.end)
 
     def _cutoff(self, problem: Problem, start: float, end: float) -> float:
         """Frequency above which modes answer at once, the same for all of the family [rad/s]."""

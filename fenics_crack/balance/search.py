@@ -160,7 +160,8 @@ class Search:
                     return found
             elif marched:
                 found = self._newton(newton, self._marched(problem), 1.0, 12)
-                self._note("from a marched orbit", f"{newton.history[-1]:.1e}")
+                last = f"{newton.history[-1]:.1e}" if newton.history else "no orbit"
+                self._note("from a marched orbit", last)
                 if self.converged:
                     self._last_coupled = found
                     return found

@@ -105,7 +105,8 @@ class Solver:
             return system
 
         def family_from(factor: float) -> FrequencyFamily:
-            return FrequencyFamily(problem, factor * problem.omega, problem.omega)
+            same = replace(problem, static_above=problem.cutoff)
+            return FrequencyFamily(same, factor * problem.omega, problem.omega)
 
         start = None
         if initial is not None:

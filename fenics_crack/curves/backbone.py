@@ -269,8 +269,8 @@ def follow_backbone(
     Parameters
     ----------
     structure : Structure
-        What vibrates; its load, mean load included, and its damping are left out. One with many
-        dofs is reduced first (:func:`reduce_structure`, its default).
+        What vibrates, with mass at its lips; its load, mean load included, and its damping are left
+        out. One with many dofs is reduced first (:func:`reduce_structure`, "free_interface").
     contact : ContactLaw
         Law of all pairs. With preload, contact grows about the equilibrium held fixed.
     mode : int
@@ -310,7 +310,7 @@ def follow_backbone(
     check_law(structure, contact)
     check_count("mode", mode, 1)
     if not is_small(structure):
-        structure = reduce_structure(structure)
+        structure = reduce_structure(structure, method="free_interface")
     if mode > structure.n_dofs:
         raise InputError("mode", mode, f"at most {structure.n_dofs}, the number of dofs")
     rest = Equilibrium(structure, contact)

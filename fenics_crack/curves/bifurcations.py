@@ -3,7 +3,8 @@
 Between two points of a curve lies
 
 - a fold, where the parameter turns back: t_p changes its sign;
-- a branch point, where another branch crosses: :mod:`arclength` tells it;
+- a branch point, where another branch crosses: :mod:`arclength` tells it by the sign of det J, so
+  only where J is formed (:data:`fenics_crack.balance.coupled.MATRIX_FREE`);
 - a period doubling, where a Floquet multiplier passes through -1: det(I + M) changes its sign;
 - a Neimark-Sacker point, where a pair of multipliers leaves the unit circle anywhere else.
 
@@ -16,33 +17,59 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import scipy.linalg
 
 from fenics_crack.balance.bordered import PathPoint, Tangent, correct, distance, locate, tangent_of
+from fenics_crack.balance.coupled import CoupledSystem
 from fenics_crack.balance.family import Family
 from fenics_crack.balance.fourier import stretched
+from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.rounding import least_residual, stiffness_times_compliance
 from fenics_crack.curves.curve import Bifurcation
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.stability.piecewise_flow import LeadingMultiplier, PiecewiseFlow
 
-__all__ = ["attainable", "first_of_branch", "multipliers_cross", "odd_rows", "turns_or_branches"]
+__all__ = [
+    "attainable",
+    "first_of_branch",
+    "flow_of",
+    "multipliers_cross",
+    "odd_rows",
+    "turns_or_branches",
+]
 
 Special = list[tuple[str, PathPoint]]
 
 
 def attainable(family: Family, parameter: float, tolerance: float) -> float:
-    """A tolerance of |F| / |x|, or what rounding leaves of it near a point of a curve."""
+    """A tolerance of |F| / |x|, or what rounding leaves of it near a point of a curve.
+
+    The largest slope of R lambda counts: k R, or less where pairs are seen through a static
+    compliance (:meth:`CoupledSystem.steepness`).
+    """
     ends = [family.at(value).contact for value in (family.start, family.end)]
     stiffest = max(ends, key=lambda law: float(np.max(law.stiffness)))
-    compliance = family.system(family.value(parameter)).compliance
-    return max(tolerance, least_residual(4.0 * stiffness_times_compliance(compliance, stiffest)))
+    system = family.system(family.value(parameter))
+    if isinstance(system, CoupledSystem):
+        slope = system.steepness(stiffest)
+    else:
+        slope = stiffness_times_compliance(system.compliance, stiffest)
+    return max(tolerance, least_residual(4.0 * slope))
+
+
+def flow_of(problem: Problem) -> PiecewiseFlow:
+    """The flow whose multipliers a curve asks for; it takes the curve's unknowns."""
+    seen: dict[str, Any] = {}
+    if problem.residual is not None:
+        seen["static_above"] = problem.cutoff
+    return PiecewiseFlow(problem.structure, problem.contact, **seen)
 
 
 def turns_or_branches(family: Family, before: PathPoint, after: PathPoint) -> Special:
-    """Branch points and folds between two points."""
+    """Folds between two points, and branch points where the sign of det J is known."""
     found = []
     if after.crosses_branch:
         found.append(("branch_point", after))
@@ -60,7 +87,7 @@ def multipliers_cross(
 ) -> Special:
     """Where multipliers cross the unit circle at -1, or as a pair, between two points.
 
-    ``ask`` asks the flow at a gap and a value of the parameter.
+    ``ask`` asks the flow at an unknown and a value of the parameter.
     """
     (first, old), (second, new) = before, after
 
@@ -107,8 +134,8 @@ def first_of_branch(
     ConvergenceError
         No point of another branch was found.
     """
-    factor = family.problem.harmonics // (len(bifurcation.gap_coefficients) // 2)
-    unknown = stretched(bifurcation.gap_coefficients, factor)
+    factor = family.problem.harmonics // (len(bifurcation.unknown) // 2)
+    unknown = stretched(bifurcation.unknown, factor)
     parameter = family.parameter(bifurcation.value)
     away = _across(family, unknown, parameter, doubled=factor > 1)
     start = PathPoint(unknown, parameter, 0, away)

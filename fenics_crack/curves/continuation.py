@@ -26,7 +26,7 @@ from fenics_crack.balance.bordered import (
     step_along,
 )
 from fenics_crack.balance.error_report import beyond_truncation, relative_size
-from fenics_crack.balance.family import FAMILIES
+from fenics_crack.balance.family import FAMILIES, Family
 from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.harmonic_balance import check_initial, check_memory
 from fenics_crack.balance.problem import Problem
@@ -35,6 +35,7 @@ from fenics_crack.balance.solver import Solver
 from fenics_crack.curves.bifurcations import (
     attainable,
     first_of_branch,
+    flow_of,
     multipliers_cross,
     odd_rows,
     turns_or_branches,
@@ -42,7 +43,7 @@ from fenics_crack.curves.bifurcations import (
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.resume import check_resumed, directions, point_towards
 from fenics_crack.errors import InputError, check_count, check_number
-from fenics_crack.model.contact import check_law
+from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
@@ -65,8 +66,8 @@ class CurvePoint:
     ----------
     value, omega : float
         Of the parameter, and load frequency [rad/s].
-    gap_coefficients : (2H+1, n_pairs) [m]
-        Closing of the pairs.
+    unknown : (2H+1, n_pairs) [m]
+        Gap coefficients, or the slow gap's (:attr:`ResponseCurve.unknowns`).
     iterations : int
         Newton iterations.
     truncation : float
@@ -79,7 +80,7 @@ class CurvePoint:
 
     value: float
     omega: float
-    gap_coefficients: np.ndarray
+    unknown: np.ndarray
     iterations: int
     truncation: float = math.nan
     multiplier: LeadingMultiplier | None = None
@@ -95,8 +96,10 @@ class Continuation:
     Parameters
     ----------
     problem : Problem
-        What is solved at the first point. A structure with many dofs is reduced first
-        (:func:`reduce_structure`, its default); ``omega`` counts where it is not the parameter.
+        What is solved at the first point. A structure with many dofs is reduced first, to lips
+        without mass (``reduce_structure(structure, method="massless")``); ``omega`` counts where it
+        is not the parameter. Modes that answer at once do so for all of the curve: those above
+        ``static_above``, by default 2 H times the highest base frequency, with the first point's H.
     parameter : str
         "omega": load frequency [rad/s]; "load", "stiffness", "damping": factor of the structure's
         load, of the contact stiffness, of the structure's damping, 1 being as given; "clearance":
@@ -165,42 +168,47 @@ class Continuation:
             check_number("tolerance", tolerance, 0.0, above=True)
             if problem.samples is not None:
                 raise InputError("samples", problem.samples, "left out where a tolerance is given")
-        check_law(problem.structure, problem.contact)
+        _check_rigid(problem, parameter)
         if parameter == "omega":
             problem = replace(problem, omega=start)
         if not is_small(problem.structure):
-            problem = replace(problem, structure=reduce_structure(problem.structure))
+            reduced = reduce_structure(problem.structure, method="massless")
+            problem = replace(problem, structure=reduced)
             if isinstance(initial, PeriodicSolution):  # its gaps are all that is used
-                initial = replace(initial, structure=problem.structure)
+                initial = replace(initial, structure=reduced)
         self._tolerance, self._least = tolerance, problem.harmonics
         self._longest, self._most, self._back = longest_step, most_points, turning_back
-        self._flow = PiecewiseFlow(problem.structure, problem.contact) if stability else None
+        self._flow: PiecewiseFlow | None = None
         self._points: list[CurvePoint] = []
         self._special: list[tuple[str, float, np.ndarray]] = []
         self._branch = False
         self._towards: Tangent | None = None
         self._origin: PathPoint | None = None
         self.complete, self.status = False, "not begun"
+
+        def family_of(problem: Problem) -> Family:
+            return FAMILIES[parameter](problem, start, end)
+
         if isinstance(initial, ResponseCurve):
-            problem = problem.with_harmonics(int(initial.harmonics[-1]))
-            self._family = FAMILIES[parameter](problem, start, end)
+            self._family = family_of(problem.with_harmonics(int(initial.harmonics[-1])))
+            self._flow = flow_of(self._family.problem) if stability else None
             self._take_over(initial)
         elif isinstance(initial, Bifurcation):
-            self._family, self._branch = FAMILIES[parameter](problem, start, end), True
+            self._family, self._branch = family_of(problem), True
+            self._flow = flow_of(self._family.problem) if stability else None
             begun, self._towards = first_of_branch(self._family, initial, longest_step)
             self._points.append(self._point(begun))
         else:
-            found = _first_solution(FAMILIES[parameter].vary(problem, start), initial, tolerance)
-            problem = problem.with_harmonics(found.harmonics)
-            self._family = FAMILIES[parameter](problem, start, end)
+            self._family, found = _first_solution(problem, family_of, initial, tolerance)
+            self._flow = flow_of(self._family.problem) if stability else None
             first = self._family.value(0.0)
-            self._points.append(self._known(found.gap_coefficients, first, found.iterations))
+            self._points.append(self._known(found.slow_gap_coefficients, first, found.iterations))
 
     @property
     def curve(self) -> ResponseCurve:
         """All points so far."""
         points, problem = self._points, self._family.problem
-        counts = np.array([len(point.gap_coefficients) // 2 for point in points])
+        counts = np.array([len(point.unknown) // 2 for point in points])
         multipliers = None
         if self._flow is not None:
             multipliers = np.array([p.multiplier.value for p in points if p.multiplier])
@@ -210,9 +218,7 @@ class Continuation:
             parameter=self._family.name,
             values=np.array([point.value for point in points]),
             omega=np.array([point.omega for point in points]),
-            gap_coefficients=np.array(
-                [resized(point.gap_coefficients, counts.max()) for point in points]
-            ),
+            unknowns=np.array([resized(point.unknown, counts.max()) for point in points]),
             harmonics=counts,
             iterations=np.array([point.iterations for point in points]),
             truncation=np.array([point.truncation for point in points]),
@@ -223,6 +229,7 @@ class Continuation:
             subharmonic=problem.subharmonic,
             multipliers=multipliers,
             branch=self._branch,
+            static_above=None if problem.residual is None else problem.cutoff,
         )
         return replace(curve, bifurcations=curve.expand_bifurcations(self._special))
 
@@ -236,7 +243,7 @@ class Continuation:
         if self.complete:
             return
         last = self._points[-1]
-        here = point_towards(self._family, last.gap_coefficients, last.value, self._towards)
+        here = point_towards(self._family, last.unknown, last.value, self._towards)
         self._origin = self._origin or here
         self.status = "the steps became too short"
         step: float | None = 0.2 * self._longest
@@ -299,11 +306,11 @@ class Continuation:
     def _point(self, point: PathPoint) -> CurvePoint:
         return self._known(point.unknown, self._family.value(point.parameter), point.iterations)
 
-    def _known(self, gap: np.ndarray, value: float, iterations: int) -> CurvePoint:
+    def _known(self, unknown: np.ndarray, value: float, iterations: int) -> CurvePoint:
         multiplier = None
         if self._flow is not None:
-            multiplier = self._ask(PiecewiseFlow.leading, gap, value)
-        return CurvePoint(value, self._omega(value), gap, iterations, multiplier=multiplier)
+            multiplier = self._ask(PiecewiseFlow.leading, unknown, value)
+        return CurvePoint(value, self._omega(value), unknown, iterations, multiplier=multiplier)
 
     def _omega(self, value: float) -> float:
         return value if self._family.name == "omega" else self._family.problem.omega
@@ -311,7 +318,7 @@ class Continuation:
     def _ask(
         self,
         what: Callable[[PiecewiseFlow, np.ndarray, float], Answer],
-        gap: np.ndarray,
+        unknown: np.ndarray,
         value: float,
     ) -> Answer:
         """What the flow at a point says."""
@@ -320,7 +327,7 @@ class Continuation:
         if family.name in ("stiffness", "damping"):
             problem = family.at(value)
             flow = flow.varied(problem.structure, problem.contact)
-        return what(flow, gap, self._omega(value) / family.problem.subharmonic)
+        return what(flow, unknown, self._omega(value) / family.problem.subharmonic)
 
     def _truncation(self, point: PathPoint) -> float:
         at = self._family.linearise(point.unknown, point.parameter)
@@ -406,27 +413,38 @@ class Continuation:
         """Begin with the points of another curve, on its way."""
         check_resumed(curve, self._family)
         for index, value in enumerate(curve.values):
-            found = self._known(curve.gap(index), float(value), int(curve.iterations[index]))
+            found = self._known(curve.unknown(index), float(value), int(curve.iterations[index]))
             self._points.append(replace(found, truncation=float(curve.truncation[index])))
-        self._special = [(b.kind, b.value, b.gap_coefficients) for b in curve.bifurcations]
+        self._special = [(b.kind, b.value, b.unknown) for b in curve.bifurcations]
         self._branch, self._least = curve.branch, int(curve.harmonics.min())
         self._towards, self._origin = directions(self._family, curve)
 
 
 def _first_solution(
-    problem: Problem, initial: PeriodicSolution | None, tolerance: float | None
-) -> PeriodicSolution:
-    """The solution at the start, with as many harmonics as a tolerance asks for there."""
-    count: int | None = problem.harmonics
-    while count is not None:
-        problem = problem.with_harmonics(count)
-        check_memory(problem.structure, count)
+    problem: Problem,
+    family_of: Callable[[Problem], Family],
+    initial: PeriodicSolution | None,
+    tolerance: float | None,
+) -> tuple[Family, PeriodicSolution]:
+    """The family, with as many harmonics as a tolerance asks for at its start, and the solution
+    there."""
+    while True:
+        family = family_of(problem)
+        first, count = family.at(family.start), problem.harmonics
+        check_memory(first.structure, count)
         if initial is not None:
-            check_initial(problem, initial)
-        initial = Solver(problem).solve(initial)
-        count = _more_harmonics(count, initial.report.truncation, tolerance)
-    assert initial is not None
-    return initial
+            check_initial(first, initial)
+        initial = Solver(first).solve(initial)
+        more = _more_harmonics(count, initial.report.truncation, tolerance)
+        if more is None:
+            return family, initial
+        problem = problem.with_harmonics(more)
+
+
+def _check_rigid(problem: Problem, parameter: str) -> None:
+    """Raise InputError where the parameter is no other for a law without a stiffness."""
+    if is_rigid(problem.contact) and parameter == "stiffness":
+        raise InputError("parameter", parameter, "another one: a rigid contact has no stiffness")
 
 
 def _more_harmonics(count: int, truncation: float, tolerance: float | None) -> int | None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 
 from fenics_crack.balance.compliance import ModalCompliance
-from fenics_crack.balance.condensed import CondensedSystem
+from fenics_crack.balance.condensed import CondensedPoint
+from fenics_crack.balance.coupled import CoupledPoint
 from fenics_crack.balance.family import FAMILIES
 from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.problem import Problem
@@ -43,16 +46,21 @@ class Bifurcation(Described):
         anywhere else. The last two only with ``stability=True``.
     value : float
         Of the curve's parameter.
-    gap_coefficients : (2H+1, n_pairs) [m]
-        The solution there.
+    unknown : (2H+1, n_pairs) [m]
+        The solution there, as the curve's unknowns.
     solution : PeriodicSolution
         The same, with its displacement and error report.
     """
 
     kind: str
     value: float
-    gap_coefficients: np.ndarray
+    unknown: np.ndarray
     solution: PeriodicSolution
+
+    @property
+    def gap_coefficients(self) -> np.ndarray:
+        """Closing of the pairs there: (2H+1, n_pairs) [m]."""
+        return self.solution.gap_coefficients
 
     @property
     def omega(self) -> float:
@@ -83,8 +91,9 @@ class ResponseCurve(Tabular):
         Of the parameter: load frequencies [rad/s], factors, or clearances added [m].
     omega : (n,) [rad/s]
         Load frequencies.
-    gap_coefficients : (n, 2H+1, n_pairs) [m]
-        Closing of the pairs; zeros above a point's own harmonics.
+    unknowns : (n, 2H+1, n_pairs) [m]
+        What was followed: gap coefficients, or those of the slow gap s = g + R_inf lambda where
+        pairs are seen through R_inf; zeros above a point's own harmonics.
     harmonics : (n,) int
         H of each point.
     iterations : (n,) int
@@ -104,6 +113,9 @@ class ResponseCurve(Tabular):
         imaginary part; with ``stability=True``.
     branch : bool
         Whether :func:`follow_branch` has followed it.
+    static_above : float or None
+        Where pairs are seen through R_inf, the same for all points: the frequency [rad/s] above
+        which modes answer contact forces at once (:class:`fenics_crack.Problem`); else None.
     """
 
     structure: Structure
@@ -111,7 +123,7 @@ class ResponseCurve(Tabular):
     parameter: str
     values: np.ndarray
     omega: np.ndarray
-    gap_coefficients: np.ndarray
+    unknowns: np.ndarray
     harmonics: np.ndarray
     iterations: np.ndarray
     truncation: np.ndarray
@@ -122,6 +134,7 @@ class ResponseCurve(Tabular):
     subharmonic: int
     multipliers: np.ndarray | None = None
     branch: bool = False
+    static_above: float | None = None
 
     KIND: ClassVar[str] = "response curve"
 
@@ -151,7 +164,22 @@ class ResponseCurve(Tabular):
             int(self.harmonics[-1]),
             self.samples,
             self.subharmonic,
+            self.static_above,
         )
+
+    def unknown(self, index: int) -> np.ndarray:
+        """What was followed at a point, with its own harmonics: (2H+1, n_pairs) [m]."""
+        return self.unknowns[index, : 2 * self.harmonics[index] + 1]
+
+    @cached_property
+    def gap_coefficients(self) -> np.ndarray:
+        """Closing of the pairs: (n, 2H+1, n_pairs) [m]; zeros above a point's own harmonics."""
+        if self.static_above is None:
+            return self.unknowns
+        found = np.zeros_like(self.unknowns)
+        for index, at in self._linearised():
+            found[index, : len(at.gap)] = at.gap
+        return found
 
     def gap(self, index: int) -> np.ndarray:
         """Gap coefficients of a point with its own harmonics: (2H+1, n_pairs) [m]."""
@@ -159,7 +187,7 @@ class ResponseCurve(Tabular):
 
     def solution(self, index: int) -> PeriodicSolution:
         """The solution at a point, with its displacement and error report."""
-        return self._expanded(float(self.values[index]), self.gap(index))
+        return self._expanded(float(self.values[index]), self.unknown(index))
 
     @property
     def solutions(self) -> list[PeriodicSolution]:
@@ -168,8 +196,32 @@ class ResponseCurve(Tabular):
 
     def coefficients_at(self, dof: int) -> np.ndarray:
         """Coefficients of the displacement of a dof at every point: (n, 2H+1) [m]."""
-        rows = self.structure.values_at(all_modes(self.structure).shapes.T, [dof]).T
-        found = np.zeros(self.gap_coefficients.shape[:2])
+        rows, found = self._rows(dof), np.zeros(self.unknowns.shape[:2])
+        for index, at in self._linearised():
+            assert isinstance(at.system.compliance, ModalCompliance)
+            seen = at.system.compliance.seen_through(rows, at.force)
+            found[index, : len(seen)] = seen[:, 0]
+        return found
+
+    def amplitude(self, dof: int) -> np.ndarray:
+        """Half the peak-to-peak displacement of a dof at every point: (n,) [m], of 256 instants."""
+        time = 2.0 * np.pi * np.arange(256) / 256
+        wave = evaluate(self.coefficients_at(dof).T, 1.0, time)
+        static = all_modes(self.structure).static_pairs
+        if static is not None:  # lips without mass follow the forces as they are, with their kinks
+            moved = (self._rows(dof) @ static)[0]
+            for index, at in self._linearised():
+                assert isinstance(at, CoupledPoint)
+                force = at.system.integrals.forces(evaluate(at.unknown, 1.0, time))
+                wave[:, index] -= (force - evaluate(at.force, 1.0, time)) @ moved
+        return np.asarray(np.ptp(wave, axis=0) / 2.0)
+
+    def _rows(self, dof: int) -> np.ndarray:
+        """T of u = T q, the displacement of a dof from the structure's coordinates: (1, n_dofs)."""
+        return self.structure.values_at(np.eye(self.structure.n_dofs), [dof]).T
+
+    def _linearised(self) -> Iterator[tuple[int, CondensedPoint]]:
+        """The equations at all points, with their numbers; not in order."""
         for count in np.unique(self.harmonics):
             problem = self.problem.with_harmonics(int(count))
             family = FAMILIES[self.parameter](
@@ -177,32 +229,23 @@ class ResponseCurve(Tabular):
             )
             for index in np.flatnonzero(self.harmonics == count):
                 system = family.system(float(self.values[index]))
-                assert isinstance(system.compliance, ModalCompliance)
-                force = system.integrals.force(self.gap(index))
-                seen = system.compliance.seen_through(rows, force)
-                found[index, : len(seen)] = seen[:, 0]
-        return found
-
-    def amplitude(self, dof: int) -> np.ndarray:
-        """Half the peak-to-peak displacement of a dof at every point: (n,) [m], of 256 instants."""
-        time = 2.0 * np.pi * np.arange(256) / 256
-        wave = evaluate(self.coefficients_at(dof).T, 1.0, time)
-        return np.asarray(np.ptp(wave, axis=0) / 2.0)
+                yield int(index), system.linearise(self.unknown(index))
 
     def expand_bifurcations(
         self, special: list[tuple[str, float, np.ndarray]]
     ) -> tuple[Bifurcation, ...]:
-        """Bifurcations of this curve from their kinds, parameters and gaps."""
+        """Bifurcations of this curve from their kinds, parameters and unknowns."""
         return tuple(
-            Bifurcation(kind, value, gap, self._expanded(value, gap))
-            for kind, value, gap in special
+            Bifurcation(kind, value, unknown, self._expanded(value, unknown))
+            for kind, value, unknown in special
         )
 
-    def _expanded(self, value: float, gap: np.ndarray) -> PeriodicSolution:
-        """The solution that belongs to a gap where the parameter has a value."""
-        problem = FAMILIES[self.parameter].vary(self.problem.with_harmonics(len(gap) // 2), value)
+    def _expanded(self, value: float, unknown: np.ndarray) -> PeriodicSolution:
+        """The solution that belongs to an unknown where the parameter has a value."""
+        problem = self.problem.with_harmonics(len(unknown) // 2)
+        problem = FAMILIES[self.parameter].vary(problem, value)
         compliance = problem.compliance()
-        at = CondensedSystem(compliance, problem.integrals()).linearise(gap)
+        at = problem.system(compliance).linearise(unknown)
         found = solution_of(problem, at, status="point of a curve")
         compliance.destroy()
         return found

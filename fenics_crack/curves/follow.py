@@ -65,11 +65,13 @@ def continue_frequency(
     Parameters
     ----------
     structure : Structure
-        What vibrates. One with many dofs is reduced first (:func:`reduce_structure`, its default).
+        What vibrates. One with many dofs is reduced first, to lips without mass
+        (``reduce_structure(structure, method="massless")``).
     omega_start, omega_end : float
         Load frequencies [rad/s]; the end may be below the start.
     contact : ContactLaw
-        Law of all pairs.
+        Law of all pairs; :class:`UnilateralConstraint` where lips have no mass, or where modes
+        above the harmonics move every pair by itself.
     progress : bool
         Show a progress bar.
     throw : bool
@@ -181,7 +183,7 @@ def follow_branch(
     problem = replace(
         curve.problem,
         omega=bifurcation.omega,
-        harmonics=doubled * (len(bifurcation.gap_coefficients) // 2),
+        harmonics=doubled * (len(bifurcation.unknown) // 2),
         samples=curve.samples and doubled * curve.samples,
         subharmonic=doubled * curve.subharmonic,
     )

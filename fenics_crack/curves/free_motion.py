@@ -22,6 +22,7 @@ from fenics_crack.balance.search import Search
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import AllModes, all_modes
+from fenics_crack.model.reduced import massless
 from fenics_crack.model.structure import Structure
 
 __all__ = [
@@ -46,6 +47,9 @@ class Equilibrium:
     """Where a structure rests without load, held or closed by its pairs alone."""
 
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
+        if massless(structure) is not None:
+            allowed = 'reduced with method="free_interface"'
+            raise InputError("structure", "lips without mass", allowed)
         self.contact = contact
         self.modes: AllModes = all_modes(structure)
         squares = self.modes.squares

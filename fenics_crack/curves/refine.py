@@ -5,7 +5,8 @@ distance along the curve, whose error falls like the fourth power of the distanc
 Newton's method in the plane across the curve (:mod:`bordered`) makes a few steps, for hundreds of
 points in the same calls of NumPy and LAPACK: a point costs a small part of one that is followed.
 Most points need one step or two. Those that are not solutions after a fixed number of steps are
-left out.
+left out. Where pairs are seen through a static compliance, which couples them, the same is done
+point by point.
 """
 
 from __future__ import annotations
@@ -15,17 +16,18 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from fenics_crack.balance.bordered import Tangent, step_in_plane
+from fenics_crack.balance.bordered import Tangent, solve_in_plane, step_in_plane
 from fenics_crack.balance.condensed import respond_to_columns
 from fenics_crack.balance.contact_integrals import contact_integrals
+from fenics_crack.balance.family import FrequencyFamily
 from fenics_crack.balance.fourier import from_complex, to_complex
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.rounding import least_residual
+from fenics_crack.curves.bifurcations import attainable, flow_of
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError, check_count
 from fenics_crack.model.contact import repeated
 from fenics_crack.model.modal import all_modes
-from fenics_crack.stability.piecewise_flow import PiecewiseFlow
 
 __all__ = ["refine_curve"]
 
@@ -60,7 +62,7 @@ def refine_curve(curve: ResponseCurve, between: int) -> ResponseCurve:
     if len(curve) < 4:
         raise InputError("curve", f"{len(curve)} points", "at least 4")
     span = float(np.ptp(curve.omega)) or 1.0
-    flat = curve.gap_coefficients.reshape(len(curve), -1)
+    flat = curve.unknowns.reshape(len(curve), -1)
     size = float(np.linalg.norm(flat, axis=1).mean()) or 1.0
     place = np.hstack([flat / size, curve.omega[:, None] / span])
     # Equal neighbours would have no distance.
@@ -70,13 +72,15 @@ def refine_curve(curve: ResponseCurve, between: int) -> ResponseCurve:
     wanted = (along[:-1, None] + share * distance[:, None]).ravel()
     counts = np.repeat(np.maximum(curve.harmonics[:-1], curve.harmonics[1:]), between)
 
-    spline, pairs = CubicSpline(along, place), curve.gap_coefficients.shape[2]
-    gaps = np.zeros((curve.gap_coefficients.shape[1], len(wanted), pairs))
+    spline, pairs = CubicSpline(along, place), curve.unknowns.shape[2]
+    unknowns = np.zeros((curve.unknowns.shape[1], len(wanted), pairs))
     omegas, iterations = np.empty(len(wanted)), np.zeros(len(wanted), dtype=int)
     for count in np.unique(counts):
         rows = 2 * int(count) + 1
         chunk = max(1, MAX_NUMBERS // (rows * pairs) ** 2)
-        system = _Together(curve.problem.with_harmonics(int(count)), span)
+        problem = curve.problem.with_harmonics(int(count))
+        coupled = problem.residual is not None
+        system = (_OneByOne if coupled else _Together)(problem, span)
         chosen = np.flatnonzero(counts == count)
         for some in np.array_split(chosen, -(-len(chosen) // chunk)):
             guess, slope = (
@@ -84,14 +88,42 @@ def refine_curve(curve: ResponseCurve, between: int) -> ResponseCurve:
             )
             plane = Tangent(*slope, size**-2)  # type: ignore[arg-type]  # of many points
             found = system.correct(*guess, plane)
-            gaps[:rows, some], omegas[some], iterations[some] = found
-    return _merged(curve, (along, wanted), gaps.transpose(1, 0, 2), omegas, counts, iterations)
+            unknowns[:rows, some], omegas[some], iterations[some] = found
+    new = unknowns.transpose(1, 0, 2)
+    return _merged(curve, (along, wanted), new, omegas, counts, iterations)
 
 
 def _split(place: np.ndarray, size: float, pairs: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
-    """Gaps (2H+1, n, n_pairs) [m] and parameters (n, 1) of places along the spline."""
-    gap = size * place[:, :-1].reshape(len(place), -1, pairs)[:, :rows]
-    return gap.transpose(1, 0, 2), place[:, -1:]
+    """Unknowns (2H+1, n, n_pairs) [m] and parameters (n, 1) of places along the spline."""
+    unknown = size * place[:, :-1].reshape(len(place), -1, pairs)[:, :rows]
+    return unknown.transpose(1, 0, 2), place[:, -1:]
+
+
+class _OneByOne:
+    """The equations of pairs seen through a static compliance, p = w / span, point by point."""
+
+    def __init__(self, problem: Problem, span: float) -> None:
+        self._family = FrequencyFamily(problem, problem.omega, problem.omega + span)
+        self._sharp = attainable(self._family, 0.5, TOLERANCE)
+
+    def correct(
+        self, unknown: np.ndarray, parameter: np.ndarray, plane: Tangent
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """As :meth:`_Together.correct`."""
+        family, unknown, places = self._family, unknown.copy(), parameter[:, 0]
+        omega, count = np.full(len(places), np.nan), np.full(len(places), STEPS)
+        first = family.start / (family.end - family.start)
+        slopes = np.ravel(plane.p)
+        for number, place in enumerate(places):
+            across = Tangent(plane.x[:, number], float(slopes[number]), plane.weight)
+            found = solve_in_plane(
+                family, unknown[:, number], float(place) - first, across,
+                tolerance=self._sharp, iterations=STEPS,
+            )  # fmt: skip
+            if found is not None:
+                unknown[:, number], count[number] = found.unknown, found.iterations
+                omega[number] = family.value(found.parameter)
+        return unknown, omega, count
 
 
 class _Together:
@@ -180,7 +212,7 @@ def _inner(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 def _merged(
     curve: ResponseCurve,
     along: tuple[np.ndarray, np.ndarray],
-    gaps: np.ndarray,
+    unknowns: np.ndarray,
     omegas: np.ndarray,
     counts: np.ndarray,
     iterations: np.ndarray,
@@ -195,17 +227,17 @@ def _merged(
     omega = both(curve.omega, omegas[good])
     multipliers = curve.multipliers
     if multipliers is not None:
-        flow = PiecewiseFlow(curve.structure, curve.contact)
+        flow = flow_of(curve.problem)
         more = [
-            flow.leading(gap[: 2 * count + 1], at / curve.subharmonic).value
-            for gap, count, at in zip(gaps[good], counts[good], omegas[good], strict=True)
+            flow.leading(unknown[: 2 * count + 1], at / curve.subharmonic).value
+            for unknown, count, at in zip(unknowns[good], counts[good], omegas[good], strict=True)
         ]
         multipliers = both(multipliers, np.array(more))
     return replace(
         curve,
         values=omega,
         omega=omega,
-        gap_coefficients=both(curve.gap_coefficients, gaps[good]),
+        unknowns=both(curve.unknowns, unknowns[good]),
         harmonics=both(curve.harmonics, counts[good]),
         iterations=both(curve.iterations, iterations[good]),
         truncation=both(curve.truncation, np.full(good.sum(), np.nan)),

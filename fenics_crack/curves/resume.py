@@ -45,9 +45,9 @@ def check_resumed(curve: ResponseCurve, family: Family) -> None:
             raise InputError("start, end", span, f"on either side of {last:g}")
     elif not math.isclose(span[0], first, rel_tol=1e-9):
         raise InputError("start", span[0], f"where the resumed curve starts, {first:g}")
-    gap, parameter = curve.gap(-1), family.parameter(last)
-    residual = family.linearise(gap, parameter).residual
-    if not np.linalg.norm(residual) <= attainable(family, parameter, 1e-6) * np.linalg.norm(gap):
+    unknown, parameter = curve.unknown(-1), family.parameter(last)
+    residual = float(np.linalg.norm(family.linearise(unknown, parameter).residual))
+    if not residual <= attainable(family, parameter, 1e-6) * np.linalg.norm(unknown):
         raise InputError("resume", "a curve of another problem", "of this structure and law")
 
 
@@ -59,27 +59,27 @@ def directions(family: Family, curve: ResponseCurve) -> tuple[Tangent | None, Pa
     if len(curve) < 2:
         return None, None
     towards, origin = _chord(family, curve, -2, -1), None
-    if len(curve.gap(0)) == len(curve.gap(-1)):
+    if len(curve.unknown(0)) == len(curve.unknown(-1)):
         away = _chord(family, curve, 0, 1)
-        origin = point_towards(family, curve.gap(0), float(curve.values[0]), away)
+        origin = point_towards(family, curve.unknown(0), float(curve.values[0]), away)
     return towards, origin
 
 
 def point_towards(
-    family: Family, gap: np.ndarray, value: float, towards: Tangent | None
+    family: Family, unknown: np.ndarray, value: float, towards: Tangent | None
 ) -> PathPoint:
     """A point with its tangent, in a direction that is known roughly."""
     parameter = family.parameter(value)
-    tangent = tangent_of(family, gap, family.linearise(gap, parameter))
+    tangent = tangent_of(family, unknown, family.linearise(unknown, parameter))
     if towards is not None and tangent.along(towards, family) < 0.0:
         tangent = tangent.reversed()
-    return PathPoint(gap, parameter, 0, tangent)
+    return PathPoint(unknown, parameter, 0, tangent)
 
 
 def _chord(family: Family, curve: ResponseCurve, first: int, second: int) -> Tangent:
     """From one point of a curve to another."""
-    after = curve.gap(second)
-    before = resized(curve.gap(first), len(after) // 2)
+    after = curve.unknown(second)
+    before = resized(curve.unknown(first), len(after) // 2)
     rise = family.parameter(float(curve.values[second])) - family.parameter(
         float(curve.values[first])
     )

@@ -72,8 +72,8 @@ def load(path: str | Path, structure: Structure, contact: Law = None) -> Result:
     path : path
         The file.
     structure, contact : Structure, ContactLaw or None
-        Those with which it was found; for a curve, a structure with many dofs is reduced by
-        :func:`reduce_structure`, as it was then. Modes and time histories need no law.
+        Those with which it was found; for a curve, a structure with many dofs is reduced to lips
+        without mass, as it was then. Modes and time histories need no law.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def _unpack_solution(parts: Parts, structure: Structure, contact: Law) -> Period
     check_pairs(structure, gap)
     _take_law(parts, contact)
     if is_rigid(contact):
-        contact = UnilateralConstraint(parts.pop("weight"))
+        contact = UnilateralConstraint(parts.pop("weight", None))
     report = ErrorReport(**{f.name: parts.pop(f"error_{f.name}") for f in fields(ErrorReport)})
     judged = {f.name: parts.pop(f.name) for f in fields(Stability) if f.name in parts}
     omega, subharmonic = parts["omega"], parts["subharmonic"]
@@ -173,19 +173,19 @@ def _pack_curve(curve: ResponseCurve) -> Parts:
     parts["kinds"] = [b.kind for b in curve.bifurcations]
     parts["bifurcation_values"] = [b.value for b in curve.bifurcations]
     for number, bifurcation in enumerate(curve.bifurcations):
-        parts[f"bifurcation_{number}"] = bifurcation.gap_coefficients
+        parts[f"bifurcation_{number}"] = bifurcation.unknown
     return parts | _law_parts(curve.contact)
 
 
 def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseCurve:
     if not is_small(structure):
-        structure = reduce_structure(structure)
+        structure = reduce_structure(structure, method="massless")
     _take_law(parts, contact)
-    gaps = parts["gap_coefficients"]
-    sizes = {len(part) for part in (parts["values"], parts["omega"], gaps, parts["harmonics"])}
-    if parts["parameter"] not in FAMILIES or gaps.ndim != 3 or len(sizes) != 1:
+    unknowns = parts["unknowns"]
+    sizes = {len(part) for part in (parts["values"], parts["omega"], unknowns, parts["harmonics"])}
+    if parts["parameter"] not in FAMILIES or unknowns.ndim != 3 or len(sizes) != 1:
         raise ValueError("its parts do not fit")
-    check_pairs(structure, gaps)
+    check_pairs(structure, unknowns)
     kinds, values = parts.pop("kinds"), parts.pop("bifurcation_values").tolist()
     special = [
         (kind, value, parts.pop(f"bifurcation_{number}"))
@@ -194,7 +194,7 @@ def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseC
     known: Parts = {"structure": structure, "contact": contact, "bifurcations": (), "samples": None}
     curve = ResponseCurve(**(known | parts))
     first = curve.solution(0)
-    check_gap(first.structure, first.displacement_coefficients, curve.gap(0), 1e-4)
+    check_gap(first.structure, first.displacement_coefficients, first.gap_coefficients, 1e-4)
     return replace(curve, bifurcations=curve.expand_bifurcations(special))
 
 

@@ -53,6 +53,8 @@ __all__ = ["reduce_structure"]
 METHODS = ("massless", "free_interface", "craig_bampton", "truncation")
 MODES = 50
 """Kept of a large structure whose modes are all damped."""
+ROUNDING = 1e-14
+"""Share of a static response that counts as none."""
 
 
 def reduce_structure(
@@ -140,6 +142,7 @@ def _massless(structure: Structure, modes: int, damped: DampedModes | None) -> M
         # What fewer modes leave out is what more do, and the static part of those between.
         between = slice(count, more)
         left = compliance + (seen[between].T / squares[between]) @ seen[between]
+        left = _without_rounding(left, seen[:count], squares[:count])
         reference = MasslessStructure(
             structure,
             squares[:count],
@@ -152,6 +155,16 @@ def _massless(structure: Structure, modes: int, damped: DampedModes | None) -> M
         )
     assert reference is not None
     return reference
+
+
+def _without_rounding(compliance: np.ndarray, seen: np.ndarray, squares: np.ndarray) -> np.ndarray:
+    """S without the forces that the kept modes carry alone, of which rounding leaves something."""
+    elastic = squares > 1e-12 * squares[-1]
+    carried = np.sum(seen[elastic] ** 2 / squares[elastic, None], axis=0)
+    found = compliance.copy()
+    lost = np.diag(compliance) <= ROUNDING * carried
+    found[lost] = found[:, lost] = 0.0
+    return found
 
 
 def _damping_of_modes(

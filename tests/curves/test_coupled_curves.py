@@ -1,0 +1,348 @@
+"""Response curves of pairs that are seen through a static compliance: the slow gap is followed."""
+
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from helpers import chain, oscillator
+
+import fenics_crack as fc
+from fenics_crack.balance.arclength import Stepping, follow_path
+from fenics_crack.balance.family import FAMILIES
+from fenics_crack.balance.solver import Solver
+from fenics_crack.curves.bifurcations import attainable
+
+RIGID = fc.UnilateralConstraint()
+STEEL = """
+geometry = { width = 0.08, height = 0.2, thickness = 0.002 }
+crack = { edge = "left", height = 0.1, length = 0.025 }
+material = { young = 2.1e11, poisson = 0.3, density = 7850.0 }
+damping = { ratio = 0.002, modes = "all" }
+excitation = { point = [0.08, 0.2], force_sin = [1.0, 0.0], omega = 6000.0 }
+contact = { law = "constraint", pairs = "PAIRS" }
+harmonic_balance = { harmonics = 5 }
+
+[mesh]
+layout = "graded"
+cells = "quadrilateral"
+order = 2
+size = 0.04
+lip_elements = 4
+grading = 3.0
+"""
+SPAN = 8650.0, 8950.0
+"""Around the first resonance of the plate with its crack breathing, with two folds [rad/s]."""
+
+
+def steel(pairs: str) -> fc.Structure:
+    """A cracked steel plate with a pair at the crack's mouth, or eight."""
+    return fc.build_structure(fc.Scene.from_text(STEEL.replace("PAIRS", pairs), "steel"))
+
+
+@pytest.fixture(scope="module")
+def plate() -> fc.Structure:
+    """Eight pairs on lips without mass, five modes: all below what harmonics reach."""
+    return fc.reduce_structure(steel("all"), modes=5, method="massless")
+
+
+@pytest.fixture(scope="module")
+def curve(plate: fc.Structure) -> fc.ResponseCurve:
+    """Through its resonance, rigid."""
+    return fc.continue_frequency(plate, *SPAN, RIGID, harmonics=6)
+
+
+def folds(curve: fc.ResponseCurve) -> list[float]:
+    """Frequencies of the folds, in order."""
+    return [b.value for b in curve.bifurcations if b.kind == "fold"]
+
+
+def again(curve: fc.ResponseCurve, index: int) -> fc.PeriodicSolution:
+    """A point solved again from itself, with the same modes that answer at once."""
+    solution = curve.solution(index)
+    problem = replace(curve.problem.with_harmonics(solution.harmonics), omega=solution.omega)
+    return Solver(problem).solve(solution)
+
+
+def assert_solutions(curve: fc.ResponseCurve, every: int) -> None:
+    """Points, solved again from themselves, do not move."""
+    for index in range(0, len(curve), every):
+        gap = curve.gap(index)
+        assert np.abs(again(curve, index).gap_coefficients - gap).max() < 1e-6 * np.abs(gap).max()
+
+
+# --- against ordinary structures ------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def bilinear() -> fc.ResponseCurve:
+    """x'' + 0.1 x' + x + max(0, x) = cos(W t), with its multipliers."""
+    law = fc.UnilateralPenalty(1.0)
+    return fc.continue_frequency(oscillator(0.1, 1.0), 1.5, 3.0, law, harmonics=10, stability=True)
+
+
+@pytest.fixture(scope="module")
+def behind_a_spring() -> fc.Structure:
+    """The same mass, and a spring of stiffness 1 without mass in series with the pair."""
+    structure = fc.Structure.from_matrices(
+        np.diag([1.0, 0.25]), np.eye(2), [1.0, 1.0], force_cos=[1.0, 0.0],
+        damping=fc.ModalDamping(0.05),
+    )  # fmt: skip
+    return fc.reduce_structure(structure, modes=1, method="massless")
+
+
+def test_a_rigid_pair_behind_a_spring(
+    bilinear: fc.ResponseCurve, behind_a_spring: fc.Structure
+) -> None:
+    """R_inf = 1/kc: the bilinear oscillator, whose motion is the slow gap."""
+    found = fc.continue_frequency(behind_a_spring, 1.5, 3.0, RIGID, harmonics=10)
+    assert found.omega == pytest.approx(bilinear.omega, rel=1e-7)
+    np.testing.assert_allclose(found.unknowns, bilinear.unknowns, atol=1e-6)
+    assert found.amplitude(0) == pytest.approx(bilinear.amplitude(0), rel=1e-6)
+    solution = found.solution(5)
+    time = np.arange(256) * solution.period / 256
+    force = solution.contact_force(time)[:, 0]
+    assert found.amplitude(1)[5] == pytest.approx(np.ptp(force) / 2.0, rel=1e-9)
+    assert solution.gap(time).max() < 1e-12
+    np.testing.assert_allclose(found.coefficients_at(1)[5], -solution.force_coefficients[:, 0])
+
+
+def test_doubled_branch_of_a_rigid_pair(
+    bilinear: fc.ResponseCurve, behind_a_spring: fc.Structure, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the period doubling of the bilinear oscillator to the other one."""
+    old = fc.continue_frequency(behind_a_spring, 1.5, 3.0, RIGID, harmonics=10)
+    doublings = [b for b in bilinear.bifurcations if b.kind == "period_doubling"]
+    for matrix_free in (300, 10):
+        monkeypatch.setattr("fenics_crack.balance.coupled.MATRIX_FREE", matrix_free)
+        branch = fc.follow_branch(old, doublings[0])
+        assert branch.status == "joined the branch that it left" and branch.subharmonic == 2
+        assert branch.static_above == old.static_above
+        assert branch.omega.max() == pytest.approx(doublings[1].omega, abs=1e-3)
+
+
+def test_all_modes_are_the_structure_itself() -> None:
+    """With all modes nothing is without mass: the ordinary curve, point by point."""
+    structure, law = chain(n=6, pairs=1, seed=3), fc.UnilateralPenalty(5.0)
+    ordinary = fc.continue_frequency(structure, 0.5, 1.2, law, harmonics=6)
+    whole = fc.reduce_structure(structure, modes=6, method="massless")
+    found = fc.continue_frequency(whole, 0.5, 1.2, law, harmonics=6)
+    assert found.static_above is not None and ordinary.static_above is None
+    assert ordinary.gap_coefficients is ordinary.unknowns
+    assert found.omega == pytest.approx(ordinary.omega, rel=1e-7)
+    np.testing.assert_allclose(found.unknowns, ordinary.unknowns, atol=1e-6)
+    for dof in (1, 5):
+        assert found.amplitude(dof) == pytest.approx(ordinary.amplitude(dof), rel=1e-6)
+
+
+def test_few_modes_come_close_to_the_structure() -> None:
+    """The displacement of a lip too, most of which moves without mass."""
+    structure, law = chain(n=10, pairs=1, seed=3), fc.UnilateralPenalty(2.0)
+    span = 0.2, 0.4  # around the first resonance
+    peak = fc.continue_frequency(structure, *span, law, harmonics=12).amplitude(1).max()
+    errors = []
+    for modes in (2, 7):
+        reduced = fc.reduce_structure(structure, modes=modes, method="massless")
+        found = fc.continue_frequency(reduced, *span, law, harmonics=12)
+        assert np.abs(found.unknowns - found.gap_coefficients).max() > 0.01
+        errors.append(abs(found.amplitude(1).max() / peak - 1.0))
+    assert errors[1] < 0.5 * errors[0] < 0.02
+
+
+def test_displacement_of_a_curve_is_that_of_its_solutions(curve: fc.ResponseCurve) -> None:
+    """Of a lip, with what answers at once: coefficients, and the amplitude with its kinks."""
+    lip = int(np.flatnonzero(curve.structure.whole.gap.toarray()[:, 0])[0])
+    rows, sizes = curve.coefficients_at(lip), curve.amplitude(lip)
+    for index in (0, len(curve) // 2):
+        solution = curve.solution(index)
+        exact = solution.coefficients_at([lip])[:, 0]
+        assert np.abs(rows[index] - exact).max() < 1e-9 * np.abs(exact).max()
+        assert sizes[index] == pytest.approx(solution.amplitude(lip), rel=1e-3)
+
+
+# --- rigid contact --------------------------------------------------------------------------------
+
+
+def test_points_of_one_rigid_pair_are_solutions() -> None:
+    """Each solves the equations at its frequency."""
+    reduced = fc.reduce_structure(steel("mouth"), modes=5, method="massless")
+    curve = fc.continue_frequency(reduced, *SPAN, RIGID, harmonics=8)
+    assert curve.complete and len(folds(curve)) % 2 == 0
+    for index in range(0, len(curve), 20):
+        start = curve.solution(index)
+        found = fc.solve_harmonic_balance(reduced, start.omega, RIGID, harmonics=8, initial=start)
+        difference = np.abs(found.gap_coefficients - start.gap_coefficients).max()
+        assert difference < 1e-6 * np.abs(start.gap_coefficients).max()
+        force = found.contact_force(np.linspace(0.0, found.period, 200))
+        assert force.min() >= 0.0 and start.report.residual < 1e-7
+
+
+def test_eight_pairs_over_a_resonance(curve: fc.ResponseCurve) -> None:
+    """Two folds, and all points are solutions."""
+    assert curve.complete and len(folds(curve)) == 2
+    assert all(b.kind == "fold" for b in curve.bifurcations)
+    turns = np.sum(np.diff(np.sign(np.diff(curve.omega))) != 0)
+    assert turns == 2 and folds(curve)[0] > folds(curve)[1]
+    assert_solutions(curve, 25)
+    fold = curve.bifurcations[0]
+    np.testing.assert_array_equal(fold.gap_coefficients, fold.solution.gap_coefficients)
+    assert fold.solution.static_above == curve.static_above
+    np.testing.assert_allclose(fold.unknown, fold.solution.slow_gap_coefficients, atol=1e-18)
+
+
+def test_without_a_matrix_the_same_curve(
+    curve: fc.ResponseCurve, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """J is not formed: the sign of its determinant is unknown, the path and its folds are not."""
+    monkeypatch.setattr("fenics_crack.balance.coupled.MATRIX_FREE", 10)
+    other = fc.continue_frequency(curve.structure, *SPAN, RIGID, harmonics=6)
+    family = FAMILIES["omega"](other.problem, *SPAN)
+    assert family.matrix_free and np.isnan(family.linearise(other.unknown(0), 0.0).sign)
+    assert other.complete
+    assert folds(other) == pytest.approx(folds(curve), rel=1e-8)
+    assert other.amplitude(0).max() == pytest.approx(curve.amplitude(0).max(), rel=1e-3)
+
+
+class Circle:
+    """x = f(p), once around a narrow circle at p = 0; the sign of det J is not told."""
+
+    width, size = 0.003, 0.3
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> SimpleNamespace:
+        """J = I."""
+        wave = 1.0 / (1.0 + 1j * parameter / self.width)
+        rate = -1j * wave**2 / self.width
+        value = np.array([1.0 + self.size * wave.real, self.size * wave.imag, parameter])
+        slope = np.array([self.size * rate.real, self.size * rate.imag, 1.0])
+        return SimpleNamespace(
+            residual=unknown - value, by_parameter=-slope, solve=np.copy, sign=np.nan
+        )
+
+    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
+        """Of R^3."""
+        return float(first @ second)
+
+
+@pytest.mark.parametrize("number", range(12))
+def test_without_a_sign_no_way_back(number: int) -> None:
+    """A step may land on the far side of a narrow resonance, where the path seems to come back."""
+    begin, system = -1.0 - 0.013 * number, Circle()
+    first = -system.linearise(np.zeros(3), begin).residual
+    reached = begin
+    stepping = Stepping(first=0.1, longest=0.1, least_cosine=0.85, most=200)
+    for point in follow_path(system, first, begin, stepping):  # type: ignore[arg-type]
+        assert point.parameter > reached
+        reached = point.parameter
+    assert reached > 1.0
+
+
+def test_small_structure_with_fast_modes() -> None:
+    """Modes above the harmonics answer at once: rigid contact without a reduction."""
+    structure = chain(n=8, pairs=1, seed=3)
+    curve = fc.continue_frequency(structure, 0.1, 0.16, RIGID, harmonics=4)
+    assert curve.complete and curve.static_above == pytest.approx(2 * 4 * 0.16)
+    assert_solutions(curve, 9)
+
+
+def test_rounding_does_not_grow_with_the_stiffness(plate: fc.Structure) -> None:
+    """The slope is bounded by the inverse of R_inf: a stiffer law is solved as sharply."""
+    sharp = []
+    for law in (fc.UnilateralPenalty(1e12), fc.UnilateralPenalty(1e20), RIGID):
+        family = FAMILIES["omega"](fc.Problem(plate, 9000.0, law, 5), *SPAN)
+        sharp.append(attainable(family, 0.5, 0.0))
+    assert sharp[1:] == pytest.approx(sharp[2] * np.ones(2)) and sharp[0] < sharp[2] < 1e-7
+
+
+# --- other parameters, harmonics ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "law", "end"),
+    [
+        ("load", RIGID, 2.0),
+        ("damping", RIGID, 3.0),
+        ("clearance", RIGID, -1e-8),
+        ("stiffness", fc.UnilateralPenalty(1e8), 100.0),
+    ],
+)
+def test_other_parameters(plate: fc.Structure, name: str, law: fc.ContactLaw, end: float) -> None:
+    """Points solve the structure or law varied accordingly."""
+    begin = 0.0 if name == "clearance" else 1.0
+    curve = fc.continue_parameter(plate, 8000.0, law, name, begin, end, harmonics=5)
+    assert curve.complete and curve.values[-1] == pytest.approx(end)
+    index = len(curve) // 2
+    problem = FAMILIES[name].vary(curve.problem, float(curve.values[index]))
+    found = Solver(problem).solve(curve.solution(index)).gap_coefficients
+    assert np.abs(found - curve.gap(index)).max() < 1e-6 * np.abs(found).max()
+
+
+def test_harmonics_follow_the_truncation(plate: fc.Structure) -> None:
+    """With other harmonics the same modes answer at once."""
+    curve = fc.continue_frequency(plate, 7800.0, 8200.0, RIGID, harmonics=5, tolerance=4e-2)
+    assert curve.complete and len(set(curve.harmonics)) > 1
+    assert_solutions(curve, 11)
+
+
+# --- going on, refining, files --------------------------------------------------------------------
+
+
+def test_stopped_saved_and_resumed(curve: fc.ResponseCurve, tmp_path: Path) -> None:
+    """The same folds; the file keeps what was followed."""
+    plate = curve.structure
+    growing = fc.Continuation(fc.Problem(plate, SPAN[0], RIGID, 6), "omega", *SPAN)
+    points = list(islice(growing, int(np.argmax(np.diff(curve.omega) < 0.0)) + 3))
+    part = growing.curve
+    assert np.array_equal(points[-1].unknown, part.unknown(-1)) and len(folds(part)) == 1
+    fc.save(part, tmp_path / "part.h5")
+    loaded = fc.load(tmp_path / "part.h5", plate, RIGID)
+    assert isinstance(loaded, fc.ResponseCurve) and loaded.static_above == part.static_above
+    assert np.array_equal(loaded.unknowns, part.unknowns)
+    np.testing.assert_array_equal(loaded.gap_coefficients, part.gap_coefficients)
+    assert np.array_equal(loaded.bifurcations[0].unknown, part.bifurcations[0].unknown)
+    resumed = fc.continue_frequency(plate, *SPAN, RIGID, resume=loaded)
+    assert resumed.complete and folds(resumed) == pytest.approx(folds(curve), rel=1e-8)
+    with pytest.raises(fc.InputError, match="another problem"):
+        fc.continue_frequency(plate.varied(load=2.0), *SPAN, RIGID, resume=loaded)
+
+
+def test_refined_curve(plate: fc.Structure) -> None:
+    """Points between, over the folds, all solutions."""
+    coarse = fc.continue_frequency(plate, *SPAN, RIGID, harmonics=5, longest_step=0.1)
+    fine = fc.refine_curve(coarse, 2)
+    assert len(fine) > 2.8 * len(coarse) and fine.static_above == coarse.static_above
+    assert np.mean(fine.iterations) < 3.0
+    assert np.sum(np.diff(np.sign(np.diff(fine.omega))) != 0) == 2
+    assert_solutions(fine, 37)
+
+
+# --- structures with many dofs, and what is refused -----------------------------------------------
+
+
+def test_large_structures_lose_the_mass_of_their_lips(tmp_path: Path) -> None:
+    """Reduced first; a solution of the whole structure is where the curve begins."""
+    whole, law = steel("mouth"), fc.UnilateralPenalty(1e8)
+    assert whole.n_dofs > 600
+    initial = fc.solve_harmonic_balance(whole, 7000.0, law, harmonics=5)
+    curve = fc.continue_frequency(whole, 7000.0, 7100.0, law, harmonics=5, initial=initial)
+    assert isinstance(curve.structure, fc.ReducedStructure) and curve.static_above is not None
+    assert curve.complete and curve.structure.n_dofs < 60
+    difference = curve.gap(0) - initial.gap_coefficients
+    assert np.abs(difference).max() < 0.05 * np.abs(initial.gap_coefficients).max()
+    fc.save(curve, tmp_path / "curve.h5")
+    loaded = fc.load(tmp_path / "curve.h5", whole, law)
+    assert np.array_equal(loaded.unknowns, curve.unknowns)  # type: ignore[union-attr]
+
+
+def test_what_is_refused(plate: fc.Structure) -> None:
+    """One error names the argument, and what helps."""
+    with pytest.raises(fc.InputError, match=r'^contact.*method="massless"'):
+        fc.continue_frequency(oscillator(), 0.5, 1.5, RIGID)
+    with pytest.raises(fc.InputError, match=r"^parameter = 'stiffness'"):
+        fc.continue_parameter(plate, 8000.0, RIGID, "stiffness", 1.0, 2.0)
+    with pytest.raises(fc.InputError, match=r'^structure.*method="free_interface"'):
+        fc.follow_backbone(plate, fc.UnilateralPenalty(1e8), 1, 1e-6, 1e-5)
+    nothing = fc.reduce_structure(chain(n=6, pairs=1), modes=6, method="massless")
+    with pytest.raises(fc.InputError, match=r"^contact"):
+        fc.continue_frequency(nothing, 1.0, 2.0, RIGID)
