@@ -159,8 +159,8 @@ class Search:
                 if self.converged:
                     return found
             elif marched:
-                found = self._newton(newton, self._marched(problem), 1.0, 12)
-                self._note("from a marched orbit", f"{newton.history[-1]:.1e}")
+                name = "from a marched orbit"
+                found = self._newton(newton, self._marched(problem), 1.0, 12, name)
                 if self.converged:
                     self._last_coupled = found
                     return found
