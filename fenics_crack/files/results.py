@@ -127,7 +127,7 @@ def _unpack_solution(parts: Parts, structure: Structure, contact: Law) -> Period
     check_pairs(structure, gap)
     _take_law(parts, contact)
     if is_rigid(contact):
-        contact = UnilateralConstraint(parts.pop("weight"))
+        contact = UnilateralConstraint(parts.pop("weight", None))
     report = ErrorReport(**{f.name: parts.pop(f"error_{f.name}") for f in fields(ErrorReport)})
     judged = {f.name: parts.pop(f.name) for f in fields(Stability) if f.name in parts}
     omega, subharmonic = parts["omega"], parts["subharmonic"]

@@ -135,7 +135,7 @@ def test_force_clearance_and_law_are_swept_without_a_new_geometry(
     over = {
         "excitation.force_cos": [(0.0, 0.0), (30.0, 200.0)],
         "crack.clearance": [0.0, -1e-7],
-        "contact.law": ["penalty", "constraint"],
+        "contact.law": ["penalty", "unilateral"],
     }
     scene = swept(paper_scene, over, GRADED | {"harmonic_balance.harmonics": 4})
     built = []
@@ -196,7 +196,7 @@ def test_a_case_leaves_the_solution_of_another_alone(paper_scene: fc.Scene, redu
 
 def test_constraint(paper_scene: fc.Scene, tmp_path: Path) -> None:
     """No verdict on stability; the solution carries its weight."""
-    changes = {"damping.ratio": 0.01, "contact.stiffness": None, "contact.law": "constraint"}
+    changes = {"damping.ratio": 0.01, "contact.stiffness": None, "contact.law": "unilateral"}
     scene = swept(paper_scene, {"excitation.omega": [1900.0, 2000.0]}, changes)
     result = run_sweep(scene, tmp_path / "sweep.h5")
     assert result.converged.all()
