@@ -21,7 +21,7 @@ import fenics_crack as fc
 from fenics_crack.cli.command_line import main
 from fenics_crack.cli.remarks import in_words
 from fenics_crack.fem.plate import write_msh
-from fenics_crack.study.run import integrate
+from fenics_crack.study import run as study_run
 
 ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
 PAPER = ROOT / "demos" / "paper_plate.toml"
@@ -149,6 +149,33 @@ def test_harmonics_that_nothing_damps(
 
 
 @pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ("", False),
+        ("damping.modes=3", True),
+        (f"damping.modes=3 reduction.modes=10 {FREE}", True),
+        ("damping.modes=3 reduction.modes=10", False),  # without mass all that are kept are damped
+    ],
+)
+def test_hint_to_damp_more_modes(
+    changes: str,
+    expected: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+) -> None:
+    """Of an undecided orbit, where there are modes without damping."""
+    undecided = fc.Stability(np.array([1.0 + 0j]), "undecided", np.nan)
+    monkeypatch.setattr(study_run, "floquet", lambda structure, solution: undecided)
+    words = ["solve", str(PAPER), "--output", str(tmp_path), "--set", "contact.stiffness=1e9"]
+    words += [word for change in changes.split() for word in ("--set", change)]
+    assert main(words) == 0
+    answer = capsys.readouterr().err
+    assert "the orbit is undecided" in answer and "more harmonics may decide it" in answer
+    assert ("or damping of all modes" in answer) == expected
+
+
+@pytest.mark.parametrize(
     ("highest", "damped", "expected"),
     [
         (1e4, None, ""),
@@ -196,7 +223,7 @@ def test_new_scene(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     scene = fc.Scene.load(path)
     assert scene.contact is not None and scene.contact.law == "unilateral"
     assert scene.contact.stiffness is scene.contact.stiffness_per_area is None
-    run = integrate(scene)
+    run = study_run.integrate(scene)
     assert isinstance(run.structure, fc.MasslessStructure) and run.structure.n_modes == 20
     assert run.result.settled <= 1e-3 and run.result.gap.max() < 1e-20
     assert main(["check", str(path)]) == 0
