@@ -159,9 +159,8 @@ class Search:
                 if self.converged:
                     return found
             elif marched:
-                found = self._newton(newton, self._marched(problem), 1.0, 12)
-                last = f"{newton.history[-1]:.1e}" if newton.history else "no orbit"
-                self._note("from a marched orbit", last)
+                name = "from a marched orbit"
+                found = self._newton(newton, self._marched(problem), 1.0, 12, name)
                 if self.converged:
                     self._last_coupled = found
                     return found

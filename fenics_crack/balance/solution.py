@@ -16,7 +16,6 @@ from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.problem import Problem
 from fenics_crack.model.contact import ContactLaw, force_in_time
 from fenics_crack.model.modal import all_modes
-from fenics_crack.model.reduced import massless
 from fenics_crack.model.structure import Structure
 from fenics_crack.table import Described, counted, quantity
 
@@ -166,17 +165,19 @@ class PeriodicSolution(Described):
 
     def displacement(self, time: np.ndarray, dofs: Sequence[int]) -> np.ndarray:
         """Displacement of dofs at times [s]: (len(time), len(dofs)) [m] (collective)."""
-        found = evaluate(self.coefficients_at(dofs), self.base_omega, time)
-        if self.contact is None or (reduced := massless(self.structure)) is None:
-            return found
-        # What answers at once follows the forces as they are, with their kinks.
-        missing = self.contact_force(time) - evaluate(
-            self.force_coefficients, self.base_omega, time
-        )
-        static = np.zeros((len(missing), self.structure.n_dofs))
-        place = reduced.n_modes
-        static[:, place : place + self.structure.n_pairs] = -missing
-        return found + self.structure.values_at(static, dofs)
+        if self.residual is None:
+            return evaluate(self.coefficients_at(dofs), self.base_omega, time)
+        return self.structure.values_at(self.coordinates(time), dofs)
+
+    def coordinates(self, time: np.ndarray) -> np.ndarray:
+        """Displacement of the structure's own dofs on this rank: (len(time), n_local) [m]."""
+        found = evaluate(self.displacement_coefficients, self.base_omega, time)
+        if self.static_above is not None:
+            # What answers at once follows the forces as they are, with their kinks.
+            waves = evaluate(self.force_coefficients, self.base_omega, time)
+            moved = all_modes(self.structure).moved_at_once(self.static_above)
+            found -= (self.contact_force(time) - waves) @ moved.T
+        return found
 
     def amplitude(self, dof: int) -> float:
         """Half the peak-to-peak displacement of a dof [m], of 1024 instants (collective)."""
@@ -187,7 +188,10 @@ class PeriodicSolution(Described):
         return self.structure.values_at(self.displacement_coefficients, dofs)
 
     def displacement_field(self, time: np.ndarray) -> np.ndarray:
-        """Displacement of the whole structure's dofs on this rank: (len(time), n_local) [m]."""
+        """Displacement of the whole structure's dofs on this rank: (len(time), n_local) [m]
+        (collective)."""
+        if self.residual is not None:
+            return self.structure.expand(self.coordinates(time))
         rows = self.structure.expand(self.displacement_coefficients)
         return evaluate(rows, self.base_omega, time)
 

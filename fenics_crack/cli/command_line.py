@@ -48,7 +48,7 @@ Start with:
   fenics-crack solve plate.toml     its steady vibration
   fenics-crack plot output/plate/solution.h5
 
-Any key can be changed for one run: --set contact.stiffness=1e9 --set crack.length=0.03
+Any key can be changed for one run: --set harmonic_balance.harmonics=30 --set crack.length=0.03
 On several processors: mpirun -n 4 fenics-crack sweep plate.toml
 
 Exit code: 0 done; 2 bad input; 3 something did not converge, or Ctrl-C has ended it early (what was

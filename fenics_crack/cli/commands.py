@@ -17,7 +17,7 @@ from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
 from fenics_crack.files.results import save
 from fenics_crack.files.store import kind_of
-from fenics_crack.model.modes import Modes
+from fenics_crack.model.modes import Modes, damped_range
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Integration, Scene
 from fenics_crack.study.run import Run, find_modes, follow_curve, integrate, load_run, solve
@@ -57,7 +57,8 @@ def solution(scene: Scene, folder: Path, console: Console) -> Exit:
         return Exit.NOT_CONVERGED
     _judge_error(found.report.total, "", console)
     if found.stability is not None and found.stability.verdict != "stable":
-        hint = UNDECIDED + ("" if scene.damping.of_all_modes else UNDAMPED)
+        damped = scene.damping.of_all_modes or damped_range(run.structure) is None
+        hint = UNDECIDED + ("" if damped else UNDAMPED)
         console.warn(
             f"the orbit is {found.stability.verdict}: a motion in time may leave it"
             + (hint if found.stability.verdict == "undecided" else "")

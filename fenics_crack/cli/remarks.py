@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 
+import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.errors import ConvergenceError, InputError
@@ -11,9 +12,9 @@ from fenics_crack.model.modes import damped_range
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.prepare import prepare
+from fenics_crack.study.prepare import prepare, reduction_of
 
-__all__ = ["highest_omega", "in_words", "remark_on", "remark_on_sweep"]
+__all__ = ["highest_omega", "in_words", "remark_on", "remark_on_sweep", "remark_on_whole"]
 
 
 def in_words(highest: float, damped: tuple[int, float] | None) -> str:
@@ -39,6 +40,15 @@ def remark_on(structure: Structure, highest: float) -> str:
     return in_words(highest, damped_range(structure)) if structure.n_pairs else ""
 
 
+def remark_on_whole(scene: Scene, whole: Structure, highest: float) -> str:
+    """The same of a structure that the scene reduces before it is solved (collective)."""
+    table, ratio = reduction_of(scene, whole), scene.damping.ratio
+    if table is not None and table.method == "massless" and ratio is not None:
+        if np.ravel(ratio)[-1] > 0.0:  # that of all further modes that are kept
+            return ""
+    return remark_on(whole, highest)
+
+
 def remark_on_sweep(scene: Scene, comm: MPI.Comm) -> str:
     """The same of a sweep, from the modes of the plate as the scene has it (collective)."""
     if scene.contact is None or scene.damping.of_all_modes:
@@ -47,7 +57,7 @@ def remark_on_sweep(scene: Scene, comm: MPI.Comm) -> str:
     def remark() -> str:
         with contextlib.suppress(InputError, ConvergenceError):  # its cases may be others
             plate = prepare(scene, MPI.COMM_SELF, whole=True).structure
-            return remark_on(plate, highest_omega(scene, "sweep"))
+            return remark_on_whole(scene, plate, highest_omega(scene, "sweep"))
         return ""
 
     return on_root(comm, remark)

@@ -11,7 +11,7 @@ import numpy as np
 from fenics_crack.balance.harmonic_balance import check_memory
 from fenics_crack.cli.console import Console
 from fenics_crack.cli.exit_codes import Exit
-from fenics_crack.cli.remarks import highest_omega, remark_on
+from fenics_crack.cli.remarks import highest_omega, remark_on_whole
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import make_folder
 from fenics_crack.model.contact import is_rigid
@@ -19,7 +19,7 @@ from fenics_crack.parallel import gather_rows, on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import prepare, reduction_of
 from fenics_crack.sweep.plan import Plan
-from fenics_crack.table import Table
+from fenics_crack.table import Table, counted
 
 __all__ = ["check", "new"]
 
@@ -72,8 +72,10 @@ def check(scene: Scene, console: Console) -> Exit:
     rows["unknowns of harmonic balance"] = (2 * harmonics + 1) * whole.n_pairs
     rows["solved"] = "as it is"
     if reduction := reduction_of(scene, whole):
-        count = reduction.modes or scene.damping.modes
-        rows["solved"] = f"reduced, {reduction.method}, {count} modes"
+        modes = counted(int(reduction.modes or scene.damping.modes), "mode")
+        rows["solved"] = f"reduced, {reduction.method}, {modes}"
+        if reduction.method == "massless":
+            rows["solved"] = f"{modes}, lips without mass"
     if scene.curve is not None:
         span = f"{scene.curve.start:g} to {scene.curve.stop:g}"
         rows["curve"] = f"{scene.curve.parameter} from {span}"
@@ -82,7 +84,7 @@ def check(scene: Scene, console: Console) -> Exit:
         rows["cases of the sweep"] = scene.sweep.n_cases
         rows["of them impossible"] = on_root(console.comm, lambda: _impossible(scene))
     highest = max(highest_omega(scene, command) for command in ("solve", "curve", "sweep"))
-    remark = remark_on(whole, highest)
+    remark = remark_on_whole(scene, whole, highest)
     console.table(Table(("what", "value"), [*rows.items()]))
     console.note(remark)
     return Exit.DONE

@@ -118,6 +118,12 @@ class AllModes:
         found = (self.pairs[fast].T / self.squares[fast]) @ self.pairs[fast]
         return found if self.residual is None else found + self.residual
 
+    def moved_at_once(self, above: float) -> np.ndarray:
+        """Displacement of it by unit forces on the pairs: (n_dofs, n_pairs) [m/N]."""
+        fast = self.squares > above**2
+        found: np.ndarray = (self.shapes[:, fast] / self.squares[fast]) @ self.pairs[fast]
+        return found if self.static_pairs is None else found + self.static_pairs
+
     def below(self, above: float) -> AllModes:
         """The same with the modes beyond a frequency [rad/s] among what has no mass."""
         slow = self.squares <= above**2

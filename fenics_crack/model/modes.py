@@ -73,6 +73,8 @@ class Modes(Tabular):
 def solve_modes(structure: Structure, count: int) -> Modes:
     """Find the lowest natural modes of the structure with its cracks open (collective).
 
+    Those of a structure whose lips have no mass are the modes to which it was reduced.
+
     Parameters
     ----------
     structure : Structure
@@ -83,13 +85,19 @@ def solve_modes(structure: Structure, count: int) -> Modes:
     Raises
     ------
     InputError
-        count is not between 1 and n_dofs, or the stiffness has a negative eigenvalue.
+        count is not between 1 and n_dofs, or the number of modes with mass, or the stiffness has a
+        negative eigenvalue.
     ConvergenceError
         SLEPc found fewer modes than asked for.
     """
     whole = isinstance(count, Integral) and not isinstance(count, bool)
-    if not (whole and 1 <= count <= structure.n_dofs):
-        raise InputError("count", count, f"a whole number from 1 to n_dofs = {structure.n_dofs}")
+    if not (whole and 1 <= count <= structure.n_modes):
+        most = "n_modes" if structure.n_modes < structure.n_dofs else "n_dofs"
+        allowed = f"a whole number from 1 to {most} = {structure.n_modes}"
+        raise InputError("count", count, allowed)
+    if structure.known_modes is not None:
+        omega, shapes = structure.known_modes
+        return Modes(omega[:count], shapes[:, :count], structure)
     quotients = structure.stiffness.getDiagonal().array_r / structure.mass.getDiagonal().array_r
     smallest = float(np.min(gather_rows(structure.comm, quotients)))
     scale = smallest if smallest > 0.0 else 1.0  # [rad^2/s^2]
@@ -260,9 +268,9 @@ def damped_modes(structure: Structure) -> DampedModes | None:
 
 def _damped_modes(structure: Structure) -> DampedModes:
     damping = structure.damping
-    count = structure.n_dofs if damping.modes is None else damping.modes
-    if count > structure.n_dofs:
-        raise InputError("damping modes", count, f"at most n_dofs = {structure.n_dofs}")
+    count = structure.n_modes if damping.modes is None else damping.modes
+    if count > structure.n_modes:
+        raise InputError("damping modes", count, f"at most n_dofs = {structure.n_modes}")
     ratio = np.asarray(damping.ratio, dtype=float)
     if ratio.ndim == 1 and len(ratio) != count:
         raise InputError("damping ratio", f"{len(ratio)} ratios", f"one or {count}, one per mode")
@@ -289,7 +297,7 @@ def damped_range(structure: Structure) -> tuple[int, float] | None:
         return (0, 0.0) if rule is None else None
     if isinstance(rule, RayleighDamping):
         return None if rule.mass or rule.stiffness else (0, 0.0)
-    if isinstance(rule.ratio, float) and rule.modes in (None, structure.n_dofs):
+    if isinstance(rule.ratio, float) and rule.modes in (None, structure.n_modes):
         return None if rule.ratio else (0, 0.0)
     known = damped_modes(structure)
     assert known is not None
@@ -297,7 +305,7 @@ def damped_range(structure: Structure) -> tuple[int, float] | None:
     if not found.size:
         return 0, 0.0
     last = int(found[-1])
-    return None if last == structure.n_dofs - 1 else (len(found), float(known.omega[last]))
+    return None if last == structure.n_modes - 1 else (len(found), float(known.omega[last]))
 
 
 def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:

@@ -212,16 +212,20 @@ class MasslessStructure(ReducedStructure):
         static: ResidualFlexibility | None = None,
         reference: MasslessStructure | None = None,
     ) -> None:
-        """Of Phi^T B (n_modes, n_pairs), Phi^T f (3, n_modes) and S."""
+        """Of Phi^T B (n_modes, n_pairs), Phi^T f (3, n_modes) or the load on all coordinates
+        (3, n_dofs), and S."""
         count, extra, shared = len(squares), len(compliance), whole.n_pairs
         omega = np.sqrt(np.maximum(squares, 0.0))
         stiffness = sparse.block_diag([sparse.diags(squares), compliance]).tocsr()
         mass = sparse.diags(np.repeat([1.0, 0.0], [count, extra])).tocsr()
-        # The amplitudes of the load's parts are unknowns whose force is S times themselves.
-        patterns = np.zeros((3, extra))
-        patterns[:, shared:] = _patterns(whole)
+        if extra and force.shape[1] == count:
+            # The amplitudes of the load's parts are unknowns whose force is S times themselves.
+            patterns = np.zeros((3, extra))
+            patterns[:, shared:] = _patterns(whole)
+            force = np.hstack([force, patterns @ compliance])
         rate: np.ndarray = np.zeros(count)
         if isinstance(damping, ModalDamping):
+            damping = _of_modes(damping, count)
             rate = 2.0 * np.asarray(damping.ratio) * omega
         elif isinstance(damping, RayleighDamping):
             rate = damping.rate(squares)
@@ -232,7 +236,7 @@ class MasslessStructure(ReducedStructure):
             distributed(mass, MPI.COMM_SELF),
             distributed(stiffness, MPI.COMM_SELF),
             sparse.csr_matrix(np.vstack([pairs, compliance[:, :shared]])),
-            force=np.hstack([force, patterns @ compliance]),
+            force=force,
             clearance=whole.clearance,
             damping=_padded(damping, extra),
             nodes=whole.nodes,
@@ -254,6 +258,17 @@ class MasslessStructure(ReducedStructure):
         return len(self.omega)
 
     @property
+    def known_modes(self) -> tuple[np.ndarray, np.ndarray]:
+        """omega, and the unit vectors of the modes' coordinates."""
+        return self.omega, np.eye(self.n_dofs, self.n_modes)
+
+    @property
+    def compliance(self) -> np.ndarray:
+        """S: (n_dofs - n_modes,) * 2."""
+        place = range(self.n_modes, self.n_dofs)
+        return np.asarray(self.stiffness.getValues(place, place))
+
+    @property
     def residual(self) -> np.ndarray:
         """R_inf = B^T G B: (n_pairs, n_pairs) [m/N]."""
         rows = self.gap[self.n_modes :].toarray()
@@ -267,9 +282,7 @@ class MasslessStructure(ReducedStructure):
     @property
     def basis(self) -> np.ndarray:  # type: ignore[override]
         """Phi: (whole.n_local, n_modes)."""
-        return (
-            np.eye(self.n_dofs)[:, : self.n_modes] if self._static is None else self._static.shapes
-        )
+        return np.eye(self.n_dofs, self.n_modes) if self._static is None else self._static.shapes
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
         """u = Phi q + G X c of coordinates (m, n_dofs): (m, whole.n_local) (collective)."""
@@ -300,8 +313,8 @@ class MasslessStructure(ReducedStructure):
             self.omega**2,
             damping,
             self.gap[:count].toarray(),
-            self.force[:, :count],
-            np.linalg.pinv(self.flexibility, hermitian=True),
+            self.force,
+            self.compliance,
             static=self._static,
             reference=reference,
         )
@@ -311,9 +324,17 @@ BLOCK = 16
 """Static solutions that are held at a time."""
 
 
-def massless(structure: Structure) -> MasslessStructure | None:
+def massless(structure: Structure | None) -> MasslessStructure | None:
     """The structure itself if its lips have no mass, else None."""
     return structure if isinstance(structure, MasslessStructure) else None
+
+
+def _of_modes(damping: ModalDamping, count: int) -> ModalDamping:
+    """Of so many modes; those beyond the damped ones have the last ratio."""
+    if isinstance(damping.ratio, float):
+        return ModalDamping(damping.ratio)
+    ratio = [*damping.ratio][:count]
+    return ModalDamping(ratio + ratio[-1:] * (count - len(ratio)))
 
 
 def _patterns(whole: Structure) -> np.ndarray:

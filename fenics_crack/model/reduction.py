@@ -171,13 +171,9 @@ def _damping_of_modes(
     structure: Structure, shapes: np.ndarray, squares: np.ndarray
 ) -> DampingRule | np.ndarray | None:
     """Of all modes that are kept."""
-    damping = structure.damping
-    if not isinstance(damping, ModalDamping):
-        return _damping(structure, shapes, squares)  # or Rayleigh's
-    if isinstance(damping.ratio, float):
-        return ModalDamping(damping.ratio)
-    ratio = list(damping.ratio)[: len(squares)]
-    return ModalDamping(tuple(ratio + ratio[-1:] * (len(squares) - len(ratio))))
+    if isinstance(structure.damping, ModalDamping):
+        return structure.damping
+    return _damping(structure, shapes, squares)  # or Rayleigh's
 
 
 def _rule_of_all(structure: Structure) -> DampingRule | None:

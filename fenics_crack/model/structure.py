@@ -173,6 +173,17 @@ class Structure:
         return int(self.mass.size[0])
 
     @property
+    def n_modes(self) -> int:
+        """Number of natural modes: of coordinates with mass."""
+        return self.n_dofs
+
+    @property
+    def known_modes(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """omega (n_modes,) [rad/s] and shapes (n_local, n_modes) where these are its coordinates,
+        else None."""
+        return None
+
+    @property
     def n_local(self) -> int:
         """Number of degrees of freedom that this rank owns."""
         return int(self.mass.local_size[0])

@@ -184,7 +184,8 @@ class Contact(Table):
     """Penalty stiffness k of one pair [N/m]; or give it per area."""
     stiffness_per_area: float | None = positive(None)
     """Penalty stiffness per area of the lip [N/m^3]: independent of the mesh."""
-    law: str = choice("penalty", "smoothed", "constraint", default="penalty")
+    law: str = choice("penalty", "smoothed", "unilateral", default="penalty")
+    """"unilateral": no penetration."""
     sharpness: float | None = positive(None)
     """s of the smoothed law [1/m]."""
     pairs: str = choice("all", "mouth", default="all")
@@ -193,7 +194,7 @@ class Contact(Table):
     def __post_init__(self) -> None:
         super().__post_init__()
         law = f"law = {self.law!r}"
-        if self.law == "constraint":
+        if self.law == "unilateral":
             self.leave_out(("stiffness", "stiffness_per_area"), law)
         else:
             one = (self.stiffness is None) != (self.stiffness_per_area is None)
@@ -267,7 +268,9 @@ class Reduction(Table):
     with the default basis.
     """
 
-    method: str = choice("free_interface", "craig_bampton", "off", default="free_interface")
+    method: str | None = choice("massless", "free_interface", "craig_bampton", "off", default=None)
+    """Default: "massless" (modes, and lips without mass) with contact, unless all modes are kept;
+    without contact "free_interface"."""
     modes: int | None = at_least_one(None)
     """Lowest modes to keep; default: those that are damped, but 50 where all are."""
 
@@ -297,14 +300,17 @@ class Curve(Table):
 class Integration(Table):
     """Direct integration in time, from rest."""
 
-    method: str = choice("central_difference", "implicit", "events", default="central_difference")
-    """"events": exact from one switching instant to the next, for few pairs."""
+    method: str | None = choice(
+        "exponential", "central_difference", "implicit", "events", default=None
+    )
+    """"events": exact from one switching instant to the next, for few pairs. Default: "exponential"
+    where lips have no mass, else "central_difference"."""
     periods: int = at_least_one(400)
     """Load periods at most."""
     settle: float = positive(1e-3)
     """Relative change of the gaps from one period to the next at which to stop."""
     steps_per_period: int | None = at_least_one(None)
-    """Default: twice what is stable (central differences), 512 (implicit)."""
+    """Default: 512; twice what is stable (central differences), 256 (events)."""
 
 
 @dataclass(frozen=True)

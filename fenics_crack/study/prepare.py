@@ -68,6 +68,7 @@ def prepare(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, whole: bool = Fals
     table = None if whole else reduction_of(scene, structure)
     if table is None:
         return Study(scene, structure, law)
+    assert table.method is not None
     settled = scene.replace({f"reduction.{name}": value for name, value in asdict(table).items()})
     return Study(settled, reduce_structure(structure, modes=table.modes, method=table.method), law)
 
@@ -76,17 +77,25 @@ def reduction_of(scene: Scene, structure: Structure) -> Reduction | None:
     """How the structure of a scene is reduced; None if it is not.
 
     Without the table ``[reduction]`` a structure of up to 100 dofs on one rank is not reduced. If
-    all modes are damped and no number of modes is given, 50 are kept.
+    all modes are damped and no number of modes is given, 50 are kept. Lips lose their mass unless
+    the scene names another method, there are none, all modes are kept, or the structure would not
+    be reduced on one rank.
     """
     table = scene.reduction
     if table is None:
-        if structure.comm.size == 1 and structure.n_dofs <= FEW_DOFS:
+        few = structure.n_dofs <= FEW_DOFS
+        if few and structure.comm.size == 1:
             return None
-        table = Reduction()
+        table = Reduction("free_interface" if few else None)
     if table.method == "off":
         return None
-    if table.modes is None and scene.damping.modes == "all":
-        table = replace(table, modes=min(MODES, structure.n_dofs))
+    kept = scene.damping.modes if table.modes is None else table.modes
+    if isinstance(kept, str):  # "all"
+        kept = min(MODES, structure.n_dofs)
+        table = replace(table, modes=kept)
+    if table.method is None:
+        lips = structure.n_pairs > 0 and kept < structure.n_dofs
+        table = replace(table, method="massless" if lips else "free_interface")
     return table
 
 
@@ -110,7 +119,7 @@ def contact_law(contact: Contact, structure: Structure | None = None) -> Contact
     """
     if not isinstance(contact, Contact):
         raise InputError("contact", contact, "the contact table of a scene")
-    if contact.law == "constraint":
+    if contact.law == "unilateral":
         return UnilateralConstraint()
     stiffness: float | np.ndarray | None = contact.stiffness
     if contact.stiffness_per_area is not None:

@@ -20,6 +20,8 @@ from fenics_crack.files.store import read_scene
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes, solve_modes
+from fenics_crack.model.reduced import massless
+from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Integration, Scene
 from fenics_crack.stability.floquet import floquet
@@ -29,6 +31,7 @@ from fenics_crack.time.central_differences import (
     stable_steps_per_period,
 )
 from fenics_crack.time.events import MAX_PAIRS, integrate_events
+from fenics_crack.time.exponential import integrate_exponential
 from fenics_crack.time.implicit import integrate_implicit
 from fenics_crack.time.march import TimeHistory
 
@@ -91,7 +94,9 @@ def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution
         structure, omega, law, harmonics=table.harmonics, samples=table.samples, throw=False
     )
     quick = is_piecewise_linear(law) or structure.n_dofs <= FEW_DOFS
-    if solution.converged and quick and is_small(structure) and not is_rigid(law):
+    if is_rigid(law):
+        quick = massless(structure) is not None
+    if solution.converged and quick and is_small(structure):
         solution = replace(solution, stability=floquet(structure, solution))
     return Run(**vars(study), result=solution)
 
@@ -105,8 +110,9 @@ def follow_curve(
         raise InputError("curve", None, "given for this command: a table with start and stop")
     study = prepare(scene, comm)
     law = _needed_law(study)
-    if is_rigid(law):
-        raise InputError("contact.law", "constraint", "'penalty' or 'smoothed' for a curve")
+    if is_rigid(law) and massless(study.structure) is None:
+        allowed = "'penalty' or 'smoothed', or used with reduction.method = 'massless', for a curve"
+        raise InputError("contact.law", "unilateral", allowed)
     options: dict[str, Any] = {
         "harmonics": balance.harmonics,
         "samples": balance.samples,
@@ -131,10 +137,14 @@ def integrate(
         raise InputError("reduction.method", "off", "a reduction, or one rank, for this command")
     study = prepare(scene, comm)
     structure, omega = study.structure, scene.excitation.omega
-    if table.method == "events" and structure.n_pairs > MAX_PAIRS:
-        allowed = f"another with {structure.n_pairs} contact pairs: it takes {MAX_PAIRS} at most"
-        raise InputError("integration.method", "events", allowed)
+    method = _method(table, structure)
     law = _needed_law(study)
+    if method == "exponential" and not (is_piecewise_linear(law) or is_rigid(law)):
+        allowed = "'penalty' or 'unilateral' with integration.method = 'exponential'"
+        raise InputError("contact.law", scene.contact and scene.contact.law, allowed)
+    if method == "exponential" and is_rigid(law) and massless(structure) is None:
+        allowed = "'implicit' with contact.law = 'unilateral', or reduction.method = 'massless'"
+        raise InputError("integration.method", method, allowed)
     options: dict[str, Any] = {
         "periods": table.periods,
         "settle": table.settle,
@@ -143,18 +153,36 @@ def integrate(
     }
     march: Callable[..., TimeHistory]
     steps = table.steps_per_period
-    if table.method == "events":
+    if method == "events":
         if not is_piecewise_linear(law):
             name = scene.contact and scene.contact.law
             raise InputError("contact.law", name, "'penalty' with integration.method = 'events'")
         march, steps = integrate_events, steps or 256
-    elif table.method == "implicit":
+    elif method == "implicit":
         march, steps = integrate_implicit, steps or 512
+    elif method == "exponential":
+        march, steps = integrate_exponential, steps or 512
     else:
         march = integrate_central_difference
         steps = steps or 2 * stable_steps_per_period(structure, omega, law)
     history = march(structure, omega, law, steps_per_period=steps, **options)
     return Run(**vars(study), result=history)
+
+
+def _method(table: Integration, structure: Structure) -> str:
+    """How a structure is integrated: as the table says, or the default; InputError if it cannot."""
+    lips = massless(structure) is not None
+    method = table.method or ("exponential" if lips else "central_difference")
+    allowed = ""
+    if lips and method != "exponential":
+        allowed = "'exponential' where lips have no mass, or reduction.method = 'free_interface'"
+    elif method == "exponential" and not is_small(structure):
+        allowed = f"another with {structure.n_dofs} dofs, or reduction.method = 'massless'"
+    elif method == "events" and structure.n_pairs > MAX_PAIRS:
+        allowed = f"another with {structure.n_pairs} contact pairs: it takes {MAX_PAIRS} at most"
+    if allowed:
+        raise InputError("integration.method", method, allowed)
+    return method
 
 
 def _needed_law(study: Study) -> ContactLaw:

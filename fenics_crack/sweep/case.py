@@ -10,7 +10,6 @@ import numpy as np
 import scipy.sparse as sparse
 from mpi4py import MPI
 
-from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.harmonic_balance import solve_harmonic_balance, solve_linear
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError, InputError
@@ -18,7 +17,7 @@ from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.damping import DampingRule
 from fenics_crack.model.matrices import distributed
 from fenics_crack.model.modal import is_small
-from fenics_crack.model.reduced import ReducedStructure
+from fenics_crack.model.reduced import MasslessStructure, ReducedStructure, massless
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stability.floquet import FEW_PAIRS, floquet
@@ -37,6 +36,8 @@ class Arrays:
     """A small structure in plain arrays, to be sent to other ranks."""
 
     reduced: bool
+    modes: int | None
+    """How many have mass, where the lips have none."""
     mass: sparse.csr_matrix
     stiffness: sparse.csr_matrix
     gap: sparse.csr_matrix
@@ -56,6 +57,7 @@ class Arrays:
         reference = structure.reference if isinstance(structure, ReducedStructure) else None
         return cls(
             reduced=isinstance(structure, ReducedStructure),
+            modes=None if massless(structure) is None else structure.n_modes,
             mass=_rows(structure.mass),
             stiffness=_rows(structure.stiffness),
             gap=structure.gap,
@@ -86,7 +88,26 @@ class Arrays:
         reference = None if self.reference is None else self.reference.structure()
         assert reference is None or isinstance(reference, ReducedStructure)
         squares = self.stiffness.diagonal()
+        if self.modes is not None:
+            return self._massless(plain, squares[: self.modes], reference)
         return ReducedStructure(plain, np.eye(len(squares)), squares, self.damping, reference)
+
+    def _massless(
+        self, plain: Structure, squares: np.ndarray, reference: ReducedStructure | None
+    ) -> MasslessStructure:
+        """One whose lips have no mass, of all of its coordinates as a plain structure."""
+        count, damping = len(squares), self.damping
+        if isinstance(damping, np.ndarray):
+            damping = damping[:count, :count]
+        return MasslessStructure(
+            plain,
+            squares,
+            damping,
+            self.gap[:count].toarray(),
+            self.force,
+            self.stiffness[count:, count:].toarray(),
+            reference=massless(reference),
+        )
 
 
 def _rows(matrix: Any) -> sparse.csr_matrix:
@@ -195,9 +216,8 @@ def _response(solution: PeriodicSolution, case: Scene) -> float:
     if sizes[name] == 0.0:
         return np.nan
     row = solution.structure.force[FORCES.index(name)] / sizes[name]
-    wave = solution.displacement_coefficients @ row[:, None]
     instants = np.linspace(0.0, solution.period, 1024, endpoint=False)
-    return float(np.ptp(evaluate(wave, solution.base_omega, instants)) / 2.0)
+    return float(np.ptp(solution.coordinates(instants) @ row) / 2.0)
 
 
 def _verdict(solution: PeriodicSolution) -> Found:

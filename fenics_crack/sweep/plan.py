@@ -49,7 +49,7 @@ class Plan:
         swept = {axis.key: axis.values for axis in self._axes}
         keys = list(swept)
         if scene.sweep.ranks > 1 and scene.reduction is None:  # on one rank too
-            self._base = self._base.replace({"reduction.method": "free_interface"})
+            self._base = self._base.replace({"reduction.method": None})
         self.shape = shape_of(scene)  # of the table of cases
         # Where the force is swept, geometries are built with unit loads.
         self.unit_loads = any(f"excitation.{name}" in keys for name in FORCES)

@@ -32,10 +32,10 @@ import numpy as np
 from mpi4py import MPI
 from mpi4py.futures import MPICommExecutor
 
-from fenics_crack.balance.compliance import dynamic_compliance
 from fenics_crack.balance.condensed import default_weight
 from fenics_crack.balance.error_report import LARGE_ERROR, ErrorReport
 from fenics_crack.balance.harmonic_balance import solve_linear
+from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import InputError
 from fenics_crack.files.results import check_gap, check_pairs
@@ -287,8 +287,9 @@ class SweepResult(Tabular):
             return solve_linear(structure, omega, harmonics=case.harmonic_balance.harmonics)
         gap, force = read_waves(self.path, place)
         check_pairs(structure, gap)
-        compliance = dynamic_compliance(structure, omega, len(gap) // 2)
-        if is_rigid(law):
+        problem = Problem(structure, omega, law, len(gap) // 2)
+        compliance = problem.compliance()
+        if is_rigid(law) and problem.residual is None:
             law = UnilateralConstraint(default_weight(compliance))
         names = ("residual", "truncation", "sampling", "reduction")
         errors = {name: float(self[f"{name}_error"][place]) for name in names}
@@ -304,6 +305,7 @@ class SweepResult(Tabular):
             status=str(self["status"][place]),
             iterations=int(self["iterations"][place]),
             report=ErrorReport(**errors, penetration=float(self["penetration_share"][place])),
+            static_above=None if problem.residual is None else problem.cutoff,
         )
         compliance.destroy()
         return solution

@@ -50,7 +50,7 @@ from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.modes import by_columns, largest_frequency
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import collect_garbage
-from fenics_crack.time.march import March, TimeHistory, Window, march
+from fenics_crack.time.march import March, TimeHistory, Window, check_mass, march
 from fenics_crack.time.steps import StepScheme, inverse_of, solve_once
 
 __all__ = ["integrate_central_difference", "stable_steps_per_period"]
@@ -62,6 +62,7 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
     dt <= 2 / omega_max with every pair closed by its spring; with a constraint, which lowers the
     largest frequency, with every pair open.
     """
+    check_mass(structure)
     check_omega(omega)
     check_law(structure, contact, rigid=True)
     closed = structure if is_rigid(contact) else structure.tied(contact.stiffness)
@@ -93,7 +94,8 @@ def integrate_central_difference(
     Raises
     ------
     InputError
-        An argument cannot be used, or the step is longer than the stable one.
+        An argument cannot be used, the lips have no mass, or the step is longer than the stable
+        one.
     ConvergenceError
         The motion grows without bound, or contact creates more energy than the load puts in: the
         steps are too long. Or no contact forces keep the lips from penetrating.

@@ -19,7 +19,7 @@ from fenics_crack.errors import ConvergenceError, InputError, check_omega
 from fenics_crack.model.contact import ContactLaw, check_law, is_piecewise_linear
 from fenics_crack.model.modal import AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
-from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
+from fenics_crack.time.march import March, Scheme, TimeHistory, Window, check_mass, march
 from fenics_crack.time.regime import FreeMotion, Gaps, Regime, next_event
 
 __all__ = ["MAX_PAIRS", "EventFlow", "integrate_events"]
@@ -167,10 +167,12 @@ def integrate_events(
     Raises
     ------
     InputError
-        The structure is too large or has too many pairs, or an argument cannot be used.
+        The structure is too large, has too many pairs or no mass at its lips, or an argument
+        cannot be used.
     ConvergenceError
         Pairs open and close without end.
     """
+    check_mass(structure)
     asked = March(structure, omega, contact, periods, steps_per_period, **options)
     return march(asked, _ByEvents(asked))
 

@@ -64,6 +64,8 @@ class _ByExponentials(Scheme):
             structure, asked.omega, asked.contact, asked.steps_per_period
         )
         self._columns, self._load_rows = asked.recorded_dofs, asked.load_rows
+        # Coordinates without mass are no displacements: compared by the work of the load.
+        self._load_sizes = np.linalg.norm(structure.force[:, asked.load_rows], axis=0)
         self._state = flow.state(*asked.start)
         self._force = np.zeros(structure.n_pairs)
         self._contact = asked.contact
@@ -78,7 +80,7 @@ class _ByExponentials(Scheme):
         window.gap[:], window.force[:] = steps.gap, steps.forces[:-1]
         motion = flow.coordinates(steps.states, steps.forces)
         window.motion[:] = motion[:-1, self._columns]
-        window.load_motion[:] = motion[:-1, self._load_rows]
+        window.load_motion[:] = motion[:-1, self._load_rows] * self._load_sizes
         self._state, self._force = steps.states[-1], steps.forces[-1]
         self._motion = motion[-1]
         self._book(steps, motion)

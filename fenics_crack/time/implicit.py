@@ -67,7 +67,7 @@ from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.modes import by_columns
 from fenics_crack.model.structure import Structure
-from fenics_crack.time.march import March, TimeHistory, Window, march
+from fenics_crack.time.march import March, TimeHistory, Window, check_mass, march
 from fenics_crack.time.steps import StepScheme, inverse_of, solve_once
 
 __all__ = ["integrate_implicit"]
@@ -103,7 +103,7 @@ def integrate_implicit(
     Raises
     ------
     InputError
-        An argument cannot be used.
+        An argument cannot be used, or the lips have no mass.
     ConvergenceError
         The contact forces of a step were not found, or the scheme creates more energy than the
         load puts in: the steps are too long for this contact.
@@ -112,6 +112,7 @@ def integrate_implicit(
     -----
     Two columns of n_local numbers are kept for each pair.
     """
+    check_mass(structure)
     check_number("spectral_radius", spectral_radius, 0.0)
     if spectral_radius > 1.0:
         raise InputError("spectral_radius", spectral_radius, "a number from 0 to 1")

@@ -21,6 +21,7 @@ import fenics_crack as fc
 from fenics_crack.cli.command_line import main
 from fenics_crack.cli.remarks import in_words
 from fenics_crack.fem.plate import write_msh
+from fenics_crack.study import run as study_run
 
 ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
 PAPER = ROOT / "demos" / "paper_plate.toml"
@@ -73,12 +74,12 @@ def test_numbers_are_those_of_the_library(tmp_path: Path, capsys: pytest.Capture
     np.testing.assert_allclose(corner, wanted, atol=1e-12 * np.abs(wanted).max())
 
 
-@pytest.mark.parametrize("law", ["constraint", "smoothed"])
+@pytest.mark.parametrize("law", ["unilateral", "smoothed"])
 def test_other_laws_read_back(tmp_path: Path, law: str) -> None:
-    """Also the constraint and the smoothed law."""
+    """Also no penetration, and the smoothed law."""
     words = ["solve", str(ROOT / "demos" / "paper_plate.toml"), "--quiet",
              "--output", str(tmp_path), "--set", f"contact.law={law}"]  # fmt: skip
-    if law == "constraint":
+    if law == "unilateral":
         words += ["--set", "contact.stiffness=none"]
     else:
         words += ["--set", "contact.sharpness=1e8", "--set", "contact.stiffness=1e9"]
@@ -100,15 +101,21 @@ def test_uncracked_plate(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     assert "crack" in capsys.readouterr().err
 
 
+FREE = "reduction.method=free_interface"
 REMARKS = [
     # (command and settings, what is said of harmonics that nothing damps)
     ("solve", ""),
     ("solve damping.modes=3", "beyond the 3 damped modes (8579.27 rad/s): nothing damps what"),
     ("solve damping.modes=1", "H w = 10000 rad/s reach beyond the damped mode (2302.87"),
     ("solve damping.modes=3 harmonic_balance.harmonics=4", ""),
-    ("solve damping.modes=3 reduction.modes=10", "beyond the 3 damped modes (8579.27 rad/s)"),
-    ("solve damping.modes=3 reduction.modes=2", "beyond the 3 damped modes (8579.27 rad/s)"),
-    ("solve reduction.modes=2", ""),
+    (f"solve damping.modes=3 {FREE} reduction.modes=10", "the 3 damped modes (8579.27 rad/s)"),
+    (f"solve damping.modes=3 {FREE} reduction.modes=2", "the 3 damped modes (8579.27 rad/s)"),
+    (f"solve {FREE} reduction.modes=2", ""),
+    ("solve damping.modes=3 reduction.modes=10", ""),  # without mass all that are kept are damped
+    ("check damping.modes=3 reduction.modes=10", ""),
+    ("check damping.modes=3 damping.ratio=[0.1,0.1,0.0] reduction.modes=10", "the 2 damped modes"),
+    ("check damping.ratio=0 reduction.modes=10", "up to H w = 10000 rad/s: nothing damps what"),
+    (f"check damping.modes=3 {FREE} reduction.modes=10", "the 3 damped modes"),
     ("solve damping.ratio=0", "up to H w = 10000 rad/s: nothing damps what they excite"),
     ("solve damping.ratio=none damping.mass=20", ""),
     ("solve damping.modes=3 crack=none contact=none", ""),
@@ -119,6 +126,7 @@ REMARKS = [
     ("check damping.modes=3 excitation.omega=1700 curve.start=1 curve.stop=2e3", "H w = 10000 "),
     ("sweep damping.modes=3 sweep.over={'excitation.omega'=[1700.0,2000.0]}", "H w = 10000 rad/s"),
     ("sweep damping.modes=3 sweep.over={'excitation.omega'=[1700.0]}", ""),
+    ("sweep damping.modes=3 reduction.modes=9 sweep.over={'excitation.omega'=[2000.0]}", ""),
     ("sweep sweep.over={'excitation.omega'=[2000.0]}", ""),
     ("sweep damping.modes=1000 sweep.over={'damping.modes'=[3]}", ""),
 ]
@@ -141,6 +149,33 @@ def test_harmonics_that_nothing_damps(
 
 
 @pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ("", False),
+        ("damping.modes=3", True),
+        (f"damping.modes=3 reduction.modes=10 {FREE}", True),
+        ("damping.modes=3 reduction.modes=10", False),  # without mass all that are kept are damped
+    ],
+)
+def test_hint_to_damp_more_modes(
+    changes: str,
+    expected: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
+) -> None:
+    """Of an undecided orbit, where there are modes without damping."""
+    undecided = fc.Stability(np.array([1.0 + 0j]), "undecided", np.nan)
+    monkeypatch.setattr(study_run, "floquet", lambda structure, solution: undecided)
+    words = ["solve", str(PAPER), "--output", str(tmp_path), "--set", "contact.stiffness=1e9"]
+    words += [word for change in changes.split() for word in ("--set", change)]
+    assert main(words) == 0
+    answer = capsys.readouterr().err
+    assert "the orbit is undecided" in answer and "more harmonics may decide it" in answer
+    assert ("or damping of all modes" in answer) == expected
+
+
+@pytest.mark.parametrize(
     ("highest", "damped", "expected"),
     [
         (1e4, None, ""),
@@ -157,6 +192,42 @@ def test_words_of_the_remark(
 ) -> None:
     """From the highest frequency and the range of damped modes."""
     assert in_words(highest, damped) == expected
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ("", "as it is"),
+        ("reduction.modes=1", "1 mode, lips without mass"),
+        ("reduction.method=massless damping.modes=7", "7 modes, lips without mass"),
+        ("mesh.columns=8", "50 modes, lips without mass"),
+        ("reduction.method=craig_bampton", "reduced, craig_bampton, 50 modes"),
+        ("mesh.columns=8 crack=none contact=none", "reduced, free_interface, 50 modes"),
+        ("mesh.columns=8 reduction.method=off", "as it is"),
+    ],
+)
+def test_check_says_how_it_is_solved(
+    changes: str, expected: str, capsys: pytest.CaptureFixture
+) -> None:
+    """As it is, or in what is left after its reduction."""
+    words = (word for change in changes.split() for word in ("--set", change))
+    assert main(["check", str(PAPER), "--format", "json", *words]) == 0
+    rows = {row["what"]: row["value"] for row in json.loads(capsys.readouterr().out)}
+    assert rows["solved"] == expected
+
+
+def test_new_scene(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    """Without penetration, of lips without mass; marched by exponential steps."""
+    path = tmp_path / "plate.toml"
+    assert main(["new", str(path)]) == 0
+    scene = fc.Scene.load(path)
+    assert scene.contact is not None and scene.contact.law == "unilateral"
+    assert scene.contact.stiffness is scene.contact.stiffness_per_area is None
+    run = study_run.integrate(scene)
+    assert isinstance(run.structure, fc.MasslessStructure) and run.structure.n_modes == 20
+    assert run.result.settled <= 1e-3 and run.result.gap.max() < 1e-20
+    assert main(["check", str(path)]) == 0
+    assert "lips without mass" in capsys.readouterr().out
 
 
 def test_not_converged_says_so(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

@@ -75,7 +75,7 @@ def test_scene_names_its_law() -> None:
     assert contact_law(Contact(1e9)) == UnilateralPenalty(1e9)
     smoothed = Contact(1e9, law="smoothed", sharpness=1e8)
     assert contact_law(smoothed) == SmoothedPenalty(1e9, 1e8)
-    assert contact_law(Contact(law="constraint")) == UnilateralConstraint()
+    assert contact_law(Contact(law="unilateral")) == UnilateralConstraint()
 
 
 @pytest.mark.parametrize("weight", [0.0, -1.0, np.nan, np.inf, "heavy", [1.0, -1.0]])

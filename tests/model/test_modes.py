@@ -21,9 +21,10 @@ from fenics_crack import (
     Structure,
     build_structure,
     find_crack_length,
+    reduce_structure,
     solve_modes,
 )
-from fenics_crack.model.modes import damped_modes, largest_frequency, times
+from fenics_crack.model.modes import damped_modes, damped_range, largest_frequency, times
 from fenics_crack.parallel import gather_rows
 
 
@@ -383,3 +384,34 @@ def test_matrices_spread_over_two_ranks(on_ranks: Callable[..., Any]) -> None:
     np.testing.assert_allclose(omega, np.sqrt(squares[:5]), rtol=1e-8)
     assert closing == pytest.approx(np.abs(shapes[:, 0]).sum(), rel=1e-6)
     assert force == 14 * 15 / 2
+
+
+# --- lips without mass ----------------------------------------------------------------------------
+@pytest.mark.filterwarnings("error")
+def test_modes_of_a_massless_reduction(wide_plate: Structure) -> None:
+    """Those to which the plate was reduced, as the plate has them; not more."""
+    reduced = reduce_structure(wide_plate, modes=6, method="massless")
+    found, whole = solve_modes(reduced, 4), solve_modes(wide_plate, 4)
+    np.testing.assert_allclose(found.omega, whole.omega, rtol=1e-12)
+    expanded = reduced.expand(found.shapes.T).T
+    np.testing.assert_allclose(expanded, whole.shapes, atol=1e-9 * np.abs(whole.shapes).max())
+    with pytest.raises(InputError, match="a whole number from 1 to n_modes = 6"):
+        solve_modes(reduced, 7)
+    known = damped_modes(reduced)
+    assert known is not None and known.shapes.shape == (reduced.n_dofs, 6)
+    assert damped_range(reduced) is None
+    assert damped_range(reduced.damped(ModalDamping((0.1, 0.1, 0.0, 0.0, 0.0, 0.0)))) == (
+        2, pytest.approx(reduced.omega[1]),
+    )  # fmt: skip
+
+
+def test_another_damping_of_a_varied_massless_reduction(wide_plate: Structure) -> None:
+    """Keeps the load and the clearance, also where a part of the load is new."""
+    load = np.array([[0.0, 0.0, 0.5], [0.0, 1.0, 0.0], [0.0, 0.0, 2.0]])
+    varied = reduce_structure(wide_plate, modes=6, method="massless").varied(
+        load=load, clearance=1e-6
+    )
+    found = varied.damped(ModalDamping(0.1))
+    np.testing.assert_array_equal(found.force, varied.force)
+    np.testing.assert_array_equal(found.clearance, varied.clearance)
+    assert str(found).endswith("modal damping 10 %)")

@@ -125,8 +125,8 @@ def test_a_good_file_loads(tmp_path: Path) -> None:
         {"contact.law": "smoothed", "contact.sharpness": 1e9},
         {"contact": {"stiffness_per_area": 1e12}},
         {"contact": {"stiffness_per_area": 1e12, "law": "smoothed", "sharpness": 1e9}},
-        {"contact": {"law": "constraint"}},
-        {"contact": {"law": "constraint", "pairs": "mouth"}},
+        {"contact": {"law": "unilateral"}},
+        {"contact": {"law": "unilateral", "pairs": "mouth"}},
         {"damping": {"ratio": [0.01, 0.0], "modes": 2}},
         {"damping": {"ratio": [0.01, 0.02]}},
         {"damping": {"mass": 10.0}},
@@ -229,9 +229,9 @@ BAD: list[tuple[str, dict[str, Any]]] = [
         "contact.stiffness",
         {"contact.stiffness_per_area": 1e12, "contact.law": "smoothed", "contact.sharpness": 1e9},
     ),
-    ("contact.stiffness", {"contact.law": "constraint"}),
-    ("contact.stiffness_per_area", {"contact": {"law": "constraint", "stiffness_per_area": 1e12}}),
-    ("contact.sharpness", {"contact": {"law": "constraint", "sharpness": 1e9}}),
+    ("contact.stiffness", {"contact.law": "unilateral"}),
+    ("contact.stiffness_per_area", {"contact": {"law": "unilateral", "stiffness_per_area": 1e12}}),
+    ("contact.sharpness", {"contact": {"law": "unilateral", "sharpness": 1e9}}),
     *(
         ("contact.stiffness_per_area", {"contact": {"stiffness_per_area": value}})
         for value in (0.0, -1e12, math.nan, math.inf, "1e12", True, [1e12])
@@ -372,7 +372,7 @@ def test_replace_changes_the_kind_of_stiffness() -> None:
     scene = Scene.from_mapping(GOOD)
     by_area = scene.replace({"contact.stiffness": None, "contact.stiffness_per_area": 1e12})
     assert by_area == Scene.from_mapping(changed({"contact": {"stiffness_per_area": 1e12}}))
-    rigid = scene.replace({"contact.stiffness": None, "contact.law": "constraint"})
+    rigid = scene.replace({"contact.stiffness": None, "contact.law": "unilateral"})
     assert rigid.contact is not None
     assert (rigid.contact.stiffness, rigid.contact.stiffness_per_area) == (None, None)
     for change in ({"contact.stiffness": None}, {"contact.stiffness_per_area": 1e12}):
@@ -558,7 +558,7 @@ LEAVES = st.one_of(
     st.floats(),
     st.text(),
     st.sampled_from(
-        ["left", "right", "all", "grid", "graded", "file", "smoothed", "constraint", "mouth"]
+        ["left", "right", "all", "grid", "graded", "file", "smoothed", "unilateral", "mouth"]
     ),
     st.datetimes(),
     st.dates(),

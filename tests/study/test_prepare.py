@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack.fem import build
+from fenics_crack.scene.scene import Reduction
+from fenics_crack.study.prepare import reduction_of
 
 FINE = {
     "mesh.layout": "graded", "mesh.columns": None, "mesh.rows": None, "mesh.size": 0.02,
@@ -52,6 +55,42 @@ def test_reduction_stands_in_the_scene(scene: fc.Scene) -> None:
     again = fc.prepare(study.scene, MPI.COMM_SELF)
     assert again.scene == study.scene and again.structure.n_dofs == study.structure.n_dofs
     assert study.contact == fc.UnilateralPenalty(1e11)
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({}, "massless"),
+        ({"contact.stiffness": None, "contact.law": "unilateral"}, "massless"),
+        ({"reduction.modes": 3}, "massless"),
+        ({"reduction.method": "massless"}, "massless"),
+        ({"damping.modes": "all"}, "massless"),
+        ({"reduction.modes": 100_000}, "free_interface"),  # refused later
+        ({"reduction.method": "free_interface"}, "free_interface"),
+        ({"reduction.method": "craig_bampton"}, "craig_bampton"),
+        ({"reduction.method": "off"}, None),
+        ({"crack": None, "contact": None, "mesh.size": 0.01}, "free_interface"),
+        ({"crack": None, "contact": None, "reduction.modes": 3}, "free_interface"),
+    ],
+)
+def test_default_reduction(scene: fc.Scene, changes: dict[str, Any], expected: str | None) -> None:
+    """Of a large structure with contact: lips without mass, unless the scene says otherwise."""
+    if "crack" not in changes:
+        changes = changes | {"crack.length": 0.05, "crack.first_omega": None}
+    scene = scene.replace(changes)
+    table = reduction_of(scene, fc.build_structure(scene, MPI.COMM_SELF))
+    assert (table and table.method) == expected
+
+
+def test_default_reduction_of_few_dofs(paper_scene: fc.Scene) -> None:
+    """None; and where all modes are kept, nothing is left to be without mass."""
+    plate = fc.build_structure(paper_scene, MPI.COMM_SELF)
+    assert reduction_of(paper_scene, plate) is None
+    asked = {2: "massless", 49: "massless", 50: "free_interface", None: "free_interface"}
+    for modes, method in asked.items():
+        given = dataclasses.replace(paper_scene, reduction=Reduction(modes=modes))
+        table = reduction_of(given, plate)
+        assert table is not None and table.method == method and table.modes == (modes or 50)
 
 
 def test_whole_is_not_reduced(scene: fc.Scene) -> None:

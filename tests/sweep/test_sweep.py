@@ -35,6 +35,7 @@ GRADED = SOFT | {
     "mesh.lip_elements": 3, "damping.modes": 10, "contact.stiffness": 1e9,
     "reduction.method": "free_interface",
 }  # fmt: skip
+MASSLESS = GRADED | {"reduction.method": None, "crack.clearance": 1e-8}
 FAST = {"excitation.omega": [1900.0, 2000.0], "harmonic_balance.harmonics": [3, 5]}
 
 
@@ -131,11 +132,11 @@ def test_table_is_the_product_of_the_axes(paper_scene: fc.Scene, tmp_path: Path)
 def test_force_clearance_and_law_are_swept_without_a_new_geometry(
     paper_scene: fc.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Reduced with unit loads; both directions and phases, preload, and the constraint."""
+    """Reduced with unit loads; both directions and phases, preload, and no penetration."""
     over = {
         "excitation.force_cos": [(0.0, 0.0), (30.0, 200.0)],
         "crack.clearance": [0.0, -1e-7],
-        "contact.law": ["penalty", "constraint"],
+        "contact.law": ["penalty", "unilateral"],
     }
     scene = swept(paper_scene, over, GRADED | {"harmonic_balance.harmonics": 4})
     built = []
@@ -143,7 +144,7 @@ def test_force_clearance_and_law_are_swept_without_a_new_geometry(
     monkeypatch.setattr(sweep_case, "prepare", lambda *given: built.append(given) or whole(*given))
     result = run_sweep(scene, tmp_path / "sweep.h5")
     assert len(built) == 1
-    # A stiffness and the constraint exclude each other.
+    # A stiffness and no penetration exclude each other.
     assert not result.converged[..., 1].any() and result.converged[..., 0].all()
     assert "contact.stiffness" in result["status"][0, 0, 1]
     for index in np.ndindex(2, 2):
@@ -168,12 +169,12 @@ def test_force_clearance_and_law_are_swept_without_a_new_geometry(
                       - again.gap_coefficients[1:]).max() < 1e-9 * np.abs(gap).max()  # fmt: skip
 
 
-@pytest.mark.parametrize("reduction", ["off", "free_interface"])
+@pytest.mark.parametrize("reduction", ["off", "free_interface", "massless"])
 def test_a_case_leaves_the_solution_of_another_alone(paper_scene: fc.Scene, reduction: str) -> None:
     """Each has a structure of its own, with its load and clearance, also where it has travelled."""
     given = [(100.0, 0.0), (30.0, -1e-7)]
     cases = [
-        paper_scene.replace(SOFT | {"reduction.method": reduction}).replace(
+        paper_scene.replace(SOFT | {"reduction.method": reduction, "reduction.modes": 9}).replace(
             {"excitation.force_sin": (load, 0.0), "crack.clearance": clearance}
         )
         for load, clearance in given
@@ -196,7 +197,7 @@ def test_a_case_leaves_the_solution_of_another_alone(paper_scene: fc.Scene, redu
 
 def test_constraint(paper_scene: fc.Scene, tmp_path: Path) -> None:
     """No verdict on stability; the solution carries its weight."""
-    changes = {"damping.ratio": 0.01, "contact.stiffness": None, "contact.law": "constraint"}
+    changes = {"damping.ratio": 0.01, "contact.stiffness": None, "contact.law": "unilateral"}
     scene = swept(paper_scene, {"excitation.omega": [1900.0, 2000.0]}, changes)
     result = run_sweep(scene, tmp_path / "sweep.h5")
     assert result.converged.all()
@@ -207,6 +208,42 @@ def test_constraint(paper_scene: fc.Scene, tmp_path: Path) -> None:
     force = solution.contact_force(instants)
     np.testing.assert_allclose(again.contact_force(instants), force, atol=1e-7 * force.max())
     assert result["contact_force"][1] == pytest.approx(force.max(), rel=1e-2)
+
+
+@pytest.mark.parametrize("law", ["penalty", "unilateral"])
+def test_lips_without_mass(paper_scene: fc.Scene, tmp_path: Path, law: str) -> None:
+    """The default of a larger structure, with another load and clearance: as solved by hand."""
+    changes = MASSLESS | {"contact.law": law, "harmonic_balance.harmonics": 6}
+    if law == "unilateral":
+        changes = changes | {"contact.stiffness": None}
+    over = {"excitation.force_cos": [(0.0, 0.0), (30.0, 200.0)], "crack.clearance": [0.0, -1e-7]}
+    scene = swept(paper_scene, over, changes)
+    result = run_sweep(scene, tmp_path / "sweep.h5")
+    assert result.converged.all() and np.all(result["reduction_error"] > 0.0)
+    for index in np.ndindex(2, 2):
+        values = {axis.key: axis.values[at] for axis, at in zip(result.axes, index, strict=True)}
+        plate, solution = by_hand(scene, values)
+        assert isinstance(plate, fc.MasslessStructure)
+        assert isinstance(plate.reference, fc.MasslessStructure)
+        gap = solution.gap_coefficients
+        np.testing.assert_allclose(result.gap(index), gap, atol=1e-6 * np.abs(gap).max())
+        for name in ("truncation", "reduction"):
+            expected = getattr(solution.report, name)
+            assert result[f"{name}_error"][index] == pytest.approx(expected, rel=1e-3)
+        instants = solution.period * np.arange(1024) / 1024
+        components = [plate.find_dof((0.1, 0.1), component) for component in "xy"]
+        motion = solution.displacement(instants, components)
+        force = np.array([100.0, 0.0] if index[0] == 0 else [30.0, 200.0])
+        along = motion @ force / np.linalg.norm(force)
+        assert result["response"][index] == pytest.approx(np.ptp(along) / 2.0, rel=1e-6)
+        again = result.solution(index)
+        for name in ("gap", "contact_force"):
+            one, other = (getattr(found, name)(instants) for found in (solution, again))
+            np.testing.assert_allclose(other, one, atol=1e-5 * np.abs(one).max())
+        np.testing.assert_allclose(
+            again.displacement(instants, components), motion, atol=1e-6 * np.ptp(motion)
+        )
+        assert again.static_above == solution.static_above and again.contact == solution.contact
 
 
 def test_without_a_crack(paper_scene: fc.Scene, tmp_path: Path) -> None:
@@ -425,6 +462,20 @@ def test_ranks_and_groups_give_the_same_table(
         path = tmp_path / f"groups_{ranks}.h5"
         mpirun(program(scene, path), ranks)
         assert_same(alone, SweepResult.load(path), tolerance=1e-9)
+
+
+@pytest.mark.mpi
+def test_lips_without_mass_on_two_ranks(
+    paper_scene: fc.Scene, tmp_path: Path, mpirun: Callable[..., str]
+) -> None:
+    """To the bit where they share the cases, to 1e-9 where they share the mesh."""
+    over = {"excitation.omega": [1600.0, 1700.0, 1800.0], "crack.length": [0.05, 0.06]}
+    alone = run_sweep(swept(paper_scene, over, MASSLESS), tmp_path / "alone.h5")
+    assert alone.converged.all()
+    for ranks, tolerance in ((1, 0.0), (2, 1e-9)):
+        path = tmp_path / f"{ranks}.h5"
+        mpirun(program(swept(paper_scene, over, MASSLESS, ranks=ranks), path), 2)
+        assert_same(alone, SweepResult.load(path), tolerance)
 
 
 @pytest.mark.mpi

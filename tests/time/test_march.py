@@ -10,8 +10,11 @@ from helpers import chain, oscillator, relative
 import fenics_crack as fc
 
 LAW = fc.UnilateralPenalty(1e9)
-SCHEMES = (fc.integrate_central_difference, fc.integrate_implicit, fc.integrate_events)
-all_schemes = pytest.mark.parametrize("scheme", SCHEMES, ids=["central", "implicit", "events"])
+WITH_MASS = (fc.integrate_central_difference, fc.integrate_implicit, fc.integrate_events)
+NAMES = ["central", "implicit", "events"]
+all_schemes = pytest.mark.parametrize(
+    "scheme", [*WITH_MASS, fc.integrate_exponential], ids=[*NAMES, "exponential"]
+)
 Scheme = Callable[..., fc.TimeHistory]
 ZEROS = np.zeros(50)
 
@@ -109,7 +112,7 @@ def test_a_march_without_pairs_settles_by_the_motion_of_its_load(scheme: Scheme)
     assert history.gap.shape == history.contact_force.shape == (128 * history.periods, 0)
 
 
-@all_schemes
+@pytest.mark.parametrize("scheme", WITH_MASS, ids=NAMES)
 def test_one_instant_in_a_period(scheme: Scheme) -> None:
     """A load faster than everything else: books and record take it."""
     structure = oscillator(clearance=1.0)
@@ -132,12 +135,38 @@ def test_history_in_one_line(scheme: Scheme) -> None:
 def test_all_schemes_march_alike() -> None:
     """Same arguments, same motion and force, to the schemes' errors."""
     structure, law = chain("modal"), fc.UnilateralPenalty(4.0)
-    central, implicit, events = (
+    central, implicit, events, exponential = (
         scheme(structure, 0.8, law, periods=3, steps_per_period=1024, record_periods=1, dofs=[2])
-        for scheme in SCHEMES
+        for scheme in (*WITH_MASS, fc.integrate_exponential)
     )
-    for history in (central, implicit):
+    for history in (central, implicit, exponential):
         assert np.array_equal(history.time, events.time)
         assert relative(history.gap, events.gap) < 1e-3
         assert relative(history.contact_force, events.contact_force) < 1e-3
         assert relative(history.displacement([2]), events.displacement([2])) < 1e-3
+
+
+@pytest.mark.parametrize("scheme", WITH_MASS, ids=NAMES)
+def test_lips_without_mass_are_refused(wide_plate: fc.Structure, scheme: Scheme) -> None:
+    """By all schemes but the exponential one, and with them the stable step."""
+    reduced = fc.reduce_structure(wide_plate, modes=10, method="massless")
+    with pytest.raises(fc.InputError, match=r"'free_interface'\), or marched by integrate_expo"):
+        scheme(reduced, 2000.0, LAW, periods=1, steps_per_period=512)
+    with pytest.raises(fc.InputError, match="lips without mass"):
+        fc.stable_steps_per_period(reduced, 2000.0, LAW)
+
+
+def test_exponential_without_pairs(wide_plate: fc.Structure) -> None:
+    """The linear motion, whose end is judged by the modes alone: what has no mass is at rest."""
+    whole = fc.Structure.from_matrices(
+        wide_plate.mass, wide_plate.stiffness, None, damping=fc.ModalDamping(0.05),
+        force_sin=wide_plate.force[2],
+    )  # fmt: skip
+    reduced = fc.reduce_structure(whole, modes=10, method="massless")
+    corner = int(np.argmax(np.abs(whole.force[2])))
+    found = fc.integrate_exponential(reduced, 2000.0, LAW, periods=60, settle=1e-6)
+    assert 20 < found.periods < 60 and found.gap.shape[1] == 0
+    motion = found.by_period(found.displacement([corner]))[-1]
+    linear = fc.solve_linear(whole, 2000.0)
+    expected = linear.displacement(found.time[-512:], [corner])
+    assert relative(motion, expected) < 1e-3

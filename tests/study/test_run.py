@@ -1,0 +1,162 @@
+"""What the commands compute from a scene whose lips lose their mass, and its files and pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import relative
+from mpi4py import MPI
+
+import fenics_crack as fc
+from fenics_crack.balance.solution import Stability
+from fenics_crack.study import run as study_run
+
+RIGID = {"contact.law": "unilateral", "contact.stiffness": None}
+PENALTY = {"contact.stiffness": 1e9}
+FINE = {
+    "mesh.columns": 8, "damping.ratio": 0.02, "reduction.modes": 10,
+    "harmonic_balance.harmonics": 10,
+}  # fmt: skip
+laws = pytest.mark.parametrize("law", [RIGID, PENALTY], ids=["unilateral", "penalty"])
+
+
+@pytest.fixture(autouse=True)
+def judged(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Solutions whose stability was asked for; all are stable."""
+    found: list[Any] = []
+
+    def floquet(structure: fc.Structure, solution: fc.PeriodicSolution) -> Stability:
+        found.append((structure, solution))
+        return Stability(np.array([0.5 + 0j]), "stable", 0.0)
+
+    monkeypatch.setattr(study_run, "floquet", floquet)
+    return found
+
+
+@pytest.fixture
+def scene(paper_scene: fc.Scene) -> fc.Scene:
+    """A plate with four pairs."""
+    return paper_scene.replace(FINE)
+
+
+@laws
+def test_solution_and_motion_agree(
+    scene: fc.Scene, law: dict[str, Any], judged: list[Any], tmp_path: Path
+) -> None:
+    """Balanced with its stability, marched by exponential steps, stored, read and drawn."""
+    scene = scene.replace(law | {"integration.settle": 1e-5, "harmonic_balance.harmonics": 40})
+    solved = study_run.solve(scene, MPI.COMM_SELF)
+    found, plate = solved.result, solved.structure
+    assert isinstance(plate, fc.MasslessStructure)
+    assert solved.scene.reduction is not None and solved.scene.reduction.method == "massless"
+    assert found.converged and found.stability is not None and len(judged) == 1
+    marched = study_run.integrate(scene, MPI.COMM_SELF)
+    history = marched.result
+    assert history.steps_per_period == 512 and history.settled < 1e-5
+    dof = solved.watched_dof
+    last = slice(-512, None)
+    time = history.time[last]
+    assert relative(history.gap[last], found.gap(time)) < 5e-3
+    motion = found.displacement(time, [dof])
+    assert relative(history.displacement([dof])[last], motion) < 2e-3
+
+    # Files.
+    for name, run in (("solution", solved), ("integration", marched)):
+        fc.save(run.result, tmp_path / f"{name}.h5", run.scene)
+    again = fc.load_run(tmp_path / "solution.h5", MPI.COMM_SELF)
+    read = again.result
+    assert isinstance(read, fc.PeriodicSolution) and again.contact == solved.contact
+    assert read.static_above == found.static_above and read.contact == found.contact
+    np.testing.assert_allclose(read.gap(time), found.gap(time), atol=1e-9 * np.ptp(motion))
+    np.testing.assert_allclose(
+        read.displacement(time, [dof]), motion, rtol=1e-9, atol=1e-9 * np.ptp(motion)
+    )
+    motion_again = fc.load_run(tmp_path / "integration.h5", MPI.COMM_SELF).result
+    assert isinstance(motion_again, fc.TimeHistory)
+    np.testing.assert_allclose(
+        motion_again.displacement([dof]), history.displacement([dof]), atol=1e-9 * np.ptp(motion)
+    )
+
+    # The whole displacement closes the gaps as they are, with their kinks.
+    field = read.displacement_field(time[::64])
+    closing = plate.whole.apply_bt(field) - plate.clearance
+    np.testing.assert_allclose(closing, found.gap(time[::64]), atol=1e-9 * np.ptp(motion))
+    np.testing.assert_allclose(field[:, dof], motion[::64, 0], atol=1e-9 * np.ptp(motion))
+
+
+def test_pictures_of_lips_without_mass(scene: fc.Scene, tmp_path: Path) -> None:
+    """Of a period and of the contact, and files for ParaView."""
+    run = study_run.solve(scene.replace(RIGID), MPI.COMM_SELF)
+    found, material = run.result, run.scene.material
+    fc.write_period(found, tmp_path / "period.pvd", frames=3, material=material)
+    fc.animate_period(found, tmp_path / "period.gif", frames=3, material=material)
+    fc.draw_contact_map(found, path=tmp_path / "map.png")
+    fc.draw_orbits(found, run.watched_dof, path=tmp_path / "orbits.png")
+    fc.draw_spectrum(found, run.watched_dof, path=tmp_path / "spectrum.png")
+    assert len(list(tmp_path.rglob("*.*"))) >= 8
+    modes = fc.solve_modes(run.structure, 3)
+    fc.write_modes(modes, tmp_path / "modes.vtu")
+    fc.save(modes, tmp_path / "modes.h5")
+    read = fc.load(tmp_path / "modes.h5", run.structure)
+    assert isinstance(read, fc.Modes)
+    np.testing.assert_allclose(read.omega, fc.solve_modes(run.structure.whole, 3).omega)
+
+
+@laws
+def test_curves_are_followed(
+    scene: fc.Scene, law: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also without penetration where lips have no mass; else that is refused."""
+    asked: list[Any] = []
+    monkeypatch.setattr(study_run, "continue_frequency", lambda *given, **rest: asked.append(given))
+    scene = scene.replace(law | {"curve.start": 1500.0, "curve.stop": 1600.0})
+    run = study_run.follow_curve(scene, MPI.COMM_SELF)
+    assert asked == [(run.structure, 1500.0, 1600.0, run.contact)]
+    heavy = scene.replace({"reduction.method": "free_interface"})
+    if law is RIGID:
+        with pytest.raises(fc.InputError, match=r"reduction.method = 'massless', for a curve"):
+            study_run.follow_curve(heavy, MPI.COMM_SELF)
+    else:
+        study_run.follow_curve(heavy, MPI.COMM_SELF)
+        assert len(asked) == 2
+
+
+def test_no_verdict_without_penetration_where_lips_have_mass(
+    scene: fc.Scene, judged: list[Any]
+) -> None:
+    """As for the paper's plate, which is not reduced."""
+    heavy = scene.replace(RIGID | {"reduction.method": "free_interface"})
+    run = study_run.solve(heavy, MPI.COMM_SELF)
+    assert run.result.converged and run.result.stability is None and not judged
+
+
+@pytest.mark.parametrize(
+    ("changes", "scheme"),
+    [
+        ({}, "integrate_exponential"),
+        ({"integration.method": "exponential"}, "integrate_exponential"),
+        ({"reduction.method": "free_interface"}, "integrate_central_difference"),
+        (
+            {"reduction.method": "free_interface", "integration.method": "exponential"},
+            "integrate_exponential",
+        ),
+        (
+            {"reduction.method": "craig_bampton", "integration.method": "implicit"},
+            "integrate_implicit",
+        ),
+        ({"reduction.method": "off", "integration.method": "events"}, "integrate_events"),
+    ],
+)
+def test_method_of_integration(
+    scene: fc.Scene, changes: dict[str, Any], scheme: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The scene's, or that of the structure."""
+    asked: list[dict[str, Any]] = []
+    monkeypatch.setattr(study_run, scheme, lambda *given, **rest: asked.append(rest))
+    study_run.integrate(scene.replace(PENALTY | changes), MPI.COMM_SELF)
+    assert len(asked) == 1
+    if scheme == "integrate_exponential":
+        assert asked[0]["steps_per_period"] == 512
