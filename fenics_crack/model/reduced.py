@@ -28,7 +28,13 @@ from fenics_crack.model.matrices import distributed
 from fenics_crack.model.modes import times
 from fenics_crack.model.structure import Structure
 
-__all__ = ["MasslessStructure", "ReducedStructure", "ResidualFlexibility", "massless"]
+__all__ = [
+    "MasslessStructure",
+    "ReducedStructure",
+    "ResidualFlexibility",
+    "massless",
+    "of_kept_modes",
+]
 
 
 class ReducedStructure(Structure):
@@ -212,14 +218,11 @@ class MasslessStructure(ReducedStructure):
         static: ResidualFlexibility | None = None,
         reference: MasslessStructure | None = None,
     ) -> None:
-        """Of Phi^T B (n_modes, n_pairs), Phi^T f (3, n_modes) and S."""
+        """Of Phi^T B (n_modes, n_pairs), the load on all coordinates (3, n_dofs), and S."""
         count, extra, shared = len(squares), len(compliance), whole.n_pairs
         omega = np.sqrt(np.maximum(squares, 0.0))
         stiffness = sparse.block_diag([sparse.diags(squares), compliance]).tocsr()
         mass = sparse.diags(np.repeat([1.0, 0.0], [count, extra])).tocsr()
-        # The amplitudes of the load's parts are unknowns whose force is S times themselves.
-        patterns = np.zeros((3, extra))
-        patterns[:, shared:] = _patterns(whole)
         rate: np.ndarray = np.zeros(count)
         if isinstance(damping, ModalDamping):
             rate = 2.0 * np.asarray(damping.ratio) * omega
@@ -232,7 +235,7 @@ class MasslessStructure(ReducedStructure):
             distributed(mass, MPI.COMM_SELF),
             distributed(stiffness, MPI.COMM_SELF),
             sparse.csr_matrix(np.vstack([pairs, compliance[:, :shared]])),
-            force=np.hstack([force, patterns @ compliance]),
+            force=force,
             clearance=whole.clearance,
             damping=_padded(damping, extra),
             nodes=whole.nodes,
@@ -292,16 +295,17 @@ class MasslessStructure(ReducedStructure):
         if damping is not None and not isinstance(damping, DampingRule):
             raise InputError("damping", damping, "a ModalDamping, a RayleighDamping or None")
         count = self.n_modes
+        static = range(count, self.n_dofs)
         reference = None
         if isinstance(self.reference, MasslessStructure):
             reference = self.reference.damped(damping)
         return MasslessStructure(
             self._whole,
             self.omega**2,
-            damping,
+            of_kept_modes(damping, count),
             self.gap[:count].toarray(),
-            self.force[:, :count],
-            np.linalg.pinv(self.flexibility, hermitian=True),
+            self.force,
+            np.asarray(self.stiffness.getValues(static, static)),
             static=self._static,
             reference=reference,
         )
@@ -311,15 +315,19 @@ BLOCK = 16
 """Static solutions that are held at a time."""
 
 
+def of_kept_modes(damping: DampingRule | None, count: int) -> DampingRule | None:
+    """Damping of all modes that are kept: those beyond the damped ones by the last ratio."""
+    if not isinstance(damping, ModalDamping):
+        return damping
+    if isinstance(damping.ratio, float):
+        return ModalDamping(damping.ratio)
+    ratio = list(damping.ratio)[:count]
+    return ModalDamping(tuple(ratio + ratio[-1:] * (count - len(ratio))))
+
+
 def massless(structure: Structure) -> MasslessStructure | None:
     """The structure itself if its lips have no mass, else None."""
     return structure if isinstance(structure, MasslessStructure) else None
-
-
-def _patterns(whole: Structure) -> np.ndarray:
-    """The parts of a load as combinations of those that are not zero: (3, n_loads)."""
-    loaded = whole.sum_over_ranks((whole.force**2).sum(axis=1)) > 0.0
-    return np.eye(3)[:, loaded]
 
 
 def _padded(damping: DampingRule | np.ndarray | None, extra: int) -> Any:
