@@ -217,8 +217,8 @@ def _negative(polynomials: np.ndarray, places: np.ndarray) -> np.ndarray:
 
 
 def _roots(polynomials: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """A root of each polynomial (n, any) in [low, high], at the end of which it is negative; ``low``
-    where it is negative there already. Newton's method, kept in a bracket by bisection."""
+    """A root of each polynomial (n, any) in [low, high], at whose end it is negative; ``low`` where
+    it is negative there already. Newton's method, kept in a bracket by bisection."""
     degree = np.arange(1, polynomials.shape[1])
     slopes = polynomials[:, 1:] * degree
 

@@ -40,6 +40,7 @@ from fenics_crack.balance.rounding import (
     least_residual,
     stiffness_times_compliance,
 )
+from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import UnilateralPenalty
 from fenics_crack.model.flow import ExponentialFlow
 
@@ -159,8 +160,12 @@ class Search:
                 if self.converged:
                     return found
             elif marched:
-                found = self._newton(newton, self._marched(problem), 1.0, 12)
-                self._note("from a marched orbit", f"{newton.history[-1]:.1e}")
+                try:
+                    found = self._newton(newton, self._marched(problem), 1.0, 12)
+                    details = f"{newton.history[-1]:.1e}"
+                except ConvergenceError as error:
+                    details = str(error)
+                self._note("from a marched orbit", details)
                 if self.converged:
                     self._last_coupled = found
                     return found

@@ -16,7 +16,6 @@ from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.problem import Problem
 from fenics_crack.model.contact import ContactLaw, force_in_time
 from fenics_crack.model.modal import all_modes
-from fenics_crack.model.reduced import massless
 from fenics_crack.model.structure import Structure
 from fenics_crack.table import Described, counted, quantity
 
@@ -167,16 +166,19 @@ class PeriodicSolution(Described):
     def displacement(self, time: np.ndarray, dofs: Sequence[int]) -> np.ndarray:
         """Displacement of dofs at times [s]: (len(time), len(dofs)) [m] (collective)."""
         found = evaluate(self.coefficients_at(dofs), self.base_omega, time)
-        if self.contact is None or (reduced := massless(self.structure)) is None:
-            return found
-        # What answers at once follows the forces as they are, with their kinks.
-        missing = self.contact_force(time) - evaluate(
-            self.force_coefficients, self.base_omega, time
-        )
-        static = np.zeros((len(missing), self.structure.n_dofs))
-        place = reduced.n_modes
-        static[:, place : place + self.structure.n_pairs] = -missing
-        return found + self.structure.values_at(static, dofs)
+        kinks = self._kinks(time)
+        return found if kinks is None else found + self.structure.values_at(kinks, dofs)
+
+    def _kinks(self, time: np.ndarray) -> np.ndarray | None:
+        """What answers at once follows the forces as they are: the displacement (len(time),
+        n_local) that their coefficients miss; None where nothing does."""
+        if self.contact is None or self.static_above is None:
+            return None
+        answering = all_modes(self.structure).below(self.static_above).static_pairs
+        if answering is None:
+            return None
+        waves = evaluate(self.force_coefficients, self.base_omega, time)
+        return (waves - self.contact_force(time)) @ answering.T
 
     def amplitude(self, dof: int) -> float:
         """Half the peak-to-peak displacement of a dof [m], of 1024 instants (collective)."""
@@ -189,7 +191,8 @@ class PeriodicSolution(Described):
     def displacement_field(self, time: np.ndarray) -> np.ndarray:
         """Displacement of the whole structure's dofs on this rank: (len(time), n_local) [m]."""
         rows = self.structure.expand(self.displacement_coefficients)
-        return evaluate(rows, self.base_omega, time)
+        found, kinks = evaluate(rows, self.base_omega, time), self._kinks(time)
+        return found if kinks is None else found + self.structure.expand(kinks)
 
     def _instants(self) -> np.ndarray:
         return np.linspace(0.0, self.period, 1024, endpoint=False)
