@@ -32,6 +32,7 @@ __all__ = [
     "MasslessStructure",
     "ReducedStructure",
     "ResidualFlexibility",
+    "check_mass",
     "massless",
     "of_kept_modes",
 ]
@@ -237,7 +238,7 @@ class MasslessStructure(ReducedStructure):
             sparse.csr_matrix(np.vstack([pairs, compliance[:, :shared]])),
             force=force,
             clearance=whole.clearance,
-            damping=_padded(damping, extra),
+            damping=_padded(damping, rate, extra),
             nodes=whole.nodes,
             pair_points=whole.pair_points,
             pair_areas=whole.pair_areas,
@@ -325,18 +326,24 @@ def of_kept_modes(damping: DampingRule | None, count: int) -> DampingRule | None
     return ModalDamping(tuple(ratio + ratio[-1:] * (count - len(ratio))))
 
 
+def check_mass(structure: Structure, instead: str) -> None:
+    """Raise InputError, which says what to do instead, if the lips have no mass."""
+    if massless(structure) is not None:
+        raise InputError("structure", repr(structure), f"one with mass on its lips; {instead}")
+
+
 def massless(structure: Structure) -> MasslessStructure | None:
     """The structure itself if its lips have no mass, else None."""
     return structure if isinstance(structure, MasslessStructure) else None
 
 
-def _padded(damping: DampingRule | np.ndarray | None, extra: int) -> Any:
-    """A matrix of modal damping with rows for coordinates without mass."""
-    if not isinstance(damping, np.ndarray):
+def _padded(damping: DampingRule | np.ndarray | None, rate: np.ndarray, extra: int) -> Any:
+    """What does not damp all modes alike, as a matrix with rows for coordinates without mass."""
+    single = isinstance(damping, ModalDamping) and isinstance(damping.ratio, float)
+    if damping is None or single or isinstance(damping, RayleighDamping):
         return damping
-    return distributed(
-        sparse.block_diag([damping, sparse.csr_matrix((extra, extra))]), MPI.COMM_SELF
-    )
+    block = rate if rate.ndim == 2 else np.diag(rate)
+    return distributed(sparse.block_diag([block, sparse.csr_matrix((extra,) * 2)]), MPI.COMM_SELF)
 
 
 def _pseudoinverse(compliance: np.ndarray) -> np.ndarray:

@@ -49,6 +49,7 @@ from fenics_crack.model.reduced import (
     MasslessStructure,
     ReducedStructure,
     ResidualFlexibility,
+    check_mass,
     of_kept_modes,
 )
 from fenics_crack.model.structure import Structure
@@ -92,6 +93,7 @@ def reduce_structure(
     """
     if method not in METHODS:
         raise InputError("method", method, "one of " + ", ".join(map(repr, METHODS)))
+    check_mass(structure, "reduce the whole one")
     rule = _rule_of_all(structure)
     damped = damped_modes(structure) if rule is None else None
     if modes is None:

@@ -48,6 +48,7 @@ from fenics_crack.model.complementarity import solve_complementarity
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.modes import by_columns, largest_frequency
+from fenics_crack.model.reduced import check_mass
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import collect_garbage
 from fenics_crack.time.march import March, TimeHistory, Window, march
@@ -64,6 +65,7 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
     """
     check_omega(omega)
     check_law(structure, contact, rigid=True)
+    check_mass(structure, "integrate_exponential takes others")
     closed = structure if is_rigid(contact) else structure.tied(contact.stiffness)
     highest = largest_frequency(closed)
     collect_garbage(structure.comm)

@@ -12,6 +12,7 @@ from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.complementarity import solve_complementarity
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modes import by_columns, damped_modes, times
+from fenics_crack.model.reduced import check_mass
 from fenics_crack.time.march import March, Scheme, Window
 
 __all__ = ["StepScheme", "inverse_of", "solve_once"]
@@ -31,6 +32,7 @@ class StepScheme(Scheme):
 
     def __init__(self, asked: March) -> None:
         self.structure = structure = asked.structure
+        check_mass(structure, "integrate_exponential takes others")
         self.contact, self.rigid = asked.contact, is_rigid(asked.contact)
         self.step_size = asked.step_size
         self.force = np.zeros(structure.n_pairs)

@@ -351,6 +351,33 @@ def test_what_is_held_does_not_grow_with_the_pairs(paper_scene: fc.Scene) -> Non
     assert largest == 4
 
 
+@pytest.mark.parametrize("modes", [4, 20])
+@pytest.mark.parametrize("damping", DAMPINGS)
+def test_linear_solution(damping: str, modes: int) -> None:
+    """Lips that pass through each other: that of the compliance, from which contact starts too."""
+    structure = chain(damping, 20)
+    made = reduced(structure, modes)
+    solution = fc.solve_linear(made, 0.8, harmonics=2)
+    linear = dynamic_compliance(made, 0.8, 2).linear_gap
+    assert relative(solution.gap_coefficients, linear) < 1e-9
+    if modes == 20 and damping != "few modes":
+        expected = fc.solve_linear(structure, 0.8, harmonics=2).displacement_coefficients
+        assert relative(made.expand(solution.displacement_coefficients), expected) < 1e-8
+
+
+def test_what_needs_mass_on_the_lips() -> None:
+    """Other schemes in time, and another reduction, say so."""
+    made, law = reduced(chain("modal", 20), 4), fc.UnilateralPenalty(4.0)
+    options = {"periods": 1, "steps_per_period": 16}
+    for scheme in (fc.integrate_implicit, fc.integrate_events, fc.integrate_central_difference):
+        with pytest.raises(fc.InputError, match="mass on its lips; integrate_exponential"):
+            scheme(made, 0.8, law, **options)  # type: ignore[operator]
+    with pytest.raises(fc.InputError, match="mass on its lips"):
+        fc.stable_steps_per_period(made, 0.8, law)
+    with pytest.raises(fc.InputError, match="reduce the whole one"):
+        fc.reduce_structure(made, modes=3)
+
+
 # --- several ranks --------------------------------------------------------------------------------
 
 
