@@ -216,6 +216,8 @@ class Search:
                     found = self._path(name, newton, found, (0.0, 1.0), RAMP)
                     if self.converged:
                         return system.linearise(found.unknown)
+                else:
+                    self._note(f"path {name}", f"its start at {softness:g}")
         return system.linearise(found.unknown)
 
     def _from_penalty(self, system: ConstraintSystem, factor: float) -> np.ndarray:

@@ -133,7 +133,9 @@ def reduce_structure(
 
 def _massless(structure: Structure, modes: int, damped: DampedModes | None) -> MasslessStructure:
     """Modes and the rest without mass; its reference has more modes."""
-    more = min(structure.n_dofs, modes + max(modes // 2, 10))
+    more = min(modes + max(modes // 2, 10), structure.n_dofs - structure.n_pairs)
+    if more <= modes:  # else something is left for every pair, without which it has mass
+        more = structure.n_dofs
     known = damped if damped is not None and len(damped.omega) >= more else None
     found = known or solve_modes(structure, more)
     squares, shapes = found.omega[:more] ** 2, np.ascontiguousarray(found.shapes[:, :more])
