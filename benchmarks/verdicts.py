@@ -33,7 +33,7 @@ import numpy as np
 
 import fenics_crack as fc
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.stability.floquet import PiecewiseFlow
+from fenics_crack.stability.piecewise_flow import PiecewiseFlow
 from fenics_crack.time.events import EventFlow
 from fenics_crack.time.march import initial_state
 

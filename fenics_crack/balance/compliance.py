@@ -108,7 +108,9 @@ class ModalCompliance:
 
     def _set(self, base_omega: float, load: float, damping: float, clearance: float) -> None:
         self._base, self._damping = base_omega, damping
-        self._receptance = self._modes.receptance(base_omega * self._order, damping)
+        self._receptance = self._modes.receptance(
+            base_omega * self._order, damping, self._unit_load != 0.0
+        )
         self.matrices = self._seen(self._receptance)
         self._modal_load = load * self._unit_load
         self.linear_gap = self._gap(self._modal_load)
@@ -129,7 +131,9 @@ class ModalCompliance:
     def beyond(self, highest: int) -> np.ndarray:
         """R_k for k = H+1 to ``highest``."""
         order = np.arange(len(self.matrices), highest + 1)
-        return self._seen(self._modes.receptance(self._base * order, self._damping))
+        nowhere: np.ndarray = np.zeros((len(order), len(self._modes.squares)), dtype=bool)
+        found = self._modes.receptance(self._base * order, self._damping, nowhere)
+        return self._seen(found)
 
     def _seen(self, receptance: np.ndarray) -> np.ndarray:
         """R_k of receptances."""

@@ -39,7 +39,7 @@ SHARP = 1e-9
 class CoupledSystem:
     """F(s) = s - g_lin + (R_k - R_inf) b(lambda(s)).
 
-    Its parameter is the softness in series with the pairs, ``softness`` (1 - p)^2: 0 at p = 1.
+    Its parameter is the softness in series with the pairs, ``softness`` |1 - p|^3: 0 at p = 1.
     """
 
     comm = MPI.COMM_SELF
@@ -60,10 +60,10 @@ class CoupledSystem:
 
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> CoupledPoint:
         """The equations at s, with a softness in series."""
-        integrals = self.integrals.with_softness(self._softness * (1.0 - parameter) ** 2)
+        integrals = self.integrals.with_softness(self._softness * abs(1.0 - parameter) ** 3)
 
         def by_parameter(at: CoupledPoint) -> np.ndarray:
-            rate = -2.0 * self._softness * (1.0 - parameter)
+            rate = -3.0 * self._softness * (1.0 - parameter) * abs(1.0 - parameter)
             return respond(self.moving, rate * at.forces.by_softness())
 
         return CoupledPoint(self, unknown, integrals, by_parameter)
@@ -77,6 +77,13 @@ class CoupledSystem:
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
         """Inner product."""
         return float(np.vdot(first, second))
+
+    @property
+    def enough(self) -> float:
+        """Softness with which pairs hardly touch each other: the compliance is larger than that of
+        what moves."""
+        largest = float(np.abs(self.moving).sum(axis=2).max())
+        return largest / (0.5 * self.integrals.unit)
 
     def softened(self, softness: float) -> CoupledSystem:
         """The same equations, whose parameter starts at another softness."""

@@ -17,6 +17,7 @@ Of laws that are not piecewise linear, S is the tangent at every sample.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -28,6 +29,9 @@ from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.coupled import ActiveSets, smooth_forces, unique_sets
 
 __all__ = ["CoupledForces", "CoupledIntegrals", "CoupledTangent", "balanced", "sampled"]
+
+MAX_NUMBERS = 4_000_000
+"""In the stiffnesses of sets that are treated together."""
 
 
 def sampled(coefficients: np.ndarray, count: int) -> np.ndarray:
@@ -181,19 +185,24 @@ class _PiecewiseForces(CoupledForces):
             means = np.fft.rfft(present, axis=1)[:, : highest + 1].conj() / integrals.samples
         count = 2 * highest + 2
         self._weights = np.fft.irfft(count * means.conj(), n=count, axis=1).T  # (N, n_sets)
-        self._stack = contact.stack(sets)
-        self.tangent = self._cut_off(self._stack)
+        self._sets = sets
+        self.tangent = self._cut_off(lambda stack: stack)
         self.force = self.tangent.apply(gap)
 
-    def _cut_off(self, of_sets: np.ndarray) -> CoupledTangent:
-        found = self._weights @ of_sets.reshape(len(of_sets), -1)
-        shape = (len(found), *of_sets.shape[1:])
-        return CoupledTangent(found.reshape(shape), self._integrals.harmonics)
+    def _cut_off(self, of_sets: Callable[[np.ndarray], np.ndarray]) -> CoupledTangent:
+        """What depends on the stiffness of each set, over time; some sets at a time."""
+        pairs = self._sets.shape[1]
+        found: np.ndarray = np.zeros((len(self._weights), pairs * pairs))
+        some = max(1, MAX_NUMBERS // max(1, pairs * pairs))
+        for begin in range(0, len(self._sets), some):
+            stack = self._integrals.contact.stack(self._sets[begin : begin + some])
+            flat = of_sets(stack).reshape(len(stack), -1)
+            found += self._weights[:, begin : begin + some] @ flat
+        return CoupledTangent(found.reshape(-1, pairs, pairs), self._integrals.harmonics)
 
     def _by_compliance(self, added: float | np.ndarray) -> np.ndarray:
-        shape = self._stack.shape[-1:]
-        weighted = self._stack * np.broadcast_to(np.asarray(added, dtype=float), shape)
-        return -self._cut_off(np.matmul(weighted, self._stack)).apply(self._gap)
+        weights = np.broadcast_to(np.asarray(added, dtype=float), self._sets.shape[1])
+        return -self._cut_off(lambda stack: np.matmul(stack * weights, stack)).apply(self._gap)
 
     def by_softness(self) -> np.ndarray:
         return self._by_compliance(self._integrals.unit)

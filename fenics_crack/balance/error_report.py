@@ -24,6 +24,7 @@ from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, resp
 from fenics_crack.balance.contact_integrals import (
     ExactIntegrals,
     SampledIntegrals,
+    apply_to_pairs,
     contact_integrals,
     default_samples,
 )
@@ -41,6 +42,7 @@ __all__ = [
     "ErrorReport",
     "beyond_truncation",
     "estimate_errors",
+    "improved",
     "mean_square",
     "relative_size",
 ]
@@ -76,6 +78,9 @@ class ErrorReport(Described):
         Modes left out of a reduced structure; 0 for a whole one.
     penetration : float
         Penetration that the contact law lets happen; not an error of the solution of that law.
+    displacement : float
+        Of the displacement at the load, in its direction, relative to its own root mean square:
+        truncation and reduction. Usually much smaller than those of the gap.
     """
 
     residual: float
@@ -83,6 +88,7 @@ class ErrorReport(Described):
     sampling: float
     reduction: float
     penetration: float
+    displacement: float = 0.0
 
     @property
     def total(self) -> float:
@@ -107,13 +113,60 @@ def estimate_errors(at: CondensedPoint, displacement: np.ndarray, problem: Probl
     def relative(change: np.ndarray) -> float:
         return relative_size(change, at, structure.clearance)
 
+    truncation, reduction = beyond_truncation(at), _lost_in_reduction(at, problem)
+    sampling = at.gap_by_force(_missed_by_samples(at))
     return ErrorReport(
         residual=max(relative(at.residual), relative(expanded - at.gap)),
-        truncation=relative(beyond_truncation(at)),
-        sampling=relative(at.gap_by_force(_missed_by_samples(at))),
-        reduction=relative(_lost_in_reduction(at, problem)),
+        truncation=relative(truncation.gap),
+        sampling=relative(sampling),
+        reduction=relative(reduction.gap),
         penetration=relative(_penetration(at)),
+        displacement=_of_displacement(at, displacement, problem, (truncation, reduction)),
     )
+
+
+@dataclass(frozen=True)
+class _Change:
+    """What better equations change.
+
+    Attributes
+    ----------
+    gap : (2K+1, n_pairs) [m]
+    force : (2H+1, n_pairs) [N]
+    problem : Problem or None
+        Where the structure is another one.
+    """
+
+    gap: np.ndarray
+    force: np.ndarray
+    problem: Problem | None = None
+
+
+def _of_displacement(
+    at: CondensedPoint, displacement: np.ndarray, problem: Problem, changes: tuple[_Change, ...]
+) -> float:
+    """Change of the displacement at the load, in the direction of each of its parts, relative to
+    its root mean square: the sum of all causes."""
+    structure = problem.structure
+    known = structure.sum_over_ranks(displacement @ structure.force.T)
+    size, total = mean_square(known), 0.0
+    if not size > 0.0:
+        return 0.0
+    for change in changes:
+        other = change.problem or problem
+        if change.problem is None:
+            if not np.any(change.force):
+                continue
+            compliance = at.system.compliance
+            moved = compliance.displacement(at.force + change.force) - displacement
+            moved = structure.sum_over_ranks(moved @ structure.force.T)
+        else:
+            compliance = other.compliance()
+            better = compliance.displacement(at.force + change.force)
+            moved = better @ other.structure.force.T - known
+            compliance.destroy()
+        total += float(np.sqrt(mean_square(moved) / size))
+    return total
 
 
 def relative_size(change: np.ndarray, at: CondensedPoint, clearance: np.ndarray) -> float:
@@ -124,19 +177,35 @@ def relative_size(change: np.ndarray, at: CondensedPoint, clearance: np.ndarray)
     return float(np.sqrt(mean_square(change) / size)) if size > 0.0 else 0.0
 
 
-def beyond_truncation(at: CondensedPoint) -> np.ndarray:
-    """Change of the gap by one Newton step with K > H harmonics, 4 H or 2 H: (2K+1, n_pairs).
+def beyond_truncation(at: CondensedPoint) -> _Change:
+    """What K > H harmonics change, 4 H or 2 H, by a Newton step.
 
     The step is found by elimination: iterative solutions of these equations do not converge where
-    many pairs are stiff.
+    many pairs are stiff, unless these are seen through a static compliance.
     """
-    if isinstance(at, CoupledPoint):
-        return _beyond_coupled(at)
     rows, harmonics = len(at.unknown), _more_harmonics(at)
-    wide = at.system.widened(harmonics).linearise(resized(at.unknown, harmonics))
+    system, start = at.system.widened(harmonics), resized(at.unknown, harmonics)
+    if isinstance(system, CoupledSystem):
+        return _improvement(system, start, rows)
+    wide = system.linearise(start)
     missing = -wide.residual
     missing[:rows] = 0.0  # solved; what samples leave is another error
-    return wide.gap_of(wide.solve(missing))
+    step = wide.solve(missing)
+    gap = wide.gap_of(step)
+    if isinstance(system, CondensedSystem):
+        force = apply_to_pairs(wide.tangent, step)
+    else:
+        force = system.weight * step
+    return _Change(gap, force[:rows])
+
+
+def improved(at: CondensedPoint) -> np.ndarray:
+    """The unknowns of a solution with more harmonics, by one Newton step: (2K+1, n_pairs)."""
+    unknown = resized(at.unknown, _more_harmonics(at))
+    if isinstance(at, CoupledPoint):
+        wide = at.system.widened(len(unknown) // 2).linearise(unknown)
+        return unknown + wide.solve(-wide.residual, ROUGH)
+    return unknown + beyond_truncation(at).gap
 
 
 def _more_harmonics(at: CondensedPoint) -> int:
@@ -148,36 +217,30 @@ def _more_harmonics(at: CondensedPoint) -> int:
     return harmonics
 
 
-def _beyond_coupled(at: CoupledPoint) -> np.ndarray:
-    """The same for pairs that are coupled."""
-    harmonics = _more_harmonics(at)
-    return _change_of_gap(at, at.system.widened(harmonics), resized(at.unknown, harmonics))
-
-
-def _change_of_gap(at: CoupledPoint, system: CoupledSystem, start: np.ndarray) -> np.ndarray:
-    """The gap by better equations less that of a point, by Newton's method from its neighbourhood:
-    one step where that is small, else some, as far as they come closer."""
-    rows, known = len(start), at.gap.copy()
-    point = system.linearise(start)
-    first = point.solve(-point.residual, ROUGH)
-    change = point.gap_of(first) + point.gap
-    change[: len(known)] -= known
-    size = system.inner(start, start)
-    if system.inner(first, first) < SMALL_STEP**2 * size:
+def _improvement(
+    system: CoupledSystem, start: np.ndarray, rows: int, problem: Problem | None = None
+) -> _Change:
+    """What better equations change, by Newton's method: one step where that is small, else some,
+    as far as they come closer."""
+    first = system.linearise(start)
+    step = first.solve(-first.residual, ROUGH)
+    force = first.forces.tangent.apply(step)
+    change = _Change(first.gap_of(step), force[:rows], problem)
+    length = np.sqrt(system.inner(step, step))
+    if length < SMALL_STEP * np.sqrt(system.inner(start, start)):
         return change
-    best = float(np.sqrt(system.inner(point.residual, point.residual)))
-    moved = first
+    unknown, best = start, float(np.linalg.norm(first.residual))
     for _ in range(MAX_STEPS):
-        point = system.linearise(point.unknown + moved)
-        left = float(np.sqrt(system.inner(point.residual, point.residual)))
+        unknown = unknown + step
+        point = system.linearise(unknown)
+        left = float(np.linalg.norm(point.residual))
         if not left < 2.0 * best:
             break
         best = min(best, left)
-        change = point.gap.copy()
-        change[: min(rows, len(known))] -= known
-        if left < ROUGH * np.sqrt(system.inner(first, first)):
+        change = _Change(point.gap - first.gap, (point.force - first.force)[:rows], problem)
+        if left < ROUGH * length:
             break
-        moved = point.solve(-point.residual, ROUGH)
+        step = point.solve(-point.residual, ROUGH)
     return change
 
 
@@ -201,27 +264,31 @@ def _missed_by_samples(at: CondensedPoint) -> np.ndarray:
     return contact_integrals(law, harmonics, samples).force(gap) - integrals.force(gap)
 
 
-def _lost_in_reduction(at: CondensedPoint, problem: Problem) -> np.ndarray:
-    """Change of the gap if the compliance were that of the reduced structure's reference."""
-    structure = problem.structure
+def _lost_in_reduction(at: CondensedPoint, problem: Problem) -> _Change:
+    """What the compliance of the reduced structure's reference changes."""
+    structure, rows = problem.structure, len(at.gap)
     reference = structure.reference if isinstance(structure, ReducedStructure) else None
     if reference is None:
-        return np.zeros_like(at.gap)
+        return _Change(np.zeros_like(at.gap), np.zeros_like(at.gap))
+    other = replace(problem, structure=reference)
     if isinstance(at, CoupledPoint):
-        other = replace(problem, structure=reference, static_above=problem.cutoff)
+        other = replace(other, static_above=problem.cutoff)
         residual = at.system.residual
         if is_rigid(problem.contact) and not is_regular(
             all_modes(reference).static_part(problem.cutoff)
         ):
             nearly = STIFF * len(residual) / np.trace(residual)
             other = replace(other, contact=UnilateralPenalty(float(nearly)))
-        compliance = other.compliance()
-        system = other.system(compliance)
+        system = other.system(other.compliance())
         assert isinstance(system, CoupledSystem)
-        return _change_of_gap(at, system, at.gap + at.force @ system.residual)
-    better, used = replace(problem, structure=reference).compliance(), at.system.compliance
+        return _improvement(system, at.gap + at.force @ system.residual, rows, other)
+    better, used = other.compliance(), at.system.compliance
     free = better.linear_gap - used.linear_gap
-    return at.gap_by_linear_gap(free - respond(better.matrices - used.matrices, at.force))
+    gap = at.gap_by_linear_gap(free - respond(better.matrices - used.matrices, at.force))
+    force = np.zeros_like(gap)
+    if isinstance(at.system, CondensedSystem):
+        force = apply_to_pairs(at.tangent, gap)
+    return _Change(gap, force, other)
 
 
 def _penetration(at: CondensedPoint) -> np.ndarray:

@@ -17,6 +17,7 @@ from fenics_crack.balance.contact_integrals import default_samples
 from fenics_crack.balance.dynamic_stiffness import DynamicStiffness
 from fenics_crack.balance.error_report import mean_square
 from fenics_crack.balance.fourier import from_complex, resized, to_complex
+from fenics_crack.balance.krylov import RESTART
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.balance.solver import Solver
@@ -38,6 +39,9 @@ __all__ = ["check_initial", "check_memory", "solve_harmonic_balance", "solve_lin
 
 MAX_HARMONICS = 300
 """If more are needed for a tolerance, or more than MAX_SAMPLES, it is out of reach."""
+SAFETY = 0.4
+"""Share of a tolerance that the estimate may take where pairs are coupled: it is known to a factor
+of about two there."""
 MATRICES = 4
 """Dense matrices of the size of the Jacobian that are held at a time."""
 
@@ -172,7 +176,7 @@ def _solve_to_tolerance(
             return _give_up(solver, tolerance, last, obstacle)
         solution = _with_bound(solution, last, whole)
         report = solution.report
-        if report.total <= tolerance:
+        if report.total <= (1.0 if problem.residual is None else SAFETY) * tolerance:
             chosen = f"chosen for an error of {tolerance:g}: H = {problem.harmonics}"
             if problem.samples is not None:
                 chosen += f", {problem.samples} samples"
@@ -191,7 +195,7 @@ def _solve_to_tolerance(
 
 
 def _reduced(solver: Solver, whole: Structure, modes: int) -> Solver:
-    reduced = reduce_structure(whole, modes=modes)
+    reduced = reduce_structure(whole, modes=modes, method="massless")
     return replace(solver, problem=replace(solver.problem, structure=reduced))
 
 
@@ -249,8 +253,12 @@ def _give_up(
 
 
 def check_memory(structure: Structure, harmonics: int) -> None:
-    """Raise InputError where the dense Jacobian of the condensed equations would not fit."""
+    """Raise InputError where the dense Jacobian of the condensed equations would not fit, or that
+    of coupled pairs at all instants."""
     pairs = structure.n_pairs
+    if massless(structure) is not None:
+        _check_coupled(pairs, harmonics)
+        return
     unknowns = (2 * harmonics + 1) * pairs
     memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     if MATRICES * 8 * unknowns**2 > 0.8 * memory:
@@ -263,13 +271,28 @@ def check_memory(structure: Structure, harmonics: int) -> None:
         )
 
 
+def _check_coupled(pairs: int, harmonics: int) -> None:
+    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    vectors = RESTART * (8 * harmonics + 2) * pairs  # of GMRES, for twice the harmonics
+    needed = 8 * (MATRICES * (8 * harmonics + 2) * pairs**2 + vectors)
+    if needed > 0.8 * memory:
+        fits = int(harmonics * 0.8 * memory / needed)
+        raise InputError(
+            "harmonics",
+            harmonics,
+            f"at most {fits} with {pairs} pairs: {needed / 2**30:.0f} GiB are needed of this "
+            f"machine's {memory / 2**30:.0f}",
+        )
+
+
 def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
     """Raise InputError unless a solution can be where a problem's solution is sought from."""
     structure, subharmonic = problem.structure, problem.subharmonic
     if not isinstance(initial, PeriodicSolution):
         raise InputError("initial", type(initial).__name__, "a PeriodicSolution")
     has = initial.structure.n_dofs, initial.structure.n_pairs
-    if has != (structure.n_dofs, structure.n_pairs):
+    gaps_only = massless(structure) is not None and has[1] == structure.n_pairs
+    if not gaps_only and has != (structure.n_dofs, structure.n_pairs):
         raise InputError(
             "initial",
             f"{has[0]} dofs, {has[1]} pairs",

@@ -22,6 +22,8 @@ __all__ = ["Problem", "is_regular"]
 
 BEYOND = 2.0
 """Modes above so many times the highest harmonic answer at once."""
+STIFF = 100.0
+"""k R_inf from which a penalty on lips with mass is seen through R_inf."""
 REGULAR = 1e-6
 """Smallest eigenvalue of R_inf, relative to the largest, with which a constraint is solved."""
 
@@ -101,15 +103,19 @@ class Problem:
 
     @cached_property
     def residual(self) -> np.ndarray | None:
-        """R_inf, the static compliance through which contact is seen; None where there is none, or
-        a law with a stiffness acts on a structure with mass at its lips."""
+        """R_inf, the static compliance through which contact is seen; None where there is none.
+
+        Lips with mass are seen through one if the law is rigid, or so stiff against it that they
+        bounce at frequencies which H harmonics do not resolve."""
         structure, contact = self.structure, self.contact
         lips, rigid = massless(structure), is_rigid(contact)
         projected = is_rigid(contact) and contact.weight is not None and lips is None
-        wanted = lips is not None or self.static_above is not None or rigid
-        if projected or not wanted or not is_small(structure):
+        if projected or not is_small(structure):
             return None
         found = all_modes(structure).static_part(self.cutoff)
+        wanted = lips is not None or self.static_above is not None or rigid
+        if not wanted and not float(np.max(contact.stiffness * np.diag(found))) > STIFF:
+            return None
         if rigid and not is_regular(found):
             if lips is not None:
                 raise InputError(

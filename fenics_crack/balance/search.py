@@ -55,11 +55,11 @@ NEARBY = (1.02, 0.98, 1.1, 0.9, 1.3, 0.75, 2.0, 0.5)
 """Where a path in the frequency may start, relative to the frequency wanted."""
 FEWEST = 5
 """Harmonics with which a solution is sought first where pairs are coupled."""
-SOFTNESS = (30.0, 300.0)
-"""In series with coupled pairs, in parts of their own compliance, where a path begins."""
+SOFTNESS = (1.0, 10.0)
+"""In series with coupled pairs where a path begins, in parts of what is enough."""
 MARCHED, ROUGHLY = 10, 1e-6
 """Periods of a response that are marched for a start, and how closely it shall then repeat."""
-RAMP = Stepping(first=0.3, longest=0.5)
+RAMP = Stepping(first=0.2, longest=0.5)
 WIDE, NARROW = Stepping(first=1.0, longest=2.0), Stepping(first=0.1, longest=0.3)
 """For paths in ln k, and for paths whose parameter runs from 0 to 1."""
 
@@ -208,16 +208,16 @@ class Search:
         """From pairs with a soft compliance in series, where the solution is close to the linear
         one, to none: a path with an end."""
         name = "in the softness"
-        for softness in SOFTNESS:
-            soft = system.softened(softness)
+        for factor in SOFTNESS:
+            soft = system.softened(factor * system.enough)
             with Newton(soft) as newton:
                 found = self._newton(newton, soft.linear, 0.0, 20)
                 if self.converged:
                     found = self._path(name, newton, found, (0.0, 1.0), RAMP)
                     if self.converged:
-                        return system.linearise(found.unknown)
+                        break
                 else:
-                    self._note(f"path {name}", f"its start at {softness:g}")
+                    self._note(f"path {name}", "its start")
         return system.linearise(found.unknown)
 
     def _from_penalty(self, system: ConstraintSystem, factor: float) -> np.ndarray:

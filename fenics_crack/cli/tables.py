@@ -43,6 +43,7 @@ QUANTITIES = {
     "truncation_error": ("estimated error: truncation", SHARE),
     "sampling_error": ("estimated error: sampling", SHARE),
     "reduction_error": ("estimated error: reduction", SHARE),
+    "displacement_error": ("estimated error: displacement at the load", SHARE),
     "total_error": ("estimated error: total", SHARE),
     "penetration_share": ("penetration", SHARE),
 }

@@ -26,7 +26,7 @@ from fenics_crack.balance.fourier import stretched
 from fenics_crack.balance.rounding import least_residual, stiffness_times_compliance
 from fenics_crack.curves.curve import Bifurcation
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.stability.floquet import LeadingMultiplier, PiecewiseFlow
+from fenics_crack.stability.piecewise_flow import LeadingMultiplier, PiecewiseFlow
 
 __all__ = ["attainable", "first_of_branch", "multipliers_cross", "odd_rows", "turns_or_branches"]
 

@@ -46,7 +46,7 @@ from fenics_crack.model.contact import check_law
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
-from fenics_crack.stability.floquet import LeadingMultiplier, PiecewiseFlow
+from fenics_crack.stability.piecewise_flow import LeadingMultiplier, PiecewiseFlow
 
 __all__ = ["Continuation", "CurvePoint"]
 
@@ -325,7 +325,7 @@ class Continuation:
     def _truncation(self, point: PathPoint) -> float:
         at = self._family.linearise(point.unknown, point.parameter)
         structure = self._family.at(self._family.value(point.parameter)).structure
-        return relative_size(beyond_truncation(at), at, structure.clearance)
+        return relative_size(beyond_truncation(at).gap, at, structure.clearance)
 
     def _change_harmonics(self, truncation: float) -> bool:
         """Raise or lower H by the truncation's estimate; True where it has changed."""

@@ -25,7 +25,7 @@ from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError, check_count
 from fenics_crack.model.contact import repeated
 from fenics_crack.model.modal import all_modes
-from fenics_crack.stability.floquet import PiecewiseFlow
+from fenics_crack.stability.piecewise_flow import PiecewiseFlow
 
 __all__ = ["refine_curve"]
 

@@ -23,7 +23,7 @@ from fenics_crack.errors import InputError
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modes import Modes
-from fenics_crack.stability.floquet import PiecewiseFlow
+from fenics_crack.stability.piecewise_flow import PiecewiseFlow
 from fenics_crack.table import readable
 
 __all__ = [

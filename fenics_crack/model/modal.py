@@ -15,8 +15,10 @@ from fenics_crack.model.modes import damped_modes, projected_damping
 from fenics_crack.model.reduced import MasslessStructure, massless
 from fenics_crack.model.structure import Structure
 
-__all__ = ["SMALL", "AllModes", "all_modes", "flow_matrix", "is_small"]
+__all__ = ["SMALL", "AllModes", "all_modes", "between_pairs", "flow_matrix", "is_small"]
 
+NUDGE = 1e-10
+"""Of the square of a frequency, by which an undamped resonance without load is avoided."""
 SMALL = 600
 """Up to so many dofs a structure is decomposed into all of its modes."""
 
@@ -66,10 +68,14 @@ class AllModes:
         """Whether rounding relative to the highest modes may spoil the lowest ones."""
         return not self.unconstrained and bool(self.squares[0] < 1e-12 * self.squares[-1])
 
-    def receptance(self, omega: np.ndarray, factor: float = 1.0) -> np.ndarray:
+    def receptance(
+        self, omega: np.ndarray, factor: float = 1.0, loaded: np.ndarray | None = None
+    ) -> np.ndarray:
         """Inverse impedance at frequencies (m,): (m, n), or where damping couples modes (m, n, n).
 
-        ``factor`` multiplies the damping.
+        ``factor`` multiplies the damping. Where ``loaded`` (m, n) tells that the load does not
+        drive a mode, an undamped resonance of it is moved away by a part of 1e-10: contact keeps
+        its motion finite.
 
         Raises
         ------
@@ -82,7 +88,13 @@ class AllModes:
         singular = self.unconstrained & (omega == 0.0)
         if diagonal:
             impedance = stiffness + (1j * factor * omega)[:, None] * self.damping
-            tiny = np.abs(impedance) <= 1e-15 * (np.abs(self.squares) + square)
+            tiny = np.abs(impedance) <= NUDGE * (np.abs(self.squares) + square)
+            if loaded is None:
+                tiny &= np.abs(impedance) <= 1e-15 * (np.abs(self.squares) + square)
+            else:
+                moved = tiny & ~loaded & (square > 0.0)
+                impedance = np.where(moved, NUDGE * (np.abs(self.squares) + square), impedance)
+                tiny &= ~moved & (np.abs(impedance) <= 1e-15 * (np.abs(self.squares) + square))
             singular |= tiny.any(axis=1)
         else:
             impedance = 1j * factor * omega[:, None, None] * self.damping
@@ -210,12 +222,20 @@ def _dense(matrix: Any) -> np.ndarray:
     return np.asarray(matrix.getValues(range(matrix.size[0]), range(matrix.size[1])))
 
 
+def between_pairs(modes: AllModes, stiffness: np.ndarray) -> np.ndarray:
+    """Phi^T B k B^T Phi of contact springs on the pairs, (n_pairs,), or a matrix of springs between
+    them: (n, n)."""
+    if stiffness.ndim == 1:
+        return (modes.pairs * stiffness) @ modes.pairs.T
+    return modes.pairs @ stiffness @ modes.pairs.T
+
+
 def flow_matrix(modes: AllModes, stiffness: np.ndarray, scale: float) -> np.ndarray:
-    """A of z' = A z, z = (s q, q'), with contact springs (n_pairs,) on the pairs: (2n, 2n)."""
+    """A of z' = A z, z = (s q, q'), with contact springs as in :func:`between_pairs`: (2n, 2n)."""
     count = len(modes.squares)
     matrix = np.zeros((2 * count, 2 * count))
     matrix[:count, count:] = scale * np.eye(count)
-    contact = (modes.pairs * stiffness) @ modes.pairs.T
+    contact = between_pairs(modes, stiffness)
     matrix[count:, :count] = -(np.diag(modes.squares) + contact) / scale
     matrix[count:, count:] = -(np.diag(modes.damping) if modes.damping.ndim == 1 else modes.damping)
     return matrix

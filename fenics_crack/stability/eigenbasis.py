@@ -27,11 +27,11 @@ Lambda-Matrices and Vibrating Systems, 1966, chapter 7.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fenics_crack.model.modal import AllModes, flow_matrix
+from fenics_crack.model.modal import AllModes, between_pairs, flow_matrix
 
 __all__ = ["Eigenbasis", "UndampedModes", "eigenbasis", "undamped_modes"]
 
@@ -79,12 +79,12 @@ class Eigenbasis:
 
 
 def undamped_modes(modes: AllModes, stiffness: np.ndarray) -> UndampedModes:
-    """Modes without damping, with contact springs (n_pairs,) on the pairs."""
-    contact = (modes.pairs * stiffness) @ modes.pairs.T
+    """Modes without damping, with contact springs as in :func:`between_pairs`."""
+    contact = between_pairs(modes, stiffness)
     _, shapes = np.linalg.eigh(np.diag(modes.squares) + contact)
     # By eigh the lowest W^2 are known to the rounding of the highest, stiff contact's.
-    pairs = shapes.T @ modes.pairs
-    return (shapes.T * modes.squares) @ shapes + (pairs * stiffness) @ pairs.T, shapes
+    pairs = replace(modes, pairs=shapes.T @ modes.pairs)
+    return (shapes.T * modes.squares) @ shapes + between_pairs(pairs, stiffness), shapes
 
 
 def eigenbasis(

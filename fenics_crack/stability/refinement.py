@@ -33,8 +33,8 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError, InputError, check_number
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
-from fenics_crack.stability.floquet import doubling_test
-from fenics_crack.stability.shooting import ExactOrbits, PeriodicOrbit
+from fenics_crack.stability.piecewise_flow import doubling_test
+from fenics_crack.stability.shooting import ExactOrbits, PeriodicOrbit, SteppedOrbits, orbits_near
 
 __all__ = ["refine_bifurcation"]
 
@@ -113,7 +113,8 @@ def refine_bifurcation(
         raise InputError("reach", reach, "at most 0.5")
     check_number("longest_step", longest_step, 0.0, above=True)
     law = solution.contact if contact is None else contact
-    branch = _Branch(structure or solution.structure, law, solution)  # type: ignore[arg-type]
+    assert law is not None
+    branch = _Branch(orbits_near(structure or solution.structure, law, solution))
     start = branch.first()
     if start is None:
         raise ConvergenceError(
@@ -150,17 +151,19 @@ class _NoFlow(DenseLinearisation):
         return np.full_like(self.unknown, np.nan)
 
 
-class _Branch(ExactOrbits):
-    """Exact orbits as a branch; where pairs chatter there is none."""
+class _Branch:
+    """Orbits as a branch; where pairs chatter there is none."""
 
     tolerance = TOLERANCE
 
-    def linearise(  # type: ignore[override]
-        self, unknown: np.ndarray, parameter: float
-    ) -> OrbitPoint | _NoFlow:
+    def __init__(self, orbits: ExactOrbits | SteppedOrbits) -> None:
+        self._orbits, self.start = orbits, orbits.start
+        self.inner, self.orbit = orbits.inner, orbits.orbit
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint | _NoFlow:
         """The equations at (x, p); without a residual where there is no flow over the period."""
         try:
-            return super().linearise(unknown, parameter)
+            return self._orbits.linearise(unknown, parameter)
         except ConvergenceError:
             return _NoFlow(unknown, np.full_like(unknown, np.nan))
 

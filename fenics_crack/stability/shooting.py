@@ -16,20 +16,27 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.bordered import PathPoint, solve_in_plane
-from fenics_crack.balance.orbits import OrbitPoint, Orbits
+from fenics_crack.balance.orbits import MarchedOrbits, OrbitPoint, Orbits
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.errors import ConvergenceError
-from fenics_crack.model.contact import ContactLaw
+from fenics_crack.errors import ConvergenceError, check_count
+from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
+from fenics_crack.model.flow import ExponentialFlow
+from fenics_crack.model.modal import all_modes
+from fenics_crack.model.reduced import massless
 from fenics_crack.model.structure import Structure
 from fenics_crack.table import Described, counted
 from fenics_crack.time.events import EventFlow
 from fenics_crack.time.march import initial_state
 
-__all__ = ["ExactOrbits", "PeriodicOrbit", "shoot"]
+__all__ = ["ExactOrbits", "PeriodicOrbit", "SteppedOrbits", "moving_below", "orbits_near", "shoot"]
 
 MAX_STEPS, MIN_DAMPING, PATIENCE = 20, 1e-3, 6
 """Newton steps of shooting, how much they may be shortened, and how many may together fail to halve
 the residual."""
+MOVING, STEPS = 60, 1024
+"""Modes that are marched, and steps in a period of the load."""
+INSTANTS = 512
+"""At which the gaps of an orbit are kept."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -122,29 +129,108 @@ class ExactOrbits(Orbits):
         )
 
 
+class SteppedOrbits(MarchedOrbits):
+    """F(x, p) of orbits by exponential steps next to a solution; modes beyond the lowest
+    :data:`MOVING` answer at once.
+
+    Raises
+    ------
+    InputError
+        As :class:`ExponentialFlow`.
+    """
+
+    def __init__(
+        self, structure: Structure, contact: ContactLaw, solution: PeriodicSolution, steps: int
+    ) -> None:
+        light = massless(structure) is not None or is_rigid(contact)
+        above = moving_below(structure, (solution.static_above if light else None) or np.inf)
+        flow = ExponentialFlow(structure, solution.omega, contact, steps, static_above=above)
+        state = flow.state(*initial_state(structure, solution))
+        super().__init__(flow, state, solution.subharmonic)
+
+    def orbit(self, found: PathPoint) -> PeriodicOrbit:
+        """The orbit of a solution of the equations."""
+        assert isinstance(found.at, OrbitPoint)
+        steps = self.steps(found.unknown, found.parameter)
+        size = float(np.linalg.norm(found.unknown))
+        instants = np.arange(INSTANTS) * len(steps.gap) // INSTANTS
+        return PeriodicOrbit(
+            steps.states[0],
+            found.at.multipliers,
+            steps.gap[instants],
+            float(np.linalg.norm(found.at.residual)) / size if size > 0.0 else 0.0,
+            found.iterations,
+            found.at.events,
+        )
+
+
+def moving_below(structure: Structure, static_above: float) -> float:
+    """Frequency [rad/s] above which modes answer at once, so that few are marched."""
+    squares = all_modes(structure).squares
+    if len(squares) <= MOVING:
+        return static_above
+    return min(static_above, float(np.sqrt(squares[MOVING - 1])) * (1.0 + 1e-9))
+
+
+def orbits_near(
+    structure: Structure,
+    contact: ContactLaw,
+    solution: PeriodicSolution,
+    steps_per_period: int | None = None,
+) -> ExactOrbits | SteppedOrbits:
+    """Orbits of the exact flow, or of a march where steps are given, or lips have no mass."""
+    exact = massless(structure) is None and is_piecewise_linear(contact)
+    if exact and steps_per_period is None:
+        return ExactOrbits(structure, contact, solution)
+    return SteppedOrbits(structure, contact, solution, steps_per_period or STEPS)
+
+
 def shoot(
     structure: Structure,
     solution: PeriodicSolution,
     contact: ContactLaw | None = None,
     *,
+    steps_per_period: int | None = None,
+    settle: int = 0,
     tolerance: float = 1e-10,
 ) -> PeriodicOrbit:
-    """Refine a harmonic-balance solution to an exact periodic orbit: z(T) = z(0).
+    """Refine a harmonic-balance solution to a periodic orbit in time: z(T) = z(0).
 
     Newton's method at the solution's frequency, damped where the residual would grow.
+
+    Parameters
+    ----------
+    structure, contact
+        Default of the law: the solution's.
+    solution : PeriodicSolution
+        Where the orbit is sought.
+    steps_per_period : int, optional
+        March by exponential steps, so many in a period of the load. Default: the exact flow where
+        lips have mass, else 1024.
+    settle : int
+        Follow the flow for so many periods of the response first: towards what attracts it.
+    tolerance : float
+        |z(T) - z(0)| / |z(0)|.
 
     Raises
     ------
     InputError
-        As :func:`integrate_events`.
+        As :func:`integrate_events` or :func:`integrate_exponential`.
     ConvergenceError
         No orbit nearby was found.
     """
     law = contact if contact is not None else solution.contact
-    orbits = ExactOrbits(structure, law, solution)  # type: ignore[arg-type]
+    assert law is not None
+    if steps_per_period is not None:
+        check_count("steps_per_period", steps_per_period, 1)
+    check_count("settle", settle, 0)
+    orbits = orbits_near(structure, law, solution, steps_per_period)
+    start = orbits.start
+    for _ in range(settle):
+        start = orbits.moved(start, 1.0)[0]
     sizes: list[float] = []
     found = solve_in_plane(
-        orbits, orbits.start, 1.0, None, tolerance=tolerance, iterations=MAX_STEPS,
+        orbits, start, 1.0, None, tolerance=tolerance, iterations=MAX_STEPS,
         least_damping=MIN_DAMPING, patience=PATIENCE, history=sizes,
     )  # fmt: skip
     if found is None:

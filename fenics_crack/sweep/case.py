@@ -20,16 +20,14 @@ from fenics_crack.model.matrices import distributed
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
-from fenics_crack.scene.scene import Contact, Scene
-from fenics_crack.stability.floquet import FEW_PAIRS, PiecewiseFlow, floquet
+from fenics_crack.scene.scene import Scene
+from fenics_crack.stability.floquet import FEW_PAIRS, floquet
 from fenics_crack.study.prepare import law_of, prepare
 from fenics_crack.sweep.file import COLUMNS
 from fenics_crack.sweep.plan import FORCES, Chunk
 
 __all__ = ["REFUSALS", "Arrays", "Found", "Geometry", "all_failed", "build", "solve_chunk"]
 
-UNSURE = 0.05
-"""The verdict is undecided within this and the truncation error of the unit circle."""
 REFUSALS = (InputError, ConvergenceError, np.linalg.LinAlgError)
 """Errors that fail one case while the others go on."""
 
@@ -147,7 +145,6 @@ def all_failed(chunk: Chunk, reason: str) -> list[Found]:
 def solve_chunk(geometry: Geometry, chunk: Chunk) -> list[Found]:
     """Solve cases one after the other."""
     solved: list[Found] = []
-    flow = Flow(geometry.structure)
     last: PeriodicSolution | None = None
     for case in chunk.cases:
         if isinstance(case, str):
@@ -160,7 +157,7 @@ def solve_chunk(geometry: Geometry, chunk: Chunk) -> list[Found]:
         try:
             last = _solve(geometry.of_case(case), case, last)
             measured = {name: v for name, v in last.to_dict().items() if name in COLUMNS}
-            found |= measured | {"response": _response(last, case)} | flow.verdict(last, case)
+            found |= measured | {"response": _response(last, case)} | _verdict(last)
             found |= {"gap": last.gap_coefficients, "force": last.force_coefficients}
         except REFUSALS as error:
             last = None
@@ -203,36 +200,15 @@ def _response(solution: PeriodicSolution, case: Scene) -> float:
     return float(np.ptp(evaluate(wave, solution.base_omega, instants)) / 2.0)
 
 
-class Flow:
-    """Stability of the solutions of a chunk.
-
-    Up to four pairs the verdict is that of :func:`fenics_crack.floquet`, which compares three
-    estimates. That takes 0.5 s with 18 pairs, many times as long as the solution. With more than
-    four pairs the leading multiplier of the solution decides, as along response curves, unless it
-    is near the unit circle.
-    """
-
-    def __init__(self, structure: Structure) -> None:
-        self._structure = structure
-        self._contact: Contact | None = None
-        self._flow: PiecewiseFlow | None = None
-
-    def verdict(self, solution: PeriodicSolution, case: Scene) -> Found:
-        """Verdict and modulus of the leading multiplier; empty without a law of the gap."""
-        law = solution.contact
-        if law is None or is_rigid(law):
-            return {}
-        try:
-            if self._structure.n_pairs <= FEW_PAIRS:
-                found = floquet(self._structure, solution, refine=False)
-                return {"verdict": found.verdict, "multiplier": abs(found.multipliers[0])}
-            if self._flow is None or self._contact != case.contact:
-                self._contact, self._flow = case.contact, PiecewiseFlow(self._structure, law)
-            leading = self._flow.leading(solution.gap_coefficients, solution.base_omega)
-        except REFUSALS:
-            return {"verdict": "undecided"}
-        size = abs(leading.value)
-        verdict = "stable" if size < 1.0 else "unstable"
-        if abs(size - 1.0) <= UNSURE + solution.report.truncation:
-            verdict = "undecided"
-        return {"verdict": verdict, "multiplier": size}
+def _verdict(solution: PeriodicSolution) -> Found:
+    """Verdict and modulus of the leading multiplier; empty without a law, and for a constraint of
+    lips with mass."""
+    law = solution.contact
+    if law is None or (is_rigid(law) and solution.static_above is None):
+        return {}
+    few = solution.structure.n_pairs <= FEW_PAIRS and solution.static_above is None
+    try:
+        found = floquet(solution.structure, solution, refine=not few)
+    except REFUSALS:
+        return {"verdict": "undecided"}
+    return {"verdict": found.verdict, "multiplier": abs(found.multipliers[0])}

@@ -12,7 +12,7 @@ import fenics_crack as fc
 from fenics_crack.model.modal import all_modes, flow_matrix
 from fenics_crack.stability import eigenbasis as module
 from fenics_crack.stability.eigenbasis import eigenbasis, undamped_modes
-from fenics_crack.stability.floquet import PiecewiseFlow
+from fenics_crack.stability.piecewise_flow import PiecewiseFlow
 
 
 def repeated_frequencies() -> fc.Structure:

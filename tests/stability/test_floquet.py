@@ -17,7 +17,8 @@ from scipy.integrate import solve_ivp
 
 import fenics_crack as fc
 from fenics_crack.model.modal import all_modes, flow_matrix
-from fenics_crack.stability.floquet import PiecewiseFlow, floquet
+from fenics_crack.stability.floquet import floquet
+from fenics_crack.stability.piecewise_flow import PiecewiseFlow
 from fenics_crack.time.events import EventFlow
 
 
