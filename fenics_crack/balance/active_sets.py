@@ -7,8 +7,9 @@ of one of these: a force that vanishes opens its pair, an opening that vanishes 
 On the cells of a grid, 16 and more to the shortest wave, the sets at both ends are found first. A
 cell is searched where they differ, or where a force or an opening that is positive at both ends
 would vanish on the two tangents there. In a cell the waves are replaced by their Taylor polynomials
-about its middle, to rounding. The first root is bracketed on a few points and polished; behind it
-the set differs by one pair; and so on to the end of the cell. All cells go through this together.
+about its middle, to rounding. The first root is bracketed on a few points, and on the minima
+between them, and polished; behind it the set differs by one pair; and so on to the end of the cell.
+All cells go through this together.
 """
 
 from __future__ import annotations
@@ -69,14 +70,13 @@ def contact_intervals(harmonics: np.ndarray, contact: ActiveSets) -> Intervals:
     width = 2.0 * np.pi / count
     searched = _searched(contact, values, width * rates, closed)
     cells = _Cells(harmonics, contact, (searched + 0.5) * width, width, closed[searched])
-    theta, sets = cells.events()
-    wrong = np.any(cells.closed != closed[(searched + 1) % count], axis=1)
-    after = (searched[wrong] + 1) % count
-    theta = np.concatenate([[0.0], theta, after * width])
-    sets = np.concatenate([closed[:1], sets, closed[after]])
-    order = np.argsort(theta, kind="stable")
+    number, theta, sets = cells.events()
+    wrong = np.flatnonzero(np.any(cells.closed != closed[(searched + 1) % count], axis=1))
+    theta = np.concatenate([[0.0], theta, (searched[wrong] + 1) * width])
+    sets = np.concatenate([closed[:1], sets, closed[(searched[wrong] + 1) % count]])
+    order = np.argsort(np.concatenate([[-1], number, wrong]), kind="stable")
     different, which = unique_sets(sets[order])
-    return Intervals(theta[order], which, different)
+    return Intervals(np.maximum.accumulate(theta[order]), which, different)
 
 
 def _sampled(harmonics: np.ndarray, count: int) -> np.ndarray:
@@ -126,12 +126,13 @@ class _Cells:
         rates = (0.5j * width * order) ** degree[:, None] / factorials[:, None]
         self._taylor = ((waves[:, None, :] * rates) @ harmonics).real
 
-    def events(self) -> tuple[np.ndarray, np.ndarray]:
-        """Phases of all events, and the sets closed behind them; :attr:`closed` at the ends."""
+    def events(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Cells and phases of all events, in the order of each cell, and the sets closed behind
+        them; :attr:`closed` at the ends."""
         begun = np.full(len(self._middle), -1.0)
         going = np.arange(len(begun))
         last = np.full(len(begun), -1)
-        theta, sets = [np.zeros(0)], [self.closed[:0]]
+        number, theta, sets = [going[:0]], [np.zeros(0)], [self.closed[:0]]
         for _ in range(4 * self.closed.shape[1] + 8):
             if not len(going):
                 break
@@ -140,33 +141,35 @@ class _Cells:
             going, pair, place = going[found], pair[found], place[found]
             self.closed[going, pair] ^= True
             begun[going], last[going] = place, pair
+            number.append(going)
             theta.append(self._middle[going] + 0.5 * self._width * place)
             sets.append(self.closed[going])
-        return np.concatenate(theta), np.concatenate(sets)
+        return np.concatenate(number), np.concatenate(theta), np.concatenate(sets)
 
     def _first(
         self, cells: np.ndarray, begun: np.ndarray, last: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """The pair of the next event in cells, -1 where there is none, and where it happens."""
         taylor, closed = self._taylor[cells], self.closed[cells]
-        share = np.arange(1, POINTS + 1) / POINTS
-        places = begun[:, None] + (1.0 - begun[:, None]) * share
-        powers = places[:, :, None] ** np.arange(DEGREE + 1)
         polynomials = _margins(
             self._contact,
             taylor.reshape(-1, closed.shape[1]),
             np.repeat(closed, DEGREE + 1, axis=0),
         ).reshape(taylor.shape)
-        negative = powers @ polynomials < 0.0
-        # Behind its own event a pair may be negative by rounding: where that lasts, the sets at the
-        # end of the cell tell.
         known = np.flatnonzero(last >= 0)
-        negative[known, :, last[known]] &= ~negative[known, :1, last[known]]
+        polynomials[known, :, last[known]] = _without_root(
+            polynomials[known, :, last[known]], begun[known]
+        )
+        places = begun[:, None] + (1.0 - begun[:, None]) * np.linspace(0.0, 1.0, POINTS + 1)
+        high = _negative(polynomials, places)
+        negative = ~np.isnan(high)
         first = np.argmax(negative.any(axis=2), axis=1)
         which, pair = np.nonzero(negative[np.arange(len(cells)), first])
-        high = places[which, first[which]]
-        low = high - (1.0 - begun[which]) / POINTS
-        roots = _roots(polynomials[which, :, pair], low, high)
+        roots = _roots(
+            polynomials[which, :, pair],
+            places[which, first[which]],
+            high[which, first[which], pair],
+        )
         order = np.lexsort((roots, which))
         found, place = np.unique(which[order], return_index=True)
         chosen, at = np.full(len(cells), -1), np.zeros(len(cells))
@@ -174,10 +177,49 @@ class _Cells:
         return chosen, at
 
 
+def _without_root(polynomials: np.ndarray, root: np.ndarray) -> np.ndarray:
+    """Polynomials (n, DEGREE + 1) divided by x - root: behind it their signs stay. Where a margin
+    does not grow behind its own event, what comes next is left to the set at the cell's end: 1."""
+    found = np.zeros_like(polynomials)
+    for column in range(DEGREE, 0, -1):
+        found[:, column - 1] = polynomials[:, column] + root * (
+            found[:, column] if column < DEGREE else 0.0
+        )
+    falls = np.sum(found * root[:, None] ** np.arange(DEGREE + 1), axis=1) <= 0.0
+    found[falls] = np.eye(DEGREE + 1)[0]
+    return found
+
+
+def _negative(polynomials: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Where polynomials (n, DEGREE + 1, n_pairs) are negative between places (n, POINTS + 1), at
+    the end of an interval or at a minimum inside: (n, POINTS, n_pairs), nan where they are not."""
+    degree = np.arange(DEGREE + 1)
+    powers = places[:, :, None] ** degree
+    values, slopes = (
+        powers @ polynomials,
+        powers[:, :, :-1] @ (polynomials * degree[:, None])[:, 1:],
+    )
+    width = np.diff(places, axis=1)[:, :, None]
+    high = np.where(values[:, 1:] < 0.0, places[:, 1:, None], np.nan)
+    fall, rise = width * slopes[:, :-1], width * slopes[:, 1:]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # Tangents at both ends meet below zero.
+        lowest = (values[:, :-1] * rise - fall * values[:, 1:] + fall * rise) / (rise - fall)
+    dips = (fall < 0.0) & (rise > 0.0) & (lowest < 0.0) & np.isnan(high)
+    which, interval, pair = np.nonzero(dips)
+    rows = polynomials[which, :, pair]
+    rates = rows[:, 1:] * degree[1:]
+    low, end = places[which, interval], places[which, interval + 1]
+    bottom = _roots(-rates, low, end)
+    below = np.sum(rows * bottom[:, None] ** degree, axis=1) < 0.0
+    high[which[below], interval[below], pair[below]] = bottom[below]
+    return high
+
+
 def _roots(polynomials: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """A root of each polynomial (n, DEGREE + 1) in [low, high], at the end of which it is negative;
-    ``low`` where it is negative there already. Newton's method, kept in a bracket by bisection."""
-    degree = np.arange(1, DEGREE + 1)
+    """A root of each polynomial (n, any) in [low, high], at whose end it is negative; ``low`` where
+    it is negative there already. Newton's method, kept in a bracket by bisection."""
+    degree = np.arange(1, polynomials.shape[1])
     slopes = polynomials[:, 1:] * degree
 
     def value(rows: np.ndarray, at: np.ndarray) -> np.ndarray:

@@ -15,7 +15,6 @@ All are root mean squares over the period and the pairs, relative to that of B^T
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -32,9 +31,9 @@ from fenics_crack.balance.contact_integrals import (
 from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.balance.fourier import resized
-from fenics_crack.balance.problem import Problem
-from fenics_crack.errors import InputError
-from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear
+from fenics_crack.balance.problem import Problem, is_regular
+from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear, is_rigid
+from fenics_crack.model.modal import all_modes
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.table import Described
 
@@ -56,6 +55,9 @@ ROUGH = 1e-2
 SMALL_STEP, MAX_STEPS = 0.02, 4
 """Of Newton's method for an estimate: a first step, relative to the solution, that is enough, and
 how many follow where it is not."""
+STIFF = 1e3
+"""Stiffness of a penalty that stands for a constraint where the reference has mass at its lips,
+relative to the inverse of R_inf."""
 MANY = 600
 """Unknowns beyond which the truncation is judged with twice instead of four times the harmonics."""
 
@@ -271,10 +273,15 @@ def _lost_in_reduction(at: CondensedPoint, problem: Problem) -> _Change:
     other = replace(problem, structure=reference)
     if isinstance(at, CoupledPoint):
         other = replace(other, static_above=problem.cutoff)
-        with suppress(InputError):  # a constraint, and the reference leaves nothing out
-            system = other.system(other.compliance())
-            assert isinstance(system, CoupledSystem)
-            return _improvement(system, at.gap + at.force @ system.residual, rows, other)
+        residual = at.system.residual
+        if is_rigid(problem.contact) and not is_regular(
+            all_modes(reference).static_part(problem.cutoff)
+        ):
+            nearly = STIFF * len(residual) / np.trace(residual)
+            other = replace(other, contact=UnilateralPenalty(float(nearly)))
+        system = other.system(other.compliance())
+        assert isinstance(system, CoupledSystem)
+        return _improvement(system, at.gap + at.force @ system.residual, rows, other)
     better, used = other.compliance(), at.system.compliance
     free = better.linear_gap - used.linear_gap
     gap = at.gap_by_linear_gap(free - respond(better.matrices - used.matrices, at.force))

@@ -30,7 +30,7 @@ from fenics_crack.errors import (
     check_omega,
 )
 from fenics_crack.model.contact import ContactLaw
-from fenics_crack.model.modal import is_small
+from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
@@ -69,12 +69,23 @@ def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> P
     amplitude = np.zeros_like(load)
     for k in (0, 1):
         if np.any(structure.sum_over_ranks(np.abs(load[k]).sum(keepdims=True))):
-            with DynamicStiffness(structure, k * omega) as block:
-                amplitude[k] = block.solve(load[k].real[None] if k == 0 else load[k][None])[0]
+            amplitude[k] = _linear_amplitude(structure, k * omega, load[k])
     displacement = from_complex(amplitude)
     gap = structure.apply_bt(displacement)
     gap[0] -= structure.clearance
     return PeriodicSolution(structure, omega, None, displacement, gap, np.zeros_like(gap))
+
+
+def _linear_amplitude(structure: Structure, omega: float, load: np.ndarray) -> np.ndarray:
+    """Complex displacement under a load (n_local,)."""
+    if massless(structure) is None:
+        with DynamicStiffness(structure, omega) as block:
+            found: np.ndarray = block.solve(load[None] if omega > 0.0 else load.real[None])[0]
+            return found
+    modes = all_modes(structure)
+    receptance = modes.receptance(np.array([omega]))[0]
+    moved = modes.respond(receptance, load @ modes.shapes)
+    return moved @ modes.shapes.T + load @ modes.static_loads
 
 
 def solve_harmonic_balance(

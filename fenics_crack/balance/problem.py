@@ -18,7 +18,7 @@ from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduced import massless
 from fenics_crack.model.structure import Structure
 
-__all__ = ["Problem"]
+__all__ = ["Problem", "is_regular"]
 
 BEYOND = 2.0
 """Modes above so many times the highest harmonic answer at once."""
@@ -116,7 +116,7 @@ class Problem:
         wanted = lips is not None or self.static_above is not None or rigid
         if not wanted and not float(np.max(contact.stiffness * np.diag(found))) > STIFF:
             return None
-        if rigid and not _regular(found):
+        if rigid and not is_regular(found):
             if lips is not None:
                 raise InputError(
                     "contact", self.contact, "a penalty where R_inf, what modes leave out, is zero"
@@ -148,7 +148,7 @@ class Problem:
         return replace(self, harmonics=harmonics)
 
 
-def _regular(matrix: np.ndarray) -> bool:
+def is_regular(matrix: np.ndarray) -> bool:
     """Whether a symmetric matrix is positive definite, and not badly scaled."""
     values = np.linalg.eigvalsh(matrix)
     return bool(values[0] > REGULAR * values[-1] > 0.0)

@@ -40,6 +40,7 @@ from fenics_crack.balance.rounding import (
     least_residual,
     stiffness_times_compliance,
 )
+from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import UnilateralPenalty
 from fenics_crack.model.flow import ExponentialFlow
 
@@ -160,7 +161,10 @@ class Search:
                     return found
             elif marched:
                 name = "from a marched orbit"
-                found = self._newton(newton, self._marched(problem), 1.0, 12, name)
+                try:
+                    found = self._newton(newton, self._marched(problem), 1.0, 12, name)
+                except ConvergenceError as error:
+                    self._note(name, str(error))
                 if self.converged:
                     self._last_coupled = found
                     return found

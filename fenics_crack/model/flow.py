@@ -5,23 +5,26 @@ form,
 
     z' = A z - [0, P]^T lambda(t),        P = Phi^T B,
 
-a step of length h is exact for contact forces that are linear over it (first-order hold),
+a step of length h is exact for a force that is held over it, here the mean of those at its ends,
 
-    z_{n+1} = E z_n - Gamma_0 lambda_n - Gamma_1 lambda_{n+1},        E = exp(A h).
+    z_{n+1} = E z_n - Gamma (lambda_n + lambda_{n+1}),        E = exp(A h),
 
-The gap at its end is linear in the forces there, with Q z the gap of a state and R_inf what answers
-at once (:mod:`fenics_crack.model.coupled`),
+2 Gamma being the response to unit forces that are held. The gap at its end is linear in the forces
+there, with Q z the gap of a state and R_inf what answers at once
+(:mod:`fenics_crack.model.coupled`),
 
-    g_{n+1} = s_free - (R_inf + Q Gamma_1) lambda_{n+1},
+    g_{n+1} = s_free - (R_inf + Q Gamma) lambda_{n+1},
 
-so that 0 <= lambda, (R_inf + I/k + Q Gamma_1) lambda - s_free >= 0, complementary: nothing
+so that 0 <= lambda, (R_inf + I/k + Q Gamma) lambda - s_free >= 0, complementary: nothing
 penetrates, or only as far as the law lets it. Where the set of closed pairs stays, this is one
-product with a matrix that is kept. The scheme is of second order in h, stable for any step, and
-without contact exact.
+product with a matrix that is kept. The scheme is of second order in h, and without contact exact.
+The work of a held force is known exactly, so that in a step between equal sets of closed pairs no
+energy is created: it is stable for any step. (With forces linear over the step it would not be:
+with mass at the lips that is the method of linear acceleration.)
 
 With the sets A of a step's ends, forces follow lambda_A = (D_AA)^-1 s_A, and the step's tangent is
 
-    dz_{n+1} = (I - Gamma_1 S'_A+ Q) (E - Gamma_0 S_A Q) dz_n;
+    dz_{n+1} = (I - Gamma S'_A+ Q) (E - Gamma S_A Q) dz_n;
 
 the product over a period is the monodromy matrix.
 
@@ -102,13 +105,14 @@ class ExponentialFlow:
         """Everything that depends on the length of a step."""
         modes, count = self.modes, len(self.modes.squares)
         self.step_size = h = 2.0 * np.pi / self.omega / self.steps
-        moved, held, ramp = _transition(modes, h)
-        self._moved, self._held, self._ramp = moved, held - ramp, ramp
+        self._moved, held = _transition(modes, h)
+        self._pushed = 0.5 * held  # Gamma
         self.gap_rows = np.hstack([modes.pairs.T, np.zeros((self.structure.n_pairs, count))])
-        self._contact = _Sets(self.residual + np.diag(self.springs) + modes.pairs.T @ ramp[:count])
-        # [E, -Gamma_0; Q E, -Q Gamma_0]: the state and the gap that a step reaches without forces
-        # at its end.
-        free = np.hstack([moved, -self._held])
+        moved_gap = modes.pairs.T @ self._pushed[:count]
+        self._contact = _Sets(self.residual + np.diag(self.springs) + moved_gap)
+        # [E, -Gamma; Q E, -Q Gamma]: the state and the gap that a step reaches without forces at
+        # its end.
+        free = np.hstack([self._moved, -self._pushed])
         self._free = np.vstack([free, self.gap_rows @ free])
         self._prepare_load()
         self._tangents: dict[tuple[bytes, bytes], np.ndarray] = {}
@@ -158,7 +162,7 @@ class ExponentialFlow:
         forces[0] = self._static.solve(self.gap_rows @ (state - steady[0]) + linear[0])
         closed[0] = forces[0] > 0.0
         now = np.concatenate([state - steady[0], forces[0]])
-        contact, ramp = self._contact, self._ramp
+        contact, pushed = self._contact, self._pushed
         active = closed[0]
         known = contact.of(active)
         for step in range(1, total + 1):
@@ -171,7 +175,7 @@ class ExponentialFlow:
                 known = contact.of(active)
             else:
                 force = answer * active
-            now = np.concatenate([reached[:count] - ramp @ force, force])
+            now = np.concatenate([reached[:count] - pushed @ force, force])
             states[step], forces[step], closed[step] = now[:count], force, active
         instants = np.arange(total + 1) % self.steps
         states[1:] += steady[instants[1:]]
@@ -184,9 +188,9 @@ class ExponentialFlow:
             if (len(self._tangents) + 1) * self._moved.nbytes > MAX_KEPT:
                 self._tangents.clear()
             rows, count = self.gap_rows, len(self._moved)
-            found = self._moved - self._held @ (self._static.of(before).stiffness @ rows)
-            pushed = self._contact.of(after).stiffness @ (rows @ found)
-            self._tangents[key] = found - self._ramp @ pushed
+            found = self._moved - self._pushed @ (self._static.of(before).stiffness @ rows)
+            force = self._contact.of(after).stiffness @ (rows @ found)
+            self._tangents[key] = found - self._pushed @ force
             assert found.shape == (count, count)
         return self._tangents[key]
 
@@ -278,36 +282,32 @@ class _Sets:
         return solve_complementarity(self.compliance, gap)
 
 
-def _transition(modes: AllModes, h: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """E (2n, 2n), and the response to unit forces on the pairs that are held over the step, and
-    that grow from 0 to 1 over it: (2n, n_pairs) each."""
+def _transition(modes: AllModes, h: float) -> tuple[np.ndarray, np.ndarray]:
+    """E (2n, 2n), and the response to unit forces on the pairs that are held over the step:
+    (2n, n_pairs)."""
     count, pairs = modes.pairs.shape
     if modes.damping.ndim == 1:
-        # Mode by mode: exp of h [A, b, 0; 0, 0, 1/h; 0, 0, 0], scaled to balance q and q'.
+        # Mode by mode: exp of h [A, b; 0, 0], scaled to balance q and q'.
         scale = np.maximum(np.sqrt(np.abs(modes.squares)), 1.0 / h)
-        system = np.zeros((count, 4, 4))
+        system = np.zeros((count, 3, 3))
         system[:, 0, 1] = scale
         system[:, 1, 0], system[:, 1, 1] = -modes.squares / scale, -modes.damping
-        system[:, 1, 2], system[:, 2, 3] = 1.0, 1.0 / h
+        system[:, 1, 2] = 1.0
         found = scipy.linalg.expm(h * system)
         moved = np.zeros((2 * count, 2 * count))
         place = np.arange(count)
         moved[place, place], moved[count + place, count + place] = found[:, 0, 0], found[:, 1, 1]
         moved[place, count + place] = found[:, 0, 1] / scale
         moved[count + place, place] = found[:, 1, 0] * scale
-        parts = []
-        for column in (2, 3):
-            shape = (found[:, 0, column] / scale)[:, None] * modes.pairs
-            parts.append(np.vstack([shape, found[:, 1, column][:, None] * modes.pairs]))
-        return moved, parts[0], parts[1]
-    whole = np.zeros((2 * (count + pairs),) * 2)
+        shape = (found[:, 0, 2] / scale)[:, None] * modes.pairs
+        return moved, np.vstack([shape, found[:, 1, 2][:, None] * modes.pairs])
+    whole = np.zeros((2 * count + pairs,) * 2)
     whole[:count, count : 2 * count] = np.eye(count)
     whole[count : 2 * count, :count] = -np.diag(modes.squares)
     whole[count : 2 * count, count : 2 * count] = -modes.damping
-    whole[count : 2 * count, 2 * count : 2 * count + pairs] = modes.pairs
-    whole[2 * count : 2 * count + pairs, 2 * count + pairs :] = np.eye(pairs) / h
+    whole[count : 2 * count, 2 * count :] = modes.pairs
     found = scipy.linalg.expm(h * whole)[: 2 * count]
-    return tuple(np.split(found, [2 * count, 2 * count + pairs], axis=1))  # type: ignore[return-value]
+    return found[:, : 2 * count], found[:, 2 * count :]
 
 
 def _response(modes: AllModes, omega: float, force: np.ndarray) -> np.ndarray:

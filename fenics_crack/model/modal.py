@@ -201,7 +201,7 @@ def _of_massless(structure: MasslessStructure) -> AllModes:
         np.eye(structure.n_dofs)[:, :count],
         structure.rate,
         gap[:count],
-        bool(squares[0] <= 1e-12 * squares[-1]),
+        bool(np.any(squares == 0.0)),
         structure.residual,
         loads @ gap,
         loads,

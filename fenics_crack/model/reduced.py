@@ -28,7 +28,15 @@ from fenics_crack.model.matrices import distributed
 from fenics_crack.model.modes import times
 from fenics_crack.model.structure import Structure
 
-__all__ = ["MasslessStructure", "ReducedStructure", "ResidualFlexibility", "massless"]
+__all__ = [
+    "INSTEAD",
+    "MasslessStructure",
+    "ReducedStructure",
+    "ResidualFlexibility",
+    "check_mass",
+    "massless",
+    "of_kept_modes",
+]
 
 
 class ReducedStructure(Structure):
@@ -212,20 +220,15 @@ class MasslessStructure(ReducedStructure):
         static: ResidualFlexibility | None = None,
         reference: MasslessStructure | None = None,
     ) -> None:
-        """Of Phi^T B (n_modes, n_pairs), Phi^T f (3, n_modes) or the load on all coordinates
-        (3, n_dofs), and S."""
+        """Of Phi^T B (n_modes, n_pairs), the load on all coordinates (3, n_dofs), and S."""
         count, extra, shared = len(squares), len(compliance), whole.n_pairs
         omega = np.sqrt(np.maximum(squares, 0.0))
         stiffness = sparse.block_diag([sparse.diags(squares), compliance]).tocsr()
         mass = sparse.diags(np.repeat([1.0, 0.0], [count, extra])).tocsr()
-        if extra and force.shape[1] == count:
-            # The amplitudes of the load's parts are unknowns whose force is S times themselves.
-            patterns = np.zeros((3, extra))
-            patterns[:, shared:] = _patterns(whole)
-            force = np.hstack([force, patterns @ compliance])
         rate: np.ndarray = np.zeros(count)
+        if not isinstance(damping, np.ndarray):
+            damping = of_kept_modes(damping, count)
         if isinstance(damping, ModalDamping):
-            damping = _of_modes(damping, count)
             rate = 2.0 * np.asarray(damping.ratio) * omega
         elif isinstance(damping, RayleighDamping):
             rate = damping.rate(squares)
@@ -238,7 +241,7 @@ class MasslessStructure(ReducedStructure):
             sparse.csr_matrix(np.vstack([pairs, compliance[:, :shared]])),
             force=force,
             clearance=whole.clearance,
-            damping=_padded(damping, extra),
+            damping=_padded(damping, rate, extra),
             nodes=whole.nodes,
             pair_points=whole.pair_points,
             pair_areas=whole.pair_areas,
@@ -304,7 +307,6 @@ class MasslessStructure(ReducedStructure):
         """Return this structure with a modal or Rayleigh damping of its modes, or none."""
         if damping is not None and not isinstance(damping, DampingRule):
             raise InputError("damping", damping, "a ModalDamping, a RayleighDamping or None")
-        count = self.n_modes
         reference = None
         if isinstance(self.reference, MasslessStructure):
             reference = self.reference.damped(damping)
@@ -312,7 +314,7 @@ class MasslessStructure(ReducedStructure):
             self._whole,
             self.omega**2,
             damping,
-            self.gap[:count].toarray(),
+            self.gap[: self.n_modes].toarray(),
             self.force,
             self.compliance,
             static=self._static,
@@ -322,6 +324,28 @@ class MasslessStructure(ReducedStructure):
 
 BLOCK = 16
 """Static solutions that are held at a time."""
+INSTEAD = "reduce with method = 'free_interface', or march by integrate_exponential"
+"""What to do where a scheme needs mass at the lips."""
+
+
+def of_kept_modes(damping: DampingRule | None, count: int) -> DampingRule | None:
+    """Damping of all modes that are kept: those beyond the damped ones by the last ratio."""
+    if not isinstance(damping, ModalDamping):
+        return damping
+    if isinstance(damping.ratio, float):
+        return ModalDamping(damping.ratio)
+    ratio = list(damping.ratio)[:count]
+    return ModalDamping(tuple(ratio + ratio[-1:] * (count - len(ratio))))
+
+
+def check_mass(structure: Structure, instead: str) -> None:
+    """Raise InputError, which says what to do instead, if the lips have no mass."""
+    if massless(structure) is not None:
+        raise InputError(
+            "structure",
+            repr(structure),
+            f"one with mass at its lips, not lips without mass; {instead}",
+        )
 
 
 def massless(structure: Structure | None) -> MasslessStructure | None:
@@ -329,27 +353,13 @@ def massless(structure: Structure | None) -> MasslessStructure | None:
     return structure if isinstance(structure, MasslessStructure) else None
 
 
-def _of_modes(damping: ModalDamping, count: int) -> ModalDamping:
-    """Of so many modes; those beyond the damped ones have the last ratio."""
-    if isinstance(damping.ratio, float):
-        return ModalDamping(damping.ratio)
-    ratio = [*damping.ratio][:count]
-    return ModalDamping(ratio + ratio[-1:] * (count - len(ratio)))
-
-
-def _patterns(whole: Structure) -> np.ndarray:
-    """The parts of a load as combinations of those that are not zero: (3, n_loads)."""
-    loaded = whole.sum_over_ranks((whole.force**2).sum(axis=1)) > 0.0
-    return np.eye(3)[:, loaded]
-
-
-def _padded(damping: DampingRule | np.ndarray | None, extra: int) -> Any:
-    """A matrix of modal damping with rows for coordinates without mass."""
-    if not isinstance(damping, np.ndarray):
+def _padded(damping: DampingRule | np.ndarray | None, rate: np.ndarray, extra: int) -> Any:
+    """What does not damp all modes alike, as a matrix with rows for coordinates without mass."""
+    single = isinstance(damping, ModalDamping) and isinstance(damping.ratio, float)
+    if damping is None or single or isinstance(damping, RayleighDamping):
         return damping
-    return distributed(
-        sparse.block_diag([damping, sparse.csr_matrix((extra, extra))]), MPI.COMM_SELF
-    )
+    block = rate if rate.ndim == 2 else np.diag(rate)
+    return distributed(sparse.block_diag([block, sparse.csr_matrix((extra,) * 2)]), MPI.COMM_SELF)
 
 
 def _pseudoinverse(compliance: np.ndarray) -> np.ndarray:

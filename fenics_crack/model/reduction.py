@@ -45,12 +45,19 @@ from fenics_crack.model.modes import (
     solve_modes,
     times,
 )
-from fenics_crack.model.reduced import MasslessStructure, ReducedStructure, ResidualFlexibility
+from fenics_crack.model.reduced import (
+    MasslessStructure,
+    ReducedStructure,
+    ResidualFlexibility,
+    check_mass,
+)
 from fenics_crack.model.structure import Structure
 
 __all__ = ["reduce_structure"]
 
 METHODS = ("massless", "free_interface", "craig_bampton", "truncation")
+RIGID = 1e-12
+"""Squares of frequencies, relative to the highest, that are those of motions as a rigid body."""
 MODES = 50
 """Kept of a large structure whose modes are all damped."""
 ROUNDING = 1e-14
@@ -87,6 +94,7 @@ def reduce_structure(
     """
     if method not in METHODS:
         raise InputError("method", method, "one of " + ", ".join(map(repr, METHODS)))
+    check_mass(structure, "reduce the whole one")
     rule = _rule_of_all(structure)
     damped = damped_modes(structure) if rule is None else None
     if modes is None:
@@ -126,14 +134,22 @@ def reduce_structure(
 
 def _massless(structure: Structure, modes: int, damped: DampedModes | None) -> MasslessStructure:
     """Modes and the rest without mass; its reference has more modes."""
-    more = min(structure.n_dofs, modes + max(modes // 2, 10))
+    more = min(modes + max(modes // 2, 10), structure.n_dofs - structure.n_pairs)
+    if more <= modes:  # else something is left for every pair, without which it has mass
+        more = structure.n_dofs
     known = damped if damped is not None and len(damped.omega) >= more else None
     found = known or solve_modes(structure, more)
     squares, shapes = found.omega[:more] ** 2, np.ascontiguousarray(found.shapes[:, :more])
+    squares[squares <= RIGID * squares[-1]] = 0.0
+    if rigid := np.count_nonzero(squares[modes:] == 0.0):
+        allowed = f"at least {modes + rigid}: all motions as a rigid body"
+        raise InputError("modes", modes, allowed)
     loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
     sources = sparse.hstack([structure.gap, structure.force[loaded].T]).tocsr()
     seen = structure.sum_over_ranks((sources.T @ shapes).T)
     force = structure.sum_over_ranks(structure.force @ shapes)
+    # The amplitudes of the load's parts are unknowns whose force is S times themselves.
+    patterns = np.hstack([np.zeros((3, structure.n_pairs)), np.eye(3)[:, loaded]])
     compliance = np.zeros((sources.shape[1],) * 2)
     if more < structure.n_dofs:
         compliance = ResidualFlexibility(structure, shapes, sources).compliance()
@@ -148,7 +164,7 @@ def _massless(structure: Structure, modes: int, damped: DampedModes | None) -> M
             squares[:count],
             _damping_of_modes(structure, shapes[:, :count], squares[:count]),
             seen[:count, : structure.n_pairs],
-            force[:, :count],
+            np.hstack([force[:, :count], patterns @ left]),
             left,
             static=ResidualFlexibility(structure, shapes[:, :count], sources),
             reference=reference,
@@ -249,9 +265,9 @@ def _damping(
     if (rule := _rule_of_all(structure)) is not None:
         return rule
     matrix = projected_damping(structure, basis)
-    rate = np.diag(matrix)
-    if np.abs(matrix - np.diag(rate)).max() > 1e-9 * rate.max(initial=0.0):
+    rate, omega = np.diag(matrix), np.sqrt(np.maximum(squares, 0.0))
+    coupled = np.abs(matrix - np.diag(rate)).max() > 1e-9 * rate.max(initial=0.0)
+    if coupled or np.any(rate[omega == 0.0] > 0.0):  # no ratio damps a motion as a rigid body
         return matrix
-    omega = np.sqrt(np.maximum(squares, 0.0))
     ratio = np.divide(rate, 2.0 * omega, out=np.zeros_like(rate), where=omega > 0.0)
     return ModalDamping(tuple(np.maximum(ratio, 0.0)))

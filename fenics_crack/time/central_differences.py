@@ -48,9 +48,10 @@ from fenics_crack.model.complementarity import solve_complementarity
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.modes import by_columns, largest_frequency
+from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import collect_garbage
-from fenics_crack.time.march import March, TimeHistory, Window, check_mass, march
+from fenics_crack.time.march import March, TimeHistory, Window, march
 from fenics_crack.time.steps import StepScheme, inverse_of, solve_once
 
 __all__ = ["integrate_central_difference", "stable_steps_per_period"]
@@ -62,7 +63,7 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
     dt <= 2 / omega_max with every pair closed by its spring; with a constraint, which lowers the
     largest frequency, with every pair open.
     """
-    check_mass(structure)
+    check_mass(structure, INSTEAD)
     check_omega(omega)
     check_law(structure, contact, rigid=True)
     closed = structure if is_rigid(contact) else structure.tied(contact.stiffness)

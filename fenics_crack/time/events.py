@@ -18,8 +18,9 @@ import numpy as np
 from fenics_crack.errors import ConvergenceError, InputError, check_omega
 from fenics_crack.model.contact import ContactLaw, check_law, is_piecewise_linear
 from fenics_crack.model.modal import AllModes, all_modes, is_small
+from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure
-from fenics_crack.time.march import March, Scheme, TimeHistory, Window, check_mass, march
+from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
 from fenics_crack.time.regime import FreeMotion, Gaps, Regime, next_event
 
 __all__ = ["MAX_PAIRS", "EventFlow", "integrate_events"]
@@ -42,6 +43,7 @@ class EventFlow:
             raise InputError("contact", contact, "a UnilateralPenalty, linear in contact")
         check_omega(omega)
         check_law(structure, contact)
+        check_mass(structure, INSTEAD)
         if not is_small(structure):
             raise InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
         if structure.n_pairs > MAX_PAIRS:
@@ -172,7 +174,7 @@ def integrate_events(
     ConvergenceError
         Pairs open and close without end.
     """
-    check_mass(structure)
+    check_mass(structure, INSTEAD)
     asked = March(structure, omega, contact, periods, steps_per_period, **options)
     return march(asked, _ByEvents(asked))
 

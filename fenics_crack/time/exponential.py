@@ -59,17 +59,14 @@ class _ByExponentials(Scheme):
     name = "exponential"
 
     def __init__(self, asked: March) -> None:
-        structure = asked.structure
         self._flow = flow = ExponentialFlow(
-            structure, asked.omega, asked.contact, asked.steps_per_period
+            asked.structure, asked.omega, asked.contact, asked.steps_per_period
         )
         self._columns, self._load_rows = asked.recorded_dofs, asked.load_rows
         # Coordinates without mass are no displacements: compared by the work of the load.
-        self._load_sizes = np.linalg.norm(structure.force[:, asked.load_rows], axis=0)
+        self._load_sizes = np.linalg.norm(asked.structure.force[:, asked.load_rows], axis=0)
         self._state = flow.state(*asked.start)
-        self._force = np.zeros(structure.n_pairs)
-        self._contact = asked.contact
-        self._stiffness = structure.stiffness.getDiagonal().array_r.copy()
+        self._motion = asked.start[0]
         self._work = self._lost = 0.0
         self._first: float | None = None
         self._put_in = 0.0
@@ -81,8 +78,7 @@ class _ByExponentials(Scheme):
         motion = flow.coordinates(steps.states, steps.forces)
         window.motion[:] = motion[:-1, self._columns]
         window.load_motion[:] = motion[:-1, self._load_rows] * self._load_sizes
-        self._state, self._force = steps.states[-1], steps.forces[-1]
-        self._motion = motion[-1]
+        self._state, self._motion = steps.states[-1], motion[-1]
         self._book(steps, motion)
 
     def _book(self, steps: Steps, motion: np.ndarray) -> None:

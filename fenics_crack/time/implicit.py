@@ -66,8 +66,9 @@ from fenics_crack.model.complementarity import solve_complementarity, solve_forc
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.modes import by_columns
+from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure
-from fenics_crack.time.march import March, TimeHistory, Window, check_mass, march
+from fenics_crack.time.march import March, TimeHistory, Window, march
 from fenics_crack.time.steps import StepScheme, inverse_of, solve_once
 
 __all__ = ["integrate_implicit"]
@@ -112,7 +113,7 @@ def integrate_implicit(
     -----
     Two columns of n_local numbers are kept for each pair.
     """
-    check_mass(structure)
+    check_mass(structure, INSTEAD)
     check_number("spectral_radius", spectral_radius, 0.0)
     if spectral_radius > 1.0:
         raise InputError("spectral_radius", spectral_radius, "a number from 0 to 1")

@@ -17,12 +17,11 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import InputError, check_count, check_number, check_omega
 from fenics_crack.model.contact import ContactLaw, check_law
 from fenics_crack.model.matrices import numbers
-from fenics_crack.model.reduced import massless
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import StopRequest, raise_together
 from fenics_crack.table import counted
 
-__all__ = ["March", "Scheme", "TimeHistory", "Window", "check_mass", "initial_state", "march"]
+__all__ = ["March", "Scheme", "TimeHistory", "Window", "initial_state", "march"]
 
 MEMORY_LIMIT = 2**31
 """Bytes of history on one rank beyond which recording is refused."""
@@ -283,16 +282,6 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
         final_state=final_state,
         contact_force=force,
     )
-
-
-def check_mass(structure: Structure) -> None:
-    """Raise InputError where lips have no mass: only exponential steps take them."""
-    if massless(structure) is not None:
-        allowed = (
-            "one with mass at its lips (reduction.method = 'free_interface'), or marched by "
-            "integrate_exponential"
-        )
-        raise InputError("structure", repr(structure), allowed)
 
 
 def initial_state(

@@ -1,0 +1,387 @@
+"""Harmonic balance of contact behind a static compliance: equations, solutions, searches."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import DEMOS, chain, log_slope, relative, true_error
+from test_contact_integrals import random_gaps
+
+import fenics_crack as fc
+from fenics_crack.balance import coupled, search
+from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
+from fenics_crack.balance.fourier import resized
+from fenics_crack.balance.linearisation import Linearisation
+from fenics_crack.balance.search import Search
+from fenics_crack.time.exponential import integrate_exponential
+
+RIGID = fc.UnilateralConstraint()
+LAWS = {
+    "rigid": RIGID,
+    "penalty": fc.UnilateralPenalty(np.array([4.0, 1e3, 20.0])),
+    "smoothed": fc.SmoothedPenalty(20.0, 10.0),
+}
+
+
+def massless(structure: fc.Structure, modes: int) -> fc.Structure:
+    """Modes, and the static rest."""
+    return fc.reduce_structure(structure, modes=modes, method="massless")
+
+
+@pytest.fixture(scope="module")
+def short_chain() -> fc.Structure:
+    """Three pairs with clearance, none, and preload; four modes of ten; a damping matrix."""
+    return massless(chain("matrix"), 4)
+
+
+@pytest.fixture(scope="module")
+def plate(soft_plate: fc.Structure) -> fc.Structure:
+    """The paper's plate by ten modes."""
+    return massless(soft_plate, 10)
+
+
+@pytest.fixture(scope="module")
+def coarse_breathing_plate() -> fc.Structure:
+    """776 dofs, 8 pairs, 1 % of critical for all modes."""
+    scene = fc.Scene.load(DEMOS / "breathing_plate.toml")
+    changes = {"damping.ratio": 0.01, "damping.modes": "all"}
+    return fc.build_structure(scene.replace(changes | {"mesh.size": 0.02, "mesh.lip_elements": 4}))
+
+
+def system_of(structure: fc.Structure, law: Any, harmonics: int) -> CoupledSystem:
+    """The equations at 0.8 rad/s."""
+    problem = fc.Problem(structure, 0.8, law, harmonics)
+    found = problem.system(problem.compliance())
+    assert isinstance(found, CoupledSystem)
+    return found
+
+
+# --- equations ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("softness", [0.0, 2.0])
+@pytest.mark.parametrize("law", LAWS)
+def test_jacobian_against_finite_differences(
+    law: str, softness: float, short_chain: fc.Structure
+) -> None:
+    """By every unknown and by the parameter of the softness."""
+    system = system_of(short_chain, LAWS[law], 4).softened(softness)
+    unknown = random_gaps(4, 3)
+    point = system.linearise(unknown, 0.4)
+    matrix, step = point.assemble(), 1e-7
+    for column in range(unknown.size):
+        change = step * np.eye(unknown.size)[column].reshape(unknown.shape)
+        after, before = (system.linearise(unknown + s * change, 0.4) for s in (1.0, -1.0))
+        slope = (after.residual - before.residual).ravel() / (2.0 * step)
+        assert np.abs(matrix[:, column] - slope).max() < 1e-5 * np.abs(matrix).max()
+        gap = (after.gap - before.gap) / (2.0 * step)
+        assert np.abs(point.gap_of(change / step) - gap).max() < 1e-5
+    after, before = (system.linearise(unknown, 0.4 + s * step).residual for s in (1.0, -1.0))
+    slope = (after - before) / (2.0 * step)
+    found = point.differentiate()
+    if softness:
+        assert relative(found, slope) < 1e-5
+    else:
+        assert not np.any(found) and not np.any(slope)
+
+
+def test_matrix_free_is_dense(short_chain: fc.Structure, monkeypatch: pytest.MonkeyPatch) -> None:
+    """J v, J^-1 r, what follows from these, and a whole solution."""
+    unknown, other = random_gaps(6, 3), random_gaps(6, 3, 5)
+    points, solutions = [], []
+    for limit in (10_000, 0):
+        monkeypatch.setattr(coupled, "MATRIX_FREE", limit)
+        system = system_of(short_chain, RIGID, 6)
+        assert system.matrix_free == (limit == 0)
+        points.append(system.linearise(unknown))
+        solutions.append(fc.solve_harmonic_balance(short_chain, 0.8, RIGID, harmonics=6))
+    dense, free = points
+    assert relative(dense.apply(other), (dense.assemble() @ other.ravel()).reshape(13, 3)) < 1e-12
+    for name in ("apply", "solve", "gap_of", "gap_by_force", "gap_by_linear_gap"):
+        assert relative(getattr(free, name)(other), getattr(dense, name)(other)) < 1e-7
+    assert np.isnan(free.sign) and abs(dense.sign) == 1.0
+    assert relative(solutions[1].gap_coefficients, solutions[0].gap_coefficients) < 1e-8
+
+
+def test_gap_by_force_is_the_slope_of_the_solution(short_chain: fc.Structure) -> None:
+    """A disturbed force, or linear gap, changes the solution's gap as the linearisation says."""
+    system = system_of(short_chain, RIGID, 8)
+    known = fc.solve_harmonic_balance(short_chain, 0.8, RIGID, harmonics=8)
+    slow = known.slow_gap_coefficients
+    change, step = random_gaps(8, 3, 4), 1e-6
+
+    def solved(linear: np.ndarray) -> np.ndarray:
+        moved = replace_linear(system, linear)
+        at = moved.linearise(slow)
+        for _ in range(8):
+            at = moved.linearise(at.unknown + at.solve(-at.residual))
+        return at.gap
+
+    after, before = (solved(system.linear + s * step * change) for s in (1.0, -1.0))
+    found = system.linearise(slow).gap_by_linear_gap(change)
+    assert relative((after - before) / (2.0 * step), found) < 1e-4
+
+
+def replace_linear(system: CoupledSystem, linear: np.ndarray) -> CoupledSystem:
+    """The same equations with another linear gap."""
+    other = CoupledSystem(system.compliance, system.integrals)
+    other.linear = linear
+    return other
+
+
+# --- solutions ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_law_holds_at_every_instant(law: str, short_chain: fc.Structure) -> None:
+    """The force is that of the gap in time, each pair with its own stiffness; or no penetration."""
+    solution = fc.solve_harmonic_balance(short_chain, 0.8, LAWS[law], harmonics=15)
+    assert solution.converged
+    time = np.linspace(0.0, solution.period, 400)
+    gap, force = solution.gap(time), solution.contact_force(time)
+    assert np.all(np.ptp(force, axis=0) > 0.0)
+    if law == "rigid":
+        assert gap.max() < 1e-12 * np.abs(gap).max() and force.min() >= 0.0
+        assert np.abs(gap * force).max() < 1e-12
+    else:
+        assert relative(force, LAWS[law].force(gap)) < 1e-8
+
+
+@pytest.mark.parametrize("law", ["rigid", "penalty"])
+@pytest.mark.parametrize("clearance", [0.0, 0.4, -0.4])
+def test_clearance_and_preload_against_a_march(
+    clearance: float, law: str, short_chain: fc.Structure
+) -> None:
+    """Settled exponential steps, 0.3 %; clearances from -0.7 to 0.7."""
+    structure = short_chain.varied(clearance=clearance)
+    solution = fc.solve_harmonic_balance(structure, 0.8, LAWS[law], harmonics=60)
+    history = integrate_exponential(
+        structure, 0.8, LAWS[law], periods=400, steps_per_period=1024, settle=1e-8,
+        record_periods=1, initial=solution,
+    )  # fmt: skip
+    assert relative(solution.gap(history.time), history.gap) < 3e-3
+    assert history.settled < 1e-3
+
+
+def test_rigid_is_the_limit_of_stiff(plate: fc.Structure) -> None:
+    """The difference falls like 1/k."""
+    rigid = fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=20)
+    stiffness = (1e11, 1e12, 1e13, 1e14)
+    errors = [
+        relative(
+            fc.solve_harmonic_balance(
+                plate, 2000.0, fc.UnilateralPenalty(k), harmonics=20, residual_tolerance=1e-12
+            ).gap_coefficients,
+            rigid.gap_coefficients,
+        )
+        for k in stiffness
+    ]
+    assert log_slope(stiffness, errors) == pytest.approx(-1.0, abs=0.1)
+    assert errors[0] < 5e-2
+
+
+def test_order_in_the_harmonics(plate: fc.Structure) -> None:
+    """One rigid pair: the gap in time, with its kinks, falls faster than its own Fourier series."""
+    exact = fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=320)
+    time = np.arange(4096) * exact.period / 4096
+    gap, counts = exact.gap(time), (10, 20, 40, 80)
+    errors = [
+        relative(fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=H).gap(time), gap)
+        for H in counts
+    ]
+    assert log_slope(counts, errors) < -3.5
+    assert errors[1] < 2e-3 and errors[2] < 1e-4 and errors[3] < 5e-6
+    for harmonics, error in zip(counts[1:], errors[1:], strict=True):
+        best = exact.gap_coefficients.copy()
+        best[2 * harmonics + 1 :] = 0.0
+        series = replace(exact, gap_coefficients=best, static_above=None)
+        assert error < 0.7 * relative(series.gap(time), gap)
+
+
+def test_twice_the_period(short_chain: fc.Structure) -> None:
+    """With twice the harmonics, the solution of the load's own period."""
+    once = fc.solve_harmonic_balance(short_chain, 0.8, RIGID, harmonics=8)
+    twice = fc.solve_harmonic_balance(short_chain, 0.8, RIGID, harmonics=16, subharmonic=2)
+    time = np.linspace(0.0, twice.period, 100)
+    assert relative(twice.gap(time), once.gap(time)) < 1e-7
+    again = fc.solve_harmonic_balance(
+        short_chain, 0.8, RIGID, harmonics=16, subharmonic=2, initial=once
+    )
+    assert again.status.startswith("full Newton steps: converged (0 iterations)")
+
+
+def test_smoothed_law_tends_to_the_penalty(plate: fc.Structure) -> None:
+    """With its sharpness, at 1e9 N/m."""
+    penalty = fc.solve_harmonic_balance(plate, 2000.0, fc.UnilateralPenalty(1e9), harmonics=10)
+    errors = [
+        true_error(
+            fc.solve_harmonic_balance(plate, 2000.0, fc.SmoothedPenalty(1e9, s), harmonics=10),
+            penalty,
+        )
+        for s in (1e8, 1e10)
+    ]
+    assert errors[1] < 0.05 * errors[0] < 0.05 * 0.1
+
+
+def test_lips_with_mass_against_lips_without(paper_scene: fc.Scene) -> None:
+    """One pair at the mouth, a third of the modes: the difference falls with the mesh."""
+    law, errors = fc.UnilateralPenalty(1e9), []
+    for columns in (2, 4, 8):
+        changes = {"mesh.columns": columns, "mesh.rows": 2 * columns, "contact.pairs": "mouth"}
+        whole = fc.build_structure(paper_scene.replace(changes | {"damping.ratio": 0.01}))
+        found, expected = (
+            fc.solve_harmonic_balance(made, 2000.0, law, harmonics=80)
+            for made in (massless(whole, whole.n_dofs // 3), whole)
+        )
+        errors.append(true_error(found, expected))
+    assert errors[2] < 0.5 * errors[1] < 0.1 * errors[0] and errors[2] < 2e-3
+
+
+# --- searches -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("attempt", "words"),
+    [
+        ("marched", "from a marched orbit: converged"),
+        ("fewer", "from H = 10 to 20: converged"),
+        ("newton", "full Newton steps: converged"),
+        ("softness", "path in the softness: converged"),
+        ("frequency", "of the frequency: converged"),
+    ],
+)
+def test_every_attempt_finds_the_solution(
+    attempt: str, words: str, plate: fc.Structure, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each alone, the others prevented: the same orbit of the rigid plate, cold, H = 20."""
+    expected = fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=20)
+
+    def failing(self: Search, problem: fc.Problem) -> np.ndarray:
+        raise fc.ConvergenceError("prevented")
+
+    def unconverged(self: Search, system: CoupledSystem) -> Linearisation:
+        self.converged = False
+        return system.linearise(system.linear)
+
+    newton: Callable[..., Linearisation] = Search._newton
+
+    def named(
+        self: Search, solver: Any, start: np.ndarray, parameter: float, most: int, name: str = ""
+    ) -> Linearisation:
+        found = newton(self, solver, start, parameter, most, name)
+        if name == "full Newton steps":
+            self.converged = False
+        return found
+
+    if attempt != "marched":
+        monkeypatch.setattr(Search, "_marched", failing)
+    if attempt not in ("marched", "fewer"):
+        monkeypatch.setattr(search, "FEWEST", 1000)
+    if attempt in ("softness", "frequency"):
+        monkeypatch.setattr(Search, "_newton", named)
+    if attempt == "frequency":
+        monkeypatch.setattr(Search, "_softness_path", unconverged)
+    solution = fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=20)
+    assert words in solution.status
+    assert solution.converged and true_error(solution, expected) < 1e-8
+    if attempt != "marched":
+        assert "from a marched orbit: failed (prevented)" in solution.status
+
+
+def test_nothing_converges(plate: fc.Structure, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An error that names all attempts, or the last iterate."""
+
+    def unconverged(
+        self: Search, solver: Any, start: np.ndarray, parameter: float, most: int, name: str = ""
+    ) -> Linearisation:
+        solver.history.append(1.0)
+        found: Linearisation = solver.system.linearise(start, parameter)
+        self.converged = False
+        return found
+
+    monkeypatch.setattr(Search, "_newton", unconverged)
+    with pytest.raises(fc.ConvergenceError, match="marched orbit: failed"):
+        fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=12)
+    solution = fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=12, throw=False)
+    assert not solution.converged and "in the softness: failed" in solution.status
+    assert solution.status.endswith("path in the frequency: failed (from 0.5 to 2 of it)")
+
+
+@pytest.mark.parametrize("modes", [30, 40, 49])
+def test_rigid_contact_where_few_modes_are_left_out(modes: int, soft_plate: fc.Structure) -> None:
+    """Of 50 modes; the reference, which has more, may have all: the error is estimated."""
+    found, expected = (
+        fc.solve_harmonic_balance(massless(soft_plate, count), 2000.0, RIGID, harmonics=20)
+        for count in (modes, 49)
+    )
+    assert found.converged and found.report.reduction < 0.1
+    if modes < 49:
+        assert found.report.reduction > true_error(found, expected) / 5.0
+
+
+# --- errors ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("modes", [10, 20])
+def test_truncation_of_the_breathing_plate(
+    modes: int, coarse_breathing_plate: fc.Structure
+) -> None:
+    """Against H = 160 with the same modes: a factor 3 under the penalty law; of rigid contact
+    where it is small, and else nowhere much too low."""
+    structure = massless(coarse_breathing_plate, modes)
+    for law in (fc.UnilateralPenalty(1e9), RIGID):
+        exact = fc.solve_harmonic_balance(structure, 2000.0, law, harmonics=160)
+        for harmonics in (5, 10, 20, 40):
+            found = fc.solve_harmonic_balance(structure, 2000.0, law, harmonics=harmonics)
+            time = np.linspace(0.0, exact.period, 2048, endpoint=False)
+            error = relative(found.gap(time), exact.gap(time))  # without clearance: B^T u
+            estimate = found.report.truncation
+            assert error > 1e-5 and estimate > error / 3.0
+            if law is not RIGID or harmonics == 40:
+                assert estimate < 3.0 * error
+
+
+def test_reduction_of_the_breathing_plate(coarse_breathing_plate: fc.Structure) -> None:
+    """10, 20, 40 modes with H = 80, against 160 modes: within a factor 3."""
+    law = fc.UnilateralPenalty(1e9)
+    exact = fc.solve_harmonic_balance(
+        massless(coarse_breathing_plate, 160), 2000.0, law, harmonics=80
+    )
+    errors = []
+    for modes in (10, 20, 40):
+        structure = massless(coarse_breathing_plate, modes)
+        found = fc.solve_harmonic_balance(structure, 2000.0, law, harmonics=80)
+        errors.append(true_error(found, exact))
+        assert errors[-1] / 3.0 < found.report.reduction < 3.0 * errors[-1]
+    assert 1e-3 < errors[-1] < errors[0] / 3.0
+
+
+def test_sampling_and_penetration(plate: fc.Structure) -> None:
+    """Few samples against exact integrals, and the depth by its definition."""
+    law = fc.UnilateralPenalty(1e9)
+    exact = fc.solve_harmonic_balance(plate, 2000.0, law, harmonics=10)
+    assert exact.report.sampling == 0.0
+    for samples in (64, 256):
+        found = fc.solve_harmonic_balance(plate, 2000.0, law, harmonics=10, samples=samples)
+        error = true_error(found, exact)
+        assert error / 3.0 < found.report.sampling < 3.0 * error
+    fine = fc.solve_harmonic_balance(plate, 2000.0, law, harmonics=80)
+    gap = fine.gap(np.arange(4096) * fine.period / 4096)
+    share = np.sqrt(np.mean(np.maximum(gap, 0.0) ** 2) / np.mean(gap**2))
+    assert fine.report.penetration == pytest.approx(share, rel=0.02)
+    rigid = fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=10)
+    assert rigid.report.penetration == 0.0
+
+
+def test_point_of_a_solution(short_chain: fc.Structure) -> None:
+    """The gap of a solution is that of its slow part, and it solves the equations."""
+    solution = fc.solve_harmonic_balance(short_chain, 0.8, RIGID, harmonics=9)
+    point = system_of(short_chain, RIGID, 9).linearise(solution.slow_gap_coefficients)
+    assert isinstance(point, CoupledPoint)
+    assert relative(point.gap, solution.gap_coefficients) < 1e-9
+    assert np.linalg.norm(point.residual) < 1e-9 * np.linalg.norm(point.unknown)
+    assert solution.report.residual < 1e-9
+    wide = resized(solution.slow_gap_coefficients, 12)
+    assert np.linalg.norm(point.system.widened(12).linearise(wide).residual[:19]) < 1e-8

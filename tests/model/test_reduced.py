@@ -1,0 +1,403 @@
+"""Lips without mass: modes with free lips, and statically all that these leave out."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.linalg
+from helpers import DAMPINGS, chain, dense_matrices, random_stiffness, relative
+from mpi4py import MPI
+
+import fenics_crack as fc
+from fenics_crack.balance.compliance import dynamic_compliance
+from fenics_crack.model.modal import all_modes, is_small
+from fenics_crack.model.reduced import MasslessStructure
+
+
+def reduced(structure: fc.Structure, modes: int) -> MasslessStructure:
+    """Without mass on the lips."""
+    found = fc.reduce_structure(structure, modes=modes, method="massless")
+    assert isinstance(found, MasslessStructure)
+    return found
+
+
+def seen(structure: fc.Structure, base: float, harmonics: int) -> tuple[np.ndarray, np.ndarray]:
+    """R_k, k = 0 to H, and the linear gap."""
+    found = dynamic_compliance(structure, base, harmonics)
+    return found.matrices, found.linear_gap
+
+
+def flexibility(structure: fc.Structure, modes: int) -> np.ndarray:
+    """G, the sum over LAPACK's modes that are left out."""
+    mass, _, stiffness = dense_matrices(structure)
+    squares, shapes = scipy.linalg.eigh(stiffness, mass)
+    left_out = shapes[:, modes:]
+    return (left_out / squares[modes:]) @ left_out.T
+
+
+def three_rigid_modes(damping: Any = None) -> fc.Structure:
+    """20 dofs, two pairs, a load on the rigid modes too."""
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(20, 17))
+    gap = np.zeros((20, 2))
+    gap[[3, 7], 0], gap[[11, 2], 1] = (1.0, -1.0), (1.0, -1.0)
+    return fc.Structure.from_matrices(
+        np.diag(rng.uniform(1.0, 2.0, 20)), root @ root.T, gap, force_cos=rng.normal(size=20),
+        damping=damping,
+    )  # fmt: skip
+
+
+# --- what pairs see -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("unconstrained", [False, True])
+@pytest.mark.parametrize("modes", [2, 9, 19])
+def test_residual_is_what_the_modes_leave_out(modes: int, unconstrained: bool) -> None:
+    """R_inf = B^T G B of dense matrices; symmetric, and positive definite."""
+    structure = chain("none", 24, unconstrained=unconstrained)
+    residual = reduced(structure, modes).residual
+    gap = structure.gap.toarray()
+    assert relative(residual, gap.T @ flexibility(structure, modes) @ gap) < 1e-8
+    assert np.array_equal(residual, residual.T) and np.linalg.eigvalsh(residual)[0] > 0.0
+
+
+@pytest.mark.parametrize("damping", DAMPINGS)
+def test_with_all_modes_nothing_is_left_out(damping: str) -> None:
+    """R_inf = 0; R_k, the linear gap, and contact are those of the whole structure."""
+    structure, law = chain(damping, 20), fc.UnilateralPenalty(4.0)
+    whole = structure
+    if damping == "few modes":  # of the reduced one all are damped, by the last ratio
+        ratios = (0.05, 0.02, 0.08, *[0.08] * 17)
+        whole = structure.damped(fc.ModalDamping(ratios))
+    made = reduced(structure, 20)
+    assert not np.any(made.residual)
+    base = 0.41 * fc.solve_modes(structure, 1).omega[0]
+    for found, expected in zip(seen(made, base, 6), seen(whole, base, 6), strict=True):
+        assert relative(found, expected) < 1e-9
+    if damping != "none":  # modes above 2 H w would answer at once
+        assert 2 * 8 * 0.8 > fc.solve_modes(structure, 20).omega[-1]
+        two, one = (
+            fc.solve_harmonic_balance(s, 0.8, law, harmonics=8, residual_tolerance=1e-12)
+            for s in (made, whole)
+        )
+        assert relative(two.gap_coefficients, one.gap_coefficients) < 1e-8
+
+
+@pytest.mark.parametrize("damping", DAMPINGS)
+def test_static_response_is_exact(damping: str) -> None:
+    """R_0 and the mean gap of dense matrices, with three modes of 30."""
+    structure = chain(damping, 30)
+    _, _, stiffness = dense_matrices(structure)
+    gap, base = structure.gap.toarray(), 0.3 * fc.solve_modes(structure, 1).omega[0]
+    matrices, linear = seen(reduced(structure, 3), base, 1)
+    assert relative(matrices[0].real, gap.T @ np.linalg.solve(stiffness, gap)) < 1e-10
+    assert not np.any(matrices[0].imag)
+    mean = gap.T @ np.linalg.solve(stiffness, structure.force[0]) - structure.clearance
+    assert relative(linear[0], mean) < 1e-10
+
+
+@pytest.mark.parametrize("damping", ["modal", "rayleigh", "matrix"])
+def test_compliance_tends_to_that_of_the_whole(damping: str) -> None:
+    """R_k for k = 0 to 5 and the linear gap, errors falling to zero."""
+    structure = chain(damping, 40)
+    base = 0.7 * fc.solve_modes(structure, 1).omega[0]
+    exact, linear = seen(structure, base, 5)
+    errors = []
+    for modes in (6, 12, 24, 38, 40):
+        matrices, gap = seen(reduced(structure, modes), base, 5)
+        errors.append(relative(matrices[1:], exact[1:]) + relative(gap, linear))
+    assert errors[0] < 0.5 and errors[1] < 0.6 * errors[0] and errors[2] < 0.6 * errors[1]
+    assert errors[-1] < 1e-9
+
+
+def test_error_of_the_compliance_is_of_second_order_in_frequency() -> None:
+    """Without damping R(w) is wrong by w^2 B^T G M G B."""
+    structure = chain("none", 30)
+    mass, _, _ = dense_matrices(structure)
+    gap, rest = structure.gap.toarray(), flexibility(structure, 4)
+    made = reduced(structure, 4)
+    omega = 0.1 * fc.solve_modes(structure, 1).omega[0]
+    lacking = seen(structure, omega, 1)[0][1] - seen(made, omega, 1)[0][1]
+    assert relative(lacking, omega**2 * gap.T @ rest @ mass @ rest @ gap) < 1e-2
+
+
+# --- displacements --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("unconstrained", [False, True])
+def test_displacement_is_that_of_dense_matrices(unconstrained: bool) -> None:
+    """u = Phi q + G (f - B lambda) for any coordinates; some dofs of it; and B^T u is the gap."""
+    structure = chain("modal", 24, unconstrained=unconstrained)
+    made, rng = reduced(structure, 5), np.random.default_rng(2)
+    loads = structure.force[np.any(structure.force != 0.0, axis=1)]
+    assert made.n_dofs == 5 + 3 + len(loads) and made.n_modes == 5
+    coordinates = rng.normal(size=(4, made.n_dofs))
+    forces = coordinates[:, 5:8] @ structure.gap.toarray().T + coordinates[:, 8:] @ loads
+    expected = coordinates[:, :5] @ made.basis.T + forces @ flexibility(structure, 5)
+    found = made.expand(coordinates)
+    assert relative(found, expected) < 1e-9
+    assert relative(made.values_at(coordinates, [7, 2, 7]), expected[:, [7, 2, 7]]) < 1e-9
+    assert relative(structure.apply_bt(found), made.apply_bt(coordinates)) < 1e-9
+    with pytest.raises(fc.InputError, match="dofs"):
+        made.values_at(coordinates, [24])
+    # Rows without static parts need no solution.
+    assert relative(made.expand(np.eye(made.n_dofs)[:5]), made.basis.T) < 1e-14
+
+
+def test_mass_and_stiffness_are_those_of_the_motion() -> None:
+    """Energies: half q'^T M q' of the modes alone, half u^T K u of all."""
+    structure = chain("modal", 24)
+    _, _, stiffness = dense_matrices(structure)
+    made = reduced(structure, 5)
+    small_mass, _, small = dense_matrices(made.damped(None))
+    coordinates = np.random.default_rng(3).normal(size=(6, made.n_dofs))
+    moved = made.expand(coordinates)
+    energy = np.einsum("ij,jk,ik->i", moved, stiffness, moved)
+    assert relative(np.einsum("ij,jk,ik->i", coordinates, small, coordinates), energy) < 1e-9
+    assert np.array_equal(small_mass, np.diag(np.repeat([1.0, 0.0], [5, made.n_dofs - 5])))
+    work = np.einsum("pj,ij->ip", structure.force, moved)
+    assert relative(coordinates @ made.force.T, work) < 1e-9
+
+
+@pytest.mark.parametrize(
+    "law", [fc.UnilateralPenalty(1e9), fc.UnilateralConstraint()], ids=["penalty", "rigid"]
+)
+@pytest.mark.parametrize("kind", ["massless", "whole"])
+def test_gap_is_that_of_the_displacement(kind: str, law: Any, wide_plate: fc.Structure) -> None:
+    """g(t) = B^T u(t) - g0 at all times, kinks included, and no penetration of a rigid one."""
+    structure = reduced(wide_plate, 20) if kind == "massless" else wide_plate
+    solution = fc.solve_harmonic_balance(structure, 2000.0, law, harmonics=8)
+    time = np.linspace(0.0, solution.period, 40)
+    field = solution.displacement_field(time)
+    assert relative(wide_plate.apply_bt(field), solution.gap(time)) < 1e-9
+    assert relative(solution.displacement(time, [3, 50]), field[:, [3, 50]]) < 1e-9
+    inside = solution.gap(time).max() / np.abs(solution.gap(time)).max()
+    assert (inside < 1e-9) == isinstance(law, fc.UnilateralConstraint)
+
+
+# --- varied and damped copies ---------------------------------------------------------------------
+
+
+def test_varied_copies() -> None:
+    """Loads mixed by a matrix, clearances, a factor of the damping: those of a varied whole."""
+    structure = chain("modal", 20)
+    mixed = np.random.default_rng(4).normal(size=(3, 3))
+    changes = {"load": mixed, "clearance": [0.1, -0.2, 0.3], "damping": 1.7}
+    base = 0.41 * fc.solve_modes(structure, 1).omega[0]
+    one = reduced(structure, 6).varied(**changes)
+    other = reduced(structure.varied(**changes), 6)
+    for found, expected in zip(seen(one, base, 4), seen(other, base, 4), strict=True):
+        assert relative(found, expected) < 1e-9
+    assert isinstance(one.reference, MasslessStructure)
+    assert relative(seen(one.reference, base, 4)[1], seen(other.reference, base, 4)[1]) < 1e-9
+    force = np.random.default_rng(5).normal(size=(9, 3))
+    moved = [
+        made.expand(dynamic_compliance(made, base, 4).displacement(force)) for made in (one, other)
+    ]
+    assert relative(*moved) < 1e-9
+
+
+@pytest.mark.parametrize("load", [2.0, 0.0, -1.0, np.roll(np.eye(3), 1, axis=0)])
+def test_damped_copies_of_varied_ones(load: Any) -> None:
+    """The order of both does not matter; the static rest has the varied load."""
+    structure = chain("modal", 20)
+    structure = structure.varied(load=np.diag([1.0, 1.0, 0.0]))  # without a sine part
+    damping, base = fc.ModalDamping(0.03), 0.41 * fc.solve_modes(structure, 1).omega[0]
+    made = reduced(structure, 6)
+    found = made.varied(load=load).damped(damping)
+    expected = reduced(structure.varied(load=load).damped(damping), 6)
+    assert np.allclose(seen(found, base, 2)[1], seen(expected, base, 2)[1], rtol=1e-9, atol=1e-12)
+    force = np.ones((5, 3))
+    one, other = (dynamic_compliance(s, base, 2).displacement(force) for s in (found, expected))
+    assert np.allclose(found.expand(one), expected.expand(other), rtol=1e-9, atol=1e-11)
+
+
+def test_ratios_of_the_kept_modes() -> None:
+    """Beyond those given the last one, with more modes in the reference too; none; Rayleigh's."""
+    made = reduced(chain("none", 30), 5)
+    ratios, expected = (0.01, 0.02, 0.03), [0.01, 0.02, 0.03, 0.03, 0.03]
+    few = made.damped(fc.ModalDamping(ratios))
+    assert isinstance(few.reference, MasslessStructure) and few.reference.n_modes == 15
+    assert np.allclose(few.rate, 2.0 * np.array(expected) * made.omega)
+    assert np.allclose(few.reference.rate[5:], 0.06 * few.reference.omega[5:])
+    assert np.allclose(made.damped(fc.ModalDamping([0.1] * 9)).rate, 0.2 * made.omega)
+    rule = fc.RayleighDamping(0.2, 0.1)
+    assert np.allclose(made.damped(rule).rate, 0.2 + 0.1 * made.omega**2)
+    assert not np.any(few.damped(None).rate)
+    with pytest.raises(fc.InputError, match="damping"):
+        made.damped(0.1)  # type: ignore[arg-type]
+
+
+def test_damping_matrix_couples_the_modes() -> None:
+    """Phi^T C Phi, of dense matrices."""
+    structure = chain("matrix", 20)
+    _, damping, _ = dense_matrices(structure)
+    made = reduced(structure, 6)
+    assert made.rate.shape == (6, 6)
+    assert relative(made.rate, made.basis.T @ damping @ made.basis) < 1e-9
+    assert relative(all_modes(made.varied(damping=3.0)).damping, 3.0 * made.rate) < 1e-12
+
+
+# --- unusual structures ---------------------------------------------------------------------------
+
+
+def test_motions_as_a_rigid_body() -> None:
+    """Three of them: kept at frequency zero, with what a matrix damps of them; fewer modes than
+    that are refused."""
+    structure = three_rigid_modes(0.1 * np.eye(20))
+    for modes in (1, 2):
+        with pytest.raises(fc.InputError, match=r"^modes = .*at least 3"):
+            reduced(structure, modes)
+    for modes in (3, 6):
+        made = reduced(structure, modes)
+        assert np.array_equal(made.omega == 0.0, np.arange(modes) < 3)
+        assert all_modes(made).unconstrained
+        rate = all_modes(made).damping
+        rate = rate if rate.ndim == 2 else np.diag(rate)
+        assert relative(rate, 0.1 * made.basis.T @ made.basis) < 1e-8
+        gap = structure.gap.toarray()
+        assert relative(made.residual, gap.T @ flexibility(structure, modes) @ gap) < 1e-9
+        for found, expected in zip(
+            (row[1:] for row in made_seen(made)), (row[1:] for row in made_seen(structure)),
+            strict=True,
+        ):  # fmt: skip
+            assert relative(found, expected) < (0.3 if modes == 3 else 0.1)
+    assert all_modes(reduced(chain("none", 9, unconstrained=True), 1)).unconstrained
+
+
+def made_seen(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray]:
+    """R_1 and the gap's first harmonic at a low frequency (the mean would fly off), as rows."""
+    mass, damping, stiffness = dense_matrices(structure.whole)
+    gap, omega = structure.whole.gap.toarray(), 0.1
+    if structure is structure.whole:
+        solved = np.linalg.solve(
+            stiffness - omega**2 * mass + 1j * omega * damping,
+            np.column_stack([gap, structure.force[1]]),
+        )
+        moved = gap.T @ solved
+        return np.array([moved[:, :2] * 0.0, moved[:, :2]]), np.array([moved[:, 2], moved[:, 2]])
+    modes = all_modes(structure)
+    receptance = modes.receptance(np.array([omega]))
+    matrix = modes.seen_by_pairs(receptance)[0] + structure.residual  # type: ignore[attr-defined]
+    load = structure.force[1] @ modes.shapes
+    shape = modes.respond(receptance[0], load + 0j)
+    linear = shape @ modes.pairs + structure.force[1] @ modes.static_pairs
+    return np.array([0.0 * matrix, matrix]), np.array([linear, linear])
+
+
+def test_load_among_the_contact_forces() -> None:
+    """A load on a pair itself: the static coordinates depend on each other, and nothing is lost."""
+    base = chain("modal", 20)
+    mass, _, stiffness = dense_matrices(base)
+    gap = base.gap.toarray()
+    structure = fc.Structure.from_matrices(
+        mass, stiffness, gap, force_cos=2.0 * gap[:, 0] - gap[:, 2], force_sin=gap[:, 1],
+        damping=fc.ModalDamping(0.03),
+    )  # fmt: skip
+    made, omega = reduced(structure, 5), 0.41 * fc.solve_modes(structure, 1).omega[0]
+    rest = flexibility(structure, 5)
+    assert relative(made.residual, gap.T @ rest @ gap) < 1e-9
+    compliance, force = dynamic_compliance(made, omega, 2), np.ones((5, 3))
+    moved = made.expand(compliance.displacement(force))
+    assert relative(structure.apply_bt(moved)[1:], made_gap(compliance, force)[1:]) < 1e-9
+    static = np.linalg.solve(stiffness, -structure.apply_b(force[:1]).T).T
+    assert relative(moved[:1], static) < 1e-9
+
+
+def made_gap(compliance: Any, force: np.ndarray) -> np.ndarray:
+    """g_lin - R lambda by rows a0, a1, b1, ...."""
+    amplitude = force[1::2] - 1j * force[2::2]
+    found = compliance.linear_gap.copy()
+    for k, wave in enumerate(amplitude, start=1):
+        moved = compliance.matrices[k] @ wave
+        found[2 * k - 1] -= moved.real
+        found[2 * k] += moved.imag
+    found[0] -= compliance.matrices[0].real @ force[0]
+    return found
+
+
+def test_without_a_load_and_without_pairs() -> None:
+    """Only what is there has coordinates."""
+    rng = np.random.default_rng(1)
+    stiffness, gap = random_stiffness(rng, 12), rng.normal(size=(12, 2))
+    unloaded = reduced(fc.Structure.from_matrices(np.eye(12), stiffness, gap), 4)
+    assert unloaded.n_dofs == 6 and not np.any(unloaded.force)
+    linear = fc.Structure.from_matrices(np.eye(12), stiffness, None, force_cos=gap[:, 0])
+    made = reduced(linear, 4)
+    assert made.n_dofs == 5 and made.residual.shape == (0, 0)
+
+
+def test_what_is_held_does_not_grow_with_the_pairs(paper_scene: fc.Scene) -> None:
+    """No array of n_dofs rows for every pair: the modes alone have a row for each dof."""
+    plate = fc.build_structure(
+        paper_scene.replace({"mesh.columns": 24, "mesh.rows": 24, "damping.ratio": 0.01})
+    )
+    assert plate.n_dofs > 1000 and plate.n_pairs == 12
+    made = reduced(plate, 4)
+    solution = fc.solve_harmonic_balance(made, 2000.0, fc.UnilateralPenalty(1e9), harmonics=3)
+    solution.displacement_field(np.linspace(0.0, 1e-3, 3))
+    solution.displacement(np.zeros(1), [3])
+    assert is_small(made)
+    largest, shapes = 0, made.basis
+    static: Any = vars(made)["_static"]
+    for thing in (made, made.reference, static):
+        for value in vars(thing).values():
+            for part in value.values() if isinstance(value, dict) else [value]:
+                if isinstance(part, np.ndarray) and part.size >= plate.n_dofs:
+                    # The modes of the reference too, of which these are some.
+                    assert part is static.shapes or part.base is shapes.base, part.shape
+                    largest = max(largest, part.shape[1])
+    assert largest == 4
+
+
+@pytest.mark.parametrize("modes", [4, 20])
+@pytest.mark.parametrize("damping", DAMPINGS)
+def test_linear_solution(damping: str, modes: int) -> None:
+    """Lips that pass through each other: that of the compliance, from which contact starts too."""
+    structure = chain(damping, 20)
+    made = reduced(structure, modes)
+    solution = fc.solve_linear(made, 0.8, harmonics=2)
+    linear = dynamic_compliance(made, 0.8, 2).linear_gap
+    assert relative(solution.gap_coefficients, linear) < 1e-9
+    if modes == 20 and damping != "few modes":
+        expected = fc.solve_linear(structure, 0.8, harmonics=2).displacement_coefficients
+        assert relative(made.expand(solution.displacement_coefficients), expected) < 1e-8
+
+
+def test_what_needs_mass_on_the_lips() -> None:
+    """Other schemes in time, and another reduction, say so."""
+    made, law = reduced(chain("modal", 20), 4), fc.UnilateralPenalty(4.0)
+    options = {"periods": 1, "steps_per_period": 16}
+    for scheme in (fc.integrate_implicit, fc.integrate_events, fc.integrate_central_difference):
+        with pytest.raises(fc.InputError, match="mass at its lips"):
+            scheme(made, 0.8, law, **options)  # type: ignore[operator]
+    with pytest.raises(fc.InputError, match="mass at its lips"):
+        fc.stable_steps_per_period(made, 0.8, law)
+    with pytest.raises(fc.InputError, match="reduce the whole one"):
+        fc.reduce_structure(made, modes=3)
+
+
+# --- several ranks --------------------------------------------------------------------------------
+
+
+def massless_numbers(scene: fc.Scene, comm: MPI.Comm) -> list[np.ndarray]:
+    """Frequencies, R_inf, |R_k|, and the motion of a solution (collective)."""
+    plate = fc.build_structure(scene, comm)
+    made = reduced(plate, 8)
+    law = fc.UnilateralConstraint()
+    solution = fc.solve_harmonic_balance(made, 1500.0, law, harmonics=6)
+    time = np.linspace(0.0, solution.period, 7)
+    corner = made.find_dof((0.1, 0.1), "x")
+    closing = plate.apply_bt(solution.displacement_field(time))
+    matrices = np.abs(dynamic_compliance(made, 1500.0, 3).matrices)
+    return [made.omega, made.residual, matrices, closing, solution.displacement(time, [corner])]
+
+
+@pytest.mark.mpi
+def test_same_on_two_ranks(paper_scene: fc.Scene, on_ranks: Callable[..., Any]) -> None:
+    """The reduction, and a rigid solution of it, agree with one rank's."""
+    scene = paper_scene.replace({"mesh.columns": 6, "mesh.rows": 6, "damping.ratio": 0.01})
+    parallel = on_ranks(massless_numbers, scene)
+    for two, one in zip(parallel, massless_numbers(scene, MPI.COMM_SELF), strict=True):
+        assert relative(two, one) < 1e-6
