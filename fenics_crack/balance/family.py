@@ -31,8 +31,8 @@ class Family(ABC):
     name: str
 
     def __init__(self, problem: Problem, start: float, end: float) -> None:
-        if problem.residual is not None:
-            problem = replace(problem, static_above=self._cutoff(problem, start, end))
+        if problem.static_above is None:
+            problem = problem.seen_alike(self._cutoff(problem, start, end))
         if is_rigid(problem.contact) and problem.residual is None:
             allowed = 'a penalty, or a structure of reduce_structure(method="massless")'
             raise InputError("contact", problem.contact, allowed)

@@ -83,7 +83,7 @@ class Problem:
             if self.samples > MAX_SAMPLES:
                 raise InputError("samples", self.samples, f"at most {MAX_SAMPLES}")
         if self.static_above is not None:
-            check_number("static_above", self.static_above, 0.0)
+            check_number("static_above", min(self.static_above, 1e300), 0.0)  # inf: none
 
     @property
     def base_omega(self) -> float:
@@ -113,9 +113,10 @@ class Problem:
         if projected or not is_small(structure):
             return None
         found = all_modes(structure).static_part(self.cutoff)
-        wanted = lips is not None or self.static_above is not None or rigid
-        if not wanted and not float(np.max(contact.stiffness * np.diag(found))) > STIFF:
-            return None
+        if lips is None and not rigid:
+            asked = self.static_above is not None and np.any(found)
+            if not asked and not float(np.max(contact.stiffness * np.diag(found))) > STIFF:
+                return None
         if rigid and not is_regular(found):
             if lips is not None:
                 raise InputError(
@@ -123,6 +124,13 @@ class Problem:
                 )
             return None
         return found
+
+    def seen_alike(self, cutoff: float) -> Problem:
+        """The same for a family of problems: whether pairs are seen through a static compliance,
+        and that of which modes, is settled for all of them by a frequency [rad/s]."""
+        highest = cutoff / (BEYOND * self.harmonics)
+        known = replace(self, static_above=None, omega=highest * self.subharmonic).residual
+        return replace(self, static_above=np.inf if known is None else cutoff)
 
     def coupled_integrals(self) -> CoupledIntegrals:
         """How the contact force is integrated where pairs are seen through :attr:`residual`."""

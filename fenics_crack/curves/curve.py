@@ -207,9 +207,10 @@ class ResponseCurve(Tabular):
         """Half the peak-to-peak displacement of a dof at every point: (n,) [m], of 256 instants."""
         time = 2.0 * np.pi * np.arange(256) / 256
         wave = evaluate(self.coefficients_at(dof).T, 1.0, time)
-        static = all_modes(self.structure).static_pairs
-        if static is not None:  # lips without mass follow the forces as they are, with their kinks
-            moved = (self._rows(dof) @ static)[0]
+        if self.static_above is not None:
+            # What answers at once follows the forces as they are, with their kinks.
+            answers = all_modes(self.structure).moved_at_once(self.static_above)
+            moved = (self._rows(dof) @ answers)[0]
             for index, at in self._linearised():
                 assert isinstance(at, CoupledPoint)
                 force = at.system.integrals.forces(evaluate(at.unknown, 1.0, time))

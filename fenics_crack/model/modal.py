@@ -114,20 +114,25 @@ class AllModes:
     def static_part(self, above: float) -> np.ndarray:
         """R_inf and the static compliance of the modes beyond a frequency [rad/s]: what answers
         contact forces at once if these modes do; (n_pairs, n_pairs) [m/N]."""
-        fast = self.squares > above**2
+        fast = self._fast(above)
         found = (self.pairs[fast].T / self.squares[fast]) @ self.pairs[fast]
         return found if self.residual is None else found + self.residual
 
+    def _fast(self, above: float) -> np.ndarray:
+        """Modes beyond a frequency, but not the lowest one: (n_modes,) bool."""
+        fast: np.ndarray = self.squares > max(above**2, float(self.squares[0]))
+        return fast
+
     def moved_at_once(self, above: float) -> np.ndarray:
         """Displacement of it by unit forces on the pairs: (n_dofs, n_pairs) [m/N]."""
-        fast = self.squares > above**2
+        fast = self._fast(above)
         found: np.ndarray = (self.shapes[:, fast] / self.squares[fast]) @ self.pairs[fast]
         return found if self.static_pairs is None else found + self.static_pairs
 
     def below(self, above: float) -> AllModes:
         """The same with the modes beyond a frequency [rad/s] among what has no mass."""
-        slow = self.squares <= above**2
-        if np.all(slow) or not np.any(slow):
+        slow = ~self._fast(above)
+        if np.all(slow):
             return self
         squares, shapes, fast = self.squares[~slow], self.shapes[:, ~slow], self.pairs[~slow]
         loads, pairs = (shapes / squares) @ shapes.T, (shapes / squares) @ fast

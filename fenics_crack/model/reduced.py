@@ -241,7 +241,7 @@ class MasslessStructure(ReducedStructure):
             sparse.csr_matrix(np.vstack([pairs, compliance[:, :shared]])),
             force=force,
             clearance=whole.clearance,
-            damping=_padded(damping, rate, extra),
+            damping=_padded(damping, extra),
             nodes=whole.nodes,
             pair_points=whole.pair_points,
             pair_areas=whole.pair_areas,
@@ -353,13 +353,11 @@ def massless(structure: Structure | None) -> MasslessStructure | None:
     return structure if isinstance(structure, MasslessStructure) else None
 
 
-def _padded(damping: DampingRule | np.ndarray | None, rate: np.ndarray, extra: int) -> Any:
-    """What does not damp all modes alike, as a matrix with rows for coordinates without mass."""
-    single = isinstance(damping, ModalDamping) and isinstance(damping.ratio, float)
-    if damping is None or single or isinstance(damping, RayleighDamping):
+def _padded(damping: DampingRule | np.ndarray | None, extra: int) -> Any:
+    """A matrix of the modes' damping with rows for coordinates without mass."""
+    if not isinstance(damping, np.ndarray):
         return damping
-    block = rate if rate.ndim == 2 else np.diag(rate)
-    return distributed(sparse.block_diag([block, sparse.csr_matrix((extra,) * 2)]), MPI.COMM_SELF)
+    return distributed(sparse.block_diag([damping, sparse.csr_matrix((extra,) * 2)]), MPI.COMM_SELF)
 
 
 def _pseudoinverse(compliance: np.ndarray) -> np.ndarray:

@@ -12,10 +12,14 @@ from fenics_crack.balance.fourier import evaluate, resized
 COUNTS = (5, 10, 20, 40, 80)
 
 
+WEIGHT = 7e7
+"""Of the projection [N/m], the inverse of the plate's static compliance."""
+
+
 @pytest.fixture(scope="module")
 def constrained(soft_plate: fc.Structure) -> dict[int, fc.PeriodicSolution]:
-    """Its vibration without penetration, by the number of harmonics."""
-    law = fc.UnilateralConstraint()
+    """Its vibration without penetration by projection, by the number of harmonics."""
+    law = fc.UnilateralConstraint(WEIGHT)
     return {h: fc.solve_harmonic_balance(soft_plate, 2000.0, law, harmonics=h) for h in COUNTS}
 
 
@@ -150,7 +154,7 @@ def test_starts_from_a_solution_nearby(
     soft_plate: fc.Structure, constrained: dict[int, fc.PeriodicSolution]
 ) -> None:
     """Started from itself it needs no iteration; it also starts a solution with more harmonics."""
-    law = fc.UnilateralConstraint()
+    law = fc.UnilateralConstraint(WEIGHT)
     start = constrained[10]
     again = fc.solve_harmonic_balance(soft_plate, 2000.0, law, harmonics=10, initial=start)
     assert again.iterations == 0
@@ -160,7 +164,7 @@ def test_starts_from_a_solution_nearby(
 
 
 def test_several_pairs(wide_plate: fc.Structure) -> None:
-    """Four pairs: closer and closer to a penalty of 1e12 N/m with the same H; none penetrates."""
+    """Four pairs: as a penalty of 1e12 N/m with the same H, to 1e-3; none penetrates."""
     differences = []
     for harmonics in (5, 10, 20):
         free, stiff = (
@@ -173,8 +177,7 @@ def test_several_pairs(wide_plate: fc.Structure) -> None:
         differences.append(float((np.abs(gap - other).max(axis=0) / size).max()))
         assert np.all(gap.max(axis=0) < 0.05 * size)
         assert np.all(free.force_coefficients[0] > 5.0)
-    assert differences[0] > differences[1] > differences[2]
-    assert differences[2] < 0.06
+    assert max(differences) < 1e-3
 
 
 def test_stop_out_of_reach_and_stop_never_left() -> None:

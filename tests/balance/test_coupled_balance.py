@@ -302,7 +302,7 @@ def test_nothing_converges(plate: fc.Structure, monkeypatch: pytest.MonkeyPatch)
         return found
 
     monkeypatch.setattr(Search, "_newton", unconverged)
-    with pytest.raises(fc.ConvergenceError, match="marched orbit: failed"):
+    with pytest.raises(fc.ConvergenceError, match="in the softness: failed"):
         fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=12)
     solution = fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=12, throw=False)
     assert not solution.converged and "in the softness: failed" in solution.status

@@ -22,7 +22,7 @@ crack = { edge = "left", height = 0.1, length = 0.025 }
 material = { young = 2.1e11, poisson = 0.3, density = 7850.0 }
 damping = { ratio = 0.002, modes = "all" }
 excitation = { point = [0.08, 0.2], force_sin = [1.0, 0.0], omega = 6000.0 }
-contact = { law = "constraint", pairs = "PAIRS" }
+contact = { law = "unilateral", pairs = "PAIRS" }
 harmonic_balance = { harmonics = 5 }
 
 [mesh]
