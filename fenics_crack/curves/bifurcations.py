@@ -17,7 +17,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -62,10 +61,8 @@ def attainable(family: Family, parameter: float, tolerance: float) -> float:
 
 def flow_of(problem: Problem) -> PiecewiseFlow:
     """The flow whose multipliers a curve asks for; it takes the curve's unknowns."""
-    seen: dict[str, Any] = {}
-    if problem.residual is not None:
-        seen["static_above"] = problem.cutoff
-    return PiecewiseFlow(problem.structure, problem.contact, **seen)
+    above = None if problem.residual is None else problem.cutoff
+    return PiecewiseFlow(problem.structure, problem.contact, above)
 
 
 def turns_or_branches(family: Family, before: PathPoint, after: PathPoint) -> Special:

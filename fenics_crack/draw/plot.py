@@ -424,10 +424,10 @@ def draw_multipliers(
     if curve.parameter != "omega":
         raise InputError("curve", f"in {curve.parameter!r}", "in 'omega'")
     [panel] = make_axes(axes, path, size=(6.0, 4.8))
-    flow = PiecewiseFlow(curve.structure, curve.contact)
+    flow = PiecewiseFlow(curve.structure, curve.contact, curve.static_above)
     chosen = np.unique(np.linspace(0, len(curve) - 1, points).astype(int))
     multipliers = np.array(
-        [flow.multipliers(curve.gap(i), curve.omega[i] / curve.subharmonic) for i in chosen]
+        [flow.multipliers(curve.unknown(i), curve.omega[i] / curve.subharmonic) for i in chosen]
     )
     x, y = multipliers.real.ravel(), multipliers.imag.ravel()
     omega = np.repeat(curve.omega[chosen], multipliers.shape[1])

@@ -341,11 +341,7 @@ def of_kept_modes(damping: DampingRule | None, count: int) -> DampingRule | None
 def check_mass(structure: Structure, instead: str) -> None:
     """Raise InputError, which says what to do instead, if the lips have no mass."""
     if massless(structure) is not None:
-        raise InputError(
-            "structure",
-            repr(structure),
-            f"one with mass at its lips, not lips without mass; {instead}",
-        )
+        raise InputError("structure", repr(structure), f"one with mass at its lips; {instead}")
 
 
 def massless(structure: Structure | None) -> MasslessStructure | None:
