@@ -43,6 +43,7 @@ from fenics_crack.balance.rounding import (
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import UnilateralPenalty
 from fenics_crack.model.flow import ExponentialFlow
+from fenics_crack.model.modal import all_modes
 
 __all__ = ["Search"]
 
@@ -57,8 +58,9 @@ FEWEST = 5
 """Harmonics with which a solution is sought first where pairs are coupled."""
 SOFTNESS = (1.0, 10.0)
 """In series with coupled pairs where a path begins, in parts of what is enough."""
-MARCHED, ROUGHLY = 10, 1e-6
-"""Periods of a response that are marched for a start, and how closely it shall then repeat."""
+MARCHED, MOVING, ROUGHLY = 10, 40, 1e-6
+"""Periods of a response that are marched for a start, modes that move in them, and how closely it
+shall then repeat."""
 RAMP = Stepping(first=0.2, longest=0.5)
 WIDE, NARROW = Stepping(first=1.0, longest=2.0), Stepping(first=0.1, longest=0.3)
 """For paths in ln k, and for paths whose parameter runs from 0 to 1."""
@@ -191,8 +193,9 @@ class Search:
         shooting."""
         harmonics, periods = problem.harmonics, problem.subharmonic
         steps = 1 << max(8, (8 * harmonics // periods).bit_length())
+        above = min(problem.cutoff, all_modes(problem.structure).above_lowest(MOVING))
         flow = ExponentialFlow(
-            problem.structure, problem.omega, problem.contact, steps, static_above=problem.cutoff
+            problem.structure, problem.omega, problem.contact, steps, static_above=above
         )
         settled = flow.advance(flow.steady[0], MARCHED * periods)
         orbits = MarchedOrbits(flow, settled.states[-1], periods)
@@ -201,7 +204,7 @@ class Search:
             tolerance=ROUGHLY, iterations=12, least_damping=0.05, patience=6,
         )  # fmt: skip
         last = orbits.steps(orbits.start if orbit is None else orbit.unknown, 1.0)
-        return balanced(last.gap + last.forces[:-1] @ flow.residual, harmonics)
+        return balanced(last.gap + last.forces[:-1] @ problem.residual, harmonics)
 
     def _softness_path(self, system: CoupledSystem) -> Linearisation:
         """From pairs with a soft compliance in series, where the solution is close to the linear

@@ -167,10 +167,7 @@ class SteppedOrbits(MarchedOrbits):
 
 def moving_below(structure: Structure, static_above: float) -> float:
     """Frequency [rad/s] above which modes answer at once, so that few are marched."""
-    squares = all_modes(structure).squares
-    if len(squares) <= MOVING:
-        return static_above
-    return min(static_above, float(np.sqrt(squares[MOVING - 1])) * (1.0 + 1e-9))
+    return min(static_above, all_modes(structure).above_lowest(MOVING))
 
 
 def orbits_near(
