@@ -232,8 +232,6 @@ def shoot(
         least_damping=MIN_DAMPING, patience=PATIENCE, history=sizes,
     )  # fmt: skip
     if found is None:
-        raise ConvergenceError(
-            f"shooting: no periodic orbit near the solution; closest {sizes[-1]:.1e} "
-            f"after {len(sizes) - 1} steps"
-        )
+        closest = f"closest {sizes[-1]:.1e} after {len(sizes) - 1} steps" if sizes else "no motion"
+        raise ConvergenceError(f"shooting: no periodic orbit near the solution; {closest}")
     return orbits.orbit(found)

@@ -224,7 +224,7 @@ def _verdict(solution: PeriodicSolution) -> Found:
     """Verdict and modulus of the leading multiplier; empty without a law, and for a constraint of
     lips with mass."""
     law = solution.contact
-    if law is None or (is_rigid(law) and solution.static_above is None):
+    if law is None or (is_rigid(law) and massless(solution.structure) is None):
         return {}
     few = solution.structure.n_pairs <= FEW_PAIRS and solution.static_above is None
     try:
