@@ -61,7 +61,7 @@ SOFTNESS = (1.0, 10.0)
 MARCHED, MOVING, ROUGHLY = 10, 40, 1e-6
 """Periods of a response that are marched for a start, modes that move in them, and how closely it
 shall then repeat."""
-RAMP = Stepping(first=0.2, longest=0.5)
+RAMP = Stepping(first=0.2, longest=0.5, shortest=1e-5, most=100)
 WIDE, NARROW = Stepping(first=1.0, longest=2.0), Stepping(first=0.1, longest=0.3)
 """For paths in ln k, and for paths whose parameter runs from 0 to 1."""
 
