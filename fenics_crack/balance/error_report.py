@@ -10,6 +10,10 @@ J of F(g) = g + R b(g) - g_lin at the solution, and a disturbance d of b,
   collocation this is the aliasing;
 - reduction: R lacks delta R, known from a larger basis: R d becomes delta R b - delta g_lin.
 
+Where pairs are seen through a static compliance (:mod:`coupled`), truncation and reduction are what
+Newton's method changes with more harmonics, or with the modes of the larger basis: one step where
+it is small, else some.
+
 All are root mean squares over the period and the pairs, relative to that of B^T u.
 """
 

@@ -110,8 +110,9 @@ def solve_harmonic_balance(
     harmonics : int, optional
         H; default: 5, or what ``tolerance`` asks for.
     initial : PeriodicSolution, optional
-        Where Newton starts; default: the linear solution. May have other harmonics, and a
-        subharmonic that divides that of the response.
+        Where Newton starts; default: the linear solution, or a marched orbit where pairs are seen
+        through a static compliance. May have other harmonics, and a subharmonic that divides that
+        of the response.
     tolerance : float, optional
         Choose H, the samples of a law that needs them, and for a structure with many dofs the modes
         of a reduction, so that the estimated error (:class:`ErrorReport`) is below this; the

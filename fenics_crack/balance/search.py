@@ -7,9 +7,13 @@
 3. A path in the frequency, for small or reduced structures, where it is cheap: from the nearest
    frequency at which full steps converge.
 
-With :class:`UnilateralConstraint`, attempts 1 and 2 find the contact force of a stiff penalty, from
-which full steps start; where these fail, solutions are followed from a soft penalty to the
-constraint (:class:`ConstraintSystem`).
+With :class:`UnilateralConstraint` and a weight, attempts 1 and 2 find the contact force of a stiff
+penalty, from which full steps start; where these fail, solutions are followed from a soft penalty
+to the constraint (:class:`ConstraintSystem`).
+
+Pairs that are seen through a static compliance (:mod:`coupled`) start from an orbit that has been
+marched; then from half the harmonics, by full steps from the linear solution, along a path in the
+softness in series with the pairs, which ends at none, and along one in the frequency.
 """
 
 from __future__ import annotations

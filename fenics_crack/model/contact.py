@@ -131,14 +131,17 @@ class SmoothedPenalty(_Penalty):
 class UnilateralConstraint:
     """No penetration at all: g <= 0, lambda >= 0, lambda g = 0 (Signorini).
 
-    The limit of the penalty law for k to infinity, balanced in frequency: with the truncated waves
-    of gap and force, lambda = eps max(0, g + lambda / eps). It gives no force from the gap alone.
+    The limit of the penalty law for k to infinity. It gives no force from the gap alone. Where
+    pairs are seen through a static compliance (:class:`fenics_crack.Problem`) the force follows
+    from the slow gap; else it is balanced in frequency, with the truncated waves of gap and force,
+    lambda = eps max(0, g + lambda / eps).
 
     Attributes
     ----------
     weight : float or None [N/m]
-        eps > 0; the truncated solution depends on it a little, and less the more harmonics there
-        are. None: the inverse of the static compliance that the pairs see.
+        eps > 0, for lips with mass; the truncated solution depends on it a little, and less the
+        more harmonics there are. None: where one is needed, the inverse of the static compliance
+        that the pairs see.
     """
 
     weight: float | None = None
