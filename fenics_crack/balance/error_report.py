@@ -56,6 +56,8 @@ LARGE_ERROR = 0.05
 
 ROUGH = 1e-2
 """To which equations of an estimate are solved."""
+FARTHER = 5.0
+"""Growth of the residual at which Newton's method for an estimate ends."""
 SMALL_STEP, MAX_STEPS = 0.02, 4
 """Of Newton's method for an estimate: a first step, relative to the solution, that is enough, and
 how many follow where it is not."""
@@ -233,19 +235,20 @@ def _improvement(
     length = np.sqrt(system.inner(step, step))
     if length < SMALL_STEP * np.sqrt(system.inner(start, start)):
         return change
-    unknown, best = start, float(np.linalg.norm(first.residual))
+    unknown, left = start, np.inf
+    before = float(np.linalg.norm(first.residual))
+    farthest = change
     for _ in range(MAX_STEPS):
         unknown = unknown + step
         point = system.linearise(unknown)
         left = float(np.linalg.norm(point.residual))
-        if not left < 2.0 * best:
-            break
-        best = min(best, left)
         change = _Change(point.gap - first.gap, (point.force - first.force)[:rows], problem)
-        if left < ROUGH * length:
+        farthest = max(farthest, change, key=lambda one: mean_square(one.gap))
+        if left < ROUGH * length or not left < FARTHER * before:
             break
         step = point.solve(-point.residual, ROUGH)
-    return change
+    # Where they come no closer, how far they went is all that is known.
+    return change if left < 0.3 * before else farthest
 
 
 def _missed_by_samples(at: CondensedPoint) -> np.ndarray:
