@@ -130,7 +130,7 @@ class _Cells:
         """Cells and phases of all events, in the order of each cell, and the sets closed behind
         them; :attr:`closed` at the ends."""
         begun = np.full(len(self._middle), -1.0)
-        going = np.arange(len(begun))
+        going: np.ndarray = np.arange(len(begun))
         last = np.full(len(begun), -1)
         number, theta, sets = [going[:0]], [np.zeros(0)], [self.closed[:0]]
         for _ in range(4 * self.closed.shape[1] + 8):

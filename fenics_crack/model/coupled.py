@@ -105,7 +105,7 @@ class ActiveSets:
         closed = gap > 0.0 if closed is None else closed.copy()
         force = np.zeros_like(gap)
         allowed = ROUNDING * float(np.abs(gap).max(initial=0.0))
-        open_rows = np.arange(len(gap))
+        open_rows: np.ndarray = np.arange(len(gap))
         for _ in range(MAX_ITERATIONS):
             here, sets = gap[open_rows], closed[open_rows]
             found = self.forces(here, sets)

@@ -121,8 +121,9 @@ class RayleighDamping:
         known = omega.shape == (2,) and np.all(np.isfinite(omega))
         if not known or omega.min() <= 0.0 or omega[0] == omega[1]:
             raise InputError("damping omegas", omegas, "two different finite numbers > 0")
-        check_two_ratios("damping ratios", xi.tolist(), omega.tolist())
-        (low, at_low), (high, at_high) = sorted(zip(omega.tolist(), xi.tolist(), strict=True))
+        ratio, place = [float(x) for x in xi], [float(w) for w in omega]
+        check_two_ratios("damping ratios", ratio, place)
+        (low, at_low), (high, at_high) = sorted(zip(place, ratio, strict=True))
         slope = low / (high - low) * (at_high - at_low)
         mean = 0.5 * (low + high)
         mass, stiffness = low / mean * high * (at_low - slope), (at_high + slope) / mean

@@ -231,7 +231,7 @@ class Steps:
         product: np.ndarray = np.eye(self.states.shape[1])
         begin = 0
         powers: dict[tuple[bytes, int], np.ndarray] = {}
-        for change in [*changes.tolist(), len(closed) - 1]:
+        for change in [*map(int, changes), len(closed) - 1]:
             if change > begin:
                 key = closed[begin].tobytes(), change - begin
                 if key not in powers:

@@ -178,7 +178,8 @@ class ResidualFlexibility:
 
     def rows(self, dofs: np.ndarray) -> np.ndarray:
         """G X at some dofs: (n_dofs, n_sources); kept (collective)."""
-        missing = [dof for dof in dict.fromkeys(dofs.tolist()) if dof not in self._measured]
+        wanted: list[int] = [int(dof) for dof in dofs]
+        missing = [dof for dof in dict.fromkeys(wanted) if dof not in self._measured]
         if missing:
             structure = self.structure
             units = np.zeros((len(missing), structure.n_local))
@@ -189,7 +190,7 @@ class ResidualFlexibility:
                 moved = self.solve(factor, units)
             found = structure.sum_over_ranks((self.sources.T @ moved.T).T)
             self._measured |= dict(zip(missing, found, strict=True))
-        return np.array([self._measured[dof] for dof in dofs.tolist()])
+        return np.array([self._measured[dof] for dof in wanted])
 
 
 class MasslessStructure(ReducedStructure):
