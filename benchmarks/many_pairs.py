@@ -32,6 +32,7 @@ import numpy as np
 import scipy.linalg
 
 import fenics_crack as fc
+from fenics_crack.balance.fourier import evaluate
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.model.reduced import MasslessStructure
 
@@ -89,13 +90,7 @@ def waves(solution: fc.PeriodicSolution) -> tuple[np.ndarray, np.ndarray]:
     instants = np.arange(INSTANTS) * solution.period / INSTANTS
     structure = solution.structure
     rows = solution.displacement_coefficients @ structure.force[2]
-    return solution.gap(instants), wave_of(rows, solution.base_omega, instants)
-
-
-def wave_of(rows: np.ndarray, omega: float, instants: np.ndarray) -> np.ndarray:
-    """A wave from its coefficients."""
-    phase = omega * np.multiply.outer(instants, np.arange(1, len(rows) // 2 + 1))
-    return rows[0] + np.cos(phase) @ rows[1::2] + np.sin(phase) @ rows[2::2]
+    return solution.gap(instants), evaluate(rows, solution.base_omega, instants)
 
 
 def apart(one: np.ndarray, other: np.ndarray) -> float:
@@ -204,7 +199,7 @@ def today(arguments: common.Arguments) -> None:
     for steps in (128, 256, 512, 1024, 2048):
         points = []
         for omega in omegas:
-            ms, gap = marched(slow, omega, law, steps)
+            ms, gap, _ = marched(slow, omega, law, steps)
             points.append((ms, apart(gap, known[omega][0])))
         curves.setdefault("marched from rest, 50 modes", []).append(
             tuple(np.median(points, axis=0))
@@ -224,8 +219,10 @@ def today(arguments: common.Arguments) -> None:
     drawing.savefig(arguments.folder / "many_pairs.png")
 
 
-def marched(reduced: fc.Structure, omega: float, law: Any, steps: int) -> tuple[float, np.ndarray]:
-    """Time [ms] and gap of a march from rest until it repeats to 1e-3."""
+def marched(
+    reduced: fc.Structure, omega: float, law: Any, steps: int
+) -> tuple[float, np.ndarray, int]:
+    """Time [ms], gap and periods of a march from rest until it repeats to 1e-3."""
     started = time.process_time()
     found = fc.integrate_exponential(
         reduced, omega, law, periods=400, steps_per_period=steps, settle=1e-3, record_periods=1
@@ -233,7 +230,7 @@ def marched(reduced: fc.Structure, omega: float, law: Any, steps: int) -> tuple[
     ms = 1e3 * (time.process_time() - started)
     instants = np.arange(INSTANTS) * steps / INSTANTS
     columns = [np.interp(instants, np.arange(steps), wave, period=steps) for wave in found.gap.T]
-    return ms, np.array(columns).T
+    return ms, np.array(columns).T, found.periods
 
 
 def march(arguments: common.Arguments) -> None:
@@ -245,14 +242,9 @@ def march(arguments: common.Arguments) -> None:
     rows = []
     slow = fc.reduce_structure(structure, modes=50, method="massless")
     for steps in (64, 128, 256, 512, 1024):
-        started = time.process_time()
-        found = fc.integrate_exponential(
-            slow, omega, law, periods=400, steps_per_period=steps, settle=1e-3, record_periods=1
-        )
-        seconds = time.process_time() - started
-        gap = marched(slow, omega, law, steps)[1]
-        rows.append(("exponential", steps, found.periods, steps * found.periods, seconds,
-                     1e6 * seconds / steps / found.periods, apart(gap, known)))  # fmt: skip
+        ms, gap, periods = marched(slow, omega, law, steps)
+        rows.append(("exponential", steps, periods, steps * periods, 1e-3 * ms,
+                     1e3 * ms / steps / periods, apart(gap, known)))  # fmt: skip
     damped = common.plate("breathing_plate", {"damping.ratio": 0.01, "damping.modes": 150})
     steps = 2 * fc.stable_steps_per_period(damped, omega, law)
     periods = 5 if arguments.quick else 200

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fenics_crack.balance.fourier import from_complex, sampled
 from fenics_crack.model.coupled import ActiveSets, unique_sets
 
 __all__ = ["Intervals", "contact_intervals"]
@@ -65,7 +66,9 @@ def contact_intervals(harmonics: np.ndarray, contact: ActiveSets) -> Intervals:
     most = max(CELLS * len(harmonics), CELLS_OF_PAIR * harmonics.shape[1])
     count = 1 << (most - 1).bit_length()
     order = np.arange(len(harmonics))[:, None]
-    values, rates = (_sampled(wave, count) for wave in (harmonics, 1j * order * harmonics))
+    values, rates = (
+        sampled(from_complex(wave), count) for wave in (harmonics, 1j * order * harmonics)
+    )
     _, closed = contact.solve(values)
     width = 2.0 * np.pi / count
     searched = _searched(contact, values, width * rates, closed)
@@ -77,12 +80,6 @@ def contact_intervals(harmonics: np.ndarray, contact: ActiveSets) -> Intervals:
     order = np.argsort(np.concatenate([[-1], number, wrong]), kind="stable")
     different, which = unique_sets(sets[order])
     return Intervals(np.maximum.accumulate(theta[order]), which, different)
-
-
-def _sampled(harmonics: np.ndarray, count: int) -> np.ndarray:
-    spectrum = 0.5 * count * harmonics
-    spectrum[0] = count * harmonics[0].real
-    return np.fft.irfft(spectrum, n=count, axis=0)
 
 
 def _margins(contact: ActiveSets, values: np.ndarray, closed: np.ndarray) -> np.ndarray:

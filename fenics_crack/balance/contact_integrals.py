@@ -26,7 +26,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from fenics_crack.balance.fourier import from_complex, to_complex
+from fenics_crack.balance.fourier import balanced, sampled, to_complex
 from fenics_crack.balance.switching import Switching, switching_instants
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear
 
@@ -93,15 +93,11 @@ class SampledIntegrals(ContactIntegrals):
 
     def sample(self, gap: np.ndarray) -> np.ndarray:
         """Values (N, n_pairs) at the instants i T / N of coefficients (2H+1, n_pairs)."""
-        spectrum = 0.5 * self.samples * to_complex(gap)
-        spectrum[0] *= 2.0
-        return np.fft.irfft(spectrum, n=self.samples, axis=0)
+        return sampled(gap, self.samples)
 
     def balance(self, values: np.ndarray) -> np.ndarray:
         """Coefficients (2H+1, n_pairs) of samples (N, n_pairs)."""
-        spectrum = np.fft.rfft(values, axis=0)[: self.harmonics + 1] * (2.0 / self.samples)
-        spectrum[0] *= 0.5
-        return from_complex(spectrum)
+        return balanced(values, self.harmonics)
 
     def force(self, gap: np.ndarray) -> np.ndarray:
         return self.balance(self.law.force(self.sample(gap)))

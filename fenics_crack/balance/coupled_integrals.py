@@ -24,28 +24,14 @@ import numpy as np
 
 from fenics_crack.balance.active_sets import contact_intervals
 from fenics_crack.balance.contact_integrals import default_samples
-from fenics_crack.balance.fourier import from_complex, to_complex
+from fenics_crack.balance.fourier import balanced, sampled, to_complex
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.coupled import ActiveSets, smooth_forces, unique_sets
 
-__all__ = ["CoupledForces", "CoupledIntegrals", "CoupledTangent", "balanced", "sampled"]
+__all__ = ["CoupledForces", "CoupledIntegrals", "CoupledTangent"]
 
 MAX_NUMBERS = 4_000_000
 """In the stiffnesses of sets that are treated together."""
-
-
-def sampled(coefficients: np.ndarray, count: int) -> np.ndarray:
-    """Values at the instants i T / count of coefficients (2H+1, ...), 2H < count: (count, ...)."""
-    spectrum = 0.5 * count * to_complex(coefficients)
-    spectrum[0] *= 2.0
-    return np.fft.irfft(spectrum, n=count, axis=0)
-
-
-def balanced(values: np.ndarray, harmonics: int) -> np.ndarray:
-    """Coefficients (2H+1, ...) of values at equally spaced instants."""
-    spectrum = np.fft.rfft(values, axis=0)[: harmonics + 1] * (2.0 / len(values))
-    spectrum[0] *= 0.5
-    return from_complex(spectrum)
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, respond
 from fenics_crack.balance.contact_integrals import (
     ExactIntegrals,
@@ -39,6 +40,7 @@ from fenics_crack.balance.problem import Problem, is_regular
 from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear, is_rigid
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.reduced import ReducedStructure
+from fenics_crack.model.structure import Structure
 from fenics_crack.table import Described
 
 __all__ = [
@@ -139,13 +141,13 @@ class _Change:
     ----------
     gap : (2K+1, n_pairs) [m]
     force : (2H+1, n_pairs) [N]
-    problem : Problem or None
+    better : Structure and its Compliance, or None
         Where the structure is another one.
     """
 
     gap: np.ndarray
     force: np.ndarray
-    problem: Problem | None = None
+    better: tuple[Structure, Compliance] | None = None
 
 
 def _of_displacement(
@@ -159,18 +161,15 @@ def _of_displacement(
     if not size > 0.0:
         return 0.0
     for change in changes:
-        other = change.problem or problem
-        if change.problem is None:
+        if change.better is None:
             if not np.any(change.force):
                 continue
             compliance = at.system.compliance
             moved = compliance.displacement(at.force + change.force) - displacement
             moved = structure.sum_over_ranks(moved @ structure.force.T)
         else:
-            compliance = other.compliance()
-            better = compliance.displacement(at.force + change.force)
-            moved = better @ other.structure.force.T - known
-            compliance.destroy()
+            other, compliance = change.better
+            moved = compliance.displacement(at.force + change.force) @ other.force.T - known
         total += float(np.sqrt(mean_square(moved) / size))
     return total
 
@@ -224,14 +223,17 @@ def _more_harmonics(at: CondensedPoint) -> int:
 
 
 def _improvement(
-    system: CoupledSystem, start: np.ndarray, rows: int, problem: Problem | None = None
+    system: CoupledSystem,
+    start: np.ndarray,
+    rows: int,
+    better: tuple[Structure, Compliance] | None = None,
 ) -> _Change:
     """What better equations change, by Newton's method: one step where that is small, else some,
     as far as they come closer."""
     first = system.linearise(start)
     step = first.solve(-first.residual, ROUGH)
     force = first.forces.tangent.apply(step)
-    change = _Change(first.gap_of(step), force[:rows], problem)
+    change = _Change(first.gap_of(step), force[:rows], better)
     length = np.sqrt(system.inner(step, step))
     if length < SMALL_STEP * np.sqrt(system.inner(start, start)):
         return change
@@ -242,7 +244,7 @@ def _improvement(
         unknown = unknown + step
         point = system.linearise(unknown)
         left = float(np.linalg.norm(point.residual))
-        change = _Change(point.gap - first.gap, (point.force - first.force)[:rows], problem)
+        change = _Change(point.gap - first.gap, (point.force - first.force)[:rows], better)
         farthest = max(farthest, change, key=lambda one: mean_square(one.gap))
         if left < ROUGH * length or not left < FARTHER * before:
             break
@@ -286,16 +288,18 @@ def _lost_in_reduction(at: CondensedPoint, problem: Problem) -> _Change:
         ):
             nearly = STIFF * len(residual) / np.trace(residual)
             other = replace(other, contact=UnilateralPenalty(float(nearly)))
-        system = other.system(other.compliance())
+        compliance = other.compliance()
+        system = other.system(compliance)
         assert isinstance(system, CoupledSystem)
-        return _improvement(system, at.gap + at.force @ system.residual, rows, other)
+        start = at.gap + at.force @ system.residual
+        return _improvement(system, start, rows, (reference, compliance))
     better, used = other.compliance(), at.system.compliance
     free = better.linear_gap - used.linear_gap
     gap = at.gap_by_linear_gap(free - respond(better.matrices - used.matrices, at.force))
     force = np.zeros_like(gap)
     if isinstance(at.system, CondensedSystem):
         force = apply_to_pairs(at.tangent, gap)
-    return _Change(gap, force, other)
+    return _Change(gap, force, (reference, better))
 
 
 def _penetration(at: CondensedPoint) -> np.ndarray:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["evaluate", "from_complex", "resized", "stretched", "to_complex"]
+__all__ = ["balanced", "evaluate", "from_complex", "resized", "sampled", "stretched", "to_complex"]
 
 
 def to_complex(coefficients: np.ndarray) -> np.ndarray:
@@ -39,6 +39,20 @@ def evaluate(coefficients: np.ndarray, omega: float, time: np.ndarray) -> np.nda
     basis[:, 1::2] = np.cos(phase)
     basis[:, 2::2] = np.sin(phase)
     return np.tensordot(basis, coefficients, axes=1)
+
+
+def sampled(coefficients: np.ndarray, count: int) -> np.ndarray:
+    """Values at the instants i T / count of coefficients (2H+1, ...), 2H < count: (count, ...)."""
+    spectrum = 0.5 * count * to_complex(coefficients)
+    spectrum[0] *= 2.0
+    return np.fft.irfft(spectrum, n=count, axis=0)
+
+
+def balanced(values: np.ndarray, harmonics: int) -> np.ndarray:
+    """Coefficients (2H+1, ...) of values at equally spaced instants."""
+    spectrum = np.fft.rfft(values, axis=0)[: harmonics + 1] * (2.0 / len(values))
+    spectrum[0] *= 0.5
+    return from_complex(spectrum)
 
 
 def resized(coefficients: np.ndarray, harmonics: int) -> np.ndarray:

@@ -30,9 +30,8 @@ from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, ConstraintSystem
 from fenics_crack.balance.contact_integrals import ContactIntegrals, ExactIntegrals
 from fenics_crack.balance.coupled import CoupledSystem
-from fenics_crack.balance.coupled_integrals import balanced
 from fenics_crack.balance.family import FrequencyFamily
-from fenics_crack.balance.fourier import resized
+from fenics_crack.balance.fourier import balanced, resized
 from fenics_crack.balance.linearisation import Linearisation
 from fenics_crack.balance.newton import DistributedSystem, Newton
 from fenics_crack.balance.orbits import MarchedOrbits
