@@ -41,7 +41,7 @@ case $system in
 *) fail "only Debian 12 and Debian 13 are supported; this system is '${system:-unknown}'" ;;
 esac
 
-# gcc and python3-dev: DOLFINx compiles every form when it first meets it.
+# gcc and python3-dev: DOLFINx compiles every form when it first meets it; the kernel is built.
 # openmpi-bin: mpirun.
 # libopenblas0-pthread: dense algebra, several times faster than Debian's reference BLAS.
 # libegl1 and libgl1-mesa-dri: pyvista's VTK, which brings no OpenGL of its own, draws through
@@ -49,7 +49,8 @@ esac
 packages='
     python3-dolfinx python3-petsc4py python3-slepc4py python3-mpi4py
     gmsh python3-gmsh
-    python3-scipy python3-matplotlib python3-h5py python3-tqdm python3-venv libopenblas0-pthread
+    python3-scipy python3-matplotlib python3-h5py python3-tqdm python3-cffi python3-venv
+    libopenblas0-pthread
     gcc python3-dev
     openmpi-bin
     libegl1 libgl1-mesa-dri
@@ -100,15 +101,15 @@ import dolfinx.fem, gmsh, h5py, matplotlib, mpi4py.MPI, petsc4py.PETSc, scipy, s
 everything_imports() {
     debian_imports "$here/.venv/bin/python" && (cd / && "$here/.venv/bin/python" -c '
 import importlib.util
-import hypothesis, pytest, pyvista
+import cffi, hypothesis, pytest, pyvista
 for name in ("fenics_crack", "mypy", "ruff"):
     if importlib.util.find_spec(name) is None:
         raise ImportError("there is no module " + name)
 ')
 }
 
-# What .venv depends on: when any of it changes, pip runs again.
-wanted=$({ cat pyproject.toml install.sh; /usr/bin/python3 -VV; echo "$here"; } | sha256sum)
+# What .venv depends on: when any of it changes, pip runs again, and builds the kernel again.
+wanted=$({ cat pyproject.toml setup.py install.sh fenics_crack/kernel/*.[ch] fenics_crack/kernel/build.py; /usr/bin/python3 -VV; echo "$here"; } | sha256sum)
 stamp=.venv/fenics_crack.stamp
 
 if sound_venv && everything_imports >/dev/null 2>&1; then
@@ -128,7 +129,7 @@ fi
 write_pins() {
     .venv/bin/python -c '
 from importlib.metadata import version
-for name in ("numpy", "scipy", "matplotlib", "mpi4py", "pillow", "tqdm"):
+for name in ("cffi", "numpy", "scipy", "matplotlib", "mpi4py", "pillow", "tqdm"):
     print(f"{name}=={version(name)}")
 ' >.venv/debian-pins.txt
 }

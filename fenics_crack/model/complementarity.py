@@ -31,6 +31,7 @@ import numpy as np
 import scipy.optimize
 
 from fenics_crack.errors import ConvergenceError
+from fenics_crack.kernel import doubles, ints, kernel, signs
 
 __all__ = ["by_least_squares", "solve_complementarity", "solve_forces"]
 
@@ -47,20 +48,19 @@ def solve_complementarity(
     D is positive definite, and symmetric but for a small part; ``closed`` is a first guess of where
     lambda > 0. Raises ConvergenceError where there is no solution, or it was not found.
     """
-    allowed = ROUNDING * float(np.abs(gap).max(initial=0.0))
-    closed = gap > 0.0 if closed is None else closed
-    seen: set[bytes] = set()
-    while closed.tobytes() not in seen and len(seen) < MAX_ITERATIONS:
-        seen.add(closed.tobytes())
-        force = np.zeros(len(gap))
-        try:
-            force[closed] = np.linalg.solve(matrix[np.ix_(closed, closed)], gap[closed])
-        except np.linalg.LinAlgError:
-            break
-        now = np.where(closed, force > 0.0, matrix @ force - gap < -allowed)
-        if np.array_equal(now, closed):
-            return force
-        closed = now
+    count = len(gap)
+    matrix = np.ascontiguousarray(matrix, dtype=float)
+    gap = np.ascontiguousarray(gap, dtype=float)
+    assert matrix.shape == (count, count)
+    guess = (gap > 0.0 if closed is None else closed).astype(np.int8)
+    force, room = np.empty(count), np.empty((count + 1) * count)
+    failed = kernel.active_sets(
+        count, doubles(matrix), doubles(gap), ROUNDING * float(np.abs(gap).max(initial=0.0)),
+        MAX_ITERATIONS, signs(guess), doubles(force), doubles(room[count:]),
+        ints(np.empty(count, np.intc)), doubles(room[:count]),
+    )  # fmt: skip
+    if not failed:
+        return force
     return by_least_squares(matrix, gap)
 
 

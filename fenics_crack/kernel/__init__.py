@@ -1,0 +1,61 @@
+"""The compiled kernel: what is called for every point, every instant or every step.
+
+The C files beside this one hold the equations next to the loops; cffi compiles them when the
+package is installed (``build.py``). LAPACK is SciPy's, handed over as addresses. Those who call
+check the shapes: a kernel reads what it is told to.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+import numpy as np
+from scipy.linalg import cython_blas, cython_lapack
+
+try:
+    from fenics_crack.kernel._kernel import ffi, lib
+except ImportError as error:  # pragma: no cover
+    raise ImportError(
+        "the compiled kernel of fenics_crack is missing or broken: run 'sh install.sh'"
+    ) from error
+
+__all__ = ["doubles", "ints", "kernel", "signs"]
+
+kernel: Any = lib
+"""The functions of the C files, by their names."""
+
+
+def _bind() -> None:
+    """Hand the kernel its BLAS and LAPACK."""
+    name_of, pointer_of = ctypes.pythonapi.PyCapsule_GetName, ctypes.pythonapi.PyCapsule_GetPointer
+    name_of.restype, name_of.argtypes = ctypes.c_char_p, [ctypes.py_object]
+    pointer_of.restype, pointer_of.argtypes = ctypes.c_void_p, [ctypes.py_object, ctypes.c_char_p]
+    known = {**cython_blas.__pyx_capi__, **cython_lapack.__pyx_capi__}
+    table = ffi.new("void *[]", lib.LAPACK_FUNCTIONS)
+    for name in ("dgemv", "dgemm", "dgetrf", "dgetrs", "dpotrf", "dpotrs"):
+        capsule = known[name]
+        address = pointer_of(capsule, name_of(capsule))
+        table[getattr(lib, name.upper())] = ffi.cast("void *", address)
+    lib.bind_lapack(table)
+
+
+def doubles(array: np.ndarray) -> Any:
+    """Numbers of a C-contiguous array of doubles, or of complex numbers."""
+    assert array.dtype in (np.float64, np.complex128)
+    return ffi.from_buffer("double[]", array)
+
+
+def ints(array: np.ndarray) -> Any:
+    """Numbers of a C-contiguous array of C's int."""
+    assert array.dtype == np.intc
+    return ffi.from_buffer("int[]", array)
+
+
+def signs(array: np.ndarray) -> Any:
+    """Numbers of a C-contiguous array of bytes or truth values."""
+    assert array.dtype.itemsize == 1
+    return ffi.from_buffer("signed char[]", array)
+
+
+_bind()

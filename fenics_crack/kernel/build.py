@@ -1,0 +1,61 @@
+"""How the compiled kernel is built: by cffi, from the C files beside this one.
+
+``install.sh`` has it built by pip. After a change of the C files this builds it again, in a second
+or two, into this folder or into another one:
+
+    .venv/bin/python fenics_crack/kernel/build.py [--sanitize] [FOLDER]
+
+With ``--sanitize`` the compiler adds checks of addresses and of undefined behaviour: so
+``tests/test_kernel.py`` runs once more.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+from cffi import FFI
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+FLAGS = ["-std=c11", "-O3", "-fno-math-errno", "-ffp-contract=off"]
+"""No contraction of products and sums: results do not depend on the processor."""
+SANITIZER = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g", "-O1"]
+
+
+def builder_in(folder: Path, *, sanitize: bool = False) -> FFI:
+    """What makes the module, with the paths of its sources relative to a folder, or whole."""
+    headers, sources = sorted(HERE.glob("*.h")), sorted(HERE.glob("*.c"))
+    here = HERE.relative_to(folder) if HERE.is_relative_to(folder) else HERE
+    ffi, checks = FFI(), SANITIZER if sanitize else []
+    for header in headers:  # cffi takes all but lines for the preprocessor
+        ffi.cdef(re.sub(r"(?m)^#.*$", "", header.read_text(encoding="utf-8")))
+    ffi.set_source(
+        "fenics_crack.kernel._kernel",
+        "\n".join(f'#include "{header.name}"' for header in headers),
+        sources=[str(here / source.name) for source in sources],
+        include_dirs=[str(here)],
+        depends=[str(here / header.name) for header in headers],
+        extra_compile_args=[*FLAGS, *checks],
+        extra_link_args=checks,
+        libraries=["m"],
+    )
+    return ffi
+
+
+def build(target: Path, *, sanitize: bool = False) -> None:
+    """Compile the module into a folder."""
+    with tempfile.TemporaryDirectory() as scratch:
+        made = builder_in(Path(scratch), sanitize=sanitize).compile(tmpdir=scratch)
+        shutil.copy(made, target / "_kernel.abi3.so")  # as pip calls it
+
+
+if __name__ == "__main__":
+    asked = sys.argv[1:]
+    folders = [Path(one) for one in asked if one != "--sanitize"]
+    build((folders or [HERE])[0], sanitize="--sanitize" in asked)
+else:
+    builder = builder_in(ROOT)

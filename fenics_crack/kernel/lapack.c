@@ -1,0 +1,49 @@
+#include "lapack.h"
+
+static void *bound[LAPACK_FUNCTIONS];
+
+typedef void gemv_t(const char *, const int *, const int *, const double *, const double *,
+                    const int *, const double *, const int *, const double *, double *,
+                    const int *);
+typedef void getrf_t(const int *, const int *, double *, const int *, int *, int *);
+typedef void getrs_t(const char *, const int *, const int *, const double *, const int *,
+                     const int *, double *, const int *, int *);
+
+void bind_lapack(void **functions)
+{
+    for (int i = 0; i < LAPACK_FUNCTIONS; i++) bound[i] = functions[i];
+}
+
+void multiply(int rows, int columns, const double *a, const double *x, double *y)
+{
+    const int one = 1;
+    const double unit = 1.0, zero = 0.0;
+    if (!rows) return;
+    if (!columns) {
+        for (int i = 0; i < rows; i++) y[i] = 0.0;
+        return;
+    }
+    ((gemv_t *)bound[DGEMV])("T", &columns, &rows, &unit, a, &columns, x, &one, &zero, y, &one);
+}
+
+int factor(int n, double *a, int *pivots)
+{
+    int info = 0;
+    /* LAPACK sees A^T, which is factored just as well. */
+    if (n) ((getrf_t *)bound[DGETRF])(&n, &n, a, &n, pivots, &info);
+    return info;
+}
+
+void solve_factored(int n, const double *a, const int *pivots, double *x)
+{
+    int info;
+    const int one = 1;
+    if (n) ((getrs_t *)bound[DGETRS])("T", &n, &one, a, &n, pivots, x, &n, &info);
+}
+
+double sign_of_factored(int n, const double *a, const int *pivots)
+{
+    int odd = 0;
+    for (int i = 0; i < n; i++) odd ^= (pivots[i] != i + 1) ^ (a[i * (n + 1)] < 0.0);
+    return odd ? -1.0 : 1.0;
+}

@@ -1,0 +1,19 @@
+/* BLAS and LAPACK, as SciPy holds them: bound once, when the kernel is loaded. */
+#ifndef LAPACK_H
+#define LAPACK_H
+
+/* Names in the order in which bind_lapack takes their addresses. */
+enum { DGEMV, DGEMM, DGETRF, DGETRS, DPOTRF, DPOTRS, LAPACK_FUNCTIONS };
+
+void bind_lapack(void **functions);
+
+/* y = A x with A (rows, columns) in C's order. */
+void multiply(int rows, int columns, const double *a, const double *x, double *y);
+/* LU factors of a matrix (n, n) in C's order, in place: 0, or where its pivot vanishes. */
+int factor(int n, double *a, int *pivots);
+/* x = A^-1 x from these, for one right-hand side. */
+void solve_factored(int n, const double *a, const int *pivots, double *x);
+/* Sign of det A from these. */
+double sign_of_factored(int n, const double *a, const int *pivots);
+
+#endif
