@@ -53,11 +53,11 @@ def solve_complementarity(
     gap = np.ascontiguousarray(gap, dtype=float)
     assert matrix.shape == (count, count)
     guess = (gap > 0.0 if closed is None else closed).astype(np.int8)
-    force, room = np.empty(count), np.empty((count + 1) * count)
+    force, reached = np.empty(count), np.empty(count)
     failed = kernel.active_sets(
         count, doubles(matrix), doubles(gap), ROUNDING * float(np.abs(gap).max(initial=0.0)),
-        MAX_ITERATIONS, signs(guess), doubles(force), doubles(room[count:]),
-        ints(np.empty(count, np.intc)), doubles(room[:count]),
+        MAX_ITERATIONS, signs(guess), doubles(force), doubles(np.empty(count * count)),
+        ints(np.empty(count, np.intc)), doubles(reached),
     )  # fmt: skip
     if not failed:
         return force
