@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import subprocess
 import sys
@@ -14,17 +13,19 @@ from helpers import ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fenics_crack.model.complementarity import solve_complementarity
+
 CHECKED = "CHECKED_KERNEL"
-"""Environment variable: the file of a kernel that is to be tested instead of the installed one."""
+"""Environment variable, set in a run with a kernel that checks its addresses."""
 
-if CHECKED in os.environ:
-    NAME = "fenics_crack.kernel._kernel"
-    spec = importlib.util.spec_from_file_location(NAME, os.environ[CHECKED])
-    assert spec is not None and spec.loader is not None
-    sys.modules[NAME] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(sys.modules[NAME])
-
-from fenics_crack.model.complementarity import solve_complementarity  # noqa: E402
+WITH_CHECKS = """
+import importlib.util, sys, pytest
+name = "fenics_crack.kernel._kernel"
+spec = importlib.util.spec_from_file_location(name, sys.argv[1])
+sys.modules[name] = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(sys.modules[name])
+sys.exit(pytest.main(["-q", "-x", "-p", "no:cacheprovider", sys.argv[2]]))
+"""
 
 
 @settings(max_examples=60, deadline=None)
@@ -51,13 +52,9 @@ def test_with_checks_of_addresses(tmp_path: Path) -> None:
     library = subprocess.run(
         ["gcc", "-print-file-name=libasan.so"], check=True, capture_output=True, text=True
     ).stdout.strip()
-    known = {
-        "LD_PRELOAD": library,
-        "ASAN_OPTIONS": "detect_leaks=0",
-        CHECKED: str(tmp_path / "_kernel.abi3.so"),
-    }
+    known = {"LD_PRELOAD": library, "ASAN_OPTIONS": "detect_leaks=0", CHECKED: "1"}
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", __file__],
+        [sys.executable, "-c", WITH_CHECKS, tmp_path / "_kernel.abi3.so", __file__],
         cwd=ROOT, env=os.environ | known, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
