@@ -16,6 +16,7 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
+import scipy.linalg
 
 from fenics_crack.balance.dynamic_stiffness import DynamicStiffness
 from fenics_crack.balance.fourier import from_complex, resized, to_complex
@@ -45,10 +46,13 @@ class Compliance(Protocol):
         R_k, symmetric.
     linear_gap : (2H+1, n_pairs) [m]
         Gap without contact, less the clearance.
+    basis : (n_pairs, n) or None
+        Orthonormal basis of the gaps that the modes can make; None where these are all gaps.
     """
 
     matrices: np.ndarray
     linear_gap: np.ndarray
+    basis: np.ndarray | None
 
     def beyond(self, highest: int) -> np.ndarray:
         """R_k for k = H+1 to a higher harmonic, to the accuracy of an error estimate."""
@@ -98,6 +102,7 @@ class ModalCompliance:
             raise InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
         self._clearance = structure.clearance
         self._modes = all_modes(structure)
+        self.basis = structure.once(_basis) if len(self._modes.pairs) < structure.n_pairs else None
         self._order = np.arange(len(load) // 2 + 1.0)
         self._unit_load = to_complex(load @ self._modes.shapes)
         self._unit_static: np.ndarray | None = None
@@ -198,6 +203,8 @@ class FactoredCompliance:
         c, coefficients of the load.
     """
 
+    basis: np.ndarray | None = None
+
     def __init__(self, structure: Structure, base_omega: float, load: np.ndarray) -> None:
         self.structure, self.load = structure, load
         self._base, orders = base_omega, range(len(load) // 2 + 1)
@@ -245,6 +252,7 @@ class WidenedCompliance:
     def __init__(self, compliance: Compliance, harmonics: int) -> None:
         self.matrices = np.concatenate([compliance.matrices, compliance.beyond(harmonics)])
         self.linear_gap = resized(compliance.linear_gap, harmonics)
+        self.basis = compliance.basis
         self.beyond = compliance.beyond
         self.displacement = compliance.displacement
         self.destroy = compliance.destroy
@@ -256,7 +264,7 @@ class NarrowedCompliance:
     def __init__(self, compliance: Compliance, harmonics: int) -> None:
         self.matrices = compliance.matrices[: harmonics + 1]
         self.linear_gap = compliance.linear_gap[: 2 * harmonics + 1]
-        self._whole = compliance.matrices
+        self._whole, self.basis = compliance.matrices, compliance.basis
         self.displacement, self.destroy = compliance.displacement, compliance.destroy
         self._further = compliance.beyond
 
@@ -273,6 +281,11 @@ def narrowed(compliance: Compliance, harmonics: int) -> Compliance:
     if len(compliance.matrices) == harmonics + 1:
         return compliance
     return NarrowedCompliance(compliance, harmonics)
+
+
+def _basis(structure: Structure) -> np.ndarray:
+    """Orthonormal basis of B^T Phi: (n_pairs, n)."""
+    return scipy.linalg.orth(all_modes(structure).pairs.T)
 
 
 def _lowest_modes(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -21,11 +21,12 @@ from collections.abc import Callable
 
 import numpy as np
 from mpi4py import MPI
+from scipy.linalg.lapack import dpstrf
 
 from fenics_crack.balance.compliance import Compliance, WidenedCompliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, ExactIntegrals, apply_to_pairs
 from fenics_crack.balance.fourier import from_complex, to_complex
-from fenics_crack.balance.linearisation import DenseLinearisation
+from fenics_crack.balance.linearisation import DenseLinearisation, solve_factored
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import UnilateralPenalty
 
@@ -38,6 +39,9 @@ __all__ = [
     "respond_to_columns",
 ]
 
+LOW_RANK = 700
+"""Unknowns from which solutions go through the rank of the contact's tangent."""
+
 
 def respond(matrices: np.ndarray, force: np.ndarray) -> np.ndarray:
     """R lambda of coefficients (2H+1, n_pairs)."""
@@ -46,14 +50,14 @@ def respond(matrices: np.ndarray, force: np.ndarray) -> np.ndarray:
 
 def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     """R T as a dense matrix for unknowns ordered (row, pair), from R_k (..., H+1, n_pairs, n_pairs)
-    and T (..., n_pairs, 2H+1, 2H+1), at many points at once.
+    and T (..., n_pairs, 2H+1, n), at many points at once: (..., (2H+1) n_pairs, n n_pairs).
 
     A force a - i b on harmonic k moves the gap by R_k (a - i b), that is by the real matrix
     [[Re R_k, Im R_k], [-Im R_k, Re R_k]] on (a, b).
     """
-    *points, pairs, rows, _ = tangent.shape
+    *points, pairs, rows, columns = tangent.shape
     harmonics, at = rows // 2, len(points)
-    product = np.empty((*points, rows, pairs, rows, pairs))
+    product = np.empty((*points, rows, pairs, columns, pairs))
     mean = tangent[..., :, 0, :].swapaxes(-1, -2)
     static = matrices[..., 0, :, :].real
     np.multiply(static[..., :, None, :], mean[..., None, :, :], out=product[..., 0, :, :, :])
@@ -63,13 +67,13 @@ def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     blocks[..., 0, :, 0] = blocks[..., 1, :, 1] = through.real
     blocks[..., 0, :, 1] = through.imag
     np.subtract(0.0, through.imag, out=blocks[..., 1, :, 0])
-    forces = tangent[..., 1:, :].reshape(*points, pairs, harmonics, 2, rows)
+    forces = tangent[..., 1:, :].reshape(*points, pairs, harmonics, 2, columns)
     forces = forces.transpose(*range(at), at + 1, at, at + 2, at + 3)
     gaps = np.matmul(blocks.reshape(*points, harmonics, pairs, 2 * pairs, 2), forces)
-    gaps = gaps.reshape(*points, harmonics, pairs, 2, pairs, rows)
+    gaps = gaps.reshape(*points, harmonics, pairs, 2, pairs, columns)
     gaps = gaps.transpose(*range(at), at, at + 2, at + 3, at + 4, at + 1)
-    product[..., 1:, :, :, :].reshape(*points, harmonics, 2, pairs, rows, pairs)[:] = gaps
-    return product.reshape(*points, rows * pairs, rows * pairs)
+    product[..., 1:, :, :, :].reshape(*points, harmonics, 2, pairs, columns, pairs)[:] = gaps
+    return product.reshape(*points, rows * pairs, columns * pairs)
 
 
 class CondensedPoint(DenseLinearisation, ABC):
@@ -154,6 +158,7 @@ class _GapPoint(CondensedPoint):
         by_parameter: Callable[[CondensedPoint], np.ndarray],
     ) -> None:
         self.system, self.gap, self._derivative = system, gap, by_parameter
+        self._low_rank: _LowRank | None = None
         self.force, self.tangent = integrals.linearise(gap)
         residual = gap - system.linear + respond(system.compliance.matrices, self.force)
         super().__init__(gap, residual)
@@ -162,6 +167,21 @@ class _GapPoint(CondensedPoint):
         jacobian = respond_to_columns(self.system.compliance.matrices, self.tangent)
         jacobian.flat[:: len(jacobian) + 1] += 1.0
         return jacobian
+
+    def condense(self) -> np.ndarray:
+        if self.unknown.size >= LOW_RANK:
+            found = _LowRank(self.tangent)
+            if found.complete:
+                self._low_rank = found
+                return found.condense(self.system.compliance.matrices)
+        return super().condense()
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        factors = self._factors
+        if self._low_rank is None:
+            return super().solve(right)
+        matrices = self.system.compliance.matrices
+        return self._low_rank.solve(right, matrices, lambda drive: solve_factored(factors, drive))
 
     def differentiate(self) -> np.ndarray:
         return self._derivative(self)
@@ -174,6 +194,56 @@ class _GapPoint(CondensedPoint):
 
     def gap_by_linear_gap(self, change: np.ndarray) -> np.ndarray:
         return self.solve(change)
+
+
+class _LowRank:
+    """T = P Q of pairs that are closed for a part of the period only, and with it
+
+        (I + R P Q)^-1 r = r - R P (I + Q R P)^-1 Q r,       det(I + R P Q) = det(I + Q R P).
+
+    kappa >= 0 makes each pair's T symmetric and positive semidefinite where the mean counts
+    sqrt(2) times: E T E^-1 = C C^T, P = E^-1 C, Q = C^T E, C by Cholesky's method with pivots.
+
+    Attributes
+    ----------
+    complete : bool
+        Whether P Q is all of T: not so for a law whose force falls where the gap grows.
+    """
+
+    def __init__(self, tangent: np.ndarray) -> None:
+        pairs, rows, _ = tangent.shape
+        weight = np.where(np.arange(rows) == 0, np.sqrt(2.0), 1.0)
+        factors = np.zeros((pairs, rows, rows))
+        for pair, matrix in enumerate(weight[:, None] * tangent / weight):
+            upper, pivots, rank, _ = dpstrf(0.5 * (matrix + matrix.T))
+            factors[pair, pivots - 1, :rank] = np.triu(upper)[:rank].T
+        lost = np.trace(tangent, axis1=1, axis2=2) - np.sum(factors**2, axis=(1, 2))
+        self.complete = bool(np.all(np.abs(lost) <= 1e-10 * np.abs(tangent).max(axis=(1, 2))))
+        used = np.any(factors, axis=1)  # (n_pairs, rows)
+        most = int(used.sum(axis=1).max(initial=0))
+        self._after = factors[:, :, :most] / weight[:, None]  # P
+        self._before = (factors[:, :, :most] * weight[:, None]).transpose(0, 2, 1)  # Q
+        self._places = np.flatnonzero(used[:, :most].T)  # of (column, pair)
+
+    def condense(self, matrices: np.ndarray) -> np.ndarray:
+        """I + Q R P."""
+        pairs, most, rows = self._before.shape
+        moved = respond_to_columns(matrices, self._after).reshape(rows, pairs, most * pairs)
+        found = np.matmul(self._before, moved.transpose(1, 0, 2)).transpose(1, 0, 2)
+        found = found.reshape(most * pairs, most * pairs)[np.ix_(self._places, self._places)]
+        found.flat[:: len(found) + 1] += 1.0
+        return found
+
+    def solve(
+        self, right: np.ndarray, matrices: np.ndarray, solve: Callable[[np.ndarray], np.ndarray]
+    ) -> np.ndarray:
+        """J^-1 r of (2H+1, n_pairs), with solutions of the condensed matrix."""
+        pairs, most, _ = self._before.shape
+        drive = apply_to_pairs(self._before, right).ravel()[self._places]
+        answer = np.zeros(most * pairs)
+        answer[self._places] = solve(drive)
+        force = apply_to_pairs(self._after, answer.reshape(most, pairs))
+        return right - respond(matrices, force)
 
 
 def default_weight(compliance: Compliance) -> float:

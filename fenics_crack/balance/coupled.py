@@ -9,6 +9,11 @@ R_k - R_inf falls like k^-2: s is smooth, and only s is truncated; g keeps its k
 lambda(s) is bounded by the inverse of R_inf, however stiff the contact: the penalty law and the
 constraint are one law, with a stiffness or without.
 
+Where modes are fewer than pairs, R_k - R_inf = U R'_k U^T with an orthonormal basis U of the gaps
+that modes can make, and steps are found in its coordinates:
+
+    J^-1 r = r - U (I + R' U^T T U)^-1 R' U^T T r,       det J = det(I + R' U^T T U).
+
 With many unknowns J is not formed: J v costs two FFTs (:mod:`coupled_integrals`), and GMRES needs
 some dozens of them.
 
@@ -25,8 +30,9 @@ from mpi4py import MPI
 
 from fenics_crack.balance.compliance import Compliance, WidenedCompliance
 from fenics_crack.balance.condensed import CondensedPoint, respond
-from fenics_crack.balance.coupled_integrals import CoupledIntegrals
+from fenics_crack.balance.coupled_integrals import CoupledIntegrals, CoupledTangent
 from fenics_crack.balance.krylov import gmres
+from fenics_crack.balance.linearisation import solve_factored
 from fenics_crack.model.contact import ContactLaw
 
 __all__ = ["MATRIX_FREE", "CoupledPoint", "CoupledSystem"]
@@ -57,7 +63,10 @@ class CoupledSystem:
         """R_k - R_inf."""
         self.shape: tuple[int, ...] = self.linear.shape
         self.global_size = self.linear.size
-        self.matrix_free = self.global_size > MATRIX_FREE
+        self.basis = compliance.basis
+        """U, None where modes are as many as pairs."""
+        columns = self.shape[1] if self.basis is None else self.basis.shape[1]
+        self.matrix_free = columns * len(self.linear) > MATRIX_FREE
 
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> CoupledPoint:
         """The equations at s, with a softness in series."""
@@ -128,29 +137,26 @@ class CoupledPoint(CondensedPoint):
 
     def assemble(self) -> np.ndarray:
         """I + (R - R_inf) T."""
-        found = self.forces.tangent.matrix()
-        rows, pairs = self.unknown.shape
-        moving, jacobian = self.system.moving, np.empty_like(found)
-        even, odd = (found[first::2].reshape(rows // 2, pairs, -1) for first in (1, 2))
-        real, imaginary = moving[1:].real, moving[1:].imag
-        shape = (rows // 2, pairs, rows, pairs)
-        jacobian[0] = np.tensordot(moving[0].real, found[0], 1)
-        jacobian[1::2] = (np.matmul(real, even) + np.matmul(imaginary, odd)).reshape(shape)
-        jacobian[2::2] = (np.matmul(real, odd) - np.matmul(imaginary, even)).reshape(shape)
-        whole = jacobian.reshape(rows * pairs, rows * pairs)
-        whole.flat[:: len(whole) + 1] += 1.0
-        return whole
+        return _identity_plus(self.system.moving, self.forces.tangent)
+
+    def condense(self) -> np.ndarray:
+        basis = self.system.basis
+        if basis is None:
+            return super().condense()
+        return _identity_plus(basis.T @ self.system.moving @ basis, self.forces.tangent.seen(basis))
 
     def apply(self, change: np.ndarray) -> np.ndarray:
-        if not self.system.matrix_free:
-            return super().apply(change)
         return change + respond(self.system.moving, self.forces.tangent.apply(change))
 
     def solve(self, right: np.ndarray, tolerance: float = SHARP) -> np.ndarray:
         """J^-1 r, as sharply as GMRES finds it."""
-        if not self.system.matrix_free:
+        if self.system.matrix_free:
+            return gmres(self.apply, right, tolerance)
+        basis = self.system.basis
+        if basis is None:
             return super().solve(right)
-        return gmres(self.apply, right, tolerance)
+        drive = respond(self.system.moving, self.forces.tangent.apply(right)) @ basis
+        return right - solve_factored(self._factors, drive) @ basis.T
 
     @property
     def sign(self) -> float:
@@ -170,3 +176,19 @@ class CoupledPoint(CondensedPoint):
 
     def gap_by_linear_gap(self, change: np.ndarray) -> np.ndarray:
         return self.gap_of(self.solve(change))
+
+
+def _identity_plus(moving: np.ndarray, tangent: CoupledTangent) -> np.ndarray:
+    """I + R T for R (H+1, n, n) and T between n pairs, or n gaps of a basis."""
+    found = tangent.matrix()
+    rows, pairs = found.shape[:2]
+    jacobian = np.empty_like(found)
+    even, odd = (found[first::2].reshape(rows // 2, pairs, -1) for first in (1, 2))
+    real, imaginary = moving[1:].real, moving[1:].imag
+    shape = (rows // 2, pairs, rows, pairs)
+    jacobian[0] = np.tensordot(moving[0].real, found[0], 1)
+    jacobian[1::2] = (np.matmul(real, even) + np.matmul(imaginary, odd)).reshape(shape)
+    jacobian[2::2] = (np.matmul(real, odd) - np.matmul(imaginary, even)).reshape(shape)
+    whole = jacobian.reshape(rows * pairs, rows * pairs)
+    whole.flat[:: len(whole) + 1] += 1.0
+    return whole

@@ -54,6 +54,10 @@ class CoupledTangent:
         values = sampled(change, len(self.stiffness))
         return balanced(np.matmul(self.stiffness, values[:, :, None])[:, :, 0], self.harmonics)
 
+    def seen(self, basis: np.ndarray) -> CoupledTangent:
+        """U^T T U for gaps that a basis U (n_pairs, n) spans."""
+        return CoupledTangent(basis.T @ self.stiffness @ basis, self.harmonics)
+
     def matrix(self) -> np.ndarray:
         """T: (2H+1, n_pairs, 2H+1, n_pairs)."""
         count, pairs = self.stiffness.shape[:2]

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
 
-__all__ = ["DenseLinearisation", "Linearisation", "System", "determinant_sign"]
+__all__ = ["DenseLinearisation", "Linearisation", "System", "determinant_sign", "solve_factored"]
 
 
 class Linearisation(ABC):
@@ -75,6 +75,10 @@ class DenseLinearisation(Linearisation):
     def differentiate(self) -> np.ndarray:
         """Make dF/dp."""
 
+    def condense(self) -> np.ndarray:
+        """Make the matrix that is factored: J, or a smaller one with the same determinant."""
+        return self.jacobian
+
     @property
     def jacobian(self) -> np.ndarray:
         if self._jacobian is None:
@@ -91,7 +95,7 @@ class DenseLinearisation(Linearisation):
     def _factors(self) -> tuple[np.ndarray, np.ndarray]:
         if self._lu is None:
             # The transpose is in Fortran's order, which LAPACK takes without a transposing copy.
-            matrix, pivots, _ = dgetrf(self.jacobian.T)
+            matrix, pivots, _ = dgetrf(self.condense().T)
             self._lu = matrix, pivots
         return self._lu
 
@@ -100,12 +104,17 @@ class DenseLinearisation(Linearisation):
         return product.reshape(change.shape)
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        found: np.ndarray = dgetrs(*self._factors, right.ravel(), trans=1)[0]
-        return found.reshape(right.shape)
+        return solve_factored(self._factors, right)
 
     @property
     def sign(self) -> float:
         return determinant_sign(self._factors)
+
+
+def solve_factored(factors: tuple[np.ndarray, np.ndarray], right: np.ndarray) -> np.ndarray:
+    """A^-1 r from the LU factors of A^T, for a right-hand side of any shape."""
+    found: np.ndarray = dgetrs(*factors, right.ravel(), trans=1)[0]
+    return found.reshape(right.shape)
 
 
 def determinant_sign(factors: tuple[np.ndarray, np.ndarray]) -> float:

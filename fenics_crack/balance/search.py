@@ -1,6 +1,7 @@
 """Attempts to converge, the cheapest first, each recorded.
 
-1. Full Newton steps from the given start.
+1. Full Newton steps from the given start; without one and with many unknowns, from the solution
+   with half the harmonics.
 2. A path in the contact stiffness k. Where k R is small the solution is unique and close to the
    linear one; from there the path of solutions is followed by arc-length, through its folds. It
    cannot return to soft contact, so it reaches every stiffness unless solutions grow without bound.
@@ -48,7 +49,7 @@ from fenics_crack.model.contact import UnilateralPenalty
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.model.modal import all_modes
 
-__all__ = ["Search"]
+__all__ = ["FEWEST", "Search"]
 
 FAR = 5.0
 """Distance of the parameter from its end value at which a path is abandoned; a path that begins
@@ -58,7 +59,7 @@ STIFF = 10.0
 NEARBY = (1.02, 0.98, 1.1, 0.9, 1.3, 0.75, 2.0, 0.5)
 """Where a path in the frequency may start, relative to the frequency wanted."""
 FEWEST = 5
-"""Harmonics with which a solution is sought first where pairs are coupled."""
+"""Harmonics with which a solution is sought first where pairs are coupled, or unknowns many."""
 SOFTNESS = (1.0, 10.0)
 """In series with coupled pairs where a path begins, in parts of what is enough."""
 MARCHED, MOVING, ROUGHLY = 10, 40, 1e-6
@@ -105,10 +106,12 @@ class Search:
         system: StiffnessSystem,
         start: np.ndarray,
         family_from: Callable[[float], FrequencyFamily] | None = None,
+        name: str = "full Newton steps",
     ) -> Linearisation:
         """Solve for a law that gives the force from the gap; return the equations there.
 
-        ``family_from`` makes the family of the same equations from a relative frequency to 1.
+        ``family_from`` makes the family of the same equations from a relative frequency to 1;
+        ``name`` is that of the first attempt.
         Raises InputError where the contact is so stiff that rounding leaves nothing of its force.
         """
         law = system.integrals.law
@@ -118,7 +121,7 @@ class Search:
         if self._rounding > ROUNDING:
             self.tolerance = max(self.tolerance, self._rounding)
         with Newton(system) as newton:
-            found = self._newton(newton, start, 0.0, 20, "full Newton steps")
+            found = self._newton(newton, start, 0.0, 20, name)
             if not self.converged:
                 found = self._stiffness_path(newton, system.linear, product)
         if not self.converged and family_from is not None:

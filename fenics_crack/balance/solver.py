@@ -20,13 +20,16 @@ from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
 from fenics_crack.balance.family import FrequencyFamily
 from fenics_crack.balance.fourier import resized, stretched
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.search import Search
+from fenics_crack.balance.search import FEWEST, Search
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
 
 __all__ = ["Solver"]
+
+LADDER = 300
+"""Unknowns from which a solution without a start is sought with half the harmonics first."""
 
 
 @dataclass(frozen=True)
@@ -121,13 +124,29 @@ class Solver:
         self, search: Search, compliance: Compliance, initial: PeriodicSolution | None
     ) -> CondensedPoint:
         """Solve for a law that gives the force from the gap."""
-        system = CondensedSystem(compliance, self.problem.integrals())
-        start = self.start(initial, "gap_coefficients") if initial is not None else system.linear
-        problem = self.problem
+        start = None if initial is None else self.start(initial, "gap_coefficients")
+        return self._by_harmonics(search, compliance, self.problem, start)
+
+    def _by_harmonics(
+        self, search: Search, compliance: Compliance, problem: Problem, start: np.ndarray | None
+    ) -> CondensedPoint:
+        """The same; without a start, and with many unknowns, with half the harmonics first."""
+        harmonics, name = problem.harmonics, "full Newton steps"
+        system = CondensedSystem(narrowed(compliance, harmonics), problem.integrals())
+        half = harmonics // 2
+        if start is None and system.global_size > LADDER and half >= FEWEST * problem.subharmonic:
+            below = self._by_harmonics(search, compliance, problem.with_harmonics(half), None)
+            if search.converged:
+                start, name = resized(below.gap, harmonics), f"from H = {half} to {harmonics}"
 
         def family_from(factor: float) -> FrequencyFamily:
             return FrequencyFamily(problem, factor * problem.omega, problem.omega)
 
-        at = search.penalty(system, start, family_from if is_small(problem.structure) else None)
+        at = search.penalty(
+            system,
+            system.linear if start is None else start,
+            family_from if is_small(problem.structure) else None,
+            name,
+        )
         assert isinstance(at, CondensedPoint)
         return at

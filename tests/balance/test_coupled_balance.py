@@ -87,6 +87,20 @@ def test_jacobian_against_finite_differences(
         assert not np.any(found) and not np.any(slope)
 
 
+def test_fewer_modes_than_pairs(coarse_breathing_plate: fc.Structure) -> None:
+    """Steps and determinants found in the modes' coordinates are those of the whole Jacobian."""
+    problem = fc.Problem(massless(coarse_breathing_plate, 3), 2000.0, RIGID, 4)
+    system = problem.system(problem.compliance())
+    assert isinstance(system, CoupledSystem) and system.basis is not None
+    unknown = 1e-6 * random_gaps(4, system.shape[1])
+    point = system.linearise(unknown)
+    right = random_gaps(4, system.shape[1])
+    expected = np.linalg.solve(point.jacobian, right.ravel())
+    assert len(point.condense()) == 9 * 3 < unknown.size
+    assert relative(point.solve(right).ravel(), expected) < 1e-10
+    assert point.sign == np.linalg.slogdet(point.jacobian)[0]
+
+
 def test_matrix_free_is_dense(short_chain: fc.Structure, monkeypatch: pytest.MonkeyPatch) -> None:
     """J v, J^-1 r, what follows from these, and a whole solution."""
     unknown, other = random_gaps(6, 3), random_gaps(6, 3, 5)
