@@ -18,13 +18,16 @@ from fenics_crack.model.complementarity import solve_complementarity
 CHECKED = "CHECKED_KERNEL"
 """Environment variable, set in a run with a kernel that checks its addresses."""
 
+OTHERS = [ROOT / "tests" / "balance" / "test_active_sets.py"]
+"""Other files whose tests are run with it."""
+
 WITH_CHECKS = """
 import importlib.util, sys, pytest
 name = "fenics_crack.kernel._kernel"
 spec = importlib.util.spec_from_file_location(name, sys.argv[1])
 sys.modules[name] = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(sys.modules[name])
-sys.exit(pytest.main(["-q", "-x", "-p", "no:cacheprovider", sys.argv[2]]))
+sys.exit(pytest.main(["-q", "-x", "-p", "no:cacheprovider", *sys.argv[2:]]))
 """
 
 
@@ -54,7 +57,7 @@ def test_with_checks_of_addresses(tmp_path: Path) -> None:
     ).stdout.strip()
     known = {"LD_PRELOAD": library, "ASAN_OPTIONS": "detect_leaks=0", CHECKED: "1"}
     done = subprocess.run(
-        [sys.executable, "-c", WITH_CHECKS, tmp_path / "_kernel.abi3.so", __file__],
+        [sys.executable, "-c", WITH_CHECKS, tmp_path / "_kernel.abi3.so", __file__, *OTHERS],
         cwd=ROOT, env=os.environ | known, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]

@@ -21,14 +21,15 @@ from cffi import FFI
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
-FLAGS = ["-std=c11", "-O3", "-fno-math-errno", "-ffp-contract=off"]
-"""No contraction of products and sums: results do not depend on the processor."""
+FLAGS = ["-std=c11", "-O3", "-fno-math-errno", "-ffp-contract=off", "-fvisibility=hidden"]
+"""No contraction of products and sums: results do not depend on the processor. Names of functions
+are hidden: those of other libraries in the process do not get in their way."""
 SANITIZER = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g", "-O1"]
 
 
 def builder_in(folder: Path, *, sanitize: bool = False) -> FFI:
     """What makes the module, with the paths of its sources relative to a folder, or whole."""
-    headers, sources = sorted(HERE.glob("*.h")), sorted(HERE.glob("*.c"))
+    headers, sources = in_order(sorted(HERE.glob("*.h"))), sorted(HERE.glob("*.c"))
     here = HERE.relative_to(folder) if HERE.is_relative_to(folder) else HERE
     ffi, checks = FFI(), SANITIZER if sanitize else []
     for header in headers:  # cffi takes all but lines for the preprocessor
@@ -44,6 +45,17 @@ def builder_in(folder: Path, *, sanitize: bool = False) -> FFI:
         libraries=["m"],
     )
     return ffi
+
+
+def in_order(headers: list[Path]) -> list[Path]:
+    """Each header behind those that it includes."""
+    found: list[Path] = []
+    for header in headers:
+        included = re.findall(r'(?m)^#include "(.*)"', header.read_text(encoding="utf-8"))
+        for one in (*in_order([HERE / name for name in included]), header):
+            if one not in found:
+                found.append(one)
+    return found
 
 
 def build(target: Path, *, sanitize: bool = False) -> None:

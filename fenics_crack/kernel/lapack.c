@@ -5,6 +5,9 @@ static void *bound[LAPACK_FUNCTIONS];
 typedef void gemv_t(const char *, const int *, const int *, const double *, const double *,
                     const int *, const double *, const int *, const double *, double *,
                     const int *);
+typedef void gemm_t(const char *, const char *, const int *, const int *, const int *,
+                    const double *, const double *, const int *, const double *, const int *,
+                    const double *, double *, const int *);
 typedef void getrf_t(const int *, const int *, double *, const int *, int *, int *);
 typedef void getrs_t(const char *, const int *, const int *, const double *, const int *,
                      const int *, double *, const int *, int *);
@@ -24,6 +27,20 @@ void multiply(int rows, int columns, const double *a, const double *x, double *y
         return;
     }
     ((gemv_t *)bound[DGEMV])("T", &columns, &rows, &unit, a, &columns, x, &one, &zero, y, &one);
+}
+
+void multiply_matrices(int rows, int inner, int columns, const double *a, const double *b,
+                       double keep, double *c)
+{
+    const double unit = 1.0;
+    if (!rows || !columns) return;
+    if (!inner) {
+        for (int i = 0; i < rows * columns; i++) c[i] = keep ? keep * c[i] : 0.0;
+        return;
+    }
+    /* BLAS sees C^T = B^T A^T. */
+    ((gemm_t *)bound[DGEMM])("N", "N", &columns, &rows, &inner, &unit, b, &columns, a, &inner,
+                             &keep, c, &columns);
 }
 
 int factor(int n, double *a, int *pivots)

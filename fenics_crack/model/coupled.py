@@ -28,6 +28,7 @@ from __future__ import annotations
 import numpy as np
 
 from fenics_crack.errors import ConvergenceError
+from fenics_crack.kernel import doubles, kernel, owned
 from fenics_crack.model.complementarity import by_least_squares
 from fenics_crack.model.contact import ContactLaw
 
@@ -67,6 +68,11 @@ class ActiveSets:
         self.compliance = compliance
         self.scale = float(np.mean(np.diag(compliance)))
         self._kept: dict[bytes, np.ndarray] = {}
+        count = len(compliance)
+        most = max(16, MAX_KEPT // (8 * max(1, count * count)))
+        matrix = np.ascontiguousarray(compliance, dtype=float)
+        self.handle = owned(kernel.new_sets(count, doubles(matrix), most), kernel.free_sets)
+        """The same in the kernel."""
 
     def stiffness(self, closed: np.ndarray) -> np.ndarray:
         """(D_AA)^-1 with zeros outside A, of a set (n_pairs,): (n_pairs, n_pairs) [N/m]."""

@@ -1,0 +1,159 @@
+#include "sets.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "lapack.h"
+
+enum { BUCKETS = 4096, TOGETHER = 30 };
+
+typedef struct known {
+    struct known *next;
+    double *answer;
+    signed char *closed;
+} known;
+
+struct sets {
+    int n;
+    long kept, most;
+    double *d;
+    known *bucket[BUCKETS];
+    double *reached, *matrix, *column; /* room */
+    int *pivots, *members;
+};
+
+static void forget(sets *s)
+{
+    for (int b = 0; b < BUCKETS; b++)
+        while (s->bucket[b]) {
+            known *first = s->bucket[b];
+            s->bucket[b] = first->next;
+            free(first->answer);
+            free(first->closed);
+            free(first);
+        }
+    s->kept = 0;
+}
+
+static double *room(size_t count) { return malloc((count + 1) * sizeof(double)); }
+
+sets *new_sets(int n, const double *d, long most)
+{
+    const size_t size = n;
+    sets *s = calloc(1, sizeof(sets));
+    if (!s) return NULL;
+    s->n = n;
+    s->most = most;
+    s->d = room(size * size);
+    s->matrix = room(size * size);
+    s->reached = room(size);
+    s->column = room(size);
+    s->pivots = malloc((size + 1) * sizeof(int));
+    s->members = malloc((size + 1) * sizeof(int));
+    if (!(s->d && s->matrix && s->reached && s->column && s->pivots && s->members)) {
+        free_sets(s);
+        return NULL;
+    }
+    memcpy(s->d, d, size * size * sizeof(double));
+    return s;
+}
+
+void free_sets(sets *s)
+{
+    forget(s);
+    free(s->d);
+    free(s->matrix);
+    free(s->reached);
+    free(s->column);
+    free(s->pivots);
+    free(s->members);
+    free(s);
+}
+
+/* The answer of a set, computed: 0, or 1 where D_AA is singular. */
+static int compute(sets *s, const signed char *closed, double *answer)
+{
+    const int n = s->n;
+    int size = 0;
+    for (int i = 0; i < n; i++)
+        if (closed[i]) s->members[size++] = i;
+    for (int i = 0; i < size; i++)
+        for (int j = 0; j < size; j++)
+            s->matrix[i * size + j] = s->d[s->members[i] * n + s->members[j]];
+    if (factor(size, s->matrix, s->pivots)) return 1;
+    for (int i = 0; i < n * n; i++) answer[i] = 0.0;
+    for (int j = 0; j < size; j++) {
+        for (int i = 0; i < size; i++) s->column[i] = i == j;
+        solve_factored(size, s->matrix, s->pivots, s->column);
+        for (int i = 0; i < size; i++) answer[s->members[i] * n + s->members[j]] = s->column[i];
+    }
+    for (int i = 0; i < n; i++) {
+        if (closed[i]) continue;
+        double *row = answer + i * n;
+        for (int k = 0; k < size; k++) {
+            const double weight = s->d[i * n + s->members[k]];
+            const double *inverse = answer + s->members[k] * n;
+            for (int j = 0; j < n; j++) row[j] += weight * inverse[j];
+        }
+        row[i] -= 1.0;
+    }
+    return 0;
+}
+
+const double *answer_of(sets *s, const signed char *closed)
+{
+    const size_t n = s->n;
+    unsigned hash = 2166136261u; /* of Fowler, Noll and Vo */
+    for (size_t i = 0; i < n; i++) hash = (hash ^ (unsigned)closed[i]) * 16777619u;
+    known **bucket = &s->bucket[(hash ^ hash >> 16) % BUCKETS];
+    for (known *k = *bucket; k; k = k->next)
+        if (!memcmp(k->closed, closed, n)) return k->answer;
+    if (s->kept >= s->most) forget(s);
+    known *made = malloc(sizeof(known));
+    double *answer = room(n * n);
+    signed char *copy = malloc(n + 1);
+    if (!made || !answer || !copy || compute(s, closed, answer)) {
+        free(made);
+        free(answer);
+        free(copy);
+        return NULL;
+    }
+    memcpy(copy, closed, n);
+    *made = (known){*bucket, answer, copy};
+    *bucket = made;
+    s->kept++;
+    return answer;
+}
+
+int forces_at(sets *s, const double *gap, double allowed, const signed char *among,
+              signed char *closed, double *force)
+{
+    const int n = s->n;
+    double largest = 0.0;
+    for (int i = 0; i < n; i++) largest = fmax(largest, fabs(gap[i]));
+    allowed *= -largest;
+    for (long turn = 0; turn < TOGETHER + 20L * n * n; turn++) {
+        const double *answer = answer_of(s, closed);
+        if (!answer) return 1;
+        multiply(n, n, answer, gap, s->reached);
+        int wrong = 0;
+        for (int i = 0; i < n; i++) {
+            if (among && !among[i]) continue;
+            if (closed[i] ? s->reached[i] > 0.0 : !(s->reached[i] < allowed)) continue;
+            if (!wrong || turn < TOGETHER) closed[i] = !closed[i];
+            wrong = 1;
+        }
+        if (wrong) continue;
+        for (int i = 0; i < n; i++) force[i] = closed[i] ? s->reached[i] : 0.0;
+        return 0;
+    }
+    return 1;
+}
+
+void forces_of(sets *s, int count, const double *gap, double allowed, signed char *closed,
+               double *force, signed char *failed)
+{
+    for (int t = 0; t < count; t++, gap += s->n, closed += s->n, force += s->n)
+        failed[t] = forces_at(s, gap, allowed, NULL, closed, force);
+}
