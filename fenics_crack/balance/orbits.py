@@ -11,6 +11,7 @@ monodromy matrix M, dF/dp by central differences.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -29,17 +30,19 @@ class OrbitPoint(DenseLinearisation):
 
     Attributes
     ----------
-    monodromy : (2n, 2n)
-        M = dz(T)/dz.
     events : int
         Switching instants in the period.
     """
 
     def __init__(self, system: Orbits, unknown: np.ndarray, parameter: float) -> None:
-        moved, monodromy, self.events = system.moved(unknown, parameter, np.eye(len(unknown)))
-        assert monodromy is not None
-        self.monodromy, self._system, self._parameter = monodromy, system, parameter
+        moved, self._monodromy, self.events = system.moved(unknown, parameter)
+        self._system, self._parameter = system, parameter
         super().__init__(unknown, moved - unknown)
+
+    @cached_property
+    def monodromy(self) -> np.ndarray:
+        """M = dz(T)/dz: (2n, 2n)."""
+        return self._monodromy()
 
     def assemble(self) -> np.ndarray:
         """M - I."""
@@ -84,9 +87,9 @@ class Orbits(ABC):
 
     @abstractmethod
     def moved(
-        self, unknown: np.ndarray, parameter: float, monodromy: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray | None, int]:
-        """z(T) / |z_0|; M times the matrix given; switching instants."""
+        self, unknown: np.ndarray, parameter: float
+    ) -> tuple[np.ndarray, Callable[[], np.ndarray], int]:
+        """z(T) / |z_0|; what computes M; switching instants."""
 
     def by_parameter(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
         """dF/dp at fixed x, by central differences."""
@@ -113,9 +116,7 @@ class MarchedOrbits(Orbits):
         return self.flow_at(parameter).advance(self._size * unknown, self._periods)
 
     def moved(
-        self, unknown: np.ndarray, parameter: float, monodromy: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray | None, int]:
+        self, unknown: np.ndarray, parameter: float
+    ) -> tuple[np.ndarray, Callable[[], np.ndarray], int]:
         steps = self.steps(unknown, parameter)
-        if monodromy is not None:
-            monodromy = steps.monodromy() @ monodromy
-        return steps.states[-1] / self._size, monodromy, steps.switches
+        return steps.states[-1] / self._size, steps.monodromy, steps.switches

@@ -101,7 +101,7 @@ def _run(given: argparse.Namespace) -> Exit:
 
     from mpi4py import MPI
 
-    from fenics_crack.cli import commands, scenes
+    from fenics_crack.cli import scenes
     from fenics_crack.cli.console import Console, make_writable
     from fenics_crack.parallel import on_root
     from fenics_crack.scene.scene import Scene
@@ -115,6 +115,8 @@ def _run(given: argparse.Namespace) -> Exit:
     if given.command == "new":
         return scenes.new(given.file, console)
     if given.command == "plot":
+        from fenics_crack.cli import commands
+
         folder = given.output or given.result.parent
         make_writable(folder, comm)
         return commands.plot(given.result, folder, console, show=given.show)
@@ -122,6 +124,8 @@ def _run(given: argparse.Namespace) -> Exit:
     scene = on_root(comm, lambda: Scene.load(given.scene).replace(changes))
     if given.command == "check":
         return scenes.check(scene, console)
+    from fenics_crack.cli import commands  # what solves takes a while to import
+
     folder = given.output or Path("output") / given.scene.stem
     make_writable(folder, comm)
     if given.command == "modes":

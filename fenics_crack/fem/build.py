@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import scipy.optimize
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError
 from fenics_crack.fem.assembly import assemble
+from fenics_crack.fem.known_length import keep_length, kept_length
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 
 __all__ = ["build_structure", "find_crack_length", "with_crack_length"]
+
+SAME = 1e-9
+"""Relative difference of a frequency that is found again."""
 
 
 def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
@@ -45,7 +51,7 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     """Find the crack length [m] at which the first natural frequency is ``crack.first_omega``.
 
     The frequency of the open crack falls with its length; Brent's method over re-meshed plates, to
-    1e-5 of the width.
+    1e-5 of the width. A length found before is taken if it gives the frequency that it gave then.
 
     Raises
     ------
@@ -57,18 +63,24 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
         raise InputError("crack.first_omega", None, "given: a finite number > 0")
     target = crack.first_omega
 
+    @cache
     def excess(length: float) -> float:
         plate = assemble(_with_length(scene, length), comm)
         return float(solve_modes(plate, 1).omega[0]) - target
 
     shortest, longest = 0.01 * width, 0.95 * width
+    length, known = kept_length(scene, comm) or (0.0, 0.0)
+    if shortest <= length <= longest and abs(excess(length) - known) <= SAME * target:
+        return length
     highest, lowest = target + excess(shortest), target + excess(longest)
     if not lowest <= target <= highest:
         span = f"between {lowest:.1f} and {highest:.1f} rad/s"
         raise InputError(
             "crack.first_omega", target, f"{span}: cracks of 95 % and 1 % of the width"
         )
-    return float(scipy.optimize.brentq(excess, shortest, longest, xtol=1e-5 * width))
+    found = float(scipy.optimize.brentq(excess, shortest, longest, xtol=1e-5 * width))
+    keep_length(scene, comm, found, excess(found))
+    return found
 
 
 def _with_length(scene: Scene, length: float) -> Scene:

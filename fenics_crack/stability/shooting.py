@@ -10,6 +10,7 @@ monodromy matrix M, dF/dp by central differences. Newton's method is that of :mo
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -100,14 +101,14 @@ class ExactOrbits(Orbits):
         super().__init__(solution.omega, state)
 
     def moved(
-        self, unknown: np.ndarray, parameter: float, monodromy: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray | None, int]:
-        """z(T) / |z_0|; M times the matrix given; switching instants."""
+        self, unknown: np.ndarray, parameter: float
+    ) -> tuple[np.ndarray, Callable[[], np.ndarray], int]:
+        """z(T) / |z_0|; what computes M; switching instants."""
         omega = parameter * self.omega
         if omega != self._flow.omega:
             self._flow = self._flow.at(omega)
         moved, _, monodromy, events = self._flow.advance(
-            self._size * unknown, 0.0, self._turns / omega, monodromy=monodromy
+            self._size * unknown, 0.0, self._turns / omega
         )
         return moved / self._size, monodromy, events
 

@@ -10,7 +10,9 @@ matrix, whose eigenvalues are the exact Floquet multipliers.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -93,16 +95,15 @@ class EventFlow:
         *,
         instants: np.ndarray | None = None,
         rows: np.ndarray | None = None,
-        monodromy: np.ndarray | None = None,
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, int]:
+    ) -> tuple[np.ndarray, np.ndarray, Callable[[], np.ndarray], int]:
         """Flow from ``start`` for ``duration``: the state; ``rows @ z`` at ``instants`` (ascending,
-        within the flow); the monodromy matrix times the one given; and the number of events."""
+        within the flow); what computes the monodromy matrix; and the number of events."""
         end = start + duration
         instants = np.zeros(0) if instants is None else instants
         rows = self.gap_rows if rows is None else rows
         output = np.empty((len(instants), len(rows)))
         closed = self._closed_at(state)
-        now, events, pair = start, 0, -1
+        now, pair, passed = start, -1, list[tuple[FreeMotion, float]]()
         while True:
             regime = self._regime(closed)
             free = regime.free
@@ -117,14 +118,12 @@ class EventFlow:
             growth = np.exp(free.values * length)
             now += length
             state = regime.steady(now) + (free.vectors @ (growth * weights)).real
-            if monodromy is not None:
-                monodromy = ((free.vectors * growth) @ (free.inverse @ monodromy)).real
+            passed.append((free, length))
             if pair < 0:
-                return state, output, monodromy, events
+                return state, output, partial(_monodromy, passed), len(passed) - 1
             closed = closed.copy()
             closed[pair] = ~closed[pair]
-            events += 1
-            if events > MAX_EVENTS:
+            if len(passed) > MAX_EVENTS:
                 raise ConvergenceError("events: the pairs open and close without end")
 
     def _closed_at(self, state: np.ndarray) -> np.ndarray:
@@ -142,6 +141,20 @@ class EventFlow:
                 self._free[key] = FreeMotion(*own, closed * self._stiffness, self.scale)
             self._regimes[key] = Regime(self._free[key], *own, self.omega, self.scale)
         return self._regimes[key]
+
+
+def _monodromy(passed: list[tuple[FreeMotion, float]]) -> np.ndarray:
+    """dz(T)/dz of free motions and how long each lasts, in the modes of each in turn."""
+    (last, length), turns = passed[0], dict[tuple[int, int], np.ndarray]()
+    product = np.exp(last.values * length)[:, None] * last.inverse
+    for free, length in passed[1:]:
+        key = id(last), id(free)
+        if key not in turns:
+            turns[key] = free.inverse @ last.vectors
+        product = np.exp(free.values * length)[:, None] * (turns[key] @ product)
+        last = free
+    found: np.ndarray = (last.vectors @ product).real
+    return found
 
 
 def integrate_events(
