@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sparse
 from petsc4py import PETSc
 
 __all__ = ["Factor", "weighted_sum"]
@@ -59,26 +60,57 @@ class Factor:
         """Number of negative eigenvalues of a symmetric matrix (Sylvester's law of inertia)."""
         return int(self._factor.getMumpsInfog(12))
 
+    def apply(self, right: Any, solution: Any) -> None:
+        """Solve for a PETSc vector (collective)."""
+        self._pc.apply(right, solution)
+
+    def solve_sparse(self, columns: sparse.spmatrix) -> np.ndarray:
+        """Solve for sparse right-hand sides (n_local, m): (m, n_local) (collective).
+
+        MUMPS passes by the parts of the factor that their zeros do not reach. It takes them all
+        from rank 0."""
+        comm = self._matrix.comm.tompi4py()
+        parts = comm.gather(sparse.csc_matrix(columns).T)
+        local, total = self._matrix.local_size[0], self._matrix.size[0]
+        count = columns.shape[1]
+        rows = sparse.csr_matrix((0, total)) if parts is None else sparse.hstack(parts, "csr")
+        sizes = ((rows.shape[0], count), (total if comm.rank == 0 else 0, total))
+        given = PETSc.Mat().createAIJ(
+            sizes, csr=(rows.indptr, rows.indices, rows.data), comm=self._matrix.comm
+        )
+        given.assemble()
+        right = PETSc.Mat().createTranspose(given)
+        solution = self._dense(local, total, count)
+        self._factor.matSolve(right, solution)
+        found: np.ndarray = solution.getDenseArray().T.copy()
+        for used in (right, given, solution):
+            used.destroy()
+        return found
+
+    def _dense(self, local: int, total: int, count: int, array: Any = None) -> Any:
+        """A dense PETSc matrix of ``count`` columns."""
+        sizes = ((local, total), (PETSc.DECIDE, count))
+        matrix = PETSc.Mat().createDense(sizes, array=array, comm=self._matrix.comm)
+        matrix.setUp()
+        matrix.assemble()
+        return matrix
+
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         """Solve for real right-hand sides (m, n_local), one a row (collective)."""
         rows = np.atleast_2d(rhs)
         count, local = rows.shape
         if count == 0:  # MUMPS refuses to solve nothing
             return np.zeros(np.shape(rhs))
-        total = self._matrix.size[0]
-        sizes = ((local, total), (PETSc.DECIDE, count))
-        columns = np.asfortranarray(rows.T, dtype=float)
         if count == 1:
             right, solution = self._matrix.createVecs()
             right.array_w[:] = rows[0]
-            self._pc.apply(right, solution)
+            self.apply(right, solution)
             found = solution.array_r.copy()[None]
         else:
-            right = PETSc.Mat().createDense(sizes, array=columns, comm=self._matrix.comm)
-            solution = PETSc.Mat().createDense(sizes, comm=self._matrix.comm)
-            solution.setUp()
-            for matrix in (right, solution):
-                matrix.assemble()
+            total = self._matrix.size[0]
+            columns = np.asfortranarray(rows.T, dtype=float)
+            right = self._dense(local, total, count, columns)
+            solution = self._dense(local, total, count)
             self._factor.matSolve(right, solution)
             found = solution.getDenseArray().T.copy()
         right.destroy()

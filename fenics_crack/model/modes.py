@@ -2,8 +2,8 @@
 
     K phi_j = omega_j^2 M phi_j,     phi_i^T M phi_j = delta_ij
 
-Shift-and-invert with a factorisation by MUMPS; the shift lies slightly below zero, so that
-rigid-body modes are found too.
+Shift-and-invert by the factor of K, which static responses use too. Where K is singular, the shift
+lies slightly below zero, so that rigid-body modes are found too.
 """
 
 from __future__ import annotations
@@ -27,14 +27,19 @@ __all__ = [
     "DampedModes",
     "Modes",
     "by_columns",
+    "check_damped_modes",
     "damped_modes",
     "damped_range",
     "largest_frequency",
     "mass_norms",
+    "modes_by",
     "projected_damping",
     "solve_modes",
     "times",
 ]
+
+SINGULAR = 1e-10
+"""Squares of frequencies, relative to the smallest K_ii / M_ii, that are null pivots missed."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -98,12 +103,18 @@ def solve_modes(structure: Structure, count: int) -> Modes:
     if structure.known_modes is not None:
         omega, shapes = structure.known_modes
         return Modes(omega[:count], shapes[:, :count], structure)
+    with Factor(structure.stiffness, symmetric=True) as factor:
+        return modes_by(factor, structure, int(count))
+
+
+def modes_by(factor: Factor, structure: Structure, count: int) -> Modes:
+    """The same of a structure with mass everywhere, by the factor of its stiffness."""
     quotients = structure.stiffness.getDiagonal().array_r / structure.mass.getDiagonal().array_r
     smallest = float(np.min(gather_rows(structure.comm, quotients)))
     scale = smallest if smallest > 0.0 else 1.0  # [rad^2/s^2]
-    asked = count = int(count)
+    asked = count
     while True:
-        squares, shapes = _nearest_zero(structure, asked, scale)
+        squares, shapes = _nearest_zero(factor, structure, asked, scale)
         if squares[0] < -1e-8 * scale:
             worst = f"{squares[0]:.3g} = omega^2 of a mode"
             raise InputError("stiffness", worst, "positive semidefinite")
@@ -114,54 +125,86 @@ def solve_modes(structure: Structure, count: int) -> Modes:
             break
         asked = min(2 * asked + 2, structure.n_dofs)
     omega, shapes = np.sqrt(np.maximum(squares[:count], 0.0)), shapes[:, :count]
-    shapes = shapes / mass_norms(structure, shapes)
-    return Modes(omega, shapes * _signs(structure, shapes), structure)
+    shapes *= _signs(structure, shapes)
+    return Modes(omega, shapes, structure)
 
 
-def _solved(
-    structure: Structure, prefix: str, count: int, krylov: int, shift: float | None = None
-) -> Any:
-    """SLEPc's solver with the eigenvalues omega^2 closest to a shift, or the highest ones."""
+class _Inverse:
+    """What PETSc calls to apply a factor."""
+
+    def __init__(self, factor: Factor) -> None:
+        self._factor = factor
+
+    def apply(self, _: Any, right: Any, solution: Any) -> None:
+        self._factor.apply(right, solution)
+
+
+def _solver(structure: Structure, prefix: str, count: int, krylov: int) -> Any:
+    """SLEPc's solver of K phi = omega^2 M phi."""
     solver = SLEPc.EPS().create(structure.comm)
     solver.setOptionsPrefix(prefix)
     solver.setOperators(structure.stiffness, structure.mass)
     solver.setProblemType(SLEPc.EPS.ProblemType.GHEP)
     solver.setDimensions(count, min(structure.n_dofs, krylov))
-    if shift is None:
-        solver.setWhichEigenpairs(SLEPc.EPS.Which.LARGEST_REAL)
-        solver.setTolerances(1e-6, 1000)
-    else:
-        solver.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
-        solver.setTolerances(1e-12, 500)
-        solver.setTarget(shift)
-        solver.getST().setType(SLEPc.ST.Type.SINVERT)
-        solver.setPurify(False)  # only a singular mass needs it, and it costs orthogonality
-    inner = solver.getST().getKSP()
-    inner.setType("preonly")
-    inner.getPC().setType("cholesky")
-    inner.getPC().setFactorSolverType("mumps")
+    solver.getST().getKSP().setType("preonly")
+    return solver
+
+
+def _solve(solver: Any, count: int) -> None:
     solver.setFromOptions()
     solver.solve()
     found = solver.getConverged()
     if found < count:
         solver.destroy()
         raise ConvergenceError(f"modes: only {found} of {count} converged")
-    return solver
 
 
-def _nearest_zero(structure: Structure, count: int, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Eigenvalues omega^2, ascending, and shapes of the modes closest to zero."""
+def _nearest_zero(
+    factor: Factor, structure: Structure, count: int, scale: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues omega^2, ascending, and shapes of the modes closest to zero, by the factor of K;
+    where K is singular by that of K + s M."""
+    if not factor.null_pivots:
+        squares, shapes = _krylov(factor, structure, count, 0.0)
+        if np.abs(squares).min() > SINGULAR * scale:
+            return squares, shapes
+    shift = -1e-6 * scale
+    shifted = weighted_sum(structure.stiffness, -shift, structure.mass)
+    with Factor(shifted, symmetric=True) as other:
+        found = _krylov(other, structure, count, shift)
+    shifted.destroy()
+    return found
+
+
+def _krylov(
+    factor: Factor, structure: Structure, count: int, shift: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues, ascending, and mass-normalised shapes of the modes closest to a shift, by the
+    factor of K - shift M."""
     # A few more Krylov vectors than SLEPc's default keep large counts in one sweep.
-    krylov = max(2 * count, count + 15)
-    solver = _solved(structure, "crack_modes_", count, krylov, -1e-6 * scale)
-    vector = structure.mass.createVecRight()
-    squares, shapes = np.empty(count), np.empty((structure.n_local, count))
-    for index in range(count):
-        squares[index] = solver.getEigenpair(index, vector).real
-        shapes[:, index] = vector.array_r
-    solver.destroy()
+    solver = _solver(structure, "crack_modes_", count, max(2 * count, count + 15))
+    solver.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
+    solver.setTolerances(1e-12, 500)
+    solver.setTarget(shift)
+    transformation = solver.getST()
+    transformation.setType(SLEPc.ST.Type.SINVERT)
+    transformation.setMatMode(SLEPc.ST.MatMode.SHELL)  # K - shift M is not formed again
+    solver.setPurify(False)  # only a singular mass needs it, and it costs orthogonality
+    inner = transformation.getKSP().getPC()
+    inner.setType("python")
+    inner.setPythonContext(_Inverse(factor))
+    _solve(solver, count)
+    vector, moved = structure.mass.createVecs()
+    squares = np.array([solver.getEigenvalue(index).real for index in range(count)])
     order = np.argsort(squares)
-    return squares[order], shapes[:, order]
+    shapes = np.empty((count, structure.n_local))
+    for row, index in zip(shapes, order, strict=True):
+        solver.getEigenvector(int(index), vector)
+        structure.mass.mult(vector, moved)
+        row[:] = vector.array_r / np.sqrt(max(vector.dot(moved), 1e-300))
+    for used in (vector, moved, solver):
+        used.destroy()
+    return squares[order], shapes.T
 
 
 def _count_below(structure: Structure, square: float) -> int:
@@ -175,7 +218,13 @@ def _count_below(structure: Structure, square: float) -> int:
 
 def largest_frequency(structure: Structure) -> float:
     """Largest natural angular frequency [rad/s] (collective)."""
-    solver = _solved(structure, "crack_largest_", 1, 30)
+    solver = _solver(structure, "crack_largest_", 1, 30)
+    solver.setWhichEigenpairs(SLEPc.EPS.Which.LARGEST_REAL)
+    solver.setTolerances(1e-6, 1000)
+    inner = solver.getST().getKSP().getPC()
+    inner.setType("cholesky")
+    inner.setFactorSolverType("mumps")
+    _solve(solver, 1)
     square = solver.getEigenvalue(0).real
     solver.destroy()
     return float(np.sqrt(square))
@@ -219,11 +268,11 @@ def _signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
         nodes, components = np.nonzero(structure.nodes.dofs >= 0)
         rows = structure.nodes.dofs[nodes, components] - first
         keys[rows] = np.column_stack([structure.nodes.points[nodes], components])
-    size = np.abs(shapes)
-    peaks = np.max(gather_rows(structure.comm, size.max(axis=0, initial=0.0)[None]), axis=0)
+    own = np.maximum(shapes.max(axis=0, initial=0.0), -shapes.min(axis=0, initial=0.0))
+    peaks = np.max(gather_rows(structure.comm, own[None]), axis=0)
     signs = np.empty(shapes.shape[1])
     for mode, peak in enumerate(peaks):
-        large = np.flatnonzero(size[:, mode] >= (1.0 - 1e-6) * peak)
+        large = np.flatnonzero(np.abs(shapes[:, mode]) >= (1.0 - 1e-6) * peak)
         candidates = np.column_stack([keys[large].round(12), np.sign(shapes[large, mode])])
         every = gather_rows(structure.comm, candidates)
         signs[mode] = every[np.lexsort(every[:, 2::-1].T)[0], 3]
@@ -267,16 +316,22 @@ def damped_modes(structure: Structure) -> DampedModes | None:
 
 
 def _damped_modes(structure: Structure) -> DampedModes:
+    count, ratio = check_damped_modes(structure), np.asarray(structure.damping.ratio, dtype=float)
+    modes = solve_modes(structure, count)
+    mass_shapes = times(structure.mass, modes.shapes)
+    return DampedModes(modes.omega, 2.0 * ratio * modes.omega, modes.shapes, mass_shapes)
+
+
+def check_damped_modes(structure: Structure) -> int:
+    """How many modes a structure's modal damping damps; InputError as :func:`damped_modes`."""
     damping = structure.damping
-    count = structure.n_modes if damping.modes is None else damping.modes
+    count: int = structure.n_modes if damping.modes is None else damping.modes
     if count > structure.n_modes:
         raise InputError("damping modes", count, f"at most n_dofs = {structure.n_modes}")
     ratio = np.asarray(damping.ratio, dtype=float)
     if ratio.ndim == 1 and len(ratio) != count:
         raise InputError("damping ratio", f"{len(ratio)} ratios", f"one or {count}, one per mode")
-    modes = solve_modes(structure, count)
-    mass_shapes = times(structure.mass, modes.shapes)
-    return DampedModes(modes.omega, 2.0 * ratio * modes.omega, modes.shapes, mass_shapes)
+    return count
 
 
 def damped_range(structure: Structure) -> tuple[int, float] | None:

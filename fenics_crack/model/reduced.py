@@ -137,12 +137,21 @@ class ResidualFlexibility:
         The whole one.
     shapes : (n_local, n_modes)
         Phi, mass-normalised.
+    squares : (n_modes,) [rad^2/s^2]
+        The squares of their frequencies.
     sources : (n_local, n_sources)
         X: the forces of unit amplitude, a sparse matrix.
+    modal : (n_sources, n_modes)
+        X^T Phi.
     """
 
-    def __init__(self, structure: Structure, shapes: np.ndarray, sources: Any) -> None:
-        self.structure, self.shapes, self.sources = structure, shapes, sparse.csr_matrix(sources)
+    def __init__(
+        self, structure: Structure, shapes: np.ndarray, squares: np.ndarray, sources: Any
+    ) -> None:
+        self.structure, self.shapes, self.squares = structure, shapes, squares
+        self.sources = sparse.csr_matrix(sources)
+        self.modal = structure.sum_over_ranks(self.sources.T @ shapes)
+        self._held = bool(np.all(squares > 0.0))
         self._measured: dict[int, np.ndarray] = {}
 
     def solve(self, factor: Factor, forces: np.ndarray) -> np.ndarray:
@@ -153,18 +162,25 @@ class ResidualFlexibility:
         moved = times(structure.mass, found.T).T
         return found - structure.sum_over_ranks(moved @ shapes) @ shapes.T
 
-    def compliance(self) -> np.ndarray:
-        """S = X^T G X: (n_sources, n_sources) (collective)."""
-        columns = [
-            self.sources[:, start : start + BLOCK].T.toarray()
-            for start in range(0, self.sources.shape[1], BLOCK)
-        ]
+    def seen(self, factor: Factor, columns: sparse.spmatrix) -> np.ndarray:
+        """Y^T G X of sparse forces Y (n_local, m): (m, n_sources) (collective)."""
         rows = [np.zeros((0, self.sources.shape[1]))]
-        with Factor(self.structure.stiffness, symmetric=True) as factor:
-            for block in columns:
-                moved = self.solve(factor, block)
-                rows.append(self.structure.sum_over_ranks((self.sources.T @ moved.T).T))
-        found = np.concatenate(rows)
+        for start in range(0, columns.shape[1], BLOCK):
+            block = columns[:, start : start + BLOCK]
+            if self._held:  # and K^-1 exists: zeros are left out
+                moved = factor.solve_sparse(block)
+            else:
+                moved = self.solve(factor, block.T.toarray())
+            rows.append((self.sources.T @ moved.T).T)
+        found: np.ndarray = self.structure.sum_over_ranks(np.concatenate(rows))
+        if self._held:
+            seen = self.structure.sum_over_ranks(columns.T @ self.shapes)
+            found -= (seen / self.squares) @ self.modal.T
+        return found
+
+    def compliance(self, factor: Factor) -> np.ndarray:
+        """S = X^T G X: (n_sources, n_sources) (collective)."""
+        found = self.seen(factor, self.sources)
         return 0.5 * (found + found.T)
 
     def expand(self, amplitude: np.ndarray) -> np.ndarray:
@@ -176,19 +192,21 @@ class ResidualFlexibility:
                 found[used] = self.solve(factor, (self.sources @ amplitude[used].T).T)
         return found
 
-    def rows(self, dofs: np.ndarray) -> np.ndarray:
+    def rows(self, dofs: np.ndarray, factor: Factor | None = None) -> np.ndarray:
         """G X at some dofs: (n_dofs, n_sources); kept (collective)."""
         wanted: list[int] = [int(dof) for dof in dofs]
         missing = [dof for dof in dict.fromkeys(wanted) if dof not in self._measured]
         if missing:
             structure = self.structure
-            units = np.zeros((len(missing), structure.n_local))
-            for row, dof in zip(units, missing, strict=True):
-                if 0 <= dof - structure.first_dof < structure.n_local:
-                    row[dof - structure.first_dof] = 1.0
-            with Factor(structure.stiffness, symmetric=True) as factor:
-                moved = self.solve(factor, units)
-            found = structure.sum_over_ranks((self.sources.T @ moved.T).T)
+            own = np.array(missing) - structure.first_dof
+            mine = np.flatnonzero((own >= 0) & (own < structure.n_local))
+            shape = structure.n_local, len(missing)
+            units = sparse.csr_matrix((np.ones(len(mine)), (own[mine], mine)), shape)
+            if factor is None:
+                with Factor(structure.stiffness, symmetric=True) as factor:
+                    found = self.seen(factor, units)
+            else:
+                found = self.seen(factor, units)
             self._measured |= dict(zip(missing, found, strict=True))
         return np.array([self._measured[dof] for dof in wanted])
 

@@ -38,9 +38,10 @@ from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDampin
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import SMALL
 from fenics_crack.model.modes import (
-    DampedModes,
+    check_damped_modes,
     damped_modes,
     mass_norms,
+    modes_by,
     projected_damping,
     solve_modes,
     times,
@@ -52,6 +53,7 @@ from fenics_crack.model.reduced import (
     check_mass,
 )
 from fenics_crack.model.structure import Structure
+from fenics_crack.parallel import gather_rows
 
 __all__ = ["reduce_structure"]
 
@@ -62,6 +64,8 @@ MODES = 50
 """Kept of a large structure whose modes are all damped."""
 ROUNDING = 1e-14
 """Share of a static response that counts as none."""
+FEW = 32
+"""Loaded dofs whose static responses are computed beforehand."""
 
 
 def reduce_structure(
@@ -96,9 +100,10 @@ def reduce_structure(
         raise InputError("method", method, "one of " + ", ".join(map(repr, METHODS)))
     check_mass(structure, "reduce the whole one")
     rule = _rule_of_all(structure)
-    damped = damped_modes(structure) if rule is None else None
+    modal = rule is None and isinstance(structure.damping, ModalDamping)
+    count = check_damped_modes(structure) if modal else None
     if modes is None:
-        modes = min(20, structure.n_dofs) if damped is None else len(damped.omega)
+        modes = min(20, structure.n_dofs) if count is None else count
         if rule is not None:
             modes = MODES if structure.n_dofs > SMALL else structure.n_dofs
     whole = isinstance(modes, int | np.integer) and not isinstance(modes, bool)
@@ -106,53 +111,60 @@ def reduce_structure(
         raise InputError("modes", modes, f"a whole number from 1 to n_dofs = {structure.n_dofs}")
 
     if method == "massless":
-        return _massless(structure, int(modes), damped)
+        return _massless(structure, int(modes))
 
-    kept: np.ndarray = np.zeros((structure.n_local, 0))
-    squares: np.ndarray = np.zeros(0)
-    if method != "craig_bampton":
-        known = damped if damped is not None and len(damped.omega) >= modes else None
-        found = known or solve_modes(structure, modes)
-        kept, squares = found.shapes[:, :modes], found.omega[:modes] ** 2
+    damped = damped_modes(structure) if modal else None
     loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
     sources = np.hstack([structure.gap.toarray(), structure.force[loaded].T])
-    with _static_factor(structure) as factor:
-        response = factor.solve(sources.T).T
-        extra = response if method == "free_interface" else response[:, :0]
-        if method == "craig_bampton":
-            compliance = structure.apply_bt(response[:, : structure.n_pairs].T)
-            scale = 1e3 / np.abs(compliance).max(initial=1e-300)
-            tied = solve_modes(structure.tied(scale), modes).shapes
-            extra = np.hstack([response, tied])
-        following = [extra, response, factor.solve(times(structure.mass, response).T).T]
-        if rule is None and structure.damping_matrix is not None:
-            damping = times(structure.damping_matrix, np.hstack([kept, extra, response]))
-            following.append(factor.solve(damping.T).T)
+    with Factor(structure.stiffness, symmetric=True) as own:
+        kept: np.ndarray = np.zeros((structure.n_local, 0))
+        squares: np.ndarray = np.zeros(0)
+        if method != "craig_bampton":
+            known = damped if damped is not None and len(damped.omega) >= modes else None
+            found = known or modes_by(own, structure, int(modes))
+            kept, squares = found.shapes[:, :modes], found.omega[:modes] ** 2
+        with _regular(own, structure) as factor:
+            response = factor.solve(sources.T).T
+            extra = response if method == "free_interface" else response[:, :0]
+            if method == "craig_bampton":
+                compliance = structure.apply_bt(response[:, : structure.n_pairs].T)
+                scale = 1e3 / np.abs(compliance).max(initial=1e-300)
+                tied = solve_modes(structure.tied(scale), modes).shapes
+                extra = np.hstack([response, tied])
+            following = [extra, response, factor.solve(times(structure.mass, response).T).T]
+            if rule is None and structure.damping_matrix is not None:
+                damping = times(structure.damping_matrix, np.hstack([kept, extra, response]))
+                following.append(factor.solve(damping.T).T)
     reference = _reduced(structure, kept, squares, np.hstack(following), None)
     return _reduced(structure, kept, squares, extra, reference)
 
 
-def _massless(structure: Structure, modes: int, damped: DampedModes | None) -> MasslessStructure:
+def _massless(structure: Structure, modes: int) -> MasslessStructure:
     """Modes and the rest without mass; its reference has more modes."""
     more = min(modes + max(modes // 2, 10), structure.n_dofs - structure.n_pairs)
     if more <= modes:  # else something is left for every pair, without which it has mass
         more = structure.n_dofs
-    known = damped if damped is not None and len(damped.omega) >= more else None
-    found = known or solve_modes(structure, more)
-    squares, shapes = found.omega[:more] ** 2, np.ascontiguousarray(found.shapes[:, :more])
-    squares[squares <= RIGID * squares[-1]] = 0.0
-    if rigid := np.count_nonzero(squares[modes:] == 0.0):
-        allowed = f"at least {modes + rigid}: all motions as a rigid body"
-        raise InputError("modes", modes, allowed)
     loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
     sources = sparse.hstack([structure.gap, structure.force[loaded].T]).tocsr()
-    seen = structure.sum_over_ranks((sources.T @ shapes).T)
+    with Factor(structure.stiffness, symmetric=True) as factor:
+        found = modes_by(factor, structure, more)
+        squares, shapes = found.omega**2, found.shapes
+        squares[squares <= RIGID * squares[-1]] = 0.0
+        if rigid := np.count_nonzero(squares[modes:] == 0.0):
+            allowed = f"at least {modes + rigid}: all motions as a rigid body"
+            raise InputError("modes", modes, allowed)
+        static = {
+            count: ResidualFlexibility(structure, shapes[:, :count], squares[:count], sources)
+            for count in (more, modes)
+        }
+        compliance = np.zeros((sources.shape[1],) * 2)
+        if more < structure.n_dofs:
+            compliance = static[more].compliance(factor)
+        static[modes].rows(_loaded_dofs(structure), factor)
+    seen = static[more].modal.T
     force = structure.sum_over_ranks(structure.force @ shapes)
     # The amplitudes of the load's parts are unknowns whose force is S times themselves.
     patterns = np.hstack([np.zeros((3, structure.n_pairs)), np.eye(3)[:, loaded]])
-    compliance = np.zeros((sources.shape[1],) * 2)
-    if more < structure.n_dofs:
-        compliance = ResidualFlexibility(structure, shapes, sources).compliance()
     reference = None
     for count in (more, modes):
         # What fewer modes leave out is what more do, and the static part of those between.
@@ -166,11 +178,18 @@ def _massless(structure: Structure, modes: int, damped: DampedModes | None) -> M
             seen[:count, : structure.n_pairs],
             np.hstack([force[:, :count], patterns @ left]),
             left,
-            static=ResidualFlexibility(structure, shapes[:, :count], sources),
+            static=static[count],
             reference=reference,
         )
     assert reference is not None
     return reference
+
+
+def _loaded_dofs(structure: Structure) -> np.ndarray:
+    """Dofs under the load, at which its effect is watched, if they are few (collective)."""
+    own = np.flatnonzero(np.any(structure.force != 0.0, axis=0)) + structure.first_dof
+    found = gather_rows(structure.comm, own)
+    return found if len(found) <= FEW else found[:0]
 
 
 def _without_rounding(compliance: np.ndarray, seen: np.ndarray, squares: np.ndarray) -> np.ndarray:
@@ -212,16 +231,16 @@ def _rule_of_all(structure: Structure) -> DampingRule | None:
 
 
 @contextmanager
-def _static_factor(structure: Structure) -> Iterator[Factor]:
-    """Of K; of an unconstrained structure of K + s M, s one of its lowest eigenvalues."""
-    with Factor(structure.stiffness, symmetric=True) as factor:
-        if not factor.null_pivots:
-            yield factor
-            return
-    elastic = solve_modes(structure, min(structure.n_dofs, 10)).omega[-1] ** 2
-    matrix = weighted_sum(structure.stiffness, elastic or 1.0, structure.mass)
-    with Factor(matrix, symmetric=True) as factor:
+def _regular(factor: Factor, structure: Structure) -> Iterator[Factor]:
+    """The factor of K; of an unconstrained structure that of K + s M, s one of its lowest
+    eigenvalues."""
+    if not factor.null_pivots:
         yield factor
+        return
+    elastic = modes_by(factor, structure, min(structure.n_dofs, 10)).omega[-1] ** 2
+    matrix = weighted_sum(structure.stiffness, elastic or 1.0, structure.mass)
+    with Factor(matrix, symmetric=True) as regular:
+        yield regular
     matrix.destroy()
 
 

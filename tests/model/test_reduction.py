@@ -17,6 +17,7 @@ from fenics_crack.balance.compliance import dynamic_compliance
 from fenics_crack.balance.dynamic_stiffness import DynamicStiffness
 from fenics_crack.model import modes as model_modes
 from fenics_crack.model import reduction
+from fenics_crack.model.factor import Factor
 
 GOOD = ("free_interface", "craig_bampton")
 METHODS = (*GOOD, "truncation")
@@ -365,14 +366,14 @@ def fine_plate(paper_scene: fc.Scene) -> fc.Structure:
 def counts(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """How many modes are asked for from now on."""
     asked: list[int] = []
-    solve = model_modes.solve_modes
+    solve = model_modes.modes_by
 
-    def counted(structure: fc.Structure, count: int) -> fc.Modes:
+    def counted(factor: Factor, structure: fc.Structure, count: int) -> fc.Modes:
         asked.append(count)
-        return solve(structure, count)
+        return solve(factor, structure, count)
 
-    monkeypatch.setattr(reduction, "solve_modes", counted)
-    monkeypatch.setattr(model_modes, "solve_modes", counted)
+    monkeypatch.setattr(reduction, "modes_by", counted)
+    monkeypatch.setattr(model_modes, "modes_by", counted)
     return asked
 
 
