@@ -7,7 +7,6 @@ Other forms of the method are kept for comparison in ``benchmarks/laboratory.py`
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -30,6 +29,7 @@ from fenics_crack.errors import (
     check_omega,
 )
 from fenics_crack.model.contact import ContactLaw
+from fenics_crack.model.memory import machine_memory
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.model.reduction import reduce_structure
@@ -261,7 +261,7 @@ def check_memory(structure: Structure, harmonics: int) -> None:
         _check_coupled(pairs, harmonics)
         return
     unknowns = (2 * harmonics + 1) * pairs
-    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    memory = machine_memory()
     if MATRICES * 8 * unknowns**2 > 0.8 * memory:
         fits = int(np.sqrt(0.8 * memory / (8 * MATRICES)) / (2 * pairs) - 0.5)
         raise InputError(
@@ -273,7 +273,7 @@ def check_memory(structure: Structure, harmonics: int) -> None:
 
 
 def _check_coupled(pairs: int, harmonics: int) -> None:
-    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    memory = machine_memory()
     vectors = RESTART * (8 * harmonics + 2) * pairs  # of GMRES, for twice the harmonics
     needed = 8 * (MATRICES * (8 * harmonics + 2) * pairs**2 + vectors)
     if needed > 0.8 * memory:

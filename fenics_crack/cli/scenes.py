@@ -17,7 +17,7 @@ from fenics_crack.files.store import make_folder
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.parallel import gather_rows, on_root
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.prepare import prepare, reduction_of
+from fenics_crack.study.prepare import check_memory_of, prepare, reduction_of
 from fenics_crack.sweep.plan import Plan
 from fenics_crack.table import Table, counted
 
@@ -76,6 +76,7 @@ def check(scene: Scene, console: Console) -> Exit:
         rows["solved"] = f"reduced, {reduction.method}, {modes}"
         if reduction.method == "massless":
             rows["solved"] = f"{modes}, lips without mass"
+    rows["memory, estimated [GiB]"] = round(check_memory_of(scene, whole) / 2**30, 2)
     if scene.curve is not None:
         span = f"{scene.curve.start:g} to {scene.curve.stop:g}"
         rows["curve"] = f"{scene.curve.parameter} from {span}"

@@ -45,11 +45,9 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     if not all(np.isfinite(matrix.norm()) for matrix in (stiffness, mass)):
         raise InputError("mesh", "cells of no area", "one whose cells all have an area")
     gap, points, areas = _pair_lips(scene, plate, space, dofs)
-    blocks = dofs.free_block(mass), dofs.free_block(stiffness)
-    mass.destroy()
-    stiffness.destroy()
     structure = Structure(
-        *blocks,
+        dofs.free_block(mass),
+        dofs.free_block(stiffness),
         gap,
         force=_load(scene, plate, space, dofs),
         clearance=np.full(gap.shape[1], scene.crack.clearance if scene.crack else 0.0),
@@ -84,11 +82,12 @@ class _Dofs:
         self.numbers[self.free] = first + np.arange(len(self.free))
 
     def free_block(self, matrix: Any) -> Any:
-        """Leave the clamped rows and columns out of a matrix."""
+        """Leave the clamped rows and columns out of a matrix, which is destroyed."""
         free = (2 * self.first_node + self.free).astype(PETSc.IntType)
         rows = PETSc.IS().createGeneral(free, comm=self.comm)
         block = matrix.createSubMatrix(rows, rows)
         rows.destroy()
+        matrix.destroy()
         return block
 
     def nodes(self) -> Nodes:
@@ -221,11 +220,16 @@ def _pair_lips(
     normals = lower[:, 3:5] / lengths[:, None]
 
     n_pairs = len(lower)
-    gap = sparse.lil_matrix((2 * dofs.n_nodes, n_pairs))
+    entries = []
     for side, sign in ((lower, 1.0), (upper, -1.0)):
         node = side[:, 0].astype(int) - dofs.first_node
         mine = np.flatnonzero((node >= 0) & (node < dofs.n_nodes))
         for component in (0, 1):
-            gap[2 * node[mine] + component, mine] = sign * normals[mine, component]
+            rows = 2 * node[mine] + component
+            entries.append(np.array([sign * normals[mine, component], rows, mine]))
+    values, rows, columns = np.hstack(entries)
+    shape = 2 * dofs.n_nodes, n_pairs
+    gap = sparse.csr_matrix((values, (rows.astype(int), columns.astype(int))), shape)
+    gap.eliminate_zeros()
     areas = scene.geometry.thickness * lengths
-    return sparse.csr_matrix(gap)[dofs.free], lower[:, 1:3], areas
+    return gap[dofs.free], lower[:, 1:3], areas

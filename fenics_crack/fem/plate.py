@@ -31,6 +31,7 @@ from fenics_crack.errors import InputError
 from fenics_crack.fem import compat
 from fenics_crack.fem.compat import gmsh
 from fenics_crack.fem.msh_file import read_file
+from fenics_crack.model.memory import machine_memory
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 
@@ -38,6 +39,8 @@ __all__ = ["PlateMesh", "build_mesh", "write_msh"]
 
 MAX_CELLS = 5_000_000
 """For a plate; a mesh file may have any number of cells."""
+ASSEMBLED = 1500.0
+"""Bytes of mesh and matrices for each degree of freedom."""
 SMALLEST_CELL = 1e-7
 """Relative to the plate: gmsh and the matrices allow no smaller one."""
 _GROUPS = {"plate": 1, "clamp": 2, "lower_lip": 3, "upper_lip": 4, "load": 5}
@@ -129,10 +132,7 @@ def _draw(scene: Scene) -> None:
     assert width is not None
     columns, rows = _divisions(scene)
     cells = math.prod(sum(interval[2] for interval in side) for side in (columns, rows))
-    if cells > MAX_CELLS:
-        key = "columns" if scene.mesh.layout == "grid" else "size"
-        allowed = f"so that there are fewer cells: {cells:.2g} are more than {MAX_CELLS:.0e}"
-        raise InputError(f"mesh.{key}", getattr(scene.mesh, key), allowed)
+    _check_cells(scene, cells)
     mirrored = crack is not None and crack.edge == "right"
 
     def position(x: float, y: float) -> tuple[float, float]:
@@ -186,6 +186,23 @@ def _draw(scene: Scene) -> None:
     for name, (dimension, tags) in groups.items():
         gmsh.model.addPhysicalGroup(dimension, tags, _GROUPS[name])
         gmsh.model.setPhysicalName(dimension, _GROUPS[name], name)
+
+
+def _check_cells(scene: Scene, cells: int) -> None:
+    """Raise InputError where there are too many cells for gmsh, or their matrices would not fit."""
+    needed, machine = ASSEMBLED * 2 * scene.mesh.order**2 * cells, machine_memory()
+    reason = ""
+    if cells > MAX_CELLS:
+        reason = f"{cells:.2g} are more than {MAX_CELLS:.0e}"
+    elif needed > machine:
+        reason = (
+            f"the matrices of {cells:.2g} need about {needed / 2**30:.0f} GiB of this machine's "
+            f"{machine / 2**30:.3g}"
+        )
+    if reason:
+        key = "columns" if scene.mesh.layout == "grid" else "size"
+        allowed = f"so that there are fewer cells: {reason}"
+        raise InputError(f"mesh.{key}", getattr(scene.mesh, key), allowed)
 
 
 Division = tuple[int, float]  # number of elements, ratio of the lengths of neighbours

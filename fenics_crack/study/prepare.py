@@ -16,14 +16,17 @@ from fenics_crack.model.contact import (
     UnilateralConstraint,
     UnilateralPenalty,
 )
+from fenics_crack.model.memory import machine_memory, reduction_memory, whole_memory
 from fenics_crack.model.reduction import MODES, reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Contact, Reduction, Scene
 
-__all__ = ["Study", "contact_law", "law_of", "prepare", "reduction_of"]
+__all__ = ["Study", "check_memory_of", "contact_law", "law_of", "prepare", "reduction_of"]
 
 FEW_DOFS = 100
 """A structure with at most so many dofs is reduced only on request."""
+SHARE = 0.8
+"""Of the machine's memory that may be used."""
 
 
 @dataclass(frozen=True)
@@ -60,12 +63,15 @@ def prepare(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, whole: bool = Fals
     Raises
     ------
     InputError
-        As :func:`build_structure` and :func:`reduce_structure`.
+        As :func:`build_structure`, :func:`check_memory_of` and :func:`reduce_structure`.
     """
     scene = with_crack_length(scene, comm)
     structure = assemble(scene, comm)
     law = law_of(scene, structure)
-    table = None if whole else reduction_of(scene, structure)
+    if whole:
+        return Study(scene, structure, law)
+    check_memory_of(scene, structure)
+    table = reduction_of(scene, structure)
     if table is None:
         return Study(scene, structure, law)
     assert table.method is not None
@@ -97,6 +103,35 @@ def reduction_of(scene: Scene, structure: Structure) -> Reduction | None:
         lips = structure.n_pairs > 0 and kept < structure.n_dofs
         table = replace(table, method="massless" if lips else "free_interface")
     return table
+
+
+def check_memory_of(scene: Scene, structure: Structure) -> float:
+    """Memory that solving a scene is going to need, estimated [byte] (collective).
+
+    Raises
+    ------
+    InputError
+        This machine has not so much.
+    """
+    table = reduction_of(scene, structure)
+    if table is None:
+        needed = whole_memory(structure, scene.harmonic_balance.harmonics)
+    else:
+        assert table.method is not None
+        needed = reduction_memory(structure, _modes(scene, table), table.method)
+    machine = machine_memory()
+    if needed > SHARE * machine:
+        key = {"grid": "columns", "file": "file"}.get(scene.mesh.layout, "size")
+        allowed = (
+            f"that of a coarser mesh: {structure.n_dofs} degrees of freedom need "
+            f"{needed / 2**30:.3g} GiB of this machine's {machine / 2**30:.3g}"
+        )
+        raise InputError(f"mesh.{key}", getattr(scene.mesh, key), allowed)
+    return needed
+
+
+def _modes(scene: Scene, table: Reduction) -> int:
+    return int(scene.damping.modes if table.modes is None else table.modes)
 
 
 def law_of(scene: Scene, structure: Structure) -> ContactLaw | None:

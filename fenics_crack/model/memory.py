@@ -1,0 +1,59 @@
+"""Memory that structures of plane meshes need, estimated before it is spent.
+
+Nested dissection leaves O(n log n) numbers in the factor of the stiffness of a plane mesh with n
+dofs (George, SIAM Journal on Numerical Analysis 10, 1973, 345); the constant here is that of MUMPS
+with its work space, from 4,000 to a million dofs of quadratic cells. Structures of three dimensions
+need more.
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+
+import numpy as np
+from petsc4py import PETSc
+
+from fenics_crack.model.reduced import BLOCK
+from fenics_crack.model.structure import Structure
+
+__all__ = ["machine_memory", "reduction_memory", "whole_memory"]
+
+FACTOR = 60.0
+"""Bytes of a factor over n log2 n."""
+ENTRY = 12
+"""Bytes of an entry of a sparse matrix."""
+
+
+def machine_memory() -> float:
+    """Memory of this machine [byte]."""
+    return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+
+
+def reduction_memory(structure: Structure, modes: int, method: str) -> float:
+    """Most memory of all ranks during :func:`reduce_structure`, what is held already included
+    [byte] (collective)."""
+    dofs, columns = structure.n_dofs, structure.n_pairs + 1
+    kept = modes + max(modes // 2, 10) if method == "massless" else modes
+    entries = structure.stiffness.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
+    krylov = 8.0 * dofs * max(2 * kept, kept + 15)
+    counting = _factor(structure) + 2 * ENTRY * entries
+    # Blocks of static responses, or all of them in a basis and that of its reference.
+    static = 8.0 * dofs * (4 * BLOCK if method == "massless" else 10 * columns)
+    most = max(krylov, counting, static)
+    return _held(structure) + _factor(structure) + 8.0 * dofs * kept + most
+
+
+def whole_memory(structure: Structure, harmonics: int) -> float:
+    """The same of solving it as it is: a factor for each harmonic, all kept (collective)."""
+    return _held(structure) + (harmonics + 1) * _factor(structure)
+
+
+def _factor(structure: Structure) -> float:
+    return FACTOR * structure.n_dofs * float(np.log2(structure.n_dofs + 1))
+
+
+def _held(structure: Structure) -> float:
+    """Most memory of all ranks until now [byte]."""
+    own = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return float(structure.comm.allreduce(own))

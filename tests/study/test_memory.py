@@ -1,0 +1,32 @@
+"""What a scene needs is stated before it is spent."""
+
+from __future__ import annotations
+
+import pytest
+from mpi4py import MPI
+
+import fenics_crack as fc
+from fenics_crack.fem import plate
+from fenics_crack.model.memory import reduction_memory, whole_memory
+from fenics_crack.study import prepare
+
+
+def test_what_does_not_fit_is_refused(
+    paper_scene: fc.Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before it is reduced, with what it needs; and before it is meshed."""
+    scene = paper_scene.replace({"mesh.columns": 8, "mesh.rows": 8})
+    monkeypatch.setattr(prepare, "machine_memory", lambda: 1e7)
+    with pytest.raises(fc.InputError, match=r"^mesh.columns = 8: .* coarser .* GiB"):
+        prepare.prepare(scene, MPI.COMM_SELF)
+    assert prepare.prepare(scene, MPI.COMM_SELF, whole=True).structure.n_dofs == 152
+    monkeypatch.setattr(plate, "machine_memory", lambda: 1e5)
+    with pytest.raises(fc.InputError, match=r"^mesh.columns = 8: .* fewer cells: .* GiB"):
+        fc.build_structure(scene, MPI.COMM_SELF)
+
+
+def test_more_modes_and_harmonics_need_more(wide_plate: fc.Structure) -> None:
+    """Krylov vectors and shapes; a factor for each harmonic."""
+    few = reduction_memory(wide_plate, 10, "massless")
+    assert few < reduction_memory(wide_plate, 100, "massless")
+    assert whole_memory(wide_plate, 5) < whole_memory(wide_plate, 50)
