@@ -20,7 +20,7 @@ except ImportError as error:  # pragma: no cover
         "the compiled kernel of fenics_crack is missing or broken: run 'sh install.sh'"
     ) from error
 
-__all__ = ["doubles", "ints", "kernel", "made", "owned", "signs"]
+__all__ = ["Struct", "doubles", "ints", "kernel", "made", "owned", "signs"]
 
 kernel: Any = lib
 """The functions of the C files, by their names."""
@@ -68,6 +68,34 @@ def owned(pointer: Any, free: Any) -> Any:
     if not pointer:
         raise MemoryError
     return ffi.gc(pointer, free)
+
+
+class Struct:
+    """A struct of the C files: numbers, arrays, objects (``owned``) and other structs by the names
+    of its members. They live as long as it does; None is a null pointer.
+
+    Attributes
+    ----------
+    at : its address, what functions take
+    """
+
+    def __init__(self, kind: str, **members: Any) -> None:
+        self._members = members
+        self.at = ffi.new(f"{kind} *")
+        for name, value in members.items():
+            setattr(self.at, name, _as_member(value))
+
+
+def _as_member(value: Any) -> Any:
+    if value is None:
+        return ffi.NULL
+    if isinstance(value, Struct):
+        return value.at[0]
+    if not isinstance(value, np.ndarray):
+        return value
+    if value.dtype.itemsize == 1:
+        return signs(value)
+    return ints(value) if value.dtype == np.intc else doubles(value)
 
 
 _bind()

@@ -1,5 +1,7 @@
 #include "lapack.h"
 
+enum { FEW = 32 }; /* numbers of a matrix for which a call of BLAS takes longer than the product */
+
 static void *bound[LAPACK_FUNCTIONS];
 
 typedef void gemv_t(const char *, const int *, const int *, const double *, const double *,
@@ -21,9 +23,12 @@ void multiply(int rows, int columns, const double *a, const double *x, double *y
 {
     const int one = 1;
     const double unit = 1.0, zero = 0.0;
-    if (!rows) return;
-    if (!columns) {
-        for (int i = 0; i < rows; i++) y[i] = 0.0;
+    if (rows * columns <= FEW) {
+        for (int i = 0; i < rows; i++) {
+            double sum = 0.0;
+            for (int j = 0; j < columns; j++) sum += a[i * columns + j] * x[j];
+            y[i] = sum;
+        }
         return;
     }
     ((gemv_t *)bound[DGEMV])("T", &columns, &rows, &unit, a, &columns, x, &one, &zero, y, &one);

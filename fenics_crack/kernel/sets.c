@@ -157,3 +157,27 @@ void forces_of(sets *s, int count, const double *gap, double allowed, signed cha
     for (int t = 0; t < count; t++, gap += s->n, closed += s->n, force += s->n)
         failed[t] = forces_at(s, gap, allowed, NULL, closed, force);
 }
+
+int inverses_of(sets *s, int count, const signed char *closed, double *inverse)
+{
+    const size_t n = s->n;
+    for (int t = 0; t < count; t++, closed += n, inverse += n * n) {
+        const double *answer = answer_of(s, closed);
+        if (!answer) return 1;
+        for (size_t i = 0; i < n * n; i++) inverse[i] = closed[i / n] ? answer[i] : 0.0;
+    }
+    return 0;
+}
+
+int forces_with(sets *s, int count, const double *gap, const signed char *closed, double *force)
+{
+    const int n = s->n;
+    for (int t = 0; t < count; t++, gap += n, closed += n, force += n) {
+        const double *answer = answer_of(s, closed);
+        if (!answer) return 1;
+        multiply(n, n, answer, gap, force);
+        for (int i = 0; i < n; i++)
+            if (!closed[i]) force[i] = 0.0;
+    }
+    return 0;
+}

@@ -14,9 +14,10 @@ which is piecewise linear in s. Where the set A of pairs is closed,
 
     lambda_A = (D_AA)^-1 s_A,       opening of the others = (D lambda - s) >= 0.
 
-The sets are found for all instants together by the primal-dual active set method (a semismooth
-Newton method; Hintermueller, Ito and Kunisch, SIAM Journal on Optimization 13, 2002, 865); the few
-instants where it cycles, by least squares with bounds. A law that is not piecewise linear is solved
+The sets are found by the primal-dual active set method (a semismooth Newton method; Hintermueller,
+Ito and Kunisch, SIAM Journal on Optimization 13, 2002, 865), and where it cycles by Murty's method,
+which changes one pair at a time (``kernel/sets.c``); where rounding spoils that, by least squares
+with bounds. A law that is not piecewise linear is solved
 by Newton's method at all instants together.
 
 Sources: MacNeal, Computers & Structures 1 (1971) 581 (statics of what modes leave out);
@@ -28,20 +29,18 @@ from __future__ import annotations
 import numpy as np
 
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.kernel import doubles, kernel, owned
+from fenics_crack.kernel import doubles, kernel, owned, signs
 from fenics_crack.model.complementarity import by_least_squares
 from fenics_crack.model.contact import ContactLaw
 
 __all__ = ["ActiveSets", "smooth_forces", "unique_sets"]
 
-MAX_ITERATIONS = 30
-"""Of the active sets of all instants; afterwards by least squares."""
 MAX_KEPT = 2**28
 """Bytes of inverses that are kept."""
 MAX_NEWTON = 200
 """Of a law that is not piecewise linear."""
 ROUNDING = 1e-13
-"""Forces and openings relative to the largest that count as zero."""
+"""Openings relative to the largest gap of an instant that count as zero."""
 
 
 def unique_sets(closed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -54,7 +53,7 @@ def unique_sets(closed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 class ActiveSets:
-    """Inverses of D on sets of closed pairs, kept once they are computed.
+    """Contact at instants under a compliance D; inverses on sets of closed pairs are kept.
 
     Attributes
     ----------
@@ -65,64 +64,42 @@ class ActiveSets:
     """
 
     def __init__(self, compliance: np.ndarray) -> None:
-        self.compliance = compliance
-        self.scale = float(np.mean(np.diag(compliance)))
-        self._kept: dict[bytes, np.ndarray] = {}
+        self.compliance = compliance = np.ascontiguousarray(compliance, dtype=float)
+        self.scale = float(np.mean(np.diag(compliance))) if compliance.size else 0.0
+        most = MAX_KEPT // max(compliance.nbytes, 8)
         count = len(compliance)
-        most = max(16, MAX_KEPT // (8 * max(1, count * count)))
-        matrix = np.ascontiguousarray(compliance, dtype=float)
-        self.handle = owned(kernel.new_sets(count, doubles(matrix), most), kernel.free_sets)
-        """The same in the kernel."""
-
-    def stiffness(self, closed: np.ndarray) -> np.ndarray:
-        """(D_AA)^-1 with zeros outside A, of a set (n_pairs,): (n_pairs, n_pairs) [N/m]."""
-        key = closed.tobytes()
-        if key not in self._kept:
-            if (len(self._kept) + 1) * self.compliance.nbytes > MAX_KEPT:
-                self._kept.clear()
-            found = np.zeros_like(self.compliance)
-            places = np.flatnonzero(closed)
-            block = np.ix_(places, places)
-            found[block] = np.linalg.inv(self.compliance[block])
-            self._kept[key] = 0.5 * (found + found.T)
-        return self._kept[key]
+        self.handle = owned(kernel.new_sets(count, doubles(compliance), most), kernel.free_sets)
+        """The kernel's own object."""
 
     def stack(self, sets: np.ndarray) -> np.ndarray:
-        """The same of many sets (m, n_pairs): (m, n_pairs, n_pairs)."""
-        return np.array([self.stiffness(closed) for closed in sets]).reshape(
-            len(sets), *self.compliance.shape
-        )
+        """(D_AA)^-1 with zeros outside A, of sets (m, n_pairs): (m, n_pairs, n_pairs) [N/m]."""
+        closed = np.ascontiguousarray(sets, dtype=bool)
+        found = np.empty((*closed.shape, closed.shape[1]))
+        if kernel.inverses_of(self.handle, len(closed), signs(closed), doubles(found)):
+            raise ConvergenceError("contact: the compliance of the closed pairs is singular")
+        return found
 
     def forces(self, gap: np.ndarray, closed: np.ndarray) -> np.ndarray:
         """(D_AA)^-1 s_A of gaps s (n, n_pairs) with the sets closed (n, n_pairs)."""
-        sets, which = unique_sets(closed)
+        gap, closed = np.ascontiguousarray(gap), np.ascontiguousarray(closed, dtype=bool)
         force = np.empty_like(gap)
-        order = np.argsort(which, kind="stable")
-        ends = np.searchsorted(which[order], np.arange(len(sets) + 1))
-        for number, members in enumerate(sets):
-            rows = order[ends[number] : ends[number + 1]]
-            force[rows] = gap[rows] @ self.stiffness(members)
+        count = len(gap)
+        if kernel.forces_with(self.handle, count, doubles(gap), signs(closed), doubles(force)):
+            raise ConvergenceError("contact: the compliance of the closed pairs is singular")
         return force
 
     def solve(
         self, gap: np.ndarray, closed: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Forces [N] and sets of closed pairs of gaps s (n, n_pairs) [m], from a guess of these."""
-        closed = gap > 0.0 if closed is None else closed.copy()
-        force = np.zeros_like(gap)
-        allowed = ROUNDING * float(np.abs(gap).max(initial=0.0))
-        open_rows: np.ndarray = np.arange(len(gap))
-        for _ in range(MAX_ITERATIONS):
-            here, sets = gap[open_rows], closed[open_rows]
-            found = self.forces(here, sets)
-            opening = found @ self.compliance - here
-            now = np.where(sets, found > 0.0, opening < -allowed)
-            force[open_rows] = found
-            closed[open_rows] = now
-            open_rows = open_rows[np.any(now != sets, axis=1)]
-            if not len(open_rows):
-                return force, closed
-        for row in open_rows:
+        gap = np.ascontiguousarray(gap)
+        closed = np.array(gap > 0.0 if closed is None else closed, dtype=bool, order="C")
+        force, failed = np.zeros_like(gap), np.empty(len(gap), dtype=bool)
+        kernel.forces_of(
+            self.handle, len(gap), doubles(gap), ROUNDING, signs(closed), doubles(force),
+            signs(failed),
+        )  # fmt: skip
+        for row in np.flatnonzero(failed):
             force[row] = by_least_squares(self.compliance, gap[row])
             closed[row] = force[row] > 0.0
         return force, closed

@@ -17,10 +17,12 @@ there, with Q z the gap of a state and R_inf what answers at once
 
 so that 0 <= lambda, (R_inf + I/k + Q Gamma) lambda - s_free >= 0, complementary: nothing
 penetrates, or only as far as the law lets it. Where the set of closed pairs stays, this is one
-product with a matrix that is kept. The scheme is of second order in h, and without contact exact.
-The work of a held force is known exactly, so that in a step between equal sets of closed pairs no
-energy is created: it is stable for any step. (With forces linear over the step it would not be:
-with mass at the lips that is the method of linear acceleration.)
+product with a matrix that is kept. Modes that the damping leaves uncoupled move by themselves, so
+that a step costs little more than 2 n_modes n_pairs products (``kernel/march.c``). The scheme is of
+second order in h, and without contact exact. The work of a held force is known exactly, so that in
+a step between equal sets of closed pairs no energy is created: it is stable for any step. (With
+forces linear over the step it would not be: with mass at the lips that is the method of linear
+acceleration.)
 
 With the sets A of a step's ends, forces follow lambda_A = (D_AA)^-1 s_A, and the step's tangent is
 
@@ -38,15 +40,13 @@ import numpy as np
 import scipy.linalg
 
 from fenics_crack.errors import ConvergenceError, InputError
-from fenics_crack.model.complementarity import solve_complementarity
+from fenics_crack.kernel import Struct, doubles, kernel, signs
 from fenics_crack.model.contact import ContactLaw, check_law, is_piecewise_linear, is_rigid
+from fenics_crack.model.coupled import ActiveSets
 from fenics_crack.model.modal import AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
 
 __all__ = ["ExponentialFlow", "Steps"]
-
-MAX_KEPT = 2**28
-"""Bytes of matrices of sets of closed pairs that are kept."""
 
 
 class ExponentialFlow:
@@ -90,7 +90,7 @@ class ExponentialFlow:
         if is_rigid(contact) and pairs and np.linalg.eigvalsh(self.residual)[0] <= 0.0:
             allowed = "one whose lips have no mass: reduce_structure(structure, method='massless')"
             raise InputError("structure", repr(structure), allowed)
-        self._static = _Sets(self.residual + np.diag(self.springs))
+        self._static = ActiveSets(self.residual + np.diag(self.springs))
         self._prepare()
 
     def at(self, omega: float) -> ExponentialFlow:
@@ -103,19 +103,22 @@ class ExponentialFlow:
 
     def _prepare(self) -> None:
         """Everything that depends on the length of a step."""
-        modes, count = self.modes, len(self.modes.squares)
+        modes, (count, pairs) = self.modes, self.modes.pairs.shape
         self.step_size = h = 2.0 * np.pi / self.omega / self.steps
-        self._moved, held = _transition(modes, h)
-        self._pushed = 0.5 * held  # Gamma
-        self.gap_rows = np.hstack([modes.pairs.T, np.zeros((self.structure.n_pairs, count))])
-        moved_gap = modes.pairs.T @ self._pushed[:count]
-        self._contact = _Sets(self.residual + np.diag(self.springs) + moved_gap)
-        # [E, -Gamma; Q E, -Q Gamma]: the state and the gap that a step reaches without forces at
-        # its end.
-        free = np.hstack([self._moved, -self._pushed])
-        self._free = np.vstack([free, self.gap_rows @ free])
+        moved, held = _transition(modes, h)
+        pushed = 0.5 * held  # Gamma
+        self.gap_rows = np.hstack([modes.pairs.T, np.zeros((pairs, count))])
+        moved_gap = modes.pairs.T @ pushed[:count]
         self._prepare_load()
-        self._tangents: dict[tuple[bytes, bytes], np.ndarray] = {}
+        springs = self.residual + np.diag(self.springs)
+        self._known = Struct(
+            "exponential", modes=count, pairs=pairs, instants=self.steps,
+            coupled=modes.damping.ndim == 2, moved=moved, rows=np.ascontiguousarray(modes.pairs.T),
+            pushed=np.ascontiguousarray(pushed.T), gaps=np.ascontiguousarray(moved_gap),
+            linear=self.linear_gap, steady=self.steady,
+            contact=ActiveSets(springs + moved_gap).handle, now=self._static.handle,
+            room=np.empty(4 * count + 4 * pairs),
+        )  # fmt: skip
 
     def _prepare_load(self) -> None:
         """Steady response to the load without contact at all instants of its period."""
@@ -129,11 +132,11 @@ class ExponentialFlow:
         rate = np.vstack([0.0 * mean, -omega * first.imag, -omega * first.real])
         self.steady = waves @ np.hstack([shape, rate])
         """(N, 2 n_modes)"""
-        gap = self.steady @ self.gap_rows.T - structure.clearance
+        gap = waves @ (shape @ modes.pairs) - structure.clearance
         if modes.static_loads is not None:
             static = structure.force @ modes.static_loads
             gap += waves @ structure.apply_bt(static)
-        self.linear_gap = gap
+        self.linear_gap = np.ascontiguousarray(gap)
         """(N, n_pairs) [m]"""
 
     def state(self, displacement: np.ndarray, velocity: np.ndarray) -> np.ndarray:
@@ -141,58 +144,52 @@ class ExponentialFlow:
         inverse = self.modes.inverse
         return np.concatenate([inverse @ displacement, inverse @ velocity])
 
-    def coordinates(self, states: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """Displacements (n, n_dofs) of states (n, 2 n_modes) at instants from phase 0 on."""
+    def coordinates(
+        self, states: np.ndarray, force: np.ndarray, dofs: np.ndarray | slice = slice(None)
+    ) -> np.ndarray:
+        """Displacements (n, n_dofs), or of some dofs, of states (n, 2 n_modes) at instants from
+        phase 0 on."""
         modes, structure = self.modes, self.structure
-        found = states[:, : len(modes.squares)] @ modes.shapes.T
+        found: np.ndarray = states[:, : len(modes.squares)] @ modes.shapes[dofs].T
         if modes.static_loads is not None and modes.static_pairs is not None:
             phase = 2.0 * np.pi * np.arange(len(states)) / self.steps
             waves = np.column_stack([np.ones_like(phase), np.cos(phase), np.sin(phase)])
-            found += waves @ (structure.force @ modes.static_loads) - force @ modes.static_pairs.T
+            loads = structure.force @ modes.static_loads[:, dofs]
+            found += waves @ loads - force @ modes.static_pairs[dofs].T
         return found
 
     def advance(self, state: np.ndarray, periods: int = 1) -> Steps:
-        """March whole periods of the load from phase 0."""
+        """March whole periods of the load from phase 0.
+
+        Raises ConvergenceError where the contact forces of a step are not found.
+        """
         count, pairs = len(state), self.structure.n_pairs
         total = periods * self.steps
-        states, forces = np.empty((total + 1, count)), np.zeros((total + 1, pairs))
-        closed = np.zeros((total + 1, pairs), dtype=bool)
-        steady, linear, free = self.steady, self.linear_gap, self._free
+        states, forces = np.empty((total + 1, count)), np.empty((total + 1, pairs))
+        closed = np.empty((total + 1, pairs), dtype=bool)
         states[0] = state
-        forces[0] = self._static.solve(self.gap_rows @ (state - steady[0]) + linear[0])
-        closed[0] = forces[0] > 0.0
-        now = np.concatenate([state - steady[0], forces[0]])
-        contact, pushed = self._contact, self._pushed
-        active = closed[0]
-        known = contact.of(active)
-        for step in range(1, total + 1):
-            reached = free @ now
-            gap = reached[count:] + linear[step % self.steps]
-            answer = known.matrix @ gap
-            if answer.size and answer.min() < 0.0:
-                force = solve_complementarity(contact.compliance, gap, active)
-                active = force > 0.0
-                known = contact.of(active)
-            else:
-                force = answer * active
-            now = np.concatenate([reached[:count] - pushed @ force, force])
-            states[step], forces[step], closed[step] = now[:count], force, active
-        instants = np.arange(total + 1) % self.steps
-        states[1:] += steady[instants[1:]]
+        gap = self.gap_rows @ (state - self.steady[0]) + self.linear_gap[0]
+        forces[:1], closed[:1] = self._static.solve(gap[None])
+        done = kernel.march_exponential(
+            self._known.at, total, doubles(states), doubles(forces), signs(closed)
+        )
+        if done < total:
+            raise ConvergenceError(
+                f"exponential: the contact forces of step {done + 1} were not found"
+            )
         return Steps(self, states, forces, closed)
 
-    def tangent(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """dz_{n+1} / dz_n between instants with these sets of closed pairs."""
-        key = before.tobytes(), after.tobytes()
-        if key not in self._tangents:
-            if (len(self._tangents) + 1) * self._moved.nbytes > MAX_KEPT:
-                self._tangents.clear()
-            rows, count = self.gap_rows, len(self._moved)
-            found = self._moved - self._pushed @ (self._static.of(before).stiffness @ rows)
-            force = self._contact.of(after).stiffness @ (rows @ found)
-            self._tangents[key] = found - self._pushed @ force
-            assert found.shape == (count, count)
-        return self._tangents[key]
+    def tangent(self, closed: np.ndarray) -> np.ndarray:
+        """dz_N / dz_0 of N steps with the sets of closed pairs (N + 1, n_pairs) at their ends."""
+        count, pairs = self.modes.pairs.shape
+        wide = 2 * count
+        product, closed = np.eye(wide), np.ascontiguousarray(closed, dtype=bool)
+        work = np.empty(2 * wide**2 + 3 * pairs * wide + pairs**2)
+        failed = kernel.tangent_of_steps(
+            self._known.at, len(closed) - 1, signs(closed), doubles(product), doubles(work)
+        )
+        assert not failed  # the march has solved with these sets
+        return product
 
 
 class Steps:
@@ -225,66 +222,16 @@ class Steps:
         return int(np.sum(self.closed[1:] != self.closed[:-1]))
 
     def monodromy(self) -> np.ndarray:
-        """M, the product of the steps' tangents; equal ones by powers."""
-        flow, closed = self._flow, self.closed
-        changes = np.flatnonzero(np.any(closed[1:] != closed[:-1], axis=1))
-        product: np.ndarray = np.eye(self.states.shape[1])
-        begin = 0
-        powers: dict[tuple[bytes, int], np.ndarray] = {}
-        for change in [*map(int, changes), len(closed) - 1]:
-            if change > begin:
-                key = closed[begin].tobytes(), change - begin
-                if key not in powers:
-                    still = flow.tangent(closed[begin], closed[begin])
-                    powers[key] = np.linalg.matrix_power(still, change - begin)
-                product = powers[key] @ product
-            if change < len(closed) - 1:
-                product = flow.tangent(closed[change], closed[change + 1]) @ product
-            begin = change + 1
-        return product
-
-
-class _Known:
-    """What belongs to a set A of closed pairs."""
-
-    def __init__(self, compliance: np.ndarray, closed: np.ndarray) -> None:
-        self.stiffness = np.zeros_like(compliance)
-        """(D_AA)^-1, zero outside A."""
-        block = np.ix_(closed, closed)
-        self.stiffness[block] = np.linalg.inv(compliance[block])
-        opening = compliance @ self.stiffness - np.eye(len(closed))
-        self.matrix = np.where(closed[:, None], self.stiffness, opening)
-        """Forces of closed pairs and openings of the others from the gaps: all >= 0 if A is
-        right."""
-
-
-class _Sets:
-    """Matrices of sets of closed pairs under a compliance D, kept."""
-
-    def __init__(self, compliance: np.ndarray) -> None:
-        self.compliance = compliance
-        self._kept: dict[bytes, _Known] = {}
-
-    def of(self, closed: np.ndarray) -> _Known:
-        """What belongs to a set."""
-        key = closed.tobytes()
-        if key not in self._kept:
-            if 2 * (len(self._kept) + 1) * self.compliance.nbytes > MAX_KEPT:
-                self._kept.clear()
-            self._kept[key] = _Known(self.compliance, closed)
-        return self._kept[key]
-
-    def solve(self, gap: np.ndarray) -> np.ndarray:
-        """Forces of gaps (n_pairs,); none where D is singular: with mass at the lips they are
-        those of the next step."""
-        if not len(gap) or not np.any(self.compliance):
-            return np.zeros_like(gap)
-        return solve_complementarity(self.compliance, gap)
+        """M, the product of the steps' tangents."""
+        return self._flow.tangent(self.closed)
 
 
 def _transition(modes: AllModes, h: float) -> tuple[np.ndarray, np.ndarray]:
-    """E (2n, 2n), and the response to unit forces on the pairs that are held over the step:
-    (2n, n_pairs)."""
+    """E, and the response to unit forces on the pairs that are held over the step (2n, n_pairs).
+
+    Where damping leaves the modes uncoupled E is given by the diagonals of its blocks, (4, n),
+    else whole, (2n, 2n).
+    """
     count, pairs = modes.pairs.shape
     if modes.damping.ndim == 1:
         # Mode by mode: exp of h [A, b; 0, 0], scaled to balance q and q'.
@@ -294,20 +241,16 @@ def _transition(modes: AllModes, h: float) -> tuple[np.ndarray, np.ndarray]:
         system[:, 1, 0], system[:, 1, 1] = -modes.squares / scale, -modes.damping
         system[:, 1, 2] = 1.0
         found = scipy.linalg.expm(h * system)
-        moved = np.zeros((2 * count, 2 * count))
-        place = np.arange(count)
-        moved[place, place], moved[count + place, count + place] = found[:, 0, 0], found[:, 1, 1]
-        moved[place, count + place] = found[:, 0, 1] / scale
-        moved[count + place, place] = found[:, 1, 0] * scale
+        blocks = found[:, 0, 0], found[:, 0, 1] / scale, found[:, 1, 0] * scale, found[:, 1, 1]
         shape = (found[:, 0, 2] / scale)[:, None] * modes.pairs
-        return moved, np.vstack([shape, found[:, 1, 2][:, None] * modes.pairs])
+        return np.array(blocks), np.vstack([shape, found[:, 1, 2][:, None] * modes.pairs])
     whole = np.zeros((2 * count + pairs,) * 2)
     whole[:count, count : 2 * count] = np.eye(count)
     whole[count : 2 * count, :count] = -np.diag(modes.squares)
     whole[count : 2 * count, count : 2 * count] = -modes.damping
     whole[count : 2 * count, 2 * count :] = modes.pairs
     found = scipy.linalg.expm(h * whole)[: 2 * count]
-    return found[:, : 2 * count], found[:, 2 * count :]
+    return np.ascontiguousarray(found[:, : 2 * count]), found[:, 2 * count :]
 
 
 def _response(modes: AllModes, omega: float, force: np.ndarray) -> np.ndarray:

@@ -66,7 +66,6 @@ class _ByExponentials(Scheme):
         # Coordinates without mass are no displacements: compared by the work of the load.
         self._load_sizes = np.linalg.norm(asked.structure.force[:, asked.load_rows], axis=0)
         self._state = flow.state(*asked.start)
-        self._motion = asked.start[0]
         self._work = self._lost = 0.0
         self._first: float | None = None
         self._put_in = 0.0
@@ -75,40 +74,41 @@ class _ByExponentials(Scheme):
         flow = self._flow
         steps = flow.advance(self._state)
         window.gap[:], window.force[:] = steps.gap, steps.forces[:-1]
-        motion = flow.coordinates(steps.states, steps.forces)
-        window.motion[:] = motion[:-1, self._columns]
-        window.load_motion[:] = motion[:-1, self._load_rows] * self._load_sizes
-        self._state, self._motion = steps.states[-1], motion[-1]
-        self._book(steps, motion)
+        window.motion[:] = flow.coordinates(steps.states[:-1], steps.forces[:-1], self._columns)
+        load_motion = flow.coordinates(steps.states, steps.forces, self._load_rows)
+        window.load_motion[:] = load_motion[:-1] * self._load_sizes
+        self._state = steps.states[-1]
+        self._motion = flow.coordinates(steps.states[-1:], steps.forces[-1:])[0]
+        self._book(steps, load_motion)
 
-    def _book(self, steps: Steps, motion: np.ndarray) -> None:
+    def _book(self, steps: Steps, load_motion: np.ndarray) -> None:
         """Energy at both ends, put in by the load, and lost in the modes' damping."""
-        flow, structure = self._flow, self._flow.structure
+        flow, force = self._flow, self._flow.structure.force[:, self._load_rows]
         count = len(flow.modes.squares)
         rate = steps.states[:, count:]
-        lost = np.sum(flow.modes.damped(rate) * rate, axis=1)
+        lost = np.einsum("nj,nj->n", flow.modes.damped(rate), rate)
         self._lost += flow.step_size * float(np.sum(0.5 * (lost[1:] + lost[:-1])))
-        phase = 2.0 * np.pi * np.arange(len(motion)) / flow.steps
+        phase = 2.0 * np.pi * np.arange(len(load_motion)) / flow.steps
         waves = np.column_stack([np.ones_like(phase), np.cos(phase), np.sin(phase)])
-        conjugate = motion @ structure.force.T
+        conjugate = load_motion @ force.T
         gained = float(np.sum(0.5 * (waves[1:] + waves[:-1]) * np.diff(conjugate, axis=0)))
         self._work += gained
-        energies = [self._energy(steps, motion, place) for place in (0, -1)]
         if self._first is None:
-            self._first = energies[0]
-            self._put_in = abs(energies[0])
+            first = flow.coordinates(steps.states[:1], steps.forces[:1])[0]
+            self._first = self._energy(steps, first, 0)
+            self._put_in = abs(self._first)
         self._put_in += abs(gained)
         if self._put_in > 0.0:
-            created = energies[1] + self._lost - self._first - self._work
-            self.created_share = created / self._put_in
+            now = self._energy(steps, self._motion, -1)
+            self.created_share = (now + self._lost - self._first - self._work) / self._put_in
 
     def _energy(self, steps: Steps, motion: np.ndarray, place: int) -> float:
-        """Kinetic, elastic, and contact energy at an instant."""
+        """Kinetic, elastic, and contact energy at an instant with displacement (n_dofs,)."""
         flow = self._flow
         structure, count = flow.structure, len(flow.modes.squares)
         stretched = structure.stiffness.createVecLeft()
         shape = structure.stiffness.createVecRight()
-        shape.array_w[:] = motion[place]
+        shape.array_w[:] = motion
         structure.stiffness.mult(shape, stretched)
         energy = 0.5 * float(shape.array_r @ stretched.array_r)
         shape.destroy()

@@ -1,0 +1,110 @@
+/* Marches of a small structure, step by step, in its modal coordinates
+ *
+ *     q'' + c q' + w^2 q + P lambda = f(t),     gap = P^T q - g0,      f = f_0 + f_c cos + f_s sin,
+ *
+ * with n modes and p pairs. "By mode" is an array (n) where the damping c leaves the modes
+ * uncoupled, and a matrix (n, n) where it couples them.
+ */
+#ifndef MARCH_H
+#define MARCH_H
+
+#include "sets.h"
+
+typedef struct {
+    int modes, pairs;
+    int coupled;             /* whether the damping couples the modes */
+    const double *squares;   /* (n) w^2 */
+    const double *rows;      /* (p, n) P^T */
+    const double *clearance; /* (p) g0 */
+    const double *springs;   /* (p) k of the penalty law; NULL: rigid contact */
+    const double *load;      /* (3, n) f_0, f_c, f_s */
+    const double *waves;     /* (instants + 1, 3) 1, cos, sin of a period */
+    double *room;            /* (6 n + 8 p) */
+} vibration;
+
+/* Central differences in increments d_m = q_m - q_{m-1}, with r = f - w^2 q - P lambda:
+ *
+ *     d_{m+1} = keep d_m + gain r_m,  keep = (2 + dt c)^-1 (2 - dt c),  gain = 2 dt^2 (2 + dt c)^-1,
+ *
+ * with the penalty law lambda = k max(0, gap), or rigid: 0 <= lambda, gap_{m+1} <= 0,
+ * complementary, where gap_{m+1} falls by P^T gain P lambda.
+ */
+typedef struct {
+    vibration body;
+    const double *keep, *gain; /* by mode */
+    const double *push;        /* (p, n) columns of gain P */
+    sets *contact;             /* of P^T gain P; rigid only */
+    double *shape, *increment; /* (n) q, d */
+    signed char *closed;       /* (p) of the last step; rigid only */
+} central_differences;
+
+/* March `steps` steps from instant `first` of the period; gap, force (steps, p) and shape (steps,
+ * n) are those at their starts. Returns the steps made: fewer if forces were not found. */
+int march_central(const central_differences *s, int first, int steps, double *gap, double *force,
+                  double *shape);
+
+/* Generalised alpha, with x_{m+1-s} = (1 - s) x_{m+1} + s x_m,
+ *
+ *     a_{m+1-am} + c v_{m+1-af} + w^2 q_{m+1-af} + P h = f_{m+1-af},
+ *     q_{m+1} = q + dt v + dt^2 ((1/2 - beta) a + beta a_{m+1}),
+ *     v_{m+1} = v + dt ((1 - gamma) a + gamma a_{m+1}),
+ *
+ * so that A a_{m+1} = r - P h with A = 1 - am + (1 - af) (gamma dt c + beta dt^2 w^2).
+ * Penalty: h = (V(g_{m+1}) - V(g_m)) / (g_{m+1} - g_m) + (1/2 - af) (lambda_{m+1} - lambda_m) with
+ * V = k max(0, g)^2 / 2, and g_{m+1} = g_free - D h, by Newton's method.
+ * Rigid: impulses at the start of the step, such that no gap penetrates at its end, and impulses
+ * at its end that stop closed pairs from closing further; both are complementarity problems.
+ */
+typedef struct {
+    vibration body;
+    double dt, am, af, beta, gamma;
+    const double *damping, *inverse; /* c and A^-1 by mode */
+    const double *pull;              /* (p, n) what unit forces or impulses take from a */
+    const double *compliance;        /* (p, p) D */
+    const double *kick;              /* (p, n) what unit impulses take from v; rigid only */
+    sets *ends, *stops;              /* of D, and of P^T kick; rigid only */
+    double *shape, *velocity, *acceleration; /* (n) */
+    double *held;                    /* (p) h, or the impulses, of the last step */
+    signed char *closed;             /* (2 p) of the last step, and room; rigid only */
+    double *matrix;                  /* (p, p) room */
+    int *pivots;                     /* (p) room */
+    double lost;                     /* energy lost in c */
+} generalised_alpha;
+
+/* As march_central. */
+int march_alpha(generalised_alpha *s, int first, int steps, double *gap, double *force,
+                double *shape);
+
+/* Exponential steps of z = (q, q') less the steady motion without contact:
+ *
+ *     z_{m+1} = E z_m - G (lambda_m + lambda_{m+1}),     s_{m+1} = [P^T 0] (E z_m - G lambda_m) + l,
+ *     0 <= lambda_{m+1},  D lambda_{m+1} - s_{m+1} >= 0,  complementary.
+ */
+typedef struct {
+    int modes, pairs, instants;
+    int coupled;           /* whether the damping couples the modes */
+    const double *moved;   /* E: (4, n) its blocks' diagonals qq, qv, vq, vv, or whole (2 n, 2 n) */
+    const double *rows;    /* (p, n) P^T */
+    const double *pushed;  /* (p, 2 n) G^T */
+    const double *gaps;    /* (p, p) [P^T 0] G */
+    const double *linear;  /* (instants, p) l: the gap of the steady motion */
+    const double *steady;  /* (instants, 2 n) */
+    sets *contact, *now;   /* of D, and of D less [P^T 0] G: forces of an instant by its state */
+    double *room;          /* (4 n + 4 p) */
+} exponential;
+
+/* March from phase zero. states (steps + 1, 2 n), forces and closed (steps + 1, p): their first rows
+ * are given. Returns the steps made: fewer if forces were not found. */
+int march_exponential(const exponential *s, int steps, double *states, double *forces,
+                      signed char *closed);
+/* product = (tangent of all these steps) product, (2 n, 2 n), by the sets closed (steps + 1, p) at
+ * their ends:
+ *
+ *     dz_{m+1} = (I - G S'_{m+1} Q) (E - G S_m Q) dz_m,      Q = [P^T 0],
+ *
+ * S and S' the inverses on the sets, zero outside; equal steps by powers. work: 2 (2 n)^2 +
+ * 3 p (2 n) + p^2 numbers. Returns 0, or 1 where an inverse does not exist. */
+int tangent_of_steps(const exponential *s, int steps, const signed char *closed, double *product,
+                     double *work);
+
+#endif
