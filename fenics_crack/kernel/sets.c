@@ -168,16 +168,3 @@ int inverses_of(sets *s, int count, const signed char *closed, double *inverse)
     }
     return 0;
 }
-
-int forces_with(sets *s, int count, const double *gap, const signed char *closed, double *force)
-{
-    const int n = s->n;
-    for (int t = 0; t < count; t++, gap += n, closed += n, force += n) {
-        const double *answer = answer_of(s, closed);
-        if (!answer) return 1;
-        multiply(n, n, answer, gap, force);
-        for (int i = 0; i < n; i++)
-            if (!closed[i]) force[i] = 0.0;
-    }
-    return 0;
-}

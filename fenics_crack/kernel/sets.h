@@ -32,7 +32,5 @@ void forces_of(sets *s, int count, const double *gap, double allowed, signed cha
 /* (D_AA)^-1, zero outside A, of `count` sets: inverse (count, n, n). Returns 1 where one is
  * singular. */
 int inverses_of(sets *s, int count, const signed char *closed, double *inverse);
-/* Forces (D_AA)^-1 g_A of gaps (count, n) with sets that are known. The same is returned. */
-int forces_with(sets *s, int count, const double *gap, const signed char *closed, double *force);
 
 #endif

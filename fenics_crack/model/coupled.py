@@ -79,15 +79,6 @@ class ActiveSets:
             raise ConvergenceError("contact: the compliance of the closed pairs is singular")
         return found
 
-    def forces(self, gap: np.ndarray, closed: np.ndarray) -> np.ndarray:
-        """(D_AA)^-1 s_A of gaps s (n, n_pairs) with the sets closed (n, n_pairs)."""
-        gap, closed = np.ascontiguousarray(gap), np.ascontiguousarray(closed, dtype=bool)
-        force = np.empty_like(gap)
-        count = len(gap)
-        if kernel.forces_with(self.handle, count, doubles(gap), signs(closed), doubles(force)):
-            raise ConvergenceError("contact: the compliance of the closed pairs is singular")
-        return force
-
     def solve(
         self, gap: np.ndarray, closed: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:

@@ -45,7 +45,7 @@ def test_sets_are_those_of_every_instant(pairs: int, harmonics: int, seed: int) 
     # The forces on both sides of an event are the same: they vanish, or begin, there.
     values = evaluate(gap, 1.0, intervals.theta[1:])
     before, after = (
-        contact.forces(values, intervals.sets[rows])
+        np.einsum("npq,nq->np", contact.stack(intervals.sets[rows]), values)
         for rows in (intervals.which[:-1], intervals.which[1:])
     )
     largest = np.abs(contact.solve(evaluate(gap, 1.0, theta))[0]).max()
