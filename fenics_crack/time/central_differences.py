@@ -15,9 +15,11 @@ Modal damping C = M Phi diag(c) Phi^T M is inverted exactly: with s = dt c / (2 
     d_{n+1} = d_n + dt^2 M^-1 r_n - Phi s (dt^2 Phi^T r_n + 2 q_n),     q_n = Phi^T M d_n,
 
 where q is carried along, so that one step costs a product with K, a solution with M and two
-products with Phi. The scheme is second order. Steps beyond dt = 2 / omega_max, omega_max the
-largest natural frequency with every pair closed, are unstable and refused. Below that the scheme
-conserves energy as long as no pair changes its state; a contact from step a to step b creates
+products with Phi. Small structures are marched in the coordinates of all their modes instead, by
+the kernel (:mod:`fenics_crack.time.steps`). The scheme is second order. Steps beyond
+dt = 2 / omega_max, omega_max the largest natural frequency with every pair closed, are unstable and
+refused. Below that the scheme conserves energy as long as no pair changes its state; a contact from
+step a to step b creates
 
     1/2 k (g_b |g_{b+1}| - g_a |g_{a-1}|),
 
@@ -44,15 +46,24 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenics_crack.errors import InputError, check_omega
+from fenics_crack.kernel import Struct, doubles, kernel
 from fenics_crack.model.complementarity import solve_complementarity
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
+from fenics_crack.model.coupled import ActiveSets
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.modes import by_columns, largest_frequency
 from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import collect_garbage
 from fenics_crack.time.march import March, TimeHistory, Window, march
-from fenics_crack.time.steps import StepScheme, inverse_of, solve_once
+from fenics_crack.time.steps import (
+    LoopedSteps,
+    ModalSteps,
+    StepScheme,
+    inverse_of,
+    modal_steps,
+    solve_once,
+)
 
 __all__ = ["integrate_central_difference", "stable_steps_per_period"]
 
@@ -111,14 +122,77 @@ def integrate_central_difference(
         raise InputError(
             "steps_per_period", steps_per_period, f">= {least}, the stable limit of the scheme"
         )
-    return march(asked, _CentralDifferences(asked))
+    scheme = _ModalDifferences if modal_steps(asked) else _CentralDifferences
+    return march(asked, scheme(asked))
 
 
-class _CentralDifferences(StepScheme):
-    """State and one step of the scheme."""
+class _Energy(StepScheme):
+    """The account of energy: what contact creates by its opening and closing between steps."""
 
     name = "central differences"
     remedy = "take more steps per period"
+
+    def __init__(self, asked: March) -> None:
+        super().__init__(asked)
+        pairs, rows = self.structure.n_pairs, len(self.load_rows)
+        self._tail: list[np.ndarray] = [
+            np.empty((0, width)) for width in (rows, pairs, pairs, rows)
+        ]
+
+    def _book(self, window: Window) -> None:
+        """Work over a step is force times half the displacement from the step before to the one
+        after, for which the scheme balances kinetic and elastic energy exactly."""
+        period = self.load, window.gap, window.force, window.load_motion
+        parts = [np.vstack(part) for part in zip(self._tail, period, strict=True)]
+        self._tail = [part[-2:] for part in parts]
+        load, gap, force, motion = parts
+        self._created -= 0.5 * float(np.sum(force[1:-1] * (gap[2:] - gap[:-2])))
+        if not self.rigid:
+            stored = 0.25 * (gap * force).sum(axis=1)
+            self._created += stored[-2:].sum() - stored[:2].sum()
+        self._put_in += abs(self._total(0.5 * np.sum(load[1:-1] * (motion[2:] - motion[:-2]))))
+
+
+class _ModalDifferences(_Energy, ModalSteps):
+    """In modal coordinates, by the kernel."""
+
+    def __init__(self, asked: March) -> None:
+        super().__init__(asked)
+        modes, dt = self.modes, self.step_size
+        rate = dt * modes.damping
+        if self.diagonal:
+            keep, gain = (2.0 - rate) / (2.0 + rate), 2.0 * dt**2 / (2.0 + rate)
+        else:
+            unit = np.eye(len(rate))
+            keep = np.linalg.solve(2.0 * unit + rate, 2.0 * unit - rate)
+            gain = 2.0 * dt**2 * np.linalg.inv(2.0 * unit + rate)
+        push = self.by_mode(gain, modes.pairs)
+        increment = dt * self.velocity - 0.5 * dt**2 * self.acceleration(self.velocity)
+        self.increment = increment
+        self._put_in = self.linear_energy()
+        sets = ActiveSets(modes.pairs.T @ push).handle if self.rigid else None
+        self._known = Struct(
+            "central_differences", body=self.body, keep=keep, gain=gain,
+            push=np.ascontiguousarray(push.T), contact=sets, shape=self.shape,
+            increment=increment, closed=np.zeros(self.structure.n_pairs, bool),
+        )  # fmt: skip
+
+    def _steps(self, first: int, gap: np.ndarray, force: np.ndarray, shape: np.ndarray) -> int:
+        return int(
+            kernel.march_central(
+                self._known.at, first, len(gap), doubles(gap), doubles(force), doubles(shape)
+            )
+        )
+
+    def state(self) -> tuple[np.ndarray, np.ndarray]:
+        backwards = velocity = self.increment / self.step_size
+        for _ in range(3):  # the acceleration depends on the velocity a little
+            velocity = backwards + 0.5 * self.step_size * self.acceleration(velocity)
+        return self.motion(velocity)
+
+
+class _CentralDifferences(_Energy, LoopedSteps):
+    """State and one step of the scheme."""
 
     def __init__(self, asked: March) -> None:
         super().__init__(asked)
@@ -144,8 +218,6 @@ class _CentralDifferences(StepScheme):
         if self.rigid:
             self._push, self._modal_push = self._response()
             self._compliance = structure.apply_bt(self._push.T).T
-        widths = len(self.load_rows), structure.n_pairs, structure.n_pairs, len(self.load_rows)
-        self._tail: list[np.ndarray] = [np.empty((0, width)) for width in widths]
         self._start(*asked.start)
 
     def _response(self) -> tuple[np.ndarray, np.ndarray]:
@@ -234,16 +306,3 @@ class _CentralDifferences(StepScheme):
         if not self.rigid:
             self.force = self.contact.force(self.gap)
             self.rhs[self._gap_rows] -= self._gap_block @ self.force
-
-    def _book(self, window: Window) -> None:
-        """Work over a step is force times half the displacement from the step before to the one
-        after, for which the scheme balances kinetic and elastic energy exactly."""
-        period = self.load, window.gap, window.force, window.load_motion
-        parts = [np.vstack(part) for part in zip(self._tail, period, strict=True)]
-        self._tail = [part[-2:] for part in parts]
-        load, gap, force, motion = parts
-        self._created -= 0.5 * float(np.sum(force[1:-1] * (gap[2:] - gap[:-2])))
-        if not self.rigid:
-            stored = 0.25 * (gap * force).sum(axis=1)
-            self._created += stored[-2:].sum() - stored[:2].sum()
-        self._put_in += abs(self._total(0.5 * np.sum(load[1:-1] * (motion[2:] - motion[:-2]))))

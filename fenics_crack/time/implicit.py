@@ -56,20 +56,30 @@ quotient, Simo and Tarnow, Zeitschrift fuer angewandte Mathematik und Physik 43 
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Any
 
 import numpy as np
 from petsc4py import PETSc
 
 from fenics_crack.errors import InputError, check_number
+from fenics_crack.kernel import Struct, doubles, kernel
 from fenics_crack.model.complementarity import solve_complementarity, solve_forces
 from fenics_crack.model.contact import ContactLaw
+from fenics_crack.model.coupled import ActiveSets
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.modes import by_columns
 from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure
 from fenics_crack.time.march import March, TimeHistory, Window, march
-from fenics_crack.time.steps import StepScheme, inverse_of, solve_once
+from fenics_crack.time.steps import (
+    LoopedSteps,
+    ModalSteps,
+    StepScheme,
+    inverse_of,
+    modal_steps,
+    solve_once,
+)
 
 __all__ = ["integrate_implicit"]
 
@@ -118,29 +128,113 @@ def integrate_implicit(
     if spectral_radius > 1.0:
         raise InputError("spectral_radius", spectral_radius, "a number from 0 to 1")
     asked = March(structure, omega, contact, periods, steps_per_period, **options)
-    return march(asked, _GeneralisedAlpha(asked, float(spectral_radius)))
+    scheme = _ModalAlpha if modal_steps(asked) else _GeneralisedAlpha
+    return march(asked, scheme(asked, float(spectral_radius)))
 
 
-class _GeneralisedAlpha(StepScheme):
-    """State and one step of the scheme, and its energy.
-
-    Velocities and accelerations carry the modal ones of the damped modes, Phi^T M v, behind their
-    n_local entries, so that these need no product with Phi in a step.
-    """
+class _Energy(StepScheme):
+    """The scheme's constants, and its account of energy."""
 
     name = "generalised alpha"
     remedy = "take more steps per period or a smaller spectral radius"
 
     def __init__(self, asked: March, radius: float) -> None:
         super().__init__(asked)
-        structure, dt = self.structure, self.step_size
         self._am = (2.0 * radius - 1.0) / (radius + 1.0)
         self._af = radius / (radius + 1.0)
         self._gamma = 0.5 - self._am + self._af
         self._beta = 0.25 * (1.0 - self._am + self._af) ** 2
         self._inertia, self._now = 1.0 - self._am, 1.0 - self._af
-        self._x, self._y = structure.mass.createVecs()
         self._load_means = 0.5 * (self.load + np.roll(self.load, -1, axis=0))
+        self._work = 0.0
+
+    @abstractmethod
+    def _balance(self) -> tuple[float, float, np.ndarray]:
+        """Energy at this instant, energy lost in C so far, and the displacement at the load."""
+
+    def _begin(self) -> None:
+        """At time 0."""
+        self._first = self._put_in = self._balance()[0]
+
+    def _book(self, window: Window) -> None:
+        """The energy created is the residual of the balance."""
+        now, lost, end = self._balance()
+        ahead = np.vstack([window.load_motion[1:], end])
+        gained = self._total(np.sum(self._load_means * (ahead - window.load_motion)))
+        self._work += gained
+        self._put_in += abs(gained)
+        self._created = now + lost - self._first - self._work
+
+
+class _ModalAlpha(_Energy, ModalSteps):
+    """In modal coordinates, by the kernel."""
+
+    def __init__(self, asked: March, radius: float) -> None:
+        super().__init__(asked, radius)
+        modes, dt = self.modes, self.step_size
+        pairs = modes.pairs
+        spring, dashpot = self._now * self._beta * dt**2, self._now * self._gamma * dt
+        # A = 1 - am + (1 - af) (gamma dt c + beta dt^2 w^2), and the part D without damping.
+        undamped = self._inertia + spring * modes.squares
+        if self.diagonal:
+            inverse = 1.0 / (undamped + dashpot * modes.damping)
+        else:
+            inverse = np.linalg.inv(np.diag(undamped) + dashpot * modes.damping)
+        kick = sets = stops = None
+        if self.rigid:
+            kicked = (self._inertia / undamped)[:, None] * pairs
+            # C v of the whole step, K u of the end.
+            resisted = self.by_mode(modes.damping, kicked)
+            resisted += (self._now * dt) * modes.squares[:, None] * kicked
+            pull = -self.by_mode(inverse, resisted)
+            moved = dt * kicked + dt**2 * self._beta * pull
+            kick, stops = np.ascontiguousarray(kicked.T), ActiveSets(pairs.T @ kicked).handle
+        else:
+            pull = self.by_mode(inverse, pairs)
+            moved = dt**2 * self._beta * pull
+        compliance = np.ascontiguousarray(pairs.T @ moved)
+        if self.rigid:
+            sets = ActiveSets(compliance).handle
+        held = self.contact.force(self.measured()) if not self.rigid else np.zeros(pairs.shape[1])
+        self._known = Struct(
+            "generalised_alpha", body=self.body, dt=dt, am=self._am, af=self._af,
+            beta=self._beta, gamma=self._gamma, damping=np.ascontiguousarray(modes.damping),
+            inverse=inverse, pull=np.ascontiguousarray(pull.T), compliance=compliance, kick=kick,
+            ends=sets, stops=stops, shape=self.shape, velocity=self.velocity,
+            acceleration=self.acceleration(self.velocity), held=held,
+            closed=np.zeros(2 * pairs.shape[1], bool), matrix=np.empty_like(compliance),
+            pivots=np.empty(pairs.shape[1], np.intc),
+        )  # fmt: skip
+        self._begin()
+
+    def _steps(self, first: int, gap: np.ndarray, force: np.ndarray, shape: np.ndarray) -> int:
+        return int(
+            kernel.march_alpha(
+                self._known.at, first, len(gap), doubles(gap), doubles(force), doubles(shape)
+            )
+        )
+
+    def _balance(self) -> tuple[float, float, np.ndarray]:
+        energy = self.linear_energy()
+        if not self.rigid:
+            energy += float(_potential(self.contact, self.measured()).sum())
+        return energy, self._known.at.lost, self.load_motion()
+
+    def state(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.motion(self.velocity)
+
+
+class _GeneralisedAlpha(_Energy, LoopedSteps):
+    """State and one step of the scheme, and its energy.
+
+    Velocities and accelerations carry the modal ones of the damped modes, Phi^T M v, behind their
+    n_local entries, so that these need no product with Phi in a step.
+    """
+
+    def __init__(self, asked: March, radius: float) -> None:
+        super().__init__(asked, radius)
+        structure, dt = self.structure, self.step_size
+        self._x, self._y = structure.mass.createVecs()
         self._prepare_matrix(self._now * self._beta * dt**2, self._now * self._gamma * dt)
         self._prepare_contact()
         self._start(*asked.start)
@@ -207,8 +301,8 @@ class _GeneralisedAlpha(StepScheme):
         acceleration = solve_once(structure.mass, right[:, None])
         self._velocity = self._with_modal(velocity[:, None])[:, 0]
         self._acceleration = self._with_modal(acceleration)[:, 0]
-        self._work = self._lost = 0.0
-        self._first_energy = self._put_in = self._energy()
+        self._lost = 0.0
+        self._begin()
 
     def advance(self, step: int) -> None:
         dt, local = self.step_size, self.structure.n_local
@@ -285,20 +379,11 @@ class _GeneralisedAlpha(StepScheme):
 
     # --- energy -----------------------------------------------------------------------------------
 
-    def _book(self, window: Window) -> None:
-        """The energy created is the residual of the balance."""
-        ahead = np.vstack([window.load_motion[1:], self.displacement[self.load_rows]])
-        gained = self._total(np.sum(self._load_means * (ahead - window.load_motion)))
-        self._work += gained
-        self._put_in += abs(gained)
-        self._created = self._energy() + self._lost - self._first_energy - self._work
-
-    def _energy(self) -> float:
-        """Kinetic, elastic, and contact energy at this instant."""
+    def _balance(self) -> tuple[float, float, np.ndarray]:
         energy = self._linear_energy(*self.state())
         if not self.rigid:
             energy += float(_potential(self.contact, self._measured(self.displacement)).sum())
-        return energy
+        return energy, self._lost, self.displacement[self.load_rows]
 
     def _dissipated(self, velocity: np.ndarray) -> float:
         """v^T C v [W]."""

@@ -1,4 +1,10 @@
-"""What step-by-step schemes share: data, the loop over a period, linear algebra."""
+"""What step-by-step schemes share: their account of energy, and how a period is marched.
+
+Small structures on one rank, under the penalty law or without penetration, are marched in their
+modal coordinates by the kernel (``kernel/march.c``): where damping leaves the modes uncoupled a
+step costs a few operations for each mode. Large ones, ranks that share one, and other laws go step
+by step, with PETSc's matrices.
+"""
 
 from __future__ import annotations
 
@@ -9,46 +15,45 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenics_crack.errors import ConvergenceError
+from fenics_crack.kernel import Struct
 from fenics_crack.model.complementarity import solve_complementarity
-from fenics_crack.model.contact import is_rigid
+from fenics_crack.model.contact import is_piecewise_linear, is_rigid
+from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import by_columns, damped_modes, times
 from fenics_crack.time.march import March, Scheme, Window
 
-__all__ = ["StepScheme", "inverse_of", "solve_once"]
+__all__ = ["LoopedSteps", "ModalSteps", "StepScheme", "inverse_of", "modal_steps", "solve_once"]
+
+BLOCK = 2**17
+"""Numbers of modal coordinates that are kept at a time."""
+
+
+def modal_steps(asked: March) -> bool:
+    """Whether a march is the kernel's (:class:`ModalSteps`)."""
+    known = is_piecewise_linear(asked.contact) or is_rigid(asked.contact)
+    return known and is_small(asked.structure)
 
 
 class StepScheme(Scheme):
-    """A scheme that marches step by step."""
+    """A scheme that marches step by step, and keeps account of the energy."""
 
     remedy: ClassVar[str]
     """What to do where contact creates energy."""
-    before: np.ndarray
-    """Displacement (n_local,) at the instant from which :meth:`advance` has started."""
-    gap: np.ndarray
-    """(n_pairs,) [m], at the same instant."""
-    force: np.ndarray
-    """(n_pairs,) [N], at the same instant; with a constraint the mean until the next."""
 
     def __init__(self, asked: March) -> None:
         self.structure = structure = asked.structure
         self.contact, self.rigid = asked.contact, is_rigid(asked.contact)
         self.step_size = asked.step_size
-        self.force = np.zeros(structure.n_pairs)
-        # Only few rows of B and of the load are not zero.
-        self._gap_rows = np.flatnonzero(np.diff(structure.gap.indptr))
-        self._gap_block = structure.gap[self._gap_rows].toarray()
         self.load_rows = asked.load_rows
         phase = 2.0 * np.pi * np.arange(asked.steps_per_period) / asked.steps_per_period
-        waves = np.column_stack([np.ones_like(phase), np.cos(phase), np.sin(phase)])
-        self.load = waves @ structure.force[:, self.load_rows]
+        self.waves = np.column_stack([np.ones_like(phase), np.cos(phase), np.sin(phase)])
+        self.load = self.waves @ structure.force[:, self.load_rows]
         """(N, rows) [N]"""
-        self._columns = asked.recorded_dofs - structure.first_dof
-        self._modes, self._damping = damped_modes(structure), structure.damping_matrix
         self._put_in = self._created = 0.0
 
     @abstractmethod
-    def advance(self, step: int) -> None:
-        """March from an instant, ``step`` of the period, to the next."""
+    def _march(self, window: Window) -> None:
+        """March a period and record it."""
 
     @abstractmethod
     def _book(self, window: Window) -> None:
@@ -56,13 +61,7 @@ class StepScheme(Scheme):
 
     def fill(self, window: Window, number: int) -> None:
         """Raises ConvergenceError where contact has created too much energy."""
-        gap, force = window.gap, window.force
-        motion, load_motion = window.motion, window.load_motion
-        for step in range(len(gap)):
-            self.advance(step)
-            gap[step], force[step] = self.gap, self.force
-            load_motion[step] = self.before[self.load_rows]
-            motion[step] = self.before[self._columns]
+        self._march(window)
         self._book(window)
         if self._put_in > 0.0:
             self.created_share = self._created / self._put_in
@@ -75,6 +74,121 @@ class StepScheme(Scheme):
     def _total(self, part: float) -> float:
         """Sum over the ranks."""
         return float(self.structure.sum_over_ranks(np.array([part]))[0])
+
+
+class ModalSteps(StepScheme):
+    """Of a small structure in modal coordinates, by the kernel.
+
+    What acts on the modes is "by mode": an array (n,) where the damping leaves them uncoupled, and
+    a matrix (n, n) where it couples them.
+    """
+
+    def __init__(self, asked: March) -> None:
+        super().__init__(asked)
+        structure, contact = self.structure, asked.contact
+        self.modes = modes = all_modes(structure)
+        count, pairs = modes.pairs.shape
+        self.diagonal = modes.damping.ndim == 1
+        self.clearance = np.broadcast_to(np.asarray(structure.clearance, float), pairs).copy()
+        self.springs = None
+        if not self.rigid:
+            self.springs = np.broadcast_to(np.asarray(contact.stiffness, float), pairs).copy()
+        self.pushed = structure.force @ modes.shapes
+        """Modal load: (3, n)"""
+        self.body = Struct(
+            "vibration", modes=count, pairs=pairs, coupled=not self.diagonal,
+            squares=np.ascontiguousarray(modes.squares), rows=np.ascontiguousarray(modes.pairs.T),
+            clearance=self.clearance, springs=self.springs, load=np.ascontiguousarray(self.pushed),
+            waves=np.vstack([self.waves, self.waves[:1]]), room=np.empty(6 * count + 8 * pairs),
+        )  # fmt: skip
+        self._recorded = modes.shapes[asked.recorded_dofs]
+        self._loaded = modes.shapes[asked.load_rows]
+        self.shape, self.velocity = (modes.inverse @ part for part in asked.start)
+        if self.rigid:  # moved apart by the least change in the norm of M
+            gap = self.measured()
+            if np.any(gap > 0.0):
+                self.shape -= modes.pairs @ solve_complementarity(modes.pairs.T @ modes.pairs, gap)
+
+    @abstractmethod
+    def _steps(self, first: int, gap: np.ndarray, force: np.ndarray, shape: np.ndarray) -> int:
+        """March from instant ``first`` of the period, a step for each row; the steps made."""
+
+    def _march(self, window: Window) -> None:
+        steps, count = len(window.gap), len(self.modes.squares)
+        some = max(1, BLOCK // count)
+        shape = np.empty((min(some, steps), count))
+        for first in range(0, steps, some):
+            place = slice(first, min(first + some, steps))
+            here = shape[: place.stop - first]
+            made = self._steps(first, window.gap[place], window.force[place], here)
+            if made < len(here):
+                raise ConvergenceError(f"contact: no forces of step {first + made} were found")
+            window.motion[place] = here @ self._recorded.T
+            window.load_motion[place] = here @ self._loaded.T
+
+    def measured(self) -> np.ndarray:
+        """Gap at the end of the march."""
+        found: np.ndarray = self.shape @ self.modes.pairs - self.clearance
+        return found
+
+    def acceleration(self, velocity: np.ndarray) -> np.ndarray:
+        """f - w^2 q - P lambda - c v at phase zero of the load; forces of a constraint, which
+        belong to the next step, are left out."""
+        modes = self.modes
+        found: np.ndarray = self.pushed[0] + self.pushed[1] - modes.squares * self.shape
+        if not self.rigid:
+            found -= modes.pairs @ self.contact.force(self.measured())
+        return found - modes.damped(velocity)
+
+    def by_mode(self, matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """A product by mode: (n, m)."""
+        return matrix[:, None] * columns if self.diagonal else matrix @ columns
+
+    def linear_energy(self) -> float:
+        """(q^T w^2 q + v^T v) / 2 [J]."""
+        squares = self.modes.squares
+        return 0.5 * float(squares @ self.shape**2 + self.velocity @ self.velocity)
+
+    def load_motion(self) -> np.ndarray:
+        """Displacement where the load acts at the end of the march."""
+        found: np.ndarray = self._loaded @ self.shape
+        return found
+
+    def motion(self, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Displacement at the end of the march, and a velocity, (n_dofs,) each."""
+        return self.modes.shapes @ self.shape, self.modes.shapes @ velocity
+
+
+class LoopedSteps(StepScheme):
+    """One after the other, with PETSc's matrices (collective)."""
+
+    before: np.ndarray
+    """Displacement (n_local,) at the instant from which :meth:`advance` has started."""
+    gap: np.ndarray
+    """(n_pairs,) [m], at the same instant."""
+    force: np.ndarray
+    """(n_pairs,) [N], at the same instant; with a constraint the mean until the next."""
+
+    def __init__(self, asked: March) -> None:
+        super().__init__(asked)
+        structure = self.structure
+        self.force = np.zeros(structure.n_pairs)
+        # Only few rows of B are not zero.
+        self._gap_rows = np.flatnonzero(np.diff(structure.gap.indptr))
+        self._gap_block = structure.gap[self._gap_rows].toarray()
+        self._columns = asked.recorded_dofs - structure.first_dof
+        self._modes, self._damping = damped_modes(structure), structure.damping_matrix
+
+    @abstractmethod
+    def advance(self, step: int) -> None:
+        """March from an instant, ``step`` of the period, to the next."""
+
+    def _march(self, window: Window) -> None:
+        for step in range(len(window.gap)):
+            self.advance(step)
+            window.gap[step], window.force[step] = self.gap, self.force
+            window.load_motion[step] = self.before[self.load_rows]
+            window.motion[step] = self.before[self._columns]
 
     def _closing(self, motion: np.ndarray) -> np.ndarray:
         """B^T of a motion (n_local,)."""
