@@ -23,7 +23,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fenics_crack.balance.bordered import PathPoint, Tangent, correct, tangent_of
+from fenics_crack.balance.bordered import (
+    PathPoint,
+    Tangent,
+    compiled,
+    correct,
+    distance,
+    tangent_of,
+)
 from fenics_crack.balance.linearisation import Linearisation, System
 
 __all__ = ["Stepping", "follow_path"]
@@ -51,6 +58,10 @@ class Stepping:
     """Of the angle between neighbouring tangents."""
     rounding: float = 1e-13
     """Below which |F| / |x| does not fall."""
+    chunk: int = 64
+    """Points that the compiled kernel follows in one call at most."""
+    span: tuple[float, float] = (0.0, 1.0)
+    """Of the parameter: where it is left, such a call ends."""
 
     def sharp(self, step: float) -> float:
         """Tolerance of a step: points must be known better than the steps between them are long."""
@@ -69,40 +80,60 @@ def follow_path(
     tangent, orientation = tangent_of(system, start, at), at.sign
     if towards is not None and tangent.along(towards, system) < 0.0:
         tangent, orientation = tangent.reversed(), -orientation
-    here, before = PathPoint(start, parameter, 0, tangent), None
-    step = stepping.first
-    for _ in range(stepping.most):
-        while True:
-            bend = _bend(system, before, here, step)
-            found = correct(system, here, step, stepping.sharp(step), bend=bend)
-            if found is not None:
-                # The determinant of the bordered matrix keeps its sign along a path: it tells where
-                # the path goes on, and the angle whether the step has left it.
-                ahead = _oriented(system, found.unknown, found.at, orientation, here.tangent)
-                cosine = ahead.along(here.tangent, system)
-                known = not np.isnan(orientation)
-                if cosine > stepping.least_cosine and (
-                    known or _straight(system, here, found, ahead, stepping.least_cosine)
-                ):
-                    break
-                if cosine < -0.999 and step < BRANCHING_STEP * stepping.longest:
-                    # A short step straight on, but the sign has changed: another branch crosses.
-                    ahead, orientation = ahead.reversed(), -orientation
-                    found = replace(found, crosses_branch=True)
-                    break
-            step *= 0.5
-            if step < stepping.shortest:
-                turned = _round_corner(system, here, orientation, stepping)
-                if turned is None:
-                    return
-                found, ahead, step = turned
+    known, kernel = [PathPoint(start, parameter, 0, tangent)], compiled(system)
+    step, taken = stepping.first, 0
+    while taken < stepping.most:
+        if kernel is None:
+            found, orientation, step = _advance(system, known, orientation, step, stepping)
+        else:
+            found, orientation, step = kernel.follow(known, orientation, step, stepping)
+        if not found:
+            turned = _round_corner(system, known[-1], orientation, stepping)
+            if turned is None:
+                return
+            found, step = [turned[0]], _next_step(turned[0], turned[1], stepping)
+        found = found[: stepping.most - taken]
+        taken += len(found)
+        known = [*known, *found][-2:]
+        yield from found
+
+
+def _advance(
+    system: System, known: list[PathPoint], orientation: float, step: float, stepping: Stepping
+) -> tuple[list[PathPoint], float, float]:
+    """The next point behind the last one or two, or none where steps would be too short; the sign
+    of the determinant along the path, and the next step."""
+    here = known[-1]
+    while True:
+        bend = _bend(system, known, step)
+        found = correct(system, here, step, stepping.sharp(step), bend=bend)
+        if found is not None:
+            # The determinant of the bordered matrix keeps its sign along a path: it tells where
+            # the path goes on, and the angle whether the step has left it.
+            ahead = _oriented(system, found.unknown, found.at, orientation, here.tangent)
+            cosine = ahead.along(here.tangent, system)
+            sure = not np.isnan(orientation)
+            if cosine > stepping.least_cosine and (
+                sure or _straight(system, here, found, ahead, stepping.least_cosine)
+            ):
                 break
-        before, here = here, replace(found, tangent=ahead)
-        yield here
-        if here.iterations <= 3:
-            step = min(stepping.longest, 1.7 * step)
-        elif here.iterations > 5:
-            step *= 0.7
+            if cosine < -0.999 and step < BRANCHING_STEP * stepping.longest:
+                # A short step straight on, but the sign has changed: another branch crosses.
+                ahead, orientation = ahead.reversed(), -orientation
+                found = replace(found, crosses_branch=True)
+                break
+        step *= 0.5
+        if step < stepping.shortest:
+            return [], orientation, step
+    found = replace(found, tangent=ahead, length=distance(system, here, found))
+    return [found], orientation, _next_step(found, step, stepping)
+
+
+def _next_step(point: PathPoint, step: float, stepping: Stepping) -> float:
+    """Longer where few iterations were needed, shorter where many were."""
+    if point.iterations <= 3:
+        return min(stepping.longest, 1.7 * step)
+    return 0.7 * step if point.iterations > 5 else step
 
 
 def _oriented(
@@ -133,7 +164,7 @@ def _straight(
 
 def _round_corner(
     system: System, here: PathPoint, orientation: float, stepping: Stepping
-) -> tuple[PathPoint, Tangent, float] | None:
+) -> tuple[PathPoint, float] | None:
     """Leave a point where the path turns more sharply than steps can resolve.
 
     Where stiff contact begins to graze, the Jacobian changes by orders of magnitude over the
@@ -141,7 +172,8 @@ def _round_corner(
     the point; where the sign of its determinant is unknown, that or its opposite, unless this leads
     straight back.
     """
-    for step in stepping.longest * 10.0 ** np.arange(-7.0, -1.5, 0.5):
+    steps = stepping.longest * 10.0 ** np.arange(-7.0, -1.5, 0.5)
+    for step in steps[steps >= stepping.shortest]:
         behind = here.unknown + step * here.tangent.x
         at = system.linearise(behind, here.parameter + step * here.tangent.p)
         turned = _oriented(system, behind, at, orientation, here.tangent)
@@ -154,21 +186,21 @@ def _round_corner(
             if found is not None:
                 ahead = _oriented(system, found.unknown, found.at, orientation, way)
                 if ahead.along(way, system) > 0.5:
-                    return found, ahead, step
+                    length = distance(system, here, found)
+                    return replace(found, tangent=ahead, length=length), step
     return None
 
 
-def _bend(
-    system: System, before: PathPoint | None, here: PathPoint, step: float
-) -> tuple[np.ndarray, float] | None:
+def _bend(system: System, known: list[PathPoint], step: float) -> tuple[np.ndarray, float] | None:
     """Quadratic and cubic terms of the prediction, from two points and their tangents; None where
     these could not help.
 
     It is Hermite's polynomial in the distance along the last tangent, so that the prediction stays
     in the plane in which it will be corrected.
     """
-    if before is None:
+    if len(known) == 1:
         return None
+    before, here = known
     tangent, old = here.tangent, before.tangent
     chord, rise = here.unknown - before.unknown, here.parameter - before.parameter
     back = tangent.weight * system.inner(chord, tangent.x) + rise * tangent.p

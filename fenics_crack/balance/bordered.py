@@ -25,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.optimize
@@ -34,8 +34,10 @@ from fenics_crack.balance.linearisation import Linearisation, System
 from fenics_crack.errors import ConvergenceError
 
 __all__ = [
+    "Compiled",
     "PathPoint",
     "Tangent",
+    "compiled",
     "correct",
     "distance",
     "land",
@@ -51,6 +53,8 @@ MAX_ITERATIONS = 8
 """Of one correction."""
 MIN_DAMPING = 0.05
 """Of a Newton step."""
+REACH = 3.0
+"""How far from its prediction the parameter may go, in steps."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,36 @@ class PathPoint:
     crosses_branch: bool = False
     """Whether another branch has been crossed since the point before."""
     at: Linearisation | None = field(default=None, repr=False, compare=False)
+    length: float = float("nan")
+    """Of the chord from the point before in that one's norm, where it is known."""
+
+
+class Compiled(Protocol):
+    """What the compiled kernel does along a path."""
+
+    def solve_in_plane(
+        self,
+        unknown: np.ndarray,
+        parameter: float,
+        plane: Tangent | None,
+        *,
+        tolerance: float,
+        iterations: int,
+        reach: float,
+        least_damping: float | None,
+    ) -> PathPoint | None:
+        """As :func:`solve_in_plane`."""
+
+    def follow(
+        self, known: list[PathPoint], orientation: float, step: float, stepping: Any
+    ) -> tuple[list[PathPoint], float, float]:
+        """Many steps of :func:`fenics_crack.balance.arclength.follow_path`."""
+
+
+def compiled(system: System) -> Compiled | None:
+    """The same equations in the compiled kernel, None where it does not have them."""
+    found: Compiled | None = getattr(system, "compiled", None)
+    return found
 
 
 def tangent_of(system: System, unknown: np.ndarray, at: Linearisation) -> Tangent:
@@ -116,6 +150,12 @@ def solve_in_plane(
     together fail to halve |F| / |x|; ``history`` gets |F| / |x| of the guess and after each step,
     except the one that meets the tolerance.
     """
+    kernel = compiled(system)
+    if kernel is not None and patience is None and history is None:
+        return kernel.solve_in_plane(
+            unknown, parameter, plane,
+            tolerance=tolerance, iterations=iterations, reach=reach, least_damping=least_damping,
+        )  # fmt: skip
     guess = parameter
     change, shift, damping, before = np.zeros_like(unknown), 0.0, 1.0, np.inf
     linearised, history = 0, [] if history is None else history
@@ -186,7 +226,7 @@ def correct(
     if bend is not None:
         unknown, parameter = unknown + bend[0], parameter + bend[1]
     return solve_in_plane(
-        system, unknown, parameter, tangent, tolerance=tolerance, reach=reach or 3.0 * step
+        system, unknown, parameter, tangent, tolerance=tolerance, reach=reach or REACH * step
     )
 
 

@@ -18,6 +18,7 @@ from typing import Protocol
 import numpy as np
 import scipy.linalg
 
+from fenics_crack.balance.compiled import ModalPart
 from fenics_crack.balance.dynamic_stiffness import DynamicStiffness
 from fenics_crack.balance.fourier import from_complex, resized, to_complex
 from fenics_crack.errors import ConvergenceError, InputError
@@ -160,6 +161,17 @@ class ModalCompliance:
         assert self._modes.static_pairs is not None and self._unit_static is not None
         found: np.ndarray = self._load * self._unit_static - force @ self._modes.static_pairs.T
         return found
+
+    def modal_part(
+        self, omega: tuple[float, float], damping: tuple[float, float]
+    ) -> ModalPart | None:
+        """What the kernel takes of it for paths in the base frequency and the damping, from those
+        at p = 0 and their rates; None where damping couples modes or something has no mass."""
+        modes = self._modes
+        if modes.damping.ndim == 2 or modes.residual is not None:
+            return None
+        load = self._load * self._unit_load
+        return ModalPart(modes.squares, modes.damping, modes.pairs, load, omega, damping)
 
     # Derivatives of R lambda - g_lin for fixed forces (2H+1, n_pairs): (2H+1, n_pairs).
 

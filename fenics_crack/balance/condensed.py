@@ -18,16 +18,19 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
 from mpi4py import MPI
 from scipy.linalg.lapack import dpstrf
 
+from fenics_crack.balance.compiled import CompiledSystem
 from fenics_crack.balance.compliance import Compliance, WidenedCompliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, ExactIntegrals, apply_to_pairs
 from fenics_crack.balance.fourier import from_complex, to_complex
 from fenics_crack.balance.linearisation import DenseLinearisation, solve_factored
 from fenics_crack.errors import InputError
+from fenics_crack.kernel import doubles, kernel
 from fenics_crack.model.contact import UnilateralPenalty
 
 __all__ = [
@@ -56,24 +59,15 @@ def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     [[Re R_k, Im R_k], [-Im R_k, Re R_k]] on (a, b).
     """
     *points, pairs, rows, columns = tangent.shape
-    harmonics, at = rows // 2, len(points)
-    product = np.empty((*points, rows, pairs, columns, pairs))
-    mean = tangent[..., :, 0, :].swapaxes(-1, -2)
-    static = matrices[..., 0, :, :].real
-    np.multiply(static[..., :, None, :], mean[..., None, :, :], out=product[..., 0, :, :, :])
-    # For each harmonic and each pair that carries a force: (a, b) of all pairs from (a, b) of it.
-    through = matrices[..., 1:, :, :].swapaxes(-1, -2)
-    blocks = np.empty((*points, harmonics, pairs, 2, pairs, 2))
-    blocks[..., 0, :, 0] = blocks[..., 1, :, 1] = through.real
-    blocks[..., 0, :, 1] = through.imag
-    np.subtract(0.0, through.imag, out=blocks[..., 1, :, 0])
-    forces = tangent[..., 1:, :].reshape(*points, pairs, harmonics, 2, columns)
-    forces = forces.transpose(*range(at), at + 1, at, at + 2, at + 3)
-    gaps = np.matmul(blocks.reshape(*points, harmonics, pairs, 2 * pairs, 2), forces)
-    gaps = gaps.reshape(*points, harmonics, pairs, 2, pairs, columns)
-    gaps = gaps.transpose(*range(at), at, at + 2, at + 3, at + 4, at + 1)
-    product[..., 1:, :, :, :].reshape(*points, harmonics, 2, pairs, columns, pairs)[:] = gaps
-    return product.reshape(*points, rows * pairs, columns * pairs)
+    matrices = np.ascontiguousarray(np.broadcast_to(matrices, (*points, *matrices.shape[-3:])))
+    tangent = np.ascontiguousarray(tangent)
+    product = np.empty((*points, rows * pairs, columns * pairs))
+    for at in np.ndindex(*points):
+        kernel.respond_to_columns(
+            rows // 2, pairs, columns, doubles(matrices[at]), doubles(tangent[at]),
+            doubles(product[at]),
+        )  # fmt: skip
+    return product
 
 
 class CondensedPoint(DenseLinearisation, ABC):
@@ -145,6 +139,19 @@ class CondensedSystem(_Condensed):
         """The same equations with more harmonics, to the accuracy of an error estimate."""
         compliance = WidenedCompliance(self.compliance, harmonics)
         return CondensedSystem(compliance, self.integrals.widened(harmonics))
+
+    @property
+    def stiffness(self) -> np.ndarray:
+        """Of the pairs: (n_pairs,) [N/m]."""
+        found = np.asarray(self.integrals.law.stiffness, dtype=float)
+        return np.broadcast_to(found, self.linear.shape[1:])
+
+    @cached_property
+    def compiled(self) -> CompiledSystem | None:
+        """The same along its parameter in the kernel; None where that has not this law."""
+        if not isinstance(self.integrals, ExactIntegrals):
+            return None
+        return CompiledSystem(self.stiffness, self.linear, self.compliance.matrices, growth=1.0)
 
 
 class _GapPoint(CondensedPoint):

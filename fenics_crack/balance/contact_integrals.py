@@ -26,8 +26,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from fenics_crack.balance.fourier import balanced, sampled, to_complex
-from fenics_crack.balance.switching import Switching, switching_instants
+from fenics_crack.balance.fourier import balanced, sampled
+from fenics_crack.balance.switching import grid_waves
+from fenics_crack.kernel import doubles, kernel
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear
 
 __all__ = [
@@ -138,31 +139,34 @@ class ExactIntegrals(ContactIntegrals):
         return self.linearise(gap)[0]
 
     def linearise(self, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        stiffness = np.broadcast_to(np.asarray(self.law.stiffness, dtype=float), gap.shape[1:])
-        closed = closed_means(switching_instants(to_complex(gap)), 2 * self.harmonics)
-        tangent = _tangent(stiffness[:, None] * closed, self.harmonics)
-        return apply_to_pairs(tangent, gap), tangent
+        rows, pairs = gap.shape
+        gap = np.ascontiguousarray(gap, dtype=float)
+        stiffness = np.empty(pairs)
+        stiffness[:] = self.law.stiffness
+        force, tangent = np.empty((rows, pairs)), np.empty((pairs, rows, rows))
+        failed = kernel.contact_integrals(
+            self.harmonics, pairs, doubles(gap), doubles(stiffness),
+            doubles(grid_waves(self.harmonics)), doubles(np.empty(2 * pairs * rows)),
+            doubles(force), doubles(tangent),
+        )  # fmt: skip
+        if failed:
+            raise MemoryError("contact integrals")
+        return force, tangent
 
     def widened(self, harmonics: int) -> ExactIntegrals:
         return ExactIntegrals(self.law, harmonics)
 
 
-def closed_means(switching: Switching, highest: int) -> np.ndarray:
-    """Means of exp(i m theta) over the closed part of the period: (n_pairs, highest + 1)."""
-    pairs = len(switching.closed_at_start)
-    order = np.arange(highest + 1)
-    # int exp(i m theta) = exp(i m theta) / (i m): + where the pair opens, - where it closes.
-    ends = -switching.closing[:, None] * np.exp(1j * np.multiply.outer(switching.theta, order))
-    ends[:, 0] = -switching.closing * switching.theta
-    ends[:, 1:] /= 1j * order[1:]
-    if pairs == 1:
-        total = ends.sum(axis=0, keepdims=True)
-    else:
-        total = np.zeros((pairs, highest + 1), dtype=complex)
-        np.add.at(total, switching.pair, ends)
-    total /= 2.0 * np.pi
-    total[:, 0] += switching.closed_at_start
-    return total
+def closed_means(gap: np.ndarray, highest: int) -> np.ndarray:
+    """Means of exp(i m theta) over the closed part of the period, of gaps (2H+1, n_pairs):
+    (n_pairs, highest + 1)."""
+    gap = np.ascontiguousarray(gap, dtype=float)
+    harmonics, pairs = len(gap) // 2, gap.shape[1]
+    means = np.empty((pairs, highest + 1), dtype=complex)
+    waves = doubles(grid_waves(harmonics))
+    if kernel.closed_means(harmonics, pairs, doubles(gap), waves, highest, doubles(means)):
+        raise MemoryError("contact integrals")
+    return means
 
 
 def apply_to_pairs(tangent: np.ndarray, gap: np.ndarray) -> np.ndarray:

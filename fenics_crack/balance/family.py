@@ -10,9 +10,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
+from fenics_crack.balance.compiled import CompiledSystem
 from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, respond
 from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
@@ -101,6 +103,18 @@ class Family(ABC):
 
     # --- what paths ask for -----------------------------------------------------------------------
 
+    @cached_property
+    def compiled(self) -> CompiledSystem | None:
+        """The same equations in the kernel; None where it does not have them."""
+        system = self.system(self.start)
+        if not isinstance(system, CondensedSystem) or system.compiled is None:
+            return None
+        return self._compile(system)
+
+    @abstractmethod
+    def _compile(self, first: CondensedSystem) -> CompiledSystem | None:
+        """The kernel's equations, from the system at p = 0."""
+
     def linearise(self, unknown: np.ndarray, parameter: float) -> CondensedPoint:
         value = self.value(parameter)
         rate = self.rate(value)
@@ -108,6 +122,24 @@ class Family(ABC):
 
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
         return float(np.vdot(first, second))
+
+    def _with_modes(
+        self, first: CondensedSystem, omega: tuple[float, float], damping: tuple[float, float]
+    ) -> CompiledSystem | None:
+        """The kernel's equations along base frequencies, or factors of the damping."""
+        modal = self._compliance.modal_part(omega, damping)
+        if modal is None:
+            return None
+        linear = np.zeros_like(first.linear)
+        linear[0] = -self.problem.structure.clearance
+        return CompiledSystem(first.stiffness, linear, modal)
+
+    def _with_linear_rate(self, first: CondensedSystem, by_value: np.ndarray) -> CompiledSystem:
+        """The same where g_lin alone depends on the parameter, and linearly."""
+        rate = (self.end - self.start) * by_value
+        return CompiledSystem(
+            first.stiffness, first.linear, first.compliance.matrices, linear_rate=rate
+        )
 
 
 class FrequencyFamily(Family):
@@ -133,6 +165,11 @@ class FrequencyFamily(Family):
         assert isinstance(at.system.compliance, ModalCompliance)
         return at.system.compliance.frequency_derivative(at.force) / self.problem.subharmonic
 
+    def _compile(self, first: CondensedSystem) -> CompiledSystem | None:
+        base = self.start / self.problem.subharmonic
+        rate = (self.end - self.start) / self.problem.subharmonic
+        return self._with_modes(first, (base, rate), (1.0, 0.0))
+
 
 class _VariedFamily(Family):
     """The parameter is one of those of :meth:`Structure.varied`, by its name."""
@@ -157,6 +194,9 @@ class LoadFamily(_VariedFamily):
     def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
         return self._compliance.load_derivative()
 
+    def _compile(self, first: CondensedSystem) -> CompiledSystem:
+        return self._with_linear_rate(first, -self._compliance.load_derivative())
+
 
 class DampingFamily(_VariedFamily):
     """v: factor of the damping."""
@@ -173,6 +213,10 @@ class DampingFamily(_VariedFamily):
         assert isinstance(at.system.compliance, ModalCompliance)
         return at.system.compliance.damping_derivative(at.force)
 
+    def _compile(self, first: CondensedSystem) -> CompiledSystem | None:
+        damping = (self.start, self.end - self.start)
+        return self._with_modes(first, (self.problem.base_omega, 0.0), damping)
+
 
 class ClearanceFamily(_VariedFamily):
     """v: clearance [m] added to that of every pair."""
@@ -183,6 +227,11 @@ class ClearanceFamily(_VariedFamily):
         change = np.zeros_like(at.gap)
         change[0] = 1.0
         return change
+
+    def _compile(self, first: CondensedSystem) -> CompiledSystem:
+        change = np.zeros_like(first.linear)
+        change[0] = -1.0
+        return self._with_linear_rate(first, change)
 
 
 class StiffnessFamily(Family):
@@ -210,6 +259,12 @@ class StiffnessFamily(Family):
         if isinstance(at, CoupledPoint):
             return respond(at.system.moving, at.forces.by_stiffness()) / value
         return respond(self._compliance.matrices, at.force) / value  # b is proportional to v
+
+    def _compile(self, first: CondensedSystem) -> CompiledSystem:
+        growth = float(np.log(self.end / self.start))
+        return CompiledSystem(
+            first.stiffness, first.linear, first.compliance.matrices, growth=growth
+        )
 
 
 FAMILIES: dict[str, type[Family]] = {

@@ -299,7 +299,7 @@ class Search:
             found = self._newton(newton, nearby, end, 20)
             return replace(last, unknown=found.unknown, parameter=end) if self.converged else None
 
-        stepping = replace(stepping, rounding=self._rounding)
+        stepping = replace(stepping, rounding=self._rounding, span=span)
         for point in follow_path(newton.system, start.unknown, begin, stepping):
             steps += 1
             self.iterations += point.iterations

@@ -54,6 +54,8 @@ __all__ = ["Continuation", "CurvePoint"]
 Answer = TypeVar("Answer")
 MAX_HARMONICS = 100
 """Beyond these a curve's harmonics are not raised."""
+SHORTEST = 0.1
+"""Of steps, relative to what rounding leaves of the residual: shorter ones resolve nothing."""
 EVERY = 4
 """Points between two looks at the truncation."""
 
@@ -259,7 +261,7 @@ class Continuation:
         stepping = Stepping(
             first=step,
             longest=self._longest,
-            shortest=1e-10,
+            shortest=max(1e-10, SHORTEST * rounding),
             most=self._most,
             tolerance=max(1e-9, rounding),
             least_cosine=0.85,

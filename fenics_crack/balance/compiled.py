@@ -1,0 +1,211 @@
+"""Condensed equations whose paths are followed by the compiled kernel.
+
+Pairs that nothing couples, with a unilateral penalty integrated exactly:
+
+    F(g, p) = g - g_lin(p) + R(p) b(g, p) = 0,
+
+where along p the contact stiffness grows like e^(growth p), g_lin linearly, or the base frequency
+and the damping of modes linearly, R and g_lin following from them (``kernel/condensed.h``). The
+loops are those of :mod:`bordered` and :mod:`arclength` (``kernel/path.c``): the same steps from the
+same numbers, many points in one call.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.balance.arclength import BRANCHING_STEP, Stepping
+from fenics_crack.balance.bordered import MAX_ITERATIONS, MIN_DAMPING, REACH, PathPoint, Tangent
+from fenics_crack.balance.linearisation import Linearisation
+from fenics_crack.errors import ConvergenceError
+from fenics_crack.kernel import doubles, ints, kernel, made, owned, signs
+
+__all__ = ["CompiledSystem", "ModalPart"]
+
+
+@dataclass(frozen=True)
+class ModalPart:
+    """Modes that answer along a path: R_k = P^T h_k P and what the load adds to g_lin, P^T h_k l_k,
+    with h_kj = 1 / (s_j - (k w)^2 + i k w d c_j)."""
+
+    squares: np.ndarray
+    """s: (n_modes,) [rad^2/s^2]."""
+    rates: np.ndarray
+    """c: (n_modes,) [1/s]."""
+    shapes: np.ndarray
+    """P: (n_modes, n_pairs)."""
+    load: np.ndarray
+    """l: (H+1, n_modes), complex."""
+    omega: tuple[float, float]
+    """w at p = 0, and dw/dp [rad/s]."""
+    damping: tuple[float, float]
+    """d at p = 0, and dd/dp."""
+
+
+class CompiledSystem:
+    """F(g, p) = 0 in the kernel.
+
+    Parameters
+    ----------
+    stiffness : (n_pairs,) [N/m]
+        k at p = 0.
+    linear : (2H+1, n_pairs) [m]
+        g_lin at p = 0, without the part of modes.
+    compliance : (H+1, n_pairs, n_pairs) complex or ModalPart
+        R, or what it follows from.
+    linear_rate : (2H+1, n_pairs) [m], optional
+        d g_lin / dp, without the part of modes.
+    growth : float
+        d ln k / dp.
+    """
+
+    def __init__(
+        self,
+        stiffness: np.ndarray,
+        linear: np.ndarray,
+        compliance: np.ndarray | ModalPart,
+        *,
+        linear_rate: np.ndarray | None = None,
+        growth: float = 0.0,
+    ) -> None:
+        self.shape = linear.shape
+        rate = np.zeros_like(linear) if linear_rate is None else linear_rate
+        reals = {"stiffness": stiffness, "linear": linear, "linear_rate": rate}
+        numbers: dict[str, Any] = {"growth": growth}
+        if isinstance(compliance, ModalPart):
+            numbers["modes"] = len(compliance.squares)
+            numbers["omega"], numbers["omega_rate"] = compliance.omega
+            numbers["damping"], numbers["damping_rate"] = compliance.damping
+            for name in ("squares", "rates", "shapes", "load"):
+                reals[name] = getattr(compliance, name)
+        else:
+            reals["compliance"] = compliance
+        self._kept = {name: np.ascontiguousarray(array) for name, array in reals.items()}
+        equations = made(
+            "condensed", harmonics=len(linear) // 2, pairs=linear.shape[1], **numbers,
+            **{name: doubles(array) for name, array in self._kept.items()},
+        )  # fmt: skip
+        self._point = owned(kernel.new_point(equations), kernel.free_point)
+        self._last: CompiledPoint | None = None
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
+        """The equations at a point."""
+        return CompiledPoint(self, np.ascontiguousarray(unknown, dtype=float), parameter)
+
+    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
+        """Inner product."""
+        return float(np.vdot(first, second))
+
+    def evaluated(self, at: CompiledPoint) -> Any:
+        """The kernel's point, with the equations at a point."""
+        if self._last is not at:
+            self._last = None
+            self._check(kernel.evaluate(self._point, doubles(at.unknown), at.parameter))
+            self._last = at
+        return self._point
+
+    def solve_in_plane(
+        self,
+        unknown: np.ndarray,
+        parameter: float,
+        plane: Tangent | None,
+        *,
+        tolerance: float,
+        iterations: int,
+        reach: float,
+        least_damping: float | None,
+    ) -> PathPoint | None:
+        """As :func:`fenics_crack.balance.bordered.solve_in_plane`."""
+        found, place, taken = np.array(unknown), np.array([parameter]), np.zeros(1, np.intc)
+        flat = plane or Tangent(np.zeros_like(found), 1.0, 0.0)
+        self._last = None
+        outcome = kernel.solve_in_plane(
+            self._point, doubles(found), doubles(place), plane is not None,
+            doubles(np.ascontiguousarray(flat.x)), flat.p, flat.weight, tolerance, iterations,
+            reach, -1.0 if least_damping is None else least_damping, ints(taken),
+        )  # fmt: skip
+        self._check(outcome)
+        if outcome == kernel.NOT_FOUND:
+            return None
+        self._last = CompiledPoint(self, found, float(place[0]))
+        return PathPoint(found, float(place[0]), int(taken[0]), flat, at=self._last)
+
+    def follow(
+        self, known: list[PathPoint], orientation: float, step: float, stepping: Stepping
+    ) -> tuple[list[PathPoint], float, float]:
+        """Points of a path behind the last one or two that are known, the sign of its determinant
+        and the next step. There are none where steps would be too short, and fewer than there might
+        be where the parameter leaves its span."""
+        begun, room = len(known), len(known) + stepping.chunk
+        unknowns, tangents = np.empty((2, room, *self.shape))
+        numbers = np.empty((4, room))
+        counts, crossings = np.zeros(room, np.intc), np.zeros(room, np.int8)
+        for place, point in enumerate(known):
+            unknowns[place], tangents[place] = point.unknown, point.tangent.x
+            numbers[:3, place] = point.parameter, point.tangent.p, point.tangent.weight
+        names = ("parameters", "slopes", "weights", "lengths")
+        points = made(
+            "path", room=room, known=begun, step=step, orientation=orientation,
+            unknowns=doubles(unknowns), tangents=doubles(tangents), iterations=ints(counts),
+            crossings=signs(crossings),
+            **{name: doubles(row) for name, row in zip(names, numbers, strict=True)},
+        )  # fmt: skip
+        how = made(
+            "stepping", longest=stepping.longest, shortest=stepping.shortest,
+            tolerance=stepping.tolerance, rounding=stepping.rounding,
+            least_cosine=stepping.least_cosine, branching_step=BRANCHING_STEP, reach=REACH,
+            iterations=MAX_ITERATIONS, least_damping=MIN_DAMPING, lowest=min(stepping.span),
+            highest=max(stepping.span),
+        )  # fmt: skip
+        self._last = None
+        outcome = kernel.follow(self._point, how, points)
+        if points.known == begun:
+            self._check(outcome)
+        new = slice(begun, points.known)
+        rows = zip(
+            unknowns[new], *numbers[:, new].tolist(), tangents[new], counts[new].tolist(),
+            crossings[new].tolist(), strict=True,
+        )  # fmt: skip
+        found = [
+            PathPoint(unknown, place, count, Tangent(x, slope, weight), crossing > 0, length=length)
+            for unknown, place, slope, weight, length, x, count, crossing in rows
+        ]
+        return found, points.orientation, points.step
+
+    def _check(self, outcome: int) -> None:
+        """Raise ConvergenceError where the structure is singular, MemoryError without memory."""
+        if outcome == kernel.NO_MEMORY:
+            raise MemoryError("condensed equations")
+        if outcome == kernel.SINGULAR_STRUCTURE:
+            raise ConvergenceError("path: the structure is singular (an undamped resonance)")
+
+
+class CompiledPoint(Linearisation):
+    """:class:`CompiledSystem` at a point; evaluated again where the kernel has left it."""
+
+    def __init__(self, system: CompiledSystem, unknown: np.ndarray, parameter: float) -> None:
+        self.system, self.unknown, self.parameter = system, unknown, parameter
+
+    @property
+    def residual(self) -> np.ndarray:  # type: ignore[override]
+        found = np.empty_like(self.unknown)
+        kernel.residual_at(self.system.evaluated(self), doubles(found))
+        return found
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        found = np.array(right, dtype=float)
+        kernel.solve(self.system.evaluated(self), doubles(found))
+        return found
+
+    @property
+    def by_parameter(self) -> np.ndarray:
+        found = np.empty_like(self.unknown)
+        kernel.by_parameter(self.system.evaluated(self), doubles(found))
+        return found
+
+    @property
+    def sign(self) -> float:
+        return float(kernel.determinant_sign(self.system.evaluated(self)))

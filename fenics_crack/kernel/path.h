@@ -1,0 +1,38 @@
+/* Corrections along a path of the condensed equations, and the path itself. */
+#ifndef PATH_H
+#define PATH_H
+
+/* The loops of fenics_crack/balance/bordered.py and arclength.py, which say what is done and why,
+ * for equations in condensed.h. A point of a path has n = (2H+1) pairs unknowns, a parameter and a
+ * unit tangent (t_x, t_p) in the norm weight |x|^2 + p^2.
+ */
+
+/* Newton's method in the plane across a tangent, or unless `bordered` at a given parameter.
+ * unknown, parameter: the guess, and the point found; taken: iterations. A `least_damping` below 0
+ * asks for full steps. Returns FOUND, or why not. */
+int solve_in_plane(point *at, double *unknown, double *parameter, int bordered,
+                   const double *across, double slope, double weight, double tolerance,
+                   int iterations, double reach, double least_damping, int *taken);
+
+typedef struct {
+    double longest, shortest, tolerance, least_cosine, rounding, branching_step, reach;
+    int iterations;
+    double least_damping;
+    double lowest, highest; /* parameters between which a call goes on */
+} stepping;
+
+/* A path's points one after the other: (room, n), (room), ..., of which `known` are known, the last
+ * one or two of them with their tangents. */
+typedef struct {
+    int room, known;
+    double *unknowns, *parameters, *tangents, *slopes, *weights, *lengths;
+    int *iterations;
+    signed char *crossings; /* whether another branch crosses before the point */
+    double step, orientation;
+} path;
+
+/* Follow the path until there is no more room or the parameter leaves its range. Returns FOUND,
+ * or why it ended before: NOT_FOUND where steps would be too short; the next one is then 0. */
+int follow(point *at, const stepping *how, path *points);
+
+#endif

@@ -1,0 +1,33 @@
+/* Switching instants of gaps, and the exact integrals of their contact forces between them. */
+#ifndef SWITCHING_H
+#define SWITCHING_H
+
+/* Gaps are coefficients (2H+1, pairs) in C's order, rows a0, a1, b1, ..., aH, bH:
+ *
+ *     g(theta) = a0 + sum_k a_k cos(k theta) + b_k sin(k theta),      theta in [0, 2 pi].
+ */
+
+/* Cells of the first grid, a multiple of 4. */
+int switching_cells(int harmonics);
+/* What the search evaluates the first grid with: cos(k theta), sin(k theta) for k = 1 to H at the
+ * instants of the first quarter of the period, (H, 2, cells / 4 + 1). */
+void switching_waves(int harmonics, double *waves);
+
+/* All sign changes of the gap of one pair, in order. theta: (room), phases; closing: (room), +1
+ * where the gap becomes positive, -1 where it ceases to be; closed: whether it is positive at 0.
+ * Returns their number, of which no more than `room` are written, or -1 without memory. */
+int switching_instants(int harmonics, int pairs, const double *gap, const double *waves, int room,
+                       double *theta, double *closing, signed char *closed);
+
+/* Means of exp(i m theta), m = 0 to highest, over the closed part of the period: complex numbers
+ * (pairs, highest + 1). Returns -1 without memory. */
+int closed_means(int harmonics, int pairs, const double *gap, const double *waves, int highest,
+                 double *means);
+
+/* Coefficients of the forces k max(g, 0), (2H+1, pairs), and their derivative by the gap's
+ * coefficients, (pairs, 2H+1, 2H+1). stiffness: (pairs); means: room for (pairs, 2H+1) complex
+ * numbers. Returns -1 without memory. */
+int contact_integrals(int harmonics, int pairs, const double *gap, const double *stiffness,
+                      const double *waves, double *means, double *force, double *tangent);
+
+#endif
