@@ -148,8 +148,9 @@ class CondensedSystem(_Condensed):
 
     @cached_property
     def compiled(self) -> CompiledSystem | None:
-        """The same along its parameter in the kernel; None where that has not this law."""
-        if not isinstance(self.integrals, ExactIntegrals):
+        """The same along its parameter in the kernel; None where that has not this law, or where
+        the rank of T counts."""
+        if not isinstance(self.integrals, ExactIntegrals) or self.global_size >= LOW_RANK:
             return None
         return CompiledSystem(self.stiffness, self.linear, self.compliance.matrices, growth=1.0)
 
