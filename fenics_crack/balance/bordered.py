@@ -40,6 +40,7 @@ __all__ = [
     "compiled",
     "correct",
     "distance",
+    "find_between",
     "land",
     "locate",
     "solve_at",
@@ -51,8 +52,13 @@ __all__ = [
 
 MAX_ITERATIONS = 8
 """Of one correction."""
+MAX_BETWEEN = 30
+"""Points tried between two others."""
 MIN_DAMPING = 0.05
 """Of a Newton step."""
+NEAR = 1e-8
+"""Distance to a point of a path at which it counts as found: where the parameter turns, it is then
+known to the square of that."""
 REACH = 3.0
 """How far from its prediction the parameter may go, in steps."""
 
@@ -273,6 +279,51 @@ def distance(system: System, before: PathPoint, after: PathPoint) -> float:
     change = after.unknown - before.unknown
     square = before.tangent.weight * system.inner(change, change)
     return float(np.sqrt(square + (after.parameter - before.parameter) ** 2))
+
+
+def find_between(
+    system: System,
+    ends: tuple[PathPoint, PathPoint],
+    target: float | None,
+    tolerance: float,
+    near: float = NEAR,
+) -> PathPoint | None:
+    """The point between two others of a path where the parameter turns back, or where it is a
+    ``target``, to a distance; None where it is not found.
+
+    Where the next point is looked for follows from Hermite's cubic polynomial p(s) through the two
+    points that enclose it, with s along the tangent of the first one.
+    """
+    first, last = ends
+    halve = False
+    for count in range(MAX_BETWEEN):
+        tangent, rise = first.tangent, last.parameter - first.parameter
+        length = tangent.weight * system.inner(last.unknown - first.unknown, tangent.x)
+        length += rise * tangent.p
+        onwards = tangent.weight * system.inner(last.tangent.x, tangent.x)
+        onwards += last.tangent.p * tangent.p
+        if not (length > 0.0 and onwards > 0.0):
+            return None
+        begin, end = length * tangent.p, length * last.tangent.p / onwards  # dp / d(s / length)
+        cubic = np.array([begin + end - 2.0 * rise, 3.0 * rise - 2.0 * begin - end, begin, 0.0])
+        if target is None:
+            cubic = np.array([0.0, 3.0, 2.0, 1.0]) * np.append(0.0, cubic[:3])
+        else:
+            cubic[3] = first.parameter - target
+        share = float(scipy.optimize.brentq(lambda at, q=cubic: np.polyval(q, at), 0.0, 1.0))
+        if min(share, 1.0 - share) * length <= near:
+            return first if share < 0.5 else last
+        share = 0.5 if halve else share
+        found = step_along(system, first, share * length, tolerance)
+        if found is None:
+            return None
+        is_before = found.tangent.p * first.tangent.p > 0.0
+        if target is not None:
+            is_before = (found.parameter - target) * (first.parameter - target) > 0.0
+        first, last = (found, last) if is_before else (first, found)
+        left = 1.0 - share if is_before else share
+        halve = count >= 3 and left > 0.5 and not halve
+    return None
 
 
 def locate(

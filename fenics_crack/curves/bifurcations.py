@@ -21,7 +21,15 @@ from dataclasses import replace
 import numpy as np
 import scipy.linalg
 
-from fenics_crack.balance.bordered import PathPoint, Tangent, correct, distance, locate, tangent_of
+from fenics_crack.balance.bordered import (
+    PathPoint,
+    Tangent,
+    correct,
+    distance,
+    find_between,
+    locate,
+    tangent_of,
+)
 from fenics_crack.balance.coupled import CoupledSystem
 from fenics_crack.balance.family import Family
 from fenics_crack.balance.fourier import stretched
@@ -72,7 +80,9 @@ def turns_or_branches(family: Family, before: PathPoint, after: PathPoint) -> Sp
         found.append(("branch_point", after))
     if after.tangent.p * before.tangent.p < 0.0:
         sharp = attainable(family, after.parameter, 1e-11)
-        found.append(("fold", locate(family, before, after, lambda at: at.tangent.p, sharp)))
+        fold = find_between(family, (before, after), None, sharp)
+        fold = fold or locate(family, before, after, lambda at: at.tangent.p, sharp)
+        found.append(("fold", fold))
     return found
 
 

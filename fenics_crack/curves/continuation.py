@@ -21,6 +21,7 @@ from fenics_crack.balance.bordered import (
     Tangent,
     correct,
     distance,
+    find_between,
     land,
     solve_at,
     step_along,
@@ -56,6 +57,8 @@ MAX_HARMONICS = 100
 """Beyond these a curve's harmonics are not raised."""
 SHORTEST = 0.1
 """Of steps, relative to what rounding leaves of the residual: shorter ones resolve nothing."""
+LANDING = 1e-4
+"""Distance along the path from which the solution at the end is solved for."""
 EVERY = 4
 """Points between two looks at the truncation."""
 
@@ -382,8 +385,16 @@ class Continuation:
         return False, None
 
     def _land(self, before: PathPoint, point: PathPoint, end: float) -> PathPoint | None:
+        """The solution at the end, from along the path as near as to it as possible."""
         family, sharp = self._family, attainable(self._family, end, 1e-10)
-        return land(before, point, end, lambda near: solve_at(family, near, end, tolerance=sharp))
+
+        def solve(near: np.ndarray) -> PathPoint | None:
+            return solve_at(family, near, end, tolerance=sharp)
+
+        near = find_between(family, (before, point), end, sharp, LANDING)
+        if near is not None and (found := solve(near.unknown)) is not None:
+            return replace(found, tangent=near.tangent)
+        return land(before, point, end, solve)
 
     def _closes(self, before: PathPoint, point: PathPoint) -> bool:
         """Whether the first point lies between two others."""
