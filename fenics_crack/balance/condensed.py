@@ -86,12 +86,20 @@ class CondensedPoint(DenseLinearisation, ABC):
         """Change of the gap that belongs to a change of the unknowns."""
 
     @abstractmethod
+    def force_of(self, change: np.ndarray) -> np.ndarray:
+        """Change of the contact force that belongs to a change of the unknowns."""
+
+    @abstractmethod
     def gap_by_force(self, change: np.ndarray) -> np.ndarray:
         """Change of the gap if the contact force were changed."""
 
     @abstractmethod
     def gap_by_linear_gap(self, change: np.ndarray) -> np.ndarray:
         """Change of the gap if that without contact, g_lin, were changed."""
+
+    def solve_roughly(self, right: np.ndarray) -> np.ndarray:
+        """J^-1 r to the accuracy of an error estimate."""
+        return self.solve(right)
 
 
 class _Condensed:
@@ -196,6 +204,9 @@ class _GapPoint(CondensedPoint):
 
     def gap_of(self, change: np.ndarray) -> np.ndarray:
         return change
+
+    def force_of(self, change: np.ndarray) -> np.ndarray:
+        return apply_to_pairs(self.tangent, change)
 
     def gap_by_force(self, change: np.ndarray) -> np.ndarray:
         return self.gap_by_linear_gap(-respond(self.system.compliance.matrices, change))
@@ -315,7 +326,10 @@ class _ConstraintPoint(CondensedPoint):
         return -apply_to_pairs(self.tangent, self.unknown)
 
     def gap_of(self, change: np.ndarray) -> np.ndarray:
-        return -respond(self.system.compliance.matrices, self.system.weight * change)
+        return -respond(self.system.compliance.matrices, self.force_of(change))
+
+    def force_of(self, change: np.ndarray) -> np.ndarray:
+        return self.system.weight * change
 
     def gap_by_force(self, change: np.ndarray) -> np.ndarray:
         return self.gap_of(self.solve(change / self.system.weight))

@@ -39,8 +39,8 @@ __all__ = ["MATRIX_FREE", "CoupledPoint", "CoupledSystem"]
 
 MATRIX_FREE = 300
 """Unknowns from which the Jacobian is not formed."""
-SHARP = 1e-9
-"""Relative residual of GMRES where a solution with J is asked for."""
+SHARP, ROUGH = 1e-9, 1e-2
+"""Relative residual of GMRES where a solution with J is asked for, and in an estimate."""
 
 
 class CoupledSystem:
@@ -148,8 +148,14 @@ class CoupledPoint(CondensedPoint):
     def apply(self, change: np.ndarray) -> np.ndarray:
         return change + respond(self.system.moving, self.forces.tangent.apply(change))
 
-    def solve(self, right: np.ndarray, tolerance: float = SHARP) -> np.ndarray:
+    def solve(self, right: np.ndarray) -> np.ndarray:
         """J^-1 r, as sharply as GMRES finds it."""
+        return self._solve(right, SHARP)
+
+    def solve_roughly(self, right: np.ndarray) -> np.ndarray:
+        return self._solve(right, ROUGH)
+
+    def _solve(self, right: np.ndarray, tolerance: float) -> np.ndarray:
         if self.system.matrix_free:
             return gmres(self.apply, right, tolerance)
         basis = self.system.basis
@@ -168,7 +174,10 @@ class CoupledPoint(CondensedPoint):
 
     def gap_of(self, change: np.ndarray) -> np.ndarray:
         """ds - R_inf T ds."""
-        return change - self.forces.tangent.apply(change) @ self.system.residual
+        return change - self.force_of(change) @ self.system.residual
+
+    def force_of(self, change: np.ndarray) -> np.ndarray:
+        return self.forces.tangent.apply(change)
 
     def gap_by_force(self, change: np.ndarray) -> np.ndarray:
         moved = self.solve(-respond(self.system.moving, change))

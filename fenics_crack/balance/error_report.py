@@ -25,7 +25,12 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.compliance import Compliance
-from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, respond
+from fenics_crack.balance.condensed import (
+    CondensedPoint,
+    CondensedSystem,
+    ConstraintSystem,
+    respond,
+)
 from fenics_crack.balance.contact_integrals import (
     ExactIntegrals,
     SampledIntegrals,
@@ -66,8 +71,9 @@ how many follow where it is not."""
 STIFF = 1e3
 """Stiffness of a penalty that stands for a constraint where the reference has mass at its lips,
 relative to the inverse of R_inf."""
-MANY = 600
-"""Unknowns beyond which the truncation is judged with twice instead of four times the harmonics."""
+FAR, MANY = 60, 600
+"""Harmonics with which the truncation is judged at least, where modes far above them may answer;
+unknowns beyond which it is judged with twice instead of four times the harmonics."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -183,72 +189,64 @@ def relative_size(change: np.ndarray, at: CondensedPoint, clearance: np.ndarray)
 
 
 def beyond_truncation(at: CondensedPoint) -> _Change:
-    """What K > H harmonics change, 4 H or 2 H, by a Newton step.
+    """What K > H harmonics change, K = :func:`_more_harmonics`.
 
-    The step is found by elimination: iterative solutions of these equations do not converge where
+    Steps are found by elimination: iterative solutions of these equations do not converge where
     many pairs are stiff, unless these are seen through a static compliance.
     """
     rows, harmonics = len(at.unknown), _more_harmonics(at)
-    system, start = at.system.widened(harmonics), resized(at.unknown, harmonics)
-    if isinstance(system, CoupledSystem):
-        return _improvement(system, start, rows)
-    wide = system.linearise(start)
-    missing = -wide.residual
-    missing[:rows] = 0.0  # solved; what samples leave is another error
-    step = wide.solve(missing)
-    gap = wide.gap_of(step)
-    if isinstance(system, CondensedSystem):
-        force = apply_to_pairs(wide.tangent, step)
-    else:
-        force = system.weight * step
-    return _Change(gap, force[:rows])
+    start = resized(at.unknown, harmonics)
+    # The first H are solved; what samples leave there is another error.
+    return _improvement(at.system.widened(harmonics), start, rows, solved=rows)
 
 
 def improved(at: CondensedPoint) -> np.ndarray:
     """The unknowns of a solution with more harmonics, by one Newton step: (2K+1, n_pairs)."""
     unknown = resized(at.unknown, _more_harmonics(at))
-    if isinstance(at, CoupledPoint):
-        wide = at.system.widened(len(unknown) // 2).linearise(unknown)
-        return unknown + wide.solve(-wide.residual, ROUGH)
-    return unknown + beyond_truncation(at).gap
+    wide = at.system.widened(len(unknown) // 2).linearise(unknown)
+    return unknown + wide.solve_roughly(-wide.residual)
 
 
 def _more_harmonics(at: CondensedPoint) -> int:
-    """With how many harmonics the truncation is judged."""
-    kept = at.system.integrals.harmonics
-    harmonics = max(4 * kept, kept + 8)
-    if (2 * harmonics + 1) * at.unknown.shape[1] > MANY:
-        harmonics = max(2 * kept, kept + 4)
-    return harmonics
+    """With how many harmonics the truncation is judged: four times as many, and enough for modes
+    that they do not reach; of many unknowns twice."""
+    kept, pairs = at.system.integrals.harmonics, at.unknown.shape[1]
+    fits = (MANY // pairs - 1) // 2
+    if max(4 * kept, kept + 8) > fits:
+        return max(2 * kept, kept + 4)
+    return max(4 * kept, min(FAR, fits))
 
 
 def _improvement(
-    system: CoupledSystem,
+    system: CondensedSystem | ConstraintSystem | CoupledSystem,
     start: np.ndarray,
     rows: int,
     better: tuple[Structure, Compliance] | None = None,
+    *,
+    solved: int = 0,
 ) -> _Change:
     """What better equations change, by Newton's method: one step where that is small, else some,
-    as far as they come closer."""
+    as far as they come closer. The first ``solved`` rows of the residual stay as they are."""
     first = system.linearise(start)
-    step = first.solve(-first.residual, ROUGH)
-    force = first.forces.tangent.apply(step)
-    change = _Change(first.gap_of(step), force[:rows], better)
-    length = np.sqrt(system.inner(step, step))
-    if length < SMALL_STEP * np.sqrt(system.inner(start, start)):
+    known = first.residual.copy()
+    known[solved:] = 0.0
+    step = first.solve_roughly(known - first.residual)
+    change = _Change(first.gap_of(step), first.force_of(step)[:rows], better)
+    length = np.linalg.norm(step)
+    if length < SMALL_STEP * np.linalg.norm(start):
         return change
     unknown, left = start, np.inf
-    before = float(np.linalg.norm(first.residual))
+    before = float(np.linalg.norm(first.residual - known))
     farthest = change
     for _ in range(MAX_STEPS):
         unknown = unknown + step
         point = system.linearise(unknown)
-        left = float(np.linalg.norm(point.residual))
+        left = float(np.linalg.norm(point.residual - known))
         change = _Change(point.gap - first.gap, (point.force - first.force)[:rows], better)
         farthest = max(farthest, change, key=lambda one: mean_square(one.gap))
         if left < ROUGH * length or not left < FARTHER * before:
             break
-        step = point.solve(-point.residual, ROUGH)
+        step = point.solve_roughly(known - point.residual)
     # Where they come no closer, how far they went is all that is known.
     return change if left < 0.3 * before else farthest
 

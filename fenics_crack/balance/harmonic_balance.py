@@ -14,7 +14,7 @@ import numpy as np
 from fenics_crack.balance.compliance import load_coefficients
 from fenics_crack.balance.contact_integrals import default_samples
 from fenics_crack.balance.dynamic_stiffness import DynamicStiffness
-from fenics_crack.balance.error_report import mean_square
+from fenics_crack.balance.error_report import ErrorReport, mean_square
 from fenics_crack.balance.fourier import from_complex, resized, to_complex
 from fenics_crack.balance.krylov import RESTART
 from fenics_crack.balance.problem import Problem
@@ -39,9 +39,15 @@ __all__ = ["check_initial", "check_memory", "solve_harmonic_balance", "solve_lin
 
 MAX_HARMONICS = 300
 """If more are needed for a tolerance, or more than MAX_SAMPLES, it is out of reach."""
-SAFETY = 0.4
-"""Share of a tolerance that the estimate may take where pairs are coupled: it is known to a factor
-of about two there."""
+SAFETY, SHARE = 0.6, 0.3
+"""Parts of a tolerance that the whole estimate may take, and one of its causes before it is worked
+on: estimates are known to a factor of about two."""
+DISPROVED = 3.0
+"""Change from one solution to a finer one, relative to the error estimated of the first, beyond
+which estimates are not believed."""
+FIRST_MODES, COVER = 10, 1.5
+"""Modes with which a large structure is tried first; H times the frequency relative to that of the
+highest mode kept, from which on it is covered."""
 MATRICES = 4
 """Dense matrices of the size of the Jacobian that are held at a time."""
 
@@ -161,38 +167,38 @@ def solve_harmonic_balance(
 def _solve_to_tolerance(
     solver: Solver, tolerance: float, initial: PeriodicSolution | None
 ) -> PeriodicSolution:
-    """Raise H, the samples, and the modes of a reduction until the estimated error is small."""
-    whole, modes = solver.problem.structure, 10
+    """Raise H, the samples, and the modes of a reduction until the estimated error is small, and
+    the change since a coarser solution agrees with what was estimated of that."""
+    whole, modes = solver.problem.structure, FIRST_MODES
     reducible = not is_small(whole) and not isinstance(whole, ReducedStructure)
     if reducible:
         solver = _reduced(solver, whole, modes)
     last: PeriodicSolution | None = None
     while True:
         problem = solver.problem
-        solution = solver.solve(initial) if last is None else solver.attempt(initial)[1]
+        solution = solver.solve(initial) if last is None else solver.attempt(last)[1]
         if not solution.converged:
             if last is None:
                 return solution
             obstacle = f"truncation; H = {problem.harmonics} failed"
             return _give_up(solver, tolerance, last, obstacle)
-        solution = _with_bound(solution, last, whole)
-        report = solution.report
-        if report.total <= (1.0 if problem.residual is None else SAFETY) * tolerance:
+        report = whole.comm.bcast(solution.report)
+        solution = replace(solution, report=report)
+        if report.total <= SAFETY * tolerance and _confirmed(solution, last, tolerance):
             chosen = f"chosen for an error of {tolerance:g}: H = {problem.harmonics}"
             if problem.samples is not None:
                 chosen += f", {problem.samples} samples"
             if reducible:
                 chosen += f", {modes} modes ({problem.structure.n_dofs} coordinates)"
             return replace(solution, status=f"{solution.status}; {chosen}")
-        initial = last = solution
-        if report.reduction > 0.3 * tolerance and reducible and modes < whole.n_dofs:
-            modes, last = min(2 * modes, whole.n_dofs), None
-            solver = _reduced(solver, whole, modes)
-            continue
-        finer, obstacle = _finer(problem, solution, tolerance)
+        last = solution
+        finer, obstacle = _finer(problem, report, tolerance, reducible and modes < whole.n_dofs)
         if obstacle:
             return _give_up(solver, tolerance, solution, obstacle)
         solver = replace(solver, problem=finer)
+        if reducible and report.reduction > SHARE * tolerance and modes < whole.n_dofs:
+            modes = min(2 * modes, whole.n_dofs)
+            solver = _reduced(solver, whole, modes)
 
 
 def _reduced(solver: Solver, whole: Structure, modes: int) -> Solver:
@@ -200,41 +206,43 @@ def _reduced(solver: Solver, whole: Structure, modes: int) -> Solver:
     return replace(solver, problem=replace(solver.problem, structure=reduced))
 
 
-def _with_bound(
-    solution: PeriodicSolution, last: PeriodicSolution | None, whole: Structure
-) -> PeriodicSolution:
-    """A solution whose truncation is also judged by its change since one with fewer harmonics.
+def _confirmed(solution: PeriodicSolution, last: PeriodicSolution | None, tolerance: float) -> bool:
+    """Whether a solution is as far from a coarser one as the error estimated of that says, or
+    hardly differs from it. Where one estimate has failed, the next is not believed either."""
+    if last is None:
+        return False
+    change = solution.gap_coefficients - resized(last.gap_coefficients, solution.harmonics)
+    closing = solution.gap_coefficients.copy()
+    closing[0] += solution.structure.clearance
+    moved = float(np.sqrt(mean_square(change) / max(mean_square(closing), 1e-300)))
+    return moved <= max(DISPROVED * last.report.total, tolerance)
 
-    The estimate of the truncation, a Newton step, is far too large where contact is stiff. Where
-    the error falls like 1/H or faster, that with q H harmonics is also at most the change since H,
-    divided by q - 1. The smaller of the two counts.
+
+def _finer(
+    problem: Problem, report: ErrorReport, tolerance: float, more_modes: bool
+) -> tuple[Problem, str]:
+    """The problem with more samples or harmonics; or what prevents a smaller error.
+
+    Harmonics that do not reach a mode leave its motion out: with fewer than 1.5 w_m / w, w_m the
+    highest frequency kept, the truncation falls no faster than these modes are reached.
     """
-    report, harmonics = solution.report, solution.harmonics
-    if last is not None and harmonics > last.harmonics:
-        change = solution.gap_coefficients - resized(last.gap_coefficients, harmonics)
-        closing = solution.gap_coefficients.copy()
-        closing[0] += whole.clearance
-        size = np.sqrt(mean_square(closing))
-        bound = np.sqrt(mean_square(change)) / (size * (harmonics / last.harmonics - 1.0))
-        report = replace(report, truncation=min(report.truncation, float(bound)))
-    return replace(solution, report=whole.comm.bcast(report))
-
-
-def _finer(problem: Problem, solution: PeriodicSolution, tolerance: float) -> tuple[Problem, str]:
-    """The problem with more samples or harmonics; or what prevents a smaller error."""
-    report, harmonics = solution.report, problem.harmonics
-    if report.reduction > tolerance:
+    harmonics = problem.harmonics
+    if report.reduction > tolerance and not more_modes:
         return problem, "that of the reduced structure given"
-    if report.sampling > 0.3 * tolerance:
+    if report.sampling > SHARE * tolerance:
         used = problem.samples or problem.subharmonic * default_samples(harmonics)
         if used > MAX_SAMPLES // 4:
             return problem, "sampling"
         return replace(problem, samples=4 * used), ""
+    if more_modes and report.truncation <= SHARE * tolerance < report.reduction:
+        return problem, ""  # only modes are missing
     if harmonics >= MAX_HARMONICS:
         return problem, f"truncation at H = {harmonics}"
     # The error falls like H^-3 or slower: aim a little past the goal, but not too far.
-    wanted = harmonics * min(2.5, 1.1 * (report.truncation / tolerance) ** (1.0 / 3.0))
-    harmonics = min(MAX_HARMONICS, max(harmonics + 2, int(np.ceil(wanted))))
+    wanted = 1.1 * harmonics * (report.truncation / tolerance) ** (1.0 / 3.0)
+    if (lips := massless(problem.structure)) is not None and report.truncation > tolerance:
+        wanted = max(wanted, COVER * lips.omega[-1] / problem.base_omega)
+    harmonics = min(MAX_HARMONICS, max(harmonics + 2, int(np.ceil(min(wanted, 2.5 * harmonics)))))
     samples = problem.samples and max(problem.samples, 8 * harmonics)
     return replace(problem, harmonics=harmonics, samples=samples), ""
 
