@@ -34,6 +34,7 @@ from fenics_crack.kernel import doubles, kernel
 from fenics_crack.model.contact import UnilateralPenalty
 
 __all__ = [
+    "CondensedEquations",
     "CondensedPoint",
     "CondensedSystem",
     "ConstraintSystem",
@@ -102,13 +103,13 @@ class CondensedPoint(DenseLinearisation, ABC):
         return self.solve(right)
 
 
-class _Condensed:
-    """What both condensed systems share: they are small, and the same on every rank."""
+class CondensedEquations:
+    """What condensed systems share: they are small, and the same on every rank."""
 
     comm, matrix_free = MPI.COMM_SELF, False
 
-    def __init__(self, compliance: Compliance, integrals: ContactIntegrals) -> None:
-        self.compliance, self.integrals = compliance, integrals
+    def __init__(self, compliance: Compliance) -> None:
+        self.compliance = compliance
         self.linear = compliance.linear_gap
         """g_lin: (2H+1, n_pairs) [m]."""
         self.shape: tuple[int, ...] = self.linear.shape
@@ -119,11 +120,15 @@ class _Condensed:
         return float(np.vdot(first, second))
 
 
-class CondensedSystem(_Condensed):
+class CondensedSystem(CondensedEquations):
     """F(g) = g - g_lin + R b(g) for a law that gives the force from the gap.
 
     Its parameter is p = ln(k / k of the law), the contact stiffness.
     """
+
+    def __init__(self, compliance: Compliance, integrals: ContactIntegrals) -> None:
+        super().__init__(compliance)
+        self.integrals = integrals
 
     def linearise(self, gap: np.ndarray, parameter: float = 0.0) -> _GapPoint:
         """The equations at a gap and a stiffness; J = I + R T, dF/dp = R b."""
@@ -273,7 +278,7 @@ def default_weight(compliance: Compliance) -> float:
     return 1.0 / largest
 
 
-class ConstraintSystem(_Condensed):
+class ConstraintSystem(CondensedEquations):
     """F(y) = y - P(g_lin + t y - eps R y): no penetration, in the frequency-time sense.
 
     Its parameter is t: a penalty of stiffness eps (0), the constraint (1). Truncated solutions
@@ -281,7 +286,8 @@ class ConstraintSystem(_Condensed):
     """
 
     def __init__(self, compliance: Compliance, harmonics: int, weight: float) -> None:
-        super().__init__(compliance, ExactIntegrals(UnilateralPenalty(1.0), harmonics))
+        super().__init__(compliance)
+        self.integrals = ExactIntegrals(UnilateralPenalty(1.0), harmonics)
         self.weight = weight
 
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> _ConstraintPoint:

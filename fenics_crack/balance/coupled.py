@@ -26,10 +26,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from mpi4py import MPI
 
 from fenics_crack.balance.compliance import Compliance, WidenedCompliance
-from fenics_crack.balance.condensed import CondensedPoint, respond
+from fenics_crack.balance.condensed import CondensedEquations, CondensedPoint, respond
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals, CoupledTangent
 from fenics_crack.balance.krylov import gmres
 from fenics_crack.balance.linearisation import solve_factored
@@ -43,26 +42,21 @@ SHARP, ROUGH = 1e-9, 1e-2
 """Relative residual of GMRES where a solution with J is asked for, and in an estimate."""
 
 
-class CoupledSystem:
+class CoupledSystem(CondensedEquations):
     """F(s) = s - g_lin + (R_k - R_inf) b(lambda(s)).
 
     Its parameter is the softness in series with the pairs, ``softness`` |1 - p|^3: 0 at p = 1.
     """
 
-    comm = MPI.COMM_SELF
-
     def __init__(
         self, compliance: Compliance, integrals: CoupledIntegrals, softness: float = 0.0
     ) -> None:
-        self.compliance, self.integrals, self._softness = compliance, integrals, softness
+        super().__init__(compliance)
+        self.integrals, self._softness = integrals, softness
         self.residual = integrals.residual
         """R_inf [m/N]."""
-        self.linear = compliance.linear_gap
-        """g_lin: (2H+1, n_pairs) [m]."""
         self.moving = compliance.matrices - self.residual
         """R_k - R_inf."""
-        self.shape: tuple[int, ...] = self.linear.shape
-        self.global_size = self.linear.size
         self.basis = compliance.basis
         """U, None where modes are as many as pairs."""
         columns = self.shape[1] if self.basis is None else self.basis.shape[1]
@@ -83,10 +77,6 @@ class CoupledSystem:
     ) -> CoupledPoint:
         """The equations at s, with the derivative by another parameter."""
         return CoupledPoint(self, unknown, self.integrals, by_parameter)
-
-    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
-        """Inner product."""
-        return float(np.vdot(first, second))
 
     @property
     def enough(self) -> float:
