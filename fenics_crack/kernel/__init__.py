@@ -20,7 +20,7 @@ except ImportError as error:  # pragma: no cover
         "the compiled kernel of fenics_crack is missing or broken: run 'sh install.sh'"
     ) from error
 
-__all__ = ["Struct", "doubles", "ints", "kernel", "made", "owned", "signs"]
+__all__ = ["Struct", "doubles", "ints", "kernel", "made", "owned", "signs", "table"]
 
 kernel: Any = lib
 """The functions of the C files, by their names."""
@@ -68,6 +68,11 @@ def owned(pointer: Any, free: Any) -> Any:
     if not pointer:
         raise MemoryError
     return ffi.gc(pointer, free)
+
+
+def table(kind: str, count: int) -> Any:
+    """Null pointers to so many structs."""
+    return ffi.new(f"{kind} *[]", count)
 
 
 class Struct:

@@ -18,12 +18,13 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.errors import ConvergenceError, InputError, check_omega
+from fenics_crack.kernel import Struct, doubles, ints, kernel, table
 from fenics_crack.model.contact import ContactLaw, check_law, is_piecewise_linear
 from fenics_crack.model.modal import AllModes, all_modes, is_small
 from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure
 from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
-from fenics_crack.time.regime import FreeMotion, Gaps, Regime, next_event
+from fenics_crack.time.regime import FreeMotion, Regime
 
 __all__ = ["MAX_PAIRS", "EventFlow", "integrate_events"]
 
@@ -31,7 +32,9 @@ MAX_PAIRS = 12
 MAX_EVENTS = 100_000
 """In one flow; more are a sign that pairs chatter without end."""
 MAX_STEPS = 3e5
-"""Twelfths of the period of the highest mode in one flow, about half a second of work."""
+"""Twelfths of the period of the highest mode in one flow."""
+KEPT = 256
+"""Intervals between events that are kept at a time."""
 
 
 class EventFlow:
@@ -59,18 +62,28 @@ class EventFlow:
         self._modes: AllModes = all_modes(structure)
         self.scale = float(np.sqrt(np.abs(self._modes.squares).max())) or 1.0
         self._stiffness = np.broadcast_to(contact.stiffness, structure.n_pairs).astype(float)
-        self._regimes: dict[bytes, Regime] = {}
-        self._free: dict[bytes, FreeMotion] = {}
+        self._free: dict[int, FreeMotion] = {}
         count = len(self._modes.squares)
         self.gap_rows = np.hstack(
             [self._modes.pairs.T / self.scale, np.zeros((structure.n_pairs, count))]
         )
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """What depends on the load's frequency: regimes, by the bits of their closed pairs."""
+        pairs, size = self.gap_rows.shape
+        self._regimes: dict[int, Regime] = {}
+        self._known = Struct(
+            "exact_flow", pairs=pairs, size=size, omega=self.omega, known=table("regime", 2**pairs),
+            room=np.empty(8 * size + 6 * pairs),
+        )  # fmt: skip
 
     def at(self, omega: float) -> EventFlow:
         """The same with another load frequency [rad/s]; the free motion is not computed again."""
         check_omega(omega)
         other = copy(self)
-        other.omega, other._regimes = omega, {}
+        other.omega = omega
+        other._prepare()
         return other
 
     def state(self, displacement: np.ndarray, velocity: np.ndarray) -> np.ndarray:
@@ -98,63 +111,75 @@ class EventFlow:
     ) -> tuple[np.ndarray, np.ndarray, Callable[[], np.ndarray], int]:
         """Flow from ``start`` for ``duration``: the state; ``rows @ z`` at ``instants`` (ascending,
         within the flow); what computes the monodromy matrix; and the number of events."""
-        end = start + duration
-        instants = np.zeros(0) if instants is None else instants
+        instants = np.zeros(0) if instants is None else np.array(instants, dtype=float)
+        state = np.array(state, dtype=float)
+        gaps = np.diff(instants)
+        equal = len(gaps) > 1 and float(np.ptp(gaps)) <= 1e-9 * float(gaps[0])
+        weights, sets = np.empty((len(instants), len(state))), np.empty(len(instants), np.intc)
+        passed, lengths = np.empty(KEPT, np.intc), np.empty(KEPT)
+        motion = Struct(
+            "motion", now=start, end=start + duration, state=state,
+            closed=self._closed_at(state), switched=-1, most=KEPT, passed_sets=passed,
+            lengths=lengths, count=len(instants), instants=instants,
+            spacing=float(np.mean(gaps)) if equal else 0.0, weights=weights, sets=sets,
+        ).at  # fmt: skip
+        before: list[tuple[np.ndarray, np.ndarray]] = []
+        while (code := kernel.follow_exactly(self._known.at, motion, MAX_STEPS)) != kernel.DONE:
+            if code == kernel.FAST:
+                raise ConvergenceError("events: the highest modes are too fast for that long")
+            if code == kernel.UNKNOWN:
+                self._make(motion.closed)
+                continue
+            if motion.events > MAX_EVENTS:
+                raise ConvergenceError("events: the pairs open and close without end")
+            before.append((passed.copy(), lengths.copy()))
+            motion.passed = 0
+        before.append((passed[: motion.passed], lengths[: motion.passed]))
+        output = self._output(rows, instants, weights, sets)
+        return state, output, partial(self._monodromy, before), motion.events
+
+    def _output(
+        self, rows: np.ndarray | None, instants: np.ndarray, weights: np.ndarray, sets: np.ndarray
+    ) -> np.ndarray:
+        """``rows @ z`` from weights at instants in regimes."""
         rows = self.gap_rows if rows is None else rows
         output = np.empty((len(instants), len(rows)))
-        closed = self._closed_at(state)
-        now, pair, passed = start, -1, list[tuple[FreeMotion, float]]()
-        while True:
-            regime = self._regime(closed)
-            free = regime.free
-            if not (end - now) / free.step < MAX_STEPS:
-                raise ConvergenceError("events: the highest modes are too fast for that long")
-            weights = regime.weights(state, now)
-            gaps = Gaps(regime, self.gap_rows, self.structure.clearance, closed, weights, now)
-            pair, length = next_event(gaps, end - now, pair)
-            chosen = (instants >= now) & ((instants < now + length) | (pair < 0))
-            if np.any(chosen):
-                output[chosen] = regime.sampled(rows, weights, now, instants[chosen])
-            growth = np.exp(free.values * length)
-            now += length
-            state = regime.steady(now) + (free.vectors @ (growth * weights)).real
-            passed.append((free, length))
-            if pair < 0:
-                return state, output, partial(_monodromy, passed), len(passed) - 1
-            closed = closed.copy()
-            closed[pair] = ~closed[pair]
-            if len(passed) > MAX_EVENTS:
-                raise ConvergenceError("events: the pairs open and close without end")
+        turn = self.omega * instants
+        waves = np.column_stack([np.ones_like(turn), np.cos(turn), np.sin(turn)])
+        for closed in np.unique(sets):
+            here = sets == closed
+            regime = self._regimes[int(closed)]
+            output[here] = regime.sampled(rows, weights[here], waves[here])
+        return output
 
-    def _closed_at(self, state: np.ndarray) -> np.ndarray:
-        """Pairs in penetration, or about to be."""
+    def _monodromy(self, passed: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+        """dz(T)/dz of regimes passed, and how long each lasts."""
+        size = self.gap_rows.shape[1]
+        product, work = np.eye(size), np.empty(size * (size + 2))
+        for sets, lengths in passed:
+            kernel.derivative_of(
+                self._known.at, len(sets), ints(sets), doubles(lengths), doubles(product),
+                doubles(work),
+            )  # fmt: skip
+        return product
+
+    def _closed_at(self, state: np.ndarray) -> int:
+        """Bits of the pairs in penetration, or about to be."""
         gap = self.gap_rows @ state - self.structure.clearance
         rate = self._modes.pairs.T @ state[len(state) // 2 :]
         rounding = 1e-14 * np.abs(self.gap_rows).max(initial=0.0) * np.abs(state).max()
-        return np.where(np.abs(gap) <= rounding, rate > 0.0, gap > 0.0)
+        closed = np.where(np.abs(gap) <= rounding, rate > 0.0, gap > 0.0)
+        return int(closed @ (1 << np.arange(len(closed))))
 
-    def _regime(self, closed: np.ndarray) -> Regime:
-        key = closed.tobytes()
-        if key not in self._regimes:
-            own = self.structure, self._modes
-            if key not in self._free:
-                self._free[key] = FreeMotion(*own, closed * self._stiffness, self.scale)
-            self._regimes[key] = Regime(self._free[key], *own, self.omega, self.scale)
-        return self._regimes[key]
-
-
-def _monodromy(passed: list[tuple[FreeMotion, float]]) -> np.ndarray:
-    """dz(T)/dz of free motions and how long each lasts, in the modes of each in turn."""
-    (last, length), turns = passed[0], dict[tuple[int, int], np.ndarray]()
-    product = np.exp(last.values * length)[:, None] * last.inverse
-    for free, length in passed[1:]:
-        key = id(last), id(free)
-        if key not in turns:
-            turns[key] = free.inverse @ last.vectors
-        product = np.exp(free.values * length)[:, None] * (turns[key] @ product)
-        last = free
-    found: np.ndarray = (last.vectors @ product).real
-    return found
+    def _make(self, closed: int) -> None:
+        """The regime of a set of closed pairs, by its bits."""
+        own = self.structure, self._modes
+        if closed not in self._free:
+            springs = (closed >> np.arange(len(self._stiffness)) & 1) * self._stiffness
+            self._free[closed] = FreeMotion(*own, springs, self.scale)
+        made = Regime(self._free[closed], *own, self.omega, self.scale)
+        self._regimes[closed] = made
+        self._known.at.known[closed] = made.known.at
 
 
 def integrate_events(
