@@ -18,7 +18,10 @@ from fenics_crack.model.complementarity import solve_complementarity
 CHECKED = "CHECKED_KERNEL"
 """Environment variable, set in a run with a kernel that checks its addresses."""
 
-OTHERS = [ROOT / "tests" / "balance" / "test_active_sets.py"]
+OTHERS = [
+    ROOT / "tests" / "balance" / "test_active_sets.py",
+    ROOT / "tests" / "time" / "test_compiled.py",
+]
 """Other files whose tests are run with it."""
 
 WITH_CHECKS = """
