@@ -58,7 +58,7 @@ class Stepping:
     """Of the angle between neighbouring tangents."""
     rounding: float = 1e-13
     """Below which |F| / |x| does not fall."""
-    chunk: int = 64
+    chunk: int = 16
     """Points that the compiled kernel follows in one call at most."""
     span: tuple[float, float] = (0.0, 1.0)
     """Of the parameter: where it is left, such a call ends."""

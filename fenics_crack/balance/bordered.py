@@ -305,12 +305,12 @@ def find_between(
         if not (length > 0.0 and onwards > 0.0):
             return None
         begin, end = length * tangent.p, length * last.tangent.p / onwards  # dp / d(s / length)
-        cubic = np.array([begin + end - 2.0 * rise, 3.0 * rise - 2.0 * begin - end, begin, 0.0])
+        third, second = begin + end - 2.0 * rise, 3.0 * rise - 2.0 * begin - end
         if target is None:
-            cubic = np.array([0.0, 3.0, 2.0, 1.0]) * np.append(0.0, cubic[:3])
+            cubic = (0.0, 3.0 * third, 2.0 * second, begin)
         else:
-            cubic[3] = first.parameter - target
-        share = float(scipy.optimize.brentq(lambda at, q=cubic: np.polyval(q, at), 0.0, 1.0))
+            cubic = (third, second, begin, first.parameter - target)
+        share = float(scipy.optimize.brentq(_polynomial, 0.0, 1.0, cubic))
         if min(share, 1.0 - share) * length <= near:
             return first if share < 0.5 else last
         share = 0.5 if halve else share
@@ -324,6 +324,10 @@ def find_between(
         left = 1.0 - share if is_before else share
         halve = count >= 3 and left > 0.5 and not halve
     return None
+
+
+def _polynomial(at: float, a: float, b: float, c: float, d: float) -> float:
+    return ((a * at + b) * at + c) * at + d
 
 
 def locate(

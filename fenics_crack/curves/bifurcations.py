@@ -40,6 +40,7 @@ from fenics_crack.errors import ConvergenceError
 from fenics_crack.stability.piecewise_flow import LeadingMultiplier, PiecewiseFlow
 
 __all__ = [
+    "Special",
     "attainable",
     "first_of_branch",
     "flow_of",

@@ -34,6 +34,7 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.balance.solver import Solver
 from fenics_crack.curves.bifurcations import (
+    Special,
     attainable,
     first_of_branch,
     flow_of,
@@ -59,6 +60,8 @@ SHORTEST = 0.1
 """Of steps, relative to what rounding leaves of the residual: shorter ones resolve nothing."""
 LANDING = 1e-4
 """Distance along the path from which the solution at the end is solved for."""
+CHUNK = 64
+"""Points that the kernel follows in one call."""
 EVERY = 4
 """Points between two looks at the truncation."""
 
@@ -159,7 +162,7 @@ class Continuation:
         stability: bool = False,
         longest_step: float = 0.05,
         most_points: int = 50000,
-        turning_back: float = 0.02,
+        turning_back: float = 0.1,
     ) -> None:
         _check_range(problem.structure, parameter, start, end)
         check_number("longest_step", longest_step, 0.0, above=True)
@@ -183,6 +186,8 @@ class Continuation:
                 initial = replace(initial, structure=reduced)
         self._tolerance, self._least = tolerance, problem.harmonics
         self._longest, self._most, self._back = longest_step, most_points, turning_back
+        if 0.0 < start < end and parameter in ("omega", "damping"):  # not to 0
+            self._back = min(turning_back, 0.9 * start / (end - start))
         self._flow: PiecewiseFlow | None = None
         self._points: list[CurvePoint] = []
         self._special: list[tuple[str, float, np.ndarray]] = []
@@ -223,7 +228,7 @@ class Continuation:
             parameter=self._family.name,
             values=np.array([point.value for point in points]),
             omega=np.array([point.omega for point in points]),
-            unknowns=np.array([resized(point.unknown, counts.max()) for point in points]),
+            unknowns=_stacked([point.unknown for point in points], int(counts.max())),
             harmonics=counts,
             iterations=np.array([point.iterations for point in points]),
             truncation=np.array([point.truncation for point in points]),
@@ -269,6 +274,7 @@ class Continuation:
             tolerance=max(1e-9, rounding),
             least_cosine=0.85,
             rounding=rounding,
+            chunk=CHUNK if self._tolerance is None else EVERY,
         )
         for point in follow_path(family, here.unknown, here.parameter, stepping, here.tangent):
             special = turns_or_branches(family, before, point)
@@ -281,11 +287,8 @@ class Continuation:
             if last is not None and found.multiplier is not None:
                 sides = (before, last), (point, found.multiplier)
                 special += multipliers_cross(family, *sides, self._ask)
-            self._special += [
-                (kind, family.value(at.parameter), at.unknown) for kind, at in special
-            ]
-            values = tuple((kind, family.value(at.parameter)) for kind, at in special)
-            found = replace(found, bifurcations=values)
+            if special:
+                found = self._with_special(found, special)
             if self._tolerance is not None and len(self._points) % EVERY == 0:
                 found = replace(found, truncation=self._truncation(point))
             self._points.append(found)
@@ -296,7 +299,7 @@ class Continuation:
             if len(self._points) > self._most:
                 self.status = f"{self._most} points were not enough"
                 return here, None
-            step, before = distance(family, before, point), point
+            step, before = point.length, point
             if self._change_harmonics(found.truncation):
                 again = self._again(point)
                 if again is None:
@@ -305,6 +308,12 @@ class Continuation:
                 self._towards = again.tangent
                 return again, max(0.1 * step, 1e-3 * self._longest)
         return here, None
+
+    def _with_special(self, point: CurvePoint, special: Special) -> CurvePoint:
+        """A point, with what lies between it and the one before recorded."""
+        found = [(kind, self._family.value(at.parameter), at.unknown) for kind, at in special]
+        self._special += found
+        return replace(point, bifurcations=tuple((kind, value) for kind, value, _ in found))
 
     # --- one point --------------------------------------------------------------------------------
 
@@ -401,9 +410,11 @@ class Continuation:
         family, origin, tangent = self._family, self._origin, before.tangent
         if origin is None or len(self._points) < 4 or origin.unknown.shape != point.unknown.shape:
             return False
+        if abs(origin.parameter - before.parameter) > point.length / 0.9:
+            return False  # as will be seen below, but at once
         back, rise = origin.unknown - before.unknown, origin.parameter - before.parameter
         along = tangent.weight * family.inner(back, tangent.x) + rise * tangent.p
-        if not 0.0 < along <= distance(family, before, point):
+        if not 0.0 < along <= point.length:
             return False
         if along < 0.9 * distance(family, before, origin):
             return False
@@ -431,6 +442,12 @@ class Continuation:
         self._special = [(b.kind, b.value, b.unknown) for b in curve.bifurcations]
         self._branch, self._least = curve.branch, int(curve.harmonics.min())
         self._towards, self._origin = directions(self._family, curve)
+
+
+def _stacked(unknowns: list[np.ndarray], harmonics: int) -> np.ndarray:
+    """Unknowns of points with several numbers of harmonics: (n, 2H+1, n_pairs)."""
+    rows = 2 * harmonics + 1
+    return np.array([one if len(one) == rows else resized(one, harmonics) for one in unknowns])
 
 
 def _first_solution(

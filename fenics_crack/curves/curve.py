@@ -34,6 +34,15 @@ PARAMETERS = {
 """What a curve may be followed in, by its name in :attr:`ResponseCurve.parameter`."""
 
 
+def _expanded(problem: Problem, unknown: np.ndarray) -> PeriodicSolution:
+    """The solution that belongs to an unknown."""
+    compliance = problem.compliance()
+    at = problem.system(compliance).linearise(unknown)
+    found = solution_of(problem, at, status="point of a curve")
+    compliance.destroy()
+    return found
+
+
 @dataclass(frozen=True, repr=False)
 class Bifurcation(Described):
     """A special point of a curve.
@@ -48,14 +57,19 @@ class Bifurcation(Described):
         Of the curve's parameter.
     unknown : (2H+1, n_pairs) [m]
         The solution there, as the curve's unknowns.
-    solution : PeriodicSolution
-        The same, with its displacement and error report.
+    problem : Problem
+        What is solved there.
     """
 
     kind: str
     value: float
     unknown: np.ndarray
-    solution: PeriodicSolution
+    problem: Problem
+
+    @cached_property
+    def solution(self) -> PeriodicSolution:
+        """The same, with its displacement and error report."""
+        return _expanded(self.problem, self.unknown)
 
     @property
     def gap_coefficients(self) -> np.ndarray:
@@ -65,14 +79,14 @@ class Bifurcation(Described):
     @property
     def omega(self) -> float:
         """Load frequency [rad/s]."""
-        return self.solution.omega
+        return self.problem.omega
 
     def to_dict(self) -> dict[str, Any]:
         """Kind, value of the curve's parameter, and load frequency."""
         return {"kind": self.kind, "value": float(self.value), "omega": float(self.omega)}
 
     def _title(self) -> str:
-        return f"{self.kind.replace('_', ' ')} at {self.value:.6g}, H = {self.solution.harmonics}"
+        return f"{self.kind.replace('_', ' ')} at {self.value:.6g}, H = {self.problem.harmonics}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -187,7 +201,8 @@ class ResponseCurve(Tabular):
 
     def solution(self, index: int) -> PeriodicSolution:
         """The solution at a point, with its displacement and error report."""
-        return self._expanded(float(self.values[index]), self.unknown(index))
+        unknown = self.unknown(index)
+        return _expanded(self._problem_at(float(self.values[index]), unknown), unknown)
 
     @property
     def solutions(self) -> list[PeriodicSolution]:
@@ -237,19 +252,14 @@ class ResponseCurve(Tabular):
     ) -> tuple[Bifurcation, ...]:
         """Bifurcations of this curve from their kinds, parameters and unknowns."""
         return tuple(
-            Bifurcation(kind, value, unknown, self._expanded(value, unknown))
+            Bifurcation(kind, value, unknown, self._problem_at(value, unknown))
             for kind, value, unknown in special
         )
 
-    def _expanded(self, value: float, unknown: np.ndarray) -> PeriodicSolution:
-        """The solution that belongs to an unknown where the parameter has a value."""
+    def _problem_at(self, value: float, unknown: np.ndarray) -> Problem:
+        """What is solved where the parameter has a value, with the harmonics of an unknown."""
         problem = self.problem.with_harmonics(len(unknown) // 2)
-        problem = FAMILIES[self.parameter].vary(problem, value)
-        compliance = problem.compliance()
-        at = problem.system(compliance).linearise(unknown)
-        found = solution_of(problem, at, status="point of a curve")
-        compliance.destroy()
-        return found
+        return FAMILIES[self.parameter].vary(problem, value)
 
     # --- shown ------------------------------------------------------------------------------------
 
