@@ -376,7 +376,7 @@ def run_pyharm(arguments: common.Arguments) -> None:
     )  # fmt: skip
     rows: list[tuple[Any, ...]] = []
     for case, counts, turns in (
-        (single, (5,) if quick else (5, 10), 1 if quick else 5),
+        (single, (5,) if quick else (5, 10, 20), 1 if quick else 5),
         (chain, () if quick else (5, 10), 2),
     ):
         for harmonics in counts:

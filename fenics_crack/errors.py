@@ -63,11 +63,14 @@ class ConvergenceError(RuntimeError):
     ----------
     history : tuple of float
         The residual norms of every attempt, in order.
+    found : object
+        What was found before, such as a curve that is not complete; else None.
     """
 
-    def __init__(self, message: str, history: Sequence[float] = ()) -> None:
+    def __init__(self, message: str, history: Sequence[float] = (), found: object = None) -> None:
         super().__init__(message)
         self.history = tuple(history)
+        self.found = found
 
 
 def check_number(key: str, value: object, least: float = -math.inf, *, above: bool = False) -> None:

@@ -19,9 +19,12 @@ CHECKED = "CHECKED_KERNEL"
 """Environment variable, set in a run with a kernel that checks its addresses."""
 
 OTHERS = [
-    ROOT / "tests" / "balance" / "test_active_sets.py",
-    ROOT / "tests" / "time" / "test_compiled.py",
-]
+    ROOT / "tests" / name
+    for name in (
+        "balance/test_active_sets.py", "balance/test_compiled_paths.py",
+        "time/test_compiled_marches.py",
+    )
+]  # fmt: skip
 """Other files whose tests are run with it."""
 
 WITH_CHECKS = """

@@ -374,15 +374,14 @@ class Continuation:
 
     def _ended(self, before: PathPoint, point: PathPoint) -> tuple[bool, PathPoint | None]:
         """Whether the curve ends here, and its last point if that is not the one before."""
-        for end in (1.0, 0.0):
-            inside = point.parameter < 1.0 if end else point.parameter > 0.0
-            if inside or (end == 0.0 and not self._branch):
-                continue
+        parameter = point.parameter
+        end = 1.0 if parameter >= 1.0 else 0.0 if self._branch and parameter <= 0.0 else None
+        if end is not None:
             landed = self._land(before, point, end)
             self.complete = landed is not None
             self.status = "reached the end" if self.complete else "no solution at the very end"
             return True, landed
-        if point.parameter < -self._back:
+        if parameter < -self._back:
             self.status = "the curve turned back past its start"
             return True, None
         if self._closes(before, point):

@@ -86,7 +86,7 @@ def continue_frequency(
     InputError
         An argument cannot be used.
     ConvergenceError
-        No first point, or the end was not reached.
+        No first point, or the end was not reached; what was found until then is its ``found``.
     """
     check_omega(omega_start, "omega_start")
     growing = _continuation(
@@ -236,6 +236,7 @@ def _run(growing: Continuation, progress: bool, throw: bool) -> ResponseCurve:
     if throw and not curve.complete:
         raise ConvergenceError(
             f"curve in {curve.parameter} from {curve.values[0]:g}: {curve.status} at "
-            f"{curve.values[-1]:g} after {len(curve)} points"
+            f"{curve.values[-1]:g} after {len(curve)} points; they are the error's .found",
+            found=curve,
         )
     return curve

@@ -52,6 +52,23 @@ def test_bilinear_oscillator_runs_through(stiffness: float, harmonics: int) -> N
     assert max(solution.report.residual for solution in sharp) < 1e-7
 
 
+@pytest.mark.parametrize("span", [(2.0, 0.3), (0.3, 2.0)])
+@pytest.mark.parametrize("longest", [0.05, 0.1, 0.2, 0.3, 0.4])
+def test_long_steps_reach_the_end(span: tuple[float, float], longest: float) -> None:
+    """Stiff contact, up and down: the end, by whatever steps. Downwards the first solution lies on
+    the curve that leads there; upwards some begin on a loop of the truncated equations."""
+    for stiffness, harmonics in ((100.0, 10), (100.0, 20), (1000.0, 10), (1000.0, 20)):
+        curve = continue_frequency(
+            oscillator(0.02, 0.1), *span, fc.UnilateralPenalty(stiffness),
+            harmonics=harmonics, longest_step=longest,
+        )  # fmt: skip
+        assert curve.complete
+        if curve.status == "reached the end":
+            assert curve.values[-1] == pytest.approx(span[1])
+        else:
+            assert span[0] < span[1] and curve.status == "closed loop"
+
+
 def test_points_are_solutions() -> None:
     """Each point, solved again by SNES from itself, does not move."""
     structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(10.0)
@@ -213,8 +230,10 @@ def test_bad_arguments_and_unfinished_curves() -> None:
         assert caught.value.key == key
     with pytest.raises(fc.InputError, match="contact"):
         continue_frequency(structure, 1.0, 2.0, fc.UnilateralConstraint())  # type: ignore[arg-type]
-    with pytest.raises(fc.ConvergenceError, match="10 points were not enough"):
+    with pytest.raises(fc.ConvergenceError, match="10 points were not enough") as stopped:
         continue_frequency(structure, 2.0, 0.3, law, most_points=10)
+    found = stopped.value.found
+    assert isinstance(found, fc.ResponseCurve) and not found.complete and len(found) == 11
     curve = continue_frequency(structure, 2.0, 0.3, law, most_points=10, throw=False)
     assert not curve.complete and len(curve.omega) == 11
     with pytest.raises(fc.InputError, match="stability"):

@@ -1,0 +1,304 @@
+"""Contact integrals, condensed equations and paths of the kernel against the same in NumPy."""
+
+from __future__ import annotations
+
+from itertools import islice, pairwise
+
+import numpy as np
+import pytest
+import scipy.optimize
+from helpers import chain, oscillator
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+import fenics_crack as fc
+from fenics_crack.balance.arclength import Stepping, follow_path
+from fenics_crack.balance.bordered import (
+    PathPoint,
+    find_between,
+    solve_at,
+    solve_in_plane,
+    step_along,
+    tangent_of,
+)
+from fenics_crack.balance.compiled import CompiledSystem
+from fenics_crack.balance.condensed import respond_to_columns
+from fenics_crack.balance.contact_integrals import ExactIntegrals
+from fenics_crack.balance.family import FAMILIES, Family
+from fenics_crack.balance.fourier import evaluate, sampled, to_complex
+from fenics_crack.balance.linearisation import Linearisation
+from fenics_crack.curves.continuation import Continuation
+
+SEEDS = st.integers(0, 2**32 - 1)
+RANGES = {
+    "omega": (1.3, 0.9),
+    "load": (1.0, 3.0),
+    "stiffness": (1.0, 50.0),
+    "damping": (1.0, 0.1),
+    "clearance": (-0.3, 0.5),
+}
+
+
+class Plain:
+    """A family whose paths are left to Python."""
+
+    def __init__(self, family: Family) -> None:
+        self._family = family
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> Linearisation:
+        """As the family."""
+        return self._family.linearise(unknown, parameter)
+
+    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
+        """As the family."""
+        return self._family.inner(first, second)
+
+
+def random_gap(random: np.random.Generator, harmonics: int, pairs: int) -> np.ndarray:
+    """Coefficients that fall like 1 / k."""
+    gap = random.normal(size=(2 * harmonics + 1, pairs))
+    gap[1:] /= np.repeat(np.arange(1, harmonics + 1), 2)[:, None]
+    return gap
+
+
+def integrals_by_scan(gap: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """T and b of one gap (2H+1,) with k = 1, between the zeros that a scan shows, by the integrals
+    of products of waves; and the smallest slope at a zero."""
+    harmonics, cells = len(gap) // 2, 4096
+    values = sampled(gap[:, None], cells)[:, 0]
+    width = 2.0 * np.pi / cells
+    changes = np.flatnonzero((values > 0.0) != (np.roll(values, -1) > 0.0))
+
+    def wave(theta: float) -> float:
+        return float(evaluate(gap, 1.0, np.array([theta]))[0])
+
+    zeros = [
+        scipy.optimize.brentq(wave, i * width, (i + 1) * width, xtol=1e-15, rtol=1e-15)
+        for i in changes
+    ]
+    order = np.arange(harmonics + 1)
+    slopes = [
+        abs((1j * order * to_complex(gap) * np.exp(1j * order * z)).sum().real) for z in zeros
+    ]
+    # Means of exp(i m theta), m = -2H to 2H, over the closed intervals.
+    power = np.arange(-2 * harmonics, 2 * harmonics + 1)
+    means = np.zeros(len(power), dtype=complex)
+    ends = np.array([0.0, *zeros, 2.0 * np.pi])
+    for left, right in pairwise(ends):
+        if wave(0.5 * (left + right)) > 0.0:
+            whole = np.where(power == 0, right - left, 0.0).astype(complex)
+            other = power != 0
+            rate = 1j * power[other]
+            whole[other] = (np.exp(rate * right) - np.exp(rate * left)) / rate
+            means += whole / (2.0 * np.pi)
+    # Columns 1, cos, sin, ... in exp(i m theta), m = -H to H.
+    basis = np.zeros((len(gap), 2 * harmonics + 1), dtype=complex)
+    basis[0, harmonics] = 1.0
+    for k in range(1, harmonics + 1):
+        basis[2 * k - 1, harmonics + k] = basis[2 * k - 1, harmonics - k] = 0.5
+        basis[2 * k, harmonics + k], basis[2 * k, harmonics - k] = -0.5j, 0.5j
+    sums = np.add.outer(np.arange(-harmonics, harmonics + 1), np.arange(-harmonics, harmonics + 1))
+    tangent = (basis @ means[sums + 2 * harmonics] @ basis.T).real
+    tangent[1:] *= 2.0
+    return tangent, tangent @ gap, min(slopes, default=np.inf)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(1, 12), st.integers(1, 3), SEEDS)
+def test_contact_integrals(harmonics: int, pairs: int, seed: int) -> None:
+    """Forces and tangents of random gaps."""
+    random = np.random.default_rng(seed)
+    gap, stiffness = random_gap(random, harmonics, pairs), random.uniform(0.1, 10.0, pairs)
+    force, tangent = ExactIntegrals(fc.UnilateralPenalty(stiffness), harmonics).linearise(gap)
+    for pair, k in enumerate(stiffness):
+        expected, expected_force, slope = integrals_by_scan(gap[:, pair])
+        assume(slope > 1e-3)
+        assert np.allclose(tangent[pair], k * expected, rtol=0.0, atol=1e-12 * k / min(slope, 1.0))
+        assert np.allclose(force[:, pair], k * expected_force, rtol=0.0, atol=1e-11 * k)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 6), st.integers(1, 4), st.integers(1, 9), SEEDS)
+def test_respond_to_columns(harmonics: int, pairs: int, columns: int, seed: int) -> None:
+    """R T, column by column: a - i b answered by R_k (a - i b)."""
+    random = np.random.default_rng(seed)
+    rows = 2 * harmonics + 1
+    matrices = random.normal(size=(2, harmonics + 1, pairs, pairs))
+    matrices = (
+        matrices[0]
+        + 1j * np.where(np.arange(harmonics + 1) > 0, 1, 0)[:, None, None] * (matrices[1])
+    )
+    tangent = random.normal(size=(pairs, rows, columns))
+    found = respond_to_columns(matrices, tangent).reshape(rows, pairs, columns, pairs)
+    for pair in range(pairs):
+        moved = np.einsum("kp,kc->kpc", matrices[:, :, pair], to_complex(tangent[pair]))
+        assert np.allclose(found[0, :, :, pair], moved[0].real, rtol=0.0, atol=1e-12)
+        assert np.allclose(found[1::2, :, :, pair], moved[1:].real, rtol=0.0, atol=1e-12)
+        assert np.allclose(found[2::2, :, :, pair], -moved[1:].imag, rtol=0.0, atol=1e-12)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.sampled_from(list(RANGES)),
+    st.sampled_from(["modal", "rayleigh", "few modes", "matrix"]),
+    st.integers(1, 8),
+    st.integers(1, 3),
+    SEEDS,
+)
+def test_equations_at_a_point(
+    name: str, damping: str, harmonics: int, pairs: int, seed: int
+) -> None:
+    """F, dF/dp, J^-1 r and the sign of det J of random chains, in every family."""
+    random = np.random.default_rng(seed)
+    law = fc.UnilateralPenalty(random.uniform(0.5, 20.0, pairs))
+    structure = chain(damping, pairs=pairs, seed=seed % 1000)
+    family = FAMILIES[name](fc.Problem(structure, 0.83, law, harmonics), *RANGES[name])
+    kernel = family.compiled
+    if damping == "matrix" and name in ("omega", "damping"):
+        assert kernel is None  # it couples modes
+        return
+    assert isinstance(kernel, CompiledSystem)
+    gap, right = random_gap(random, harmonics, pairs), random.normal(size=family.shape)
+    parameter = float(random.uniform(-0.2, 1.2))
+    expected, found = family.linearise(gap, parameter), kernel.linearise(gap, parameter)
+    singular = np.linalg.svd(expected.jacobian, compute_uv=False)
+    close = 1e-12 * max(1.0, float(singular[0]))
+    for one, other, allowed in (
+        (found.residual, expected.residual, close),
+        (found.by_parameter, expected.by_parameter, close),
+        (found.solve(right), expected.solve(right), close / singular[-1] ** 2),
+    ):
+        assert np.allclose(one, other, rtol=1e-12, atol=10.0 * allowed * np.abs(other).max())
+    assert found.sign == expected.sign
+
+
+@pytest.mark.parametrize(("stiffness", "harmonics"), [(1.0, 3), (1.0, 10), (10.0, 6), (100.0, 5)])
+def test_path_of_the_oscillator(stiffness: float, harmonics: int) -> None:
+    """The kernel takes the steps that Python's loop takes, as many iterations for each."""
+    law = fc.UnilateralPenalty(stiffness)
+    family = FAMILIES["omega"](fc.Problem(oscillator(0.02, 0.1), 2.0, law, harmonics), 2.0, 0.3)
+    start = fc.solve_harmonic_balance(oscillator(0.02, 0.1), 2.0, law, harmonics=harmonics)
+    stepping = Stepping(first=0.01, longest=0.1, shortest=1e-10, least_cosine=0.85)
+    assert_same_path(family, start.gap_coefficients, stepping, 150)
+
+
+@pytest.mark.parametrize("name", list(RANGES))
+def test_path_of_a_chain(name: str) -> None:
+    """With three pairs, in every family, by steps that are too long for some points."""
+    structure, law = chain(), fc.UnilateralPenalty(np.array([3.0, 8.0, 20.0]))
+    family = FAMILIES[name](fc.Problem(structure, 0.83, law, 4), *RANGES[name])
+    first = family.at(family.start)
+    start = fc.solve_harmonic_balance(
+        first.structure, first.omega, first.contact, harmonics=4, residual_tolerance=1e-12
+    )
+    stepping = Stepping(first=0.01, longest=0.5, shortest=1e-10)
+    assert_same_path(family, start.gap_coefficients, stepping, 40)
+
+
+def assert_same_path(family: Family, start: np.ndarray, stepping: Stepping, count: int) -> None:
+    """Followed both ways."""
+    assert family.compiled is not None
+    ways = [
+        list(islice(follow_path(system, start, 0.0, stepping), count))
+        for system in (family, Plain(family))
+    ]
+    compared = 0
+    for one, other in zip(*ways, strict=False):
+        if other.length < 1e-4:  # at a sharp corner rounding counts
+            break
+        compared += 1
+        size = np.abs(other.unknown).max()
+        assert one.parameter == pytest.approx(other.parameter, abs=1e-9)
+        assert np.allclose(one.unknown, other.unknown, rtol=0.0, atol=1e-8 * size)
+        assert np.allclose(one.tangent.x, other.tangent.x, rtol=0.0, atol=1e-6 * size)
+        assert one.tangent.p == pytest.approx(other.tangent.p, abs=1e-6)
+        assert one.tangent.weight == pytest.approx(other.tangent.weight, rel=1e-8)
+        assert one.length == pytest.approx(other.length, rel=1e-6)
+        assert one.iterations == other.iterations
+        assert one.crosses_branch == other.crosses_branch
+    assert compared > 10
+
+
+@pytest.mark.parametrize("least_damping", [None, 0.05])
+@pytest.mark.parametrize("bordered", [False, True])
+def test_corrections(bordered: bool, least_damping: float | None) -> None:
+    """From random guesses, far ones among them: found or not, the same."""
+    law = fc.UnilateralPenalty(10.0)
+    family = FAMILIES["omega"](fc.Problem(oscillator(), 0.9, law, 4), 0.9, 1.4)
+    start = fc.solve_harmonic_balance(oscillator(), 0.9, law, harmonics=4).gap_coefficients
+    plane = tangent_of(family, start, family.linearise(start, 0.0)) if bordered else None
+    random, outcomes = np.random.default_rng(3), []
+    for size in np.repeat([0.0, 0.01, 0.3, 3.0, 1e200], 12):
+        guess = start + size * random.normal(size=start.shape)
+        one, other = (
+            solve_in_plane(
+                system, guess, 0.05, plane,
+                tolerance=1e-10, iterations=8, reach=0.3, least_damping=least_damping,
+            )
+            for system in (family, Plain(family))
+        )  # fmt: skip
+        outcomes.append(one is not None)
+        assert (one is None) == (other is None)
+        if one is not None and other is not None:
+            assert one.parameter == pytest.approx(other.parameter, abs=1e-9)
+            assert np.allclose(one.unknown, other.unknown, atol=1e-8)
+            assert one.iterations == other.iterations
+    assert 12 < sum(outcomes) < 60
+
+
+def test_undamped_resonance() -> None:
+    """One error, as from Python."""
+    structure = oscillator(None, 0.1)
+    family = FAMILIES["omega"](fc.Problem(structure, 0.5, fc.UnilateralPenalty(1.0), 3), 0.5, 1.5)
+    assert family.compiled is not None
+    with pytest.raises(fc.ConvergenceError, match="singular"):
+        solve_at(family, np.ones((7, 1)), 0.5, tolerance=1e-9)
+
+
+def test_fold_and_value_between_two_points() -> None:
+    """p(s) turns at t_p = 0, and takes the value asked for, on the path."""
+    law = fc.UnilateralPenalty(1.0)
+    structure = oscillator(0.02, 0.1)
+    family = FAMILIES["omega"](fc.Problem(structure, 2.0, law, 10), 2.0, 0.3)
+    start = fc.solve_harmonic_balance(structure, 2.0, law, harmonics=10).gap_coefficients
+    stepping = Stepping(first=0.01, longest=0.2, shortest=1e-10, least_cosine=0.85)
+    points = list(islice(follow_path(family, start, 0.0, stepping), 90))
+    pairs = list(pairwise(points))
+    turning = [ends for ends in pairs if ends[0].tangent.p * ends[1].tangent.p < 0.0]
+    assert len(turning) == 2
+    for ends in turning:
+        assert abs(must(find_between(family, ends, None, 1e-11)).tangent.p) < 1e-7
+    for first, last in pairs[10:90:20]:
+        target = 0.3 * first.parameter + 0.7 * last.parameter
+        found = must(find_between(family, (first, last), target, 1e-11))
+        assert found.parameter == pytest.approx(target, abs=1e-7)
+        at = family.linearise(found.unknown, found.parameter)
+        assert np.linalg.norm(at.residual) < 1e-10 * np.linalg.norm(found.unknown)
+
+
+def must(point: PathPoint | None) -> PathPoint:
+    """A point that has been found."""
+    assert point is not None
+    return point
+
+
+def test_folds_of_a_stiff_curve() -> None:
+    """kc = 100, long steps: at every fold that is reported the path turns."""
+    law = fc.UnilateralPenalty(100.0)
+    growing = Continuation(
+        fc.Problem(oscillator(0.02, 0.1), 2.0, law, 10), "omega", 2.0, 0.3, longest_step=0.2
+    )
+    for _ in growing:
+        pass
+    family = FAMILIES["omega"](fc.Problem(oscillator(0.02, 0.1), 2.0, law, 10), 2.0, 0.3)
+    folds = growing.curve.bifurcations
+    assert len(folds) == 14
+    for fold in folds:
+        parameter = family.parameter(fold.value)
+        tangent = tangent_of(family, fold.unknown, family.linearise(fold.unknown, parameter))
+        start = PathPoint(fold.unknown, parameter, 0, tangent)
+        sides = [must(step_along(family, start, step, 1e-11)) for step in (1e-5, 2e-5)]
+        assert abs(tangent.p) < 1e-5
+        # p leaves the fold with the square of the distance.
+        first, second = (side.parameter - parameter for side in sides)
+        assert abs(first) < 1e-3 * 1e-5 or second == pytest.approx(4.0 * first, rel=0.5)
