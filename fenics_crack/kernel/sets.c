@@ -6,34 +6,45 @@
 
 #include "lapack.h"
 
-enum { BUCKETS = 4096, TOGETHER = 30 };
+/* PIVOTS: after so many changes by one pair rounding is left behind by factors again. */
+enum { BUCKETS = 4096, TOGETHER = 30, PIVOTS = 50 };
 
 typedef struct known {
     struct known *next;
     double *answer;
     signed char *closed;
+    int pivots;
 } known;
 
 struct sets {
     int n;
     long kept, most;
     double *d;
-    known *bucket[BUCKETS];
+    known *bucket[BUCKETS], *last; /* last: whose answer was asked for last */
     double *reached, *matrix, *column; /* room */
     int *pivots, *members;
 };
 
-static void forget(sets *s)
+/* All answers but one, or none. */
+static void forget(sets *s, const known *kept)
 {
-    for (int b = 0; b < BUCKETS; b++)
-        while (s->bucket[b]) {
-            known *first = s->bucket[b];
-            s->bucket[b] = first->next;
+    s->kept = 0;
+    for (int b = 0; b < BUCKETS; b++) {
+        known *first = s->bucket[b], *next;
+        s->bucket[b] = NULL;
+        for (; first; first = next) {
+            next = first->next;
+            if (first == kept) {
+                first->next = NULL;
+                s->bucket[b] = first;
+                s->kept = 1;
+                continue;
+            }
             free(first->answer);
             free(first->closed);
             free(first);
         }
-    s->kept = 0;
+    }
 }
 
 static double *room(size_t count) { return malloc((count + 1) * sizeof(double)); }
@@ -61,7 +72,7 @@ sets *new_sets(int n, const double *d, long most)
 
 void free_sets(sets *s)
 {
-    forget(s);
+    forget(s, NULL);
     free(s->d);
     free(s->matrix);
     free(s->reached);
@@ -101,6 +112,59 @@ static int compute(sets *s, const signed char *closed, double *answer)
     return 0;
 }
 
+/* Principal pivot: opens or closes one pair k of a set, whose answer a it changes, in O(n^2). With
+ * its row a_k, a pair that opens gives up its force, and each row its part a_ik of that; a pair that
+ * closes makes its opening zero by a force, under which each row moves by p_i. 0, or 1 where D_AA
+ * would be singular. */
+static int turn(sets *s, signed char *closed, int k, double *a)
+{
+    const int n = s->n;
+    double *own = a + (long)k * n, *row = s->column, *p = s->reached;
+    if (closed[k])
+        for (int i = 0; i < n; i++) p[i] = a[(long)i * n + k];
+    else {
+        multiply(n, n, s->d, own, p);
+        for (int i = 0; i < n; i++) p[i] = closed[i] ? -own[i] : -p[i];
+    }
+    const double pivot = p[k], least = closed[k] ? 0.0 : 1e-12 * s->d[(long)k * n + k];
+    if (!(pivot > least)) return 1;
+    for (int j = 0; j < n; j++) row[j] = -own[j] / pivot;
+    for (int i = 0; i < n; i++) {
+        double *other = a + (long)i * n;
+        if (i == k || p[i] == 0.0) continue;
+        for (int j = 0; j < n; j++) other[j] += p[i] * row[j];
+    }
+    memcpy(own, row, n * sizeof(double));
+    closed[k] = !closed[k];
+    return 0;
+}
+
+/* The answer of a set from that of another one: 0, or 1 where it is better computed anew. */
+static int follow(sets *s, const known *from, known *made)
+{
+    const size_t n = s->n;
+    double size = 0.0, changes = 0.0;
+    for (size_t i = 0; i < n; i++) {
+        size += made->closed[i];
+        changes += made->closed[i] != from->closed[i];
+    }
+    const double anew = 2.0 * size * size * size + 2.0 * (n - size) * size * n;
+    if (from->pivots + changes > PIVOTS || 4.0 * changes * n * n > anew) return 1;
+    signed char *now = malloc(n + 1);
+    if (!now) return 1;
+    memcpy(now, from->closed, n);
+    memcpy(made->answer, from->answer, n * n * sizeof(double));
+    made->pivots = from->pivots;
+    int failed = 0;
+    for (size_t k = 0; k < n && !failed; k++)
+        if (now[k] != made->closed[k]) {
+            failed = turn(s, now, (int)k, made->answer);
+            made->pivots++;
+        }
+    free(now);
+    return failed;
+}
+
 const double *answer_of(sets *s, const signed char *closed)
 {
     const size_t n = s->n;
@@ -108,22 +172,30 @@ const double *answer_of(sets *s, const signed char *closed)
     for (size_t i = 0; i < n; i++) hash = (hash ^ (unsigned)closed[i]) * 16777619u;
     known **bucket = &s->bucket[(hash ^ hash >> 16) % BUCKETS];
     for (known *k = *bucket; k; k = k->next)
-        if (!memcmp(k->closed, closed, n)) return k->answer;
-    if (s->kept >= s->most) forget(s);
-    known *made = malloc(sizeof(known));
-    double *answer = room(n * n);
-    signed char *copy = malloc(n + 1);
-    if (!made || !answer || !copy || compute(s, closed, answer)) {
+        if (!memcmp(k->closed, closed, n)) {
+            s->last = k;
+            return k->answer;
+        }
+    if (s->kept >= s->most) forget(s, s->last);
+    known *made = malloc(sizeof(known)), filled = {*bucket, room(n * n), malloc(n + 1), 0};
+    int failed = !made || !filled.answer || !filled.closed;
+    if (!failed) {
+        memcpy(filled.closed, closed, n);
+        if (!s->last || follow(s, s->last, &filled)) {
+            filled.pivots = 0;
+            failed = compute(s, closed, filled.answer);
+        }
+    }
+    if (failed) {
         free(made);
-        free(answer);
-        free(copy);
+        free(filled.answer);
+        free(filled.closed);
         return NULL;
     }
-    memcpy(copy, closed, n);
-    *made = (known){*bucket, answer, copy};
-    *bucket = made;
+    *made = filled;
+    *bucket = s->last = made;
     s->kept++;
-    return answer;
+    return made->answer;
 }
 
 int forces_at(sets *s, const double *gap, double allowed, const signed char *among,
