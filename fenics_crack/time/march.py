@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.errors import InputError, check_count, check_number, check_omega
+from fenics_crack.errors import ConvergenceError, InputError, check_count, check_number, check_omega
 from fenics_crack.model.contact import ContactLaw, check_law
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.structure import Structure
@@ -221,6 +221,8 @@ class Scheme(ABC):
     """What :func:`march` needs of a scheme, which starts at time 0."""
 
     name: ClassVar[str]
+    remedy: ClassVar[str]
+    """What to do where contact creates energy."""
     created_share = 0.0
     """Energy created relative to the energy put in."""
     owned: tuple[Any, ...] = ()
@@ -233,6 +235,16 @@ class Scheme(ABC):
     @abstractmethod
     def state(self) -> tuple[np.ndarray, np.ndarray]:
         """Displacement and velocity, after whole periods, from which a march can go on."""
+
+    def balance(self, created: float, put_in: float) -> None:
+        """Book energies [J]; ConvergenceError where contact has created too much."""
+        if put_in > 0.0:
+            self.created_share = created / put_in
+        if not np.isfinite(created) or created > 2.0 * put_in > 0.0:
+            raise ConvergenceError(
+                f"{self.name}: the steps are too long for this contact, which creates "
+                f"{self.created_share:.3g} times the energy put in; {self.remedy}"
+            )
 
 
 def march(asked: March, scheme: Scheme) -> TimeHistory:

@@ -9,12 +9,11 @@ by step, with PETSc's matrices.
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from petsc4py import PETSc
 
-from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import Struct
 from fenics_crack.model.complementarity import solve_complementarity
 from fenics_crack.model.contact import is_piecewise_linear, is_rigid
@@ -36,9 +35,6 @@ def modal_steps(asked: March) -> bool:
 
 class StepScheme(Scheme):
     """A scheme that marches step by step, and keeps account of the energy."""
-
-    remedy: ClassVar[str]
-    """What to do where contact creates energy."""
 
     def __init__(self, asked: March) -> None:
         self.structure = structure = asked.structure
@@ -63,13 +59,7 @@ class StepScheme(Scheme):
         """Raises ConvergenceError where contact has created too much energy."""
         self._march(window)
         self._book(window)
-        if self._put_in > 0.0:
-            self.created_share = self._created / self._put_in
-        if not np.isfinite(self._created) or self._created > 2.0 * self._put_in > 0.0:
-            raise ConvergenceError(
-                f"{self.name}: the steps are too long for this contact, which creates "
-                f"{self.created_share:.3g} times the energy put in; {self.remedy}"
-            )
+        self.balance(self._created, self._put_in)
 
     def _total(self, part: float) -> float:
         """Sum over the ranks."""

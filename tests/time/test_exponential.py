@@ -211,6 +211,25 @@ def test_long_steps_of_a_stiff_contact(soft_plate: fc.Structure) -> None:
 # --- record ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("damping", ["none", "modal"])
+def test_created_energy_is_refused(damping: str) -> None:
+    """All modes but one of ten, rigid: R_inf is a thousandth of the static compliance.
+
+    Steps of 1/16 and 1/64 of a period end up with 1e8 times the energy put in, and more; with 8
+    modes all is well.
+    """
+    structure = chain(n=10, pairs=1, damping=damping)
+    for steps in (16, 64):
+        with pytest.raises(fc.ConvergenceError, match=r"creates .* times the energy put in"):
+            integrate_exponential(
+                massless(structure, 9), 0.5, RIGID, periods=60, steps_per_period=steps
+            )
+        found = integrate_exponential(
+            massless(structure, 8), 0.5, RIGID, periods=60, steps_per_period=steps
+        )
+        assert abs(found.created_energy) < 0.05
+
+
 def test_march_goes_on_from_its_end() -> None:
     """Two periods, and one after the other; fewer records are the same records."""
     structure = massless(chain(), 4)
