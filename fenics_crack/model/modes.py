@@ -181,8 +181,9 @@ def _krylov(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues, ascending, and mass-normalised shapes of the modes closest to a shift, by the
     factor of K - shift M."""
-    # A few more Krylov vectors than SLEPc's default keep large counts in one sweep.
-    solver = _solver(structure, "crack_modes_", count, max(2 * count, count + 15))
+    # SLEPc's default is twice the count; of many modes fewer are as quick, and hold less.
+    krylov = max(min(2 * count, count + 150), count + 15)
+    solver = _solver(structure, "crack_modes_", count, krylov)
     solver.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
     solver.setTolerances(1e-12, 500)
     solver.setTarget(shift)

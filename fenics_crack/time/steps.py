@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
+from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import Struct
 from fenics_crack.model.complementarity import solve_complementarity
 from fenics_crack.model.contact import is_piecewise_linear, is_rigid
