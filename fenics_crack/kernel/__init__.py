@@ -20,10 +20,12 @@ except ImportError as error:  # pragma: no cover
         "the compiled kernel of fenics_crack is missing or broken: run 'sh install.sh'"
     ) from error
 
-__all__ = ["Struct", "doubles", "ints", "kernel", "made", "owned", "signs", "table"]
+__all__ = ["NULL", "Struct", "doubles", "ints", "kernel", "made", "owned", "signs", "table"]
 
 kernel: Any = lib
 """The functions of the C files, by their names."""
+NULL: Any = ffi.NULL
+"""The null pointer."""
 
 
 def _bind() -> None:

@@ -6,18 +6,15 @@ asks for
 
     0 <= lambda,     g <= 0,     lambda^T g = 0,
 
-a linear complementarity problem. It is solved by the primal-dual active set method, a semismooth
-Newton method that ends with the exact solution after few steps: pairs taken as closed have g = 0,
-the others lambda = 0; pairs then pulled are opened, those that penetrate are closed. Where it
-cycles, the solution is found as the minimum of lambda^T D lambda / 2 - lambda^T g_free for
-lambda >= 0, a least-squares problem with bounds, for which the method of Lawson and Hanson is
-finite.
+a linear complementarity problem. The kernel solves it by the primal-dual active set method, a
+semismooth Newton method that ends with the exact solution after few steps: pairs taken as closed
+have g = 0, the others lambda = 0; pairs then pulled are opened, those that penetrate are closed.
+Where it cycles, one pair at a time is changed (``kernel/sets.h``). Where D is singular, the
+solution is found as the minimum of lambda^T D lambda / 2 - lambda^T g_free for lambda >= 0, a
+least-squares problem with bounds, for which the method of Lawson and Hanson is finite.
 
 With forces that follow from the gap, lambda = h(g) pair by pair, Newton's method solves
-lambda = h(g_free - D lambda). With h = max(0, lambda + c g) it would go through the same active
-sets. Those have a loop of their own, which solves for the closed pairs alone and ends when the set
-stays the same: 12 us with 1 to 4 pairs, where the general loop takes 27 to 45 us; a whole step of
-central differences takes 27 us.
+lambda = h(g_free - D lambda).
 
 Sources: Hintermueller, Ito and Kunisch, SIAM Journal on Optimization 13 (2002) 865; Lawson and
 Hanson, Solving Least Squares Problems (1974), chapter 23.
@@ -31,13 +28,15 @@ import numpy as np
 import scipy.optimize
 
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.kernel import doubles, ints, kernel, signs
+from fenics_crack.kernel import NULL, doubles, kernel, owned, signs
 
 __all__ = ["by_least_squares", "solve_complementarity", "solve_forces"]
 
 ROUNDING = 1e-14
 """Gaps relative to the largest one that count as zero."""
 MAX_ITERATIONS = 100
+MAX_SETS = 8
+"""Of closed pairs whose inverses are kept while one instant is solved."""
 
 
 def solve_complementarity(
@@ -49,17 +48,12 @@ def solve_complementarity(
     lambda > 0. Raises ConvergenceError where there is no solution, or it was not found.
     """
     count = len(gap)
-    matrix = np.ascontiguousarray(matrix, dtype=float)
-    gap = np.ascontiguousarray(gap, dtype=float)
+    matrix, gap = (np.ascontiguousarray(array, dtype=float) for array in (matrix, gap))
     assert matrix.shape == (count, count)
-    guess = (gap > 0.0 if closed is None else closed).astype(np.int8)
-    force, reached = np.empty(count), np.empty(count)
-    failed = kernel.active_sets(
-        count, doubles(matrix), doubles(gap), ROUNDING * float(np.abs(gap).max(initial=0.0)),
-        MAX_ITERATIONS, signs(guess), doubles(force), doubles(np.empty(count * count)),
-        ints(np.empty(count, np.intc)), doubles(reached),
-    )  # fmt: skip
-    if not failed:
+    contact = owned(kernel.new_sets(count, doubles(matrix), MAX_SETS), kernel.free_sets)
+    guess = np.array(gap > 0.0 if closed is None else closed, dtype=bool)
+    force = np.empty(count)
+    if not kernel.forces_at(contact, doubles(gap), ROUNDING, NULL, signs(guess), doubles(force)):
         return force
     return by_least_squares(matrix, gap)
 
