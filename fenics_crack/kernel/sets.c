@@ -9,6 +9,9 @@
 /* PIVOTS: after so many changes by one pair rounding is left behind by factors again. */
 enum { BUCKETS = 4096, TOGETHER = 30, PIVOTS = 50 };
 
+/* Error of gaps with which an answer is computed anew. */
+static const double ACCURATE = 1e-11;
+
 typedef struct known {
     struct known *next;
     double *answer;
@@ -139,6 +142,23 @@ static int turn(sets *s, signed char *closed, int k, double *a)
     return 0;
 }
 
+/* Whether rounding has spoilt an answer: with gaps of 1 the closed pairs' forces must close these,
+ * and leave the others the openings that the answer says. */
+static int spoilt(sets *s, const signed char *closed, const double *answer)
+{
+    const int n = s->n;
+    double *ones = s->column, *said = s->reached, *found = s->matrix;
+    for (int i = 0; i < n; i++) ones[i] = 1.0;
+    multiply(n, n, answer, ones, said);
+    for (int i = 0; i < n; i++) ones[i] = closed[i] ? said[i] : 0.0;
+    multiply(n, n, s->d, ones, found);
+    for (int i = 0; i < n; i++) {
+        const double expected = closed[i] ? 1.0 : 1.0 + said[i];
+        if (!(fabs(found[i] - expected) <= ACCURATE * (1.0 + fabs(expected)))) return 1;
+    }
+    return 0;
+}
+
 /* The answer of a set from that of another one: 0, or 1 where it is better computed anew. */
 static int follow(sets *s, const known *from, known *made)
 {
@@ -162,7 +182,7 @@ static int follow(sets *s, const known *from, known *made)
             made->pivots++;
         }
     free(now);
-    return failed;
+    return failed || spoilt(s, made->closed, made->answer);
 }
 
 const double *answer_of(sets *s, const signed char *closed)
