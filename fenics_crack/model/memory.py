@@ -14,6 +14,7 @@ import resource
 import numpy as np
 from petsc4py import PETSc
 
+from fenics_crack.model.modes import krylov_vectors
 from fenics_crack.model.reduced import BLOCK
 from fenics_crack.model.structure import Structure
 
@@ -36,7 +37,7 @@ def reduction_memory(structure: Structure, modes: int, method: str) -> float:
     dofs, columns = structure.n_dofs, structure.n_pairs + 1
     kept = modes + max(modes // 2, 10) if method == "massless" else modes
     entries = structure.stiffness.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
-    krylov = 8.0 * dofs * max(2 * kept, kept + 15)
+    krylov = 8.0 * dofs * krylov_vectors(kept)
     counting = _factor(structure) + 2 * ENTRY * entries
     # Blocks of static responses, or all of them in a basis and that of its reference.
     static = 8.0 * dofs * (4 * BLOCK if method == "massless" else 10 * columns)

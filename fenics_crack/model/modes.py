@@ -30,6 +30,7 @@ __all__ = [
     "check_damped_modes",
     "damped_modes",
     "damped_range",
+    "krylov_vectors",
     "largest_frequency",
     "mass_norms",
     "modes_by",
@@ -176,14 +177,18 @@ def _nearest_zero(
     return found
 
 
+def krylov_vectors(count: int) -> int:
+    """Held for so many modes: SLEPc's default is twice the count; of many modes fewer are as quick,
+    of few some more keep to one sweep."""
+    return max(min(2 * count, count + 150), count + 15)
+
+
 def _krylov(
     factor: Factor, structure: Structure, count: int, shift: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues, ascending, and mass-normalised shapes of the modes closest to a shift, by the
     factor of K - shift M."""
-    # SLEPc's default is twice the count; of many modes fewer are as quick, and hold less.
-    krylov = max(min(2 * count, count + 150), count + 15)
-    solver = _solver(structure, "crack_modes_", count, krylov)
+    solver = _solver(structure, "crack_modes_", count, krylov_vectors(count))
     solver.setWhichEigenpairs(SLEPc.EPS.Which.TARGET_MAGNITUDE)
     solver.setTolerances(1e-12, 500)
     solver.setTarget(shift)
