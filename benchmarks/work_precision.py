@@ -63,6 +63,7 @@ LOOKS = {
     "implicit scheme": ("pink", "P-"),
     "implicit scheme, reduced": ("pink", "X--"),
     "exponential steps": ("blue", "v:"),
+    "exponential steps, reduced": ("blue", "1:"),
     "exact flow": ("green", "*"),
     "solve_ivp": ("grey", "h-"),
 }
@@ -159,7 +160,11 @@ def breathing(arguments: common.Arguments) -> None:
     rows = balance(scene, "reduced", (3, 5, 10) if arguments.quick else (3, 5, 10, 15, 20, 30),
                    structure=reduced)  # fmt: skip
     rows += balance(scene, "full form", (3, 5) if arguments.quick else (3, 5, 10, 20), form="full")
-    rows += in_time(scene, "implicit scheme, reduced", reduced, (128, 256), most=100)
+    rows += in_time(scene, "implicit scheme, reduced", reduced, (128, 256, 512), most=100)
+    rows += in_time(scene, "exponential steps, reduced", reduced, (128, 256, 512), most=100)
+    least = fc.stable_steps_per_period(reduced, 2000.0, law)
+    steps = [int(np.ceil(share * least)) for share in (1.3, 2.6)]
+    rows += in_time(scene, "central differences, reduced", reduced, steps, most=100)
     if not arguments.quick:
         least = fc.stable_steps_per_period(plate, 2000.0, law)
         steps = [int(share * least) for share in (1.3, 2.6)]
