@@ -62,7 +62,9 @@ def build(target: Path, *, sanitize: bool = False) -> None:
     """Compile the module into a folder."""
     with tempfile.TemporaryDirectory() as scratch:
         made = builder_in(Path(scratch), sanitize=sanitize).compile(tmpdir=scratch)
-        shutil.copy(made, target / "_kernel.abi3.so")  # as pip calls it
+        module = target / "_kernel.abi3.so"  # as pip calls it
+        fresh = shutil.copy(made, target / "_kernel.fresh")
+        Path(fresh).replace(module)  # at once: processes that run keep what they have loaded
 
 
 if __name__ == "__main__":
