@@ -83,9 +83,18 @@ class CompiledSystem:
                 reals[name] = getattr(compliance, name)
         else:
             reals["compliance"] = compliance
+        rows, pairs = linear.shape
+        modes = numbers.get("modes", 0)
+        shapes = {
+            "stiffness": (pairs,), "linear_rate": (rows, pairs), "shapes": (modes, pairs),
+            "compliance": (rows // 2 + 1, pairs, pairs), "load": (rows // 2 + 1, modes),
+            "squares": (modes,), "rates": (modes,), "linear": (rows, pairs),
+        }  # fmt: skip
+        for name, array in reals.items():
+            assert array.shape == shapes[name], name
         self._kept = {name: np.ascontiguousarray(array) for name, array in reals.items()}
         equations = made(
-            "condensed", harmonics=len(linear) // 2, pairs=linear.shape[1], **numbers,
+            "condensed", harmonics=rows // 2, pairs=pairs, **numbers,
             **{name: doubles(array) for name, array in self._kept.items()},
         )  # fmt: skip
         self._point = owned(kernel.new_point(equations), kernel.free_point)
@@ -93,6 +102,7 @@ class CompiledSystem:
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
         """The equations at a point."""
+        assert unknown.shape == self.shape
         return CompiledPoint(self, np.ascontiguousarray(unknown, dtype=float), parameter)
 
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
@@ -121,6 +131,7 @@ class CompiledSystem:
         """As :func:`fenics_crack.balance.bordered.solve_in_plane`."""
         found, place, taken = np.array(unknown), np.array([parameter]), np.zeros(1, np.intc)
         flat = plane or Tangent(np.zeros_like(found), 1.0, 0.0)
+        assert found.shape == flat.x.shape == self.shape
         self._last = None
         outcome = kernel.solve_in_plane(
             self._point, doubles(found), doubles(place), plane is not None,
@@ -197,6 +208,7 @@ class CompiledPoint(Linearisation):
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         found = np.array(right, dtype=float)
+        assert found.size == self.unknown.size
         kernel.solve(self.system.evaluated(self), doubles(found))
         return found
 

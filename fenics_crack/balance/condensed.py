@@ -60,6 +60,7 @@ def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     [[Re R_k, Im R_k], [-Im R_k, Re R_k]] on (a, b).
     """
     *points, pairs, rows, columns = tangent.shape
+    assert matrices.shape[-3:] == (rows // 2 + 1, pairs, pairs)
     matrices = np.ascontiguousarray(np.broadcast_to(matrices, (*points, *matrices.shape[-3:])))
     tangent = np.ascontiguousarray(tangent)
     product = np.empty((*points, rows * pairs, columns * pairs))
@@ -159,11 +160,16 @@ class CondensedSystem(CondensedEquations):
         found = np.asarray(self.integrals.law.stiffness, dtype=float)
         return np.broadcast_to(found, self.linear.shape[1:])
 
+    @property
+    def in_kernel(self) -> bool:
+        """Whether the kernel has these equations: with this law, and where the rank of T does not
+        count."""
+        return isinstance(self.integrals, ExactIntegrals) and self.global_size < LOW_RANK
+
     @cached_property
     def compiled(self) -> CompiledSystem | None:
-        """The same along its parameter in the kernel; None where that has not this law, or where
-        the rank of T counts."""
-        if not isinstance(self.integrals, ExactIntegrals) or self.global_size >= LOW_RANK:
+        """The same along its parameter in the kernel, where it has them."""
+        if not self.in_kernel:
             return None
         return CompiledSystem(self.stiffness, self.linear, self.compliance.matrices, growth=1.0)
 

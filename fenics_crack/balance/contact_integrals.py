@@ -140,6 +140,7 @@ class ExactIntegrals(ContactIntegrals):
 
     def linearise(self, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         rows, pairs = gap.shape
+        assert rows == 2 * self.harmonics + 1
         gap = np.ascontiguousarray(gap, dtype=float)
         stiffness = np.empty(pairs)
         stiffness[:] = self.law.stiffness

@@ -107,9 +107,9 @@ class Family(ABC):
     def compiled(self) -> CompiledSystem | None:
         """The same equations in the kernel; None where it does not have them."""
         system = self.system(self.start)
-        if not isinstance(system, CondensedSystem) or system.compiled is None:
-            return None
-        return self._compile(system)
+        if isinstance(system, CondensedSystem) and system.in_kernel:
+            return self._compile(system)
+        return None
 
     @abstractmethod
     def _compile(self, first: CondensedSystem) -> CompiledSystem | None:
