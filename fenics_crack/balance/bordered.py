@@ -15,8 +15,10 @@ changes like a square root, the step is shortened.
 All paths are followed with this loop: response curves, paths to a cold start, backbones, and
 branches of exact orbits; refined curves take its step. Single solutions go through PETSc's SNES
 (:mod:`newton`), so that PETSc's options reach them. Curves do not: SNES knows no border, and at
-given parameters, where none is needed, an iteration by SNES takes 11 to 13 % longer than one by
-this loop (``benchmarks/curves.py --only newton``, 21 unknowns).
+given parameters, where none is needed, an iteration by SNES takes ten times as long as one by the
+compiled loop (``benchmarks/curves.py --only newton``, 21 unknowns).
+
+For systems that the kernel has (:mod:`compiled`) it takes the same steps, compiled.
 
 Sources: those of :mod:`arclength`.
 """

@@ -132,8 +132,8 @@ class Continuation:
     most_points : int
         Give up after so many.
     turning_back : float
-        How far the curve may turn back past its start, relative to the range of the parameter; a
-        closed curve can only be recognised where it may.
+        How far the curve may turn back past its start, relative to the range of the parameter, but
+        not to a frequency or a damping of zero; a closed curve can only be recognised where it may.
 
     Attributes
     ----------

@@ -3,7 +3,8 @@
 Between the points that were followed one by one, others are interpolated by a cubic spline over the
 distance along the curve, whose error falls like the fourth power of the distance. From there
 Newton's method in the plane across the curve (:mod:`bordered`) makes a few steps, for hundreds of
-points in the same calls of NumPy and LAPACK: a point costs a small part of one that is followed.
+points in the same calls of NumPy and LAPACK: a point costs a small part of one that is followed,
+and half of it or more where the kernel follows (:mod:`fenics_crack.balance.compiled`).
 Most points need one step or two. Those that are not solutions after a fixed number of steps are
 left out. Where pairs are seen through a static compliance, which couples them, the same is done
 point by point.
