@@ -14,7 +14,8 @@ pyharm : pyHarm's arc-length sweep of the bilinear oscillator (c = 0.02, kc = 1,
     50 masses in a chain with one stop, against this package on the frequencies that pyHarm visited,
     each solution starting from its neighbour, its error report included; and against
     ``continue_frequency`` with steps of its own, without error reports. Same H, 128 samples, then
-    exact integrals; error at w = 1.2 against exact integrals with H = 200. pyHarm's Python is found
+    exact integrals; error at w = 1.2 against exact integrals with H = 200. On one mass pyHarm has
+    1024 samples too, with which it comes close to that error. pyHarm's Python is found
     by --pyharm or the variable PYHARM_PYTHON (pip install pyHarm-os in an environment of its own).
 
 Times are the process's own, taken in turns within one run; ratios are medians over the turns.
@@ -50,6 +51,7 @@ CONTINUED = "this, continued, exact"
 REFINED = "this, continued and refined"
 CURVES = {CONTINUED: (0.05, 0), REFINED: (0.2, 4)}
 """Longest step, and points put between each two."""
+PYHARM, FINER = "pyHarm", "pyHarm, 1024 samples"
 WORKER = Path(__file__).absolute().with_name("pyharm_worker.py")
 
 
@@ -360,7 +362,7 @@ def run_pyharm(arguments: common.Arguments) -> None:
         return
     one = np.eye(1)
     single = dict(
-        name="oscillator", mass=one, stiffness=one, damping=0.02 * one, stop=1.0,
+        name="oscillator", mass=one, stiffness=one, damping=0.02 * one, stop=1.0, finer=1024,
         solver="scipyroot", start=2.0, end=0.5, timeout="00:00:01:00",
     )  # fmt: skip
     K = common.chain(50)
@@ -368,11 +370,12 @@ def run_pyharm(arguments: common.Arguments) -> None:
     K /= np.linalg.eigvalsh(K)[0]  # the first natural frequency is 1
     # The harmonics of the load meet the chain's other modes: its fine sweep is a short one.
     chain = dict(
-        name="50 masses", mass=np.eye(50), stiffness=K, damping=0.02 * K, stop=25.0,
+        name="50 masses", mass=np.eye(50), stiffness=K, damping=0.02 * K, stop=25.0, finer=None,
         solver="NewtonRaphson", start=1.3, end=1.15, timeout="00:00:00:40",
     )  # fmt: skip
     columns = (
-        "case", "H", "who", "points", "of", "ms a point", "pyHarm / this", "error at w = 1.2",
+        "case", "H", "who", "points", "of", "ms a point", "pyHarm / this", "finer pyHarm / this",
+        "error at w = 1.2",
     )  # fmt: skip
     rows: list[tuple[Any, ...]] = []
     for case, counts, turns in (
@@ -386,27 +389,28 @@ def run_pyharm(arguments: common.Arguments) -> None:
     common.save_table(folder / "condensed_speed_pyharm.csv", title, columns, rows)
     figure, (axes,) = common.figure(1)
     looks = dict(
-        zip(dict.fromkeys(row[2] for row in rows), ("o", "^", "*", "D", "s"), strict=False)
+        zip(dict.fromkeys(row[2] for row in rows), ("o", "v", "^", "*", "D", "s"), strict=False)
     )
-    colours = dict(zip(dict.fromkeys(row[2] for row in rows), COLOURS.values(), strict=False))
+    colours = dict(zip((who for who in looks if who != FINER), COLOURS.values(), strict=False))
+    colours[FINER] = colours[PYHARM]
     marks = {"oscillator": "full", "50 masses": "none"}
     for case in marks:
         for who in looks:
             chosen = [row for row in rows if row[0] == case and row[2] == who]
             axes.loglog(
                 [row[5] for row in chosen],
-                [row[7] for row in chosen],
+                [row[8] for row in chosen],
                 looks[who] + ":",
                 color=colours[who],
                 ms=9,
                 lw=0.8,
                 fillstyle=marks[case],
             )
-            for row in chosen if who in ("pyHarm", REFINED) else []:
+            for row in chosen if who in (PYHARM, REFINED) else []:
                 left = who == REFINED
                 axes.annotate(
                     f"H = {row[1]}",
-                    (row[5], row[7]),
+                    (row[5], row[8]),
                     (-9 if left else 9, 0),
                     textcoords="offset points",
                     ha="right" if left else "left",
@@ -454,12 +458,12 @@ def plain() -> dict[str, str]:
 
 def race(python: str, case: dict[str, Any], harmonics: int, turns: int) -> list[tuple[Any, ...]]:
     """Both on the same points, taking turns."""
-    size = len(case["mass"])
-    job = {name: value for name, value in case.items() if name != "name"}
+    size, finer = len(case["mass"]), case["finer"]
+    job = {name: value for name, value in case.items() if name not in ("name", "finer")}
     job |= {name: case[name].tolist() for name in ("mass", "stiffness", "damping")}
     job |= dict(
-        loaded=size - 1, stopped=size - 1, force=0.1, harmonics=harmonics, samples=128, at=1.2,
-        step=0.05, reductor="noreductor", solver_options={},
+        loaded=size - 1, stopped=size - 1, force=0.1, harmonics=harmonics, at=1.2, step=0.05,
+        reductor="noreductor", solver_options={},
     )  # fmt: skip
     load = np.zeros(size)
     load[-1] = 0.1
@@ -473,16 +477,18 @@ def race(python: str, case: dict[str, Any], harmonics: int, turns: int) -> list[
     ways = {"this, 128 samples": 128, "this, exact": None}
     times: dict[str, list[float]] = {}
     converged = dict.fromkeys(ways, 0)
-    theirs: dict[str, Any] = {}
+    theirs: dict[str, dict[str, Any]] = {}
     follow, refine = fc.continue_frequency, fc.refine_curve  # imported here, not while timed
     for _ in range(turns):
-        finished = run_python(python, [str(WORKER)], json.dumps(job))
-        if finished.returncode != 0:
-            raise RuntimeError(f"pyHarm failed: {finished.stderr[-500:]}")
-        theirs = json.loads(finished.stdout)
-        times.setdefault("pyHarm", []).append(theirs["seconds"] / len(theirs["omega"]))
+        for who, samples in {PYHARM: 128, FINER: finer}.items():
+            if samples is not None:
+                theirs[who] = by_pyharm(python, job | {"samples": samples})
+                seconds = theirs[who]["seconds"] / len(theirs[who]["omega"])
+                times.setdefault(who, []).append(seconds)
         for who, samples in ways.items():
-            seconds, converged[who] = sweep(structure, law, harmonics, samples, theirs["omega"])
+            seconds, converged[who] = sweep(
+                structure, law, harmonics, samples, theirs[PYHARM]["omega"]
+            )
             times.setdefault(who, []).append(seconds / max(converged[who], 1))
         for who, (longest, between) in CURVES.items():
             started = time.process_time()
@@ -496,23 +502,36 @@ def race(python: str, case: dict[str, Any], harmonics: int, turns: int) -> list[
             converged[who] = len(curve)
             times.setdefault(who, []).append(seconds / len(curve))
     arrays = {who: np.array(values) for who, values in times.items()}
-    points = len(theirs["omega"])
-    coefficients = np.array(theirs["coefficients"])[:, -1:]
-    rows: list[tuple[Any, ...]] = [
-        (case["name"], harmonics, "pyHarm", points, theirs["tried"],
-         1e3 * float(np.median(arrays["pyHarm"])), 1.0,
-         common.relative_difference(coefficients, reference))
-    ]  # fmt: skip
+    if finer is None:
+        arrays[FINER] = np.full(turns, np.nan)
+    points = len(theirs[PYHARM]["omega"])
+
+    def row(who: str, found: int, of: int, coefficients: np.ndarray) -> tuple[Any, ...]:
+        return (
+            case["name"], harmonics, who, found, of, 1e3 * float(np.median(arrays[who])),
+            common.ratio(arrays, PYHARM, who), common.ratio(arrays, FINER, who),
+            common.relative_difference(coefficients, reference),
+        )  # fmt: skip
+
+    rows = [
+        row(who, len(run["omega"]), run["tried"], np.array(run["coefficients"])[:, -1:])
+        for who, run in theirs.items()
+    ]
     for who, samples in (ways | dict.fromkeys(CURVES)).items():
         solution = fc.solve_harmonic_balance(
             structure, 1.2, law, harmonics=harmonics, samples=samples
         )
-        error = common.relative_difference(solution.gap_coefficients, reference)
-        rows.append(
-            (case["name"], harmonics, who, converged[who], points,
-             1e3 * float(np.median(arrays[who])), common.ratio(arrays, "pyHarm", who), error)
-        )  # fmt: skip
+        rows.append(row(who, converged[who], points, solution.gap_coefficients))
     return rows
+
+
+def by_pyharm(python: str, job: dict[str, Any]) -> dict[str, Any]:
+    """What ``pyharm_worker.py`` answers."""
+    finished = run_python(python, [str(WORKER)], json.dumps(job))
+    if finished.returncode != 0:
+        raise RuntimeError(f"pyHarm failed: {finished.stderr[-500:]}")
+    found: dict[str, Any] = json.loads(finished.stdout)
+    return found
 
 
 def sweep(

@@ -3,7 +3,7 @@
     g(theta) = Re sum_{k=0}^{H} G_k exp(i k theta),      theta = omega t in [0, 2 pi)
 
 A grid alone misses pairs of roots between its points, where a pair of lips only grazes. Here a cell
-[a, a + w] is settled by a bound or not at all. With |g''| <= M = sum_k k^2 |G_k|,
+[a, a + w] is settled by a bound or not at all. With |g''| <= M = sum_k k^2 (|a_k| + |b_k|),
 
 - equal signs and min(|g(a)|, |g(a + w)|) > M w^2 / 8: no root, g lies that close to its chord;
 - opposite signs and |g(a + w) - g(a)| > M w^2 / 2: one root, g' keeps its sign;

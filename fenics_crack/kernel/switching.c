@@ -20,7 +20,7 @@ typedef struct {
     const double *gap;
     double *values, *sums; /* g on the first grid (cells + 1), room (4, cells / 4 + 1) */
     int cells, next;       /* of the first grid */
-    double curvature;      /* M = sum_k k^2 |G_k| >= |g''| */
+    double curvature;      /* M = sum_k k^2 (|a_k| + |b_k|) >= |g''| */
     double resolution;
     int open; /* cells still to be looked at, the leftmost one last */
     cell waiting[(PARTS - 1) * DEEPEST + PARTS];
@@ -71,7 +71,7 @@ static void begin(search *s, const double *gap, const double *waves)
         double *c = k % 2 ? odd[0] : even[0], *d = k % 2 ? odd[1] : even[1];
         for (int i = 0; i < quarter; i++) c[i] += a * waves[i];
         for (int i = 0; i < quarter; i++) d[i] += b * waves[quarter + i];
-        s->curvature += (double)k * k * hypot(a, b);
+        s->curvature += (double)k * k * (fabs(a) + fabs(b));
     }
     double largest = 0.0, *g = s->values;
     for (int i = 0; i < quarter; i++) {
@@ -81,7 +81,8 @@ static void begin(search *s, const double *gap, const double *waves)
         g[half + i] = ce - co + (se - so);
         g[s->cells - i] = ce + co - (se + so);
     }
-    for (int i = 0; i <= s->cells; i++) largest = fmax(largest, fabs(g[i]));
+    for (int i = 0; i <= s->cells; i++)
+        if (fabs(g[i]) > largest) largest = fabs(g[i]);
     s->resolution = RESOLUTION * largest;
     if (!isfinite(s->curvature + gap[0])) { /* a diverged iterate: no roots, but the search ends */
         s->next = s->cells;
