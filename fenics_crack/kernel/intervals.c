@@ -130,9 +130,9 @@ static int grazes(int pairs, const double *margin, const double *rate, const dou
     return 0;
 }
 
-long intervals_room(int pairs, int cells)
+long intervals_room(int pairs)
 {
-    return (long)pairs * (cells / 8 + 1) + pairs * (2L * TERMS + 8L);
+    return pairs * (2L * TERMS + 8L) + 8L;
 }
 
 int intervals(sets *contact, int pairs, int highest, int cells, const double *harmonics,
@@ -143,20 +143,20 @@ int intervals(sets *contact, int pairs, int highest, int cells, const double *ha
     double *margin = work, *rate = margin + pairs, *after = rate + pairs,
            *after_rate = after + pairs, *force = after_rate + pairs, *taylor = force + pairs,
            *polynomials = taylor + (long)pairs * TERMS;
-    signed char *at = (signed char *)(polynomials + (long)pairs * TERMS); /* (cells, p) sets */
-    for (int cell = 0; cell < cells; cell++) {
-        signed char *here = at + (long)cell * pairs;
-        const double *value = values + (long)cell * pairs;
-        for (int i = 0; i < pairs; i++) here[i] = cell ? here[i - pairs] : value[i] > 0.0;
-        if (forces_at(contact, value, allowed, NULL, here, force)) return -2;
-    }
+    signed char *here = (signed char *)(polynomials + (long)pairs * TERMS), *there = here + pairs,
+                *at_first = there + pairs;
+    for (int i = 0; i < pairs; i++) here[i] = values[i] > 0.0;
+    if (forces_at(contact, values, allowed, NULL, here, force)) return -2;
+    memcpy(at_first, here, pairs);
     int count = 1;
     theta[0] = 0.0;
-    memcpy(closed, at, pairs);
-    if (margins(contact, pairs, at, values, rates, margin, rate)) return -2;
+    memcpy(closed, here, pairs);
+    if (margins(contact, pairs, here, values, rates, margin, rate)) return -2;
     for (int cell = 0; cell < cells; cell++) {
         const int next = (cell + 1) % cells;
-        const signed char *here = at + (long)cell * pairs, *there = at + (long)next * pairs;
+        memcpy(there, next ? here : at_first, pairs);
+        if (next && forces_at(contact, values + (long)next * pairs, allowed, NULL, there, force))
+            return -2;
         if (margins(contact, pairs, there, values + (long)next * pairs, rates + (long)next * pairs,
                     after, after_rate))
             return -2;
@@ -191,6 +191,7 @@ int intervals(sets *contact, int pairs, int highest, int cells, const double *ha
                 count++;
             }
         }
+        memcpy(here, there, pairs);
         memcpy(margin, after, pairs * sizeof(double));
         memcpy(rate, after_rate, pairs * sizeof(double));
     }

@@ -22,6 +22,6 @@
 int intervals(sets *contact, int pairs, int highest, int cells, const double *harmonics,
               const double *values, const double *rates, double allowed, int most, double *theta,
               signed char *closed, double *work);
-long intervals_room(int pairs, int cells);
+long intervals_room(int pairs);
 
 #endif
