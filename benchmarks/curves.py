@@ -9,9 +9,10 @@ breathing : ``demos/breathing_plate.toml`` reduced, contact on all 18 pairs, 1e9
 newton : PETSc's SNES and the bordered Newton's method of curves at the points of two curves, each
     from the neighbouring point and at its known frequency: time of an iteration.
 
-Times are the process's own, of the oscillator medians of seven turns. "LAPACK" is one factorisation and solution of a dense real matrix as
-large as the condensed equations (dgetrf, dgetrs), measured between the curves. "refined" is the
-cost of a point that :func:`refine_curve` puts between two others.
+Times are the process's own, of the oscillator medians of seven turns. "LAPACK" is one factorisation
+and solution of a dense real matrix as large as the condensed equations (dgetrf, dgetrs), measured
+between the curves. "refined" is the cost of a point that :func:`refine_curve` puts between two
+others.
 
     OMP_NUM_THREADS=1 python benchmarks/curves.py [--quick] [--only PART] [folder]
 """
