@@ -44,12 +44,14 @@ ROUNDING = 1e-13
 
 
 def unique_sets(closed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Different rows of sets (n, n_pairs): (m, n_pairs), and which of them each row is: (n,)."""
+    """Different rows of sets (n, n_pairs) in the order in which they come: (m, n_pairs), and which
+    of them each row is: (n,)."""
     packed = np.packbits(np.ascontiguousarray(closed), axis=1)
     packed = np.ascontiguousarray(packed)
     keys = packed.view([("", packed.dtype)] * packed.shape[1]).ravel()
     _, first, which = np.unique(keys, return_index=True, return_inverse=True)
-    return closed[first], which.ravel()
+    order = np.argsort(first)
+    return closed[first[order]], np.argsort(order)[which.ravel()]
 
 
 class ActiveSets:
