@@ -20,11 +20,15 @@ large: 62 and 130 pairs, 49,000 and 200,000 dofs: time of solutions and their er
 estimated, with few modes and many; the reference has 1000 and 600 modes and 120 harmonics. Only
 what pairs and load see of the modes is kept.
 
+unknowns: cold solutions from 18 to 130 pairs and from 10 to 40 harmonics on one coarse mesh with
+ever finer lips, 100 modes, rigid and 1e9 N/m: how time grows with the number of unknowns.
+
     OMP_NUM_THREADS=1 python benchmarks/many_pairs.py [--quick] [--only PART] [folder]
 """
 
 from __future__ import annotations
 
+import itertools
 import time
 from typing import Any
 
@@ -57,8 +61,12 @@ INSTANTS = 1024
 def main() -> None:
     """Run it."""
     common.run(
-        __doc__, {"plate": plate, "today": today, "march": march, "steel": steel, "large": large}
-    )
+        __doc__,
+        {
+            "plate": plate, "today": today, "march": march, "steel": steel, "large": large,
+            "unknowns": unknowns,
+        },
+    )  # fmt: skip
 
 
 # --- error against time ---------------------------------------------------------------------------
@@ -408,6 +416,38 @@ def large(arguments: common.Arguments) -> None:
          "truncation", "reduction"),
         rows,
     )  # fmt: skip
+
+
+def unknowns(arguments: common.Arguments) -> None:
+    """Time of cold solutions against the number of unknowns, and the exponent that fits."""
+    rows = []
+    for elements in (9, 20, 30, 65):
+        scene = fc.Scene.load(common.DEMOS / "breathing_plate.toml").replace(
+            {
+                "crack.first_omega": None, "crack.length": 0.0431, "damping.ratio": 0.01,
+                "damping.modes": "all", "mesh.size": 0.01, "mesh.lip_elements": elements,
+            }
+        )  # fmt: skip
+        reduced = fc.reduce_structure(fc.build_structure(scene), modes=100, method="massless")
+        for name, harmonics in itertools.product(("rigid", "1e9 N/m"), (10, 20, 40)):
+            for omega in (1400.0, 2000.0) if arguments.quick else (1000.0, 1400.0, 2000.0, 2600.0):
+                started = time.process_time()
+                found = fc.solve_harmonic_balance(
+                    reduced, omega, LAWS[name], harmonics=harmonics, throw=False
+                )
+                seconds = time.process_time() - started
+                size = found.gap_coefficients.size
+                rows.append((name, reduced.n_pairs, harmonics, size, omega, found.converged,
+                             seconds, found.iterations, found.report.truncation))  # fmt: skip
+    common.save_table(
+        arguments.folder / "many_pairs_unknowns.csv", "Cold solutions, 100 modes",
+        ("law", "pairs", "H", "unknowns", "omega", "converged", "s", "iterations", "truncation"),
+        rows,
+    )  # fmt: skip
+    for name in ("rigid", "1e9 N/m"):
+        size, seconds = np.array([(row[3], row[6]) for row in rows if row[0] == name]).T
+        exponent = np.polyfit(np.log(size), np.log(seconds), 1)[0]
+        print(f"{name}: time like unknowns^{exponent:.2f}, at most {seconds.max():.1f} s")
 
 
 def seen_modes(structure: fc.Structure, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
