@@ -21,7 +21,7 @@ from fenics_crack.balance.arclength import BRANCHING_STEP, Stepping
 from fenics_crack.balance.bordered import MAX_ITERATIONS, MIN_DAMPING, REACH, PathPoint, Tangent
 from fenics_crack.balance.linearisation import Linearisation
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.kernel import doubles, ints, kernel, made, owned, signs
+from fenics_crack.kernel import Struct, doubles, ints, kernel, owned
 
 __all__ = ["CompiledSystem", "ModalPart"]
 
@@ -93,11 +93,8 @@ class CompiledSystem:
         for name, array in reals.items():
             assert array.shape == shapes[name], name
         self._kept = {name: np.ascontiguousarray(array) for name, array in reals.items()}
-        equations = made(
-            "condensed", harmonics=rows // 2, pairs=pairs, **numbers,
-            **{name: doubles(array) for name, array in self._kept.items()},
-        )  # fmt: skip
-        self._point = owned(kernel.new_point(equations), kernel.free_point)
+        equations = Struct("condensed", harmonics=rows // 2, pairs=pairs, **numbers, **self._kept)
+        self._point = owned(kernel.new_point(equations.at), kernel.free_point)
         self._last: CompiledPoint | None = None
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
@@ -158,13 +155,12 @@ class CompiledSystem:
             unknowns[place], tangents[place] = point.unknown, point.tangent.x
             numbers[:3, place] = point.parameter, point.tangent.p, point.tangent.weight
         names = ("parameters", "slopes", "weights", "lengths")
-        points = made(
-            "path", room=room, known=begun, step=step, orientation=orientation,
-            unknowns=doubles(unknowns), tangents=doubles(tangents), iterations=ints(counts),
-            crossings=signs(crossings),
-            **{name: doubles(row) for name, row in zip(names, numbers, strict=True)},
+        path = Struct(
+            "path", room=room, known=begun, step=step, orientation=orientation, unknowns=unknowns,
+            tangents=tangents, iterations=counts, crossings=crossings,
+            **dict(zip(names, numbers, strict=True)),
         )  # fmt: skip
-        how = made(
+        how = Struct(
             "stepping", longest=stepping.longest, shortest=stepping.shortest,
             tolerance=stepping.tolerance, rounding=stepping.rounding,
             least_cosine=stepping.least_cosine, branching_step=BRANCHING_STEP, reach=REACH,
@@ -172,7 +168,7 @@ class CompiledSystem:
             highest=max(stepping.span),
         )  # fmt: skip
         self._last = None
-        outcome = kernel.follow(self._point, how, points)
+        outcome, points = kernel.follow(self._point, how.at, path.at), path.at
         if points.known == begun:
             self._check(outcome)
         new = slice(begun, points.known)

@@ -20,7 +20,7 @@ except ImportError as error:  # pragma: no cover
         "the compiled kernel of fenics_crack is missing or broken: run 'sh install.sh'"
     ) from error
 
-__all__ = ["NULL", "Struct", "doubles", "ints", "kernel", "made", "owned", "signs", "table"]
+__all__ = ["NULL", "Struct", "doubles", "ints", "kernel", "owned", "signs", "table"]
 
 kernel: Any = lib
 """The functions of the C files, by their names."""
@@ -58,11 +58,6 @@ def signs(array: np.ndarray) -> Any:
     """Numbers of a C-contiguous array of bytes or truth values."""
     assert array.dtype.itemsize == 1
     return ffi.from_buffer("signed char[]", array)
-
-
-def made(kind: str, **fields: Any) -> Any:
-    """A C structure with its fields; arrays that they point to are the caller's to keep."""
-    return ffi.new(f"{kind} *", fields)
 
 
 def owned(pointer: Any, free: Any) -> Any:

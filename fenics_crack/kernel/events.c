@@ -56,20 +56,6 @@ static void turn_by(const regime *r, const double *restrict c, const double *res
     for (int j = 2 * m; j < r->size; j++) y[j] *= *others++;
 }
 
-static double dot(int n, const double *x, const double *y)
-{
-    double a = 0.0, b = 0.0, c = 0.0, d = 0.0;
-    int j = 0;
-    for (; j + 3 < n; j += 4) {
-        a += x[j] * y[j];
-        b += x[j + 1] * y[j + 1];
-        c += x[j + 2] * y[j + 2];
-        d += x[j + 3] * y[j + 3];
-    }
-    for (; j < n; j++) a += x[j] * y[j];
-    return (a + b) + (c + d);
-}
-
 /* A derivative of a pair's signed gap from the weights, with the load's cosine and sine. */
 static double gap_of(const search *s, int pair, int order, const double *y, double cosine,
                      double sine)
@@ -243,7 +229,7 @@ int follow_exactly(const exact_flow *f, motion *m, double longest)
         steady(f, r, m->now, -1.0, m->state);
         multiply(size, size, r->inverse, m->state, first);
         const search s = {f, r, m->now, first, y};
-        double length;
+        double length = 0.0;
         const int pair = next_event(&s, m->end - m->now, m->switched, room, &length);
         sample(r, m, m->now + length, pair < 0, first, room);
         carry(r, length, first, y);

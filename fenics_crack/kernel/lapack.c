@@ -19,6 +19,20 @@ void bind_lapack(void **functions)
     for (int i = 0; i < LAPACK_FUNCTIONS; i++) bound[i] = functions[i];
 }
 
+double dot(int n, const double *x, const double *y)
+{
+    double a = 0.0, b = 0.0, c = 0.0, d = 0.0;
+    int j = 0;
+    for (; j + 3 < n; j += 4) {
+        a += x[j] * y[j];
+        b += x[j + 1] * y[j + 1];
+        c += x[j + 2] * y[j + 2];
+        d += x[j + 3] * y[j + 3];
+    }
+    for (; j < n; j++) a += x[j] * y[j];
+    return (a + b) + (c + d);
+}
+
 void multiply(int rows, int columns, const double *a, const double *x, double *y)
 {
     const int one = 1;

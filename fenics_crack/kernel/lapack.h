@@ -7,6 +7,8 @@ enum { DGEMV, DGEMM, DGETRF, DGETRS, DPOTRF, DPOTRS, LAPACK_FUNCTIONS };
 
 void bind_lapack(void **functions);
 
+/* x^T y, in four sums: additions need not wait for each other. */
+double dot(int n, const double *x, const double *y);
 /* y = A x with A (rows, columns) in C's order. */
 void multiply(int rows, int columns, const double *a, const double *x, double *y);
 /* C = A B + keep C with A (rows, inner), B (inner, columns), all in C's order. */

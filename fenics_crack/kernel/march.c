@@ -7,21 +7,6 @@
 
 static const double ROUNDING = 1e-14; /* gaps relative to the largest one that count as zero */
 
-/* Four sums, so that the additions need not wait for each other. */
-static double dot(int n, const double *x, const double *y)
-{
-    double a = 0.0, b = 0.0, c = 0.0, d = 0.0;
-    int j = 0;
-    for (; j + 3 < n; j += 4) {
-        a += x[j] * y[j];
-        b += x[j + 1] * y[j + 1];
-        c += x[j + 2] * y[j + 2];
-        d += x[j + 3] * y[j + 3];
-    }
-    for (; j < n; j++) a += x[j] * y[j];
-    return (a + b) + (c + d);
-}
-
 /* y -= sum_i weight_i row_i with rows (p, n). */
 static void take(int p, int n, const double *rows, const double *weight, double *restrict y)
 {
