@@ -266,19 +266,23 @@ class Search:
         return newton.system.linearise(found.unknown, 0.0)
 
     def _frequency_path(self, family_from: Callable[[float], FrequencyFamily]) -> Linearisation:
-        stepping = replace(NARROW, most=200)
         for factor in NEARBY:
             family = family_from(factor)
-            with Newton(family) as newton:
-                linear = family.system(family.start).linear
-                found = self._newton(newton, linear, 0.0, 20)
-                if self.converged:
-                    name = f"from {factor:g} of the frequency"
-                    found = self._path(name, newton, found, (0.0, 1.0), stepping)
-                    if self.converged:
-                        return found
+            found = self.along_frequency(family, family.system(family.start).linear)
+            if self.converged:
+                return found
         self._note("path in the frequency", "from 0.5 to 2 of it")
         return family.linearise(found.unknown, 1.0)
+
+    def along_frequency(self, family: FrequencyFamily, start: np.ndarray) -> Linearisation:
+        """Along a family in the frequency, from near a solution at its start; return the equations
+        at its end."""
+        name = f"from {family.start:g} rad/s"
+        with Newton(family) as newton:
+            found = self._newton(newton, start, 0.0, 20)
+            if self.converged:
+                found = self._path(name, newton, found, (0.0, 1.0), replace(NARROW, most=200))
+        return found
 
     def _path(
         self,

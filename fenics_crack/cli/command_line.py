@@ -38,6 +38,7 @@ KEYS = {
     "start": "curve.start",
     "start, end": "curve.start, curve.stop",
     "steps_per_period": "integration.steps_per_period",
+    "tolerance": "harmonic_balance.tolerance",
 }
 """Keys of a scene for the arguments of the library that errors name."""
 EPILOG = """\

@@ -30,6 +30,7 @@ from fenics_crack.balance.error_report import beyond_truncation, relative_size
 from fenics_crack.balance.family import FAMILIES, Family
 from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.harmonic_balance import check_initial, check_memory
+from fenics_crack.balance.neighbours import fewer_harmonics, more_harmonics
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.balance.solver import Solver
@@ -54,8 +55,6 @@ from fenics_crack.stability.piecewise_flow import LeadingMultiplier, PiecewiseFl
 __all__ = ["Continuation", "CurvePoint"]
 
 Answer = TypeVar("Answer")
-MAX_HARMONICS = 100
-"""Beyond these a curve's harmonics are not raised."""
 SHORTEST = 0.1
 """Of steps, relative to what rounding leaves of the residual: shorter ones resolve nothing."""
 LANDING = 1e-4
@@ -353,12 +352,11 @@ class Continuation:
         if self._tolerance is None or math.isnan(truncation):
             return False
         count = self._family.problem.harmonics
-        wanted = _more_harmonics(count, truncation, self._tolerance)
-        if wanted is None and truncation < 0.05 * self._tolerance:
-            wanted = max(self._least, math.floor(0.8 * count))
-        if wanted in (None, count):
+        wanted = more_harmonics(count, truncation, self._tolerance)
+        wanted = wanted or fewer_harmonics(count, truncation, self._tolerance, self._least)
+        if wanted == count:
             return False
-        self._family = self._family.with_harmonics(int(wanted or count))
+        self._family = self._family.with_harmonics(wanted)
         return True
 
     def _again(self, point: PathPoint) -> PathPoint | None:
@@ -464,7 +462,7 @@ def _first_solution(
         if initial is not None:
             check_initial(first, initial)
         initial = Solver(first).solve(initial)
-        more = _more_harmonics(count, initial.report.truncation, tolerance)
+        more = more_harmonics(count, initial.report.truncation, tolerance)
         if more is None:
             return family, initial
         problem = problem.with_harmonics(more)
@@ -474,14 +472,6 @@ def _check_rigid(problem: Problem, parameter: str) -> None:
     """Raise InputError where the parameter is no other for a law without a stiffness."""
     if is_rigid(problem.contact) and parameter == "stiffness":
         raise InputError("parameter", parameter, "another one: a rigid contact has no stiffness")
-
-
-def _more_harmonics(count: int, truncation: float, tolerance: float | None) -> int | None:
-    """As many harmonics as an error that falls like H^-3 asks for; None where these are enough."""
-    if tolerance is None or truncation <= tolerance or count >= MAX_HARMONICS:
-        return None
-    factor = min(2.0, 1.1 * (truncation / tolerance) ** (1.0 / 3.0))
-    return min(MAX_HARMONICS, math.ceil(factor * count))
 
 
 def _check_range(structure: Structure, parameter: str, start: float, end: float) -> None:

@@ -210,11 +210,17 @@ class HarmonicBalance(Table):
     """Truncation of the Fourier series and sampling of the contact force."""
 
     harmonics: int = at_least_one(5)
+    """H; with a tolerance, the fewest of a curve and of a sweep."""
     samples: int | None = at_least_one(None)
     """Instants per period at which contact is evaluated; chosen by the solver when left out."""
+    tolerance: float | None = positive(None)
+    """Choose H so that the estimated error stays below this: of one solution all of it, along a
+    curve and in a sweep that of the truncation."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.tolerance is not None:
+            self.leave_out(("samples",), "a tolerance")
         least = 4 * self.harmonics + 1
         self.require(
             self.samples is None or least <= self.samples <= MAX_SAMPLES,

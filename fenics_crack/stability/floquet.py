@@ -48,6 +48,7 @@ def floquet(
     contact: ContactLaw | None = None,
     *,
     refine: bool = True,
+    flow: PiecewiseFlow | None = None,
 ) -> Stability:
     """Floquet multipliers of a solution.
 
@@ -62,6 +63,9 @@ def floquet(
     refine : bool
         Judge by the multipliers of an orbit of the flow in time next to the solution, where that is
         better than those of its harmonics.
+    flow : PiecewiseFlow, optional
+        Of the structure and the law, where many solutions are judged by their harmonics: what they
+        share is computed once, and only the leading multiplier of each.
 
     Raises
     ------
@@ -83,14 +87,17 @@ def floquet(
         found = _marched(structure, solution, contact)
         if found is not None and (coupled or found.verdict != "undecided"):
             return found
-    judged = _by_harmonics(structure, solution, contact)
+    judged = _by_harmonics(structure, solution, contact, None if coupled else flow)
     if judged.verdict == "undecided" and refine and in_time and not many:
         return _exact(structure, solution, contact) or judged
     return judged
 
 
 def _by_harmonics(
-    structure: Structure, solution: PeriodicSolution, contact: ContactLaw
+    structure: Structure,
+    solution: PeriodicSolution,
+    contact: ContactLaw,
+    shared: PiecewiseFlow | None,
 ) -> Stability:
     """The three estimates of the leading multiplier, and whether they agree."""
     problem = Problem(
@@ -100,7 +107,7 @@ def _by_harmonics(
     above = None
     if solution.static_above is not None:
         above = moving_below(structure, solution.static_above)
-    flow, omega = PiecewiseFlow(structure, contact, above), solution.base_omega
+    flow, omega = shared or PiecewiseFlow(structure, contact, above), solution.base_omega
     compliance = problem.compliance()
     at = problem.system(compliance).linearise(solution.slow_gap_coefficients)
     better = improved(at)
@@ -113,9 +120,12 @@ def _by_harmonics(
     else:
         waves = [at.unknown, better]
     compliance.destroy()
-    multipliers = flow.multipliers(waves[0], omega)
+    if shared is None:
+        multipliers, other = (flow.multipliers(wave, omega) for wave in waves)
+    else:
+        multipliers, other = (np.array([flow.leading(wave, omega).value]) for wave in waves)
     largest = float(np.abs(multipliers[0]))
-    estimates = [multipliers[0], flow.multipliers(waves[1], omega)[0]]
+    estimates = [multipliers[0], other[0]]
     if (2 * solution.harmonics + 1) * structure.n_pairs <= HILL:
         estimates.append(hill_root(structure, solution, contact, multipliers[0]))
     known = np.abs(np.array(estimates))

@@ -90,9 +90,11 @@ def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution
     table, omega = scene.harmonic_balance, scene.excitation.omega
     if law is None:
         return Run(**vars(study), result=solve_linear(structure, omega, harmonics=table.harmonics))
+    harmonics = table.harmonics if table.tolerance is None else None
     solution = solve_harmonic_balance(
-        structure, omega, law, harmonics=table.harmonics, samples=table.samples, throw=False
-    )
+        structure, omega, law,
+        harmonics=harmonics, samples=table.samples, tolerance=table.tolerance, throw=False,
+    )  # fmt: skip
     quick = is_piecewise_linear(law) or structure.n_dofs <= FEW_DOFS
     if is_rigid(law):
         quick = massless(structure) is not None
@@ -116,6 +118,7 @@ def follow_curve(
     options: dict[str, Any] = {
         "harmonics": balance.harmonics,
         "samples": balance.samples,
+        "tolerance": balance.tolerance,
         "stability": table.stability,
         "progress": progress,
         "throw": False,

@@ -10,7 +10,9 @@ import numpy as np
 import scipy.sparse as sparse
 from mpi4py import MPI
 
-from fenics_crack.balance.harmonic_balance import solve_harmonic_balance, solve_linear
+from fenics_crack.balance.harmonic_balance import check_memory, solve_linear
+from fenics_crack.balance.neighbours import Neighbours
+from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import is_rigid
@@ -21,6 +23,7 @@ from fenics_crack.model.reduced import MasslessStructure, ReducedStructure, mass
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stability.floquet import FEW_PAIRS, floquet
+from fenics_crack.stability.piecewise_flow import PiecewiseFlow
 from fenics_crack.study.prepare import law_of, prepare
 from fenics_crack.sweep.file import COLUMNS
 from fenics_crack.sweep.plan import FORCES, Chunk
@@ -165,42 +168,70 @@ def all_failed(chunk: Chunk, reason: str) -> list[Found]:
 
 def solve_chunk(geometry: Geometry, chunk: Chunk) -> list[Found]:
     """Solve cases one after the other."""
-    solved: list[Found] = []
-    last: PeriodicSolution | None = None
+    cases, solved = Cases(geometry), []
     for case in chunk.cases:
         if isinstance(case, str):
             solved.append({"status": case})
-            last = None
+            cases = Cases(geometry)
             continue
         started = time.perf_counter()
         harmonics = case.harmonic_balance.harmonics
         found: Found = {"crack_length": geometry.crack_length, "harmonics": harmonics}
         try:
-            last = _solve(geometry.of_case(case), case, last)
-            measured = {name: v for name, v in last.to_dict().items() if name in COLUMNS}
-            found |= measured | {"response": _response(last, case)} | _verdict(last)
-            found |= {"gap": last.gap_coefficients, "force": last.force_coefficients}
+            solution = cases.solve(case)
+            measured = {name: v for name, v in solution.to_dict().items() if name in COLUMNS}
+            found |= measured | {"response": _response(solution, case)} | cases.verdict(solution)
+            found |= {"gap": solution.gap_coefficients, "force": solution.force_coefficients}
         except REFUSALS as error:
-            last = None
+            cases = Cases(geometry)
             found["status"] = str(error)
         solved.append(found | {"seconds": time.perf_counter() - started})
     return solved
 
 
-def _solve(structure: Structure, case: Scene, last: PeriodicSolution | None) -> PeriodicSolution:
-    """Solve a case from its neighbour, or if that fails from the linear solution."""
-    omega, table = case.excitation.omega, case.harmonic_balance
-    law = law_of(case, structure)
-    if law is None:
-        return solve_linear(structure, omega, harmonics=table.harmonics)
-    truncation: Any = {"harmonics": table.harmonics, "samples": table.samples}
-    for initial in (last, None):
+class Cases:
+    """Cases of a geometry, each solved from the one before.
+
+    Those that differ in the frequency alone share structure, law, equations and flow.
+    """
+
+    def __init__(self, geometry: Geometry) -> None:
+        self._geometry = geometry
+        self._neighbours = Neighbours()
+        self._last: Scene | None = None
+
+    def solve(self, case: Scene) -> PeriodicSolution:
+        """The solution of a case; one of :data:`REFUSALS` where there is none."""
+        omega, table = case.excitation.omega, case.harmonic_balance
+        at_omega = case.replace({"excitation.omega": 1.0})
+        if self._last != at_omega:
+            self._last = at_omega
+            self._structure = self._geometry.of_case(case)
+            self._law = law_of(case, self._structure)
+            self._flow: PiecewiseFlow | None = None
+        structure, law = self._structure, self._law
+        if law is None:
+            return solve_linear(structure, omega, harmonics=table.harmonics)
+        self._neighbours.tolerance = table.tolerance
+        check_memory(structure, table.harmonics)
+        problem = Problem(structure, omega, law, table.harmonics, table.samples)
+        return self._neighbours.solve(problem)
+
+    def verdict(self, solution: PeriodicSolution) -> Found:
+        """Verdict and modulus of the leading multiplier of the last solution; empty without a law,
+        and for a constraint of lips with mass."""
+        structure, law = solution.structure, solution.contact
+        if law is None or (is_rigid(law) and massless(structure) is None):
+            return {}
+        few = structure.n_pairs <= FEW_PAIRS and solution.static_above is None
+        if few and self._flow is None:
+            self._flow = PiecewiseFlow(structure, law)
+        flow = self._flow if few else None
         try:
-            return solve_harmonic_balance(structure, omega, law, initial=initial, **truncation)
-        except ConvergenceError:
-            if initial is None:
-                raise
-    raise AssertionError
+            found = floquet(structure, solution, refine=not few, flow=flow)
+        except REFUSALS:
+            return {"verdict": "undecided"}
+        return {"verdict": found.verdict, "multiplier": abs(found.multipliers[0])}
 
 
 def _response(solution: PeriodicSolution, case: Scene) -> float:
@@ -218,17 +249,3 @@ def _response(solution: PeriodicSolution, case: Scene) -> float:
     row = solution.structure.force[FORCES.index(name)] / sizes[name]
     instants = np.linspace(0.0, solution.period, 1024, endpoint=False)
     return float(np.ptp(solution.coordinates(instants) @ row) / 2.0)
-
-
-def _verdict(solution: PeriodicSolution) -> Found:
-    """Verdict and modulus of the leading multiplier; empty without a law, and for a constraint of
-    lips with mass."""
-    law = solution.contact
-    if law is None or (is_rigid(law) and massless(solution.structure) is None):
-        return {}
-    few = solution.structure.n_pairs <= FEW_PAIRS and solution.static_above is None
-    try:
-        found = floquet(solution.structure, solution, refine=not few)
-    except REFUSALS:
-        return {"verdict": "undecided"}
-    return {"verdict": found.verdict, "multiplier": abs(found.multipliers[0])}

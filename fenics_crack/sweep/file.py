@@ -126,11 +126,12 @@ class SweepFile:
             self._file[name][index] = values
         for name, arrays in waves.items():
             if name in self._file:
-                wave = self._file[name]
-                padded = np.full((len(arrays), *wave.shape[-2:]), np.nan)
+                wave, rows = self._file[name], max(map(len, arrays))
+                padded = np.full((len(arrays), rows, wave.shape[-1]), np.nan)
                 for row, array in zip(padded, arrays, strict=True):
                     row[: array.shape[0], : array.shape[1]] = array
-                wave[index] = padded
+                if rows:
+                    wave[(*index, slice(rows))] = padded
         self._file.flush()
         self._file["state"][index] = state
         self._file.flush()
@@ -212,9 +213,10 @@ def read_columns(path: Path) -> tuple[Scene, dict[str, np.ndarray]]:
 def read_waves(path: Path, index: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Gap [m] and force [N] coefficients of a case that converged: (2H+1, n_pairs) each."""
     with store.opened(path, KIND) as file:
+        rows = 2 * int(file["harmonics"][index]) + 1
         if "gap" not in file:
-            empty = np.zeros((2 * int(file["harmonics"][index]) + 1, 0))
+            empty = np.zeros((rows, 0))
             return empty, empty
-        gap, force = file["gap"][index], file["force"][index]
-    rows, pairs = np.isfinite(gap[:, 0]), np.isfinite(gap[0])
-    return gap[rows][:, pairs], force[rows][:, pairs]
+        gap, force = (file[name][(*index, slice(rows))] for name in WAVES)
+    pairs = np.isfinite(gap[0])
+    return gap[:, pairs], force[:, pairs]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
+from fenics_crack.balance.neighbours import MAX_HARMONICS
 from fenics_crack.errors import InputError
 from fenics_crack.fem.plate import build_mesh
 from fenics_crack.scene.scene import Scene
@@ -22,6 +23,7 @@ SAME_GEOMETRY = (
     "excitation.omega", "excitation.force_sin", "excitation.force_cos", "excitation.force_mean",
     "contact.stiffness", "contact.stiffness_per_area", "contact.law", "contact.sharpness",
     "crack.clearance", "harmonic_balance.harmonics", "harmonic_balance.samples",
+    "harmonic_balance.tolerance",
 )  # fmt: skip
 """Keys that change neither mesh, matrices and modes nor the place of the load."""
 FORCES = ("force_mean", "force_cos", "force_sin")
@@ -62,8 +64,10 @@ class Plan:
         # Places of the geometries: an index on each axis that changes them, None on the others.
         ranges = ((None,) if n in same else range(size) for n, size in enumerate(self.shape))
         self.geometries = list(itertools.product(*ranges))
-        base = scene.harmonic_balance.harmonics  # upper bounds for all cases:
-        self.harmonics = max(swept.get("harmonic_balance.harmonics", (base,)))
+        base = scene.harmonic_balance  # upper bounds for all cases:
+        self.harmonics = max(swept.get("harmonic_balance.harmonics", (base.harmonics,)))
+        if base.tolerance is not None or "harmonic_balance.tolerance" in swept:
+            self.harmonics = max(self.harmonics, MAX_HARMONICS)
         self.pairs = self._bound_of_pairs()
 
     def _bound_of_pairs(self) -> int:

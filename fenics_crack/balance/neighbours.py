@@ -1,0 +1,187 @@
+"""Solutions of alike problems one after the other, each from the one before.
+
+Where two problems differ in the frequency alone, the family of one serves the other: the modes, the
+load in them and the compiled equations are made once. A solution g(w) is predicted along the
+tangent at its neighbour,
+
+    g(w + dw) = g(w) + dw dg/dw,        J dg/dw = -F_w,
+
+and corrected by Newton's method at its own frequency, in the kernel where that has the equations;
+where this fails, a path in the frequency leads from one to the other. Problems that differ
+otherwise start from the neighbour as it is. Where the neighbour does not help, a solution is sought
+without it (:mod:`search`).
+
+With a tolerance of the truncation, a solution has as many harmonics as its neighbour, and then as
+many more as its estimated error asks for.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fenics_crack.balance.bordered import solve_at
+from fenics_crack.balance.condensed import CondensedSystem
+from fenics_crack.balance.coupled import CoupledSystem
+from fenics_crack.balance.family import FrequencyFamily
+from fenics_crack.balance.fourier import resized
+from fenics_crack.balance.problem import Problem
+from fenics_crack.balance.rounding import (
+    check_stiffness,
+    least_residual,
+    stiffness_times_compliance,
+)
+from fenics_crack.balance.search import Search
+from fenics_crack.balance.solution import PeriodicSolution, solution_of
+from fenics_crack.balance.solver import Solver
+from fenics_crack.errors import ConvergenceError
+from fenics_crack.model.contact import is_rigid
+from fenics_crack.model.modal import all_modes
+
+__all__ = ["MAX_HARMONICS", "Neighbours", "fewer_harmonics", "more_harmonics"]
+
+SHARP, ACCEPTED = 1e-11, 1e-10
+"""|F| / |x| to which coupled pairs are corrected, and at which the end of a path is accepted."""
+ITERATIONS = 10
+"""Of Newton's method from a prediction."""
+MAX_HARMONICS = 100
+"""Beyond these harmonics are not raised."""
+SMALL = 0.05
+"""Part of a tolerance below which an error allows fewer harmonics."""
+
+
+def more_harmonics(count: int, truncation: float, tolerance: float | None) -> int | None:
+    """As many harmonics as an error that falls like H^-3 asks for; None where these are enough."""
+    if tolerance is None or truncation <= tolerance or count >= MAX_HARMONICS:
+        return None
+    factor = min(2.0, 1.1 * (truncation / tolerance) ** (1.0 / 3.0))
+    return min(MAX_HARMONICS, math.ceil(factor * count))
+
+
+def fewer_harmonics(count: int, truncation: float, tolerance: float, least: int) -> int:
+    """As many harmonics as a neighbour's error allows to begin with."""
+    return max(least, math.floor(0.8 * count)) if truncation < SMALL * tolerance else count
+
+
+@dataclass
+class Neighbours:
+    """Solves problems one after the other.
+
+    Parameters
+    ----------
+    tolerance : float, optional
+        Raise and lower H from one solution to the next so that the estimated truncation error stays
+        below this, between the problem's ``harmonics`` and :data:`MAX_HARMONICS`.
+    """
+
+    tolerance: float | None = None
+    _last: PeriodicSolution | None = None
+    _family: FrequencyFamily | None = None
+
+    def solve(self, problem: Problem) -> PeriodicSolution:
+        """Solve a problem of a small structure.
+
+        Raises
+        ------
+        InputError
+            The contact is so stiff that rounding leaves nothing of its force.
+        ConvergenceError
+            There is no solution, or not to the tolerance; the next problem has no neighbour.
+        """
+        last, self._last = self._last, None
+        least, tolerance = problem.harmonics, self.tolerance
+        if tolerance is not None and last is not None:
+            fewer = fewer_harmonics(last.harmonics, last.report.truncation, tolerance, least)
+            problem = problem.with_harmonics(fewer)
+        found = self._from(problem, last)
+        while (more := more_harmonics(problem.harmonics, _error(found), tolerance)) is not None:
+            problem = problem.with_harmonics(more)
+            found = self._from(problem, found)
+        if tolerance is not None and _error(found) > tolerance:
+            raise ConvergenceError(
+                f"harmonic balance at {problem.omega:g} rad/s: the estimated truncation error, "
+                f"{_error(found):.1e} with H = {problem.harmonics}, stays above {tolerance:g}"
+            )
+        self._last = found
+        return found
+
+    def _from(self, problem: Problem, last: PeriodicSolution | None) -> PeriodicSolution:
+        """Solve from another solution."""
+        if last is not None:
+            alike = last.structure is problem.structure and last.contact is problem.contact
+            if alike and last.omega != problem.omega and _can_be_followed(problem):
+                found = self._along_frequency(problem, last)
+            else:
+                found = Solver(problem).attempt(last)[1]
+            if found is not None and found.converged:
+                return found
+        return Solver(problem).solve()
+
+    def _along_frequency(self, problem: Problem, last: PeriodicSolution) -> PeriodicSolution | None:
+        """Solve from another frequency; None where that does not lead there."""
+        family = self._family_of(problem, last)
+        start, omega = _unknown(family.problem, last), problem.omega
+        near = family.parameter(last.omega)
+        sharp = _attainable(family.system(omega), problem)
+        at = (family.compiled or family).linearise(start, near)
+        end = family.parameter(omega)
+        guess = start - (end - near) * at.solve(at.by_parameter)
+        found = solve_at(family, guess, end, tolerance=sharp, iterations=ITERATIONS)
+        if found is not None:
+            unknown, iterations = found.unknown, found.iterations
+            status = f"from {last.omega:g} rad/s: converged ({iterations} iterations)"
+        else:
+            search = Search(ACCEPTED)
+            path = FrequencyFamily(family.problem, last.omega, omega)
+            unknown = search.along_frequency(path, start).unknown
+            if not search.converged:
+                return None
+            iterations, status = search.iterations, search.status
+            found = solve_at(family, unknown, end, tolerance=sharp, iterations=ITERATIONS)
+            unknown = unknown if found is None else found.unknown
+        solution = solution_of(problem, family.system(omega).linearise(unknown), status=status)
+        return replace(solution, iterations=iterations)
+
+    def _family_of(self, problem: Problem, last: PeriodicSolution) -> FrequencyFamily:
+        """The equations along the frequency, those of the case before where they are the same."""
+        above = np.inf if problem.residual is None else problem.cutoff
+        known = self._family
+        if known is not None:
+            kept = known.problem
+            same = kept.structure is problem.structure and kept.contact is problem.contact
+            sizes = (kept.harmonics, kept.samples, kept.static_above)
+            if same and sizes == (problem.harmonics, problem.samples, above):
+                return known
+        settled = replace(problem, static_above=above)
+        self._family = FrequencyFamily(settled, last.omega, problem.omega)
+        return self._family
+
+
+def _error(solution: PeriodicSolution) -> float:
+    """Estimated truncation error, infinite where it is unknown."""
+    found = solution.report.truncation
+    return found if math.isfinite(found) else math.inf
+
+
+def _can_be_followed(problem: Problem) -> bool:
+    """Whether the problem belongs to a family along the frequency."""
+    projected = is_rigid(problem.contact) and problem.residual is None
+    return not projected and not all_modes(problem.structure).ill_conditioned
+
+
+def _unknown(problem: Problem, solution: PeriodicSolution) -> np.ndarray:
+    """A solution as the unknowns of a problem."""
+    found = solution.gap_coefficients
+    if problem.residual is not None:
+        found = found + solution.force_coefficients @ problem.residual
+    return resized(found, problem.harmonics)
+
+
+def _attainable(system: CondensedSystem | CoupledSystem, problem: Problem) -> float:
+    """What rounding leaves of |F| / |x|; of coupled pairs :data:`SHARP`: their steps cost more."""
+    if isinstance(system, CoupledSystem):
+        return max(SHARP, least_residual(4.0 * system.steepness(problem.contact)))
+    check_stiffness(system.compliance, problem.contact)
+    return least_residual(4.0 * stiffness_times_compliance(system.compliance, problem.contact))
