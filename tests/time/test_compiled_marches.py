@@ -15,7 +15,7 @@ import fenics_crack as fc
 from fenics_crack.model.complementarity import solve_complementarity
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.time import central_differences, implicit
-from fenics_crack.time.events import EventFlow
+from fenics_crack.time.events import KEPT, EventFlow
 from fenics_crack.time.march import March, Scheme, march
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -238,3 +238,18 @@ def test_exact_flow(dofs: int, pairs: int, damping: str, seed: int) -> None:
     for place in (1, 100, 599):
         exact = flow.gap_rows @ flow.advance(start, 0.0, equal[place])[0]
         assert np.abs(gaps[place] - exact).max(initial=0.0) <= 1e-11 * scale_of(state)
+
+
+def test_exact_flow_past_many_events() -> None:
+    """One flow of several hundred events against many short ones."""
+    rng = np.random.default_rng(3)
+    flow = EventFlow(random_structure(rng, 2, 2, "Rayleigh"), 1.1, fc.UnilateralPenalty(5.0))
+    start = 0.3 * rng.normal(size=4)
+    state, _, derivative, events = flow.advance(start, 0.0, 1600.0)
+    product, counted = np.eye(4), 0
+    for number in range(80):
+        start, _, step, some = flow.advance(start, 20.0 * number, 20.0)
+        product, counted = step() @ product, counted + some
+    assert counted == events > 2 * KEPT
+    assert np.abs(state - start).max() <= 1e-9 * scale_of(state)
+    assert np.abs(derivative() - product).max() <= 1e-6 * scale_of(product)
