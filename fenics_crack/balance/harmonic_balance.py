@@ -16,7 +16,7 @@ from fenics_crack.balance.contact_integrals import default_samples
 from fenics_crack.balance.dynamic_stiffness import DynamicStiffness
 from fenics_crack.balance.error_report import ErrorReport, mean_square
 from fenics_crack.balance.fourier import from_complex, resized, to_complex
-from fenics_crack.balance.krylov import RESTART
+from fenics_crack.balance.memory import check_memory
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.balance.solver import Solver
@@ -29,13 +29,12 @@ from fenics_crack.errors import (
     check_omega,
 )
 from fenics_crack.model.contact import ContactLaw
-from fenics_crack.model.memory import machine_memory
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 
-__all__ = ["check_initial", "check_memory", "solve_harmonic_balance", "solve_linear"]
+__all__ = ["check_initial", "solve_harmonic_balance", "solve_linear"]
 
 MAX_HARMONICS = 300
 """If more are needed for a tolerance, or more than MAX_SAMPLES, it is out of reach."""
@@ -48,8 +47,6 @@ which estimates are not believed."""
 FIRST_MODES, COVER = 10, 1.5
 """Modes with which a large structure is tried first; H times the frequency relative to that of the
 highest mode kept, from which on it is covered."""
-MATRICES = 4
-"""Dense matrices of the size of the Jacobian that are held at a time."""
 
 
 def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> PeriodicSolution:
@@ -259,39 +256,6 @@ def _give_up(
         )
     status = f"{best.status}; error {error} above the tolerance: {obstacle}"
     return replace(best, converged=False, status=status)
-
-
-def check_memory(structure: Structure, harmonics: int) -> None:
-    """Raise InputError where the dense Jacobian of the condensed equations would not fit, or that
-    of coupled pairs at all instants."""
-    pairs = structure.n_pairs
-    if massless(structure) is not None:
-        _check_coupled(pairs, harmonics)
-        return
-    unknowns = (2 * harmonics + 1) * pairs
-    memory = machine_memory()
-    if MATRICES * 8 * unknowns**2 > 0.8 * memory:
-        fits = int(np.sqrt(0.8 * memory / (8 * MATRICES)) / (2 * pairs) - 0.5)
-        raise InputError(
-            "harmonics",
-            harmonics,
-            f"at most {fits} with {pairs} pairs: {unknowns} unknowns need "
-            f"{MATRICES * 8 * unknowns**2 / 2**30:.0f} GiB of this machine's {memory / 2**30:.0f}",
-        )
-
-
-def _check_coupled(pairs: int, harmonics: int) -> None:
-    memory = machine_memory()
-    vectors = RESTART * (8 * harmonics + 2) * pairs  # of GMRES, for twice the harmonics
-    needed = 8 * (MATRICES * (8 * harmonics + 2) * pairs**2 + vectors)
-    if needed > 0.8 * memory:
-        fits = int(harmonics * 0.8 * memory / needed)
-        raise InputError(
-            "harmonics",
-            harmonics,
-            f"at most {fits} with {pairs} pairs: {needed / 2**30:.0f} GiB are needed of this "
-            f"machine's {memory / 2**30:.0f}",
-        )
 
 
 def check_initial(problem: Problem, initial: PeriodicSolution) -> None:

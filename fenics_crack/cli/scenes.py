@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fenics_crack.balance.harmonic_balance import check_memory
+from fenics_crack.balance.memory import check_memory
 from fenics_crack.cli.console import Console
 from fenics_crack.cli.exit_codes import Exit
 from fenics_crack.cli.remarks import highest_omega, remark_on_whole

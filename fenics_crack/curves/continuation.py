@@ -29,7 +29,8 @@ from fenics_crack.balance.bordered import (
 from fenics_crack.balance.error_report import beyond_truncation, relative_size
 from fenics_crack.balance.family import FAMILIES, Family
 from fenics_crack.balance.fourier import resized
-from fenics_crack.balance.harmonic_balance import check_initial, check_memory
+from fenics_crack.balance.harmonic_balance import check_initial
+from fenics_crack.balance.memory import check_memory
 from fenics_crack.balance.neighbours import fewer_harmonics, more_harmonics
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from functools import cache
 
-import scipy.optimize
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError
@@ -78,6 +77,8 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
         raise InputError(
             "crack.first_omega", target, f"{span}: cracks of 95 % and 1 % of the width"
         )
+    import scipy.optimize  # takes a while, and most scenes give a length
+
     found = float(scipy.optimize.brentq(excess, shortest, longest, xtol=1e-5 * width))
     keep_length(scene, comm, found, excess(found))
     return found
