@@ -10,7 +10,8 @@ import numpy as np
 import scipy.sparse as sparse
 from mpi4py import MPI
 
-from fenics_crack.balance.harmonic_balance import check_memory, solve_linear
+from fenics_crack.balance.harmonic_balance import solve_linear
+from fenics_crack.balance.memory import check_memory
 from fenics_crack.balance.neighbours import Neighbours
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
