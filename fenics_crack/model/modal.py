@@ -103,13 +103,18 @@ class AllModes:
             # Only an undamped mode can make this singular.
             free = np.abs(self.damping).sum(axis=1) == 0.0
             singular |= np.any(stiffness[:, free] == 0.0, axis=1)
+            if not singular.any():
+                try:
+                    return np.linalg.inv(impedance)
+                except np.linalg.LinAlgError:  # to rounding
+                    singular[np.argmax(np.linalg.cond(impedance))] = True
         if singular.any():
             at = omega[np.argmax(singular)]
             cause = "it can move as a rigid body" if at == 0.0 else "an undamped resonance"
             raise ConvergenceError(
                 f"dynamic compliance at {at:g} rad/s: the structure is singular ({cause})"
             )
-        return 1.0 / impedance if diagonal else np.linalg.inv(impedance)
+        return 1.0 / impedance
 
     def static_part(self, above: float) -> np.ndarray:
         """R_inf and the static compliance of the modes beyond a frequency [rad/s]: what answers

@@ -38,7 +38,9 @@ class FreeMotion:
         self.static = np.linalg.lstsq(-scale * self.matrix[count:, :count], mean, rcond=None)[0]
         turning, still = np.flatnonzero(values.imag > 0.0), np.flatnonzero(values.imag == 0.0)
         turned = vectors[:, turning]
-        self.vectors = np.hstack([turned.real, turned.imag, vectors[:, still].real])
+        self.vectors = np.ascontiguousarray(
+            np.hstack([turned.real, turned.imag, vectors[:, still].real])
+        )
         try:
             self.inverse = np.linalg.inv(self.vectors)
         except np.linalg.LinAlgError:
