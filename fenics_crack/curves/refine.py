@@ -26,38 +26,56 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.rounding import least_residual
 from fenics_crack.curves.bifurcations import attainable, flow_of
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.errors import InputError, check_count
+from fenics_crack.errors import ConvergenceError, InputError, check_count
 from fenics_crack.model.contact import repeated
 from fenics_crack.model.modal import all_modes
 
-__all__ = ["refine_curve"]
+__all__ = ["filled", "refine_curve"]
 
 TOLERANCE = 1e-9
 STEPS, MAX_BETWEEN = 4, 1000
+PICTURE = 0.025
+"""Largest distance between neighbours in a picture, relative to the range of the frequencies and to
+the size of the solutions there."""
 MAX_NUMBERS = 4_000_000
 """In the Jacobians of the points that are treated together."""
 
 
-def refine_curve(curve: ResponseCurve, between: int) -> ResponseCurve:
+def filled(curve: ResponseCurve) -> ResponseCurve:
+    """A curve for a picture: with the points of :func:`refine_curve`, or as it is where that cannot
+    put any, and where each of them would ask for its stability."""
+    if curve.multipliers is not None:
+        return curve
+    try:
+        return refine_curve(curve)
+    except (InputError, ConvergenceError):
+        return curve
+
+
+def refine_curve(curve: ResponseCurve, between: int | None = None) -> ResponseCurve:
     """Return a curve in frequency with more points between each two.
 
     Parameters
     ----------
     curve : ResponseCurve
         In the parameter "omega", with at least four points.
-    between : int
-        Points to put between each two. Those that Newton's method does not reach at once are left
-        out.
+    between : int, optional
+        Points to put between each two; default: as many as a picture needs, few or none where the
+        curve has been followed by short steps. Those that Newton's method does not reach at once
+        are left out.
 
     Raises
     ------
     InputError
         The curve is in another parameter, is too short, or its law differs from pair to pair and
         is unknown to :func:`fenics_crack.model.contact.repeated`.
+    ConvergenceError
+        A point lies at an undamped resonance that the load drives.
     """
-    check_count("between", between, 1)
-    if between > MAX_BETWEEN:
-        raise InputError("between", between, f"at most {MAX_BETWEEN}")
+    if between is not None:
+        check_count("between", between, 1)
+        if between > MAX_BETWEEN:
+            raise InputError("between", between, f"at most {MAX_BETWEEN}")
     if curve.parameter != "omega":
         raise InputError("curve", f"in {curve.parameter!r}", "in 'omega'")
     if len(curve) < 4:
@@ -69,9 +87,13 @@ def refine_curve(curve: ResponseCurve, between: int) -> ResponseCurve:
     # Equal neighbours would have no distance.
     distance = np.maximum(np.linalg.norm(np.diff(place, axis=0), axis=1), 1e-12)
     along = np.concatenate([[0.0], np.cumsum(distance)])
-    share = np.arange(1, between + 1) / (between + 1)
-    wanted = (along[:-1, None] + share * distance[:, None]).ravel()
-    counts = np.repeat(np.maximum(curve.harmonics[:-1], curve.harmonics[1:]), between)
+    added = np.full(len(distance), between or 0)
+    if between is None:
+        added = np.minimum(_for_a_picture(flat, curve.omega / span), MAX_BETWEEN)
+    gap = np.repeat(np.arange(len(added)), added)
+    number = np.arange(1, len(gap) + 1) - (np.cumsum(added) - added)[gap]
+    wanted = along[gap] + number / (added[gap] + 1) * distance[gap]
+    counts = np.maximum(curve.harmonics[:-1], curve.harmonics[1:])[gap]
 
     spline, pairs = CubicSpline(along, place), curve.unknowns.shape[2]
     unknowns = np.zeros((curve.unknowns.shape[1], len(wanted), pairs))
@@ -92,6 +114,15 @@ def refine_curve(curve: ResponseCurve, between: int) -> ResponseCurve:
             unknowns[:rows, some], omegas[some], iterations[some] = found
     new = unknowns.transpose(1, 0, 2)
     return _merged(curve, (along, wanted), new, omegas, counts, iterations)
+
+
+def _for_a_picture(flat: np.ndarray, parameter: np.ndarray) -> np.ndarray:
+    """How many points a picture needs between each two of n: (n-1,)."""
+    lengths = np.linalg.norm(flat, axis=1)
+    sizes = np.maximum(np.maximum(lengths[1:], lengths[:-1]), 1e-300)
+    change = np.linalg.norm(np.diff(flat, axis=0), axis=1) / sizes
+    distance = np.hypot(change, np.diff(parameter))
+    return np.maximum(np.ceil(distance / PICTURE).astype(int) - 1, 0)
 
 
 def _split(place: np.ndarray, size: float, pairs: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
@@ -164,7 +195,10 @@ class _Points:
         structure, pairs = problem.structure, gap.shape[2]
         self._system, self._base = system, omega / problem.subharmonic
         frequency = np.multiply.outer(system.order, self._base)
-        receptance = modes.receptance(frequency.ravel())
+        loaded = np.broadcast_to(system.load != 0.0, (*frequency.shape, len(modes.squares)))
+        receptance = modes.receptance(
+            frequency.ravel(), loaded=loaded.reshape(-1, len(modes.squares))
+        )
         self._receptance = receptance.reshape(*frequency.shape, *receptance.shape[1:])
         self._matrices = modes.seen_by_pairs(self._receptance)
         law = repeated(problem.contact, len(omega))

@@ -18,6 +18,7 @@ from scipy.signal import find_peaks
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve
+from fenics_crack.curves.refine import filled
 from fenics_crack.draw.figure import COLOURS, figure_of, finish, label_axis, make_axes
 from fenics_crack.errors import InputError
 from fenics_crack.fem.nodal_mesh import NodalMesh
@@ -292,8 +293,10 @@ def draw_curve(
 ) -> Figure:
     """Draw half the peak-to-peak displacement of a dof along a response curve.
 
-    Stable parts are solid and unstable ones dashed, if the curve has multipliers. Bifurcations are
-    marked, and so is the order of the largest harmonic at superharmonic peaks.
+    Stable parts are solid and unstable ones dashed, if the curve has multipliers. A curve in
+    frequency without them is drawn with more solutions between those followed
+    (:func:`refine_curve`) where these lie far apart. Bifurcations are marked, and so is the order
+    of the largest harmonic at superharmonic peaks.
 
     Parameters
     ----------
@@ -309,6 +312,7 @@ def draw_curve(
         Other curves, and single points, by their labels: values of the parameter, amplitudes [m].
     """
     [panel] = make_axes(axes, path)
+    curve = filled(curve)
     if curve.parameter == "omega":
         panel.set_yscale("log")
     amplitude = curve.amplitude(dof)

@@ -5,6 +5,8 @@ import pytest
 from helpers import Cubic, chain, oscillator
 
 import fenics_crack as fc
+from fenics_crack.balance.bordered import Tangent
+from fenics_crack.curves import refine
 
 
 def assert_solutions(curve: fc.ResponseCurve, every: int) -> None:
@@ -39,6 +41,37 @@ def test_refined_curve_over_folds() -> None:
     assert_solutions(fine, 13)
     peak = fc.continue_frequency(structure, 2.0, 0.3, law, harmonics=6, longest_step=0.004)
     assert fine.amplitude(0).max() == pytest.approx(peak.amplitude(0).max(), rel=1e-4)
+
+
+def test_as_many_points_as_a_picture_needs() -> None:
+    """Where they lie far apart, and no more; the peak comes out as by short steps."""
+    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(1.0)
+    coarse = fc.continue_frequency(structure, 2.0, 0.3, law, harmonics=6, longest_step=0.4)
+    fine = fc.refine_curve(coarse)
+    gaps = np.linalg.norm(np.diff(fine.gap_coefficients[:, :, 0], axis=0), axis=1)
+    sizes = np.linalg.norm(fine.gap_coefficients[:, :, 0], axis=1)
+    assert np.all(gaps < 0.04 * np.maximum(sizes[1:], sizes[:-1]))
+    assert np.all(np.abs(np.diff(fine.omega)) < 0.04 * 1.7) and len(fine) < 12 * len(coarse)
+    assert_solutions(fine, 13)
+    short = fc.continue_frequency(structure, 2.0, 0.3, law, harmonics=6, longest_step=0.004)
+    peak = short.amplitude(0).max()
+    assert abs(fine.amplitude(0).max() - peak) <= abs(coarse.amplitude(0).max() - peak)
+    assert fine.amplitude(0).max() == pytest.approx(peak, rel=2e-3)
+
+
+def test_undamped_resonance_that_the_load_leaves_alone() -> None:
+    """A third harmonic meets a mode without damping and load there: a solution like any other."""
+    mass, stiffness = np.eye(2), np.diag([1.0, 9.0 * 0.7**2])
+    structure = fc.Structure.from_matrices(mass, stiffness, [1.0, 0.1], force_cos=[0.2, 0.0])
+    law = fc.UnilateralPenalty(0.5)
+    alone = fc.solve_harmonic_balance(structure, 0.7, law, harmonics=5)
+    assert alone.converged
+    system = refine._Together(fc.Problem(structure, 0.7, law, 5), 1.0)
+    unknown = alone.gap_coefficients[:, None]
+    plane = Tangent(0.0 * unknown, np.ones((1, 1)), 1.0)  # type: ignore[arg-type]
+    found, omega, _ = system.correct(1.01 * unknown, np.array([[0.7]]), plane)
+    assert omega[0] == 0.7
+    np.testing.assert_allclose(found[:, 0], alone.gap_coefficients, rtol=1e-6, atol=1e-8)
 
 
 def test_several_pairs_and_kinds_of_contact() -> None:

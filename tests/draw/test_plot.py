@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import DEMOS, two_masses
+from helpers import DEMOS, oscillator, two_masses
 from matplotlib.figure import Figure
 
 import fenics_crack as fc
@@ -138,6 +138,21 @@ def test_curves_are_told_apart(results: dict[str, Any]) -> None:
     assert len(words) == len(set(words))
     assert {word.split(",")[0] for word in words} >= {"first", "second"}
     assert len({line.get_color() for line in axes.lines}) >= 2
+
+
+def test_a_curve_by_long_steps_is_drawn_smoothly() -> None:
+    """With solutions between those that were followed; as it is in another parameter."""
+    structure, law = oscillator(0.05, 1.0), fc.UnilateralPenalty(1.0)
+    long = fc.continue_frequency(structure, 0.9, 2.0, law, longest_step=0.4)
+    load = fc.continue_parameter(structure, 0.9, law, "load", 1.0, 3.0, longest_step=0.4)
+    counts = []
+    for curve in (long, load):
+        axes = Figure().subplots()
+        fc.draw_curve(curve, 0, axes=axes)
+        drawn = axes.lines[0].get_xdata()
+        assert np.all(np.isin(curve.values, drawn))
+        counts.append(len(drawn) / len(curve))
+    assert counts[0] > 2.0 and counts[1] == 1.0
 
 
 def test_mode_shapes_that_are_not_there(results: dict[str, Any]) -> None:
