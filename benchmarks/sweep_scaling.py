@@ -10,7 +10,8 @@ cores.
 
     OMP_NUM_THREADS=1 python benchmarks/sweep_scaling.py [--quick] [folder]
 
-Other parts: ``--only chunks`` measures what a neighbour's solution is worth as a start.
+Other parts: ``--only chunks`` measures what a neighbour's solution is worth as a start, ``--only
+cases`` what frequencies cost that share their equations and their flow.
 """
 
 import dataclasses
@@ -23,10 +24,14 @@ from pathlib import Path
 
 import numpy as np
 from common import DEMOS, Arguments, run, save_table
+from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack.scene.scene import Sweep
-from fenics_crack.study.prepare import prepare
+from fenics_crack.stability.floquet import FEW_PAIRS
+from fenics_crack.study.prepare import law_of, prepare
+from fenics_crack.sweep import case as sweep_case
+from fenics_crack.sweep.plan import Chunk, Plan
 from fenics_crack.sweep.result import run_sweep
 
 RANKS = (1, 2, 4)
@@ -85,8 +90,6 @@ def clocked(processes: list[subprocess.Popen[str]]) -> float:
 
 def worker(kind: str, size: str, path: str) -> None:
     """Run one sweep; rank 0 prints the time."""
-    from mpi4py import MPI
-
     comm = MPI.COMM_WORLD
     scene = scene_of(kind, size == "quick")
     prepare(scene.replace({"sweep": None}), MPI.COMM_SELF)  # forms are compiled
@@ -179,12 +182,62 @@ def chunks(arguments: Arguments) -> None:
     )  # fmt: skip
 
 
+def cases(arguments: Arguments) -> None:
+    """Cost of a case of a frequency sweep as the sweep solves it, and each by itself from its
+    neighbour, in turns of up to 12."""
+    rows = []
+    for name in ("paper_plate", "breathing_plate"):
+        scene = scene_of("frequencies", arguments.quick)
+        if name == "paper_plate":
+            changes = CHANGES | {"contact.stiffness": 1e9, "damping.modes": "all"}
+            paper = fc.Scene.load(DEMOS / f"{name}.toml").replace(changes | {"crack.length": 0.05})
+            scene = dataclasses.replace(paper, sweep=scene.sweep)
+        plan, times, others = Plan(scene), np.zeros(2), 0
+        geometry = sweep_case.build(plan.case((0,)), MPI.COMM_SELF, False)
+        for place in plan.pending(plan.geometries[0], np.zeros(plan.shape)):
+            chunk = plan.chunk(place)
+            found = []
+            for number, solve in enumerate((by_itself, sweep_case.solve_chunk)):
+                started = time.process_time()
+                found.append(solve(geometry, chunk))
+                times[number] += time.process_time() - started
+            for one, other in zip(*found, strict=True):
+                difference = np.abs(one["gap"] - other["gap"]).max()
+                others += bool(difference > 1e-6 * np.abs(one["gap"]).max())
+        each = 1e3 * times / plan.shape[0]
+        rows.append([name, plan.shape[0], *each, each[0] / each[1], others])
+    save_table(
+        arguments.folder / "sweep_cases.csv",
+        "Mean processor time of a case, its errors and its verdict [ms], 1000 to 4000 rad/s, H = 10",
+        ["plate", "frequencies", "by itself", "in a sweep", "ratio", "other solution"],
+        rows,
+    )
+
+
+def by_itself(geometry: sweep_case.Geometry, chunk: Chunk) -> list[sweep_case.Found]:
+    """The cases of a chunk by single solutions, each from its neighbour or, if that fails, from the
+    linear solution."""
+    found: list[sweep_case.Found] = []
+    last: fc.PeriodicSolution | None = None
+    for case in chunk.cases:
+        structure = geometry.of_case(case)
+        law, omega = law_of(case, structure), case.excitation.omega
+        try:
+            last = fc.solve_harmonic_balance(structure, omega, law, harmonics=10, initial=last)
+        except fc.ConvergenceError:
+            last = fc.solve_harmonic_balance(structure, omega, law, harmonics=10)
+        few = structure.n_pairs <= FEW_PAIRS and last.static_above is None
+        fc.floquet(structure, last, refine=not few)
+        found.append(last.to_dict() | {"gap": last.gap_coefficients})
+    return found
+
+
 if __name__ == "__main__":
     if sys.argv[1:2] == ["worker"]:
         worker(*sys.argv[2:5])
     else:
         run(
             __doc__,
-            {"chunks": chunks, "scaling": scaling},
+            {"chunks": chunks, "scaling": scaling, "cases": cases},
             repeats={"type": int, "default": 5, "help": "turns"},
         )

@@ -139,11 +139,13 @@ class Manager:
         self._waiting: dict[int, deque[Index]] = {}
         """Places of the chunks left of geometries that are built or being built."""
         self._built: dict[int, Arrays] = {}
-        self._unbuilt = deque(
+        left = [
             number
             for number, geometry in enumerate(plan.geometries)
             if np.any(file.state[everywhere(geometry)] == PENDING)
-        )
+        ]
+        # The longest jobs first: the last ones are what ranks wait for.
+        self._unbuilt = deque(sorted(left, key=plan.sizes.__getitem__, reverse=True))
         self._chunks_left = sum(len(self._pending(number)) for number in self._unbuilt)
         self._seconds, self._chunks_done, self._recorded = 0.0, 0, 0
         done = int(np.count_nonzero(file.state != PENDING))

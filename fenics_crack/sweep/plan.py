@@ -68,11 +68,14 @@ class Plan:
         self.harmonics = max(swept.get("harmonic_balance.harmonics", (base.harmonics,)))
         if base.tolerance is not None or "harmonic_balance.tolerance" in swept:
             self.harmonics = max(self.harmonics, MAX_HARMONICS)
-        self.pairs = self._bound_of_pairs()
+        self.sizes = self._sizes()
+        """Bound of the pairs, and the crack's length [m], of each geometry: what it may cost."""
+        self.pairs = max(pairs for pairs, _ in self.sizes)
 
-    def _bound_of_pairs(self) -> int:
-        """Bound of the pairs of all cases; raise InputError if no combination is a scene."""
+    def _sizes(self) -> list[tuple[int, float]]:
+        """The sizes of all geometries; raise InputError if no combination is a scene."""
         bounds: dict[Any, int] = {}
+        found: list[tuple[int, float]] = []
         for geometry in self.geometries:
             index = (
                 range(n) if at is None else (at,)
@@ -80,16 +83,19 @@ class Plan:
             )
             cases = map(self.case, itertools.product(*index))
             case = next((case for case in cases if not isinstance(case, str)), None)
-            if case is not None:
-                pairs = case.contact and case.contact.pairs
-                length = case.crack and case.crack.length
-                key = case.mesh, pairs, length, case.geometry.width
-                if key not in bounds:
-                    bounds[key] = _most_pairs(case)
+            if case is None:
+                found.append((0, 0.0))
+                continue
+            pairs = case.contact and case.contact.pairs
+            length = case.crack and case.crack.length
+            key = case.mesh, pairs, length, case.geometry.width
+            if key not in bounds:
+                bounds[key] = _most_pairs(case)
+            found.append((bounds[key], length or 0.0))
         if not bounds:
             reason = self.case((0,) * len(self.shape))
             raise InputError("sweep.over", reason, "values of which a combination can be used")
-        return max(bounds.values())
+        return found
 
     def case(self, index: tuple[int, ...]) -> Scene | str:
         """The scene of a case, or why there is none."""

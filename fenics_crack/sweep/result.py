@@ -10,15 +10,15 @@ built once and is then a small structure in plain arrays that any rank can solve
 swept, along the last axis that leaves the geometry alone). The first case of a chunk starts from
 the linear solution, each further one from its neighbour; along the frequency they share their
 equations (:mod:`fenics_crack.balance.neighbours`). Chunks depend on the scene alone, and so do the
-results, to the bit with the same number of BLAS threads: neither interruptions nor the
-number of ranks change them, as long as the ranks share the cases and not a mesh.
+results, to the bit with the same number of BLAS threads: neither interruptions nor the number of
+ranks change them, as long as the ranks share the cases and not a mesh.
 
 *Jobs.* A job is some chunks of a geometry that is built, or a geometry to be built. Rank 0 hands
-jobs to the other ranks by mpi4py.futures and takes some itself. They shrink towards the end, so
-that all ranks finish together. The executor's own thread writes the results of a finished job and
-sends the next one while rank 0 computes. If MPI does not allow this (``THREAD_MULTIPLE``), rank 0
-only hands out jobs. With ``sweep.ranks = s`` groups of s ranks build a geometry together and share
-its chunks.
+jobs to the other ranks by mpi4py.futures and takes some itself. Geometries with many pairs and long
+cracks come first, and jobs shrink towards the end, so that all ranks finish together. The
+executor's own thread writes the results of a finished job and sends the next one while rank 0
+computes. If MPI does not allow this (``THREAD_MULTIPLE``), rank 0 only hands out jobs. With
+``sweep.ranks = s`` groups of s ranks build a geometry together and share its chunks.
 """
 
 from __future__ import annotations
