@@ -125,7 +125,7 @@ def continue_parameter(
     InputError
         An argument cannot be used.
     ConvergenceError
-        No first point, or the end was not reached.
+        No first point, or the end was not reached; what was found until then is its ``found``.
     """
     growing = _continuation(structure, omega, contact, (parameter, start, end), options)
     return _run(growing, progress, throw)
@@ -163,7 +163,7 @@ def follow_branch(
     InputError
         An argument cannot be used.
     ConvergenceError
-        No branch was found, or its end was not reached.
+        No branch was found, or its end was not reached; what was found is its ``found``.
     """
     kinds = ("period_doubling", "branch_point")
     if not isinstance(curve, ResponseCurve):
