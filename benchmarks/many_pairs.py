@@ -14,7 +14,7 @@ against central differences on the whole model; steps in all, and error of the g
 
 steel: 80 x 200 x 2 mm, edge crack 25 mm, 8 pairs, rigid, 0.2 % of damping, 20 modes; 6000 to 15000
 rad/s in steps of 100. Each verdict against a march of the disturbed orbit: does the distance from
-one period to the next grow or fall? And a curve from 6000 to 11000 rad/s, with its bifurcations.
+one period to the next grow or fall? And curves from 6000 to 11000 rad/s, judged by exact orbits.
 
 large: 62 and 130 pairs, 49,000 and 200,000 dofs: time of solutions and their errors, true and
 estimated, with few modes and many; the reference has 1000 and 600 modes and 120 harmonics. Only
@@ -30,6 +30,7 @@ from __future__ import annotations
 
 import itertools
 import time
+from itertools import pairwise
 from typing import Any
 
 import common
@@ -323,28 +324,79 @@ def steel(arguments: common.Arguments) -> None:
     agree = sum(row[7] == "yes" for row in rows)
     compared = sum(row[7] != "-" for row in rows)
     print(f"{decided} of {len(rows)} decided; {agree} of {compared} agree with the disturbed march")
-    started = time.process_time()
     stop = 7000.0 if arguments.quick else 11000.0
-    curve = fc.continue_frequency(
-        reduced, 6000.0, stop, law, harmonics=20, stability=True, throw=False
-    )
-    seconds = time.process_time() - started
-    kinds = [bifurcation.kind for bifurcation in curve.bifurcations]
+    for harmonics in (10,) if arguments.quick else (10, 20):
+        judged_curve(reduced, law, stop, harmonics)
+
+
+def judged_curve(reduced: fc.Structure, law: Any, stop: float, harmonics: int) -> None:
+    """A curve from 6000 rad/s, judged by exact orbits; verdicts of some points by marches."""
+    problem = fc.Problem(reduced, 6000.0, law, harmonics)
+    seconds = []
+    for stability in (False, True):
+        started = time.process_time()
+        growing = fc.Continuation(problem, "omega", 6000.0, stop, stability=stability)
+        for _ in growing:
+            pass
+        seconds.append(time.process_time() - started)
+    truncated = growing.curve
+    started = time.process_time()
+    curve = fc.judge_curve(truncated)
+    seconds.append(time.process_time() - started)
+    found = curve.bifurcations
+    kinds = [bifurcation.kind for bifurcation in found if bifurcation.confirmed]
     print(
-        f"\ncurve 6000 to {stop:g} rad/s: {curve.status}, {len(curve)} points in {seconds:.1f} s, "
-        f"{len(kinds)} bifurcations: "
+        f"\ncurve 6000 to {stop:g} rad/s, H = {harmonics}: {curve.status}, {len(curve)} points in "
+        f"{seconds[0]:.1f} s, with multipliers {seconds[1]:.1f} s, {len(truncated.bifurcations)} "
+        f"truncated bifurcations; judged in {seconds[2]:.1f} s, {curve.undecided.sum()} points "
+        f"undecided, {len(found) - len(kinds)} bifurcations unconfirmed, {len(kinds)} confirmed: "
         + ", ".join(f"{kinds.count(kind)} {kind}" for kind in sorted(set(kinds)))
     )
+    print("  " + ", ".join(f"{one.kind} {one.exact:.1f}" for one in found if one.confirmed))
+    growths = unstable_growths(curve)
+    print(
+        f"  {len(growths)} unstable stretches between neighbouring confirmed ones; |mu| - 1 beyond "
+        + ", ".join(f"{least:g}: {np.sum(growths > least)}" for least in (1e-3, 3e-3, 1e-2, 3e-2))
+    )
+    compared = agree = 0
+    for index in range(0, len(curve), max(1, len(curve) // 20)):
+        if curve.verdicts[index] == "undecided":
+            continue
+        rate = disturbed(reduced, curve.solution(index), law)
+        if np.isfinite(rate):
+            compared += 1
+            agree += (rate < 1.0) == (curve.verdicts[index] == "stable")
+    print(f"  {agree} of {compared} points agree with the disturbed march")
+
+
+def unstable_growths(curve: fc.ResponseCurve) -> np.ndarray:
+    """|mu| - 1 of the marched orbits half way between neighbouring confirmed bifurcations, where
+    it is positive."""
+    known = [one for one in curve.bifurcations if one.confirmed]
+    growths = []
+    for one, other in pairwise(known):
+        middle = 0.5 * (one.exact + other.exact)
+        index = int(np.argmin(np.abs(curve.omega - middle)))
+        near = curve.solution(index)
+        try:
+            found = fc.solve_harmonic_balance(
+                curve.structure, middle, curve.contact, harmonics=near.harmonics, initial=near
+            )
+            orbit = fc.shoot(curve.structure, found, steps_per_period=4096, tolerance=1e-8)
+        except fc.ConvergenceError:
+            continue
+        growths.append(abs(orbit.multipliers[0]) - 1.0)
+    return np.array([growth for growth in growths if growth > 0.0])
 
 
 def disturbed(reduced: fc.Structure, solution: fc.PeriodicSolution, law: Any) -> float:
     """Factor per period by which the distance to the marched orbit changes in the norm of energy,
     after a disturbance of 1e-8 and up to 200 periods; nan without an orbit."""
     try:
-        orbit = fc.shoot(reduced, solution, steps_per_period=1024, tolerance=1e-11)
+        orbit = fc.shoot(reduced, solution, steps_per_period=4096, tolerance=1e-11)
     except fc.ConvergenceError:
         return float("nan")
-    flow = ExponentialFlow(reduced, solution.omega, law, 1024)
+    flow = ExponentialFlow(reduced, solution.omega, law, 4096)
     state, omega = orbit.state, np.sqrt(flow.modes.squares)
     energy = np.concatenate([omega, np.ones_like(omega)])
     size = np.linalg.norm(energy * state)

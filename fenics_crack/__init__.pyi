@@ -12,6 +12,7 @@ from fenics_crack.curves.continuation import Continuation as Continuation
 from fenics_crack.curves.continuation import CurvePoint as CurvePoint
 from fenics_crack.curves.curve import Bifurcation as Bifurcation
 from fenics_crack.curves.curve import ResponseCurve as ResponseCurve
+from fenics_crack.curves.exact import judge_curve as judge_curve
 from fenics_crack.curves.follow import continue_frequency as continue_frequency
 from fenics_crack.curves.follow import continue_parameter as continue_parameter
 from fenics_crack.curves.follow import follow_branch as follow_branch

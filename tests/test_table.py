@@ -120,7 +120,7 @@ def test_dicts_say_what_the_results_are(results: dict[str, Any]) -> None:
     """Values are those of the attributes."""
     curve, sweep = results["curve"].to_dict(), results["sweep"].to_dict()
     assert list(curve) == [
-        "omega", "harmonics", "iterations", "truncation", "multiplier", "stable",
+        "omega", "harmonics", "iterations", "truncation", "multiplier", "verdict",
     ]  # fmt: skip
     assert curve["omega"] == results["curve"].omega.tolist()
     assert sweep["excitation.omega"] == 2 * [1900.0, 2000.0, 2100.0]

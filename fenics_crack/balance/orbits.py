@@ -120,3 +120,10 @@ class MarchedOrbits(Orbits):
     ) -> tuple[np.ndarray, Callable[[], np.ndarray], int]:
         steps = self.steps(unknown, parameter)
         return steps.states[-1] / self._size, steps.monodromy, steps.switches
+
+    def by_parameter(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
+        here, moved = self.flow_at(parameter), []
+        for other in (parameter + DIFFERENCE, parameter - DIFFERENCE):
+            flow = here.at(other * self.omega)
+            moved.append(flow.advance(self._size * unknown, self._periods).states[-1])
+        return np.asarray((moved[0] - moved[1]) / (2.0 * DIFFERENCE * self._size))

@@ -76,7 +76,7 @@ def curve(scene: Scene, folder: Path, console: Console) -> Exit:
     console.note(remark_on(run.structure, highest_omega(scene, "curve")))
     _judge_errors(run, console)
     special = [point.value for point in found.bifurcations]
-    for index in tables.stability_changes(found):
+    for index in tables.stability_changes(found) if found.undecided is None else ():
         low, high = sorted(found.values[index : index + 2])
         if not any(low <= value <= high for value in special):
             console.warn(

@@ -115,10 +115,14 @@ def special_points(run: Run[ResponseCurve]) -> Table:
     places = [("start", 0), ("end", -1), ("largest", int(np.argmax(amplitude)))]
     rows = [(name, found.values[index], amplitude[index]) for name, index in places]
     for point in found.bifurcations:
-        rows.append((point.kind.replace("_", " "), point.value, point.solution.amplitude(dof)))
+        name = point.kind.replace("_", " ")
+        if found.undecided is not None:
+            name += f", exact {point.exact:.6g}" if point.confirmed else ", unconfirmed"
+        rows.append((name, point.value, point.solution.amplitude(dof)))
     for index in stability_changes(found):
-        what = "stability lost after" if found.stable[index] else "stability gained after"
-        rows.append((what, found.values[index], amplitude[index]))
+        after = found.verdicts[index + 1]
+        what = {"stable": "gained", "unstable": "lost", "undecided": "undecided"}[after]
+        rows.append((f"stability {what} after", found.values[index], amplitude[index]))
     height = f"half peak-to-peak, {run.watched_name} [m]"
     return Table(("point", PARAMETERS[found.parameter], height), rows)
 
@@ -127,4 +131,5 @@ def stability_changes(curve: ResponseCurve) -> list[int]:
     """Points after which the stability is another, where it is known."""
     if curve.multipliers is None:
         return []
-    return [int(index) for index in np.flatnonzero(np.diff(curve.stable))]
+    verdicts = curve.verdicts
+    return [int(index) for index in np.flatnonzero(verdicts[1:] != verdicts[:-1])]

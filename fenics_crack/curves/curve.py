@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -59,12 +60,21 @@ class Bifurcation(Described):
         The solution there, as the curve's unknowns.
     problem : Problem
         What is solved there.
+    exact : float
+        Load frequency [rad/s] of the bifurcation of the exact orbits that confirms it
+        (:func:`judge_curve`); nan: unconfirmed.
     """
 
     kind: str
     value: float
     unknown: np.ndarray
     problem: Problem
+    exact: float = math.nan
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether the exact orbits have it."""
+        return not math.isnan(self.exact)
 
     @cached_property
     def solution(self) -> PeriodicSolution:
@@ -82,11 +92,19 @@ class Bifurcation(Described):
         return self.problem.omega
 
     def to_dict(self) -> dict[str, Any]:
-        """Kind, value of the curve's parameter, and load frequency."""
-        return {"kind": self.kind, "value": float(self.value), "omega": float(self.omega)}
+        """Kind, value of the curve's parameter, load frequency, and that of the exact orbits."""
+        return {
+            "kind": self.kind,
+            "value": float(self.value),
+            "omega": float(self.omega),
+            "exact": float(self.exact),
+        }
 
     def _title(self) -> str:
-        return f"{self.kind.replace('_', ' ')} at {self.value:.6g}, H = {self.problem.harmonics}"
+        name, found = self.kind.replace("_", " "), f"H = {self.problem.harmonics}"
+        if self.confirmed:
+            found += f", exact {self.exact:.6g} rad/s"
+        return f"{name} at {self.value:.6g}, {found}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -125,6 +143,8 @@ class ResponseCurve(Tabular):
     multipliers : (n,) complex or None
         Floquet multiplier of largest modulus at each point, of a pair the one with positive
         imaginary part; with ``stability=True``.
+    undecided : (n,) bool or None
+        Where exact orbits leave the stability open (:func:`judge_curve`); None: not judged.
     branch : bool
         Whether :func:`follow_branch` has followed it.
     static_above : float or None
@@ -149,6 +169,7 @@ class ResponseCurve(Tabular):
     multipliers: np.ndarray | None = None
     branch: bool = False
     static_above: float | None = None
+    undecided: np.ndarray | None = None
 
     KIND: ClassVar[str] = "response curve"
 
@@ -157,7 +178,7 @@ class ResponseCurve(Tabular):
 
     @property
     def stable(self) -> np.ndarray:
-        """Whether the largest multiplier lies within the unit circle: (n,) bool.
+        """Whether the largest multiplier is known to lie within the unit circle: (n,) bool.
 
         Raises
         ------
@@ -166,7 +187,17 @@ class ResponseCurve(Tabular):
         """
         if self.multipliers is None:
             raise InputError("stability", False, "True when the curve is followed")
-        return np.abs(self.multipliers) < 1.0
+        return np.asarray((np.abs(self.multipliers) < 1.0) & ~self._open)
+
+    @property
+    def verdicts(self) -> np.ndarray:
+        """Stable, unstable or undecided, at each point: (n,) str; raises as :attr:`stable`."""
+        return np.where(self._open, "undecided", np.where(self.stable, "stable", "unstable"))
+
+    @property
+    def _open(self) -> np.ndarray:
+        """Where the stability is undecided: (n,) bool."""
+        return np.zeros(len(self), dtype=bool) if self.undecided is None else self.undecided
 
     @property
     def problem(self) -> Problem:
@@ -217,6 +248,15 @@ class ResponseCurve(Tabular):
             seen = at.system.compliance.seen_through(rows, at.force)
             found[index, : len(seen)] = seen[:, 0]
         return found
+
+    def motions(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Displacements [m] and velocities [m/s] of all dofs at phase zero: (n_dofs,) each."""
+        found = {}
+        for index, at in self._linearised():
+            waves = at.system.compliance.displacement(at.force)
+            order = np.arange(1, len(waves) // 2 + 1) * self.omega[index] / self.subharmonic
+            found[index] = waves[0] + waves[1::2].sum(axis=0), order @ waves[2::2]
+        return (found[index] for index in range(len(self)))
 
     def amplitude(self, dof: int) -> np.ndarray:
         """Half the peak-to-peak displacement of a dof at every point: (n,) [m], of 256 instants."""
@@ -274,7 +314,7 @@ class ResponseCurve(Tabular):
         }
         if self.multipliers is not None:
             found["multiplier"] = np.abs(self.multipliers).tolist()
-            found["stable"] = self.stable.tolist()
+            found["verdict"] = self.verdicts.tolist()
         return found
 
     def _title(self) -> str:

@@ -11,6 +11,7 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.continuation import Continuation
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
+from fenics_crack.curves.exact import judge_curve
 from fenics_crack.curves.resume import same_problem
 from fenics_crack.errors import (
     ConvergenceError,
@@ -19,7 +20,8 @@ from fenics_crack.errors import (
     check_omega,
     check_options,
 )
-from fenics_crack.model.contact import ContactLaw
+from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
+from fenics_crack.model.reduced import massless
 from fenics_crack.model.structure import Structure
 
 __all__ = ["CurveOptions", "continue_frequency", "continue_parameter", "follow_branch"]
@@ -218,6 +220,14 @@ def _continuation(
     return Continuation(problem, *span, initial=resume, **given)
 
 
+def _is_judged(curve: ResponseCurve) -> bool:
+    """Whether a curve with multipliers is judged by exact orbits at once: over the load frequency,
+    with pairs that are seen through a static compliance, and a law that these can take."""
+    in_time = is_piecewise_linear(curve.contact) or is_rigid(curve.contact)
+    coupled = massless(curve.structure) is not None and curve.static_above is not None
+    return curve.parameter == "omega" and coupled and in_time
+
+
 def _run(growing: Continuation, progress: bool, throw: bool) -> ResponseCurve:
     """Follow to the end."""
     hidden = not progress or growing.curve.structure.whole.comm.rank != 0
@@ -233,6 +243,8 @@ def _run(growing: Continuation, progress: bool, throw: bool) -> ResponseCurve:
     finally:
         bar.close()
     curve = growing.curve
+    if curve.multipliers is not None and _is_judged(curve):
+        curve = judge_curve(curve)
     if throw and not curve.complete:
         raise ConvergenceError(
             f"curve in {curve.parameter} from {curve.values[0]:g}: {curve.status} at "

@@ -55,6 +55,9 @@ def filled(curve: ResponseCurve) -> ResponseCurve:
 def refine_curve(curve: ResponseCurve, between: int | None = None) -> ResponseCurve:
     """Return a curve in frequency with more points between each two.
 
+    New points have the multipliers of the truncated equations: a curve that was judged by exact
+    orbits (:func:`judge_curve`) is to be judged again.
+
     Parameters
     ----------
     curve : ResponseCurve
@@ -277,4 +280,5 @@ def _merged(
         iterations=both(curve.iterations, iterations[good]),
         truncation=both(curve.truncation, np.full(good.sum(), np.nan)),
         multipliers=multipliers,
+        undecided=None,
     )

@@ -364,8 +364,9 @@ def _by_stability(curve: ResponseCurve, values: np.ndarray) -> list[tuple[str, s
     """Line styles, legend entries, and the values drawn so: nan elsewhere."""
     if curve.multipliers is None:
         return [("-", "", values)]
-    parts = []
-    for style, label, at in (("-", "stable", curve.stable), ("--", "unstable", ~curve.stable)):
+    parts, verdicts = [], curve.verdicts
+    for style, label in (("-", "stable"), ("--", "unstable"), (":", "undecided")):
+        at = verdicts == label
         if at.any():  # the stretch between two points is in the state of the first
             parts.append((style, label, np.where(at | np.append(False, at[:-1]), values, np.nan)))
     return parts

@@ -172,6 +172,7 @@ def _pack_curve(curve: ResponseCurve) -> Parts:
     parts = _fields(curve, "bifurcations")
     parts["kinds"] = [b.kind for b in curve.bifurcations]
     parts["bifurcation_values"] = [b.value for b in curve.bifurcations]
+    parts["exact_values"] = [b.exact for b in curve.bifurcations]
     for number, bifurcation in enumerate(curve.bifurcations):
         parts[f"bifurcation_{number}"] = bifurcation.unknown
     return parts | _law_parts(curve.contact)
@@ -192,10 +193,15 @@ def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseC
         for number, (kind, value) in enumerate(zip(kinds, values, strict=True))
     ]
     known: Parts = {"structure": structure, "contact": contact, "bifurcations": (), "samples": None}
+    exact = parts.pop("exact_values", np.full(len(special), np.nan))
     curve = ResponseCurve(**(known | parts))
     first = curve.solution(0)
     check_gap(first.structure, first.displacement_coefficients, first.gap_coefficients, 1e-4)
-    return replace(curve, bifurcations=curve.expand_bifurcations(special))
+    bifurcations = tuple(
+        replace(one, exact=float(at))
+        for one, at in zip(curve.expand_bifurcations(special), exact, strict=True)
+    )
+    return replace(curve, bifurcations=bifurcations)
 
 
 def _pack_backbone(backbone: Backbone) -> Parts:

@@ -100,6 +100,10 @@ class ExactOrbits(Orbits):
         state = self._flow.state(*initial_state(structure, solution))
         super().__init__(solution.omega, state)
 
+    def unknown_of(self, displacement: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """x of another motion at phase zero, (n_dofs,) each."""
+        return np.asarray(self._flow.state(displacement, velocity) / self._size)
+
     def moved(
         self, unknown: np.ndarray, parameter: float
     ) -> tuple[np.ndarray, Callable[[], np.ndarray], int]:
@@ -149,6 +153,10 @@ class SteppedOrbits(MarchedOrbits):
         flow = ExponentialFlow(structure, solution.omega, contact, steps, static_above=above)
         state = flow.state(*initial_state(structure, solution))
         super().__init__(flow, state, solution.subharmonic)
+
+    def unknown_of(self, displacement: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """x of another motion at phase zero, (n_dofs,) each."""
+        return np.asarray(self._flow.state(displacement, velocity) / self._size)
 
     def orbit(self, found: PathPoint) -> PeriodicOrbit:
         """The orbit of a solution of the equations."""

@@ -1,0 +1,424 @@
+"""The exact orbits behind a curve: verdicts at its points, and bifurcations of the motion itself.
+
+The multipliers of the truncated equations' waves cross the unit circle where those of the motion
+need not, above all where contact is stiff and modes beyond the harmonics are lightly damped. So
+next to each point of the curve an orbit F(x, p) = 0 (:mod:`fenics_crack.stability.shooting`) is
+found by Newton's method, from the point's own motion and what had to be added to that of the point
+before: at the point's frequency, or, next to folds, in the plane across the curve. With the
+multipliers mu of an orbit, let
+
+    r = number of real mu > 1,    d = number of real mu < -1,    c = pairs with |mu| > 1.
+
+Between the orbits of neighbouring points lies a fold (or a branch point) where r changes by one, a
+period doubling where d does, a Neimark-Sacker point where c does. Where more than one of them
+changes the chord is halved. The place is found along the chord by Brent's method on
+
+    det(I - M),    det(I + M),    |mu| - 1 of the pair that leaves.
+
+Two real multipliers outside that meet and become a pair are no bifurcation.
+
+The orbits lie so close to each other that the multipliers of the fastest modes turn by a small
+angle from one to the next: between the points of the curve they are looked for as well.
+
+The exact flow from event to event needs no more. Orbits by exponential steps, of second order, are
+found with N steps in a period, and with 2N at the curve's points and next to bifurcations: the
+difference is the uncertainty of |mu|, and a bifurcation is known where both have it at the same
+frequency. What is not seen: two crossings of one kind between neighbouring orbits.
+
+Source: Seydel, Practical Bifurcation and Stability Analysis, chapters 5 and 7.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import scipy.optimize
+from scipy.interpolate import CubicSpline
+
+from fenics_crack.balance.bordered import PathPoint, Tangent, solve_at, solve_in_plane
+from fenics_crack.balance.family import FrequencyFamily
+from fenics_crack.balance.fourier import resized
+from fenics_crack.balance.orbits import OrbitPoint
+from fenics_crack.curves.bifurcations import attainable
+from fenics_crack.curves.curve import Bifurcation, ResponseCurve
+from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.model.contact import is_piecewise_linear
+from fenics_crack.model.reduced import massless
+from fenics_crack.stability.piecewise_flow import doubling_test
+from fenics_crack.stability.shooting import orbits_near
+from fenics_crack.time.events import MAX_PAIRS
+
+__all__ = ["judge_curve"]
+
+STEPS = (2048, 4096)
+"""Of marched orbits in a period of the load."""
+TOLERANCE = 1e-6
+"""|z(T) - z| / |z| of the orbits."""
+ITERATIONS, PATIENCE = 6, 3
+"""Newton steps to an orbit, and how many may together fail to halve the residual."""
+ALIKE = 0.25
+"""Farthest orbit from the motion of its point, relative."""
+SURE = 1e-6
+"""Distance of the leading multiplier from the unit circle that decides, at least."""
+LONGEST = 1e-3
+"""Step in the frequency from orbit to orbit, relative: lightly damped multipliers turn by
+2 pi w_j / w times as much, and where two of them meet may leave the unit circle for no longer."""
+ROUNDING = 1e-5
+"""Of the frequency, relative: folds that lie as near to each other are none."""
+HALVINGS = 5
+"""Of a chord."""
+SHARP = 0.03
+"""Of a bifurcation's place, relative to its chord."""
+SAME = 5e-4
+"""Of the frequency, relative: how far a bifurcation may move when steps are halved."""
+NEARBY = 0.02
+"""Of the frequency, relative: how far a bifurcation of the truncated equations may lie from that of
+the orbits which confirms it."""
+KINDS = "fold", "period_doubling", "neimark_sacker"
+
+
+@dataclass(frozen=True)
+class _Orbit:
+    """An orbit next to the curve; ``outside`` are r, d and c."""
+
+    unknown: np.ndarray
+    parameter: float
+    leading: complex
+    outside: tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class _Crossing:
+    """A bifurcation of the orbits, and the point of the curve next to it."""
+
+    kind: str
+    omega: float
+    point: int
+    located: bool
+    """Whether all orbits were found that its place needs."""
+
+
+class _Orbits:
+    """The orbits next to a curve, and their bifurcations.
+
+    ``steps``: in a period of the load, None: from event to event. ``before``: the same with other
+    steps: the orbits are looked for at the curve's points and next to its bifurcations only.
+
+    Attributes
+    ----------
+    at : (n,)
+        Places: numbers of the curve's points, and between them.
+    found : list of _Orbit or None
+        At each place.
+    """
+
+    def __init__(
+        self, curve: ResponseCurve, steps: int | None, before: _Orbits | None = None
+    ) -> None:
+        self._system = orbits_near(curve.structure, curve.contact, curve.solution(0), steps)
+        if before is None:
+            motions = np.array([self._system.unknown_of(*one) for one in curve.motions()])
+            parameters = curve.omega / self._system.omega
+            self.at, self._motions, self._parameters = _filled(motions, parameters)
+            self._turning = _near_turns(self._parameters)
+            starts: list[np.ndarray | None] = list(self._motions)
+        else:
+            places = before.wanted()
+            self.at, self._motions = before.at[places], before._motions[places]
+            self._parameters, self._turning = before._parameters[places], before._turning[places]
+            starts = [one and one.unknown for one in (before.found[place] for place in places)]
+        self.found: list[_Orbit | None] = list(self._next_to(starts))
+        self.crossings = _distinct(list(self._crossings()))
+
+    def wanted(self) -> np.ndarray:
+        """Places that are the curve's points, or next to bifurcations."""
+        wanted = self.at == np.round(self.at)
+        for place, (first, last) in enumerate(pairwise(self.found)):
+            if first is not None and last is not None and first.outside != last.outside:
+                wanted[max(0, place - 2) : place + 4] = True
+        return np.flatnonzero(wanted)
+
+    def _next_to(self, starts: list[np.ndarray | None]) -> Iterator[_Orbit | None]:
+        """The orbits at all places; what has to be added to a start is extrapolated."""
+        added: list[np.ndarray] = []
+        for place, start in enumerate(starts):
+            point = None
+            if start is not None and added:
+                point = self._solve(start + 2.0 * added[-1] - added[0], place)
+            if start is not None and point is None:
+                point = self._solve(start, place)
+            if start is None or point is None:
+                added = []
+                yield None
+            else:
+                added = [*added, point.unknown - start][-2:]
+                yield _judged(point)
+
+    def _solve(self, start: np.ndarray, place: int) -> PathPoint | None:
+        """The orbit at the frequency of a place; across the curve where that turns, or fails."""
+        motion, parameter = self._place(place)
+        ends = max(0, place - 1), min(len(self._motions) - 1, place + 1)
+        across = _chord(*(self._place(end) for end in ends))
+        for plane in (across,) if self._turning[place] else (None, across):
+            found = self._in_plane(start, parameter, plane)
+            if found is not None:
+                away = float(np.linalg.norm(found.unknown - motion))
+                if away <= ALIKE * np.linalg.norm(motion):
+                    return found
+        return None
+
+    def _place(self, place: int) -> tuple[np.ndarray, float]:
+        return self._motions[place], float(self._parameters[place])
+
+    def _in_plane(
+        self, unknown: np.ndarray, parameter: float, plane: Tangent | None
+    ) -> PathPoint | None:
+        try:
+            return solve_in_plane(
+                self._system, unknown, parameter, plane,
+                tolerance=TOLERANCE, iterations=ITERATIONS, patience=PATIENCE, reach=NEARBY,
+            )  # fmt: skip
+        except ConvergenceError:  # pairs chatter
+            return None
+
+    # --- bifurcations -----------------------------------------------------------------------------
+
+    def _crossings(self) -> Iterator[_Crossing]:
+        for place, (first, last) in enumerate(pairwise(self.found)):
+            if first is not None and last is not None:
+                turning = self._turning[place] or self._turning[place + 1]
+                for kind, parameter, located in self._between(first, last, turning):
+                    nearer = abs(parameter - first.parameter) > abs(parameter - last.parameter)
+                    point = round(float(self.at[place + int(nearer)]))
+                    yield _Crossing(kind, parameter * self._system.omega, point, located)
+
+    def _between(
+        self, first: _Orbit, last: _Orbit, turning: bool, halvings: int = HALVINGS
+    ) -> Iterator[tuple[str, float, bool]]:
+        """Kinds and places of the bifurcations between two orbits, and whether these are sure."""
+        change = np.subtract(last.outside, first.outside)
+        if change[0] % 2 == 0 and change[1] % 2 == 0 and change @ (1, 1, 2) == 0:
+            return
+        simple = np.abs(change).sum() == 1
+        if halvings > 0 and not simple:
+            found = self._point(first, last, 0.5, turning)
+            if found is not None:
+                middle = _judged(found)
+                yield from self._between(first, middle, turning, halvings - 1)
+                yield from self._between(middle, last, turning, halvings - 1)
+                return
+        for kind, step in zip(KINDS, change, strict=True):
+            if step % 2 and (simple or kind != "neimark_sacker"):
+                yield kind, *self._located(kind, first, last, turning)
+
+    def _located(self, kind: str, first: _Orbit, last: _Orbit, turning: bool) -> tuple[float, bool]:
+        """Where a test function vanishes along a chord, and True; its smallest value that was met,
+        and False, where an orbit is missed or it has one sign."""
+        pairs = max(first.outside[2], last.outside[2])
+        met: list[tuple[float, float]] = []
+
+        def test(share: float) -> float:
+            found = self._point(first, last, share, turning)
+            if found is None:
+                raise ConvergenceError("no orbit")
+            value = _test(kind, found, pairs)
+            met.append((abs(value), found.parameter))
+            return value
+
+        try:
+            scipy.optimize.brentq(test, 0.0, 1.0, xtol=SHARP, rtol=1e-12)
+        except (ConvergenceError, ValueError):
+            return (min(met)[1] if met else first.parameter), False
+        return min(met)[1], True
+
+    def _point(self, first: _Orbit, last: _Orbit, share: float, turning: bool) -> PathPoint | None:
+        """The orbit between two others."""
+        unknown = first.unknown + share * (last.unknown - first.unknown)
+        parameter = first.parameter + share * (last.parameter - first.parameter)
+        ends = (first.unknown, first.parameter), (last.unknown, last.parameter)
+        return self._in_plane(unknown, parameter, _chord(*ends) if turning else None)
+
+
+def _chord(first: tuple[np.ndarray, float], last: tuple[np.ndarray, float]) -> Tangent | None:
+    """Direction from one motion to another; None where they are the same."""
+    change, rise = last[0] - first[0], last[1] - first[1]
+    weight = 1.0 / max(float(first[0] @ first[0]), 1e-300)
+    length = float(np.sqrt(weight * (change @ change) + rise**2))
+    return Tangent(change / length, rise / length, weight) if length > 1e-9 else None
+
+
+def _filled(
+    motions: np.ndarray, parameters: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Numbers, motions and parameters of points, and of others between these by cubic splines over
+    the distance along the curve, so that no step in the parameter is longer than :data:`LONGEST`.
+    """
+    if len(parameters) < 2:
+        return np.zeros(len(parameters)), motions, parameters
+    size = float(np.linalg.norm(motions, axis=1).mean()) or 1.0
+    both = np.column_stack([motions / size, parameters])
+    length = np.maximum(np.linalg.norm(np.diff(both, axis=0), axis=1), 1e-12)
+    counts = np.ceil(np.abs(np.diff(parameters)) / (LONGEST * parameters[:-1])).astype(int)
+    at = [n + np.arange(max(count, 1)) / max(count, 1) for n, count in enumerate(counts)]
+    numbers = np.append(np.concatenate(at), len(parameters) - 1.0)
+    along = np.concatenate([[0.0], np.cumsum(length)])
+    found = CubicSpline(along, both)(np.interp(numbers, np.arange(len(along)), along))
+    return numbers, size * found[:, :-1], found[:, -1]
+
+
+def _distinct(crossings: list[_Crossing]) -> list[_Crossing]:
+    """Without pairs of folds at the same frequency: M - I is singular there to rounding."""
+    left: list[_Crossing] = []
+    for one in crossings:
+        twice = left and one.kind == left[-1].kind == KINDS[0]
+        if twice and abs(one.omega - left[-1].omega) <= ROUNDING * one.omega:
+            left.pop()
+        else:
+            left.append(one)
+    return left
+
+
+def _near_turns(omega: np.ndarray) -> np.ndarray:
+    """Whether the frequency turns back at a point or at the next one on either side: (n,) bool."""
+    ahead = np.sign(np.diff(omega))
+    turns = np.flatnonzero(ahead[1:] != ahead[:-1]) + 1
+    return np.asarray(np.min(np.abs(np.arange(len(omega))[:, None] - turns), 1, initial=9) <= 2)
+
+
+def _judged(found: PathPoint) -> _Orbit:
+    """An orbit with its multipliers."""
+    assert isinstance(found.at, OrbitPoint)
+    values = found.at.multipliers
+    real, large = values.imag == 0.0, np.abs(values) > 1.0
+    outside = (
+        int(np.sum(real & (values.real > 1.0))),
+        int(np.sum(real & (values.real < -1.0))),
+        int(np.sum(large & (values.imag > 0.0))),
+    )
+    leading = complex(values[0].real, abs(values[0].imag))
+    return _Orbit(found.unknown, found.parameter, leading, outside)
+
+
+def _test(kind: str, found: PathPoint, pairs: int) -> float:
+    """A function that changes its sign at a bifurcation."""
+    assert isinstance(found.at, OrbitPoint)
+    if kind != "neimark_sacker":
+        return doubling_test(found.at.monodromy if kind == KINDS[1] else -found.at.monodromy)
+    values = found.at.multipliers
+    sizes = np.abs(values[values.imag > 0.0])
+    return float(sizes[pairs - 1]) - 1.0 if len(sizes) >= pairs else -1.0
+
+
+def judge_curve(curve: ResponseCurve) -> ResponseCurve:
+    """Judge a curve over the load frequency by the exact orbits next to its points.
+
+    With at most 12 pairs with mass and a penalty law these are those of the exact flow from event
+    to event, else of 2048 and 4096 exponential steps in a period.
+
+    Parameters
+    ----------
+    curve : ResponseCurve
+        Followed with or without ``stability=True``, with a law that is linear in contact or rigid.
+
+    Returns
+    -------
+    ResponseCurve
+        The same points, with multipliers and verdicts of the orbits next to them: "undecided" where
+        there is none, or where it does not tell |mu| from 1. Its bifurcations are those of the
+        orbits, at their frequencies ``exact``, each with the nearest one of the truncated equations
+        of the same kind within 2 %, which it confirms. Where there is none, ``value`` and
+        ``unknown`` are the solution of the truncated equations at the same frequency, or the
+        nearest point of the curve: not a bifurcation of these equations, so that
+        :func:`follow_branch` may find no branch there, and says so. Unconfirmed are those of the
+        orbits by 4096 steps that those by 2048 do not have, and those of the truncated equations
+        where the verdict is open. Those that the orbits refute are left out.
+
+    Raises
+    ------
+    InputError
+        The curve is over another parameter, or as :func:`fenics_crack.shoot`.
+    """
+    if curve.parameter != "omega":
+        raise InputError("curve", f"in {curve.parameter}", "one in omega")
+    with_mass = massless(curve.structure) is None and is_piecewise_linear(curve.contact)
+    if with_mass and curve.structure.n_pairs <= MAX_PAIRS:
+        fine = coarse = _Orbits(curve, None)
+    else:
+        coarse = _Orbits(curve, STEPS[0])
+        fine = _Orbits(curve, STEPS[1], coarse)
+    multipliers = np.full(len(curve), np.nan + 0j)
+    if curve.multipliers is not None:
+        multipliers[:] = curve.multipliers
+    undecided = np.ones(len(curve), dtype=bool)
+    others = dict(zip(coarse.at, coarse.found, strict=True))
+    for at, one in zip(fine.at, fine.found, strict=True):
+        other = others[at]
+        if at == round(at) and one is not None and other is not None:
+            place, size = int(at), abs(one.leading)
+            multipliers[place] = one.leading
+            undecided[place] = not abs(size - 1.0) > max(SURE, abs(size - abs(other.leading)))
+    special = _special(curve, fine.crossings, _known(fine.crossings, coarse.crossings), undecided)
+    return replace(curve, bifurcations=special, multipliers=multipliers, undecided=undecided)
+
+
+def _known(fine: list[_Crossing], coarse: list[_Crossing]) -> list[bool]:
+    """Which bifurcations are also there with other steps, each taken once."""
+    left, known = list(coarse), []
+    for one in fine:
+        alike = [
+            (abs(other.omega - one.omega), number)
+            for number, other in enumerate(left)
+            if other.kind == one.kind and abs(other.point - one.point) <= 2
+        ]
+        sure = one.located and bool(alike)
+        known.append(sure and min(alike)[0] <= SAME * one.omega)
+        if known[-1]:
+            left.pop(min(alike)[1])
+    return known
+
+
+def _special(
+    curve: ResponseCurve, crossings: list[_Crossing], known: list[bool], undecided: np.ndarray
+) -> tuple[Bifurcation, ...]:
+    """Bifurcations of the orbits at their places on the curve, and those without an orbit."""
+    left = [(_place(curve, one), one) for one in curve.bifurcations]
+    found: list[tuple[int, Bifurcation]] = []
+    for crossing, sure in zip(crossings, known, strict=True):
+        place, exact = crossing.point, crossing.omega
+        alike = [
+            (abs(number - place), index)
+            for index, (number, one) in enumerate(left)
+            if one.kind == crossing.kind and abs(one.value - exact) < NEARBY * exact
+        ]
+        if alike and min(alike)[0] <= max(10, len(curve) // 30):
+            one = left.pop(min(alike)[1])[1]
+        else:
+            [one] = curve.expand_bifurcations([(crossing.kind, *_solution_at(curve, crossing))])
+        found.append((place, replace(one, exact=exact if sure else np.nan)))
+    found += [(place, one) for place, one in left if undecided[place] or one.kind == "branch_point"]
+    return tuple(one for _, one in sorted(found, key=lambda pair: pair[0]))
+
+
+def _solution_at(curve: ResponseCurve, crossing: _Crossing) -> tuple[float, np.ndarray]:
+    """The solution of the curve's equations at the frequency of a bifurcation of the orbits, or
+    that of the nearest point where none is near: frequency and unknown."""
+    unknown, near = curve.unknown(crossing.point), float(curve.values[crossing.point])
+    span = near, near * (1.0 + NEARBY)
+    family = FrequencyFamily(curve.problem.with_harmonics(len(unknown) // 2), *span)
+    parameter = family.parameter(crossing.omega)
+    sharp = attainable(family, parameter, 1e-9)
+    found = solve_at(family, unknown, parameter, tolerance=sharp)
+    if found is None or np.linalg.norm(found.unknown - unknown) > ALIKE * np.linalg.norm(unknown):
+        return near, unknown
+    return crossing.omega, found.unknown
+
+
+def _place(curve: ResponseCurve, one: Bifurcation) -> int:
+    """The point of a curve nearest to a bifurcation of it."""
+    unknown = resized(one.unknown, curve.unknowns.shape[1] // 2)
+    sizes = np.linalg.norm(curve.unknowns - unknown, axis=(1, 2)) / np.linalg.norm(unknown)
+    wide = float(np.ptp(curve.values)) or 1.0
+    return int(np.argmin(np.hypot(sizes, (curve.values - one.value) / wide)))

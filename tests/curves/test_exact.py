@@ -1,0 +1,96 @@
+"""Curves judged by exact orbits, against marches of disturbed orbits."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fenics_crack as fc
+from fenics_crack.model.flow import ExponentialFlow
+
+RIGID = fc.UnilateralConstraint()
+
+
+@pytest.fixture(scope="module")
+def plate(paper_scene: fc.Scene) -> fc.Structure:
+    """Eight pairs without mass, 1 % of damping."""
+    changes = {"mesh.order": 2, "mesh.columns": 8, "mesh.rows": 8, "damping.ratio": 0.01}
+    whole = fc.build_structure(paper_scene.replace(changes))
+    return fc.reduce_structure(whole, modes=15, method="massless")
+
+
+@pytest.fixture(scope="module")
+def curve(plate: fc.Structure) -> fc.ResponseCurve:
+    """With so few harmonics that the truncated equations bifurcate where nothing happens."""
+    return fc.continue_frequency(plate, 1730.0, 1780.0, RIGID, harmonics=6, stability=True)
+
+
+def growth(plate: fc.Structure, omega: float) -> float:
+    """Factor per period of the distance to the orbit of 1024 steps after a disturbance."""
+    near = fc.solve_harmonic_balance(plate, omega, RIGID, harmonics=20)
+    orbit = fc.shoot(plate, near, steps_per_period=1024)
+    flow = ExponentialFlow(plate, omega, RIGID, 1024)
+    moved, distances = orbit.state * (1.0 + 1e-8), []
+    for _ in range(120):
+        moved = flow.advance(moved).states[-1]
+        distances.append(np.linalg.norm(moved - orbit.state))
+    return float((distances[-1] / distances[39]) ** (1.0 / 80.0))
+
+
+def test_bifurcations_that_the_motion_does_not_have(
+    plate: fc.Structure, curve: fc.ResponseCurve
+) -> None:
+    """Three points where pairs leave the unit circle by six harmonics; the motion has the last."""
+    problem = fc.Problem(plate, 1730.0, RIGID, 6)
+    truncated = fc.Continuation(problem, "omega", 1730.0, 1780.0, stability=True)
+    assert len(list(truncated)) == len(curve) and truncated.complete
+    found = truncated.curve.bifurcations
+    assert [one.kind for one in found] == 3 * ["neimark_sacker"]
+    assert not any(one.confirmed for one in found)
+    [one] = curve.bifurcations
+    assert one.kind == "neimark_sacker" and one.confirmed
+    assert one.exact == pytest.approx(one.value, rel=1e-2)
+    assert set(curve.verdicts[curve.omega < 1760.0]) == {"stable"}
+    assert set(curve.verdicts[curve.omega > 1772.0]) == {"unstable"}
+
+
+def test_verdicts_are_those_of_the_disturbed_motion(
+    plate: fc.Structure, curve: fc.ResponseCurve
+) -> None:
+    """Also where the truncated equations were unstable."""
+    [one] = curve.bifurcations
+    for omega in (1741.0, one.exact - 3.0):
+        assert growth(plate, omega) < 1.0
+    assert growth(plate, one.exact + 3.0) > 1.0
+
+
+def test_another_number_of_harmonics_finds_the_same(
+    plate: fc.Structure, curve: fc.ResponseCurve
+) -> None:
+    """The place is that of the orbits, not of the harmonics."""
+    other = fc.continue_frequency(plate, 1730.0, 1780.0, RIGID, harmonics=12, stability=True)
+    [one], [two] = curve.bifurcations, other.bifurcations
+    assert one.kind == two.kind and one.exact == pytest.approx(two.exact, rel=1e-5)
+    omega, orbit = fc.refine_bifurcation(two)
+    assert omega == pytest.approx(one.exact, rel=1e-3)
+    assert abs(abs(orbit.multipliers[0]) - 1.0) < 1e-3
+
+
+def test_files_and_words(curve: fc.ResponseCurve, plate: fc.Structure, tmp_path: Path) -> None:
+    """Verdicts and exact frequencies outlast a file; undecided is not stable."""
+    fc.save(curve, tmp_path / "curve.h5")
+    loaded = fc.load(tmp_path / "curve.h5", plate, RIGID)
+    assert isinstance(loaded, fc.ResponseCurve)
+    assert np.array_equal(loaded.verdicts, curve.verdicts)
+    assert loaded.bifurcations[0].exact == curve.bifurcations[0].exact
+    assert "exact" in str(loaded.bifurcations[0])
+    nothing = replace(curve, undecided=np.ones(len(curve), dtype=bool))
+    assert not np.any(nothing.stable) and set(nothing.verdicts) == {"undecided"}
+
+
+def test_curves_over_another_parameter_are_refused(plate: fc.Structure) -> None:
+    """Orbits are followed over the load frequency."""
+    load = fc.continue_parameter(plate, 1700.0, RIGID, "load", 1.0, 1.1, harmonics=5)
+    with pytest.raises(fc.InputError, match="omega"):
+        fc.judge_curve(load)
