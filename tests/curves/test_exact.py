@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import two_masses
 
 import fenics_crack as fc
 from fenics_crack.model.flow import ExponentialFlow
@@ -77,6 +78,20 @@ def test_another_number_of_harmonics_finds_the_same(
     assert abs(abs(orbit.multipliers[0]) - 1.0) < 1e-3
 
 
+def test_two_masses_and_a_stop() -> None:
+    """From event to event: all special points are confirmed, where refinement puts them, also with
+    few harmonics."""
+    law = fc.UnilateralPenalty(100.0)
+    found = fc.continue_frequency(two_masses(), 0.6, 0.9, law, harmonics=12, stability=True)
+    assert found.undecided is None
+    judged = fc.judge_curve(found)
+    for kind, count in {"fold": 2, "period_doubling": 2, "neimark_sacker": 1}.items():
+        special = [one for one in judged.bifurcations if one.kind == kind]
+        assert len(special) == count
+        for one in special:
+            assert one.exact == pytest.approx(fc.refine_bifurcation(one)[0], rel=2e-5)
+
+
 def test_files_and_words(curve: fc.ResponseCurve, plate: fc.Structure, tmp_path: Path) -> None:
     """Verdicts and exact frequencies outlast a file; undecided is not stable."""
     fc.save(curve, tmp_path / "curve.h5")
@@ -85,6 +100,8 @@ def test_files_and_words(curve: fc.ResponseCurve, plate: fc.Structure, tmp_path:
     assert np.array_equal(loaded.verdicts, curve.verdicts)
     assert loaded.bifurcations[0].exact == curve.bifurcations[0].exact
     assert "exact" in str(loaded.bifurcations[0])
+    refined = fc.refine_curve(curve, 1)
+    assert len(refined.verdicts) == len(refined) > len(curve)
     nothing = replace(curve, undecided=np.ones(len(curve), dtype=bool))
     assert not np.any(nothing.stable) and set(nothing.verdicts) == {"undecided"}
 
