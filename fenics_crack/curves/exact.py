@@ -61,6 +61,8 @@ ITERATIONS, PATIENCE = 6, 3
 """Newton steps to an orbit, and how many may together fail to halve the residual."""
 ALIKE = 0.25
 """Farthest orbit from the motion of its point, relative."""
+REACH, SHIFTED = 5e-3, 2e-4
+"""Farthest orbit from the frequency of its point, relative, and where it decides about it."""
 SURE = 1e-6
 """Distance of the leading multiplier from the unit circle that decides, at least."""
 LONGEST = 1e-3
@@ -179,7 +181,7 @@ class _Orbits:
         try:
             return solve_in_plane(
                 self._system, unknown, parameter, plane,
-                tolerance=TOLERANCE, iterations=ITERATIONS, patience=PATIENCE, reach=NEARBY,
+                tolerance=TOLERANCE, iterations=ITERATIONS, patience=PATIENCE, reach=REACH,
             )  # fmt: skip
         except ConvergenceError:  # pairs chatter
             return None
@@ -327,7 +329,8 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     -------
     ResponseCurve
         The same points, with multipliers and verdicts of the orbits next to them: "undecided" where
-        there is none, or where it does not tell |mu| from 1. Its bifurcations are those of the
+        there is none, or one at another frequency (by more than 0.02 %), or where it does not tell
+        |mu| from 1. Its bifurcations are those of the
         orbits, at their frequencies ``exact``, each with the nearest one of the truncated equations
         of the same kind within 2 %, which it confirms. Where there is none, ``value`` and
         ``unknown`` are the solution of the truncated equations at the same frequency, or the
@@ -359,7 +362,9 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
         if at == round(at) and one is not None and other is not None:
             place, size = int(at), abs(one.leading)
             multipliers[place] = one.leading
-            undecided[place] = not abs(size - 1.0) > max(SURE, abs(size - abs(other.leading)))
+            shift = abs(one.parameter * curve.omega[0] / curve.omega[place] - 1.0)
+            sure = abs(size - 1.0) > max(SURE, abs(size - abs(other.leading)))
+            undecided[place] = shift > SHIFTED or not sure
     special = _special(curve, fine.crossings, _known(fine.crossings, coarse.crossings), undecided)
     return replace(curve, bifurcations=special, multipliers=multipliers, undecided=undecided)
 
