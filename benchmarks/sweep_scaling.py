@@ -208,7 +208,7 @@ def cases(arguments: Arguments) -> None:
         rows.append([name, plan.shape[0], *each, each[0] / each[1], others])
     save_table(
         arguments.folder / "sweep_cases.csv",
-        "Mean processor time of a case, its errors and its verdict [ms], 1000 to 4000 rad/s, H = 10",
+        "Mean processor time of a case with errors and verdict [ms], 1000 to 4000 rad/s, H = 10",
         ["plate", "frequencies", "by itself", "in a sweep", "ratio", "other solution"],
         rows,
     )

@@ -46,16 +46,14 @@ class Intervals:
     which: np.ndarray
     sets: np.ndarray
 
-    def means(self, highest: int) -> np.ndarray:
-        """Means over the period of exp(i m theta) while each set is closed: (n_sets, highest+1)."""
+    def rests(self, highest: int) -> np.ndarray:
+        """Means over the period of exp(i m theta) from where each interval begins to the period's
+        end: (m, highest + 1)."""
         order = np.arange(highest + 1)
-        ends = np.append(self.theta, 2.0 * np.pi)
-        waves = np.exp(1j * np.multiply.outer(ends, order))
-        waves[:, 0] = ends
-        waves[:, 1:] /= 1j * order[1:]
-        total = np.zeros((len(self.sets), highest + 1), dtype=complex)
-        np.add.at(total, self.which, np.diff(waves, axis=0))
-        return total / (2.0 * np.pi)
+        found = 1.0 - np.exp(1j * np.multiply.outer(self.theta, order))
+        found[:, 0] = 2.0 * np.pi - self.theta
+        found[:, 1:] /= 1j * order[1:]
+        return found / (2.0 * np.pi)
 
 
 def contact_intervals(harmonics: np.ndarray, contact: ActiveSets) -> Intervals:

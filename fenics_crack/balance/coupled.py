@@ -36,8 +36,11 @@ from fenics_crack.model.contact import ContactLaw
 
 __all__ = ["MATRIX_FREE", "CoupledPoint", "CoupledSystem"]
 
-MATRIX_FREE = 300
-"""Unknowns from which the Jacobian is not formed."""
+MATRIX_FREE, PRODUCTS = 350, 225
+"""The Jacobian is not formed for n unknowns of a step where n^3 is larger than 350^3, what GMRES
+costs in any case, and 225 (2H+1) n_pairs^2 for its products. Both ways take equally long with about
+300 to 350 unknowns of 18 pairs (measured with H = 8 to 40), and with 600 of 30 modes and 100 pairs.
+"""
 SHARP, ROUGH = 1e-9, 1e-2
 """Relative residual of GMRES where a solution with J is asked for, and in an estimate."""
 
@@ -59,8 +62,9 @@ class CoupledSystem(CondensedEquations):
         """R_k - R_inf."""
         self.basis = compliance.basis
         """U, None where modes are as many as pairs."""
-        columns = self.shape[1] if self.basis is None else self.basis.shape[1]
-        self.matrix_free = columns * len(self.linear) > MATRIX_FREE
+        rows, pairs = self.linear.shape
+        size = rows * (pairs if self.basis is None else self.basis.shape[1])
+        self.matrix_free = size**3 > MATRIX_FREE**3 + PRODUCTS * rows * pairs**2
 
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> CoupledPoint:
         """The equations at s, with a softness in series."""

@@ -8,8 +8,9 @@ need no more of it than its means
 
 which are exact sums over the intervals between the events (:mod:`active_sets`), or sums over
 samples. From the means follows S cut off after 2H harmonics, on 4H + 2 instants. There products are
-exact: s, and every change of it, to the instants, times S, and back, both by FFT. So T v costs
-(4H + 2) n_pairs^2, whatever the number of events; T as a matrix is needed for few unknowns only.
+exact: s, and every change of it, to the instants, times S, and back, both by FFT. At each event one
+pair opens or closes, and S changes by a part of rank one. So T v costs (4H + 2) n_pairs^2, or twice
+n_events n_pairs where S is not formed; T as a matrix is needed for few unknowns only.
 
 Of laws that are not piecewise linear, S is the tangent at every sample.
 """
@@ -17,8 +18,8 @@ Of laws that are not piecewise linear, S is the tangent at every sample.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -32,31 +33,71 @@ __all__ = ["CoupledForces", "CoupledIntegrals", "CoupledTangent"]
 
 MAX_NUMBERS = 4_000_000
 """In the stiffnesses of sets that are treated together."""
+PRODUCTS = 40
+"""With T at a point, as many as GMRES takes."""
 
 
-@dataclass(frozen=True)
 class CoupledTangent:
     """T, the derivative of the forces' coefficients by those of s.
 
-    Attributes
+    S cut off after 2H harmonics, at N > 4H instants i T / N, is ``base`` + sum_e w_e v_e v_e^T, in
+    which every event e of a pair adds a part of rank one. The sum is formed where that is less work
+    than some products with its parts.
+
+    Parameters
     ----------
-    stiffness : (N, n_pairs, n_pairs) [N/m]
-        S cut off after 2H harmonics at N > 4H instants i T / N.
     harmonics : int
         H.
+    base : (N or 1, n_pairs, n_pairs) [N/m]
+    vectors : (n_events, n_pairs), optional
+        v.
+    weights : (N, n_events), optional
+        w [N/m].
     """
 
-    stiffness: np.ndarray
-    harmonics: int
+    def __init__(
+        self,
+        harmonics: int,
+        base: np.ndarray,
+        vectors: np.ndarray | None = None,
+        weights: np.ndarray | None = None,
+    ) -> None:
+        self.harmonics, self._base = harmonics, base
+        pairs = base.shape[1]
+        self._vectors = np.zeros((0, pairs)) if vectors is None else vectors
+        self._weights = np.zeros((len(base), 0)) if weights is None else weights
+        events = len(self._vectors)
+        self._parts = events * pairs > PRODUCTS * (2 * events - pairs) or not events
+
+    @cached_property
+    def stiffness(self) -> np.ndarray:
+        """S at N instants: (N, n_pairs, n_pairs) [N/m]."""
+        events, pairs = self._vectors.shape
+        count = len(self._weights)
+        if not events:
+            return np.broadcast_to(self._base, (count, pairs, pairs))
+        found = np.repeat(self._base.reshape(1, -1), count, axis=0)
+        some = max(1, MAX_NUMBERS // (pairs * pairs))
+        for begin in range(0, events, some):
+            v = self._vectors[begin : begin + some]
+            products = (v[:, :, None] * v[:, None, :]).reshape(len(v), -1)
+            found += self._weights[:, begin : begin + some] @ products
+        return found.reshape(count, pairs, pairs)
 
     def apply(self, change: np.ndarray) -> np.ndarray:
         """T v of coefficients (2H+1, n_pairs)."""
-        values = sampled(change, len(self.stiffness))
-        return balanced(np.matmul(self.stiffness, values[:, :, None])[:, :, 0], self.harmonics)
+        values = sampled(change, len(self._weights))
+        if not self._parts:
+            forces = np.matmul(self.stiffness, values[:, :, None])[:, :, 0]
+        else:
+            forces = np.matmul(self._base, values[:, :, None])[:, :, 0]
+            forces += ((values @ self._vectors.T) * self._weights) @ self._vectors
+        return balanced(forces, self.harmonics)
 
     def seen(self, basis: np.ndarray) -> CoupledTangent:
         """U^T T U for gaps that a basis U (n_pairs, n) spans."""
-        return CoupledTangent(basis.T @ self.stiffness @ basis, self.harmonics)
+        base, vectors = basis.T @ self._base @ basis, self._vectors @ basis
+        return CoupledTangent(self.harmonics, base, vectors, self._weights)
 
     def matrix(self) -> np.ndarray:
         """T: (2H+1, n_pairs, 2H+1, n_pairs)."""
@@ -163,36 +204,43 @@ class _PiecewiseForces(CoupledForces):
     """lambda = S_A s: with a compliance E added to D, d lambda = - S E S s."""
 
     def __init__(self, integrals: CoupledIntegrals, gap: np.ndarray) -> None:
-        self._integrals, self._gap, contact = integrals, gap, integrals.contact
-        highest = 2 * integrals.harmonics
+        self._integrals, self._gap = integrals, gap
+        highest, contact = 2 * integrals.harmonics, integrals.contact
         if integrals.samples is None:
             intervals = contact_intervals(to_complex(gap), contact)
-            sets, means = intervals.sets, intervals.means(highest)
+            self._closed = intervals.sets[intervals.which]
+            rests = intervals.rests(highest)
         else:
             _, closed = contact.solve(sampled(gap, integrals.samples))
-            sets, which = unique_sets(closed)
-            present = np.equal.outer(np.arange(len(sets)), which).astype(float)
-            means = np.fft.rfft(present, axis=1)[:, : highest + 1].conj() / integrals.samples
+            begins = np.append(0, 1 + np.flatnonzero(np.any(closed[1:] != closed[:-1], axis=1)))
+            self._closed = closed[begins]
+            behind = begins[:, None] <= np.arange(integrals.samples)
+            rests = np.fft.rfft(behind.astype(float), axis=1)[:, : highest + 1].conj()
+            rests /= integrals.samples
         count = 2 * highest + 2
-        self._weights = np.fft.irfft(count * means.conj(), n=count, axis=1).T  # (N, n_sets)
-        self._sets = sets
-        self.tangent = self._cut_off(lambda stack: stack)
+        self._rests = np.fft.irfft(count * rests.conj(), n=count, axis=1).T  # (N, m)
+        step, vectors, gains = contact.changes(self._closed)
+        self.tangent = CoupledTangent(
+            integrals.harmonics, contact.stack(self._closed[:1]), vectors,
+            np.ascontiguousarray(self._rests[:, step] * gains),
+        )  # fmt: skip
         self.force = self.tangent.apply(gap)
 
-    def _cut_off(self, of_sets: Callable[[np.ndarray], np.ndarray]) -> CoupledTangent:
-        """What depends on the stiffness of each set, over time; some sets at a time."""
-        pairs = self._sets.shape[1]
-        found: np.ndarray = np.zeros((len(self._weights), pairs * pairs))
-        some = max(1, MAX_NUMBERS // max(1, pairs * pairs))
-        for begin in range(0, len(self._sets), some):
-            stack = self._integrals.contact.stack(self._sets[begin : begin + some])
-            flat = of_sets(stack).reshape(len(stack), -1)
-            found += self._weights[:, begin : begin + some] @ flat
-        return CoupledTangent(found.reshape(-1, pairs, pairs), self._integrals.harmonics)
-
     def _by_compliance(self, added: float | np.ndarray) -> np.ndarray:
-        weights = np.broadcast_to(np.asarray(added, dtype=float), self._sets.shape[1])
-        return -self._cut_off(lambda stack: np.matmul(stack * weights, stack)).apply(self._gap)
+        """-S E S s for a diagonal E, S cut off as a product."""
+        weights = np.broadcast_to(np.asarray(added, dtype=float), self._closed.shape[1])
+        sets, which = unique_sets(self._closed)
+        shares = np.zeros((len(self._rests), len(sets)))
+        lasts = np.hstack([self._rests[:, 1:], np.zeros((len(shares), 1))])
+        np.add.at(shares.T, which, (self._rests - lasts).T)
+        values = sampled(self._gap, len(shares))
+        some = max(1, MAX_NUMBERS // max(1, weights.size**2))
+        found = np.zeros_like(values)
+        for begin in range(0, len(sets), some):
+            stack = self._integrals.contact.stack(sets[begin : begin + some])
+            moved = np.matmul(values, stack) * weights
+            found += np.einsum("sn,snp->np", shares.T[begin : begin + some], moved @ stack)
+        return -balanced(found, self._integrals.harmonics)
 
     def by_softness(self) -> np.ndarray:
         return self._by_compliance(self._integrals.unit)
@@ -214,7 +262,7 @@ class _SmoothForces(CoupledForces):
         count = 4 * integrals.harmonics + 2
         spectrum = np.fft.rfft(self._slope, axis=0)[: 2 * integrals.harmonics + 1]
         cut_off = np.fft.irfft(spectrum * (count / samples), n=count, axis=0)
-        self.tangent = CoupledTangent(cut_off, integrals.harmonics)
+        self.tangent = CoupledTangent(integrals.harmonics, cut_off)
         self.force = balanced(self._force, integrals.harmonics)
 
     def by_softness(self) -> np.ndarray:

@@ -23,6 +23,14 @@ def closed_at(intervals: Intervals, theta: np.ndarray) -> np.ndarray:
     return intervals.sets[intervals.which[place]]
 
 
+def means_of(intervals: Intervals, highest: int) -> np.ndarray:
+    """Means of exp(i m theta) while each set is closed: (n_sets, highest + 1)."""
+    rests = intervals.rests(highest)
+    found = np.zeros((len(intervals.sets), highest + 1), dtype=complex)
+    np.add.at(found, intervals.which, rests - np.vstack([rests[1:], 0.0 * rests[:1]]))
+    return found
+
+
 def closed_for(intervals: Intervals, pair: int = 0) -> float:
     """How long a pair is closed [rad]."""
     lengths = np.diff(np.append(intervals.theta, 2.0 * np.pi))
@@ -124,14 +132,14 @@ def test_always_open_and_always_closed() -> None:
         compliance = np.eye(3) + 0.1
         intervals = contact_intervals(to_complex(gap), ActiveSets(compliance))
         assert len(intervals.theta) == 1 and np.all(intervals.sets == closed)
-        assert np.allclose(intervals.means(8), np.eye(9)[0], rtol=0.0, atol=1e-14)
+        assert np.allclose(means_of(intervals, 8), np.eye(9)[0], rtol=0.0, atol=1e-14)
 
 
 def test_means_by_quadrature() -> None:
     """QUADPACK between the events, for each set and each multiple of the phase."""
     contact, gap = coupled(3), random_gaps(3, 3, 2)
     intervals = contact_intervals(to_complex(gap), contact)
-    means, ends = intervals.means(6), np.append(intervals.theta, 2.0 * np.pi)
+    means, ends = means_of(intervals, 6), np.append(intervals.theta, 2.0 * np.pi)
     assert means[:, 0].real.sum() == pytest.approx(1.0)
     for row in range(len(intervals.sets)):
         for order in (0, 1, 5, 6):

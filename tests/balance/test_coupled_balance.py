@@ -263,7 +263,7 @@ def test_lips_with_mass_against_lips_without(paper_scene: fc.Scene) -> None:
         ("fewer", "from H = 10 to 20: converged"),
         ("newton", "full Newton steps: converged"),
         ("softness", "path in the softness: converged"),
-        ("frequency", "of the frequency: converged"),
+        ("frequency", "rad/s: converged"),
     ],
 )
 def test_every_attempt_finds_the_solution(

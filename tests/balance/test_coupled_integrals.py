@@ -41,6 +41,25 @@ def difference(function: Any, place: Any, step: Any) -> np.ndarray:
     return found
 
 
+@pytest.mark.parametrize("mean", [0.0, 100.0, -100.0])
+def test_products_with_the_tangent(mean: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a matrix, formed, in parts, and in a basis; also without any event."""
+    gap, change = random_gaps(4, 3, 2), random_gaps(4, 3, 5)
+    gap[0] = mean
+    basis = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 2)))[0]
+    found = []
+    for products in (0, 10**9):
+        monkeypatch.setattr("fenics_crack.balance.coupled_integrals.PRODUCTS", products)
+        tangent = integrals("rigid", 4).linearise(gap).tangent
+        matrix = tangent.matrix().reshape(27, 27)
+        assert np.allclose(tangent.apply(change).ravel(), matrix @ change.ravel(), atol=1e-9)
+        seen = tangent.seen(basis).apply(change[:, :2])
+        expected = (matrix @ (change[:, :2] @ basis.T).ravel()).reshape(9, 3) @ basis
+        assert np.allclose(seen, expected, atol=1e-9)
+        found.append(matrix)
+    assert np.allclose(*found, atol=1e-9)
+
+
 # --- forces ---------------------------------------------------------------------------------------
 
 
