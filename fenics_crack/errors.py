@@ -9,6 +9,7 @@ from numbers import Integral, Real
 
 __all__ = [
     "MAX_SAMPLES",
+    "MOST_HARMONICS",
     "ConvergenceError",
     "InputError",
     "check_count",
@@ -23,6 +24,8 @@ LONGEST_VALUE = 1000
 LARGEST_COUNT = 10**9
 MAX_SAMPLES = 2**20
 """Samples of a period at which the contact force may be evaluated."""
+MOST_HARMONICS = 100
+"""Beyond these they are not raised along a curve or from case to case."""
 
 
 class InputError(ValueError):

@@ -47,6 +47,16 @@ print([name for name in {ALL} if name in sys.modules])
     assert fresh(program).splitlines()[-1] == "[]"
 
 
+def test_check_needs_no_solver() -> None:
+    """Neither it nor the plan of a sweep."""
+    program = """
+import sys
+from fenics_crack.cli import scenes
+print([name for name in ("fenics_crack.balance.solver", "scipy.optimize") if name in sys.modules])
+"""
+    assert fresh(program) == "[]"
+
+
 @pytest.mark.parametrize(
     "line",
     [

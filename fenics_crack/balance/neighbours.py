@@ -36,28 +36,26 @@ from fenics_crack.balance.rounding import (
 from fenics_crack.balance.search import Search
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.balance.solver import Solver
-from fenics_crack.errors import ConvergenceError
+from fenics_crack.errors import MOST_HARMONICS, ConvergenceError
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import all_modes
 
-__all__ = ["MAX_HARMONICS", "Neighbours", "fewer_harmonics", "more_harmonics"]
+__all__ = ["Neighbours", "fewer_harmonics", "more_harmonics"]
 
 SHARP, ACCEPTED = 1e-11, 1e-10
 """|F| / |x| to which coupled pairs are corrected, and at which the end of a path is accepted."""
 ITERATIONS = 10
 """Of Newton's method from a prediction."""
-MAX_HARMONICS = 100
-"""Beyond these harmonics are not raised."""
 SMALL = 0.05
 """Part of a tolerance below which an error allows fewer harmonics."""
 
 
 def more_harmonics(count: int, truncation: float, tolerance: float | None) -> int | None:
     """As many harmonics as an error that falls like H^-3 asks for; None where these are enough."""
-    if tolerance is None or truncation <= tolerance or count >= MAX_HARMONICS:
+    if tolerance is None or truncation <= tolerance or count >= MOST_HARMONICS:
         return None
     factor = min(2.0, 1.1 * (truncation / tolerance) ** (1.0 / 3.0))
-    return min(MAX_HARMONICS, math.ceil(factor * count))
+    return min(MOST_HARMONICS, math.ceil(factor * count))
 
 
 def fewer_harmonics(count: int, truncation: float, tolerance: float, least: int) -> int:
@@ -73,7 +71,7 @@ class Neighbours:
     ----------
     tolerance : float, optional
         Raise and lower H from one solution to the next so that the estimated truncation error stays
-        below this, between the problem's ``harmonics`` and :data:`MAX_HARMONICS`.
+        below this, between the problem's ``harmonics`` and 100.
     """
 
     tolerance: float | None = None

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.balance.neighbours import MAX_HARMONICS
-from fenics_crack.errors import InputError
+from fenics_crack.errors import MOST_HARMONICS, InputError
 from fenics_crack.fem.plate import build_mesh
 from fenics_crack.scene.scene import Scene
 from fenics_crack.sweep.file import PENDING, shape_of
@@ -67,7 +66,7 @@ class Plan:
         base = scene.harmonic_balance  # upper bounds for all cases:
         self.harmonics = max(swept.get("harmonic_balance.harmonics", (base.harmonics,)))
         if base.tolerance is not None or "harmonic_balance.tolerance" in swept:
-            self.harmonics = max(self.harmonics, MAX_HARMONICS)
+            self.harmonics = max(self.harmonics, MOST_HARMONICS)
         self.sizes = self._sizes()
         """Bound of the pairs, and the crack's length [m], of each geometry: what it may cost."""
         self.pairs = max(pairs for pairs, _ in self.sizes)

@@ -12,7 +12,8 @@ from helpers import chain, oscillator
 import fenics_crack as fc
 from fenics_crack.balance import neighbours
 from fenics_crack.balance.fourier import resized
-from fenics_crack.balance.neighbours import MAX_HARMONICS, Neighbours
+from fenics_crack.balance.neighbours import Neighbours
+from fenics_crack.errors import MOST_HARMONICS
 from fenics_crack.model.contact import ContactLaw
 
 BLADE = chain("modal")
@@ -102,7 +103,7 @@ def test_a_tolerance_out_of_reach() -> None:
     """Is refused, with the error that there is; the next case is solved without a neighbour."""
     structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(1.0)
     series = Neighbours(1e-12)
-    with pytest.raises(fc.ConvergenceError, match=f"with H = {MAX_HARMONICS}, stays above 1e-12"):
+    with pytest.raises(fc.ConvergenceError, match=f"with H = {MOST_HARMONICS}, stays above 1e-12"):
         series.solve(fc.Problem(structure, 0.5, law, 50))
     series.tolerance = None
     assert series.solve(fc.Problem(structure, 0.51, law, 5)).status.startswith("full Newton")
