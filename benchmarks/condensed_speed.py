@@ -11,8 +11,8 @@ full : the breathing plate, all pairs, 1e9 N/m a pair, 2000 rad/s: the condensed
     reduced structure, prepared beforehand; and with the exact compliance, its factorisations
     included) against the full form.
 pyharm : pyHarm's arc-length sweep of the bilinear oscillator (c = 0.02, kc = 1, f = 0.1) and of
-    50 masses in a chain with one stop, against this package on the frequencies that pyHarm visited,
-    each solution starting from its neighbour, its error report included; and against
+    50 masses in a chain with one stop, and of 60 with 20 stops, against this package on the
+    frequencies that pyHarm visited, each solution starting from its neighbour, its error report included; and against
     ``continue_frequency`` with steps of its own, without error reports. Same H, 128 samples, then
     exact integrals; error at w = 1.2 against exact integrals with H = 200. On one mass pyHarm has
     1024 samples too, with which it comes close to that error. pyHarm's Python is found
@@ -373,6 +373,12 @@ def run_pyharm(arguments: common.Arguments) -> None:
         name="50 masses", mass=np.eye(50), stiffness=K, damping=0.02 * K, stop=25.0, finer=None,
         solver="NewtonRaphson", start=1.3, end=1.15, timeout="00:00:00:40",
     )  # fmt: skip
+    K60 = common.chain(60)
+    K60 /= np.linalg.eigvalsh(K60)[0]
+    stops = dict(
+        name="60 masses, 20 stops", mass=np.eye(60), stiffness=K60, damping=0.02 * K60, stop=25.0,
+        finer=None, solver="NewtonRaphson", start=1.3, end=1.15, timeout="00:00:00:40", stops=20,
+    )  # fmt: skip
     columns = (
         "case", "H", "who", "points", "of", "ms a point", "pyHarm / this", "finer pyHarm / this",
         "error at w = 1.2",
@@ -381,6 +387,7 @@ def run_pyharm(arguments: common.Arguments) -> None:
     for case, counts, turns in (
         (single, (5,) if quick else (5, 10, 20), 1 if quick else 5),
         (chain, () if quick else (5, 10), 2),
+        (stops, () if quick else (5, 10), 2),
     ):
         for harmonics in counts:
             rows += race(python, case, harmonics, turns)
@@ -393,7 +400,7 @@ def run_pyharm(arguments: common.Arguments) -> None:
     )
     colours = dict(zip((who for who in looks if who != FINER), COLOURS.values(), strict=False))
     colours[FINER] = colours[PYHARM]
-    marks = {"oscillator": "full", "50 masses": "none"}
+    marks = {"oscillator": "full", "50 masses": "none", "60 masses, 20 stops": "left"}
     for case in marks:
         for who in looks:
             chosen = [row for row in rows if row[0] == case and row[2] == who]
@@ -421,6 +428,7 @@ def run_pyharm(arguments: common.Arguments) -> None:
         axes.plot([], [], look, color=colours[who], label=who)
     axes.plot([], [], "o", color=COLOURS["grey"], label="filled: one mass")
     axes.plot([], [], "o", color=COLOURS["grey"], fillstyle="none", label="open: 50 masses")
+    axes.plot([], [], "o", color=COLOURS["grey"], fillstyle="left", label="half: 60, 20 stops")
     axes.set_xlabel("time of a converged point [ms]")
     axes.set_ylabel("relative L2 error at w = 1.2 rad/s [-]")
     axes.set_title("Sweep of a structure with one stop: error against time")
@@ -458,17 +466,17 @@ def plain() -> dict[str, str]:
 
 def race(python: str, case: dict[str, Any], harmonics: int, turns: int) -> list[tuple[Any, ...]]:
     """Both on the same points, taking turns."""
-    size, finer = len(case["mass"]), case["finer"]
-    job = {name: value for name, value in case.items() if name not in ("name", "finer")}
+    size, finer, stops = len(case["mass"]), case["finer"], case.get("stops", 1)
+    stopped = list(range(size - stops, size))
+    job = {name: value for name, value in case.items() if name not in ("name", "finer", "stops")}
     job |= {name: case[name].tolist() for name in ("mass", "stiffness", "damping")}
     job |= dict(
-        loaded=size - 1, stopped=size - 1, force=0.1, harmonics=harmonics, at=1.2, step=0.05,
+        loaded=size - 1, stopped=stopped, force=0.1, harmonics=harmonics, at=1.2, step=0.05,
         reductor="noreductor", solver_options={},
     )  # fmt: skip
     load = np.zeros(size)
     load[-1] = 0.1
-    gap = np.zeros(size)
-    gap[-1] = 1.0
+    gap = np.eye(size)[:, stopped]
     structure = fc.Structure.from_matrices(
         case["mass"], case["stiffness"], gap, force_cos=load, damping=case["damping"]
     )
@@ -514,7 +522,7 @@ def race(python: str, case: dict[str, Any], harmonics: int, turns: int) -> list[
         )  # fmt: skip
 
     rows = [
-        row(who, len(run["omega"]), run["tried"], np.array(run["coefficients"])[:, -1:])
+        row(who, len(run["omega"]), run["tried"], np.array(run["coefficients"])[:, -stops:])
         for who, run in theirs.items()
     ]
     for who, samples in (ways | dict.fromkeys(CURVES)).items():

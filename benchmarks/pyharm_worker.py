@@ -1,6 +1,6 @@
 """Run by pyHarm's own Python for ``condensed_speed.py``: JSON in, JSON out.
 
-A frequency sweep of a structure with a penalty contact to the ground on one dof, by pyHarm's arc
+A frequency sweep of a structure with penalty contacts to the ground on some dofs, by pyHarm's arc
 length continuation with its tangent predictor (its defaults), then one solution at a frequency,
 from the nearest point of the sweep. Compiling is not timed: a sweep of one harmonic runs first.
 """
@@ -39,14 +39,17 @@ def maestro(job: dict[str, Any], harmonics: int, start: float, end: float) -> Ma
                     "connect": {"body": [job["loaded"]]},
                     "dirs": [0],
                     "amp": job["force"],
-                },
-                "stop": {
+                }
+            }
+            | {
+                f"stop{dof}": {
                     "type": "PenaltyUnilateralGap",
-                    "connect": {"body": [job["stopped"]]},
+                    "connect": {"body": [dof]},
                     "dirs": [0],
                     "g": 0.0,
                     "k": job["stop"],
-                },
+                }
+                for dof in job["stopped"]
             },
             "kinematics": {},
             "analysis": {
