@@ -172,13 +172,13 @@ class CompiledSystem:
         if points.known == begun:
             self._check(outcome)
         new = slice(begun, points.known)
-        rows = zip(
-            unknowns[new], *numbers[:, new].tolist(), tangents[new], counts[new].tolist(),
-            crossings[new].tolist(), strict=True,
-        )  # fmt: skip
+        columns: list[Any] = [array.tolist() for array in (*numbers[:, new], counts[new])]
+        rows = zip(unknowns[new], tangents[new], *columns, crossings[new], strict=True)
         found = [
-            PathPoint(unknown, place, count, Tangent(x, slope, weight), crossing > 0, length=length)
-            for unknown, place, slope, weight, length, x, count, crossing in rows
+            PathPoint(
+                unknown, place, count, Tangent(x, slope, weight), bool(crossing > 0), length=length
+            )
+            for unknown, x, place, slope, weight, length, count, crossing in rows
         ]
         return found, points.orientation, points.step
 

@@ -14,6 +14,7 @@ from petsc4py import PETSc
 
 from fenics_crack.balance.krylov import RESTART
 from fenics_crack.balance.linearisation import Linearisation, System
+from fenics_crack.errors import ConvergenceError
 
 __all__ = ["DistributedSystem", "Newton"]
 
@@ -47,6 +48,7 @@ class Newton:
         """|F| of every iteration so far."""
         self._parameter = self._tolerance = 0.0
         self._at: tuple[np.ndarray, Linearisation] | None = None
+        self._failure: ConvergenceError | None = None
         self._tangent: Linearisation
         local = int(np.prod(system.shape))
         sizes = (local, system.global_size)
@@ -86,7 +88,14 @@ class Newton:
         self._parameter, self._tolerance, self._at = parameter, tolerance, None
         self._unknown.array_w[:] = start.ravel()
         self._snes.setTolerances(max_it=most_iterations)
-        self._snes.solve(None, self._unknown)
+        self._failure = None
+        try:
+            self._snes.solve(None, self._unknown)
+        except PETSc.Error:
+            if self._failure is None:
+                raise
+        if self._failure is not None:  # whatever PETSc has made of it
+            raise self._failure
         found = self._point(self._unknown)
         return found, self._snes.getConvergedReason() > 0, self._snes.getIterationNumber()
 
@@ -114,7 +123,11 @@ class Newton:
         return int(PETSc.SNES.ConvergedReason.ITERATING)
 
     def _residual(self, snes: Any, unknown: Any, target: Any) -> None:
-        target.array_w[:] = self._point(unknown).residual.ravel()
+        try:
+            target.array_w[:] = self._point(unknown).residual.ravel()
+        except ConvergenceError as error:
+            self._failure = error
+            raise
 
     def _jacobian(self, snes: Any, unknown: Any, matrix: Any, preconditioner: Any) -> None:
         self._tangent = self._point(unknown)

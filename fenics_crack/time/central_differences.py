@@ -167,6 +167,7 @@ class _ModalDifferences(_Energy, ModalSteps):
         super().__init__(asked)
         modes, dt = self.modes, self.step_size
         rate = dt * modes.damping
+        keep: np.ndarray
         if self.diagonal:
             keep, gain = (2.0 - rate) / (2.0 + rate), 2.0 * dt**2 / (2.0 + rate)
         else:

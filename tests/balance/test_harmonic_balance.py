@@ -247,13 +247,11 @@ def test_subharmonic_base_holds_the_periodic_solution() -> None:
 
 def test_failure_is_an_error_with_its_history() -> None:
     """A tolerance below rounding cannot be met: an error, or a solution marked as not converged."""
-    law = fc.UnilateralPenalty(1.0)
+    law, options = fc.UnilateralPenalty(10.0), {"residual_tolerance": 1e-25, "harmonics": 20}
     with pytest.raises(fc.ConvergenceError, match="full Newton steps: failed") as caught:
-        fc.solve_harmonic_balance(oscillator(), 0.7, law, residual_tolerance=1e-25)
+        fc.solve_harmonic_balance(oscillator(), 0.7, law, **options)
     assert len(caught.value.history) > 3
-    solution = fc.solve_harmonic_balance(
-        oscillator(), 0.7, law, residual_tolerance=1e-25, throw=False
-    )
+    solution = fc.solve_harmonic_balance(oscillator(), 0.7, law, **options, throw=False)
     assert not solution.converged
     assert "failed" in solution.status
 
