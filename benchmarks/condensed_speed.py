@@ -13,10 +13,11 @@ full : the breathing plate, all pairs, 1e9 N/m a pair, 2000 rad/s: the condensed
 pyharm : pyHarm's arc-length sweep of the bilinear oscillator (c = 0.02, kc = 1, f = 0.1) and of
     50 masses in a chain with one stop, and of 60 with 20 stops, against this package on the
     frequencies that pyHarm visited, each solution starting from its neighbour, its error report
-    included; and against ``continue_frequency`` with steps of its own, without error reports. Same
-    H, 128 samples, then exact integrals; error at w = 1.2 against exact integrals with H = 200. On one mass pyHarm has
-    1024 samples too, with which it comes close to that error. pyHarm's Python is found
-    by --pyharm or the variable PYHARM_PYTHON (pip install pyHarm-os in an environment of its own).
+    included; and against ``continue_frequency`` with steps of its own, without error reports.
+    Same H, 128 samples, then exact integrals; error at w = 1.2 against exact integrals with H =
+    200. On one mass pyHarm has 1024 samples too, with which it comes close to that error.
+    pyHarm's Python is found by --pyharm or the variable PYHARM_PYTHON (pip install pyHarm-os in
+    an environment of its own).
 
 Times are the process's own, taken in turns within one run; ratios are medians over the turns.
 
