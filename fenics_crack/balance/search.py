@@ -13,7 +13,7 @@ penalty, from which full steps start; where these fail, solutions are followed f
 to the constraint (:class:`ConstraintSystem`).
 
 Pairs that are seen through a static compliance (:mod:`coupled`) start from an orbit that has been
-marched; then from half the harmonics, by full steps from the linear solution, along a path in the
+marched, by full steps, then by shortened ones; then from half the harmonics, by full steps from the linear solution, along a path in the
 softness in series with the pairs, which ends at none, and along one in the frequency.
 """
 
@@ -62,7 +62,7 @@ FEWEST = 5
 """Harmonics with which a solution is sought first where pairs are coupled, or unknowns many."""
 SOFTNESS = (1.0, 10.0)
 """In series with coupled pairs where a path begins, in parts of what is enough."""
-MARCHED, MOVING, ROUGHLY = 10, 40, 1e-6
+MARCHED, MOVING, ROUGHLY = 40, 40, 1e-6
 """Periods of a response that are marched for a start, modes that move in them, and how closely it
 shall then repeat."""
 RAMP = Stepping(first=0.2, longest=0.5, shortest=1e-5, most=100)
@@ -170,7 +170,10 @@ class Search:
             elif marched:
                 name = "from a marched orbit"
                 try:
-                    found = self._newton(newton, self._marched(problem), 1.0, 12, name)
+                    begin = self._marched(problem)
+                    found = self._newton(newton, begin, 1.0, 12, name)
+                    if not self.converged:
+                        found = self._shortened(newton, begin) or found
                 except ConvergenceError as error:
                     self._note(name, str(error))
                 if self.converged:
@@ -193,6 +196,19 @@ class Search:
             found = self._frequency_path(family_from)
         self._last_coupled = found
         return found
+
+    def _shortened(self, newton: Newton, start: np.ndarray) -> Linearisation | None:
+        """The same by steps that are shortened where the residual would grow."""
+        point = solve_in_plane(
+            newton.system, start, 1.0, None,
+            tolerance=self.tolerance, iterations=30, least_damping=0.01, patience=8,
+        )  # fmt: skip
+        name = "shortened steps from there"
+        if point is None:
+            self._note(name, "up to 30 iterations")
+            return None
+        self.iterations += point.iterations
+        return self._newton(newton, point.unknown, 1.0, 3, name)
 
     def _marched(self, problem: Problem) -> np.ndarray:
         """The slow gap of a motion that has been marched for some periods and led to an orbit by
