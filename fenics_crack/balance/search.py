@@ -13,8 +13,9 @@ penalty, from which full steps start; where these fail, solutions are followed f
 to the constraint (:class:`ConstraintSystem`).
 
 Pairs that are seen through a static compliance (:mod:`coupled`) start from an orbit that has been
-marched, by full steps, then by shortened ones; then from half the harmonics, by full steps from the linear solution, along a path in the
-softness in series with the pairs, which ends at none, and along one in the frequency.
+marched, by full steps, then by shortened ones; then from half the harmonics, by full steps from the
+linear solution, along a path in the softness in series with the pairs, which ends at none, and
+along one in the frequency.
 """
 
 from __future__ import annotations
