@@ -1,0 +1,1 @@
+"""Blade tip timing: when a vibrating tip passes stationary probes, and what the times tell."""

@@ -1,0 +1,196 @@
+"""Arrival times of a blade's tip at stationary probes, measured or simulated."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from fenics_crack.errors import InputError, check_count, check_number
+from fenics_crack.table import Tabular, counted
+
+__all__ = ["ArrivalTimes", "check_probes"]
+
+UNITS = {"angle": "rad", "mark": "s", "next_mark": "s", "arrival": "s", "displacement": "m"}
+COLUMNS = ("revolution", "angle [rad]", "mark [s]", "next_mark [s]", "arrival [s]")
+"""What a CSV file must have."""
+
+
+@dataclass(frozen=True, repr=False)
+class ArrivalTimes(Tabular):
+    """When the tip of one blade passed stationary probes.
+
+    The rotor's angle alpha(t) follows from a mark on the shaft, seen once per revolution: it is 0
+    at the first mark of revolution 0 and 2 pi n at the mark that begins revolution n, with a cubic
+    spline between the marks, which constant speed and constant acceleration meet exactly. A
+    vibration that moves the tip by u in the direction of rotation makes it arrive early. At its
+    arrival
+
+        u = R (phi + 2 pi n - alpha(t)),    at constant speed W:  u = -R W (t - t_expected)
+
+    is the displacement at that very instant, not where the tip was expected: nothing is linearised.
+
+    Attributes
+    ----------
+    time : (revolutions, probes) [s]
+        Arrivals; nan where one is missing.
+    marks : (revolutions + 1,) [s]
+        Beginnings of the revolutions, and the end of the last one.
+    probes : (probes,) [rad]
+        Angles phi of the probes from the tip's place at a mark, without vibration, in the direction
+        of rotation; from 0 to 2 pi, increasing.
+    tip_radius : float [m]
+        R.
+    first : int
+        Number of the first revolution.
+
+    Raises
+    ------
+    InputError
+        Shapes do not fit, or marks, probes or radius cannot be used.
+    """
+
+    time: np.ndarray
+    marks: np.ndarray
+    probes: np.ndarray
+    tip_radius: float
+    first: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("time", "marks", "probes"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
+        check_number("tip_radius", self.tip_radius, 0.0, above=True)
+        check_probes(self.probes)
+        if self.marks.ndim != 1 or len(self.marks) < 2 or not np.all(np.diff(self.marks) > 0.0):
+            raise InputError("marks", self.marks, "two or more increasing times")
+        shape = (len(self.marks) - 1, len(self.probes))
+        if self.time.shape != shape:
+            allowed = f"of shape {shape}: a row for each revolution, a column for each probe"
+            raise InputError("time", f"of shape {self.time.shape}", allowed)
+        if not np.any(np.isfinite(self.time)):
+            raise InputError("time", "no finite number", "the times of some arrivals")
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def speed(self) -> np.ndarray:
+        """Mean speed of each revolution: (revolutions,) [rad/s]."""
+        return np.asarray(2.0 * np.pi / np.diff(self.marks))
+
+    @property
+    def nominal_angle(self) -> np.ndarray:
+        """Rotor angle phi + 2 pi n where a tip without vibration arrives: (revolutions, probes)."""
+        turns = self.first + np.arange(len(self))
+        return np.asarray(2.0 * np.pi * turns[:, None] + self.probes)
+
+    @cached_property
+    def angle(self) -> np.ndarray:
+        """Rotor angle alpha at the arrivals: (revolutions, probes) [rad]."""
+        turns = self.first + np.arange(len(self.marks))
+        return np.asarray(CubicSpline(self.marks, 2.0 * np.pi * turns)(self.time))
+
+    @cached_property
+    def displacement(self) -> np.ndarray:
+        """Tangential displacement u at the arrivals: (revolutions, probes) [m]."""
+        return np.asarray(self.tip_radius * (self.nominal_angle - self.angle))
+
+    def between(self, begin: int, end: int) -> Self:
+        """The same with the arrivals of the revolutions begin to end - 1, counted from 0, alone."""
+        check_count("begin", begin, 0)
+        check_count("end", end, begin + 1)
+        kept = np.zeros(len(self), dtype=bool)
+        kept[begin:end] = True
+        return replace(self, time=np.where(kept[:, None], self.time, np.nan))
+
+    @classmethod
+    def from_csv(cls, path: str | Path, *, tip_radius: float) -> Self:
+        """Read arrivals from a CSV file with these columns, in any order, and any others.
+
+        ``revolution`` (a whole number), ``angle [rad]`` of the probe, ``mark [s]`` and
+        ``next_mark [s]`` (begin and end of the revolution), ``arrival [s]``. A row is a passage;
+        passages may be missing, revolutions may not. :meth:`to_csv` writes such a file.
+
+        Raises
+        ------
+        InputError
+            The file cannot be read, a column is missing, or rows contradict each other.
+        """
+        turn, angle, mark, after, arrival = _columns(path)
+        first, count = int(turn.min()), int(turn.max() - turn.min()) + 1
+        probes, where = np.unique(angle, return_inverse=True)
+        row = (turn - first).astype(int)
+        begins, ends = np.full(count, np.nan), np.full(count, np.nan)
+        begins[row], ends[row] = mark, after
+        time = np.full((count, len(probes)), np.nan)
+        time[row, where] = arrival
+        if np.any(np.isnan(begins)):
+            raise InputError("path", str(path), "a file without gaps between its revolutions")
+        same = [begins[row] == mark, ends[row] == after]
+        same += [begins[1:] == ends[:-1], len(set(zip(row, where, strict=True))) == len(row)]
+        if not all(map(np.all, same)):
+            allowed = "a file in which each revolution has one mark and one next_mark, that of the "
+            raise InputError("path", str(path), allowed + "one after, and passes a probe once")
+        return cls(time, np.append(begins, ends[-1]), probes, tip_radius, first)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Columns, a row for every passage."""
+        count, probes = self.time.shape
+        rows = np.arange(count)
+        return {
+            "revolution": np.repeat(self.first + rows, probes).tolist(),
+            "probe": np.tile(np.arange(1, probes + 1), count).tolist(),
+            "angle": np.tile(self.probes, count).tolist(),
+            "mark": np.repeat(self.marks[:-1], probes).tolist(),
+            "next_mark": np.repeat(self.marks[1:], probes).tolist(),
+            "arrival": self.time.ravel().tolist(),
+            "displacement": self.displacement.ravel().tolist(),
+        }
+
+    def _units(self) -> Mapping[str, str]:
+        return UNITS
+
+    def _title(self) -> str:
+        speed, missing = self.speed, int(np.isnan(self.time).sum())
+        parts = [counted(len(self), "revolution"), counted(len(self.probes), "probe")]
+        steady = np.ptp(speed) <= 1e-6 * speed[0]
+        parts.append(f"{speed[0]:.6g}{'' if steady else f' to {speed[-1]:.6g}'} rad/s")
+        return ", ".join(parts + [f"{missing} missing"] * (missing > 0))
+
+
+def check_probes(probes: np.ndarray) -> None:
+    """Raise InputError unless probes are angles from 0 to 2 pi, increasing."""
+    fit = probes.ndim == 1 and len(probes) > 0 and np.all(np.isfinite(probes))
+    if not fit or probes[0] < 0.0 or probes[-1] >= 2.0 * np.pi or np.any(np.diff(probes) <= 0.0):
+        raise InputError("probes", probes, "increasing angles [rad] from 0 to less than 2 pi")
+
+
+def _columns(path: str | Path) -> np.ndarray:
+    """The columns of a file that are needed: (5, rows)."""
+    try:
+        with open(path, encoding="utf-8") as file:
+            names = [name.strip() for name in next(csv.reader(file), [])]
+            for name in COLUMNS:
+                if name not in names:
+                    allowed = f"a file with the column '{name}'; it has {', '.join(names)}"
+                    raise InputError("path", str(path), allowed)
+            places = [names.index(name) for name in COLUMNS]
+            lines = file.readlines()
+        rows = np.genfromtxt(lines, delimiter=",", usecols=places, ndmin=2) if lines else None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError("path", str(path), f"a file that can be read ({error})") from None
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        allowed = f"a table of numbers ({str(error).splitlines()[0]})"
+        raise InputError("path", str(path), allowed) from None
+    if rows is None or not np.all(np.isfinite(rows[:, :4])) or np.any(rows[:, 0] % 1.0):
+        allowed = "a file whose rows have finite numbers but for the arrival, and whole revolutions"
+        raise InputError("path", str(path), allowed)
+    return np.asarray(rows.T)

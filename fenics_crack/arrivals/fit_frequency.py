@@ -1,0 +1,212 @@
+"""Asynchronous vibration from arrival times: its frequency by a scan of least-squares fits.
+
+At a frequency that is no multiple of the speed each revolution sees another point of the period,
+so few probes suffice; but a probe alone samples once per revolution, and orders p, p + 1, p + 2,
+... and their mirror images 1 - p, 2 - p, ... look the same to it. Probes at other angles see the
+aliases with other phases: two suffice (Lacaze, arXiv:1711.06135), though not two opposite each
+other, which see every second alias alike. The scan fits a constant and K harmonics at each order of
+a fine grid (Lomb and Scargle's periodogram with a floating mean: Zechmeister and Kürster, Astronomy
+and Astrophysics 496, 2009, 577). Its sums over the revolutions,
+
+    sum_n u_nj exp(-2 pi i n p),
+
+repeat with p + 1 and are FFTs, one for each probe. Gauss-Newton then fits order and harmonics of
+the best minima to the arrivals as they are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fenics_crack.arrivals.arrival_times import ArrivalTimes
+from fenics_crack.arrivals.harmonics import Candidates, TipFit
+from fenics_crack.arrivals.least_squares import (
+    ALIKE,
+    LinearFit,
+    fit_harmonics,
+    nominal_condition,
+    rounding,
+    smallest,
+    unexplained,
+)
+from fenics_crack.errors import InputError, check_count, check_number
+
+__all__ = ["fit_frequency"]
+
+FINER = 8
+"""Orders tried within the resolution, 1 / revolutions."""
+MOST_ORDERS = 10**6
+MINIMA = 40
+"""Minima of the scan that are refined."""
+APART = 2.0
+"""Minima nearer to a lower one, in units of the resolution, are its side lobes."""
+STEADY = 1e-6
+"""Largest variation of the speed."""
+
+
+def fit_frequency(arrivals: ArrivalTimes, low: float, high: float, *, harmonics: int = 1) -> TipFit:
+    """Find a vibration of any frequency, at constant speed, by least squares.
+
+    Of frequencies that fit alike, within errors, the one with the smallest vibration is taken and
+    the others are reported, as by :func:`fit_order`. Give no more harmonics than needed: with two,
+    half a frequency may explain it by its second harmonic, too.
+
+    Parameters
+    ----------
+    arrivals : ArrivalTimes
+        At constant speed, to 1e-6.
+    low, high : float [rad/s]
+        Where the frequency of the load is sought.
+    harmonics : int
+        K.
+
+    Returns
+    -------
+    TipFit
+        Its order is any number, with a standard error.
+
+    Raises
+    ------
+    InputError
+        A value cannot be used, the speed varies, or there are too few arrivals.
+    """
+    check_number("low", low, 0.0, above=True)
+    check_number("high", high, low, above=True)
+    check_count("harmonics", harmonics, 1)
+    speeds = arrivals.speed
+    if np.ptp(speeds) > STEADY * speeds.mean():
+        found = f"{speeds.min():.6g} to {speeds.max():.6g} rad/s"
+        raise InputError("speed", found, "constant; fit_order and track_order allow a run-up")
+    speed = float(2.0 * np.pi * len(arrivals) / (arrivals.marks[-1] - arrivals.marks[0]))
+    seen = np.isfinite(arrivals.time)
+    angle, values = arrivals.angle[seen], arrivals.displacement[seen]
+    unknowns = 2 * harmonics + 2
+    if len(values) <= unknowns:
+        raise InputError("arrivals", f"{len(values)} arrivals", f"more than {unknowns}")
+
+    finest = 2 ** int(np.ceil(np.log2(FINER * len(arrivals))))
+    begin, end = np.ceil(low / speed * finest), np.floor(high / speed * finest) + 1.0
+    if not 0.0 < end - begin <= MOST_ORDERS:
+        allowed = f"between {1.0 / finest:.3g} and {MOST_ORDERS / finest:.3g} times the speed"
+        raise InputError("high - low", high - low, allowed)
+    grid = np.arange(begin, end)
+    starts = _minima(_scan(arrivals, grid.astype(int), finest, harmonics))
+    multiples = np.arange(1.0, harmonics + 1.0)
+    bounds = (low / speed, high / speed)
+    radius = arrivals.tip_radius
+    refined = [
+        _refine(angle, values, grid[one] / finest, multiples, radius, bounds) for one in starts
+    ]
+    order, sums = np.array(refined).T
+    order = _distinct(order, sums, APART / len(arrivals))
+    tried, best, fit = _compared(arrivals, order, multiples)
+    variance = max(fit.total / (len(values) - unknowns), rounding(arrivals) ** 2)
+    covariance = variance * np.linalg.pinv(fit.jacobian.T @ fit.jacobian)
+    return TipFit(
+        order=float(order[best]),
+        order_error=float(np.sqrt(covariance[-1, -1])),
+        speed=speed,
+        multiples=multiples,
+        coefficients=fit.coefficients,
+        covariance=covariance[:-1, :-1],
+        scatter=float(np.sqrt(variance)),
+        misfit=np.nan,
+        candidates=tried,
+    )
+
+
+def _compared(
+    arrivals: ArrivalTimes, order: np.ndarray, multiples: np.ndarray
+) -> tuple[Candidates, int, LinearFit]:
+    """Candidates, the number of the one that is taken, and its fit."""
+    seen, radius = np.isfinite(arrivals.time), arrivals.tip_radius
+    angle, values = arrivals.angle[seen], arrivals.displacement[seen]
+    nominal = arrivals.nominal_angle[seen]
+    fits = [fit_harmonics(angle, values, one, multiples, radius) for one in order]
+    sums = np.array([fit.total for fit in fits])
+    free = len(values) - 2 * len(multiples) - 2
+    limit = ALIKE * max(float(sums.min()) / free, rounding(arrivals) ** 2)
+    conditions = np.array([nominal_condition(nominal, one, multiples) for one in order])
+    hidden = np.isinf(conditions) | ~np.array([fit.forwards for fit in fits])
+    alike = sums - sums.min() < limit
+    best = smallest(fits, alike & ~hidden if np.any(alike & ~hidden) else alike)
+    coefficients = fits[best].coefficients
+    alike |= unexplained(nominal, coefficients, float(order[best]), order, multiples) < limit
+    tried = Candidates(order, np.sqrt(sums / len(values)), conditions, alike, hidden)
+    return tried, best, fits[best]
+
+
+def _scan(arrivals: ArrivalTimes, grid: np.ndarray, finest: int, harmonics: int) -> np.ndarray:
+    """Sums of squares that fits at the orders grid / finest leave, up to a constant: (n,) [m^2].
+
+    The angles are the nominal ones here; what the vibration moves them is refined later.
+    """
+    seen = np.isfinite(arrivals.time)
+    shifted = np.where(seen, arrivals.displacement - np.nanmean(arrivals.displacement), 0.0)
+    sums = [np.fft.fft(part, finest, axis=0) for part in (seen.astype(float), shifted)]
+    start = 2.0 * np.pi * arrivals.first + arrivals.probes
+
+    def at(what: np.ndarray, multiple: int) -> np.ndarray:
+        """sum over all arrivals of what exp(-i multiple p alpha): (n,)."""
+        phase = np.multiply.outer(multiple * grid / finest, start)
+        found: np.ndarray = (what[multiple * grid % finest] * np.exp(-1j * phase)).sum(axis=1)
+        return found
+
+    ones = [at(sums[0], multiple) for multiple in range(2 * harmonics + 1)]
+    size = 2 * harmonics + 1
+    matrix, right = np.empty((len(grid), size, size)), np.empty((len(grid), size))
+    for row in range(size):
+        one = (row + 1) // 2
+        moments = at(sums[1], one)
+        right[:, row] = moments.real if row % 2 or not row else -moments.imag
+        for column in range(row + 1):
+            two = (column + 1) // 2
+            plus, minus = ones[one + two], ones[one - two]
+            if (row % 2 or not row) and (column % 2 or not column):
+                entry = 0.5 * (minus + plus).real
+            elif not row % 2 and not column % 2 and column:
+                entry = 0.5 * (minus - plus).real
+            elif row % 2:  # cos(one) sin(two)
+                entry = 0.5 * (minus - plus).imag
+            else:  # sin(one) cos(two)
+                entry = -0.5 * (minus + plus).imag
+            matrix[:, row, column] = matrix[:, column, row] = entry
+    matrix += 1e-10 * seen.sum() * np.eye(size)
+    explained = (right * np.linalg.solve(matrix, right[..., None])[..., 0]).sum(axis=1)
+    return np.asarray(float((shifted**2).sum()) - explained)
+
+
+def _minima(sums: np.ndarray) -> np.ndarray:
+    """Places of the lowest minima of a scan, its ends included."""
+    padded = np.concatenate([[np.inf], sums, [np.inf]])
+    places = np.flatnonzero((sums <= padded[:-2]) & (sums <= padded[2:]))
+    return places[np.argsort(sums[places])[:MINIMA]]
+
+
+def _refine(
+    angle: np.ndarray,
+    values: np.ndarray,
+    order: float,
+    multiples: np.ndarray,
+    radius: float,
+    bounds: tuple[float, float],
+) -> tuple[float, float]:
+    """The order near one at which a fit leaves least, and the sum of squares that it leaves."""
+    best, least = order, np.inf
+    for _ in range(50):
+        fit = fit_harmonics(angle, values, order, multiples, radius)
+        if fit.total >= least:
+            break
+        best, least = order, fit.total
+        step = np.linalg.lstsq(fit.jacobian, fit.left, rcond=None)[0][-1]
+        order = float(np.clip(order + step, *bounds))
+    return best, least
+
+
+def _distinct(order: np.ndarray, sums: np.ndarray, apart: float) -> np.ndarray:
+    """Orders without those that are less than a distance from one with a lower sum; increasing."""
+    kept: list[int] = []
+    for one in np.argsort(sums):
+        if all(abs(order[one] - order[other]) >= apart for other in kept):
+            kept.append(int(one))
+    return np.sort(order[kept])

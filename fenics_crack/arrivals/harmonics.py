@@ -1,0 +1,220 @@
+"""The vibration fitted to arrival times: amplitudes with their errors, and what else it may be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.errors import InputError
+from fenics_crack.table import Tabular, quantity, with_frequency
+
+__all__ = ["Candidates", "TipFit", "columns_of", "strengths"]
+
+UNITS = {"omega": "rad/s", "frequency": "Hz", "phase": "rad", "residual": "m"}
+UNITS |= {"amplitude": "m", "amplitude_error": "m"}
+
+
+@dataclass(frozen=True, repr=False)
+class Candidates(Tabular):
+    """Orders that were tried, and how well each of them explains the arrivals.
+
+    Attributes
+    ----------
+    orders : (n,)
+        Periods of the load in a revolution.
+    residuals : (n,) [m]
+        Root mean square of what the fit leaves.
+    conditions : (n,)
+        Condition number of the fit's columns, scaled to length 1, at these probes; large: errors
+        of the probes are amplified.
+    alike : (n,) bool
+        Whether it fits as well as the best one, or could explain the best fit at the angles of the
+        probes, within errors.
+    hidden : (n,) bool
+        Whether these probes cannot measure it: to them it looks like a constant, or like one of
+        its own harmonics; or so nearly that errors of the arrivals become larger than the turning.
+    """
+
+    orders: np.ndarray
+    residuals: np.ndarray
+    conditions: np.ndarray
+    alike: np.ndarray
+    hidden: np.ndarray
+
+    def to_dict(self) -> dict[str, Any]:
+        """Columns, a row for every order."""
+        return {
+            "order": self.orders.tolist(),
+            "residual": self.residuals.tolist(),
+            "condition": self.conditions.tolist(),
+            "alike": self.alike.tolist(),
+            "hidden": self.hidden.tolist(),
+        }
+
+    def _units(self) -> Mapping[str, str]:
+        return UNITS
+
+    def _title(self) -> str:
+        counts = f"{int(self.alike.sum())} alike, {int(self.hidden.sum())} hidden"
+        return f"{len(self.orders)} orders, {counts}"
+
+
+@dataclass(frozen=True, repr=False)
+class TipFit(Tabular):
+    """A periodic vibration fitted to arrival times.
+
+        u = a0 + sum_k a_k cos(m_k p alpha) + b_k sin(m_k p alpha)
+
+    over the rotor's angle alpha, with p the periods of the load in a revolution.
+
+    Attributes
+    ----------
+    order : float
+        p, of the candidate that was taken; look at :attr:`ambiguous` and :attr:`hidden`, too.
+    order_error : float
+        Its standard error; 0 where it was chosen among given ones.
+    speed : float [rad/s]
+        Mean speed of rotation.
+    multiples : (K,)
+        m_k: 1, 2, ...; 1/2, 1, ... where the response has twice the load's period.
+    coefficients : (2K+1,) [m]
+        a0, a1, b1, ....
+    covariance : (2K+1, 2K+1) [m^2]
+        Of the coefficients.
+    scatter : float [m]
+        Standard deviation of a displacement about the fit; nan, as all errors, where there are no
+        more arrivals than unknowns.
+    misfit : float
+        Probability that the harmonics kept leave as much between the means of the probes as they
+        do, given the scatter within a probe. If it is tiny, harmonics are missing, probes are out
+        of place, or the order is wrong. nan where too few probes can tell.
+    candidates : Candidates
+        What else it may be.
+    """
+
+    order: float
+    order_error: float
+    speed: float
+    multiples: np.ndarray
+    coefficients: np.ndarray
+    covariance: np.ndarray
+    scatter: float
+    misfit: float
+    candidates: Candidates
+
+    @property
+    def omega(self) -> float:
+        """Angular frequency of the load [rad/s]."""
+        return self.order * self.speed
+
+    @property
+    def amplitudes(self) -> np.ndarray:
+        """Of the harmonics: (K,) [m]."""
+        return strengths(self.coefficients, self.covariance)[0]
+
+    @property
+    def amplitude_errors(self) -> np.ndarray:
+        """Their standard errors: (K,) [m]."""
+        return strengths(self.coefficients, self.covariance)[1]
+
+    @property
+    def ambiguous(self) -> tuple[float, ...]:
+        """Other orders that explain these arrivals as well."""
+        others = self.candidates.alike & (self.candidates.orders != self.order)
+        return tuple(self.candidates.orders[others].tolist())
+
+    @property
+    def hidden(self) -> tuple[float, ...]:
+        """Orders that these probes cannot measure, whether they are there or not."""
+        return tuple(self.candidates.orders[self.candidates.hidden].tolist())
+
+    def ratio(self, multiple: float = 2.0) -> tuple[float, float]:
+        """Amplitude at a multiple of the load's frequency relative to that at it, and its standard
+        error; a breathing crack has a second harmonic, an open crack none.
+
+        Raises
+        ------
+        InputError
+            The fit has no such harmonic.
+        """
+        rows = []
+        for wanted in (1.0, multiple):
+            found = np.flatnonzero(np.isclose(self.multiples, wanted))
+            if not len(found):
+                raise InputError("multiple", wanted, f"one of {self.multiples.tolist()}")
+            rows.append(2 * int(found[0]) + 1)
+        slopes, sizes = np.zeros((2, len(self.coefficients))), []
+        for slope, row in zip(slopes, rows, strict=True):
+            part = self.coefficients[row : row + 2]
+            sizes.append(float(np.hypot(*part)))
+            slope[row : row + 2] = part / sizes[-1]
+        value = sizes[1] / sizes[0]
+        gradient = (slopes[1] - value * slopes[0]) / sizes[0]
+        return value, float(np.sqrt(gradient @ self.covariance @ gradient))
+
+    def displacement(self, angle: np.ndarray) -> np.ndarray:
+        """The fitted vibration at rotor angles: (n,) [m]."""
+        return columns_of(np.asarray(angle), self.order, self.multiples) @ self.coefficients
+
+    # --- shown ------------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, Any]:
+        """Columns, a row for the mean and for every harmonic: its multiple of the load's frequency,
+        order, frequency, amplitude and phase in A cos(m p alpha - phase)."""
+        multiples = np.concatenate([[0.0], self.multiples])
+        cosines, sines = self.coefficients[1::2], self.coefficients[2::2]
+        mean = self.coefficients[:1], np.sqrt(self.covariance[:1, 0])
+        amplitudes, errors = strengths(self.coefficients, self.covariance)
+        values = {
+            "multiple": multiples.tolist(),
+            "order": (multiples * self.order).tolist(),
+            "omega": (multiples * self.omega).tolist(),
+            "amplitude": np.concatenate([mean[0], amplitudes]).tolist(),
+            "amplitude_error": np.concatenate([mean[1], errors]).tolist(),
+            "phase": np.concatenate([[0.0], np.arctan2(sines, cosines)]).tolist(),
+        }
+        return with_frequency(values)
+
+    def _units(self) -> Mapping[str, str]:
+        return UNITS
+
+    def _title(self) -> str:
+        parts = [f"order {self.order:.6g}, {self.omega:.6g} rad/s"]
+        sizes = zip(self.multiples, self.amplitudes, self.amplitude_errors, strict=True)
+        parts += [f"{m:g}x {quantity(a, 'm')} ± {quantity(e, 'm')}" for m, a, e in sizes]
+        if self.misfit < 0.001:
+            parts.append("DOES NOT FIT")
+        for words, orders in (("as well", self.ambiguous), ("not measured", self.hidden)):
+            if orders:
+                shown = ", ".join(f"{one:.6g}" for one in orders[:6])
+                parts.append(f"{words}: {shown}{', ...' if len(orders) > 6 else ''}")
+        return ", ".join(parts)
+
+
+def columns_of(angle: np.ndarray, order: float | np.ndarray, multiples: np.ndarray) -> np.ndarray:
+    """1, cos(m p alpha), sin(m p alpha), ... at angles (...): (..., 2K+1)."""
+    phase = np.multiply.outer(order * angle, multiples)
+    found = np.ones((*phase.shape[:-1], 2 * len(multiples) + 1))
+    found[..., 1::2], found[..., 2::2] = np.cos(phase), np.sin(phase)
+    return found
+
+
+def strengths(coefficients: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Amplitudes of coefficients (..., 2K+1) and their standard errors, to first order: two arrays
+    (..., K). Of an amplitude 0 the error of its cosine part."""
+    parts = np.stack([coefficients[..., 1::2], coefficients[..., 2::2]])
+    sizes = np.hypot(*parts)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cosine, sine = np.where(
+            sizes > 0.0, parts / sizes, np.reshape([1.0, 0.0], (2, *(1,) * sizes.ndim))
+        )
+    places = np.arange(1, coefficients.shape[-1], 2)
+    variance = (
+        cosine**2 * covariance[..., places, places]
+        + 2.0 * cosine * sine * covariance[..., places, places + 1]
+        + sine**2 * covariance[..., places + 1, places + 1]
+    )
+    return sizes, np.sqrt(np.maximum(variance, 0.0))

@@ -1,0 +1,277 @@
+"""What is found again in arrival times, and what is said where it cannot be."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.stats
+from helpers import amplitudes, period_two_orbit
+
+import fenics_crack as fc
+
+RADIUS = 0.5
+FOUR = (0.1, 0.5, 1.3, 3.1)
+EIGHT = tuple(np.radians([17, 35, 55, 70, 86, 108, 123, 284]))
+
+
+def blade() -> fc.Structure:
+    """One mass of natural frequency 1000 rad/s; a stop of the same stiffness doubles it."""
+    one = np.ones((1, 1))
+    return fc.Structure.from_matrices(one, 1e6 * one, one, force_sin=[1e2], damping=100.0 * one)
+
+
+@pytest.fixture(scope="module")
+def sine() -> fc.PeriodicSolution:
+    """1 mm at 1000 rad/s: the crack always open."""
+    found = fc.solve_linear(blade(), 1000.0)
+    assert found.amplitude(0) == pytest.approx(1e-3, rel=1e-9)
+    return found
+
+
+@pytest.fixture(scope="module")
+def breathing() -> fc.PeriodicSolution:
+    """The same with a stop that doubles the stiffness."""
+    return fc.solve_harmonic_balance(blade(), 1000.0, fc.UnilateralPenalty(1e6), harmonics=20)
+
+
+def measured(solution: fc.PeriodicSolution, noise: float = 1e-5, **how: Any) -> fc.ArrivalTimes:
+    """Arrivals with a noise [m] at the tip."""
+    speed = how.get("speed") or solution.omega / how["order"]
+    given: dict[str, Any] = {"probes": FOUR, "tip_radius": RADIUS, "revolutions": 50}
+    return fc.tip_timing(solution, 0, noise=noise / (RADIUS * speed), **(given | how))
+
+
+# --- engine orders --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", [4, 5, 6, 13])
+def test_order_and_amplitude_from_four_probes(order: int, sine: fc.PeriodicSolution) -> None:
+    """1 % noise: the order among 24, and 1 % of the amplitude, in every one of 20 tries."""
+    for seed in range(20):
+        fit = fc.fit_order(measured(sine, order=order, seed=seed, revolutions=100))
+        assert fit.order == order and not fit.ambiguous and not fit.hidden
+        assert fit.amplitudes[0] == pytest.approx(1e-3, rel=0.01)
+        assert fit.omega == pytest.approx(1000.0)
+        wave = sine.coefficients_at([0])[:3, 0]
+        assert np.abs(fit.coefficients - wave).max() < 1e-5
+
+
+def test_standard_errors_and_misfit_are_what_they_say(sine: fc.PeriodicSolution) -> None:
+    """Over 120 tries: deviations in units of the error like a normal distribution's, the misfit's
+    probability uniform."""
+    fits = [fc.fit_order(measured(sine, order=6, seed=seed), [6]) for seed in range(120)]
+    scores = [float((fit.amplitudes[0] - 1e-3) / fit.amplitude_errors[0]) for fit in fits]
+    assert scipy.stats.kstest(scores, "norm").pvalue > 0.01
+    assert scipy.stats.kstest([fit.misfit for fit in fits], "uniform").pvalue > 0.01
+    assert np.median([fit.scatter for fit in fits]) == pytest.approx(1e-5, rel=0.02)
+
+
+def test_without_noise_nothing_is_lost(breathing: fc.PeriodicSolution) -> None:
+    """As many harmonics as there are: the solution's coefficients, though the tip moves meanwhile
+    and arrives elsewhere than expected."""
+    probes = 0.149 * np.arange(42)
+    arrivals = measured(breathing, 0.0, order=6, probes=probes, revolutions=2)
+    shift = np.abs(arrivals.angle - arrivals.nominal_angle).max()
+    assert shift * 20 * 6 > 0.05  # radians of the highest harmonic
+    fit = fc.fit_order(arrivals, [6], harmonics=20)
+    wave = breathing.coefficients_at([0])[:, 0]
+    assert np.abs(fit.coefficients - wave).max() < 1e-7 * np.abs(wave).max()
+
+
+def test_a_breathing_crack_has_a_second_harmonic(
+    sine: fc.PeriodicSolution, breathing: fc.PeriodicSolution
+) -> None:
+    """Its ratio to the first within three standard errors; an open crack has none."""
+    true = amplitudes(breathing.coefficients_at([0])[:, 0])
+    how: dict[str, Any] = {"order": 6, "probes": EIGHT, "revolutions": 200}
+    arrivals = measured(breathing, 0.01 * true[0], **how)
+    fit = fc.fit_order(arrivals, range(1, 13), harmonics=3)
+    value, error = fit.ratio()
+    assert fit.order == 6 and not fit.ambiguous
+    folded = true[3] / true[0]  # the fourth harmonic, onto those kept
+    assert abs(value - true[1] / true[0]) < 3.0 * error + folded and value > 30.0 * error
+    assert fit.ratio(3)[0] == pytest.approx(true[2] / true[0], abs=3.0 * error + folded)
+    with pytest.raises(fc.InputError, match="multiple"):
+        fit.ratio(4)
+    value, error = fc.fit_order(measured(sine, **how), [6], harmonics=3).ratio()
+    assert value < 4.0 * error < 0.01
+    # Without its second harmonic the fit is known not to fit, and its errors are larger.
+    short = fc.fit_order(arrivals, [6], harmonics=1)
+    assert short.misfit < 1e-6 and "DOES NOT FIT" in repr(short)
+    assert abs(short.amplitudes[0] - true[0]) < 3.0 * short.amplitude_errors[0]
+    assert short.amplitude_errors[0] > 5.0 * fit.amplitude_errors[0]
+
+
+def test_twice_the_loads_period() -> None:
+    """Harmonics 1/2, 1, 3/2, 2 of the load."""
+    orbit = period_two_orbit(12)
+    wave = orbit.coefficients_at([0])[:, 0]
+    arrivals = fc.tip_timing(
+        orbit, 0, probes=np.radians([10, 46, 90, 133, 201, 290]), tip_radius=1e3, order=3,
+        revolutions=200, noise=1e-6 / orbit.omega,
+    )  # fmt: skip
+    fit = fc.fit_order(arrivals, range(1, 9), harmonics=4, subharmonic=2)
+    assert fit.order == 3 and not fit.ambiguous
+    assert np.allclose(fit.multiples, [0.5, 1.0, 1.5, 2.0])
+    assert np.abs(fit.coefficients - wave[:9]).max() < 0.02 * np.abs(wave).max()
+    assert fit.ratio(0.5)[0] == pytest.approx(amplitudes(wave)[0] / amplitudes(wave)[1], rel=0.02)
+    assert fc.fit_order(arrivals, [3], harmonics=2).scatter > 20.0 * fit.scatter
+
+
+# --- what probes cannot tell ----------------------------------------------------------------------
+
+
+def test_equally_spaced_probes_alias(sine: fc.PeriodicSolution) -> None:
+    """Five of them: orders p with p = 1 or -1 (mod 5) look like 6, and 5, 10, ... like the mean."""
+    probes = 0.3 + 2.0 * np.pi * np.arange(5) / 5.0
+    fit = fc.fit_order(measured(sine, order=6, probes=probes), range(1, 25))
+    assert sorted({fit.order, *fit.ambiguous}) == [p for p in range(1, 25) if p % 5 in (1, 4)]
+    assert fit.hidden == (5.0, 10.0, 15.0, 20.0)
+    assert "as well: " in repr(fit) and "not measured: 5, 10, 15, 20" in repr(fit)
+    assert np.all(np.isinf(fit.candidates.conditions[fit.candidates.hidden]))
+    # Those that a Campbell diagram leaves may be told apart.
+    assert fc.fit_order(measured(sine, order=6, probes=probes), [5, 6, 7, 8]).order == 6
+    with pytest.raises(fc.InputError, match="probes"):
+        fc.fit_order(measured(sine, order=6, probes=probes), [5, 10])
+
+
+def test_as_many_unknowns_as_probes_fit_anything(breathing: fc.PeriodicSolution) -> None:
+    """Three harmonics and seven probes: no order is told from any other."""
+    probes = [0.1, 0.5, 1.3, 2.2, 3.1, 4.7, 5.5]
+    arrivals = measured(breathing, order=6, probes=probes)
+    fit = fc.fit_order(arrivals, [4, 5, 6, 9, 10], harmonics=3)
+    assert len(fit.ambiguous) == 4 and np.isnan(fit.misfit)
+    with pytest.raises(fc.InputError, match=r"^probes = .*7 probes"):
+        fc.fit_order(arrivals, [6], harmonics=4)
+
+
+def test_as_many_arrivals_as_unknowns(sine: fc.PeriodicSolution) -> None:
+    """One revolution, three probes: nothing is known of the errors, and any order will do."""
+    fit = fc.fit_order(measured(sine, order=6, probes=FOUR[:3], revolutions=1), [5, 6, 7])
+    assert len(fit.ambiguous) == 2 and np.isnan(fit.scatter) and np.isnan(fit.amplitude_errors[0])
+    six = fc.fit_order(measured(sine, 0.0, order=6, probes=FOUR[:3], revolutions=1), [6])
+    assert six.amplitudes[0] == pytest.approx(1e-3, rel=1e-9) and "nan" in repr(six)
+
+
+def test_missing_arrivals(sine: fc.PeriodicSolution) -> None:
+    """A third of them: the rest tell the same."""
+    arrivals = measured(sine, order=6, revolutions=200)
+    time = np.where(np.random.default_rng(1).random(arrivals.time.shape) < 0.3, np.nan, 1.0)
+    gaps = replace(arrivals, time=arrivals.time * time)
+    for some in (gaps, arrivals.between(50, 120)):
+        fit = fc.fit_order(some)
+        assert fit.order == 6 and fit.amplitudes[0] == pytest.approx(1e-3, rel=0.01)
+    track = fc.track_order(gaps, 6, revolutions=2)
+    assert np.nanmax(np.abs(track.amplitudes - 1e-3)) < 1e-4
+    whole = fc.fit_order(arrivals.between(0, 2), [6])
+    assert track.coefficients.shape == (100, 3)
+    both = fc.track_order(arrivals, 6, revolutions=2)
+    assert np.allclose(both.coefficients[0], whole.coefficients, atol=1e-7)
+    assert both.amplitude_errors[0, 0] == pytest.approx(whole.amplitude_errors[0], rel=0.05)
+
+
+# --- asynchronous ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("speed", [193.7, 61.3, 1300.0])
+def test_frequency_of_an_asynchronous_vibration(speed: float, sine: fc.PeriodicSolution) -> None:
+    """Undersampled or not, from three probes: to 1e-5 and within four standard errors."""
+    arrivals = measured(sine, speed=speed, probes=FOUR[:3], revolutions=200)
+    fit = fc.fit_frequency(arrivals, 100.0, 3000.0)
+    assert not fit.ambiguous
+    assert fit.omega == pytest.approx(1000.0, rel=1e-5)
+    assert abs(fit.omega - 1000.0) < 4.0 * fit.order_error * speed
+    assert fit.amplitudes[0] == pytest.approx(1e-3, rel=0.01)
+
+
+def test_errors_of_the_frequency(sine: fc.PeriodicSolution) -> None:
+    """Over 30 tries, in units of the standard error."""
+    scores = []
+    for seed in range(30):
+        arrivals = measured(sine, speed=193.7, probes=FOUR[:2], seed=seed)
+        fit = fc.fit_frequency(arrivals, 900.0, 1100.0)
+        scores.append((fit.order - 1000.0 / 193.7) / fit.order_error)
+    assert scipy.stats.kstest(scores, "norm").pvalue > 0.01
+
+
+@pytest.mark.parametrize(
+    ("probes", "aliases"),
+    [
+        ([0.4], {p + sign * 0.1626 for p in range(1, 11) for sign in (-1, 1)}),
+        ([0.4, 0.4 + np.pi], {p + sign * 0.1626 for p in (1, 3, 5, 7, 9) for sign in (-1, 1)}),
+        ([0.4, 1.1], {5.1626}),
+    ],
+)
+def test_aliases_of_a_frequency(
+    probes: list[float], aliases: set[float], sine: fc.PeriodicSolution
+) -> None:
+    """One probe: every order and its mirror image; two opposite ones: every other; else none."""
+    arrivals = measured(sine, speed=1000.0 / 5.1626, probes=probes, revolutions=100)
+    fit = fc.fit_frequency(arrivals, 0.7 * fit_speed(arrivals), 10.3 * fit_speed(arrivals))
+    found = np.array(sorted({fit.order, *fit.ambiguous}))
+    assert len(found) == len(aliases) and np.allclose(found, sorted(aliases), atol=2e-3)
+
+
+def fit_speed(arrivals: fc.ArrivalTimes) -> float:
+    """Speed of rotation [rad/s]."""
+    return float(arrivals.speed.mean())
+
+
+def test_scan_finds_harmonics_too(breathing: fc.PeriodicSolution) -> None:
+    """Frequency and ratio of a breathing crack from two probes, which see every phase."""
+    true = amplitudes(breathing.coefficients_at([0])[:, 0])
+    arrivals = measured(breathing, 0.01 * true[0], speed=193.7, probes=FOUR[:2], revolutions=200)
+    fit = fc.fit_frequency(arrivals, 700.0, 1500.0, harmonics=3)
+    assert fit.omega == pytest.approx(1000.0, rel=1e-5)
+    assert abs(fit.ratio()[0] - true[1] / true[0]) < 4.0 * fit.ratio()[1] < 0.02
+
+
+# --- shown, and refused ---------------------------------------------------------------------------
+
+
+def test_tables(sine: fc.PeriodicSolution, tmp_path: Any) -> None:
+    """One row for each harmonic, order and group of revolutions; units in the headings."""
+    arrivals = measured(sine, order=6)
+    fit, track = fc.fit_order(arrivals), fc.track_order(arrivals, 6, revolutions=5)
+    for result, rows, heading in (
+        (fit, 2, "multiple,order,omega [rad/s],frequency [Hz],amplitude [m],amplitude_error [m]"),
+        (fit.candidates, 24, "order,residual [m],condition,alike,hidden"),
+        (track, 10, "speed [rad/s],omega [rad/s],frequency [Hz],amplitude_1 [m]"),
+        (arrivals, 200, "revolution,probe,angle [rad],mark [s],next_mark [s],arrival [s]"),
+    ):
+        result.to_csv(tmp_path / "table.csv")
+        lines = (tmp_path / "table.csv").read_text().splitlines()
+        assert len(lines) == rows + 1 and lines[0].startswith(heading)
+    assert repr(fit).startswith("TipFit(order 6, 1000 rad/s, 1x ")
+    assert repr(track) == "TipTrack(order 6, 166.667 to 166.667 rad/s, 10 points)"
+    angle = np.linspace(0.0, 1.0, 50)
+    wave = sine.displacement(angle * 6.0 / 1000.0, [0])[:, 0]
+    assert np.abs(fit.displacement(angle) - wave).max() < 1e-5
+
+
+def test_bad_input(sine: fc.PeriodicSolution) -> None:
+    """One line that names the key."""
+    arrivals = measured(sine, order=6)
+    for orders, options, words in (
+        ([], {}, "orders"),
+        ([0], {}, "orders"),
+        (["x"], {}, "orders"),
+        ([6], {"harmonics": 0}, "harmonics"),
+        ([6], {"subharmonic": 0}, "subharmonic"),
+    ):
+        with pytest.raises(fc.InputError, match=f"^{words}"):
+            fc.fit_order(arrivals, orders, **options)
+    for revolutions in (0, 51):
+        with pytest.raises(fc.InputError, match=r"^revolutions"):
+            fc.track_order(arrivals, 6, revolutions=revolutions)
+    for low, high, words in ((0.0, 1.0, "low"), (2.0, 1.0, "high"), (1.0, 1e12, "high - low")):
+        with pytest.raises(fc.InputError, match=f"^{words}"):
+            fc.fit_frequency(arrivals, low, high)
+    faster = replace(arrivals, marks=arrivals.marks**1.01)
+    with pytest.raises(fc.InputError, match=r"^speed = .*constant"):
+        fc.fit_frequency(faster, 1.0, 1000.0)
+    with pytest.raises(fc.InputError, match="arrivals"):
+        fc.fit_frequency(arrivals.between(0, 1), 1.0, 1000.0)
+    with pytest.raises(fc.InputError, match="begin"):
+        arrivals.between(-1, 2)
