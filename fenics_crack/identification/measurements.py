@@ -1,0 +1,251 @@
+"""What was measured of a cracked plate: frequencies and harmonics with standard deviations."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from fenics_crack.arrivals.harmonics import TipFit
+from fenics_crack.errors import InputError, check_number
+from fenics_crack.model.bilinear import FEW
+from fenics_crack.table import Tabular, counted
+
+__all__ = ["AT_A_LOAD", "FREQUENCIES", "Measurement", "Measurements"]
+
+FREQUENCIES = ("frequency_open", "frequency_tied", "frequency_bilinear", "frequency_uncracked")
+"""Natural frequencies [Hz]: with the crack held open, held closed, breathing; and of the plate
+before it had a crack."""
+AT_A_LOAD = ("harmonic_1", "harmonic_2", "harmonic_3", "ratio_2_1", "ratio_3_1")
+"""Quantities of a point under a harmonic load."""
+NEEDED = ("quantity", "value", "deviation")
+OPTIONAL = ("mode", "frequency", "point")
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One measured number.
+
+    Attributes
+    ----------
+    quantity : str
+        A natural frequency of mode ``mode`` [Hz]: "frequency_open", "frequency_tied",
+        "frequency_bilinear" (the resonance of the breathing crack at light damping), or
+        "frequency_uncracked" of the same plate before it had a crack, which calibrates the others
+        of its mode. Or what :class:`Indicators` calls "harmonic_1" to "harmonic_3" [m],
+        "ratio_2_1" or "ratio_3_1", of a point under the scene's load at ``frequency``.
+    value, deviation : float
+        The number, and its standard deviation > 0, in the same unit.
+    mode : int
+        From 1; 0 where there is none.
+    frequency : float [Hz]
+        Of the load; nan where there is none.
+    point : str
+        A point and direction of ``[output.points]``, "tip.ux"; empty: the load's point in the
+        load's direction.
+
+    Raises
+    ------
+    InputError
+        A value cannot be used.
+    """
+
+    quantity: str
+    value: float
+    deviation: float
+    mode: int = 0
+    frequency: float = math.nan
+    point: str = ""
+
+    def __post_init__(self) -> None:
+        if self.quantity not in FREQUENCIES + AT_A_LOAD:
+            allowed = f"one of {', '.join(FREQUENCIES + AT_A_LOAD)}"
+            raise InputError("measurements.quantity", self.quantity, allowed)
+        check_number("measurements.value", self.value, 0.0)
+        check_number("measurements.deviation", self.deviation, 0.0, above=True)
+        if self.natural:
+            whole = isinstance(self.mode, int) and 1 <= self.mode <= FEW
+            if not whole:
+                allowed = f"a whole number from 1 to {FEW} with {self.quantity}"
+                raise InputError("measurements.mode", self.mode, allowed)
+            if not math.isnan(self.frequency) or self.point:
+                key = "point" if self.point else "frequency"
+                allowed = f"left out with {self.quantity}"
+                raise InputError(f"measurements.{key}", getattr(self, key), allowed)
+        else:
+            check_number("measurements.frequency", self.frequency, 0.0, above=True)
+            if self.mode:
+                allowed = f"left out with {self.quantity}"
+                raise InputError("measurements.mode", self.mode, allowed)
+
+    @property
+    def natural(self) -> bool:
+        """Whether it is a natural frequency."""
+        return self.quantity in FREQUENCIES
+
+    @property
+    def name(self) -> str:
+        """In words: "frequency_open of mode 2", "ratio_2_1 at 250 Hz of tip.ux"."""
+        if self.natural:
+            return f"{self.quantity} of mode {self.mode}"
+        where = f" of {self.point}" if self.point else ""
+        return f"{self.quantity} at {self.frequency:g} Hz{where}"
+
+
+@dataclass(frozen=True, repr=False)
+class Measurements(Tabular):
+    """Some measured numbers, of one crack.
+
+    Attributes
+    ----------
+    rows : tuple of Measurement
+        At least one.
+    """
+
+    rows: tuple[Measurement, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rows", tuple(self.rows))
+        if not self.rows or not all(isinstance(row, Measurement) for row in self.rows):
+            raise InputError("measurements", list(self.rows), "one Measurement or more")
+        if all(row.quantity == "frequency_uncracked" for row in self.rows):
+            raise InputError("measurements", "frequency_uncracked", "also some of the plate as is")
+
+    @classmethod
+    def from_arrays(
+        cls, quantity: str, values: Sequence[float], deviations: Any, **where: Sequence[Any]
+    ) -> Measurements:
+        """Numbers of one quantity: values (n,), their standard deviations (n,) or one for all, and
+        ``mode``, or ``frequency`` and ``point``, (n,) each.
+
+        Raises
+        ------
+        InputError
+            A value cannot be used, or the lengths differ.
+        """
+        count = len(values)
+        columns = {"value": values, **where}
+        columns["deviation"] = [deviations] * count if _is_one(deviations) else deviations
+        for name, column in columns.items():
+            if name not in {item.name for item in fields(Measurement)} or len(column) != count:
+                raise InputError(name, column, f"{count} values of {', '.join(OPTIONAL)}")
+        rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
+        return cls(tuple(Measurement(quantity, **row) for row in rows))
+
+    @classmethod
+    def from_tip_fit(cls, fit: TipFit, point: str = "", *, ratios: bool = True) -> Measurements:
+        """The second and third harmonic over the first that were fitted to arrival times, as far as
+        the fit has them; with ``ratios = False`` the amplitudes, which need the load's size.
+
+        Raises
+        ------
+        InputError
+            The fit has a first harmonic alone, and ratios are asked for.
+        """
+        frequency = fit.omega / (2.0 * math.pi)
+        rows = []
+        pairs = zip(fit.multiples, fit.amplitudes, fit.amplitude_errors, strict=True)
+        for multiple, amplitude, error in pairs:
+            if multiple not in (1.0, 2.0, 3.0) or (ratios and multiple == 1.0):
+                continue
+            name, value, deviation = f"harmonic_{multiple:g}", float(amplitude), float(error)
+            if ratios:
+                name = f"ratio_{multiple:g}_1"
+                value, deviation = fit.ratio(float(multiple))
+            rows.append(Measurement(name, value, deviation, frequency=frequency, point=point))
+        if not rows:
+            raise InputError("fit", repr(fit), "one with two harmonics or more")
+        return cls(tuple(rows))
+
+    @classmethod
+    def from_csv(cls, path: str | Path) -> Measurements:
+        """Read a table with the columns quantity, value, deviation, mode, frequency [Hz] and point,
+        in any order; cells that do not apply are empty, and lines that begin with # are left out.
+
+        Raises
+        ------
+        InputError
+            The file cannot be read, or a line cannot be used.
+        """
+        try:
+            text = Path(path).read_text(encoding="utf-8")
+        except (OSError, ValueError) as error:
+            raise InputError("measurements", str(path), f"a readable file ({error})") from None
+        lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if _counts(line)]
+        table = list(csv.reader(line for _, line in lines))
+        names = [cell.split("[")[0].strip() for cell in table[0]] if table else []
+        known = (*NEEDED, *OPTIONAL)
+        if not set(NEEDED) <= set(names) <= set(known) or len(set(names)) != len(names):
+            allowed = f"columns {', '.join(known)}, the first three of them needed"
+            raise InputError("measurements", ", ".join(names), f"a CSV file with the {allowed}")
+        rows = []
+        for (number, line), cells in zip(lines[1:], table[1:], strict=True):
+            try:
+                rows.append(_row(dict(zip(names, map(str.strip, cells), strict=True))))
+            except InputError as error:
+                allowed = f"{error.allowed} (line {number})"
+                raise InputError(error.key, error.value, allowed) from None
+            except ValueError:
+                allowed = f"{len(names)} cells: {', '.join(names)}"
+                raise InputError(f"measurements, line {number}", line, allowed) from None
+        return cls(tuple(rows))
+
+    def __add__(self, other: Measurements) -> Measurements:
+        return Measurements(self.rows + other.rows)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Columns, as :meth:`from_csv` reads them."""
+        names = [item.name for item in fields(Measurement)]
+        found = {name: [getattr(row, name) for row in self.rows] for name in names}
+        found["mode"] = [mode or "" for mode in found["mode"]]
+        found["frequency"] = ["" if math.isnan(one) else one for one in found["frequency"]]
+        return found
+
+    def _units(self) -> Mapping[str, str]:
+        return {"frequency": "Hz"}
+
+    def _title(self) -> str:
+        natural = sum(row.natural for row in self.rows)
+        parts = [(natural, "natural frequencies"), (len(self) - natural, "at loads")]
+        return ", ".join(f"{count} {what}" for count, what in parts if count) or counted(0, "row")
+
+
+def _is_one(value: Any) -> bool:
+    """Whether a standard deviation is given for all values at once."""
+    return not isinstance(value, Iterable)
+
+
+def _counts(line: str) -> bool:
+    return bool(line.strip()) and not line.lstrip().startswith("#")
+
+
+def _row(cells: Mapping[str, str]) -> Measurement:
+    """A line of the table; raises InputError or ValueError."""
+    given: dict[str, Any] = {name: text for name, text in cells.items() if text}
+    for name in ("value", "deviation", "frequency"):
+        if name in given:
+            given[name] = _number(name, given[name])
+    if "mode" in given:
+        mode = _number("mode", given["mode"])
+        given["mode"] = int(mode) if mode == int(mode) else mode
+    for name in NEEDED:
+        if name not in given:
+            raise InputError(f"measurements.{name}", "", "given in every line")
+    return Measurement(**given)
+
+
+def _number(name: str, text: str) -> float:
+    """The number in a cell."""
+    try:
+        value = float(text)
+        if math.isfinite(value):
+            return value
+    except ValueError:
+        pass
+    raise InputError(f"measurements.{name}", text, "a finite number")

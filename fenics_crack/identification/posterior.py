@@ -1,0 +1,268 @@
+"""How likely each value of the unknowns is: least squares, and the posterior on a grid.
+
+Measured numbers m_i with standard deviations e_i are compared with predictions s_i(x), whose own
+standard deviations are t_i(x):
+
+    log L(x) = - sum_i [ (m_i - s_i(x))^2 / (2 v_i(x)) + log(v_i(x)) / 2 ],    v_i = e_i^2 + t_i^2
+
+The prior is uniform between the bounds. Regions hold a share of the posterior's mass, the densest
+parts first; the integral of L over the prior is a hypothesis' evidence (D. J. C. MacKay,
+Information Theory, Inference, and Learning Algorithms, 2003, chapter 28).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import label, maximum_filter
+from scipy.optimize import least_squares, minimize
+from scipy.special import logsumexp
+
+from fenics_crack.identification.forward import Quantities
+
+__all__ = ["Branch", "Likelihood", "Optimum", "Posterior", "explore", "trapezoid"]
+
+LOOK = {0: 1, 1: 200, 2: 45, 3: 17}
+"""Values of each unknown of the first grid, by the number of unknowns; of more, 9."""
+CLOSER = {1: 101, 2: 41, 3: 15}
+"""Further ones around each optimum; of more, 7."""
+STARTS = 8
+"""Of least squares, at most."""
+WIDTHS = 5.0
+"""Standard deviations around an optimum that are looked at closer."""
+WORSE = 8.0
+"""Difference of log L beyond which an optimum is none."""
+VAGUE = 10.0
+"""Standard deviation, over the measured value, where the model knows nothing."""
+
+
+@dataclass(frozen=True)
+class Likelihood:
+    """Measured values with standard deviations, (q,) each, and what predicts them."""
+
+    values: np.ndarray
+    deviations: np.ndarray
+    quantities: Quantities
+
+    def residuals(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(m - s) / sqrt(v), and sqrt(v), at values (m, d) of the unknowns: (m, q) each."""
+        predicted, spread = self.quantities(x)
+        known = np.isfinite(spread) & np.isfinite(predicted)
+        spread = np.where(known, spread, VAGUE * (np.abs(self.values) + self.deviations))
+        total = np.hypot(self.deviations, spread)
+        return np.where(known, (self.values - predicted) / total, 0.0), total
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """log L at values (m, d) of the unknowns: (m,)."""
+        residuals, total = self.residuals(x)
+        return np.asarray(-np.sum(0.5 * residuals**2 + np.log(total / self.deviations), axis=1))
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """Where least squares ended: the unknowns (d,), log L, and the covariance (d, d)."""
+
+    x: np.ndarray
+    height: float
+    covariance: np.ndarray
+
+
+@dataclass(frozen=True)
+class Branch:
+    """The posterior of one choice of the unknowns that are words.
+
+    Attributes
+    ----------
+    likelihood : Likelihood
+    optima : list of Optimum
+        Best first.
+    axes : tuple of arrays
+        The grid, denser around the optima.
+    height : array
+        log L on the grid.
+    weight : array
+        Parts of the prior that the points of the grid stand for; their sum is 1.
+    """
+
+    likelihood: Likelihood
+    optima: list[Optimum]
+    axes: tuple[np.ndarray, ...]
+    height: np.ndarray
+    weight: np.ndarray
+
+    @property
+    def log_evidence(self) -> float:
+        """log of the integral of L over the prior."""
+        return float(logsumexp(self.height, b=self.weight))
+
+
+def explore(likelihood: Likelihood) -> Branch:
+    """Find the optima of a likelihood, and its values on a grid that is denser around them."""
+    cube = likelihood.quantities.model.cube
+    d = len(cube.axes)
+    if d == 0:
+        height = likelihood(np.zeros((1, 0)))
+        return Branch(likelihood, [], (), height.reshape(()), np.ones(()))
+    first = [np.linspace(axis[0], axis[-1], LOOK.get(d, 9)) for axis in cube.axes]
+    optima = _optima(likelihood, first, cube.low, cube.high)
+    axes = []
+    for place, (axis, low, high) in enumerate(zip(first, cube.low, cube.high, strict=True)):
+        pieces = [axis]
+        for optimum in optima[:3]:
+            reach = WIDTHS * np.sqrt(optimum.covariance[place, place])
+            piece = optimum.x[place] + reach * np.linspace(-1.0, 1.0, CLOSER.get(d, 7))
+            pieces.append(piece[(piece > low) & (piece < high)])
+        axes.append(np.unique(np.concatenate(pieces)))
+    weights = [trapezoid(axis) for axis in axes]
+    weight = np.ones(())
+    for own in weights:
+        weight = np.multiply.outer(weight, own)
+    return Branch(likelihood, optima, tuple(axes), _on_grid(likelihood, axes), weight)
+
+
+def _on_grid(likelihood: Likelihood, axes: list[np.ndarray]) -> np.ndarray:
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+    pieces = np.array_split(points, -(-len(points) // 20000))
+    found = np.concatenate([likelihood(piece) for piece in pieces])
+    return found.reshape([len(axis) for axis in axes])
+
+
+def trapezoid(axis: np.ndarray) -> np.ndarray:
+    """Weights of points that are not equally far apart, of sum 1."""
+    steps = np.diff(axis)
+    weights = 0.5 * (np.append(steps, 0.0) + np.insert(steps, 0, 0.0))
+    return np.asarray(weights / weights.sum())
+
+
+def _optima(
+    likelihood: Likelihood, axes: list[np.ndarray], low: np.ndarray, high: np.ndarray
+) -> list[Optimum]:
+    """Least squares from the highest places of a grid; what is much worse or the same left out."""
+    height = _on_grid(likelihood, axes)
+    summits = np.argwhere(height == maximum_filter(height, size=3, mode="nearest"))
+    best = sorted(summits, key=lambda at: -height[tuple(at)])[:STARTS]
+    found: list[Optimum] = []
+    span = high - low
+    for at in best:
+        start = np.array([axis[place] for axis, place in zip(axes, at, strict=True)])
+
+        def scaled(unit: np.ndarray) -> np.ndarray:
+            return likelihood.residuals((low + span * unit)[None])[0][0]
+
+        unit = np.clip((start - low) / span, 1e-6, 1.0 - 1e-6)
+        fit = least_squares(scaled, unit, bounds=(0.0, 1.0), x_scale=0.1)
+        information = fit.jac.T @ fit.jac + 12.0 * np.eye(len(span))
+        covariance = np.linalg.inv(information) * np.outer(span, span)
+        for end in (fit.x, unit):  # the variances are no part of the squares
+            place = low + span * end
+            found.append(Optimum(place, float(likelihood(place[None])[0]), covariance))
+    found.sort(key=lambda optimum: -optimum.height)
+    kept: list[Optimum] = []
+    for one in found:
+        near = (
+            np.max(np.abs(one.x - two.x) / np.sqrt(np.diag(two.covariance))) < 1.0 for two in kept
+        )
+        if one.height > found[0].height - WORSE and not any(near):
+            kept.append(one)
+    kept[0] = _polished(likelihood, kept[0], low, high)
+    return kept
+
+
+def _polished(likelihood: Likelihood, best: Optimum, low: np.ndarray, high: np.ndarray) -> Optimum:
+    """The nearest maximum of log L itself, with its variances."""
+    width = np.sqrt(np.diag(best.covariance))
+
+    def depth(shift: np.ndarray) -> float:
+        return -float(likelihood(np.clip(best.x + width * shift, low, high)[None])[0])
+
+    found = minimize(depth, np.zeros(len(low)), method="Nelder-Mead", options={"maxfev": 200})
+    x = np.clip(best.x + width * found.x, low, high)
+    return Optimum(x, -float(found.fun), best.covariance)
+
+
+class Posterior:
+    """The posterior of all branches together, each of the same prior probability.
+
+    Parameters
+    ----------
+    branches : mapping of str to Branch
+        By the words that tell them from each other.
+    """
+
+    def __init__(self, branches: Mapping[str, Branch]) -> None:
+        self.branches = dict(branches)
+        logs = [branch.log_evidence for branch in self.branches.values()]
+        self.log_evidence = float(logsumexp(logs) - np.log(len(logs)))
+        total = logsumexp(logs)
+        self.mass = {
+            name: np.exp(branch.height - total) * branch.weight
+            for name, branch in self.branches.items()
+        }
+        """Of each point of the grids; all together 1."""
+        self._heights = np.concatenate([b.height.ravel() for b in self.branches.values()])
+        self._masses = np.concatenate([mass.ravel() for mass in self.mass.values()])
+
+    @property
+    def best(self) -> tuple[str, np.ndarray]:
+        """The words and the unknowns (d,) at which L is largest."""
+        name = max(self.branches, key=lambda name: self.branches[name].optima[0].height)
+        return name, self.branches[name].optima[0].x
+
+    def level(self, share: float) -> float:
+        """log L at the border of the region that holds a share of the mass."""
+        order = np.argsort(-self._heights)
+        held = np.cumsum(self._masses[order])
+        at = min(int(np.searchsorted(held, share)), len(order) - 1)
+        return float(self._heights[order[at]])
+
+    def marginal(self, place: int) -> tuple[np.ndarray, np.ndarray]:
+        """Values of an unknown, and how much of the mass is at each: (n,) each."""
+        values, masses = [], []
+        for name, branch in self.branches.items():
+            others = tuple(k for k in range(len(branch.axes)) if k != place)
+            values.append(branch.axes[place])
+            masses.append(self.mass[name].sum(axis=others))
+        order = np.argsort(np.concatenate(values), kind="stable")
+        return np.concatenate(values)[order], np.concatenate(masses)[order]
+
+    def interval(self, place: int, share: float) -> tuple[float, float]:
+        """What an unknown is between, with that probability, as much above as below."""
+        values, masses = self.marginal(place)
+        middle = np.cumsum(masses) - 0.5 * masses
+        tail = 0.5 * (1.0 - share)
+        low, high = np.interp([tail, 1.0 - tail], middle, values)
+        return float(low), float(high)
+
+    def parts(self, share: float, least: float) -> list[tuple[str, np.ndarray, float]]:
+        """The separate parts of the region that holds a share of the mass: words, where L is
+        largest there (d,), and mass; those with less than ``least`` are left out."""
+        level = self.level(share)
+        found = []
+        for name, branch in self.branches.items():
+            within = branch.height >= level
+            numbers, count = label(within, structure=np.ones((3,) * within.ndim))
+            for number in range(1, count + 1):
+                own = numbers == number
+                mass = float(self.mass[name][own].sum())
+                if mass >= least:
+                    at = np.unravel_index(
+                        np.argmax(np.where(own, branch.height, -np.inf)), own.shape
+                    )
+                    x = np.array([a[k] for a, k in zip(branch.axes, at, strict=True)])
+                    found.append((name, x, mass))
+        return sorted(found, key=lambda part: -part[2])
+
+    def spread(self, place: int) -> float:
+        """Standard deviation of an unknown."""
+        values, masses = self.marginal(place)
+        mean = float(values @ masses)
+        return float(np.sqrt((values - mean) ** 2 @ masses))
+
+    def pair(self, name: str, first: int, second: int) -> np.ndarray:
+        """Mass of a branch by two of its unknowns: (n_first, n_second)."""
+        mass = self.mass[name]
+        others = tuple(k for k in range(mass.ndim) if k not in (first, second))
+        found = mass.sum(axis=others)
+        return found if first < second else found.T
