@@ -1,0 +1,323 @@
+"""Impacts and stops."""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from book import Row, case
+from helpers import dense_matrices, free_bar, heavy_mass
+from scipy.integrate import simpson, solve_ivp
+
+import fenics_crack as fc
+from fenics_crack.time.events import EventFlow
+
+STIFF = fc.UnilateralPenalty(1e6)
+
+
+@case()
+def contact_release() -> list[Row]:
+    """A mass released by a stop.
+
+    A mass of 100 kg on a spring of 1e4 N/m flies at 1 m/s into a stop of 1e6 N/m without clearance.
+    With w^2 = (1e4 + 1e6) / 100 it stays for pi / w, its largest force is 1e6 / w and its impulse
+    2e6 / w^2.
+
+    Reference: closed form; the same numbers in code_aster's test SDND101 (0.03126 s, 9950 N,
+    198.02 N s). The exact flow is compared, and exponential steps of 5 microseconds.
+    """
+    frequency = np.sqrt(1.01e6 / 100.0)
+    contact = np.pi / frequency
+    flow = EventFlow(heavy_mass(), 1.0, STIFF)
+    start = flow.state(np.zeros(1), np.ones(1))
+    low, high = 0.9 * contact, 1.1 * contact
+    for _ in range(45):  # the instant of release
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if flow.advance(start, 0.0, middle)[3] == 0 else (low, middle)
+    time = np.linspace(0.0, (1.0 - 1e-10) * contact, 2001)
+    _, gap, _, _ = flow.advance(start, 0.0, time[-1], instants=time)
+    force = 1e6 * gap[:, 0]
+    history = fc.integrate_exponential(
+        heavy_mass(), 2.0 * np.pi / 0.04, STIFF, periods=1, steps_per_period=8000,
+        initial=(np.zeros(1), np.ones(1)),
+    )  # fmt: skip
+    steps, step = history.contact_force[:, 0], history.time[1]
+    after = flow.advance(start, 0.0, 1.01 * contact)[0][1]
+    free = -start[1] * np.cos(10.0 * 0.01 * contact)
+    return [
+        Row("contact lasts [s], exact flow", 0.5 * (low + high), contact, 1e-9),
+        Row("largest force [N], exact flow", force.max(), 1e6 / frequency, 1e-9),
+        Row("impulse [N s], exact flow", simpson(force, x=time), 2e6 / frequency**2, 1e-9),
+        Row("speed afterwards, share of the first", after / start[1], free / start[1], 1e-9),
+        Row("contact lasts [s], steps", np.count_nonzero(steps) * step, contact, 1e-3),
+        Row("largest force [N], steps", steps.max(), 1e6 / frequency, 1e-4),
+        Row("impulse [N s], steps", steps.sum() * step, 2e6 / frequency**2, 1e-4),
+    ]
+
+
+@cache
+def shocks() -> fc.TimeHistory:
+    """1.3 s of the mass between its shocks, every 0.0325 ms."""
+    return fc.integrate_events(
+        heavy_mass(), 2.0 * np.pi / 1.3, STIFF, periods=1, steps_per_period=40000,
+        initial=(np.zeros(1), np.ones(1)),
+    )  # fmt: skip
+
+
+def draw_shocks(axes: Any) -> None:
+    """Force over time."""
+    axes.plot(shocks().time, shocks().contact_force[:, 0] / 1e3)
+    axes.set(xlabel="t [s]", ylabel="contact force [kN]", xlim=(0.0, 1.3))
+
+
+@case(draw=draw_shocks)
+def several_shocks() -> list[Row]:
+    """A mass that meets a stop again and again.
+
+    The same mass and stop: nothing is lost, so that the shocks repeat after half a period of the
+    stop and half of the free motion, pi / 100.4988 + pi / 10 s.
+
+    Reference: closed form; code_aster's test SDND101 gives 0.01563 s for the first largest force
+    and 0.361 s for the second one. `fc.integrate_events`, 1.3 s.
+    """
+    force, time = shocks().contact_force[:, 0], shocks().time
+    contact, flight = np.pi / np.sqrt(1.01e4), np.pi / 10.0
+    rows = []
+    for shock in range(4):
+        middle = shock * (contact + flight) + 0.5 * contact
+        near = np.flatnonzero(np.abs(time - middle) < 0.6 * contact)
+        top = near[np.argmax(force[near])]
+        parabola = np.polyfit(time[top - 9 : top + 10] - middle, force[top - 9 : top + 10], 2)
+        at = middle - 0.5 * parabola[1] / parabola[0]
+        impulse = simpson(force[near], x=time[near])
+        rows += [
+            Row(f"shock {shock + 1}: instant of the largest force [s]", at, middle, 1e-6),
+            Row(f"shock {shock + 1}: largest force [N]", force[top], 9950.371902, 1e-5),
+            Row(f"shock {shock + 1}: impulse [N s]", impulse, 198.0198020, 1e-5),
+        ]
+    rows += [Row("instant of the second, as published [s]", rows[3].ours, 0.361, 1e-3)]
+    return rows
+
+
+def free_motion(energy: float) -> float:
+    """Frequency [Hz] of m = 1 on k = 10 that meets a stop of 50 beyond 0.01 [J]: closed form.
+
+    Free for 2 (pi - arccos(d / A)) / w1 of a period, A = sqrt(2 E / k). In contact x oscillates
+    about d kc / (k + kc) with w2^2 = k + kc, begins at d and turns where its speed is zero.
+    """
+    stiffness, stop, at = 10.0, 50.0, 0.01
+    free = np.pi - np.arccos(at / np.sqrt(2.0 * energy / stiffness))
+    inside = np.sqrt(stiffness + stop)
+    speed = np.sqrt(2.0 * energy - stiffness * at**2)
+    rest = at * stop / (stiffness + stop)
+    held = np.arctan2(speed / inside, at - rest)
+    return float(1.0 / (2.0 * free / np.sqrt(stiffness) + 2.0 * held / inside))
+
+
+@cache
+def backbone() -> fc.Backbone:
+    """From energies below the clearance's to the larger one."""
+    return fc.follow_backbone(
+        clearance_oscillator(), fc.UnilateralPenalty(50.0), 1, 4e-4, ENERGIES[1], harmonics=60
+    )
+
+
+ENERGIES = (0.00650108331626, 0.00658129654238)
+
+
+def clearance_oscillator() -> fc.Structure:
+    """m = 1, k = 10 and a clearance of 0.01."""
+    one = np.ones((1, 1))
+    return fc.Structure.from_matrices(one, 10.0 * one, one, clearance=0.01)
+
+
+def draw_backbone(axes: Any) -> None:
+    """Frequency over the energy, and the published points."""
+    energies = np.geomspace(5e-4, ENERGIES[1], 200)
+    exact = [free_motion(e) for e in energies]
+    axes.semilogx([4e-4, *energies], [exact[0], *exact], label="closed form")
+    curve = backbone()
+    axes.plot(curve.energy, curve.omega / (2.0 * np.pi), "o", ms=3, label="follow_backbone, H = 60")
+    axes.plot(ENERGIES[0], 0.64621695, "rx", ms=8, label='published as "analytic"')
+    axes.set(xlabel="energy [J]", ylabel="frequency [Hz]")
+    axes.legend()
+
+
+@case(draw=draw_backbone)
+def free_motion_with_a_clearance() -> list[Row]:
+    """Free motion with a clearance: a published value is wrong.
+
+    A mass of 1 on a spring of 10 meets one of 50 beyond a clearance of 0.01. It moves freely at a
+    frequency that depends on its energy E (code_aster's test SDND122).
+
+    Reference: closed form. The mass is free for 2 (pi - arccos(d / A)) / w1 of a period, with
+    A = sqrt(2 E / k), and in contact for 2 arctan2(v / w2, d - d kc / (k + kc)) / w2, with
+    v = sqrt(2 E - k d^2), its speed where it meets the stop. `fc.follow_backbone` is compared,
+    and the exact flow, which has to come back after one such period.
+
+    For E = 0.00650108331626 a value of 0.64621695 Hz is published as analytic, 6e-4 away. It takes
+    sqrt(2 E / (k + kc)) for the contact's amplitude about d kc / (k + kc) and drops a term under
+    the root, which is (2 E - k kc d^2 / (k + kc)) / (k + kc). So it is off the motion, too: started
+    at its largest displacement, the mass has not come back after a period of that length.
+    """
+    law, structure = fc.UnilateralPenalty(50.0), clearance_oscillator()
+    rows = []
+    for energy, value in zip(ENERGIES, (0.64663104, 0.64701472), strict=True):
+        curve = fc.follow_backbone(structure, law, 1, 4e-4, energy, harmonics=60)
+        found = float(curve.omega[-1] / (2.0 * np.pi))
+        rows += [Row(f"E = {energy:.6g} J: backbone, H = 60 [Hz]", found, value, 1e-6)]
+        rows += [Row(f"E = {energy:.6g} J: closed form [Hz]", free_motion(energy), value, 1e-8)]
+    energy, wrong = ENERGIES[0], 0.64621695
+    start = np.array([np.sqrt(2.0 * energy / 10.0)])
+    for name, frequency, allowed in (
+        ("of the closed form", free_motion(energy), 1e-12), ("published as analytic", wrong, None)
+    ):  # fmt: skip
+        flow = EventFlow(structure, 2.0 * np.pi * frequency, law)
+        state = flow.state(-start, np.zeros(1))
+        after = flow.advance(state, 0.0, 1.0 / frequency)[0]
+        speed = float(after[1] / np.sqrt(2.0 * energy))
+        name = f"speed after a period {name}, of the largest"
+        rows += [Row(name, speed, 0.0, allowed, absolute=True)]
+    rest, inside = 0.01 * 50.0 / 60.0, np.sqrt(60.0)
+    free = np.pi - np.arccos(0.01 / np.sqrt(2.0 * energy / 10.0))
+    held = np.arccos((0.01 - rest) / np.sqrt(2.0 * energy / 60.0))
+    short = float(0.5 / (free / np.sqrt(10.0) + held / inside))
+    rows += [Row("without the term, as published [Hz]", short, wrong, 1e-8)]
+    rows += [Row("closed form, as published [Hz]", free_motion(energy), wrong, None)]
+    return rows
+
+
+@case()
+def bar_against_a_wall() -> list[Row]:
+    """A bar against a rigid wall.
+
+    A bar of 0.2 m, E = 2e11 Pa, density 8000 kg/m^3 and without lateral contraction flies at
+    100 m/s to a rigid wall 2 mm away (code_aster's test SDNV100).
+
+    Reference: the wave equation. With c = 5000 m/s the end touches at 2e-5 s, presses with
+    rho c v = 4e9 Pa until the wave is back after 2 L / c, and leaves at 1e-4 s; the whole bar then
+    flies back at 100 m/s.
+
+    Here: 200 linear elements reduced to 100 modes with lips without mass, contact without
+    penetration, 100 exponential steps in 1.4e-4 s.
+    """
+    bar, modes, period = free_bar(200), 100, 1.4e-4
+    structure = fc.reduce_structure(bar, modes=modes, method="massless")
+    speed = np.zeros(structure.n_dofs)
+    speed[:modes] = structure.basis.T @ dense_matrices(bar)[0] @ np.full(201, 100.0)
+    history = fc.integrate_exponential(
+        structure, 2.0 * np.pi / period, fc.UnilateralConstraint(), periods=1,
+        steps_per_period=100, initial=(np.zeros(structure.n_dofs), speed),
+    )  # fmt: skip
+    force, step = history.contact_force[:, 0], history.time[1]
+    closed = np.flatnonzero(force > 0.0)
+    after = -history.final_state[1][0] / np.sqrt(8000.0 * 0.2) * np.sign(speed[0])
+    return [
+        Row("touches at [s]", closed[0] * step, 2e-5, step, absolute=True),
+        Row("leaves at [s]", (closed[-1] + 1) * step, 1e-4, 0.015),
+        Row("steps with a break of the contact", closed[-1] - closed[0] + 1 - len(closed), 0, 0.0,
+            absolute=True),
+        Row("mean pressure [Pa]", force[closed].mean(), 4e9, 0.02),
+        Row("impulse [N s]", force.sum() * step, 3.2e5, 0.01),
+        Row("speed back, mean of the bar [m/s]", after, 100.0, 0.02),
+        Row("largest penetration, share of the clearance", max(history.gap.max(), 0.0) / 2e-3, 0.0,
+            1e-9, absolute=True),
+    ]  # fmt: skip
+
+
+BETWEEN = {
+    "mass": np.diag([1.0, 2.0]),
+    "stiffness": np.array([[2.0, -1.0], [-1.0, 3.0]]),
+    "damping": np.array([[0.1, -0.03], [-0.03, 0.12]]),
+    "load": np.array([0.7, 0.0]),
+}
+SIDES, CLEARANCE, STIFFNESS, OMEGA = (1.0, -1.0), (0.3, 0.4), 5.0, 0.8
+"""Mass 1 has a stop of 5 on either side, mass 2 moves between none."""
+
+
+def orbit_between_stops() -> tuple[np.ndarray, np.ndarray]:
+    """4096 samples (time, mass) of the periodic motion, by SciPy's DOP853 and Newton's method."""
+    inverse = np.linalg.inv(BETWEEN["mass"])
+    period = 2.0 * np.pi / OMEGA
+
+    def rate(t: float, state: np.ndarray) -> np.ndarray:
+        u, v = state[:2], state[2:]
+        force = BETWEEN["load"] * np.cos(OMEGA * t)
+        force = force - BETWEEN["stiffness"] @ u - BETWEEN["damping"] @ v
+        for side, clearance in zip(SIDES, CLEARANCE, strict=True):
+            force[0] -= side * STIFFNESS * max(side * u[0] - clearance, 0.0)
+        return np.concatenate([v, inverse @ force])
+
+    def flow(state: np.ndarray, instants: np.ndarray | None = None) -> np.ndarray:
+        found = solve_ivp(
+            rate, (0.0, period), state, "DOP853", instants, rtol=1e-10, atol=1e-12, max_step=0.2
+        )
+        values: np.ndarray = found.y
+        return values
+
+    state = np.zeros(4)
+    for _ in range(3):
+        state = flow(state)[:, -1]
+    for _ in range(8):
+        end = flow(state)[:, -1]
+        columns = [(flow(state + 1e-6 * unit)[:, -1] - end) / 1e-6 for unit in np.eye(4)]
+        change = np.linalg.solve(np.transpose(columns) - np.eye(4), state - end)
+        state = state + change
+        if np.abs(change).max() < 1e-10:
+            break
+    time = np.arange(4096) * period / 4096
+    return time, flow(state, time)[:2].T
+
+
+@cache
+def between_stops() -> tuple[fc.PeriodicSolution, np.ndarray, np.ndarray]:
+    """Ours with H = 60, and the other's time and motion."""
+    gap = np.zeros((2, 2))
+    gap[0] = SIDES
+    structure = fc.Structure.from_matrices(
+        BETWEEN["mass"], BETWEEN["stiffness"], gap, force_cos=BETWEEN["load"],
+        damping=BETWEEN["damping"], clearance=np.array(CLEARANCE),
+    )  # fmt: skip
+    law = fc.UnilateralPenalty(STIFFNESS)
+    solution = fc.solve_harmonic_balance(structure, OMEGA, law, harmonics=60)
+    return solution, *orbit_between_stops()
+
+
+def draw_between_stops(axes: Any) -> None:
+    """One period of both masses, with the stops."""
+    solution, time, motion = between_stops()
+    ours = solution.displacement(time, [0, 1])
+    for mass in (0, 1):
+        axes.plot(time, ours[:, mass], label=f"mass {mass + 1}, harmonic balance")
+    axes.plot(time[::128], motion[::128], "k.", ms=4, label=["DOP853", None])
+    for side, clearance in zip(SIDES, CLEARANCE, strict=True):
+        axes.axhline(side * clearance, color="0.6", ls="--", lw=1)
+    axes.set(xlabel="t", ylabel="displacement", xlim=(0.0, time[-1]))
+    axes.legend(loc="upper center", fontsize="small")
+
+
+@case(draw=draw_between_stops)
+def stops_on_both_sides() -> list[Row]:
+    """Two masses, one of them between two stops.
+
+    M = diag(1, 2), K = [[2, -1], [-1, 3]], C = [[0.1, -0.03], [-0.03, 0.12]], a load 0.7 cos(0.8 t)
+    on mass 1. Mass 1 meets springs of 5 at 0.3 on one side and at 0.4 on the other: two pairs whose
+    columns of B have either sign. The clearances differ, so that the motion has a mean and even
+    harmonics.
+
+    Reference: SciPy's DOP853 with tolerance 1e-10 and Newton's method on the state after a period,
+    with its own contact force. Harmonic balance has H = 60.
+    """
+    solution, time, motion = between_stops()
+    ours = solution.displacement(time, [0, 1])
+    rows = []
+    for mass in (0, 1):
+        name = f"mass {mass + 1}"
+        spectrum = np.fft.rfft(motion[:, mass]) / len(time)
+        own = np.fft.rfft(ours[:, mass]) / len(time)
+        rows += [Row(f"{name}: mean", own[0].real, spectrum[0].real, 1e-4)]
+        for k in (1, 2, 3):
+            rows += [Row(f"{name}: abs(X{k})", 2 * abs(own[k]), 2 * abs(spectrum[k]), 1e-4)]
+        for word, extreme in (("largest", np.max), ("smallest", np.min)):
+            found, value = extreme(ours[:, mass]), extreme(motion[:, mass])
+            rows += [Row(f"{name}: {word} displacement", float(found), float(value), 1e-4)]
+    return rows

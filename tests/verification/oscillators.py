@@ -1,0 +1,242 @@
+"""Oscillators with contact."""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from book import Row, case
+from helpers import (
+    BILINEAR_ORBITS,
+    OMEGA_0,
+    amplitudes,
+    classical_amplitudes,
+    duffing_system,
+    log_slope,
+    newton_roots,
+    oscillator,
+    period_two_orbit,
+    relative,
+    sampled_harmonics,
+    two_masses,
+)
+
+import fenics_crack as fc
+
+ONE = fc.UnilateralPenalty(1.0)
+STOP = fc.UnilateralPenalty(100.0)
+NAMES = {0.5 * OMEGA_0: "W = w0/2", 1.0: "W = 1"}
+
+
+def draw_bilinear_orbits(axes: Any) -> None:
+    """Two periods of both motions."""
+    for omega, name in NAMES.items():
+        solution = fc.solve_harmonic_balance(oscillator(), omega, ONE, harmonics=20)
+        share = np.linspace(0.0, 2.0, 800)
+        axes.plot(share, solution.gap(share * solution.period), label=name)
+    axes.axhspan(0.0, 3.0, color="0.9", zorder=0)
+    axes.set(xlabel="t / period", ylabel="x", xlim=(0.0, 2.0), ylim=(-3.2, 2.8))
+    axes.legend(loc="lower right")
+
+
+@case(draw=draw_bilinear_orbits)
+def bilinear_oscillator() -> list[Row]:
+    """Bilinear oscillator: orbits.
+
+    x'' + c x' + x + kc max(x, 0) = cos(W t) with c = 0.1 and kc = 1. Its natural frequency without
+    damping is w0 = 2 w1 w2 / (w1 + w2) = 1.171573, with w1 = 1 and w2 = sqrt(1 + kc) (Shaw and
+    Holmes, J. Sound Vib. 90, 1983, 129-155). It is loaded at half of w0, where it resonates by its
+    second harmonic, and at W = 1. In the picture x is in contact where it is grey.
+
+    Reference: piecewise-linear integration from one switching instant to the next by another
+    program, Newton's method on the instants, to about 1e-9. It is compared with harmonic balance,
+    H = 20 and exact integrals of the contact force, and with `fc.integrate_events` from rest until
+    nothing changes. The extremes are those of 4096 samples a period. The product of the Floquet
+    multipliers is exp(-c T) (Liouville).
+    """
+    rows = []
+    for omega, (mean, waves, largest, smallest) in BILINEAR_ORBITS.items():
+        at = NAMES[omega]
+        solution = fc.solve_harmonic_balance(oscillator(), omega, ONE, harmonics=20)
+        balance = solution.gap_coefficients[:, 0]
+        wave = solution.gap(np.arange(4096) * solution.period / 4096)
+        march = fc.integrate_events(
+            oscillator(), omega, ONE, periods=300, settle=1e-12, record_periods=1,
+            steps_per_period=4096,
+        )  # fmt: skip
+        flow_mean, flow_waves = sampled_harmonics(march.gap[:, 0])
+        rows += [Row(f"{at}: mean, harmonic balance", balance[0], mean, 1e-5)]
+        rows += [Row(f"{at}: mean, exact flow", flow_mean, mean, 0.5e-9, absolute=True)]
+        for k in range(3):
+            found = amplitudes(balance)[k]
+            rows += [Row(f"{at}: abs(X{k + 1}), harmonic balance", found, waves[k], 1e-5)]
+            name = f"{at}: abs(X{k + 1}), exact flow"
+            rows += [Row(name, flow_waves[k], waves[k], 0.5e-8, absolute=True)]
+        for name, two, value in (
+            ("largest x", (wave.max(), march.gap.max()), largest),
+            ("smallest x", (wave.min(), march.gap.min()), smallest),
+        ):
+            rows += [Row(f"{at}: {name}, harmonic balance", two[0], value, 1e-5)]
+            rows += [Row(f"{at}: {name}, exact flow", two[1], value, 0.5e-8, absolute=True)]
+        product = float(np.prod(fc.shoot(oscillator(), solution).multipliers).real)
+        liouville = np.exp(-0.1 * solution.period)
+        rows += [Row(f"{at}: product of the multipliers", product, liouville, 1e-9)]
+    return rows
+
+
+COUNTS = (5, 10, 20, 40)
+
+
+@cache
+def truncation_errors() -> list[float]:
+    """Relative L2 error over the period against H = 300, at W = 1."""
+    t = np.linspace(0.0, 2.0 * np.pi, 4001)
+    *waves, exact = (
+        fc.solve_harmonic_balance(oscillator(), 1.0, ONE, harmonics=h).gap(t)
+        for h in (*COUNTS, 300)
+    )
+    return [relative(wave, exact) for wave in waves]
+
+
+def draw_truncation(axes: Any) -> None:
+    """Errors over H."""
+    axes.loglog(COUNTS, truncation_errors(), "o-", label="fenics_crack")
+    axes.loglog(COUNTS, [3.1e-4, 3.7e-5, 4.0e-6, 3.9e-7], "kx", label="reference")
+    axes.set(xlabel="harmonics H", ylabel="relative L2 error of x over a period")
+    axes.legend()
+
+
+@case(draw=draw_truncation)
+def bilinear_convergence() -> list[Row]:
+    """Bilinear oscillator: convergence.
+
+    The same oscillator. The contact force has kinks, so that the harmonics of x fall like k^-4:
+    abs(Xk) k^4 is 1.63 to 1.69 where it is largest in each octave of k = 8 to 128, at W = 1. The
+    error of H harmonics then falls a little faster than H^-3. With sampled contact forces (H = 5,
+    W = w0/2) there is a second error.
+
+    Reference: the same computations by another program, given to two digits.
+    """
+    published = (3.1e-4, 3.7e-5, 4.0e-6, 3.9e-7)
+    errors = truncation_errors()
+    rows = [
+        Row(f"relative L2 error, H = {h}", found, value, 0.1)
+        for h, found, value in zip(COUNTS, errors, published, strict=True)
+    ]
+    slope = log_slope(COUNTS, errors)
+    rows += [Row("order of the error in H", slope, -3.2, 0.2, absolute=True)]
+    solution = fc.solve_harmonic_balance(oscillator(), 1.0, ONE, harmonics=130)
+    order = np.arange(1, 131)
+    scaled = amplitudes(solution.gap_coefficients[:, 0]) * order**4
+    for k in (8, 16, 32, 64):
+        peak = float(scaled[(order >= k) & (order < 2 * k)].max())
+        name = f"largest abs(Xk) k^4, k = {k} to {2 * k}"
+        rows += [Row(name, peak, 1.66, 0.03, absolute=True)]
+    exact = fc.solve_harmonic_balance(oscillator(), 0.5 * OMEGA_0, ONE, harmonics=5)
+    t = np.linspace(0.0, exact.period, 4001)
+    for samples, value in ((64, 6e-3), (256, 5e-4), (1024, 7e-6)):
+        found = fc.solve_harmonic_balance(
+            oscillator(), 0.5 * OMEGA_0, ONE, harmonics=5, samples=samples
+        )
+        error = relative(found.gap(t), exact.gap(t))
+        rows += [Row(f"sampling error, {samples} samples", error, value, 0.15)]
+    return rows
+
+
+@case()
+def period_doubling() -> list[Row]:
+    """Bilinear oscillator: an orbit of two periods.
+
+    The same oscillator at W = 2 w0. The orbit of one period is unstable there: a Floquet multiplier
+    is below -1. The stable one takes two periods of the load.
+
+    Reference: event-driven integration and Newton's method by another program.
+    """
+    omega = 2.0 * OMEGA_0
+    once = fc.solve_harmonic_balance(oscillator(), omega, ONE, harmonics=20)
+    orbit = fc.shoot(oscillator(), once)
+    twice = period_two_orbit(40).gap_coefficients[:, 0]
+    found = float(amplitudes(once.gap_coefficients[:, 0])[0])
+    return [
+        Row("abs(X1) of one period", found, 0.2419996, 1e-6, absolute=True),
+        Row("its multiplier", float(orbit.multipliers[0].real), -1.23694, 1e-5, absolute=True),
+        Row("abs(X1/2) of two periods, H = 40", amplitudes(twice)[0], 0.7790634, 1.2e-5),
+        Row("their mean", twice[0], -0.1735445, 1.2e-5),
+    ]
+
+
+@cache
+def stop_curve() -> fc.ResponseCurve:
+    """Two masses and a stop, H = 21."""
+    return fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, harmonics=21, stability=True)
+
+
+def draw_stop_curve(axes: Any) -> None:
+    """The response with H = 61 and the two published points."""
+    curve = fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, harmonics=61, stability=True)
+    points = range(len(curve.omega))
+    found = [amplitudes(curve.solution(i).coefficients_at([1])[:, 0])[0] for i in points]
+    for stable, style in ((True, "C0-"), (False, "C0--")):
+        part = np.where(curve.stable == stable, found, np.nan)
+        axes.semilogy(curve.omega, part, style, label="stable" if stable else "unstable")
+    axes.plot([0.7, 0.7], [0.77839461, 0.22134025], "kx", ms=8, mew=2, label="reference")
+    axes.set(xlabel="W", ylabel="abs(X1) of mass 2")
+    axes.legend()
+
+
+@case(draw=draw_stop_curve)
+def two_masses_and_a_stop() -> list[Row]:
+    """Two masses and a stop.
+
+    M = I, K = [[1, -1], [-1, 2]], C = 0.03 K, a load 0.1 cos(W t) on mass 2 and a spring of 100 on
+    mass 1 beyond a clearance of 1. At W = 0.70 two stable orbits exist, one without contact. The
+    other loses its stability in a period doubling.
+
+    Reference: Krack and Gross, Harmonic Balance for Nonlinear Vibration Problems (Springer 2019),
+    and example 3 of their program NLvib 1.3; the digits are from exact orbits computed by another
+    program. `fc.refine_bifurcation` leaves harmonic balance, so H = 21 suffices for the doubling,
+    which H = 21 itself puts far away (last row). The picture has H = 61.
+    """
+    curve = stop_curve()
+    crossing = np.flatnonzero((curve.omega[:-1] - 0.7) * (curve.omega[1:] - 0.7) < 0.0)
+    found = {}
+    for harmonics in (21, 200):
+        ends = []
+        for start in (crossing[0], crossing[-1]):
+            orbit = fc.solve_harmonic_balance(
+                two_masses(), 0.7, STOP, harmonics=harmonics, initial=curve.solution(int(start))
+            )
+            ends.append(float(amplitudes(orbit.coefficients_at([1])[:, 0])[0]))
+        found[harmonics] = sorted(ends)
+    doubling = next(b for b in curve.bifurcations if b.kind == "period_doubling")
+    exact, _ = fc.refine_bifurcation(doubling, reach=0.2)
+    return [
+        Row("orbits at W = 0.70 on the curve", len(crossing), 3, 0.0, absolute=True),
+        Row("abs(X1) of mass 2, no contact, H = 21", found[21][0], 0.22134025, 1e-6),
+        Row("abs(X1) of mass 2, contact, H = 21", found[21][1], 0.77839461, 1e-3, absolute=True),
+        Row("the same, H = 200", found[200][1], 0.77839461, 1e-7),
+        Row("period doubling, refined", exact, 0.7387830, 1e-7),
+        Row("the same as H = 21 locates it", doubling.omega, 0.7387830, None),
+    ]
+
+
+@case()
+def duffing_spurious_roots() -> list[Row]:
+    """Duffing oscillator: roots that are none.
+
+    x'' + 0.2 x' + x + x^3 = 1.25 sin 2t with one harmonic. Balanced with exact coefficients it has
+    three solutions; collocated at 2H + 1 instants, the high-dimensional form, it has nine, of which
+    six are none of the oscillator's (on such roots: Liu and others, J. Comput. Phys. 215, 2006,
+    298-320). From 4H + 1 samples on they are gone.
+
+    Reference: y = abs(X1)^2 is a root of ((1 - W^2 + 3 y / 4)^2 + (0.2 W)^2) y = 1.25^2. The number
+    of collocated roots follows from the equations' Groebner basis (`tests/balance/test_forms.py`);
+    here, Newton's method from 400 random starts finds them.
+    """
+    exact = classical_amplitudes()
+    many, few = (np.array(newton_roots(duffing_system(1, samples))) for samples in (64, 3))
+    found = np.sort(np.hypot(many[:, 1, 0], many[:, 2, 0]))
+    return [
+        Row("roots with 64 samples", len(many), 3, 0.0, absolute=True),
+        Row("roots with 3 samples", len(few), 9, 0.0, absolute=True),
+        *(Row(f"abs(X1) of root {i + 1}", found[i], exact[i], 1e-9) for i in range(3)),
+    ]

@@ -1,0 +1,48 @@
+"""The verification book: every row of every case holds, and so do the committed pages."""
+
+import beams  # each enters its cases
+import calculix
+import elements
+import impacts
+import oscillators
+import plates
+import pytest
+from book import CASES, PAGES, differences, index
+
+pytestmark = pytest.mark.verification
+FILES = (oscillators, impacts, plates, beams, elements, calculix)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_book(name: str, request: pytest.FixtureRequest) -> None:
+    """The rows hold, and the committed page shows them; --write-book writes it instead."""
+    case = CASES[name]
+    if case.maker and not case.maker():
+        pytest.skip("the program that makes the references is not installed")
+    rows = case.rows()
+    if request.config.getoption("--write-book"):
+        case.write(rows)
+    assert [row for row in rows if not row.holds] == []
+    assert differences(case.page.read_text(), rows, case.render(rows)) == []
+    assert case.draw is None or case.page.with_suffix(".png").exists()
+
+
+def test_index(request: pytest.FixtureRequest) -> None:
+    """It lists the pages as they are, and there is no page without a case."""
+    if request.config.getoption("--write-book"):
+        (PAGES / "index.md").write_text(index())
+    assert (PAGES / "index.md").read_text() == index()
+    assert {page.stem for page in PAGES.glob("*.md")} == {"index", *CASES}
+
+
+def test_a_wrong_figure_is_seen() -> None:
+    """A figure of a page that is off by half of what is allowed is named."""
+    case = CASES["contact_release"]
+    rows = case.rows()
+    page = case.render(rows)
+    old = page.split("\n|")[3]
+    cells = old.split(" | ")
+    cells[1] = f"{rows[0].reference * (1.0 + 0.5 * rows[0].allowed):.15g}"
+    assert differences(page, rows, page) == []
+    found = differences(page.replace(old, " | ".join(cells)), rows, page)
+    assert len(found) == 1 and found[0].startswith(rows[0].quantity)
