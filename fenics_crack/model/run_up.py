@@ -1,0 +1,155 @@
+"""A rotating structure in one small basis for all speeds of a run-up.
+
+    u = V q,        V^T (K + W^2 K_1) V = I + (W^2 - W_0^2) V^T K_1 V,        V^T M V diagonal
+
+V holds, of the structure at a few speeds of the range, the lowest modes with open lips and the
+static responses to forces on every pair and to the load: the free-interface bases of these speeds
+together. At these the small structure is as good as the reduced one; between them its error, that
+of a Ritz method, is of second order in what V lacks. At each speed its modes are those of a small
+dense matrix, and smooth to rounding: V is scaled so that the stiffness is near I.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sparse
+from mpi4py import MPI
+
+from fenics_crack.errors import InputError, check_number
+from fenics_crack.model.damping import DampingRule, ModalDamping
+from fenics_crack.model.matrices import distributed
+from fenics_crack.model.reduced import ReducedStructure, of_kept_modes
+from fenics_crack.model.structure import Structure
+
+__all__ = ["Ritz", "RunUpStructure"]
+
+
+@dataclass(frozen=True)
+class Ritz:
+    """A structure and what rotation adds to it, in a basis; the same on every rank.
+
+    Attributes
+    ----------
+    whole : Structure
+        What was reduced, at its own speed.
+    basis : (whole.n_local, n)
+        V.
+    speed : float
+        At which V^T K V = I [rad/s].
+    stiffness : (n, n)
+        V^T K_1 V.
+    squares_inverse : (n,)
+        V^T M V, which is diagonal.
+    force : (3, n)
+        V^T f at rest.
+    centrifugal : (n,)
+        V^T f_c.
+    mass, gap
+        The mass as a matrix of PETSc's, and V^T B.
+    modes : int
+        How many modes have mass.
+    """
+
+    whole: Structure
+    basis: np.ndarray
+    speed: float
+    stiffness: np.ndarray
+    squares_inverse: np.ndarray
+    force: np.ndarray
+    centrifugal: np.ndarray
+    mass: Any
+    gap: sparse.csr_matrix
+    modes: int
+
+
+class RunUpStructure(ReducedStructure):
+    """A rotating structure at one speed, in coordinates that do not depend on it.
+
+    Its lowest modes have mass; what they leave out answers at once, as in
+    :class:`fenics_crack.MasslessStructure`.
+
+    Attributes
+    ----------
+    speed : float
+        W [rad/s].
+    shapes : (n_dofs, n_modes)
+        Phi, mass-normalised.
+    left : (n_dofs, n_dofs)
+        G = K^-1 - Phi Lambda^-1 Phi^T.
+    """
+
+    speed: float
+    shapes: np.ndarray
+    left: np.ndarray
+    _ritz: Ritz
+
+    def __init__(self, ritz: Ritz, speed: float) -> None:
+        stiffness = (speed**2 - ritz.speed**2) * ritz.stiffness
+        stiffness[np.diag_indices_from(stiffness)] += 1.0
+        force = ritz.force.copy()
+        force[0] += speed**2 * ritz.centrifugal
+        try:
+            factor = np.linalg.inv(np.linalg.cholesky(stiffness))
+        except np.linalg.LinAlgError:
+            raise InputError("speed", speed, "lower: the plate is unstable there") from None
+        # The largest eigenvalues, 1 / omega^2, are those that rounding leaves alone.
+        inverse, turned = np.linalg.eigh((factor * ritz.squares_inverse) @ factor.T)
+        inverse, turned = inverse[: -ritz.modes - 1 : -1], turned[:, : -ritz.modes - 1 : -1]
+        static = factor.T @ turned
+        damping = of_kept_modes(ritz.whole.original.damping, len(force[0]))
+        Structure.__init__(
+            self,
+            ritz.mass,
+            distributed(stiffness, MPI.COMM_SELF),
+            ritz.gap,
+            force=force,
+            clearance=ritz.whole.clearance,
+            damping=damping,
+            nodes=ritz.whole.nodes,
+            pairs=ritz.whole.pairs,
+        )
+        omega = 1.0 / np.sqrt(inverse)
+        self._hold(basis=ritz.basis, omega=omega, reference=None, _whole=ritz.whole)
+        left = factor.T @ factor - static @ static.T
+        self._hold(speed=speed, shapes=static * omega, left=left, _ritz=ritz)
+
+    @property
+    def n_modes(self) -> int:
+        """How many modes have mass."""
+        return len(self.omega)
+
+    @property
+    def rate(self) -> np.ndarray:
+        """Phi^T C Phi, which is diagonal: (n_modes,) [1/s]; without the factor of a copy."""
+        rule = of_kept_modes(self.original.damping, self.n_modes)
+        if isinstance(rule, ModalDamping):
+            return np.asarray(2.0 * np.asarray(rule.ratio) * self.omega)
+        return np.zeros(self.n_modes) if rule is None else rule.rate(self.omega**2)
+
+    @property
+    def _size_words(self) -> str:
+        return f"{self.n_dofs} coordinates of {self.whole.n_dofs} dofs at {self.speed:g} rad/s"
+
+    def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
+        """With open lips those that have mass, at this speed."""
+        return None if tied else (self.omega, self.shapes)
+
+    def at_speed(self, speed: float) -> RunUpStructure:
+        """The same structure at another speed [rad/s].
+
+        Raises
+        ------
+        InputError
+            The speed is not positive, or so high that the plate is unstable.
+        """
+        check_number("speed", speed, 0.0, above=True)
+        found = RunUpStructure(self._ritz, float(speed))
+        added = self.clearance - found.clearance
+        return found.varied(damping=self.damping_factor, clearance=added)
+
+    def damped(self, damping: DampingRule | None) -> RunUpStructure:
+        """Return this structure with a modal or Rayleigh damping, or none."""
+        raise InputError("damping", damping, "that of the structure from which this one was made")

@@ -1,0 +1,116 @@
+"""Run-ups: curves over a rotor's speed, which the load's frequency follows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+from rotating import cracked
+
+import fenics_crack as fc
+from fenics_crack import InputError, Scene
+from fenics_crack.balance.family import SpeedFamily
+from fenics_crack.study.run import Run, follow_curve
+
+ORDER = 12
+CURVE = {"parameter": "speed", "start": 560.0, "stop": 640.0}
+
+
+def blade(changes: dict[str, Any] | None = None) -> Scene:
+    """A blade whose breathing mode is met by order 12 near 600 rad/s."""
+    coarse = {"mesh.size": 0.01, "mesh.lip_elements": 3, "reduction.modes": 6}
+    scene = cracked(600.0, -250.0).replace({"excitation.order": ORDER} | coarse)
+    return scene.replace({f"curve.{key}": value for key, value in (changes or {}).items()})
+
+
+@pytest.fixture(scope="module")
+def run_up() -> Run[fc.ResponseCurve]:
+    """Followed through the resonance."""
+    return follow_curve(blade(CURVE), MPI.COMM_SELF)
+
+
+def test_basis_of_all_speeds() -> None:
+    """Natural frequencies and compliances of structures that are assembled at speeds where the
+    basis has none of its own."""
+    whole = fc.build_structure(blade(), MPI.COMM_SELF)
+    spinning = fc.run_up_structure(whole, 500.0, 700.0, 6)
+    law = fc.UnilateralConstraint()
+    for speed in (540.0, 660.0):
+        one = spinning.at_speed(speed)
+        assert whole.rotation is not None
+        there = whole.rotation.at(speed)
+        assert one.omega == pytest.approx(fc.solve_modes(there, 6).omega, rel=1e-8)
+        other = fc.reduce_structure(there, modes=6, method="massless")
+        here, now = (
+            fc.Problem(structure, 0.9 * ORDER * speed, law).compliance()
+            for structure in (one, other)
+        )
+        for name in ("matrices", "linear_gap"):
+            found, expected = getattr(here, name), getattr(now, name)
+            assert np.abs(found - expected).max() < 1e-7 * np.abs(expected).max()
+
+
+def test_derivative_by_the_speed() -> None:
+    """dF/dW of the equations, against wider differences of them, near resonance and in contact."""
+    whole = fc.build_structure(blade(), MPI.COMM_SELF)
+    spinning = fc.run_up_structure(whole, 560.0, 640.0, 6).at_speed(600.0)
+    problem = fc.Problem(spinning, ORDER * 600.0, fc.UnilateralConstraint(), 3)
+    found = fc.solve_harmonic_balance(spinning, problem.omega, problem.contact, harmonics=3)
+    assert found.indicators(0).closed_share > 0.05
+    family, unknown = SpeedFamily(problem, 560.0, 640.0), found.slow_gap_coefficients
+    rate = family._by_value(600.0, family.system(600.0).linearise(unknown))
+    low, high = (family._make(600.0 + d).linearise(unknown).residual for d in (-0.01, 0.01))
+    assert rate == pytest.approx((high - low) / 0.02, rel=1e-3, abs=1e-5 * np.abs(rate).max())
+
+
+def test_run_up_meets_structures_of_each_speed(run_up: Run[fc.ResponseCurve]) -> None:
+    """w = order W all along; its solutions are those of structures reduced at their own speed, and
+    it is largest between where the order meets the open and the tied mode."""
+    curve, scene = run_up.result, run_up.scene
+    assert curve.complete and curve.omega == pytest.approx(ORDER * curve.values)
+    amplitude = curve.amplitude(run_up.watched_dof)
+    assert amplitude.max() > 5.0 * amplitude[[0, -1]].max()
+    diagram = fc.campbell(scene, [560.0, 640.0], 1, MPI.COMM_SELF)
+    slowest, fastest = (diagram.crossings(ORDER, kind)[0, 1] for kind in ("open", "tied"))
+    assert slowest < curve.values[amplitude.argmax()] < fastest
+    whole = run_up.structure.whole
+    for index in np.linspace(0, len(curve) - 1, 5).astype(int):
+        there = whole.rotation.at(float(curve.values[index]))
+        there = fc.reduce_structure(there, modes=6, method="massless")
+        mine = curve.solution(int(index))
+        assert mine.report.residual < 1e-9
+        at = float(curve.omega[index])
+        found = fc.solve_harmonic_balance(
+            there, at, run_up.contact, harmonics=mine.harmonics, initial=mine
+        )
+        expected = found.amplitude(run_up.watched_dof)
+        assert mine.amplitude(run_up.watched_dof) == pytest.approx(expected, rel=1e-4)
+
+
+def test_run_up_in_a_file(run_up: Run[fc.ResponseCurve], tmp_path: Path) -> None:
+    """It is saved, and read with its scene, as it was; tip timing takes it."""
+    fc.save(run_up.result, tmp_path / "curve.h5", run_up.scene)
+    again = fc.load_run(tmp_path / "curve.h5", MPI.COMM_SELF)
+    dof = run_up.watched_dof
+    assert isinstance(again.result, fc.ResponseCurve) and again.result.parameter == "speed"
+    assert again.result.amplitude(dof) == pytest.approx(run_up.result.amplitude(dof), rel=1e-6)
+    arrivals = fc.tip_timing(
+        run_up.result, dof, probes=[0.1, 1.0, 2.5], tip_radius=0.42, order=ORDER, revolutions=50
+    )
+    assert 2.0 * np.pi / np.diff(arrivals.marks)[[0, -1]] == pytest.approx([560, 640], rel=0.02)
+
+
+def test_bad_input() -> None:
+    """A run-up needs an order, a structure that rotates, and one that knows all speeds."""
+    with pytest.raises(InputError, match=r"curve.parameter"):
+        cracked(600.0, curve=CURVE)
+    plate = fc.prepare(cracked(600.0), MPI.COMM_SELF)
+    assert plate.contact is not None
+    with pytest.raises(InputError, match="run_up_structure"):
+        fc.continue_parameter(plate.structure, 7e3, plate.contact, "speed", 560.0, 640.0)
+    still = fc.build_structure(cracked(0.0), MPI.COMM_SELF)
+    with pytest.raises(InputError, match="rotates"):
+        fc.run_up_structure(still, 560.0, 640.0, 6)

@@ -1,0 +1,258 @@
+"""Plates that rotate: stiffening, softening, the static state, and cracks that rotation opens."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.linalg
+from mpi4py import MPI
+from numpy.polynomial import Polynomial
+from rotating import DENSITY, HEIGHT, STRIP, UNIT, WIDTH, YOUNG, cracked, strip
+
+import fenics_crack as fc
+from fenics_crack import InputError, Scene
+from fenics_crack.cli.command_line import main
+from fenics_crack.fem.assembly import assemble
+from fenics_crack.model.modes import times
+from fenics_crack.model.rotation import static_state
+from fenics_crack.study.run import solve
+
+PUBLISHED = {
+    (0, 0): (3.5160, 22.0345), (0, 1): (3.6816, 22.1810), (0, 2): (4.1373, 22.6149),
+    (0, 3): (4.7973, 23.3203), (0, 4): (5.5850, 24.2733), (0, 5): (6.4495, 25.4461),
+    (0, 6): (7.3604, 26.8091), (0, 10): (11.2023, 33.6404), (0, 12): (13.1702, 37.6031),
+    (1, 1): (3.8888, 22.3750), (1, 2): (4.8337, 23.3660), (1, 3): (6.0818, 24.9277),
+    (1, 4): (7.4750, 26.9573), (1, 5): (8.9403, 29.3528),
+}  # fmt: skip
+"""(R/L, W): the first two frequencies of a rotating cantilever, all over UNIT. Wright, Smith,
+Thresher and Wang, Journal of Applied Mechanics 49 (1982) 197."""
+
+
+def beam(ratio: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Rayleigh-Ritz of the rotating Euler-Bernoulli beam, E I = rho A = L = 1: bending stiffness,
+    stiffness of the tension at W = 1, mass, and the functions' values at the tip.
+
+    The tension is T(s) = int_s^1 (R + x) dx = R (1 - s) + (1 - s^2) / 2.
+    """
+    functions = [Polynomial([0.0, 0.0] + [0.0] * k + [1.0]) for k in range(9)]
+    tension = Polynomial([ratio + 0.5, -ratio, -0.5])
+
+    def integral(product: Polynomial) -> float:
+        return float(product.integ()(1.0))
+
+    def matrix(entry: Callable[[Polynomial, Polynomial], Polynomial]) -> np.ndarray:
+        return np.array([[integral(entry(f, g)) for g in functions] for f in functions])
+
+    return (
+        matrix(lambda f, g: f.deriv(2) * g.deriv(2)),
+        matrix(lambda f, g: tension * f.deriv() * g.deriv()),
+        matrix(lambda f, g: f * g),
+        np.array([f(1.0) for f in functions]),
+    )
+
+
+@pytest.fixture(scope="module")
+def strips() -> dict[int, fc.Structure]:
+    """The strip on both hubs, at W = 1 UNIT."""
+    return {ratio: fc.build_structure(strip(ratio, 1.0)) for ratio in (0, 1)}
+
+
+@pytest.mark.parametrize("ratio", [0, 1])
+def test_frequencies_of_a_rotating_cantilever(strips: dict[int, fc.Structure], ratio: int) -> None:
+    """Within 1 % of the published ones, and these are those of the beam to their last digit."""
+    bending, tension, mass, _ = beam(ratio)
+    rotation = strips[ratio].rotation
+    assert rotation is not None
+    for (at, speed), published in PUBLISHED.items():
+        if at != ratio:
+            continue
+        squares = scipy.linalg.eigh(bending + speed**2 * tension, mass, eigvals_only=True)
+        assert np.sqrt(squares[:2]) == pytest.approx(published, rel=1e-4)
+        found = fc.solve_modes(rotation.at(speed * UNIT), 2).omega / UNIT
+        assert found == pytest.approx(published, rel=0.01)
+
+
+def test_southwell_coefficients(strips: dict[int, fc.Structure]) -> None:
+    """w^2 = w_0^2 + S W^2 for small W: S = phi^T K_T phi, 1.193 for the first mode without a hub
+    and 1.571 R / L more with one."""
+    for ratio, structure in strips.items():
+        rotation = structure.rotation
+        assert rotation is not None
+        speed = 0.1 * UNIT
+        squares = fc.solve_modes(rotation.at(speed), 1).omega ** 2
+        squares -= fc.solve_modes(rotation.at_rest, 1).omega ** 2
+        assert squares / speed**2 == pytest.approx([1.193 + 1.571 * ratio], rel=0.01)
+
+
+def test_a_mean_load_bends_less_under_rotation() -> None:
+    """The tip under a constant lateral force: as the beam of Rayleigh-Ritz, less than half of that
+    at rest."""
+    bending, tension, _, tip = beam(0)
+    bent = [tip @ np.linalg.solve(bending + w**2 * tension, tip) for w in (0.0, 5.0)]
+    mean = {"omega": 100.0, "point": [WIDTH, HEIGHT], "force_mean": [1.0, 0.0]}
+    found = []
+    for speed in (0.0, 5.0):
+        structure = fc.build_structure(strip(0, speed, excitation=mean))
+        moved, _ = static_state(structure, structure.force[0], np.zeros(0))
+        found.append(moved[structure.find_dof((WIDTH, HEIGHT), "x")])
+    assert found[1] / found[0] == pytest.approx(bent[1] / bent[0], rel=0.01)
+    assert found[1] < 0.5 * found[0]
+
+
+def test_stiffness_of_linear_motions(strips: dict[int, fc.Structure]) -> None:
+    """u = y e: u K_g u = int T dy = rho A (R L^2 / 2 + L^3 / 3) in both directions, without
+    Poisson's ratio, and u M_y u = rho A L^3 / 3 along the radius alone. Also the stretch of a bar,
+    rho W^2 (R L^2 / 2 + L^3 / 3) / E, but for strains of 1e-6."""
+    area, length = WIDTH * 0.02, HEIGHT
+    for ratio, structure in strips.items():
+        rotation, nodes = structure.rotation, structure.nodes
+        assert rotation is not None and nodes is not None
+        pulled, softened = ratio * length**3 / 2.0 + length**3 / 3.0, length**3 / 3.0
+        for component, expected in ((0, pulled), (1, pulled - softened)):
+            moved = np.zeros((structure.n_dofs, 1))
+            free = nodes.dofs[:, component] >= 0
+            moved[nodes.dofs[free, component], 0] = nodes.points[free, 1]
+            found = moved[:, 0] @ times(rotation.stiffness, moved)[:, 0]
+            assert found == pytest.approx(DENSITY * area * expected, rel=1e-6, abs=1e-9)
+        moved, _ = static_state(structure, structure.force[0], np.zeros(0))
+        tip = moved[structure.find_dof((WIDTH, HEIGHT), "y")]
+        assert tip == pytest.approx(DENSITY * UNIT**2 * pulled / YOUNG, rel=1e-3)
+
+
+def test_at_rest_nothing_changes() -> None:
+    """Without the table and at speed 0: the same matrices and loads, bit by bit."""
+    plain = fc.build_structure(Scene.from_mapping(STRIP))
+    still = fc.build_structure(strip(1, 0.0))
+    assert still.rotation is None and plain.rotation is None
+    for name in ("mass", "stiffness"):
+        one, other = (getattr(structure, name).getValuesCSR() for structure in (plain, still))
+        assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+    assert np.array_equal(plain.force, still.force)
+    rotating = fc.build_structure(strip(1, 1.0)).rotation
+    assert rotating is not None and rotating.at(0.0) is rotating.at_rest
+
+
+# --- cracks ---------------------------------------------------------------------------------------
+
+
+def equilibrium(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray]:
+    """Gaps and contact forces of the static state, whose equilibrium is checked to 1e-10."""
+    force = structure.force[0]
+    moved, pairs = static_state(structure, force, structure.clearance)
+    left = times(structure.stiffness, moved[:, None])[:, 0] + structure.gap @ pairs - force
+    assert np.abs(left).max() < 1e-10 * np.abs(force).max()
+    gap = structure.apply_bt(moved[None])[0] - structure.clearance
+    assert np.all(pairs >= 0.0) and gap.max() < 1e-10 * np.abs(moved).max()
+    assert np.abs(pairs * gap).max() <= 1e-10 * np.abs(pairs).max() * np.abs(moved).max()
+    return gap, pairs
+
+
+def test_static_state_is_in_equilibrium() -> None:
+    """A mean load presses the crack together, rotation opens it; in between it is half open."""
+    slow, middle, fast = (fc.build_structure(cracked(w, -100.0)) for w in (1.0, 300.0, 600.0))
+    assert np.all(equilibrium(slow)[1] > 0.0)
+    assert 0 < np.count_nonzero(equilibrium(middle)[1]) < middle.n_pairs
+    gap, pairs = equilibrium(fast)
+    assert not np.any(pairs) and np.all(gap < 0.0)
+    # Equilibrium of moments and forces about the whole: rotation pulls with its centrifugal load.
+    total = DENSITY * 0.02 * 0.004 * 600.0**2 * (0.3 * 0.12 + 0.12**2 / 2.0)
+    assert fast.rotation is not None
+    load = 600.0**2 * fast.rotation.force.sum()
+    assert load == pytest.approx(total, rel=0.05)  # less what the clamped row carries
+    assert load < total
+
+
+def test_crack_mouth_opening_is_that_of_fracture_mechanics() -> None:
+    """Edge crack in a strip in tension: 4 s a V1(a/W) / E, with s the centrifugal stress over the
+    crack (Tada, Paris and Irwin, The Stress Analysis of Cracks Handbook, 2.10)."""
+    width, height, crack, level, hub, speed = 0.01, 0.06, 0.003, 0.03, 5.0, 20.0
+    scene = cracked(
+        speed,
+        geometry={"width": width, "height": height, "thickness": 0.001},
+        crack={"edge": "left", "height": level, "length": crack},
+        excitation={"omega": 1.0, "point": [width, height], "force_sin": [1.0, 0.0]},
+        rotation={"speed": speed, "hub_radius": hub},
+        mesh={"layout": "graded", "order": 2, "size": 0.0015, "lip_elements": 8, "grading": 6.0},
+    )
+    gap, _ = equilibrium(fc.build_structure(scene))
+    stress = DENSITY * speed**2 * (hub + (level + height) / 2.0) * (height - level)
+    bent = math.cos(math.pi * crack / (2.0 * width))
+    shape = (1.46 + 3.42 * (1.0 - bent)) / bent**2
+    assert -gap[0] == pytest.approx(4.0 * stress * crack * shape / YOUNG, rel=0.03)
+
+
+def test_rotation_holds_a_crack_open() -> None:
+    """At rest the crack breathes; at speed it never closes, and the response is the linear one."""
+    still, spinning = (solve(cracked(w), MPI.COMM_SELF).result for w in (0.0, 600.0))
+    assert 0.2 < still.indicators(0).closed_share < 0.8
+    assert spinning.converged and spinning.indicators(0).closed_share == 0.0
+    linear = fc.solve_linear(spinning.structure, spinning.omega, harmonics=spinning.harmonics)
+    assert spinning.gap_coefficients == pytest.approx(linear.gap_coefficients, rel=1e-9)
+
+
+def test_speeds_too_high_and_loads_are_refused() -> None:
+    """Where softening outweighs all stiffness nothing holds the plate; factors of a load would
+    multiply the centrifugal one too."""
+    rotation = fc.build_structure(strip(0, 1.0)).rotation
+    assert rotation is not None
+    softening = rotation.at_rest.mass.copy()
+    softening.scale(-1.0)
+    with pytest.raises(InputError, match=r"rotation.speed.*lower"):
+        replace(rotation, stiffness=softening).at(4.0 * UNIT)
+    plate = fc.prepare(cracked(100.0))
+    for structure in (plate.structure, plate.structure.whole):
+        with pytest.raises(InputError, match="load"):
+            structure.varied(load=2.0)
+        assert np.array_equal(structure.varied(damping=2.0).force, structure.force)
+    assert plate.contact is not None
+    with pytest.raises(InputError, match="parameter"):
+        fc.continue_parameter(plate.structure, 3000.0, plate.contact, "load", 0.5, 1.0)
+
+
+def test_check_tells_speed_and_opening(capsys: pytest.CaptureFixture[str], tmp_path: Any) -> None:
+    """`check` prints the speed, the crack's static opening and where the order meets the mode."""
+    path = tmp_path / "blade.toml"
+    scene = cracked(200.0).replace({"excitation.order": 6, "rotation.rpm": 1200.0})
+    assert scene.excitation.omega == 6 * scene.rotation.speed  # type: ignore[union-attr]
+    path.write_text(scene.as_toml())
+    assert main(["check", str(path)]) == 0
+    printed = capsys.readouterr().out
+    for words in ("rotor speed [rpm]", "opened by rotation", "order 6 meets it near"):
+        assert words in printed
+
+
+@pytest.mark.mpi
+def test_ranks_share_the_mesh(mpirun: Callable[..., str]) -> None:
+    """Two ranks find the frequencies, the static opening and its forces of one."""
+    program = """
+import numpy as np
+import fenics_crack as fc
+from fenics_crack.model.rotation import static_state
+from rotating import cracked
+plate = fc.build_structure(cracked(150.0, -100.0))
+moved, pairs = static_state(plate, plate.force[0], plate.clearance)
+gap = plate.apply_bt(moved[None])[0]
+found = [*fc.solve_modes(plate, 2).omega, gap.min(), pairs.sum()]
+if plate.comm.rank == 0:
+    print("found", *(repr(float(value)) for value in found))
+"""
+    plate = fc.build_structure(cracked(150.0, -100.0), MPI.COMM_SELF)
+    gap, pairs = equilibrium(plate)
+    one = [*fc.solve_modes(plate, 2).omega, gap.min(), pairs.sum()]
+    two = [float(word) for word in mpirun(program, 2).split("found")[1].split()]
+    assert two == pytest.approx(one, rel=1e-8)
+
+
+def test_the_length_found_from_a_frequency_is_that_at_rest() -> None:
+    """A crack given by its first natural frequency keeps its length whatever the speed."""
+    mesh = {"layout": "graded", "size": 0.01, "lip_elements": 2}
+    scene = cracked(0.0, mesh=mesh)
+    first = float(fc.solve_modes(assemble(scene), 1).omega[0])
+    crack = {"edge": "left", "height": 0.05, "first_omega": first}
+    found = fc.find_crack_length(cracked(500.0, crack=crack, mesh=mesh))
+    assert found == pytest.approx(0.006, rel=2e-3)

@@ -1,0 +1,75 @@
+"""Campbell diagrams: frequencies over the speed and the orders that they meet."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rotating import CRACKED, UNIT, cracked, strip
+
+import fenics_crack as fc
+from fenics_crack import InputError, Scene
+from fenics_crack.cli.command_line import main
+
+
+def test_frequencies_are_those_of_each_speed() -> None:
+    """One mesh for all speeds gives what a scene of each speed does, lips open and tied."""
+    scene = cracked(100.0)
+    found = fc.campbell(scene, [0.0, 200.0, 400.0], 2)
+    for row, speed in enumerate(found.speed):
+        plate = fc.build_structure(scene.replace({"rotation.speed": float(speed)}))
+        assert found.omega_open[row] == pytest.approx(fc.solve_modes(plate, 2).omega, rel=1e-9)
+        tied = fc.solve_modes(plate, 2, lips="tied").omega
+        assert found.omega_tied[row] == pytest.approx(tied, rel=1e-9)
+    bilinear = 2.0 / (1.0 / found.omega_open + 1.0 / found.omega_tied)
+    assert found.omega_bilinear == pytest.approx(bilinear)
+    assert np.all(np.diff(found.omega_open, axis=0) > 0.0)
+
+
+def test_orders_meet_the_modes_where_a_scene_resonates() -> None:
+    """At a crossing the natural frequency of a structure built there is order times the speed; a
+    beam whose w^2 is linear in W^2 meets order n at w_0 / sqrt(n^2 - S)."""
+    found = fc.campbell(strip(1, 1.0), np.linspace(0.0, 4.0 * UNIT, 5), 2)
+    assert not found.cracked and "omega_tied" not in found.to_dict()
+    [[mode, speed]] = found.crossings(3)
+    assert mode == 1
+    [omega] = fc.solve_modes(fc.build_structure(strip(1, speed / UNIT)), 1).omega
+    assert omega == pytest.approx(3.0 * speed, rel=1e-3)
+    assert speed == pytest.approx(3.516 * UNIT / np.sqrt(9.0 - 2.764), rel=0.01)
+    assert not len(found.crossings(1))  # the first mode stays above W: S > 1
+
+
+def test_bad_input() -> None:
+    """Each error names what is wrong."""
+    scene = strip(0, 1.0)
+    diagram = fc.campbell(scene, [0.0, UNIT], 1)
+    for key, call in {
+        "rotation": lambda: fc.campbell(Scene.from_mapping(CRACKED), [0.0, 1.0]),
+        "speeds": lambda: fc.campbell(scene, [1.0, 0.0]),
+        "count": lambda: fc.campbell(scene, [0.0, 1.0], 0),
+        "order": lambda: diagram.crossings(0),
+        "kind": lambda: diagram.crossings(1, "closed"),
+        "orders": lambda: fc.draw_campbell(diagram, [0]),
+    }.items():
+        with pytest.raises(InputError) as caught:
+            call()
+        assert caught.value.key == key
+
+
+def test_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """Table, files and picture; speeds in the scene's unit; each crossing of the scene's order."""
+    path = tmp_path / "blade.toml"
+    path.write_text(cracked(1.0).replace({"rotation.rpm": 6e3, "excitation.order": 12}).as_toml())
+    words = ["campbell", str(path), "--output", str(tmp_path), "--count", "1"]
+    assert main([*words, "--speeds", "4000", "8000", "3"]) == 0
+    printed = capsys.readouterr()
+    assert "rpm [1/min]" in printed.out and "engine order 12 meets mode 1" in printed.err
+    rows = list(csv.DictReader((tmp_path / "campbell.csv").open()))
+    assert [float(row["rpm [1/min]"]) for row in rows] == pytest.approx([4e3, 6e3, 8e3])
+    assert json.loads((tmp_path / "campbell.json").read_text())[0]["mode"] == 1
+    assert (tmp_path / "campbell.png").stat().st_size > 10_000
+    for wrong in (["8000", "4000", "3"], ["0", "1", "1.5"]):
+        assert main([*words, "--speeds", *wrong]) == 2
