@@ -102,7 +102,7 @@ everything_imports() {
     debian_imports "$here/.venv/bin/python" && (cd / && "$here/.venv/bin/python" -c '
 import importlib.util
 import cffi, hypothesis, pytest, pyvista
-for name in ("fenics_crack", "mypy", "ruff"):
+for name in ("fenics_crack", "furo", "mypy", "myst_parser", "numpydoc", "ruff", "sphinx"):
     if importlib.util.find_spec(name) is None:
         raise ImportError("there is no module " + name)
 ')
@@ -135,7 +135,7 @@ for name in ("cffi", "numpy", "scipy", "matplotlib", "mpi4py", "pillow", "tqdm")
 }
 step "reading the versions of Debian's packages" write_pins
 step "installing PyPI packages and the project into .venv" \
-    .venv/bin/python -m pip install --constraint .venv/debian-pins.txt pyvista --editable '.[test]'
+    .venv/bin/python -m pip install --constraint .venv/debian-pins.txt pyvista --editable '.[test,docs]'
 step "checking that everything can be imported" everything_imports
 
 printf '%s\n' "$wanted" >"$stamp"

@@ -18,11 +18,16 @@ pyharm : pyHarm's arc-length sweep of the bilinear oscillator (c = 0.02, kc = 1,
     200. On one mass pyHarm has 1024 samples too, with which it comes close to that error.
     pyHarm's Python is found by --pyharm or the variable PYHARM_PYTHON (pip install pyHarm-os in
     an environment of its own).
+others : 60 masses with 20 stops by SKHiPPR and tmdsimpy, at 1.2 rad/s from the linear solution and
+    along a curve from 1.3 rad/s, a solution being given. With their samples the error is that of
+    exact integrals to 2 %, with H = 20 to 16 %. Their Python is found by --others or the variable
+    OTHERS_PYTHON: an environment with NumPy, SciPy, Matplotlib, JAX and typing-extensions that
+    finds the repositories inm-unistuttgart/SKHiPPR and tmd-lab/tmdsimpy by a .pth file.
 
 Times are the process's own, taken in turns within one run; ratios are medians over the turns.
 
     OMP_NUM_THREADS=1 python benchmarks/condensed_speed.py [--quick] [--only PART]
-        [--pyharm PYTHON] [folder]
+        [--pyharm PYTHON] [--others PYTHON] [folder]
 """
 
 from __future__ import annotations
@@ -54,14 +59,27 @@ CURVES = {CONTINUED: (0.05, 0), REFINED: (0.2, 4)}
 """Longest step, and points put between each two."""
 PYHARM, FINER = "pyHarm", "pyHarm, 1024 samples"
 WORKER = Path(__file__).absolute().with_name("pyharm_worker.py")
+OTHERS_WORKER = WORKER.with_name("others_worker.py")
+STEPS = {"tmdsimpy": 0.05, "SKHiPPR": 0.004}
+"""Arc lengths, each in its program's norm, with about the frequency steps of this package."""
 
 
 def main() -> None:
     """Run the parts asked for."""
     common.run(
         __doc__,
-        {"newton": run_newton, "integrals": run_integrals, "full": run_full, "pyharm": run_pyharm},
+        {
+            "newton": run_newton,
+            "integrals": run_integrals,
+            "full": run_full,
+            "pyharm": run_pyharm,
+            "others": run_others,
+        },
         pyharm={"default": os.environ.get("PYHARM_PYTHON"), "help": "a Python that has pyHarm"},
+        others={
+            "default": os.environ.get("OTHERS_PYTHON"),
+            "help": "a Python that has SKHiPPR and tmdsimpy",
+        },
     )
 
 
@@ -355,7 +373,7 @@ def run_full(arguments: common.Arguments) -> None:
 def run_pyharm(arguments: common.Arguments) -> None:
     """The same sweeps by pyHarm and by this package."""
     folder, quick, python = arguments.folder, arguments.quick, arguments.pyharm
-    if not python or not Path(python).exists() or not has_pyharm(python):
+    if not python or not Path(python).exists() or not can_import(python, "pyHarm"):
         print(
             "\nNo pyHarm: this part is left out. Make a virtual environment, pip install "
             "pyHarm-os in it, and name its Python with --pyharm or PYHARM_PYTHON."
@@ -374,8 +392,7 @@ def run_pyharm(arguments: common.Arguments) -> None:
         name="50 masses", mass=np.eye(50), stiffness=K, damping=0.02 * K, stop=25.0, finer=None,
         solver="NewtonRaphson", start=1.3, end=1.15, timeout="00:00:00:40",
     )  # fmt: skip
-    K60 = common.chain(60)
-    K60 /= np.linalg.eigvalsh(K60)[0]
+    K60 = sixty()
     stops = dict(
         name="60 masses, 20 stops", mass=np.eye(60), stiffness=K60, damping=0.02 * K60, stop=25.0,
         finer=None, solver="NewtonRaphson", start=1.3, end=1.15, timeout="00:00:00:40", stops=20,
@@ -438,9 +455,9 @@ def run_pyharm(arguments: common.Arguments) -> None:
     figure.savefig(folder / "condensed_speed_pyharm.png")
 
 
-def has_pyharm(python: str) -> bool:
-    """Whether that Python can import it."""
-    return run_python(python, ["-c", "import pyHarm"]).returncode == 0
+def can_import(python: str, package: str) -> bool:
+    """Whether that Python has it."""
+    return run_python(python, ["-c", f"import {package}"]).returncode == 0
 
 
 def run_python(
@@ -491,7 +508,7 @@ def race(python: str, case: dict[str, Any], harmonics: int, turns: int) -> list[
     for _ in range(turns):
         for who, samples in {PYHARM: 128, FINER: finer}.items():
             if samples is not None:
-                theirs[who] = by_pyharm(python, job | {"samples": samples})
+                theirs[who] = answer(python, WORKER, job | {"samples": samples})
                 seconds = theirs[who]["seconds"] / len(theirs[who]["omega"])
                 times.setdefault(who, []).append(seconds)
         for who, samples in ways.items():
@@ -534,11 +551,11 @@ def race(python: str, case: dict[str, Any], harmonics: int, turns: int) -> list[
     return rows
 
 
-def by_pyharm(python: str, job: dict[str, Any]) -> dict[str, Any]:
-    """What ``pyharm_worker.py`` answers."""
-    finished = run_python(python, [str(WORKER)], json.dumps(job))
+def answer(python: str, worker: Path, job: dict[str, Any]) -> dict[str, Any]:
+    """What a worker answers."""
+    finished = run_python(python, [str(worker)], json.dumps(job))
     if finished.returncode != 0:
-        raise RuntimeError(f"pyHarm failed: {finished.stderr[-500:]}")
+        raise RuntimeError(f"{worker.name} failed: {finished.stderr[-500:]}")
     found: dict[str, Any] = json.loads(finished.stdout)
     return found
 
@@ -562,6 +579,108 @@ def sweep(
         neighbour = solution if solution.converged else None
         converged += solution.converged
     return time.process_time() - started, converged
+
+
+# --- SKHiPPR and tmdsimpy -------------------------------------------------------------------------
+
+
+def run_others(arguments: common.Arguments) -> None:
+    """60 masses with 20 stops, cold and along a curve."""
+    python = arguments.others
+    there = python and Path(python).exists()
+    programs = [who for who in STEPS if there and can_import(python, who.lower())]
+    if not programs:
+        print("\nNeither SKHiPPR nor tmdsimpy: this part is left out; see --others.")
+        return
+    K, stopped = sixty(), list(range(40, 60))
+    load = np.zeros(60)
+    load[-1] = 0.1
+    structure = fc.Structure.from_matrices(
+        np.eye(60), K, np.eye(60)[:, stopped], force_cos=load, damping=0.02 * K
+    )
+    law = fc.UnilateralPenalty(25.0)
+    reference = fc.solve_harmonic_balance(structure, 1.2, law, harmonics=200).gap_coefficients
+    job = dict(
+        mass=np.eye(60).tolist(), stiffness=K.tolist(), damping=(0.02 * K).tolist(),
+        load=load.tolist(), stopped=stopped, stop=25.0, at=1.2, start=1.3, end=1.15, xtol=1e-8,
+    )  # fmt: skip
+    columns = (
+        "H", "who", "samples", "cold: iterations", "converged", "s", "s / this", "ms an iteration",
+        "curve: points", "ms a point", "ms / this", "error at w = 1.2",
+    )  # fmt: skip
+    rows: list[tuple[Any, ...]] = []
+    for harmonics, samples, cold in ((5, 64, 200), (10, 128, 100), (20, 128, 60)):
+        if arguments.quick and harmonics > 5:
+            break
+        rows += beside(python, programs, structure, reference, job | dict(
+            harmonics=harmonics, samples=samples, iterations=cold, points=40 // harmonics,
+        ))  # fmt: skip
+        title = "60 masses with 20 stops; the cold time of what did not converge is a lower bound"
+        common.save_table(arguments.folder / "condensed_speed_others.csv", title, columns, rows)
+
+
+def beside(
+    python: str,
+    programs: Sequence[str],
+    structure: fc.Structure,
+    reference: np.ndarray,
+    job: dict[str, Any],
+) -> list[tuple[Any, ...]]:
+    """The programs' answers, each between two measurements of this package."""
+    law, harmonics = fc.UnilateralPenalty(job["stop"]), job["harmonics"]
+    follow = fc.continue_frequency  # imported here, not while timed
+
+    def solve(omega: float) -> fc.PeriodicSolution:
+        return fc.solve_harmonic_balance(structure, omega, law, harmonics=harmonics)
+
+    near, initial = solve(job["at"]), solve(job["start"])
+    job |= dict(
+        near=near.displacement_coefficients.tolist(),
+        initial=initial.displacement_coefficients.tolist(),
+    )
+    ours: dict[str, list[float]] = {"cold": [], "point": []}
+
+    def measure() -> int:
+        ours["cold"].append(common.seconds(lambda: solve(job["at"])))
+        started = time.process_time()
+        curve = follow(
+            structure, job["start"], job["end"], law, harmonics=harmonics, longest_step=0.05,
+            initial=initial,
+        )  # fmt: skip
+        ours["point"].append((time.process_time() - started) / len(curve))
+        return len(curve)
+
+    count = measure()
+    theirs = {}
+    for who in programs:
+        theirs[who] = answer(python, OTHERS_WORKER, job | {"program": who, "step": STEPS[who]})
+        measure()
+    cold, point = (float(np.median(ours[name])) for name in ("cold", "point"))
+    rows: list[tuple[Any, ...]] = [
+        (
+            harmonics, "this", "exact", near.iterations, True, cold, 1.0,
+            1e3 * cold / near.iterations, count, 1e3 * point, 1.0,
+            common.relative_difference(near.gap_coefficients, reference),
+        )
+    ]  # fmt: skip
+    for who, run in theirs.items():
+        each = float(np.median(run["points"]))
+        gap = np.array(run["coefficients"])[:, job["stopped"]]
+        rows.append(
+            (
+                harmonics, who, job["samples"], run["iterations"], run["converged"], run["cold"],
+                run["cold"] / cold, 1e3 * run["cold"] / run["iterations"], len(run["points"]),
+                1e3 * each, each / point, common.relative_difference(gap, reference),
+            )
+        )  # fmt: skip
+    return rows
+
+
+def sixty() -> np.ndarray:
+    """Stiffness of 60 masses in a chain, the first natural frequency being 1."""
+    K = common.chain(60)
+    stiffness: np.ndarray = K / np.linalg.eigvalsh(K)[0]
+    return stiffness
 
 
 if __name__ == "__main__":

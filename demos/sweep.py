@@ -42,7 +42,6 @@ def main(output: Path = Path("output/sweep"), scene: fc.Scene | None = None) -> 
         value_label="half peak-to-peak [µm]",
         path=output / "map.png",
         title="Force point of a plate with a breathing crack",
-        missing="not converged",
     )
     peaks = omega[np.nanargmax(np.where(result.converged, result["response"], 0.0), axis=1)]
     print(

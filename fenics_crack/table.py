@@ -20,7 +20,18 @@ import numpy as np
 
 from fenics_crack.errors import InputError
 
-__all__ = ["Described", "Table", "Tabular", "counted", "quantity", "readable", "with_unit"]
+__all__ = [
+    "Described",
+    "Table",
+    "Tabular",
+    "counted",
+    "frequency_axis",
+    "quantity",
+    "ranging",
+    "readable",
+    "with_frequency",
+    "with_unit",
+]
 
 SHOWN_ROWS, NOTEBOOK_ROWS = 40, 20
 """Rows shown as text and in a notebook; files have all of them."""
@@ -175,9 +186,30 @@ def with_unit(name: str, unit: str) -> str:
     return f"{name} [{unit}]" if unit not in ("", "1") else name
 
 
+def frequency_axis(in_hertz: bool) -> tuple[float, str, str]:
+    """What multiplies rad/s, the name, and the unit of an axis or a column of load frequencies."""
+    return (0.5 / math.pi, "load frequency", "Hz") if in_hertz else (1.0, "load frequency", "rad/s")
+
+
+def with_frequency(values: dict[str, Any]) -> dict[str, Any]:
+    """Entries with the "frequency" [Hz] of their "omega" [rad/s], a number or a list, behind it."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        found[name] = value
+        if name == "omega":
+            found["frequency"] = (np.array(value) / (2.0 * np.pi)).tolist()
+    return found
+
+
 def counted(count: int, thing: str) -> str:
     """A number of things: "1 pair", "2 pairs"."""
     return f"{count} {thing}{'' if count == 1 else 's'}"
+
+
+def ranging(counts: np.ndarray) -> str:
+    """From the least of some counts to the most: "9", "5 to 40"."""
+    least, most = int(np.min(counts)), int(np.max(counts))
+    return f"{least}" if least == most else f"{least} to {most}"
 
 
 def _plain(value: Any) -> Any:

@@ -35,6 +35,13 @@ MPI_ENVIRONMENT = {
 }
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let the verification book be written anew."""
+    parser.addoption(
+        "--write-book", action="store_true", help="write the pages of docs/verification"
+    )
+
+
 @pytest.fixture(scope="session")
 def paper_scene() -> Scene:
     """The paper's plate: 2 x 8 bilinear quadrilaterals, a crack one element long."""

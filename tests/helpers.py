@@ -13,6 +13,9 @@ import numpy as np
 import scipy.linalg
 
 import fenics_crack as fc
+from fenics_crack.balance.compliance import dynamic_compliance
+from fenics_crack.balance.condensed import CondensedSystem
+from fenics_crack.balance.contact_integrals import SampledIntegrals
 from fenics_crack.balance.error_report import mean_square
 from fenics_crack.balance.fourier import resized
 
@@ -57,6 +60,17 @@ def heavy_mass() -> fc.Structure:
     """The mass that a stop releases: mass 100, stiffness 1e4, a pair, no load."""
     mass = np.array([[100.0]])
     return fc.Structure.from_matrices(mass, 100.0 * mass, np.ones(1))
+
+
+def free_bar(elements: int) -> fc.Structure:
+    """0.2 m of steel-like bar, 1 m^2, with linear elements and a wall 2 mm off its end."""
+    size, young, density = 0.2 / elements, 2e11, 8000.0
+    stiffness, mass = np.zeros((elements + 1,) * 2), np.zeros((elements + 1,) * 2)
+    for first in range(elements):
+        block = np.s_[first : first + 2, first : first + 2]
+        stiffness[block] += young / size * np.array([[1.0, -1.0], [-1.0, 1.0]])
+        mass[block] += density * size / 6.0 * np.array([[2.0, 1.0], [1.0, 2.0]])
+    return fc.Structure.from_matrices(mass, stiffness, np.eye(elements + 1)[-1], clearance=2e-3)
 
 
 def chain_stiffness(springs: np.ndarray) -> np.ndarray:
@@ -200,6 +214,45 @@ def true_error(found: fc.PeriodicSolution, exact: fc.PeriodicSolution) -> float:
     closing = two.copy()
     closing[0] += exact.structure.clearance
     return float(np.sqrt(mean_square(one - two) / mean_square(closing)))
+
+
+# --- a Duffing oscillator with one harmonic or more -----------------------------------------------
+
+
+def duffing() -> fc.Structure:
+    """x'' + 0.2 x' + x (+ x^3) = 1.25 sin 2 t."""
+    one = np.ones((1, 1))
+    return fc.Structure.from_matrices(one, one, one, force_sin=[1.25], damping=0.2 * one)
+
+
+def newton_roots(system: CondensedSystem, starts: int = 400) -> list[np.ndarray]:
+    """The distinct solutions that Newton's method finds from random starts of many sizes."""
+    size = np.linalg.norm(system.linear)
+    rng, found = np.random.default_rng(0), list[np.ndarray]()
+    for _ in range(starts):
+        gap = rng.normal(size=system.shape)
+        gap *= size * 10.0 ** rng.uniform(-1.0, 1.0) / np.linalg.norm(gap)
+        for _ in range(100):
+            at = system.linearise(gap)
+            if np.linalg.norm(at.residual) < 1e-11 * np.linalg.norm(gap):
+                if all(np.linalg.norm(gap - other) > 1e-6 * size for other in found):
+                    found.append(gap)
+                break
+            gap = gap - at.solve(at.residual)
+    return found
+
+
+def duffing_system(harmonics: int, samples: int) -> CondensedSystem:
+    """The package's equations of the Duffing oscillator."""
+    compliance = dynamic_compliance(duffing(), 2.0, harmonics)
+    return CondensedSystem(compliance, SampledIntegrals(Cubic(1.0), harmonics, samples))
+
+
+def classical_amplitudes() -> np.ndarray:
+    """H = 1: ((1 - W^2 + 3/4 y)^2 + (0.2 W)^2) y = 1.25^2 in y = |X1|^2."""
+    squares = np.roots([9.0 / 16.0, -4.5, 9.0 + 0.16, -(1.25**2)])
+    assert np.all(np.abs(squares.imag) < 1e-12)
+    return np.sort(np.sqrt(squares.real))
 
 
 # --- meshes ---------------------------------------------------------------------------------------

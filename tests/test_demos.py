@@ -83,7 +83,7 @@ import dataclasses
 from pathlib import Path
 import fenics_crack as fc
 import sweep
-from fenics_crack.scene.scene import Sweep
+from fenics_crack.scene.tables import Sweep
 scene = dataclasses.replace(
     fc.Scene.load(sweep.SCENE), sweep=Sweep.from_mapping({{"over": {over!r}}})
 )
@@ -136,3 +136,18 @@ def test_resonances(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     again = demo.main(tmp_path, again=True)
     assert np.array_equal(again.omega, curve.omega)
     assert {name: (tmp_path / name).read_bytes() for name in pictures} == before
+
+
+def test_blade(tmp_path: Path) -> None:
+    """A cracked blade on a rotor, coarsely: the run-up peaks between open and tied lips, rotation
+    opens the crack, and tip timing finds most of the vibration."""
+    found = load("blade").main(tmp_path, quick=True)
+    low, high = found["order meets open lips [rpm]"], found["order meets tied lips [rpm]"]
+    assert low < found["at [rpm]"] < high and low < found["order meets breathing lips [rpm]"] < high
+    assert found["share closed, slow and pressed"] > 0.3
+    assert found["share closed, fast and free"] == 0.0
+    assert 0.1 < found["share of the period closed there"] < 0.6
+    seen = found["largest amplitude by tip timing [m]"] / found["largest amplitude [m]"]
+    assert 0.5 < seen < 1.05  # groups of revolutions blur the peak
+    for name in ("campbell", "run_up", "closed", "map", "probes"):
+        assert (tmp_path / f"{name}.png").stat().st_size > 10_000

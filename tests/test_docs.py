@@ -16,12 +16,14 @@ from helpers import ROOT
 import fenics_crack as fc
 import fenics_crack.scene.scene
 from fenics_crack.cli.command_line import parser
+from fenics_crack.scene import tables
 
 MPIRUN = "mpirun --oversubscribe"
 
 SHELL = re.compile(r"```sh\n(.*?)```", re.S)
 PAGES = [
-    ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), ROOT / "benchmarks" / "README.md",
+    ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "docs" / "verification").glob("*.md")), ROOT / "benchmarks" / "README.md",
 ]  # fmt: skip
 BLOCKS = [
     pytest.param(code, id=f"{page.name} {number}")
@@ -53,7 +55,7 @@ def test_shell_blocks_run(tmp_path: Path) -> None:
             words, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300
         )
         assert done.returncode == 0, (line, done.stderr)
-        if " plot " not in line and " new " not in line and "json" not in line:
+        if not any(word in line for word in (" plot ", " new ", " report ", "json")):
             assert done.stdout.count("\n---") == 1, (line, done.stdout)  # one table, from one rank
         if " plot " in line:
             for picture in done.stderr.split():
@@ -72,13 +74,14 @@ def test_shell_blocks_run(tmp_path: Path) -> None:
 def test_toml_blocks_are_tables_of_scenes(page: Path) -> None:
     """Blocks of TOML parse, and their keys are known; what is missing is another matter."""
     for block in re.findall(r"```toml\n(.*?)```", page.read_text(), re.S):
-        for name, table in tomllib.loads(block).items():
+        for name, found in tomllib.loads(block).items():
             known = {field.name: field for field in dataclasses.fields(fc.Scene)}
             assert name in known
-            kind = getattr(
-                fenics_crack.scene.scene, "".join(part.capitalize() for part in name.split("_"))
-            )
-            assert isinstance(kind.from_mapping(table), kind)
+            listed = isinstance(found, list)
+            words = (name.removesuffix("s") if listed else name).split("_")
+            kind = getattr(fenics_crack.scene.scene, "".join(word.capitalize() for word in words))
+            for table in found if listed else [found]:
+                assert isinstance(kind.from_mapping(table), kind)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -103,8 +106,25 @@ def test_links_lead_somewhere() -> None:
         assert (ROOT / name).exists(), name
 
 
+def test_names_exist() -> None:
+    """Public names and keys of a scene that the pages mention."""
+    kinds = {name: kind for name, kind in vars(tables).items() if dataclasses.is_dataclass(kind)}
+    del kinds["Curve"]  # also a variable of many programs
+    keys = {
+        re.sub("(?<!^)(?=[A-Z])", "_", name).lower(): {
+            field.name for field in dataclasses.fields(kind)
+        }
+        for name, kind in kinds.items()
+    }
+    for page in PAGES:
+        text = page.read_text()
+        assert set(re.findall(r"\bfc\.(\w*[^\W_])\b", text)) <= set(fc.__all__), page.name
+        for table, key in re.findall(r"`(\w+)\.(\w+)(?: =[^`]*)?`", text):
+            assert key in keys.get(table, {key}), f"{page.name}: {table}.{key}"
+
+
 def test_verification_names_its_tests() -> None:
-    """Each line of the page ends with files of tests, and parts of the names of tests in them."""
+    """Each line ends with files of tests and parts of names of tests in them, or a benchmark."""
     lines = (ROOT / "docs" / "verification.md").read_text().split("## Hard cases")[0].splitlines()
     cells = [line.strip("| ").split(" | ")[-1] for line in lines if line.startswith("| ")]
     named = [cell for cell in cells if cell not in ("test", "---")]
@@ -112,6 +132,9 @@ def test_verification_names_its_tests() -> None:
     for cell in named:
         for place in cell.split("; "):
             file, _, parts = place.partition(", ")
+            if file.startswith("`benchmarks/"):
+                assert (ROOT / file.strip("`")).exists(), place
+                continue
             text = (ROOT / "tests" / file.strip("`")).read_text()
             tests = re.findall(r"^def (test_\w+)", text, re.M)
             for part in parts.split(" or "):

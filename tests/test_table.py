@@ -11,7 +11,7 @@ import pytest
 from helpers import two_masses
 
 import fenics_crack as fc
-from fenics_crack.scene.scene import Sweep
+from fenics_crack.scene.tables import Sweep
 from fenics_crack.sweep.file import COLUMNS
 from fenics_crack.table import Described, Table, Tabular, quantity
 
@@ -120,7 +120,7 @@ def test_dicts_say_what_the_results_are(results: dict[str, Any]) -> None:
     """Values are those of the attributes."""
     curve, sweep = results["curve"].to_dict(), results["sweep"].to_dict()
     assert list(curve) == [
-        "omega", "harmonics", "iterations", "truncation", "multiplier", "verdict",
+        "omega", "frequency", "harmonics", "iterations", "truncation", "multiplier", "verdict",
     ]  # fmt: skip
     assert curve["omega"] == results["curve"].omega.tolist()
     assert sweep["excitation.omega"] == 2 * [1900.0, 2000.0, 2100.0]

@@ -2,22 +2,24 @@
 
 Between two events the set A of closed pairs stays, and with it lambda_A = (D_AA)^-1 s_A and the
 openings of the others, D lambda - s (:mod:`fenics_crack.model.coupled`). An event is the first root
-of one of these: a force that vanishes opens its pair, an opening that vanishes closes it.
+of one of these: a force that vanishes opens its pair, an opening that vanishes closes it. There the
+stiffness S_A = (D_AA)^-1, with zeros outside A, changes by a part of rank one, gain v v^T.
 
 The kernel finds them (``kernel/intervals.c``) on the cells of a grid, 16 and more to the shortest
-wave.
+wave. It carries one set through the period, and the answers to each of the 2H+1 waves with it: an
+event costs n_pairs^2 / 2, a cell without one 2 (2H+1) n_pairs.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 
-from fenics_crack.balance.fourier import from_complex, sampled
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.kernel import doubles, kernel, signs
-from fenics_crack.model.coupled import ROUNDING, ActiveSets, unique_sets
+from fenics_crack.kernel import Struct, kernel
+from fenics_crack.model.coupled import ROUNDING, ActiveSets
 
 __all__ = ["Intervals", "contact_intervals"]
 
@@ -36,15 +38,30 @@ class Intervals:
     ----------
     theta : (m,) [rad]
         Where each interval begins, the first at 0; ascending.
-    which : (m,)
-        The row of ``sets`` in each interval.
-    sets : (n_sets, n_pairs) bool
-        Different sets of closed pairs.
+    first : (n_pairs,) bool
+        Pairs closed in the first interval.
+    pair : (m - 1,) int
+        Which pair opens or closes at the end of each.
+    stiffness : (n_pairs, n_pairs) [N/m]
+        S of the first interval.
+    vectors, gains : (m - 1, n_pairs) and (m - 1,) [N/m]
+        v and gain: how S changes at the end of each.
     """
 
     theta: np.ndarray
-    which: np.ndarray
-    sets: np.ndarray
+    first: np.ndarray
+    pair: np.ndarray
+    stiffness: np.ndarray
+    vectors: np.ndarray
+    gains: np.ndarray
+
+    @cached_property
+    def closed(self) -> np.ndarray:
+        """Pairs closed in each interval: (m, n_pairs) bool."""
+        turned = np.zeros((len(self.theta), len(self.first)), dtype=bool)
+        turned[0] = self.first
+        turned[np.arange(1, len(self.theta)), self.pair] = True
+        return np.logical_xor.accumulate(turned, axis=0)
 
     def rests(self, highest: int) -> np.ndarray:
         """Means over the period of exp(i m theta) from where each interval begins to the period's
@@ -56,31 +73,44 @@ class Intervals:
         return found / (2.0 * np.pi)
 
 
-def contact_intervals(harmonics: np.ndarray, contact: ActiveSets) -> Intervals:
-    """The intervals of waves s with complex harmonics (H+1, n_pairs).
+def contact_intervals(gap: np.ndarray, contact: ActiveSets) -> Intervals:
+    """The intervals of waves s with coefficients (2H+1, n_pairs).
 
     Raises ConvergenceError where an instant has no forces.
     """
-    pairs = harmonics.shape[1]
-    most = max(CELLS * len(harmonics), CELLS_OF_PAIR * pairs)
+    columns, pairs = gap.shape
+    most = max(CELLS * (columns // 2 + 1), CELLS_OF_PAIR * pairs)
     count = 1 << (most - 1).bit_length()
-    order = np.arange(len(harmonics))[:, None]
-    waves = np.ascontiguousarray(harmonics, dtype=complex)
-    values, rates = (
-        np.ascontiguousarray(sampled(from_complex(wave), count))
-        for wave in (waves, 1j * order * waves * (2.0 * np.pi / count))
-    )
-    room = np.empty(kernel.intervals_room(pairs))
+    gap = np.ascontiguousarray(gap, dtype=float)
+    first, stiffness = np.empty(pairs, dtype=bool), np.empty((pairs, pairs))
+    table = Struct(
+        "pivot_table", pairs=pairs, columns=columns, d=contact.compliance, gaps=gap,
+        table=np.empty((pairs, pairs)), answer=np.empty((columns, pairs)),
+        closed=np.empty(pairs, dtype=bool), room=np.empty(4 * pairs),
+    )  # fmt: skip
     places = count + 8 * pairs
     while True:
-        theta, closed = np.empty(places), np.empty((places, pairs), dtype=bool)
-        found = kernel.intervals(
-            contact.handle, pairs, len(waves) - 1, count, doubles(waves), doubles(values),
-            doubles(rates), ROUNDING, places, doubles(theta), signs(closed), doubles(room),
+        theta, pair = np.zeros(places + 1), np.empty(places, dtype=np.intc)
+        vectors, gains = np.empty((places, pairs)), np.empty(places)
+        known = Struct(
+            "breathing", contact=table, cells=count, most=places,
+            circle=_circle(count),
+            allowed=ROUNDING * float(np.abs(gap).sum(axis=0).max(initial=0.0)),
+            first=first, stiffness=stiffness, theta=theta[1:], pair=pair, vectors=vectors,
+            gain=gains, work=np.empty(kernel.intervals_room(pairs, columns // 2)),
         )  # fmt: skip
+        found = kernel.intervals(known.at)
         if found >= 0:
-            sets, which = unique_sets(closed[:found])
-            return Intervals(theta[:found], which, sets)
+            return Intervals(
+                theta[: found + 1], first, pair[:found], stiffness, vectors[:found], gains[:found]
+            )
         if found == NO_FORCES:
             raise ConvergenceError("contact: no forces were found at an instant of the period")
         places *= 2
+
+
+@lru_cache(maxsize=16)
+def _circle(count: int) -> np.ndarray:
+    """cos theta, sin theta at equally spaced phases: (count, 2)."""
+    turned = np.exp(2j * np.pi / count * np.arange(count))
+    return np.column_stack([turned.real, turned.imag])

@@ -18,7 +18,7 @@ Stability Analysis, chapter 4.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,7 +33,7 @@ from fenics_crack.balance.bordered import (
 )
 from fenics_crack.balance.linearisation import Linearisation, System
 
-__all__ = ["Stepping", "follow_path"]
+__all__ = ["Stepping", "follow_path", "follow_stretches"]
 
 BRANCHING_STEP = 1e-3
 """Share of the longest step below which a change of sign straight ahead means a branch crosses."""
@@ -76,12 +76,26 @@ def follow_path(
     towards: Tangent | None = None,
 ) -> Iterator[PathPoint]:
     """Yield points of the path from a solution on, towards growing p first or along ``towards``."""
-    at = system.linearise(start, parameter)
+    for found in follow_stretches(system, start, parameter, stepping, towards):
+        yield from found
+
+
+def follow_stretches(
+    system: System,
+    start: np.ndarray,
+    parameter: float,
+    stepping: Stepping,
+    towards: Tangent | None = None,
+) -> Iterator[Sequence[PathPoint]]:
+    """The same, as many points at once as come together."""
+    kernel = compiled(system)
+    at = (kernel or system).linearise(start, parameter)
     tangent, orientation = tangent_of(system, start, at), at.sign
     if towards is not None and tangent.along(towards, system) < 0.0:
         tangent, orientation = tangent.reversed(), -orientation
-    known, kernel = [PathPoint(start, parameter, 0, tangent)], compiled(system)
+    known = [PathPoint(start, parameter, 0, tangent)]
     step, taken = stepping.first, 0
+    found: Sequence[PathPoint]
     while taken < stepping.most:
         if kernel is None:
             found, orientation, step = _advance(system, known, orientation, step, stepping)
@@ -94,8 +108,8 @@ def follow_path(
             found, step = [turned[0]], _next_step(turned[0], turned[1], stepping)
         found = found[: stepping.most - taken]
         taken += len(found)
-        known = [*known, *found][-2:]
-        yield from found
+        known = [*known, *found[-2:]][-2:]
+        yield found
 
 
 def _advance(

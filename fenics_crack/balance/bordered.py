@@ -14,7 +14,8 @@ changes like a square root, the step is shortened.
 
 All paths are followed with this loop: response curves, paths to a cold start, backbones, and
 branches of exact orbits; refined curves take its step. Single solutions go through PETSc's SNES
-(:mod:`newton`), so that PETSc's options reach them. Curves do not: SNES knows no border, and at
+(:mod:`newton`), so that PETSc's options reach them; the first one of a curve goes through this loop
+where the kernel has its equations. Curves do not: SNES knows no border, and at
 given parameters, where none is needed, an iteration by SNES takes ten times as long as one by the
 compiled loop (``benchmarks/curves.py --only newton``, 21 unknowns).
 
@@ -25,7 +26,7 @@ Sources: those of :mod:`arclength`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
@@ -119,8 +120,16 @@ class Compiled(Protocol):
 
     def follow(
         self, known: list[PathPoint], orientation: float, step: float, stepping: Any
-    ) -> tuple[list[PathPoint], float, float]:
+    ) -> tuple[Sequence[PathPoint], float, float]:
         """Many steps of :func:`fenics_crack.balance.arclength.follow_path`."""
+
+    def find_between(
+        self, ends: tuple[PathPoint, PathPoint], target: float | None, tolerance: float, near: float
+    ) -> PathPoint | None:
+        """As :func:`find_between`."""
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> Linearisation:
+        """The equations at a point."""
 
 
 def compiled(system: System) -> Compiled | None:
@@ -296,6 +305,9 @@ def find_between(
     Where the next point is looked for follows from Hermite's cubic polynomial p(s) through the two
     points that enclose it, with s along the tangent of the first one.
     """
+    kernel = compiled(system)
+    if kernel is not None:
+        return kernel.find_between(ends, target, tolerance, near)
     first, last = ends
     halve = False
     for count in range(MAX_BETWEEN):
@@ -312,7 +324,7 @@ def find_between(
             cubic = (0.0, 3.0 * third, 2.0 * second, begin)
         else:
             cubic = (third, second, begin, first.parameter - target)
-        share = float(scipy.optimize.brentq(_polynomial, 0.0, 1.0, cubic))
+        share = _root_within(cubic)
         if min(share, 1.0 - share) * length <= near:
             return first if share < 0.5 else last
         share = 0.5 if halve else share
@@ -326,6 +338,15 @@ def find_between(
         left = 1.0 - share if is_before else share
         halve = count >= 3 and left > 0.5 and not halve
     return None
+
+
+def _root_within(cubic: tuple[float, float, float, float]) -> float:
+    """A root of a cubic polynomial between 0 and 1; the nearer end where rounding has hidden the
+    change of sign."""
+    begin, end = _polynomial(0.0, *cubic), _polynomial(1.0, *cubic)
+    if begin * end >= 0.0:
+        return 0.0 if abs(begin) < abs(end) else 1.0
+    return float(scipy.optimize.brentq(_polynomial, 0.0, 1.0, cubic))
 
 
 def _polynomial(at: float, a: float, b: float, c: float, d: float) -> float:

@@ -12,18 +12,27 @@ same numbers, many points in one call.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 
 from fenics_crack.balance.arclength import BRANCHING_STEP, Stepping
-from fenics_crack.balance.bordered import MAX_ITERATIONS, MIN_DAMPING, REACH, PathPoint, Tangent
+from fenics_crack.balance.bordered import (
+    MAX_BETWEEN,
+    MAX_ITERATIONS,
+    MIN_DAMPING,
+    REACH,
+    PathPoint,
+    Tangent,
+)
 from fenics_crack.balance.linearisation import Linearisation
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.kernel import Struct, doubles, ints, kernel, owned
+from fenics_crack.kernel import NULL, Struct, doubles, ints, kernel, owned
 
-__all__ = ["CompiledSystem", "ModalPart"]
+__all__ = ["CompiledSystem", "ModalPart", "Stretch"]
 
 
 @dataclass(frozen=True)
@@ -143,23 +152,12 @@ class CompiledSystem:
 
     def follow(
         self, known: list[PathPoint], orientation: float, step: float, stepping: Stepping
-    ) -> tuple[list[PathPoint], float, float]:
+    ) -> tuple[Stretch, float, float]:
         """Points of a path behind the last one or two that are known, the sign of its determinant
         and the next step. There are none where steps would be too short, and fewer than there might
         be where the parameter leaves its span."""
-        begun, room = len(known), len(known) + stepping.chunk
-        unknowns, tangents = np.empty((2, room, *self.shape))
-        numbers = np.empty((4, room))
-        counts, crossings = np.zeros(room, np.intc), np.zeros(room, np.int8)
-        for place, point in enumerate(known):
-            unknowns[place], tangents[place] = point.unknown, point.tangent.x
-            numbers[:3, place] = point.parameter, point.tangent.p, point.tangent.weight
-        names = ("parameters", "slopes", "weights", "lengths")
-        path = Struct(
-            "path", room=room, known=begun, step=step, orientation=orientation, unknowns=unknowns,
-            tangents=tangents, iterations=counts, crossings=crossings,
-            **dict(zip(names, numbers, strict=True)),
-        )  # fmt: skip
+        begun, found = len(known), Stretch(self.shape, len(known) + stepping.chunk)
+        path = found.struct(known, step=step, orientation=orientation)
         how = Struct(
             "stepping", longest=stepping.longest, shortest=stepping.shortest,
             tolerance=stepping.tolerance, rounding=stepping.rounding,
@@ -171,16 +169,31 @@ class CompiledSystem:
         outcome, points = kernel.follow(self._point, how.at, path.at), path.at
         if points.known == begun:
             self._check(outcome)
-        new = slice(begun, points.known)
-        columns: list[Any] = [array.tolist() for array in (*numbers[:, new], counts[new])]
-        rows = zip(unknowns[new], tangents[new], *columns, crossings[new], strict=True)
-        found = [
-            PathPoint(
-                unknown, place, count, Tangent(x, slope, weight), bool(crossing > 0), length=length
-            )
-            for unknown, x, place, slope, weight, length, count, crossing in rows
-        ]
-        return found, points.orientation, points.step
+        return found[begun : points.known], points.orientation, points.step
+
+    def find_between(
+        self, ends: tuple[PathPoint, PathPoint], target: float | None, tolerance: float, near: float
+    ) -> PathPoint | None:
+        """As :func:`fenics_crack.balance.bordered.find_between`."""
+        found = Stretch(self.shape, 3)
+        path = found.struct(ends)
+        how = Struct(
+            "stepping", shortest=near, tolerance=tolerance, reach=REACH,
+            iterations=MAX_ITERATIONS, least_damping=MIN_DAMPING,
+        )  # fmt: skip
+        wanted = NULL if target is None else doubles(np.array([target]))
+        self._last = None
+        outcome = kernel.find_between(self._point, how.at, MAX_BETWEEN, wanted, path.at)
+        self._check(outcome)
+        return None if outcome == kernel.NOT_FOUND else found[path.at.known]
+
+    def largest_compliance(self, parameter: float) -> float:
+        """Largest sum of abs(R_k) over a row of it at a parameter [m/N]."""
+        self._last = None
+        found = float(kernel.largest_compliance(self._point, parameter))
+        if not math.isfinite(found):
+            self._check(kernel.SINGULAR_STRUCTURE)
+        return found
 
     def _check(self, outcome: int) -> None:
         """Raise ConvergenceError where the structure is singular, MemoryError without memory."""
@@ -188,6 +201,66 @@ class CompiledSystem:
             raise MemoryError("condensed equations")
         if outcome == kernel.SINGULAR_STRUCTURE:
             raise ConvergenceError("path: the structure is singular (an undamped resonance)")
+
+
+class Stretch(Sequence[PathPoint]):
+    """Points of a path in the kernel's arrays, one after the other; each is made where it is asked
+    for.
+
+    Attributes
+    ----------
+    unknowns : (n, 2H+1, n_pairs) [m]
+    parameters, slopes, lengths : (n,)
+        p, its tangent's t_p, and the chord from the point before.
+    iterations : (n,) int
+    crossings : (n,) int
+        1 where another branch has been crossed since the point before.
+    """
+
+    def __init__(self, shape: tuple[int, ...], room: int) -> None:
+        self.unknowns, self._tangents = np.zeros((room, *shape)), np.zeros((room, *shape))
+        self.parameters, self.slopes, self._weights, self.lengths = np.zeros((4, room))
+        self.iterations, self.crossings = np.zeros(room, np.intc), np.zeros(room, np.int8)
+
+    def struct(self, known: Sequence[PathPoint], **numbers: float) -> Struct:
+        """The kernel's path, which begins with what is known."""
+        for place, point in enumerate(known):
+            self.unknowns[place], self._tangents[place] = point.unknown, point.tangent.x
+            self.parameters[place], self.slopes[place] = point.parameter, point.tangent.p
+            self._weights[place], self.iterations[place] = point.tangent.weight, point.iterations
+        return Struct(
+            "path", room=len(self), known=len(known), unknowns=self.unknowns,
+            parameters=self.parameters, tangents=self._tangents, slopes=self.slopes,
+            weights=self._weights, lengths=self.lengths, iterations=self.iterations,
+            crossings=self.crossings, **numbers,
+        )  # fmt: skip
+
+    def __len__(self) -> int:
+        return len(self.parameters)
+
+    def ways_to(self, point: PathPoint) -> np.ndarray:
+        """Distances from each point to another one along its tangent: (n,)."""
+        back = (point.unknown - self.unknowns).reshape(len(self), -1)
+        along = np.einsum("ij,ij->i", back, self._tangents.reshape(len(self), -1))
+        found: np.ndarray = self._weights * along
+        return found + (point.parameter - self.parameters) * self.slopes
+
+    @overload
+    def __getitem__(self, place: int) -> PathPoint: ...
+    @overload
+    def __getitem__(self, place: slice) -> Stretch: ...
+    def __getitem__(self, place: int | slice) -> PathPoint | Stretch:
+        if isinstance(place, slice):
+            part = object.__new__(Stretch)
+            vars(part).update({name: array[place] for name, array in vars(self).items()})
+            return part
+        tangent = Tangent(
+            self._tangents[place], float(self.slopes[place]), float(self._weights[place])
+        )
+        return PathPoint(
+            self.unknowns[place], float(self.parameters[place]), int(self.iterations[place]),
+            tangent, bool(self.crossings[place]), length=float(self.lengths[place]),
+        )  # fmt: skip
 
 
 class CompiledPoint(Linearisation):

@@ -49,11 +49,14 @@ class Compliance(Protocol):
         Gap without contact, less the clearance.
     basis : (n_pairs, n) or None
         Orthonormal basis of the gaps that the modes can make; None where these are all gaps.
+    highest : float
+        Natural frequency of the highest mode, relative to the base frequency; 0: not known.
     """
 
     matrices: np.ndarray
     linear_gap: np.ndarray
     basis: np.ndarray | None
+    highest: float
 
     def beyond(self, highest: int) -> np.ndarray:
         """R_k for k = H+1 to a higher harmonic, to the accuracy of an error estimate."""
@@ -114,6 +117,8 @@ class ModalCompliance:
 
     def _set(self, base_omega: float, load: float, damping: float, clearance: float) -> None:
         self._base, self._damping = base_omega, damping
+        top = float(np.sqrt(np.abs(self._modes.squares).max(initial=0.0)))
+        self.highest = top / base_omega if base_omega > 0.0 else 0.0
         self._receptance = self._modes.receptance(
             base_omega * self._order, damping, self._unit_load != 0.0
         )
@@ -216,6 +221,7 @@ class FactoredCompliance:
     """
 
     basis: np.ndarray | None = None
+    highest = 0.0
 
     def __init__(self, structure: Structure, base_omega: float, load: np.ndarray) -> None:
         self.structure, self.load = structure, load
@@ -264,7 +270,7 @@ class WidenedCompliance:
     def __init__(self, compliance: Compliance, harmonics: int) -> None:
         self.matrices = np.concatenate([compliance.matrices, compliance.beyond(harmonics)])
         self.linear_gap = resized(compliance.linear_gap, harmonics)
-        self.basis = compliance.basis
+        self.basis, self.highest = compliance.basis, compliance.highest
         self.beyond = compliance.beyond
         self.displacement = compliance.displacement
         self.destroy = compliance.destroy
@@ -277,6 +283,7 @@ class NarrowedCompliance:
         self.matrices = compliance.matrices[: harmonics + 1]
         self.linear_gap = compliance.linear_gap[: 2 * harmonics + 1]
         self._whole, self.basis = compliance.matrices, compliance.basis
+        self.highest = compliance.highest
         self.displacement, self.destroy = compliance.displacement, compliance.destroy
         self._further = compliance.beyond
 

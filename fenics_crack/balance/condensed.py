@@ -250,7 +250,8 @@ class _LowRank:
         lost = np.trace(tangent, axis1=1, axis2=2) - np.sum(factors**2, axis=(1, 2))
         self.complete = bool(np.all(np.abs(lost) <= 1e-10 * np.abs(tangent).max(axis=(1, 2))))
         used = np.any(factors, axis=1)  # (n_pairs, rows)
-        most = int(used.sum(axis=1).max(initial=0))
+        used[0, 0] = True  # LAPACK takes no empty matrix: a column of zeros where all are open
+        most = int(used.sum(axis=1).max())
         self._after = factors[:, :, :most] / weight[:, None]  # P
         self._before = (factors[:, :, :most] * weight[:, None]).transpose(0, 2, 1)  # Q
         self._places = np.flatnonzero(used[:, :most].T)  # of (column, pair)

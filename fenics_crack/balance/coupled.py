@@ -24,6 +24,7 @@ frequency).
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 
 import numpy as np
 
@@ -65,6 +66,13 @@ class CoupledSystem(CondensedEquations):
         rows, pairs = self.linear.shape
         size = rows * (pairs if self.basis is None else self.basis.shape[1])
         self.matrix_free = size**3 > MATRIX_FREE**3 + PRODUCTS * rows * pairs**2
+
+    @cached_property
+    def moving_seen(self) -> np.ndarray:
+        """R'_k = U^T (R_k - R_inf) U."""
+        assert self.basis is not None
+        found: np.ndarray = self.basis.T @ self.moving @ self.basis
+        return found
 
     def linearise(self, unknown: np.ndarray, parameter: float = 1.0) -> CoupledPoint:
         """The equations at s, with a softness in series."""
@@ -137,7 +145,7 @@ class CoupledPoint(CondensedPoint):
         basis = self.system.basis
         if basis is None:
             return super().condense()
-        return _identity_plus(basis.T @ self.system.moving @ basis, self.forces.tangent.seen(basis))
+        return _identity_plus(self.system.moving_seen, self.forces.tangent.seen(basis))
 
     def apply(self, change: np.ndarray) -> np.ndarray:
         return change + respond(self.system.moving, self.forces.tangent.apply(change))

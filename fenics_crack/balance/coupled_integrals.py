@@ -25,7 +25,7 @@ import numpy as np
 
 from fenics_crack.balance.active_sets import contact_intervals
 from fenics_crack.balance.contact_integrals import default_samples
-from fenics_crack.balance.fourier import balanced, sampled, to_complex
+from fenics_crack.balance.fourier import balanced, sampled
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.coupled import ActiveSets, smooth_forces, unique_sets
 
@@ -84,10 +84,10 @@ class CoupledTangent:
             found += self._weights[:, begin : begin + some] @ products
         return found.reshape(count, pairs, pairs)
 
-    def apply(self, change: np.ndarray) -> np.ndarray:
-        """T v of coefficients (2H+1, n_pairs)."""
+    def apply(self, change: np.ndarray, *, once: bool = False) -> np.ndarray:
+        """T v of coefficients (2H+1, n_pairs); S is not formed for one product alone."""
         values = sampled(change, len(self._weights))
-        if not self._parts:
+        if not (self._parts or once):
             forces = np.matmul(self.stiffness, values[:, :, None])[:, :, 0]
         else:
             forces = np.matmul(self._base, values[:, :, None])[:, :, 0]
@@ -207,29 +207,30 @@ class _PiecewiseForces(CoupledForces):
         self._integrals, self._gap = integrals, gap
         highest, contact = 2 * integrals.harmonics, integrals.contact
         if integrals.samples is None:
-            intervals = contact_intervals(to_complex(gap), contact)
-            self._closed = intervals.sets[intervals.which]
-            rests = intervals.rests(highest)
+            found = contact_intervals(gap, contact)
+            self._sets, rests = lambda: found.closed, found.rests(highest)
+            step, base = np.arange(1, len(rests)), found.stiffness[None]
+            vectors, gains = found.vectors, found.gains
         else:
             _, closed = contact.solve(sampled(gap, integrals.samples))
             begins = np.append(0, 1 + np.flatnonzero(np.any(closed[1:] != closed[:-1], axis=1)))
-            self._closed = closed[begins]
+            changed = closed[begins]
+            self._sets = lambda: changed
             behind = begins[:, None] <= np.arange(integrals.samples)
             rests = np.fft.rfft(behind.astype(float), axis=1)[:, : highest + 1].conj()
             rests /= integrals.samples
+            step, vectors, gains = contact.changes(changed)
+            base = contact.stack(changed[:1])
         count = 2 * highest + 2
         self._rests = np.fft.irfft(count * rests.conj(), n=count, axis=1).T  # (N, m)
-        step, vectors, gains = contact.changes(self._closed)
-        self.tangent = CoupledTangent(
-            integrals.harmonics, contact.stack(self._closed[:1]), vectors,
-            np.ascontiguousarray(self._rests[:, step] * gains),
-        )  # fmt: skip
-        self.force = self.tangent.apply(gap)
+        weights = np.ascontiguousarray(self._rests[:, step] * gains)
+        self.tangent = CoupledTangent(integrals.harmonics, base, vectors, weights)
+        self.force = self.tangent.apply(gap, once=True)
 
     def _by_compliance(self, added: float | np.ndarray) -> np.ndarray:
         """-S E S s for a diagonal E, S cut off as a product."""
-        weights = np.broadcast_to(np.asarray(added, dtype=float), self._closed.shape[1])
-        sets, which = unique_sets(self._closed)
+        weights = np.broadcast_to(np.asarray(added, dtype=float), self._gap.shape[1])
+        sets, which = unique_sets(self._sets())
         shares = np.zeros((len(self._rests), len(sets)))
         lasts = np.hstack([self._rests[:, 1:], np.zeros((len(shares), 1))])
         np.add.at(shares.T, which, (self._rests - lasts).T)

@@ -71,9 +71,10 @@ how many follow where it is not."""
 STIFF = 1e3
 """Stiffness of a penalty that stands for a constraint where the reference has mass at its lips,
 relative to the inverse of R_inf."""
-FAR, MANY = 60, 600
+FAR, PAST, MANY = 60, 1.25, 600
 """Harmonics with which the truncation is judged at least, where modes far above them may answer;
-unknowns beyond which it is judged with twice instead of four times the harmonics."""
+and relative to the highest mode's; unknowns with which it is judged at most, unless twice the
+harmonics have more."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -128,7 +129,8 @@ def estimate_errors(at: CondensedPoint, displacement: np.ndarray, problem: Probl
         return relative_size(change, at, structure.clearance)
 
     truncation, reduction = beyond_truncation(at), _lost_in_reduction(at, problem)
-    sampling = at.gap_by_force(_missed_by_samples(at))
+    missed = _missed_by_samples(at)
+    sampling = at.gap_by_force(missed) if np.any(missed) else missed
     return ErrorReport(
         residual=max(relative(at.residual), relative(expanded - at.gap)),
         truncation=relative(truncation.gap),
@@ -209,12 +211,13 @@ def improved(at: CondensedPoint) -> np.ndarray:
 
 def _more_harmonics(at: CondensedPoint) -> int:
     """With how many harmonics the truncation is judged: four times as many, and enough for modes
-    that they do not reach; of many unknowns twice."""
+    that they do not reach; of many unknowns as many as these allow, at least twice."""
     kept, pairs = at.system.integrals.harmonics, at.unknown.shape[1]
     fits = (MANY // pairs - 1) // 2
-    if max(4 * kept, kept + 8) > fits:
-        return max(2 * kept, kept + 4)
-    return max(4 * kept, min(FAR, fits))
+    reaching = 0
+    if isinstance(at.system, CondensedSystem):
+        reaching = int(PAST * at.system.compliance.highest)
+    return max(2 * kept, kept + 4, min(max(4 * kept, FAR, reaching), fits))
 
 
 def _improvement(

@@ -3,7 +3,8 @@
     F(g, v) = g - g_lin(v) + R(v) b(g, v) = 0,        v = v_start + p (v_end - v_start)
 
 with the parameter v a load frequency, a factor of the load, of the damping or of the contact
-stiffness, or a clearance. Only the small or reduced structure is touched, in closed form.
+stiffness, a clearance, or the speed of a rotor that the load's frequency follows. Only the small or
+reduced structure is touched, in closed form.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, resp
 from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
 from fenics_crack.balance.problem import Problem
 from fenics_crack.errors import InputError, check_number, check_omega
-from fenics_crack.model.contact import is_rigid
+from fenics_crack.model.contact import ContactLaw, is_rigid
+from fenics_crack.model.run_up import RunUpStructure
 from fenics_crack.model.structure import Structure
 
 __all__ = ["FAMILIES", "Family", "FrequencyFamily"]
@@ -72,6 +74,12 @@ class Family(ABC):
         """dv/dp."""
         return self.end - self.start
 
+    @cached_property
+    def stiffest(self) -> ContactLaw:
+        """The contact law where it is stiffest: at one of the ends."""
+        ends = [self.at(value).contact for value in (self.start, self.end)]
+        return max(ends, key=lambda law: float(np.max(law.stiffness)))
+
     @classmethod
     @abstractmethod
     def vary(cls, problem: Problem, value: float) -> Problem:
@@ -100,6 +108,10 @@ class Family(ABC):
     def compliance(self, value: float) -> ModalCompliance:
         """Dynamic compliance where the parameter has a value."""
         return self._compliance
+
+    def omega(self, value: float) -> float:
+        """Load frequency where the parameter has a value [rad/s]."""
+        return self.problem.omega
 
     # --- what paths ask for -----------------------------------------------------------------------
 
@@ -161,6 +173,9 @@ class FrequencyFamily(Family):
     def compliance(self, value: float) -> ModalCompliance:
         return self._compliance.at(value / self.problem.subharmonic)
 
+    def omega(self, value: float) -> float:
+        return value
+
     def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
         assert isinstance(at.system.compliance, ModalCompliance)
         return at.system.compliance.frequency_derivative(at.force) / self.problem.subharmonic
@@ -190,6 +205,13 @@ class LoadFamily(_VariedFamily):
     """v: factor of the load; a negative one reverses it."""
 
     name = "load"
+
+    @classmethod
+    def check(cls, structure: Structure, key: str, value: float) -> None:
+        super().check(structure, key, value)
+        if structure.whole.rotation is not None:
+            allowed = "another one: the structure rotates, and its mean load is partly centrifugal"
+            raise InputError("parameter", "load", allowed)
 
     def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
         return self._compliance.load_derivative()
@@ -267,7 +289,76 @@ class StiffnessFamily(Family):
         )
 
 
+class SpeedFamily(Family):
+    """v: speed of the rotor [rad/s], the load's frequency in a constant ratio to it.
+
+    The modes are those of each speed. dF/dv is a central difference: beside the compliance the
+    part of it that answers at once changes, and with it the sets of closed pairs.
+    """
+
+    name = "speed"
+
+    @classmethod
+    def check(cls, structure: Structure, key: str, value: float) -> None:
+        super().check(structure, key, value)
+        _spinning(structure)
+
+    @classmethod
+    def vary(cls, problem: Problem, value: float) -> Problem:
+        structure = _spinning(problem.structure)
+        omega = problem.omega * value / structure.speed
+        return replace(problem, structure=structure.at_speed(value), omega=omega)
+
+    def omega(self, value: float) -> float:
+        return self.problem.omega * value / _spinning(self.problem.structure).speed
+
+    def _cutoff(self, problem: Problem, start: float, end: float) -> float:
+        """Between two modes whose frequencies do not cross it, for they would change the sides."""
+        at = [self.vary(problem, value) for value in (start, 0.5 * (start + end), end)]
+        least = max(one.cutoff for one in at)
+        natural = np.array([_spinning(one.structure).omega for one in at])
+        below, above = natural.max(axis=0)[:-1], natural.min(axis=0)[1:]
+        apart = np.flatnonzero((above > least) & (above > below * (1.0 + 1e-6)))
+        if not len(apart):
+            return least
+        first = apart[0]
+        return float(max(least, np.sqrt(below[first] * above[first])))
+
+    def _make(self, value: float) -> CondensedSystem | CoupledSystem:
+        problem = self.at(value)
+        compliance = ModalCompliance(problem.structure, problem.base_omega, problem.load)
+        return problem.system(compliance)
+
+    def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
+        step = DIFFERENCE * value
+        ends = (self._make(v).linearise(at.unknown).residual for v in (value - step, value + step))
+        below, above = ends
+        return np.asarray((above - below) / (2.0 * step))
+
+    def _compile(self, first: CondensedSystem) -> CompiledSystem | None:
+        return None
+
+
+DIFFERENCE = 1e-6
+"""Relative step of a difference by the speed."""
+
+
+def _spinning(structure: Structure) -> RunUpStructure:
+    """A structure that knows itself at every speed; InputError for another one."""
+    if not isinstance(structure, RunUpStructure):
+        allowed = "one of run_up_structure(structure, start, stop, modes)"
+        raise InputError("structure", repr(structure), allowed)
+    return structure
+
+
 FAMILIES: dict[str, type[Family]] = {
     family.name: family
-    for family in (FrequencyFamily, LoadFamily, StiffnessFamily, DampingFamily, ClearanceFamily)
+    for family in (
+        FrequencyFamily,
+        LoadFamily,
+        StiffnessFamily,
+        DampingFamily,
+        ClearanceFamily,
+        SpeedFamily,
+    )
 }

@@ -33,6 +33,7 @@ from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
+from fenics_crack.stages import begin
 
 __all__ = ["check_initial", "solve_harmonic_balance", "solve_linear"]
 
@@ -50,7 +51,7 @@ highest mode kept, from which on it is covered."""
 
 
 def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> PeriodicSolution:
-    """Steady vibration with lips that pass through each other, A u = c (eq. 10) (collective).
+    """Steady vibration with lips that pass through each other, A u = c (collective).
 
     Parameters
     ----------
@@ -106,10 +107,16 @@ def solve_harmonic_balance(
 ) -> PeriodicSolution:
     """Steady periodic vibration with contact between the lips (collective).
 
+    The coefficients of u(t) solve A u + B b(g) = c, the equation of motion M u'' + C u' + K u +
+    B lambda(g) = f(t), g = B^T u - g0, projected on the mean and the first H harmonics: b are the
+    coefficients of the contact force, c those of the load.
+
     Parameters
     ----------
-    structure, omega, contact, samples, subharmonic
-        As in :class:`fenics_crack.Problem`; at least 4 H + 1 samples.
+    structure, omega, contact, subharmonic
+        As in :class:`fenics_crack.Problem`.
+    samples : int, optional
+        As in :class:`fenics_crack.Problem`; at least 4 H + 1.
     harmonics : int, optional
         H; default: 5, or what ``tolerance`` asks for.
     initial : PeriodicSolution, optional
@@ -121,10 +128,15 @@ def solve_harmonic_balance(
         of a reduction, so that the estimated error (:class:`ErrorReport`) is below this; the
         solution's status says what was chosen. ``harmonics`` and ``samples`` are then left out.
     residual_tolerance : float
-        |F(x)| / |x| of the algebraic equations; with very stiff contact (k R > 1e5) rounding alone
-        leaves more, eps k R, which is then accepted and reported.
+        ``|F(x)| / |x|`` of the algebraic equations; with very stiff contact (k R > 1e5) rounding
+        alone leaves more, eps k R, which is then accepted and reported.
     throw : bool
         Raise if nothing converged; else return the last iterate, ``converged`` being False.
+
+    Returns
+    -------
+    PeriodicSolution
+        With its estimated errors, ``report``.
 
     Raises
     ------
@@ -173,6 +185,7 @@ def _solve_to_tolerance(
     last: PeriodicSolution | None = None
     while True:
         problem = solver.problem
+        begin(f"H = {problem.harmonics}, {problem.structure.n_dofs} coordinates")
         solution = solver.solve(initial) if last is None else solver.attempt(last)[1]
         if not solution.converged:
             if last is None:

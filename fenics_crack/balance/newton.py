@@ -1,7 +1,8 @@
 """Newton's method by PETSc SNES, on systems that invert their own Jacobian.
 
 All solutions but those along a path are found this way; PETSc options with the prefix
-``crack_hb_`` reach it. One object serves a system for all attempts at its solution.
+``crack_hb_`` reach it. One object serves a system for all attempts at its solution. The first
+solution of a curve takes the same steps in the kernel where this has the equations.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from fenics_crack.balance.bordered import solve_at
 from fenics_crack.balance.krylov import RESTART
 from fenics_crack.balance.linearisation import Linearisation, System
 from fenics_crack.errors import ConvergenceError
 
-__all__ = ["DistributedSystem", "Newton"]
+__all__ = ["DistributedSystem", "KernelNewton", "Newton"]
 
 OPTIONS_PREFIX = "crack_hb_"
 FORCING = 1e-2
@@ -148,3 +150,30 @@ class Newton:
     def __exit__(self, *exception: object) -> None:
         for item in (self._snes, self._matrix, self._unknown, self._target):
             item.destroy()
+
+
+class KernelNewton:
+    """The same full steps by the loop of :mod:`bordered`, for a system that the kernel has."""
+
+    def __init__(self, system: DistributedSystem) -> None:
+        self.system = system
+        self.history: list[float] = []
+        """Not kept."""
+
+    def solve(
+        self, start: np.ndarray, parameter: float, tolerance: float, most_iterations: int
+    ) -> tuple[Linearisation, bool, int]:
+        """As :meth:`Newton.solve`, but the system at the start where that fails."""
+        found = solve_at(
+            self.system, start, parameter, tolerance=tolerance, iterations=most_iterations
+        )
+        if found is None:
+            return self.system.linearise(start, parameter), False, most_iterations
+        assert found.at is not None
+        return found.at, True, found.iterations
+
+    def __enter__(self) -> KernelNewton:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Nothing is held."""

@@ -8,6 +8,9 @@
 3. A path in the frequency, for small or reduced structures, where it is cheap: from the nearest
    frequency at which full steps converge.
 
+4. For small structures and a piecewise linear law: an orbit that has been marched; a path in the
+   damping, from so much of it that the lips hardly move; and all of this with half the harmonics.
+
 With :class:`UnilateralConstraint` and a weight, attempts 1 and 2 find the contact force of a stiff
 penalty, from which full steps start; where these fail, solutions are followed from a soft penalty
 to the constraint (:class:`ConstraintSystem`).
@@ -15,7 +18,7 @@ to the constraint (:class:`ConstraintSystem`).
 Pairs that are seen through a static compliance (:mod:`coupled`) start from an orbit that has been
 marched, by full steps, then by shortened ones; then from half the harmonics, by full steps from the
 linear solution, along a path in the softness in series with the pairs, which ends at none, and
-along one in the frequency.
+along those in the frequency and in the damping.
 """
 
 from __future__ import annotations
@@ -32,10 +35,10 @@ from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, ConstraintSystem
 from fenics_crack.balance.contact_integrals import ContactIntegrals, ExactIntegrals
 from fenics_crack.balance.coupled import CoupledSystem
-from fenics_crack.balance.family import FrequencyFamily
+from fenics_crack.balance.family import DampingFamily, Family, FrequencyFamily
 from fenics_crack.balance.fourier import balanced, resized
 from fenics_crack.balance.linearisation import Linearisation
-from fenics_crack.balance.newton import DistributedSystem, Newton
+from fenics_crack.balance.newton import DistributedSystem, KernelNewton, Newton
 from fenics_crack.balance.orbits import MarchedOrbits
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.rounding import (
@@ -49,6 +52,7 @@ from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import UnilateralPenalty
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.model.modal import all_modes
+from fenics_crack.stages import begin
 
 __all__ = ["FEWEST", "Search"]
 
@@ -66,6 +70,11 @@ SOFTNESS = (1.0, 10.0)
 MARCHED, MOVING, ROUGHLY = 40, 40, 1e-6
 """Periods of a response that are marched for a start, modes that move in them, and how closely it
 shall then repeat."""
+DAMPED = (1e3, 1e4, 1e5)
+"""Times the damping, where a path in it may start."""
+RECURRENCES = 4
+"""Periods after which the motion came nearest to where it had been, from which an orbit is sought
+where the last one does not lead to any."""
 RAMP = Stepping(first=0.2, longest=0.5, shortest=1e-5, most=100)
 WIDE, NARROW = Stepping(first=1.0, longest=2.0), Stepping(first=0.1, longest=0.3)
 """For paths in ln k, and for paths whose parameter runs from 0 to 1."""
@@ -94,6 +103,8 @@ class Search:
     """|F| of every Newton iteration."""
     attempts: list[str] = field(default_factory=list)
     """What was tried and how it ended."""
+    newton: type[Newton | KernelNewton] = Newton
+    """By which a penalty is solved for."""
     _rounding: float = ROUNDING
     _last_coupled: Any = None
 
@@ -108,11 +119,12 @@ class Search:
         start: np.ndarray,
         family_from: Callable[[float], FrequencyFamily] | None = None,
         name: str = "full Newton steps",
+        problem: Problem | None = None,
     ) -> Linearisation:
         """Solve for a law that gives the force from the gap; return the equations there.
 
         ``family_from`` makes the family of the same equations from a relative frequency to 1;
-        ``name`` is that of the first attempt.
+        ``name`` is that of the first attempt; ``problem`` is given where its motion can be marched.
         Raises InputError where the contact is so stiff that rounding leaves nothing of its force.
         """
         law = system.integrals.law
@@ -121,12 +133,16 @@ class Search:
         self._rounding = max(self._rounding, least_residual(product))
         if self._rounding > ROUNDING:
             self.tolerance = max(self.tolerance, self._rounding)
-        with Newton(system) as newton:
+        with self.newton(system) as newton:
             found = self._newton(newton, start, 0.0, 20, name)
             if not self.converged:
                 found = self._stiffness_path(newton, system.linear, product)
-        if not self.converged and family_from is not None:
-            found = self._frequency_path(family_from)
+            if not self.converged and family_from is not None:
+                found = self._frequency_path(family_from)
+            if not self.converged and problem is not None:
+                found = self._from_marched(newton, problem, 0.0) or found
+        if not self.converged and problem is not None and problem.structure.damping is not None:
+            found = self._damping_path(problem)
         return found
 
     def constraint(self, system: ConstraintSystem, start: np.ndarray | None) -> Linearisation:
@@ -169,14 +185,7 @@ class Search:
                 if self.converged:
                     return found
             elif marched:
-                name = "from a marched orbit"
-                try:
-                    begin = self._marched(problem)
-                    found = self._newton(newton, begin, 1.0, 12, name)
-                    if not self.converged:
-                        found = self._shortened(newton, begin) or found
-                except ConvergenceError as error:
-                    self._note(name, str(error))
+                found = self._from_marched(newton, problem, 1.0) or system.linearise(system.linear)
                 if self.converged:
                     self._last_coupled = found
                     return found
@@ -195,13 +204,32 @@ class Search:
                     found = self._softness_path(system)
         if not self.converged and family_from is not None:
             found = self._frequency_path(family_from)
+        if not self.converged and start is None and problem.structure.damping is not None:
+            found = self._damping_path(replace(problem, static_above=problem.cutoff))
         self._last_coupled = found
         return found
 
-    def _shortened(self, newton: Newton, start: np.ndarray) -> Linearisation | None:
+    def _from_marched(
+        self, newton: Newton | KernelNewton, problem: Problem, parameter: float
+    ) -> Linearisation | None:
+        """From the wave of a marched orbit; None where it has none."""
+        name = "from a marched orbit"
+        try:
+            begin = self._marched(problem)
+        except ConvergenceError as error:
+            self._note(name, str(error))
+            return None
+        found = self._newton(newton, begin, parameter, 12, name)
+        if not self.converged:
+            found = self._shortened(newton, begin, parameter) or found
+        return found
+
+    def _shortened(
+        self, newton: Newton | KernelNewton, start: np.ndarray, parameter: float
+    ) -> Linearisation | None:
         """The same by steps that are shortened where the residual would grow."""
         point = solve_in_plane(
-            newton.system, start, 1.0, None,
+            newton.system, start, parameter, None,
             tolerance=self.tolerance, iterations=30, least_damping=0.01, patience=8,
         )  # fmt: skip
         name = "shortened steps from there"
@@ -209,25 +237,48 @@ class Search:
             self._note(name, "up to 30 iterations")
             return None
         self.iterations += point.iterations
-        return self._newton(newton, point.unknown, 1.0, 3, name)
+        return self._newton(newton, point.unknown, parameter, 3, name)
 
     def _marched(self, problem: Problem) -> np.ndarray:
-        """The slow gap of a motion that has been marched for some periods and led to an orbit by
-        shooting."""
+        """The gap, the slow one where pairs are coupled, of a motion that has been marched for some
+        periods and led to an orbit by shooting.
+
+        Where the orbit is unstable the motion passes near it now and then: shooting begins where
+        the motion comes nearest to repeating itself.
+        """
         harmonics, periods = problem.harmonics, problem.subharmonic
+        begin("cold start: an orbit marched in time")
         steps = 1 << max(8, (8 * harmonics // periods).bit_length())
-        above = min(problem.cutoff, all_modes(problem.structure).above_lowest(MOVING))
+        above = all_modes(problem.structure).above_lowest(MOVING)
+        if problem.residual is not None:
+            above = min(problem.cutoff, above)
         flow = ExponentialFlow(
             problem.structure, problem.omega, problem.contact, steps, static_above=above
         )
-        settled = flow.advance(flow.steady[0], MARCHED * periods)
-        orbits = MarchedOrbits(flow, settled.states[-1], periods)
-        orbit = solve_in_plane(
-            orbits, orbits.start, 1.0, None,
-            tolerance=ROUGHLY, iterations=12, least_damping=0.05, patience=6,
-        )  # fmt: skip
+        with np.errstate(all="ignore"):  # of attempts that run away
+            gap = self._orbit_of(flow, periods, problem)
+        return balanced(gap, harmonics)
+
+    @staticmethod
+    def _orbit_of(flow: ExponentialFlow, periods: int, problem: Problem) -> np.ndarray:
+        """What is transformed: the gap of an orbit of a flow, or of its last period."""
+        steps = flow.steps
+        passed = flow.advance(flow.steady[0], MARCHED * periods).states[:: steps * periods]
+        apart = np.linalg.norm(np.diff(passed, axis=0), axis=1)
+        orbit = None
+        for place in (-1, *np.argsort(apart, kind="stable")[:RECURRENCES]):
+            orbits = MarchedOrbits(flow, passed[place], periods)
+            orbit = solve_in_plane(
+                orbits, orbits.start, 1.0, None,
+                tolerance=ROUGHLY, iterations=12, least_damping=0.05, patience=6,
+            )  # fmt: skip
+            if orbit is not None:
+                break
         last = orbits.steps(orbits.start if orbit is None else orbit.unknown, 1.0)
-        return balanced(last.gap + last.forces[:-1] @ problem.residual, harmonics)
+        gap = last.gap
+        if problem.residual is not None:
+            gap = gap + last.forces[:-1] @ problem.residual
+        return np.asarray(gap)
 
     def _softness_path(self, system: CoupledSystem) -> Linearisation:
         """From pairs with a soft compliance in series, where the solution is close to the linear
@@ -257,9 +308,15 @@ class Search:
         return system.from_force(at.force)
 
     def _newton(
-        self, newton: Newton, start: np.ndarray, parameter: float, most: int, name: str = ""
+        self,
+        newton: Newton | KernelNewton,
+        start: np.ndarray,
+        parameter: float,
+        most: int,
+        name: str = "",
     ) -> Linearisation:
-        """One attempt by SNES, recorded if it has a name."""
+        """One attempt, recorded if it has a name."""
+        begin(name or "start of a path")
         before = len(newton.history)
         found, self.converged, count = newton.solve(start, parameter, self.tolerance, most)
         self.history += newton.history[before:]
@@ -272,7 +329,9 @@ class Search:
         outcome = "converged" if self.converged else "failed"
         self.attempts.append(f"{attempt}: {outcome} ({details})")
 
-    def _stiffness_path(self, newton: Newton, linear: np.ndarray, product: float) -> Linearisation:
+    def _stiffness_path(
+        self, newton: Newton | KernelNewton, linear: np.ndarray, product: float
+    ) -> Linearisation:
         """Along ln k from where contact is soft; ``product`` is k R."""
         name = "in the contact stiffness"
         soft = min(0.0, float(np.log(SOFT / product)))
@@ -291,20 +350,33 @@ class Search:
         self._note("path in the frequency", "from 0.5 to 2 of it")
         return family.linearise(found.unknown, 1.0)
 
+    def _damping_path(self, problem: Problem) -> Linearisation:
+        """From a damping so high that the lips hardly move, and the solution is the only one."""
+        for factor in DAMPED:
+            family = DampingFamily(problem, factor, 1.0)
+            start, name = family.system(factor).linear, f"from {factor:g} times the damping"
+            found = self._along(name, family, start, 400)
+            if self.converged:
+                return found
+        self._note("path in the damping", "none to its end")
+        return family.linearise(found.unknown, 1.0)
+
     def along_frequency(self, family: FrequencyFamily, start: np.ndarray) -> Linearisation:
         """Along a family in the frequency, from near a solution at its start; return the equations
         at its end."""
-        name = f"from {family.start:g} rad/s"
+        return self._along(f"from {family.start:g} rad/s", family, start, 200)
+
+    def _along(self, name: str, family: Family, start: np.ndarray, most: int) -> Linearisation:
         with Newton(family) as newton:
             found = self._newton(newton, start, 0.0, 20)
             if self.converged:
-                found = self._path(name, newton, found, (0.0, 1.0), replace(NARROW, most=200))
+                found = self._path(name, newton, found, (0.0, 1.0), replace(NARROW, most=most))
         return found
 
     def _path(
         self,
         name: str,
-        newton: Newton,
+        newton: Newton | KernelNewton,
         start: Linearisation,
         span: tuple[float, float],
         stepping: Stepping,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,13 +14,14 @@ from fenics_crack.balance.condensed import CondensedPoint
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.balance.error_report import ErrorReport, estimate_errors
 from fenics_crack.balance.fourier import evaluate
+from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
 from fenics_crack.balance.problem import Problem
 from fenics_crack.model.contact import ContactLaw, force_in_time
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
-from fenics_crack.table import Described, counted, quantity
+from fenics_crack.table import Described, counted, quantity, with_frequency
 
-__all__ = ["PeriodicSolution", "Stability", "contact_extremes", "solution_of"]
+__all__ = ["PeriodicSolution", "Stability", "solution_of"]
 
 
 @dataclass(frozen=True, repr=False)
@@ -31,18 +33,24 @@ class Stability(Described):
     multipliers : (2n,) complex
         Largest modulus first.
     verdict : "stable", "unstable" or "undecided"
-        Undecided where the largest modulus is not on the same side of 1 with the switching instants
-        of the solution, with those of a wave with more harmonics, and by Hill's determinant.
+        With few pairs, that of the exact orbit; undecided where none is found within three times
+        the estimated error. With many, undecided where the largest modulus is not on the same side
+        of 1 with the switching instants of the solution, with those of a wave with more harmonics,
+        and by Hill's determinant.
     uncertainty : float
         Largest difference between these three; nan where Hill's determinant has no root nearby.
     refined : bool
-        Whether these are the multipliers of the exact orbit, found by shooting.
+        Whether these are the multipliers of an orbit in time, found by shooting.
+    distance : float
+        From the solution to this orbit, in the gaps over the period, relative to B^T u as the
+        estimated errors are: what the error was found to be. nan: no orbit.
     """
 
     multipliers: np.ndarray
     verdict: str
     uncertainty: float
     refined: bool = False
+    distance: float = math.nan
 
     def to_dict(self) -> dict[str, Any]:
         """The verdict, and the multiplier of largest modulus."""
@@ -54,6 +62,7 @@ class Stability(Described):
             "imaginary": largest.imag,
             "uncertainty": float(self.uncertainty),
             "refined": self.refined,
+            "distance": float(self.distance),
         }
 
     def _title(self) -> str:
@@ -183,6 +192,17 @@ class PeriodicSolution(Described):
         """Half the peak-to-peak displacement of a dof [m], of 1024 instants (collective)."""
         return float(np.ptp(self.displacement(self._instants(), [dof])) / 2.0)
 
+    def indicators(self, dof: int) -> Indicators:
+        """What a dof and the lips show of a breathing crack, of 1024 instants (collective)."""
+        time = self._instants()
+        return indicators_of(
+            self.omega,
+            self.coefficients_at([dof])[:, 0],
+            self.amplitude(dof),
+            contact_extremes(self.gap(time), self.contact_force(time)),
+            self.subharmonic,
+        )
+
     def coefficients_at(self, dofs: Sequence[int]) -> np.ndarray:
         """Coefficients of the displacement of dofs: (2H+1, len(dofs)) [m] (collective)."""
         return self.structure.values_at(self.displacement_coefficients, dofs)
@@ -208,16 +228,15 @@ class PeriodicSolution(Described):
             "subharmonic": self.subharmonic,
             "pairs": self.gap_coefficients.shape[1],
         }
-        if found["pairs"]:
-            time = self._instants()
-            found |= contact_extremes(self.gap(time), self.contact_force(time))
+        time = self._instants()
+        found |= contact_extremes(self.gap(time), self.contact_force(time))
         found |= {f"{name}_error": value for name, value in self.report.to_dict().items()}
         found["penetration_share"] = found.pop("penetration_error")
         if self.stability is not None:
             found["verdict"] = self.stability.verdict
             found["multiplier"] = float(abs(self.stability.multipliers[0]))
         found |= {"converged": self.converged, "iterations": int(self.iterations)}
-        return found | {"status": str(self.status)}
+        return with_frequency(found) | {"status": str(self.status)}
 
     def _title(self) -> str:
         found = self.to_dict()
@@ -234,17 +253,6 @@ class PeriodicSolution(Described):
         if self.stability is not None:
             parts.append(self.stability.verdict)
         return ", ".join([*parts, "converged" if self.converged else "NOT CONVERGED"])
-
-
-def contact_extremes(gap: np.ndarray, force: np.ndarray) -> dict[str, float]:
-    """Opening [m], penetration [m] and force [N], the largest of any pair, and the share of the
-    time closed, mean over the pairs, of gaps and forces over time (n, n_pairs)."""
-    return {
-        "opening": max(0.0, -float(gap.min())),
-        "penetration": max(0.0, float(gap.max())),
-        "contact_force": float(force.max()),
-        "closed_share": float(np.mean(force > 0.0)),
-    }
 
 
 def solution_of(problem: Problem, at: CondensedPoint, *, status: str) -> PeriodicSolution:

@@ -17,13 +17,14 @@ from fenics_crack.balance.condensed import (
     default_weight,
 )
 from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
-from fenics_crack.balance.family import FrequencyFamily
+from fenics_crack.balance.family import Family, FrequencyFamily
 from fenics_crack.balance.fourier import resized, stretched
+from fenics_crack.balance.newton import KernelNewton
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.search import FEWEST, Search
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.model.contact import is_rigid
+from fenics_crack.model.contact import is_piecewise_linear, is_rigid
 from fenics_crack.model.modal import is_small
 
 __all__ = ["Solver"]
@@ -67,6 +68,22 @@ class Solver:
                 problem, at = self.problem, self.penalised(search, compliance, initial)
             found = solution_of(problem, at, status=search.status)
             return search, replace(found, converged=search.converged, iterations=search.iterations)
+
+    def solve_in_kernel(
+        self, family: Family, initial: PeriodicSolution | None
+    ) -> tuple[np.ndarray, int] | None:
+        """The unknowns at a family's start, where this problem is its own, and the iterations that
+        they took: by the same attempts, compiled, without PETSc and an error report. None where the
+        kernel does not have the equations, or does not find a solution."""
+        system = family.system(family.start)
+        if not (isinstance(system, CondensedSystem) and system.in_kernel):
+            return None
+        start = system.linear if initial is None else self.start(initial, "gap_coefficients")
+        if initial is None and system.global_size > LADDER:
+            return None
+        search = Search(self.residual_tolerance, newton=KernelNewton)
+        found = search.penalty(system, start)
+        return (found.unknown, search.iterations) if search.converged else None
 
     @contextmanager
     def compliance(self) -> Iterator[Compliance]:
@@ -142,11 +159,16 @@ class Solver:
         def family_from(factor: float) -> FrequencyFamily:
             return FrequencyFamily(problem, factor * problem.omega, problem.omega)
 
-        at = search.penalty(
-            system,
-            system.linear if start is None else start,
-            family_from if is_small(problem.structure) else None,
-            name,
-        )
+        small = is_small(problem.structure)
+        marched = problem if small and is_piecewise_linear(problem.contact) else None
+        ways = family_from if small else None
+        cold = start is None
+        begin = system.linear if start is None else start
+        at = search.penalty(system, begin, ways, name, marched)
+        if not search.converged and cold and marched and half >= problem.subharmonic:
+            below = self._by_harmonics(search, compliance, problem.with_harmonics(half), None)
+            if search.converged:
+                name = f"from H = {half} to {harmonics}"
+                at = search.penalty(system, resized(below.gap, harmonics), None, name)
         assert isinstance(at, CondensedPoint)
         return at

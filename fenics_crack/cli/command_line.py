@@ -48,6 +48,7 @@ Start with:
   fenics-crack check plate.toml     is it right, and how large?
   fenics-crack solve plate.toml     its steady vibration
   fenics-crack plot output/plate/solution.h5
+  fenics-crack report output/plate/*.h5       all of it in one HTML page
 
 Any key can be changed for one run: --set harmonic_balance.harmonics=30 --set crack.length=0.03
 On several processors: mpirun -n 4 fenics-crack sweep plate.toml
@@ -62,7 +63,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if any(os.environ.get(name, "0") != "0" for name in LAUNCHERS):
         _be_silent()
     try:
-        return _run(parser().parse_args(arguments))
+        given = parser().parse_args(arguments)
+        given.words = [*(sys.argv[1:] if arguments is None else arguments)]
+        return _run(given)
     except SystemExit:  # --help, or words that the parser refuses
         if any(name in os.environ for name in LAUNCHERS):
             from mpi4py import MPI
@@ -106,6 +109,7 @@ def _run(given: argparse.Namespace) -> Exit:
     from fenics_crack.cli.console import Console, make_writable
     from fenics_crack.parallel import on_root
     from fenics_crack.scene.scene import Scene
+    from fenics_crack.study.remarks import remarks_on_scene
 
     comm = MPI.COMM_WORLD
     if comm.rank > 0:
@@ -118,13 +122,20 @@ def _run(given: argparse.Namespace) -> Exit:
     if given.command == "plot":
         from fenics_crack.cli import commands
 
-        folder = given.output or given.result.parent
+        first = given.results[0]
+        beside = first.parent if first.suffix != ".toml" else Path("output") / first.stem
+        folder = given.output or beside
         make_writable(folder, comm)
-        return commands.plot(given.result, folder, console, show=given.show)
+        return commands.plot(given.results, given.label, folder, console, show=given.show)
+    if given.command == "report":
+        from fenics_crack.cli import commands
+
+        return commands.report(given.results, given.output, console, given.words)
     changes = _changes(given.set)
     scene = on_root(comm, lambda: Scene.load(given.scene).replace(changes))
     if given.command == "check":
         return scenes.check(scene, console)
+    console.remarks(remarks_on_scene(scene))
     from fenics_crack.cli import commands  # what solves takes a while to import
 
     folder = given.output or Path("output") / given.scene.stem
@@ -132,6 +143,10 @@ def _run(given: argparse.Namespace) -> Exit:
     if given.command == "modes":
         check_count("--count", given.count, 1)
         return commands.modes(scene, given.count, folder, console)
+    if given.command == "campbell":
+        return commands.campbell_diagram(scene, given.speeds, given.count, folder, console)
+    if given.command == "identify":
+        return commands.identification(scene, given.measurements, folder, console)
     work = {"solve": commands.solution, "curve": commands.curve, "sweep": commands.sweep}
     return work.get(given.command, commands.integration)(scene, folder, console)
 
@@ -159,17 +174,44 @@ COMMANDS = {
     "new": ("write a commented scene to start from", "file"),
     "check": ("mesh and assemble a scene without solving it", "scene --set"),
     "modes": ("natural frequencies and mode shapes, crack open", f"{SOLVED} --count"),
+    "campbell": (
+        "natural frequencies over the speed of [rotation], crack open and tied, and a picture",
+        f"{SOLVED} --count --speeds",
+    ),
     "solve": ("steady vibration at excitation.omega", SOLVED),
     "curve": ("response curve of the table [curve]", SOLVED),
     "integrate": ("motion in time by the table [integration]", SOLVED),
     "sweep": ("all cases of the table [sweep.over]; goes on where it stopped", SOLVED),
-    "plot": ("pictures of a result, and files for ParaView", "result --show --output"),
+    "identify": (
+        "a crack from measured frequencies and harmonics, by the table [identify]",
+        "scene measurements --set --output",
+    ),
+    "plot": (
+        "pictures of a result, of several in one, or of a scene's mesh; files for ParaView",
+        "results --label --show --output",
+    ),
+    "report": (
+        "one HTML page with all of some results, to be read anywhere",
+        "results --output=FILE",
+    ),
 }
 """What each command does, and its own arguments."""
 ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "file": ("the file to write, for example plate.toml", {"type": Path, "metavar": "scene"}),
     "scene": ("the scene, a TOML file", {"type": Path}),
-    "result": ("a .h5 file that another command has written", {"type": Path}),
+    "measurements": (
+        "a CSV file with the columns quantity, value, deviation, mode, frequency [Hz], point",
+        {"type": Path},
+    ),
+    "results": (
+        "a .h5 file that another command has written, several of one kind to be drawn in one "
+        "picture, or a scene",
+        {"type": Path, "nargs": "+", "metavar": "result"},
+    ),
+    "--label": (
+        "name of a result among several (default: what differs between their scenes)",
+        {"action": "append", "default": [], "metavar": "TEXT"},
+    ),
     "--set": (
         "change a key of the scene, for example crack.length=0.03; may be given often",
         {"action": "append", "default": [], "metavar": "KEY=VALUE"},
@@ -179,6 +221,15 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
         {"type": Path, "metavar": "FOLDER"},
     ),
     "--count": ("how many modes (default: 6)", {"type": int, "default": 6}),
+    "--speeds": (
+        "first and last speed, and how many, in rpm where the scene gives rpm, else in rad/s "
+        "(default: from 0 to 1.5 times the scene's, 13)",
+        {"type": float, "nargs": 3, "metavar": ("START", "STOP", "COUNT")},
+    ),
+    "--output=FILE": (
+        "the .html file (default: report.html beside the first result)",
+        {"type": Path, "metavar": "FILE.html"},
+    ),
     "--show": ("also in a window (a solution; needs a screen)", {"action": "store_true"}),
     "--format": (
         "of the table that is printed",
@@ -201,7 +252,7 @@ def parser() -> argparse.ArgumentParser:
         command = group.add_parser(name, help=text, description=text[0].upper() + text[1:])
         for argument in f"{own} --format".split():
             explained, options = ARGUMENTS[argument]
-            command.add_argument(argument, help=explained, **options)
+            command.add_argument(argument.partition("=")[0], help=explained, **options)
         loud = command.add_mutually_exclusive_group()
         loud.add_argument("--quiet", action="store_true", help="print the table and nothing else")
         loud.add_argument("--verbose", action="store_true", help="say how long each part took")

@@ -7,33 +7,42 @@ from pathlib import Path
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.cli import tables
+from fenics_crack.cli import judgements, tables
 from fenics_crack.cli.console import Console
 from fenics_crack.cli.exit_codes import Exit
-from fenics_crack.cli.remarks import highest_omega, remark_on, remark_on_sweep
+from fenics_crack.cli.undamped import remark_on, remark_on_sweep
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.errors import InputError
+from fenics_crack.errors import InputError, check_count
 from fenics_crack.files.results import save
 from fenics_crack.files.store import kind_of
-from fenics_crack.model.modes import Modes, damped_range
+from fenics_crack.identification.identify import identify
+from fenics_crack.model.modes import Modes
 from fenics_crack.parallel import on_root
-from fenics_crack.scene.scene import Integration, Scene
+from fenics_crack.scene.quantities import SHORT
+from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import RPM, Integration
+from fenics_crack.study.campbell import campbell
+from fenics_crack.study.key_figures import highest_omega
 from fenics_crack.study.run import Run, find_modes, follow_curve, integrate, load_run, solve
 from fenics_crack.sweep.file import KIND as SWEEP
 from fenics_crack.sweep.result import SweepResult, run_sweep
-from fenics_crack.table import Table
+from fenics_crack.table import Table, ranging
 from fenics_crack.time.march import TimeHistory
 
-__all__ = ["curve", "integration", "modes", "plot", "solution", "sweep"]
+__all__ = [
+    "campbell_diagram",
+    "curve",
+    "identification",
+    "integration",
+    "modes",
+    "plot",
+    "report",
+    "solution",
+    "sweep",
+]
 
-IN_SHORT = ("state", "response", "opening", "multiplier", "verdict", "truncation_error")
-"""Columns of a sweep printed as text, beside the swept values."""
-UNDECIDED = "; more harmonics may decide it"
-UNDAMPED = ", or damping of all modes (damping.modes = 'all')"
-SHOWN_FAILURES = 10
-"""Failures of a sweep that are printed; its table has all."""
+MOST_SPEEDS = 10_000
 
 
 def modes(scene: Scene, count: int, folder: Path, console: Console) -> Exit:
@@ -41,6 +50,43 @@ def modes(scene: Scene, count: int, folder: Path, console: Console) -> Exit:
     with console.stage("modes"):
         run = find_modes(scene, count, console.comm)
     _finish(run, folder, "modes", console, run.result.table())
+    return Exit.DONE
+
+
+def campbell_diagram(
+    scene: Scene, span: list[float] | None, count: int, folder: Path, console: Console
+) -> Exit:
+    """Natural frequencies over the speed, and where engine orders meet the first breathing one."""
+    check_count("--count", count, 1)
+    if scene.rotation is None:
+        raise InputError("rotation", None, "given for this command: a table")
+    factor = RPM if scene.in_rpm else 1.0
+    start, stop, steps = span or (0.0, 1.5 * scene.speed / factor, 13)
+    if not (0.0 <= start < stop < np.inf and 2 <= steps <= MOST_SPEEDS and steps % 1 == 0):
+        allowed = f"0 <= START < STOP, and COUNT a whole number from 2 to {MOST_SPEEDS}"
+        raise InputError("--speeds", span or (start, stop, steps), allowed)
+    with console.stage("campbell"):
+        found = campbell(scene, factor * np.linspace(start, stop, int(steps)), count, console.comm)
+    in_hertz = scene.in_hertz or scene.in_rpm
+    table, picture = found.table(), folder / "campbell.png"
+    kinds = [f"{'frequency' if in_hertz else 'omega'}_{kind}" for kind in found.kinds]
+    shown = found.table("rpm" if scene.in_rpm else "speed", "mode", *kinds)
+
+    def draw() -> None:
+        from fenics_crack.draw.plot_campbell import draw_campbell  # matplotlib
+
+        orders = {*range(1, 9), scene.excitation.order or 1}
+        draw_campbell(found, sorted(orders), path=picture, in_hertz=in_hertz, in_rpm=scene.in_rpm)
+        table.save(folder / "campbell.csv")
+        table.save(folder / "campbell.json")
+
+    on_root(console.comm, draw)
+    console.table(shown if console.form == "text" else table)
+    for order in [scene.excitation.order] if scene.excitation.order else range(1, 9):
+        for mode, speed in found.crossings(order):
+            words = f"{speed:.5g} rad/s = {speed / RPM:.5g} rpm"
+            console.note(f"engine order {order} meets mode {mode:.0f} at {words}")
+    console.note(f"{folder / 'campbell.csv'}, .json, .png")
     return Exit.DONE
 
 
@@ -53,16 +99,10 @@ def solution(scene: Scene, folder: Path, console: Console) -> Exit:
     _finish(run, folder, "solution", console, table, waves)
     console.note(remark_on(run.structure, highest_omega(scene, "solve")))
     if not found.converged:
-        console.warn(f"not converged: {found.status}")
+        console.warn(f"not converged: {found.status}{judgements.of_modes(scene, found.report)}")
         return Exit.NOT_CONVERGED
-    _judge_error(found.report.total, "", console)
-    if found.stability is not None and found.stability.verdict != "stable":
-        damped = scene.damping.of_all_modes or damped_range(run.structure) is None
-        hint = UNDECIDED + ("" if damped else UNDAMPED)
-        console.warn(
-            f"the orbit is {found.stability.verdict}: a motion in time may leave it"
-            + (hint if found.stability.verdict == "undecided" else "")
-        )
+    console.warnings(judgements.of_error(scene, found.report, found.harmonics))
+    console.warnings(judgements.of_stability(scene, run, found.stability))
     return Exit.DONE
 
 
@@ -72,41 +112,16 @@ def curve(scene: Scene, folder: Path, console: Console) -> Exit:
         run = follow_curve(scene, console.comm, progress=console.progress)
     found = run.result
     table, points = tables.special_points(run), tables.curve_points(run)
-    _finish(run, folder, "curve", console, table, points)
+    shown, hidden = tables.few_special_points(run, table)
+    _finish(run, folder, "curve", console, table, points, shown)
+    if hidden and console.form == "text":
+        what = "more bifurcations and changes of stability"
+        console.note(f"{hidden} {what}: {folder / 'curve.json'}")
     console.note(remark_on(run.structure, highest_omega(scene, "curve")))
-    _judge_errors(run, console)
-    special = [point.value for point in found.bifurcations]
-    for index in tables.stability_changes(found) if found.undecided is None else ():
-        low, high = sorted(found.values[index : index + 2])
-        if not any(low <= value <= high for value in special):
-            console.warn(
-                f"stability changes between {low:g} and {high:g} without a bifurcation of the "
-                "balanced equations: they need more harmonics (harmonic_balance.harmonics) there"
-            )
-    if not found.complete:
-        console.warn(f"the curve ended early: {found.status}")
-        return Exit.NOT_CONVERGED
-    return Exit.DONE
-
-
-def _judge_errors(run: Run[ResponseCurve], console: Console) -> None:
-    """Report the estimated errors of a few points of a curve, the largest among them."""
-    found = run.result
-    peak = int(np.argmax(found.amplitude(run.watched_dof)))
-    looked_at = {peak, *np.linspace(0, len(found) - 1, 8).astype(int).tolist()}
-    errors = {index: found.solution(index).report.total for index in sorted(looked_at)}
-    worst = max(errors, key=errors.__getitem__)
-    console.note(f"estimated error at {len(errors)} of the points: at most {errors[worst]:.2g}")
-    _judge_error(errors[worst], f" at {found.values[worst]:g}", console)
-
-
-def _judge_error(error: float, where: str, console: Console) -> None:
-    """Warn of a large estimated error."""
-    if not error <= LARGE_ERROR:
-        console.warn(
-            f"the estimated error is {error:.2g} of the gap{where}: more harmonics "
-            "(harmonic_balance.harmonics) or modes (reduction.modes) are needed"
-        )
+    if scene.harmonic_balance.tolerance is not None and run.structure.n_pairs:
+        console.note(f"harmonics, by the truncation error: {ranging(found.harmonics)}")
+    console.warnings(judgements.of_curve(run))
+    return Exit.DONE if found.complete else Exit.NOT_CONVERGED
 
 
 def integration(scene: Scene, folder: Path, console: Console) -> Exit:
@@ -137,57 +152,120 @@ def _longer_period(found: TimeHistory) -> str:
 
 
 def _finish(
-    run: Run, folder: Path, name: str, console: Console, table: Table, rows: Table | None = None
+    run: Run,
+    folder: Path,
+    name: str,
+    console: Console,
+    table: Table,
+    rows: Table | None = None,
+    shown: Table | None = None,
 ) -> None:
-    """Write and print a result; save it together if its structure is spread over the ranks."""
+    """Write a result and print its table, or as text what is ``shown`` of it; save it together if
+    its structure is spread over the ranks."""
     path = folder / f"{name}.h5"
+    watched = run.motion()
     if run.structure.comm.size > 1 and isinstance(run.result, PeriodicSolution | Modes):
-        save(run.result, path, run.scene)
+        save(run.result, path, run.scene, watched=watched)
     else:
-        on_root(console.comm, lambda: save(run.result, path, run.scene))
-    console.finish(folder, name, table, rows or table, table)
+        on_root(console.comm, lambda: save(run.result, path, run.scene, watched=watched))
+    printed = table
+    if console.form == "text" and not isinstance(run.result, Modes):
+        default = tables.SHORT_CURVE if isinstance(run.result, ResponseCurve) else SHORT
+        printed = tables.in_short(shown or table, run.scene, default)
+    console.finish(folder, name, printed, rows or table, table)
+    console.note(tables.remark_on_points(run.watched))
 
 
 def sweep(scene: Scene, folder: Path, console: Console) -> Exit:
     """All cases of a sweep, or those that an earlier run has left."""
-    with console.stage("sweep"):
+    with console.timed("sweep"):
         found = run_sweep(scene, folder / "sweep.h5", console.comm, progress=console.progress)
-    table = found.table()
-    keys = [axis.key for axis in found.axes]
-    shown = found.table(*keys, *IN_SHORT) if console.form == "text" else table
+    table, shown, how = found.table(), found.table(), ""
+    if console.form == "text":
+        shown, how = tables.few_cases(found)
     console.finish(folder, "sweep", shown, table, table)
     counts = {"converged": int(found.converged.sum()), "failed": len(found.failed)}
     counts["pending"] = found.converged.size - sum(counts.values())
     console.note(remark_on_sweep(scene, console.comm))
-    console.note("cases: " + ", ".join(f"{count} {name}" for name, count in counts.items()))
-    for index, reason in found.failed[:SHOWN_FAILURES]:
-        values = [axis.values[at] for axis, at in zip(found.axes, index, strict=True)]
-        console.warn(f"{', '.join(map(str, values))}: {reason}")
-    if len(found.failed) > SHOWN_FAILURES:
-        console.warn(f"and {len(found.failed) - SHOWN_FAILURES} more cases have failed")
-    if large := int(np.sum(found.inexact)):
-        console.warn(f"{large} cases estimate an error above {LARGE_ERROR:.0%}: more harmonics")
-    if not_stable := int(np.sum(found.not_stable)):
-        console.warn(f"{not_stable} cases are unstable or undecided")
-    if not found.complete:
-        console.warn("the sweep was stopped; the same command goes on with it")
+    told = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    console.note(f"cases: {told}{how}")
+    console.warnings(judgements.of_cases(found))
     return Exit.NOT_CONVERGED if found.failed or not found.complete else Exit.DONE
 
 
-def plot(result: Path, folder: Path, console: Console, *, show: bool) -> Exit:
-    """Pictures of a result, and files for ParaView: by rank 0."""
+def identification(scene: Scene, measured: Path, folder: Path, console: Console) -> Exit:
+    """A crack from measurements: what it is, how sure, and where to measure next."""
+    with console.timed("identification"):
+        found = identify(
+            scene, measured, folder=folder, comm=console.comm, progress=console.progress
+        )
+    worth = found.where_to_measure()
+
+    def write() -> None:
+        from fenics_crack.identification.draw import draw_posterior  # matplotlib
+
+        found.save(folder)
+        worth.to_csv(folder / "where_to_measure.csv")
+        found.fit_table().save(folder / "fit.csv")
+        if len(found.unknown) > 1:
+            draw_posterior(found, *found.unknown[:2], path=folder / "posterior.png")
+
+    on_root(console.comm, write)
+    console.table(found.table())
+    ratio = found.log_bayes_factor
+    told = "" if np.isnan(ratio) else f": log Bayes factor {ratio:.3g}, crack over no crack"
+    console.note(f"{found.verdict}{told}")
+    for remark in found.remarks:
+        console.note(f"remark: {remark}")
+    console.note(f"next to measure: {worth}")
+    console.note(f"{folder / 'identify.h5'}, .json; posterior.png, fit.csv, where_to_measure.csv")
+    console.warnings(found.warnings)
+    return Exit.DONE
+
+
+def plot(
+    results: list[Path], labels: list[str], folder: Path, console: Console, *, show: bool
+) -> Exit:
+    """Pictures of a result, of several in one, or of a scene's mesh; by rank 0."""
 
     def draw() -> list[Path]:
-        from fenics_crack.cli.pictures import draw_run, draw_sweep  # VTK and matplotlib
+        from fenics_crack.cli.overlay import draw_overlay  # VTK and matplotlib
+        from fenics_crack.cli.pictures import draw_run, draw_scene
+        from fenics_crack.cli.sweep_pictures import draw_sweep
 
-        if kind_of(result) != SWEEP:
-            return draw_run(load_run(result, MPI.COMM_SELF), folder, show=show)
-        if show:
-            raise InputError("--show", "sweep", "used with a periodic solution")
-        return draw_sweep(SweepResult.load(result), folder)
+        first = results[0]
+        drawn = "several results" if len(results) > 1 else first.suffix.lower().lstrip(".")
+        if show and (drawn != "h5" or kind_of(first) != PeriodicSolution.KIND):
+            raise InputError("--show", str(first), "used with one periodic solution")
+        if len(results) > 1 or labels:
+            return draw_overlay(results, labels, folder)
+        if drawn == "toml":
+            return draw_scene(Scene.load(first), folder)
+        if kind_of(first) == SWEEP:
+            return draw_sweep(SweepResult.load(first), folder)
+        run = load_run(first, MPI.COMM_SELF)
+        meshed = run.structure.whole.nodes is not None
+        if not meshed and isinstance(run.result, Modes | PeriodicSolution):
+            console.note("no mesh: what would be drawn on one is left out")
+        return draw_run(run, folder, show=show)
 
     with console.stage("pictures"):
         files = on_root(console.comm, draw)
     for file in files:
         console.note(str(file))
+    return Exit.DONE
+
+
+def report(results: list[Path], target: Path | None, console: Console, words: list[str]) -> Exit:
+    """One page of HTML with all of some results; by rank 0."""
+    page = target or results[0].parent / "report.html"
+
+    def write() -> None:
+        from fenics_crack.cli.report import write_report  # VTK and matplotlib
+
+        write_report(results, page, ["fenics-crack", *words])
+
+    with console.stage("report"):
+        on_root(console.comm, write)
+    console.note(str(page))
     return Exit.DONE

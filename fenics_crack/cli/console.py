@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +14,8 @@ from mpi4py import MPI
 
 from fenics_crack.errors import InputError
 from fenics_crack.parallel import on_root
+from fenics_crack.stages import StageLines, listening
+from fenics_crack.study.remarks import Remark
 from fenics_crack.table import Table
 
 __all__ = ["Console", "make_writable"]
@@ -46,13 +48,29 @@ class Console:
         """Print a warning, even if quiet."""
         print(f"fenics-crack: warning: {text}", file=sys.stderr, flush=True)
 
+    def warnings(self, texts: Iterable[str]) -> None:
+        """Print warnings."""
+        for text in texts:
+            self.warn(text)
+
+    def remarks(self, found: Sequence[Remark]) -> None:
+        """Print what is out of the usual in a scene."""
+        for remark in found:
+            self.note(f"remark: {remark}")
+
     @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
+    def timed(self, name: str) -> Iterator[None]:
         """Print how long a part took, if verbose."""
         started = time.perf_counter()
         yield
         if self.verbose:
             print(f"{name}: {time.perf_counter() - started:.2f} s", file=sys.stderr, flush=True)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """The same, and where progress is shown, what is done in that part while it is done."""
+        with self.timed(name), listening(StageLines()) if self.progress else nullcontext():
+            yield
 
     def finish(self, folder: Path, name: str, shown: Table, rows: Table, summary: Table) -> None:
         """Write rows as CSV and a summary as JSON; print a table, and where the files are."""

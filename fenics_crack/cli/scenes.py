@@ -11,18 +11,23 @@ import numpy as np
 from fenics_crack.balance.memory import check_memory
 from fenics_crack.cli.console import Console
 from fenics_crack.cli.exit_codes import Exit
-from fenics_crack.cli.remarks import highest_omega, remark_on_whole
+from fenics_crack.cli.undamped import remark_on_whole
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import make_folder
 from fenics_crack.model.contact import is_rigid
-from fenics_crack.parallel import gather_rows, on_root
+from fenics_crack.model.structure import Structure
+from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.prepare import check_memory_of, prepare, reduction_of
+from fenics_crack.scene.tables import RPM
+from fenics_crack.study.key_figures import KeyFigures, find_key_figures, highest_omega
+from fenics_crack.study.prepare import Study, check_memory_of, prepare, reduction_of
+from fenics_crack.study.remarks import is_proportional, remarks_on
 from fenics_crack.sweep.plan import Plan
 from fenics_crack.table import Table, counted
 
-__all__ = ["check", "new"]
+__all__ = ["check", "harmonics_in_words", "new"]
 
+TURN = 2.0 * np.pi
 MAX_CHECKED = 10_000
 """Cases of a sweep that are checked before it is run."""
 
@@ -48,35 +53,25 @@ def new(path: Path, console: Console) -> Exit:
 
 
 def check(scene: Scene, console: Console) -> Exit:
-    """Mesh and assemble a scene, and print what it has."""
-    study = prepare(scene, console.comm, whole=True)
-    whole, law, crack = study.structure, study.contact, study.scene.crack
-    harmonics = scene.harmonic_balance.harmonics
+    """Mesh and assemble a scene; print what it has, its first frequencies, and what is unusual."""
+    with console.stage("mesh and matrices"):
+        study = prepare(scene, console.comm, whole=True)
+    whole, harmonics = study.structure, scene.harmonic_balance.harmonics
     check_memory(whole, harmonics)
-    assert whole.nodes is not None
-    points = gather_rows(console.comm, whole.nodes.points)
+    memory = check_memory_of(scene, whole)
+    with console.stage("natural frequencies"):
+        figures = find_key_figures(study)
     rows: dict[str, object] = {
-        "width x height [m]": "{:g} x {:g}".format(*np.ptp(points, axis=0)),
+        **({} if whole.nodes is None else {"width x height [m]": _size(figures)}),
         "degrees of freedom": whole.n_dofs,
+        **_frequencies(study.scene, figures),
+        **_rotation(study.scene, figures),
+        **_contact(study, figures),
+        "harmonics": harmonics_in_words(scene),
+        "unknowns of harmonic balance": (2 * harmonics + 1) * whole.n_pairs,
+        "solved": _solved(scene, whole),
+        "memory, estimated [GiB]": round(memory / 2**30, 2),
     }
-    if law is not None:
-        rows["contact law"] = scene.contact.law  # type: ignore[union-attr]
-    if law is not None and not is_rigid(law):
-        stiffness = np.broadcast_to(law.stiffness, whole.n_pairs)
-        rows["softest pair [N/m]"] = float(stiffness.min())
-        rows["stiffest pair [N/m]"] = float(stiffness.max())
-    if crack is not None and crack.length is not None:
-        rows["crack length [m]"] = crack.length
-    rows["contact pairs"] = whole.n_pairs
-    rows["harmonics"] = harmonics
-    rows["unknowns of harmonic balance"] = (2 * harmonics + 1) * whole.n_pairs
-    rows["solved"] = "as it is"
-    if reduction := reduction_of(scene, whole):
-        modes = counted(int(reduction.modes or scene.damping.modes), "mode")
-        rows["solved"] = f"reduced, {reduction.method}, {modes}"
-        if reduction.method == "massless":
-            rows["solved"] = f"{modes}, lips without mass"
-    rows["memory, estimated [GiB]"] = round(check_memory_of(scene, whole) / 2**30, 2)
     if scene.curve is not None:
         span = f"{scene.curve.start:g} to {scene.curve.stop:g}"
         rows["curve"] = f"{scene.curve.parameter} from {span}"
@@ -88,7 +83,103 @@ def check(scene: Scene, console: Console) -> Exit:
     remark = remark_on_whole(scene, whole, highest)
     console.table(Table(("what", "value"), [*rows.items()]))
     console.note(remark)
+    console.remarks(remarks_on(study.scene, figures))
     return Exit.DONE
+
+
+def _size(figures: KeyFigures) -> str:
+    return "{:g} x {:g}".format(*figures.size)
+
+
+def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:
+    """The first natural frequencies, and the frequency asked for in parts of the first."""
+    lips = {", lips open": figures.omega_open, ", lips tied": figures.omega_tied}
+    if figures.elements is None:
+        lips = {"": figures.omega_open}
+    rows: dict[str, object] = {}
+    for words, natural in lips.items():
+        rows[f"first natural frequency{words} [Hz]"] = float(natural[0]) / TURN
+        rows[f"first natural frequency{words} [rad/s]"] = float(natural[0])
+        rows[f"the next{words} [Hz]"] = ", ".join(f"{value / TURN:.6g}" for value in natural[1:])
+    if figures.elements is not None:
+        moved = "" if is_proportional(scene) else " without clearance"
+        rows[f"breathing crack{moved} resonates near [Hz]"] = figures.omega_breathing / TURN
+    omega = scene.excitation.omega
+    rows["load's frequency [Hz]"] = omega / TURN
+    rows["load's frequency [rad/s]"] = omega
+    for words, natural in lips.items():
+        rows[f"load's frequency / the first{words}"] = omega / max(float(natural[0]), 1e-300)
+    return rows
+
+
+def _rotation(scene: Scene, figures: KeyFigures) -> dict[str, object]:
+    """The rotor's speed, how far it opens the crack, and its engine orders."""
+    if scene.speed == 0.0:
+        return {}
+    first = figures.omega_breathing
+    rows: dict[str, object] = {
+        "rotor speed [rad/s]": scene.speed,
+        "rotor speed [rpm]": scene.speed / RPM,
+        "first breathing frequency / rotor speed": first / scene.speed,
+    }
+    if figures.elements is not None:
+        rows["crack opened by rotation and mean load [m]"] = figures.mean_opening
+    if scene.excitation.order is not None:
+        words = f"order {scene.excitation.order} meets it near [rad/s] of the rotor"
+        rows[words] = first / scene.excitation.order
+    return rows
+
+
+def _contact(study: Study, figures: KeyFigures) -> dict[str, object]:
+    """The cracks, their pairs and their law."""
+    cracks, law, contact = study.scene.all_cracks, study.contact, study.scene.contact
+    rows: dict[str, object] = {}
+    for name, crack in cracks.items():
+        if crack.length is not None:
+            words = "crack length" if len(cracks) == 1 else f"{name}, length"
+            rows[f"{words} [m]"] = crack.length
+            rows[f"{words} / width"] = crack.length / (study.scene.geometry.width or np.nan)
+    rows["contact pairs"] = study.structure.n_pairs
+    if law is None or contact is None:
+        return rows
+    rows["contact law"] = contact.law
+    if not is_rigid(law):
+        stiffness = np.broadcast_to(law.stiffness, study.structure.n_pairs)
+        rows["softest pair [N/m]"] = float(stiffness.min())
+        rows["stiffest pair [N/m]"] = float(stiffness.max())
+    own = figures.own_stiffness
+    rows["lips' own stiffness, pair by pair [N/m]"] = _span(own)
+    if figures.stiffness_ratio is not None:
+        ratio = figures.stiffness_ratio
+        rows["contact stiffness / lips' own"] = _span(ratio)
+    rows["static opening, mean load [m]"] = figures.mean_opening
+    rows["static motion of the lips, amplitude of the load [m]"] = figures.static_motion
+    return rows
+
+
+def harmonics_in_words(scene: Scene) -> int | str:
+    """H, or how it is chosen."""
+    table = scene.harmonic_balance
+    if table.tolerance is None:
+        return table.harmonics
+    return f"as an error of {table.tolerance:g} needs, from {table.harmonics}"
+
+
+def _span(values: np.ndarray) -> str:
+    """Smallest and largest of some numbers."""
+    ends = dict.fromkeys(f"{value:.3g}" for value in (values.min(), values.max()))
+    return " to ".join(ends)
+
+
+def _solved(scene: Scene, whole: Structure) -> str:
+    """How the structure is solved."""
+    reduction = reduction_of(scene, whole)
+    if reduction is None:
+        return "as it is"
+    modes = counted(int(reduction.modes or scene.damped_modes), "mode")
+    if reduction.method == "massless":
+        return f"{modes}, lips without mass"
+    return f"reduced, {reduction.method}, {modes}"
 
 
 def _impossible(scene: Scene) -> str:

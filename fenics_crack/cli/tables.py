@@ -2,42 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from fenics_crack.balance.solution import PeriodicSolution, contact_extremes
+from fenics_crack.balance.fourier import balanced
+from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
+from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve
+from fenics_crack.model.bilinear import bilinear_frequencies
+from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES
+from fenics_crack.scene.scene import Scene
 from fenics_crack.study.run import Run
-from fenics_crack.table import Table
+from fenics_crack.study.watched import Watched
+from fenics_crack.sweep.result import SweepResult
+from fenics_crack.table import Table, frequency_axis, quantity, with_unit
 from fenics_crack.time.march import TimeHistory
 
 __all__ = [
+    "SHORT_CURVE",
     "curve_points",
+    "few_cases",
+    "few_special_points",
     "history_quantities",
     "history_waves",
+    "in_short",
+    "remark_on_points",
     "solution_quantities",
     "solution_waves",
     "special_points",
     "stability_changes",
 ]
 
+FREQUENCY_COLUMNS = ("omega [rad/s]", "frequency [Hz]")
+ENDS = 3
+"""Rows of special points that are no bifurcations: start, end, largest."""
+WIDEST = 120
+"""Columns of a terminal that a table of cases takes."""
+SHOWN_POINTS, SHOWN_CASES = 5, 12
+"""Special points of a curve and cases of a sweep that are printed; files have all."""
 SHARE = "of the lips' motion"
-QUANTITIES = {
+OTHERS = {
     "periods": ("periods", "-"),
     "steps_per_period": ("steps in a period", "-"),
     "settled": ("change over the last period", "-"),
     "created_energy": ("energy created", "-"),
-    "omega": ("omega", "rad/s"),
-    "frequency": ("frequency", "Hz"),
-    "amplitude": ("half peak-to-peak, {}", "m"),
-    "opening": ("largest opening", "m"),
-    "penetration": ("largest penetration", "m"),
-    "contact_force": ("largest contact force of a pair", "N"),
-    "closed_share": ("share of the period closed, mean over pairs", "-"),
     "verdict": ("verdict", "-"),
     "multiplier": ("largest multiplier", "-"),
     "converged": ("converged", "-"),
+    "harmonics": ("harmonics", "-"),
     "iterations": ("iterations", "-"),
     "residual_error": ("estimated error: residual", SHARE),
     "truncation_error": ("estimated error: truncation", SHARE),
@@ -47,84 +60,315 @@ QUANTITIES = {
     "total_error": ("estimated error: total", SHARE),
     "penetration_share": ("penetration", SHARE),
 }
-"""Label and unit of what is printed of a solution or a motion, in this order."""
+"""Words and unit of what is printed of a solution or a motion beside the indicators."""
+LAST_HARMONICS = 3
+"""Of the last period of a motion in time."""
+ALWAYS = ("omega", "frequency", "verdict", "converged", "total_error")
+"""Printed whatever the scene chooses."""
+SHORT_CURVE = ("amplitude", "ratio_2_1", "closed_share", "opening", "over_bilinear")
+"""Indicators printed of the special points of a curve where the scene does not choose: no wider
+than a terminal."""
+SHORT_SWEEP = ("response", "opening", "amplitude", "ratio_2_1")
+"""Columns printed of a sweep, likewise; the response is the amplitude at the load."""
+
+Row = tuple[str, str, object, str]
+"""Name, words, value, unit."""
+
+
+# --- of a solution and of a motion ----------------------------------------------------------------
 
 
 def solution_quantities(run: Run[PeriodicSolution]) -> Table:
-    """The numbers of a solution, and its verdict."""
+    """The numbers of a solution, its indicators, and its verdict (collective)."""
     found = run.result
-    values = found.to_dict() | {"frequency": found.omega / (2.0 * np.pi)}
+    values = found.to_dict()
     if not values["pairs"]:  # no errors were estimated
         values = {n: v for n, v in values.items() if not n.endswith(("_error", "_share"))}
-    return _quantities(run, values | {"amplitude": found.amplitude(run.watched_dof)})
+    rows = _frequencies(found.omega)
+    for watched in run.watched:
+        rows += _of_point(watched, found.indicators(watched.dof).to_dict())
+    return _named([*rows, *_of_lips(values), *_natural(run), *_others(values)])
 
 
 def history_quantities(run: Run[TimeHistory]) -> Table:
-    """The numbers of a motion in time."""
+    """The numbers of a motion in time: of all periods kept, harmonics of the last (collective)."""
     found = run.result
-    motion = found.displacement([run.watched_dof])
-    values = vars(found) | {"amplitude": float(np.ptp(motion) / 2.0)}
-    return _quantities(run, values | contact_extremes(found.gap, found.contact_force))
+    values = vars(found) | contact_extremes(found.gap, found.contact_force)
+    rows = _frequencies(run.scene.excitation.omega)
+    steps = found.steps_per_period
+    for watched in run.watched:
+        motion = found.displacement([watched.dof])[:, 0]
+        waves, size = balanced(motion[-steps:], LAST_HARMONICS), float(np.ptp(motion) / 2.0)
+        seen = indicators_of(run.scene.excitation.omega, waves, size, {}).to_dict()
+        rows += _of_point(watched, seen)
+    return _named([*rows, *_of_lips(values), *_others(values)])
 
 
-def _quantities(run: Run, values: Mapping[str, object]) -> Table:
-    rows = [
-        (label.format(run.watched_name), values[name], unit)
-        for name, (label, unit) in QUANTITIES.items()
+def _named(rows: list[Row]) -> Table:
+    return Table(("name", "quantity", "value", "unit"), rows)
+
+
+def _frequencies(omega: float) -> list[Row]:
+    return [
+        ("omega", "omega", omega, "rad/s"),
+        ("frequency", "frequency", omega / (2.0 * np.pi), "Hz"),
+    ]
+
+
+def _of_point(watched: Watched, values: Mapping[str, object]) -> list[Row]:
+    """What is known of a watched dof; the load's is said once."""
+    return [
+        (
+            watched.column(name),
+            f"{words}, {watched.words}" if watched.name or name == "amplitude" else words,
+            values[name],
+            _shown_unit(unit),
+        )
+        for name, (words, unit) in OF_POINTS.items()
         if name in values
     ]
-    return Table(("quantity", "value", "unit"), rows)
+
+
+def _of_lips(values: Mapping[str, object]) -> list[Row]:
+    return [
+        (name, words, values[name], _shown_unit(unit))
+        for name, (words, unit) in OF_LIPS.items()
+        if name in values
+    ]
+
+
+def _natural(run: Run[PeriodicSolution]) -> list[Row]:
+    """The natural frequencies next to the load's; none without lips."""
+    if not run.structure.n_pairs:
+        return []
+    near = bilinear_frequencies(run.structure).nearest(run.result.omega)
+    return [
+        (name, f"{words}, mode {near['mode']}", float(value), _shown_unit(unit))
+        for name, words, unit, value in _with_hertz(near)
+    ]
+
+
+def _with_hertz(near: Mapping[str, np.ndarray]) -> Iterator[tuple[str, str, str, np.ndarray]]:
+    """Names, words, units and values of natural frequencies: "omega_open", "frequency_open"..."""
+    for name, (words, unit) in OF_FREQUENCIES.items():
+        yield name, words, unit, near[name]
+        if unit == "rad/s":
+            yield name.replace("omega", "frequency"), words, "Hz", near[name] / (2.0 * np.pi)
+
+
+def _others(values: Mapping[str, object]) -> list[Row]:
+    return [(n, words, values[n], unit) for n, (words, unit) in OTHERS.items() if n in values]
+
+
+def _shown_unit(unit: str) -> str:
+    return "-" if unit == "1" else unit
+
+
+def remark_on_points(watched: Sequence[Watched]) -> str:
+    """How far named points are from the nodes that are watched instead; empty where they are."""
+    away = {w.name.partition(".")[0]: w.distance for w in watched if w.distance > 0.0}
+    places = [f"{name} {quantity(distance, 'm')}" for name, distance in away.items()]
+    return f"watched at the nearest node, away by: {', '.join(places)}" if places else ""
+
+
+# --- waves ----------------------------------------------------------------------------------------
 
 
 def solution_waves(run: Run[PeriodicSolution]) -> Table:
-    """One period of a solution: the load's dof, the mouth and the contact force over time."""
+    """One period of a solution: watched dofs, the mouth and the contact force over time."""
     found = run.result
     time = np.linspace(0.0, found.period, 401)
-    motion = found.displacement(time, [run.watched_dof])
+    motion = found.displacement(time, [watched.dof for watched in run.watched])
     return _waves(run, time, motion, found.gap(time), found.contact_force(time))
 
 
 def history_waves(run: Run[TimeHistory]) -> Table:
     """The last periods of a motion, likewise."""
     found = run.result
-    motion = found.displacement([run.watched_dof])
+    motion = found.displacement([watched.dof for watched in run.watched])
     return _waves(run, found.time, motion, found.gap, found.contact_force)
 
 
 def _waves(
     run: Run, time: np.ndarray, motion: np.ndarray, gap: np.ndarray, force: np.ndarray
 ) -> Table:
-    contact = [gap[:, 0], force.sum(axis=1)] if gap.size else []
-    waves = np.column_stack([time, motion, *contact])
-    names = ("closing at the mouth [m]", "contact force, all pairs [N]")[: len(contact)]
-    return Table(("time [s]", f"{run.watched_name} [m]", *names), waves.tolist())
+    structure = run.structure.whole
+    closing = {
+        f"closing {structure.where(pair)} [m]": gap[:, pair]
+        for pair in structure.watched_pairs.values()
+    }
+    contact = closing | {"contact force, all pairs [N]": force.sum(axis=1)} if gap.size else {}
+    waves, names = np.column_stack([time, motion, *contact.values()]), tuple(contact)
+    moved = (f"{watched.words} [m]" for watched in run.watched)
+    return Table(("time [s]", *moved, *names), waves.tolist())
+
+
+# --- of a curve -----------------------------------------------------------------------------------
 
 
 def curve_points(run: Run[ResponseCurve]) -> Table:
-    """Every point of a curve, with the amplitude of the load's dof."""
-    table = run.result.table()
-    heights = run.result.amplitude(run.watched_dof).tolist()
-    rows = [[*row, height] for row, height in zip(table.rows, heights, strict=True)]
-    return Table((*table.columns, f"half peak-to-peak, {run.watched_name} [m]"), rows)
+    """Every point of a curve with its indicators."""
+    table, found = run.result.table(), _along(run)
+    values = zip(*(column.tolist() for column in found.values()), strict=True)
+    rows = [[*row, *more] for row, more in zip(table.rows, values, strict=True)]
+    return Table((*table.columns, *found), rows)
 
 
 def special_points(run: Run[ResponseCurve]) -> Table:
-    """Ends, largest response, bifurcations and changes of stability."""
-    found, dof = run.result, run.watched_dof
-    amplitude = found.amplitude(dof)
-    places = [("start", 0), ("end", -1), ("largest", int(np.argmax(amplitude)))]
-    rows = [(name, found.values[index], amplitude[index]) for name, index in places]
+    """Ends, largest response of the first watched dof, bifurcations and changes of stability.
+
+    Of a curve over the load frequency both columns, rad/s and Hz.
+    """
+    found, along = run.result, _along(run)
+    factor, _, unit = frequency_axis(run.scene.in_hertz)
+
+    def at(index: int) -> list[float]:
+        return [float(column[index]) for column in along.values()]
+
+    largest = int(np.argmax(found.amplitude(run.watched_dof)))
+    places = [("start", 0), ("end", -1), ("largest", largest)]
+    rows = [(name, found.values[index], at(index)) for name, index in places]
     for point in found.bifurcations:
         name = point.kind.replace("_", " ")
         if found.undecided is not None:
-            name += f", exact {point.exact:.6g}" if point.confirmed else ", unconfirmed"
-        rows.append((name, point.value, point.solution.amplitude(dof)))
+            exact = f", exact {factor * point.exact:.6g} {unit}"
+            name += exact if point.confirmed else ", unconfirmed"
+        seen = [point.solution.indicators(watched.dof) for watched in run.watched]
+        rows.append((name, point.value, list(map(float, _columns(run, seen).values()))))
     for index in stability_changes(found):
         after = found.verdicts[index + 1]
         what = {"stable": "gained", "unstable": "lost", "undecided": "undecided"}[after]
-        rows.append((f"stability {what} after", found.values[index], amplitude[index]))
-    height = f"half peak-to-peak, {run.watched_name} [m]"
-    return Table(("point", PARAMETERS[found.parameter], height), rows)
+        rows.append((f"stability {what} after", found.values[index], at(index)))
+    if found.parameter != "omega":
+        names = ("point", PARAMETERS[found.parameter], *along)
+        return Table(names, [(name, value, *more) for name, value, more in rows])
+    both = [(name, value, value / (2.0 * np.pi), *more) for name, value, more in rows]
+    return Table(("point", *FREQUENCY_COLUMNS, *along), both)
+
+
+def _along(run: Run[ResponseCurve]) -> dict[str, np.ndarray]:
+    """Columns of indicators, a value for every point."""
+    return _columns(run, run.result.measure([watched.dof for watched in run.watched]))
+
+
+def _columns(run: Run[ResponseCurve], seen: Sequence[Indicators]) -> dict[str, np.ndarray]:
+    """Columns of the indicators of the watched dofs, by their names with units."""
+    found: dict[str, np.ndarray] = {}
+    for watched, indicators in zip(run.watched, seen, strict=True):
+        for name, (_, unit) in OF_POINTS.items():
+            found[with_unit(watched.column(name), unit)] = getattr(indicators, name)
+    for name, (_, unit) in OF_LIPS.items():
+        found[with_unit(name, unit)] = getattr(seen[0], name)
+    near = bilinear_frequencies(run.structure).nearest(seen[0].omega)
+    found |= {with_unit(name, unit): value for name, _, unit, value in _with_hertz(near)}
+    return found
+
+
+def few_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table, int]:
+    """The first rows of :func:`special_points` and some others, and how many are left out.
+
+    Bifurcations come before changes of stability, those of the exact orbits before others, and of
+    alike ones those with the larger response. Where no point is decided, none changes.
+    """
+    found, rows = run.result, [*table.rows]
+    ends, others = rows[:ENDS], rows[ENDS:]
+    points = found.bifurcations
+    amplitude = next(n for n, name in enumerate(table.columns) if name.endswith("amplitude [m]"))
+    if found.multipliers is not None and bool(np.all(found.verdicts == "undecided")):
+        others = others[: len(points)]
+
+    def weight(place: int) -> tuple[bool, bool, float]:
+        special = place < len(points)
+        return special, special and points[place].confirmed, others[place][amplitude]
+
+    kept = sorted(sorted(range(len(others)), key=weight, reverse=True)[:SHOWN_POINTS])
+    shown = [*ends, *(others[place] for place in kept)]
+    return Table(table.columns, shown), len(others) - len(kept)
+
+
+# --- what is printed ------------------------------------------------------------------------------
+
+
+def in_short(table: Table, scene: Scene, default: Sequence[str]) -> Table:
+    """What is printed of a table: the quantities that the scene chooses, or the default, and one of
+    the frequencies in rad/s and in Hz.
+
+    A table with a column "name" has a quantity in each row, another one in each column. What is not
+    a quantity is printed too, where quantities are columns or the scene does not choose.
+    """
+    chosen = None if scene.output is None else scene.output.quantities
+    prefix, unit = ("omega", "rad/s") if scene.in_hertz else ("frequency", "Hz")
+
+    def wanted(heading: str, unit_of: str) -> bool:
+        name = heading.partition(" [")[0].rpartition(".")[2]
+        if name.startswith(prefix) and unit_of == unit:
+            return False
+        name = name.replace("frequency_", "omega_")
+        return name in (chosen or default) if name in QUANTITIES else True
+
+    if table.columns[0] == "name":
+        rows = [
+            row[1:]
+            for row in table.rows
+            if wanted(row[0], row[3])
+            and not (isinstance(row[2], float) and np.isnan(row[2]))
+            and (chosen is None or row[0] in ALWAYS or row[0] not in OTHERS)
+        ]
+        return Table(table.columns[1:], rows)
+    headings = enumerate(table.columns)
+    kept = [n for n, name in headings if wanted(name, name.partition("[")[2].rstrip("]"))]
+    return Table([table.columns[n] for n in kept], [[row[n] for n in kept] for row in table.rows])
+
+
+def few_cases(found: SweepResult) -> tuple[Table, str]:
+    """The cases of a small sweep, of a larger one those of largest response; and which in words.
+
+    They are the largest over the load frequency, or over the longest axis, one for each combination
+    of the others.
+    """
+    keys = [axis.key for axis in found.axes]
+    output = found.scene.output
+    chosen = SHORT_SWEEP if output is None or output.quantities is None else found.quantities
+    shown = (n for n in found.quantities if n in chosen or n.rpartition(".")[2] in chosen)
+    columns = [*keys, *shown, "verdict"]
+    if not np.all(found.converged):
+        columns.insert(len(keys), "state")
+    verdicts = set(found["verdict"][found.converged].tolist())
+    if verdicts <= {""} or verdicts == {"undecided"}:
+        columns.remove("verdict")
+    table, words = _fitting(found, columns)
+    if len(table.rows) <= SHOWN_CASES:
+        return table, words
+    along = int(np.argmax(found.shape))
+    for key in ("excitation.omega", "excitation.frequency"):
+        along = keys.index(key) if key in keys else along
+    height = np.nan_to_num(found["response"], nan=-1.0)
+    numbers = np.arange(height.size).reshape(height.shape)
+    highest = np.expand_dims(height.argmax(axis=along), along)
+    places = np.take_along_axis(numbers, highest, along).ravel()
+    words = f"; the table has the largest responses over {keys[along]}, {found.path.stem}.csv all"
+    if len(places) > SHOWN_CASES:
+        order = np.argsort(-height.ravel()[places], kind="stable")[:SHOWN_CASES]
+        words += f", {SHOWN_CASES} of {len(places)}"
+        places = np.sort(places[order])
+    return Table(table.columns, [table.rows[place] for place in places]), words
+
+
+def _fitting(found: SweepResult, columns: list[str]) -> tuple[Table, str]:
+    """The table of some columns, without the last quantities if it is too wide; and that in words.
+
+    What a scene asks for by ``output.quantities`` is printed, whatever its width.
+    """
+    output, left = found.scene.output, [*found.quantities]
+    chosen = output is not None and output.quantities is not None
+    while True:
+        table = found.table(*columns)
+        if len(table.formatted("text").splitlines()[1]) <= WIDEST or chosen or len(left) < 2:
+            break
+        columns = [name for name in columns if name != left[-1]]
+        left.pop()
+    whole = len(left) == len(found.quantities)
+    return table, "" if whole else f"; {found.path.stem}.csv has more columns"
 
 
 def stability_changes(curve: ResponseCurve) -> list[int]:

@@ -72,7 +72,7 @@ from fenics_crack.model.contact import ContactLaw, check_law
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
-from fenics_crack.table import Tabular, counted
+from fenics_crack.table import Tabular, counted, with_frequency
 
 __all__ = ["Backbone", "BackboneOptions", "follow_backbone"]
 
@@ -207,12 +207,9 @@ class Backbone(Tabular):
 
     def to_dict(self) -> dict[str, Any]:
         """Columns, a row for every motion."""
-        return {
-            "omega": self.omega.tolist(),
-            "energy": self.energy.tolist(),
-            "iterations": self.iterations.tolist(),
-            "jump": self.jumps.tolist(),
-        }
+        found = {"omega": self.omega.tolist(), "energy": self.energy.tolist()}
+        found |= {"iterations": self.iterations.tolist(), "jump": self.jumps.tolist()}
+        return with_frequency(found)
 
     def _title(self) -> str:
         parts = [
@@ -226,7 +223,7 @@ class Backbone(Tabular):
 
 
 class BackboneOptions(TypedDict, total=False):
-    """Options of :func:`follow_backbone`.
+    """Options of :func:`.follow_backbone`.
 
     initial : PeriodicSolution
         Start from the motion next to this solution, scaled to ``energy_start``, and not from the
@@ -263,8 +260,8 @@ def follow_backbone(
 
     The linear mode of the structure without contact is followed in ln k, the contact stiffness, at
     ``energy_start``, and from there in ln E: by steps in the parameter, and by arc-length, through
-    folds, where there is no motion of the same shape a step further. What internal resonances do to
-    it is written in :mod:`fenics_crack.curves.backbone`.
+    folds, where there is no motion of the same shape a step further. Internal resonances:
+    ``docs/theory.md``, "Backbones". Source: Kerschen and others, MSSP 23 (2009) 170-194.
 
     Parameters
     ----------
@@ -285,14 +282,13 @@ def follow_backbone(
         Raise if the end is not reached; else return what was found, ``complete`` being False.
         Ctrl-C always returns what was found.
     **options
-        As :class:`BackboneOptions` lists them: initial, internal_resonances, longest_step,
+        As :class:`.BackboneOptions` lists them: initial, internal_resonances, longest_step,
         most_points.
 
     Returns
     -------
     Backbone
-        At t = 0 and after half a period nothing moves; at the start, t = 0 is where the pairs are
-        further open.
+        Nothing moves at t = 0 and after half a period; at the start, pairs are further open at 0.
 
     Raises
     ------

@@ -58,13 +58,15 @@ def attainable(family: Family, parameter: float, tolerance: float) -> float:
     The largest slope of R lambda counts: k R, or less where pairs are seen through a static
     compliance (:meth:`CoupledSystem.steepness`).
     """
-    ends = [family.at(value).contact for value in (family.start, family.end)]
-    stiffest = max(ends, key=lambda law: float(np.max(law.stiffness)))
+    if family.compiled is not None:
+        largest = family.compiled.largest_compliance(parameter)
+        slope = largest * float(np.max(family.stiffest.stiffness))
+        return max(tolerance, least_residual(4.0 * slope))
     system = family.system(family.value(parameter))
     if isinstance(system, CoupledSystem):
-        slope = system.steepness(stiffest)
+        slope = system.steepness(family.stiffest)
     else:
-        slope = stiffness_times_compliance(system.compliance, stiffest)
+        slope = stiffness_times_compliance(system.compliance, family.stiffest)
     return max(tolerance, least_residual(4.0 * slope))
 
 

@@ -9,13 +9,13 @@ branch points by steps that shrink towards them (:mod:`bifurcations`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
 
-from fenics_crack.balance.arclength import Stepping, follow_path
+from fenics_crack.balance.arclength import Stepping, follow_stretches
 from fenics_crack.balance.bordered import (
     PathPoint,
     Tangent,
@@ -26,6 +26,7 @@ from fenics_crack.balance.bordered import (
     solve_at,
     step_along,
 )
+from fenics_crack.balance.compiled import Stretch
 from fenics_crack.balance.error_report import beyond_truncation, relative_size
 from fenics_crack.balance.family import FAMILIES, Family
 from fenics_crack.balance.fourier import resized
@@ -45,58 +46,36 @@ from fenics_crack.curves.bifurcations import (
     turns_or_branches,
 )
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
+from fenics_crack.curves.points import CurvePoint, Points
 from fenics_crack.curves.resume import check_resumed, directions, point_towards
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
-from fenics_crack.stability.piecewise_flow import LeadingMultiplier, PiecewiseFlow
+from fenics_crack.stability.piecewise_flow import PiecewiseFlow
 
-__all__ = ["Continuation", "CurvePoint"]
+__all__ = ["LONGEST", "Continuation"]
 
 Answer = TypeVar("Answer")
+LONGEST = 0.05
+"""Longest step, unless another one is asked for."""
 SHORTEST = 0.1
 """Of steps, relative to what rounding leaves of the residual: shorter ones resolve nothing."""
 LANDING = 1e-4
 """Distance along the path from which the solution at the end is solved for."""
+LANDINGS = 4
+"""How often the end is sought again by shorter steps."""
 CHUNK = 64
 """Points that the kernel follows in one call."""
+NEAR_ORIGIN = 0.9
+"""Cosine of the angle between a step and the way to the first point above which both may meet."""
 EVERY = 4
 """Points between two looks at the truncation."""
 
 
-@dataclass(frozen=True)
-class CurvePoint:
-    """A point of a curve as it comes.
-
-    Attributes
-    ----------
-    value, omega : float
-        Of the parameter, and load frequency [rad/s].
-    unknown : (2H+1, n_pairs) [m]
-        Gap coefficients, or the slow gap's (:attr:`ResponseCurve.unknowns`).
-    iterations : int
-        Newton iterations.
-    truncation : float
-        Estimated error of the harmonics left out, or nan where it was not estimated.
-    multiplier : LeadingMultiplier or None
-        The Floquet multiplier of largest modulus; with ``stability=True``.
-    bifurcations : tuple of (str, float)
-        Kinds and parameters of the special points since the point before.
-    """
-
-    value: float
-    omega: float
-    unknown: np.ndarray
-    iterations: int
-    truncation: float = math.nan
-    multiplier: LeadingMultiplier | None = None
-    bifurcations: tuple[tuple[str, float], ...] = ()
-
-
 class Continuation:
-    """A curve that grows point by point: iterate over it, and take :attr:`curve` at any time.
+    """A curve that grows point by point: iterate over it, and take its ``curve`` at any time.
 
         for point in Continuation(Problem(plate, 1000.0, law), "omega", 1000.0, 3000.0):
             ...
@@ -111,7 +90,7 @@ class Continuation:
     parameter : str
         "omega": load frequency [rad/s]; "load", "stiffness", "damping": factor of the structure's
         load, of the contact stiffness, of the structure's damping, 1 being as given; "clearance":
-        added to that of every pair [m].
+        added to that of every pair [m]; "speed": of the rotor [rad/s], which ``omega`` follows.
     start, end : float
         Its values; the end may be below the start.
     initial : PeriodicSolution, ResponseCurve or Bifurcation, optional
@@ -122,7 +101,7 @@ class Continuation:
     tolerance : float, optional
         Without ``samples``. Raise and lower H along the curve so that the estimated truncation
         error, looked at every fourth point, stays near or below this, between the problem's
-        ``harmonics`` and 100.
+        ``harmonics`` and 100. Where there is no solution with that many H grows by less.
     stability : bool
         Compute the leading Floquet multiplier at every point, and locate where multipliers leave
         the unit circle: through -1, or the leading ones as a pair. They are those of the truncated
@@ -141,6 +120,8 @@ class Continuation:
     ----------
     complete : bool
         Whether the end was reached, or the curve closed.
+    returned : bool
+        Whether the curve came back to its start, or went past it, instead of reaching the end.
     status : str
         How it ended.
 
@@ -162,7 +143,7 @@ class Continuation:
         initial: PeriodicSolution | ResponseCurve | Bifurcation | None = None,
         tolerance: float | None = None,
         stability: bool = False,
-        longest_step: float = 0.05,
+        longest_step: float = LONGEST,
         most_points: int = 50000,
         turning_back: float = 0.1,
     ) -> None:
@@ -179,8 +160,8 @@ class Continuation:
             if problem.samples is not None:
                 raise InputError("samples", problem.samples, "left out where a tolerance is given")
         _check_rigid(problem, parameter)
-        if parameter == "omega":
-            problem = replace(problem, omega=start)
+        if parameter in ("omega", "speed"):
+            problem = FAMILIES[parameter].vary(problem, start)
         if not is_small(problem.structure):
             reduced = reduce_structure(problem.structure, method="massless")
             problem = replace(problem, structure=reduced)
@@ -188,15 +169,16 @@ class Continuation:
                 initial = replace(initial, structure=reduced)
         self._tolerance, self._least = tolerance, problem.harmonics
         self._longest, self._most, self._back = longest_step, most_points, turning_back
-        if 0.0 < start < end and parameter in ("omega", "damping"):  # not to 0
+        if 0.0 < start < end and parameter in ("omega", "damping", "speed"):  # not to 0
             self._back = min(turning_back, 0.9 * start / (end - start))
         self._flow: PiecewiseFlow | None = None
-        self._points: list[CurvePoint] = []
+        self._points, self._at_once = Points(), False
         self._special: list[tuple[str, float, np.ndarray]] = []
         self._branch = False
         self._towards: Tangent | None = None
         self._origin: PathPoint | None = None
-        self.complete, self.status = False, "not begun"
+        self._landings = 0
+        self.complete, self.returned, self.status = False, False, "not begun"
 
         def family_of(problem: Problem) -> Family:
             return FAMILIES[parameter](problem, start, end)
@@ -211,29 +193,28 @@ class Continuation:
             begun, self._towards = first_of_branch(self._family, initial, longest_step)
             self._points.append(self._point(begun))
         else:
-            self._family, found = _first_solution(problem, family_of, initial, tolerance)
+            found = _first_solution(problem, family_of, initial, tolerance)
+            self._family, unknown, iterations = found
             self._flow = flow_of(self._family.problem) if stability else None
-            first = self._family.value(0.0)
-            self._points.append(self._known(found.slow_gap_coefficients, first, found.iterations))
+            self._points.append(self._known(unknown, self._family.value(0.0), iterations))
 
     @property
     def curve(self) -> ResponseCurve:
         """All points so far."""
         points, problem = self._points, self._family.problem
-        counts = np.array([len(point.unknown) // 2 for point in points])
-        multipliers = None
+        counts, multipliers = points.harmonics, None
         if self._flow is not None:
-            multipliers = np.array([p.multiplier.value for p in points if p.multiplier])
+            multipliers = np.array([multiplier.value for multiplier in points.multipliers])
         curve = ResponseCurve(
             structure=problem.structure,
             contact=problem.contact,
             parameter=self._family.name,
-            values=np.array([point.value for point in points]),
-            omega=np.array([point.omega for point in points]),
-            unknowns=_stacked([point.unknown for point in points], int(counts.max())),
+            values=np.array(points.values),
+            omega=np.array(points.omega),
+            unknowns=points.unknowns(int(counts.max())),
             harmonics=counts,
-            iterations=np.array([point.iterations for point in points]),
-            truncation=np.array([point.truncation for point in points]),
+            iterations=np.array(points.iterations),
+            truncation=np.array(points.truncation),
             bifurcations=(),
             complete=self.complete,
             status=self.status,
@@ -247,14 +228,14 @@ class Continuation:
 
     def progress(self) -> float:
         """How much of the way from start to end has been gone, 0 to 1."""
-        return min(1.0, max(0.0, self._family.parameter(self._points[-1].value)))
+        return min(1.0, max(0.0, self._family.parameter(self._points.values[-1])))
 
     def __iter__(self) -> Iterator[CurvePoint]:
         """Yield the first point, or the last one of a resumed curve, and all that follow."""
-        yield self._points[-1]
+        last = self._points.last
+        yield last
         if self.complete:
             return
-        last = self._points[-1]
         here = point_towards(self._family, last.unknown, last.value, self._towards)
         self._origin = self._origin or here
         self.status = "the steps became too short"
@@ -262,11 +243,21 @@ class Continuation:
         while step is not None and not self.complete:
             here, step = yield from self._follow(here, step)
 
+    def run(self) -> None:
+        """Follow to the end: as iterating over all points does, but faster, since those between
+        which nothing happens are recorded many at once."""
+        self._at_once = True
+        try:
+            for _ in self:
+                pass
+        finally:
+            self._at_once = False
+
     def _follow(
         self, here: PathPoint, step: float
     ) -> Generator[CurvePoint, None, tuple[PathPoint, float | None]]:
         """Follow the path with one number of harmonics; return where and how to go on, or None."""
-        family, before = self._family, here
+        family = self._family
         rounding = attainable(family, here.parameter, 0.0)
         stepping = Stepping(
             first=step,
@@ -278,14 +269,15 @@ class Continuation:
             rounding=rounding,
             chunk=CHUNK if self._tolerance is None else EVERY,
         )
-        for point in follow_path(family, here.unknown, here.parameter, stepping, here.tangent):
+        path = follow_stretches(family, here.unknown, here.parameter, stepping, here.tangent)
+        for before, point in self._neighbours(here, path):
             special = turns_or_branches(family, before, point)
             ended, end = self._ended(before, point)
             if ended and end is None:
-                return here, None
+                return before, self._shorter(point)
             point = end or point
             found = self._point(point)
-            last = self._points[-1].multiplier
+            last = self._points.last.multiplier
             if last is not None and found.multiplier is not None:
                 sides = (before, last), (point, found.multiplier)
                 special += multipliers_cross(family, *sides, self._ask)
@@ -301,15 +293,55 @@ class Continuation:
             if len(self._points) > self._most:
                 self.status = f"{self._most} points were not enough"
                 return here, None
-            step, before = point.length, point
-            if self._change_harmonics(found.truncation):
-                again = self._again(point)
-                if again is None:
-                    self.status = f"no solution with H = {self._family.problem.harmonics}"
-                    return here, None
+            if (again := self._with_other_harmonics(point, found.truncation)) is not None:
                 self._towards = again.tangent
-                return again, max(0.1 * step, 1e-3 * self._longest)
+                return again, max(0.1 * point.length, 1e-3 * self._longest)
         return here, None
+
+    def _neighbours(
+        self, here: PathPoint, path: Iterable[Sequence[PathPoint]]
+    ) -> Iterator[tuple[PathPoint, PathPoint]]:
+        """Neighbours on a path behind a point. Where the curve grows at once, only those between
+        which something may happen; other points are recorded."""
+        before = here
+        for stretch in path:
+            begin = 0
+            for place in self._notable(before, stretch):
+                if begin < place:
+                    before = self._record(stretch[begin:place])
+                point = stretch[place]
+                yield before, point
+                before, begin = point, place + 1
+            if begin < len(stretch):
+                before = self._record(stretch[begin:])
+
+    def _notable(self, before: PathPoint, stretch: Sequence[PathPoint]) -> Sequence[int]:
+        """Places of the points up to which the curve may fold, meet another one, close or end; all
+        places where it does not grow at once, or where more is asked at every point."""
+        asked = self._flow is not None or self._tolerance is not None or self._branch
+        enough = len(self._points) + len(stretch) > self._most
+        if not self._at_once or asked or enough or not isinstance(stretch, Stretch):
+            return range(len(stretch))
+        parameters = np.append(before.parameter, stretch.parameters)
+        slopes = np.append(before.tangent.p, stretch.slopes)
+        found = (slopes[1:] * slopes[:-1] < 0.0) | (stretch.crossings > 0)
+        found |= (parameters[1:] >= 1.0) | (parameters[1:] < -self._back)
+        if self._origin is not None:
+            near = np.abs(parameters[:-1] - self._origin.parameter) <= stretch.lengths / NEAR_ORIGIN
+            near[1:] &= stretch.ways_to(self._origin)[:-1] > 0.0  # not while it leaves
+            found |= near
+        places: list[int] = np.flatnonzero(found).tolist()
+        return places
+
+    def _record(self, points: Sequence[PathPoint]) -> PathPoint:
+        """Take up points between which nothing happens, and return the last one."""
+        assert isinstance(points, Stretch)
+        values = [self._family.value(place) for place in points.parameters.tolist()]
+        omega = map(self._omega, values)
+        self._points.extend(values, omega, points.unknowns, points.iterations.tolist())
+        last = points[-1]
+        self._towards = last.tangent
+        return last
 
     def _with_special(self, point: CurvePoint, special: Special) -> CurvePoint:
         """A point, with what lies between it and the one before recorded."""
@@ -329,7 +361,7 @@ class Continuation:
         return CurvePoint(value, self._omega(value), unknown, iterations, multiplier=multiplier)
 
     def _omega(self, value: float) -> float:
-        return value if self._family.name == "omega" else self._family.problem.omega
+        return self._family.omega(value)
 
     def _ask(
         self,
@@ -340,7 +372,7 @@ class Continuation:
         """What the flow at a point says."""
         assert self._flow is not None
         family, flow = self._family, self._flow
-        if family.name in ("stiffness", "damping"):
+        if family.name in ("stiffness", "damping", "speed"):
             problem = family.at(value)
             flow = flow.varied(problem.structure, problem.contact)
         return what(flow, unknown, self._omega(value) / family.problem.subharmonic)
@@ -350,17 +382,22 @@ class Continuation:
         structure = self._family.at(self._family.value(point.parameter)).structure
         return relative_size(beyond_truncation(at).gap, at, structure.clearance)
 
-    def _change_harmonics(self, truncation: float) -> bool:
-        """Raise or lower H by the truncation's estimate; True where it has changed."""
+    def _with_other_harmonics(self, point: PathPoint, truncation: float) -> PathPoint | None:
+        """The point with H raised or lowered by the truncation's estimate, by less where that has
+        no solution; None where H stays."""
         if self._tolerance is None or math.isnan(truncation):
-            return False
-        count = self._family.problem.harmonics
+            return None
+        family = self._family
+        count = family.problem.harmonics
         wanted = more_harmonics(count, truncation, self._tolerance)
         wanted = wanted or fewer_harmonics(count, truncation, self._tolerance, self._least)
-        if wanted == count:
-            return False
-        self._family = self._family.with_harmonics(wanted)
-        return True
+        while wanted != count:
+            self._family = family.with_harmonics(wanted)
+            if (again := self._again(point)) is not None:
+                return again
+            wanted = count + int((wanted - count) / 2)
+        self._family = family
+        return None
 
     def _again(self, point: PathPoint) -> PathPoint | None:
         """The point with other harmonics, in the plane across the path."""
@@ -383,10 +420,10 @@ class Continuation:
             self.status = "reached the end" if self.complete else "no solution at the very end"
             return True, landed
         if parameter < -self._back:
-            self.status = "the curve turned back past its start"
+            self.returned, self.status = True, "the curve turned back past its start"
             return True, None
         if self._closes(before, point):
-            self.complete, self.status = True, "closed loop"
+            self.complete, self.returned, self.status = True, True, "closed loop"
             return True, self._origin
         if self._joins(before, point):
             self.complete, self.status = True, "joined the branch that it left"
@@ -405,18 +442,26 @@ class Continuation:
             return replace(found, tangent=near.tangent)
         return land(before, point, end, solve)
 
+    def _shorter(self, point: PathPoint) -> float | None:
+        """The step with which the end is sought once more, where a point beyond it did not lead to
+        it: a long step may have met another part of the path."""
+        if self.returned or self._branch or self._landings == LANDINGS or point.parameter < 1.0:
+            return None
+        self._landings += 1
+        return 0.25 * point.length
+
     def _closes(self, before: PathPoint, point: PathPoint) -> bool:
         """Whether the first point lies between two others."""
         family, origin, tangent = self._family, self._origin, before.tangent
         if origin is None or len(self._points) < 4 or origin.unknown.shape != point.unknown.shape:
             return False
-        if abs(origin.parameter - before.parameter) > point.length / 0.9:
+        if abs(origin.parameter - before.parameter) > point.length / NEAR_ORIGIN:
             return False  # as will be seen below, but at once
         back, rise = origin.unknown - before.unknown, origin.parameter - before.parameter
         along = tangent.weight * family.inner(back, tangent.x) + rise * tangent.p
         if not 0.0 < along <= point.length:
             return False
-        if along < 0.9 * distance(family, before, origin):
+        if along < NEAR_ORIGIN * distance(family, before, origin):
             return False
         met = step_along(family, before, along, attainable(family, before.parameter, 1e-9))
         if met is None or met.tangent.along(origin.tangent, family) < 0.9:
@@ -444,30 +489,27 @@ class Continuation:
         self._towards, self._origin = directions(self._family, curve)
 
 
-def _stacked(unknowns: list[np.ndarray], harmonics: int) -> np.ndarray:
-    """Unknowns of points with several numbers of harmonics: (n, 2H+1, n_pairs)."""
-    rows = 2 * harmonics + 1
-    return np.array([one if len(one) == rows else resized(one, harmonics) for one in unknowns])
-
-
 def _first_solution(
     problem: Problem,
     family_of: Callable[[Problem], Family],
     initial: PeriodicSolution | None,
     tolerance: float | None,
-) -> tuple[Family, PeriodicSolution]:
-    """The family, with as many harmonics as a tolerance asks for at its start, and the solution
-    there."""
+) -> tuple[Family, np.ndarray, int]:
+    """The family, with as many harmonics as a tolerance asks for at its start, the unknowns there
+    and the iterations that they took."""
     while True:
         family = family_of(problem)
         first, count = family.at(family.start), problem.harmonics
         check_memory(first.structure, count)
         if initial is not None:
             check_initial(first, initial)
-        initial = Solver(first).solve(initial)
+        solver = Solver(first)
+        if tolerance is None and (quick := solver.solve_in_kernel(family, initial)) is not None:
+            return family, *quick
+        initial = solver.solve(initial)
         more = more_harmonics(count, initial.report.truncation, tolerance)
         if more is None:
-            return family, initial
+            return family, initial.slow_gap_coefficients, initial.iterations
         problem = problem.with_harmonics(more)
 
 

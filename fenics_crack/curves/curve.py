@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -11,17 +11,18 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fenics_crack.balance.compliance import ModalCompliance
-from fenics_crack.balance.condensed import CondensedPoint
+from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem
 from fenics_crack.balance.coupled import CoupledPoint
 from fenics_crack.balance.family import FAMILIES
 from fenics_crack.balance.fourier import evaluate
+from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.errors import InputError
-from fenics_crack.model.contact import ContactLaw
+from fenics_crack.model.contact import ContactLaw, force_in_time
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
-from fenics_crack.table import Described, Tabular, counted
+from fenics_crack.table import Described, Tabular, counted, ranging, with_frequency
 
 __all__ = ["PARAMETERS", "Bifurcation", "ResponseCurve"]
 
@@ -31,8 +32,13 @@ PARAMETERS = {
     "stiffness": "contact stiffness, as a multiple of the scene's [-]",
     "damping": "damping, as a multiple of the scene's [-]",
     "clearance": "clearance added to the scene's [m]",
+    "speed": "rotor speed [rad/s]",
 }
 """What a curve may be followed in, by its name in :attr:`ResponseCurve.parameter`."""
+
+
+PHASES = 2.0 * np.pi * np.arange(256) / 256
+"""Of a period, at which points of a curve are looked at."""
 
 
 def _expanded(problem: Problem, unknown: np.ndarray) -> PeriodicSolution:
@@ -93,12 +99,14 @@ class Bifurcation(Described):
 
     def to_dict(self) -> dict[str, Any]:
         """Kind, value of the curve's parameter, load frequency, and that of the exact orbits."""
-        return {
-            "kind": self.kind,
-            "value": float(self.value),
-            "omega": float(self.omega),
-            "exact": float(self.exact),
-        }
+        return with_frequency(
+            {
+                "kind": self.kind,
+                "value": float(self.value),
+                "omega": float(self.omega),
+                "exact": float(self.exact),
+            }
+        )
 
     def _title(self) -> str:
         name, found = self.kind.replace("_", " "), f"H = {self.problem.harmonics}"
@@ -118,9 +126,10 @@ class ResponseCurve(Tabular):
     contact : ContactLaw
         Law of all pairs, likewise.
     parameter : str
-        "omega", "load", "stiffness", "damping" or "clearance".
+        "omega", "load", "stiffness", "damping", "clearance" or "speed".
     values : (n,)
-        Of the parameter: load frequencies [rad/s], factors, or clearances added [m].
+        Of the parameter: load frequencies [rad/s], factors, clearances added [m], or speeds of the
+        rotor [rad/s].
     omega : (n,) [rad/s]
         Load frequencies.
     unknowns : (n, 2H+1, n_pairs) [m]
@@ -240,14 +249,13 @@ class ResponseCurve(Tabular):
         """The solutions at all points."""
         return [self.solution(index) for index in range(len(self))]
 
+    def indicators(self, dof: int) -> Indicators:
+        """What a dof and the lips show of a breathing crack at every point, of 256 instants."""
+        return self.measure([dof])[0]
+
     def coefficients_at(self, dof: int) -> np.ndarray:
         """Coefficients of the displacement of a dof at every point: (n, 2H+1) [m]."""
-        rows, found = self._rows(dof), np.zeros(self.unknowns.shape[:2])
-        for index, at in self._linearised():
-            assert isinstance(at.system.compliance, ModalCompliance)
-            seen = at.system.compliance.seen_through(rows, at.force)
-            found[index, : len(seen)] = seen[:, 0]
-        return found
+        return self._seen_at([dof])[0][0]
 
     def motions(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Displacements [m] and velocities [m/s] of all dofs at phase zero: (n_dofs,) each."""
@@ -260,21 +268,61 @@ class ResponseCurve(Tabular):
 
     def amplitude(self, dof: int) -> np.ndarray:
         """Half the peak-to-peak displacement of a dof at every point: (n,) [m], of 256 instants."""
-        time = 2.0 * np.pi * np.arange(256) / 256
-        wave = evaluate(self.coefficients_at(dof).T, 1.0, time)
-        if self.static_above is not None:
-            # What answers at once follows the forces as they are, with their kinks.
-            answers = all_modes(self.structure).moved_at_once(self.static_above)
-            moved = (self._rows(dof) @ answers)[0]
-            for index, at in self._linearised():
-                assert isinstance(at, CoupledPoint)
-                force = at.system.integrals.forces(evaluate(at.unknown, 1.0, time))
-                wave[:, index] -= (force - evaluate(at.force, 1.0, time)) @ moved
-        return np.asarray(np.ptp(wave, axis=0) / 2.0)
+        return np.asarray(self.measure([dof])[0].amplitude)
 
-    def _rows(self, dof: int) -> np.ndarray:
-        """T of u = T q, the displacement of a dof from the structure's coordinates: (1, n_dofs)."""
-        return self.structure.values_at(np.eye(self.structure.n_dofs), [dof]).T
+    def measure(self, dofs: Sequence[int]) -> list[Indicators]:
+        """:meth:`indicators` of some dofs; the equations are formed once for all that are new."""
+        seen = self._seen_at(dofs)
+        lips = {name: np.array([at[name] for at in self._lips]) for name in self._lips[0]}
+        return [
+            indicators_of(self.omega, coefficients, amplitude, lips, self.subharmonic)
+            for coefficients, amplitude in seen
+        ]
+
+    @cached_property
+    def _seen(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+        """Coefficients and half peak-to-peak values of dofs once they are known."""
+        return {}
+
+    @cached_property
+    def _lips(self) -> list[dict[str, float]]:
+        """What :func:`contact_extremes` finds at every point, once it is known."""
+        return [{} for _ in range(len(self))]
+
+    def _seen_at(self, dofs: Sequence[int]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Coefficients (n, 2H+1) and half peak-to-peak values (n,) [m] of some dofs."""
+        new = [dof for dof in dict.fromkeys(dofs) if dof not in self._seen]
+        if new:
+            structure = self.structure
+            rows = structure.values_at(np.eye(structure.n_dofs), new).T  # u = T q
+            seen = np.zeros((len(new), *self.unknowns.shape[:2]))
+            sizes = np.zeros((len(new), len(self)))
+            moved = None
+            if self.static_above is not None:
+                moved = rows @ all_modes(structure).moved_at_once(self.static_above)
+            for index, at in self._linearised():
+                assert isinstance(at.system.compliance, ModalCompliance)
+                waves = at.system.compliance.seen_through(rows, at.force)
+                seen[:, index, : len(waves)] = waves.T
+                motion, (gap, force) = evaluate(waves, 1.0, PHASES), self._contact_of(at)
+                self._lips[index] = contact_extremes(gap, force)
+                if moved is not None:
+                    # What answers at once follows the forces as they are, with their kinks.
+                    motion -= (force - evaluate(at.force, 1.0, PHASES)) @ moved.T
+                sizes[:, index] = np.ptp(motion, axis=0) / 2.0
+            self._seen.update(zip(new, zip(seen, sizes, strict=True), strict=True))
+        return [self._seen[dof] for dof in dofs]
+
+    @staticmethod
+    def _contact_of(at: CondensedPoint) -> tuple[np.ndarray, np.ndarray]:
+        """Gaps [m] and contact forces [N] of a point over the phases: (256, n_pairs) each."""
+        if isinstance(at, CoupledPoint):
+            slow = evaluate(at.unknown, 1.0, PHASES)
+            force = at.system.integrals.forces(slow)
+            return slow - force @ at.system.residual, force
+        gap, waves = (evaluate(rows, 1.0, PHASES) for rows in (at.gap, at.force))
+        assert isinstance(at.system, CondensedSystem)
+        return gap, force_in_time(at.system.integrals.law, gap, waves)
 
     def _linearised(self) -> Iterator[tuple[int, CondensedPoint]]:
         """The equations at all points, with their numbers; not in order."""
@@ -291,10 +339,13 @@ class ResponseCurve(Tabular):
         self, special: list[tuple[str, float, np.ndarray]]
     ) -> tuple[Bifurcation, ...]:
         """Bifurcations of this curve from their kinds, parameters and unknowns."""
-        return tuple(
-            Bifurcation(kind, value, unknown, self._problem_at(value, unknown))
-            for kind, value, unknown in special
-        )
+        problem, found = self.problem, []
+        for kind, value, unknown in special:
+            if len(unknown) // 2 != problem.harmonics:
+                problem = problem.with_harmonics(len(unknown) // 2)
+            there = FAMILIES[self.parameter].vary(problem, value)
+            found.append(Bifurcation(kind, value, unknown, there))
+        return tuple(found)
 
     def _problem_at(self, value: float, unknown: np.ndarray) -> Problem:
         """What is solved where the parameter has a value, with the harmonics of an unknown."""
@@ -315,13 +366,13 @@ class ResponseCurve(Tabular):
         if self.multipliers is not None:
             found["multiplier"] = np.abs(self.multipliers).tolist()
             found["verdict"] = self.verdicts.tolist()
-        return found
+        return with_frequency(found)
 
     def _title(self) -> str:
         parts = [
             f"{self.parameter} {self.values[0]:.6g} to {self.values[-1]:.6g}",
             counted(len(self), "point"),
-            f"H = {self.harmonics.max()}",
+            f"H = {ranging(self.harmonics)}",
             counted(len(self.bifurcations), "bifurcation"),
         ]
         if self.multipliers is not None:

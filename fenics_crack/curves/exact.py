@@ -47,11 +47,13 @@ from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import is_piecewise_linear
 from fenics_crack.model.reduced import massless
+from fenics_crack.stability.floquet import floquet
 from fenics_crack.stability.piecewise_flow import doubling_test
-from fenics_crack.stability.shooting import orbits_near
+from fenics_crack.stability.shooting import allowed_distance, distance, orbits_near
+from fenics_crack.stages import begin
 from fenics_crack.time.events import MAX_PAIRS
 
-__all__ = ["judge_curve"]
+__all__ = ["judge_curve", "verified"]
 
 STEPS = (2048, 4096)
 """Of marched orbits in a period of the load."""
@@ -61,6 +63,8 @@ ITERATIONS, PATIENCE = 6, 3
 """Newton steps to an orbit, and how many may together fail to halve the residual."""
 ALIKE = 0.25
 """Farthest orbit from the motion of its point, relative."""
+NO_DOUBT = 0.01
+"""Distance of an orbit from its point at which the point's estimated error is not asked for."""
 REACH, SHIFTED = 5e-3, 2e-4
 """Farthest orbit from the frequency of its point, relative, and where it decides about it."""
 SURE = 1e-6
@@ -76,6 +80,8 @@ SHARP = 0.03
 """Of a bifurcation's place, relative to its chord."""
 SAME = 5e-4
 """Of the frequency, relative: how far a bifurcation may move when steps are halved."""
+SINGLY = 40
+"""Points left undecided that are judged one by one, as a solution is (:func:`floquet`)."""
 NEARBY = 0.02
 """Of the frequency, relative: how far a bifurcation of the truncated equations may lie from that of
 the orbits which confirms it."""
@@ -134,6 +140,17 @@ class _Orbits:
             starts = [one and one.unknown for one in (before.found[place] for place in places)]
         self.found: list[_Orbit | None] = list(self._next_to(starts))
         self.crossings = _distinct(list(self._crossings()))
+
+    def near(self, curve: ResponseCurve, place: int, orbit: _Orbit) -> bool:
+        """Whether an orbit is no farther from its point than three times the estimated error."""
+        motion = self._motions[np.searchsorted(self.at, place)]
+        if np.linalg.norm(orbit.unknown - motion) <= NO_DOUBT * np.linalg.norm(motion):
+            return True
+        at = self._system.linearise(orbit.unknown, orbit.parameter)
+        across = Tangent(0.0 * motion, 1.0, 0.0)
+        found = self._system.orbit(PathPoint(orbit.unknown, orbit.parameter, 0, across, at=at))
+        solution = curve.solution(place)
+        return distance(found, solution) <= allowed_distance(solution, NO_DOUBT)
 
     def wanted(self) -> np.ndarray:
         """Places that are the curve's points, or next to bifurcations."""
@@ -329,15 +346,17 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     -------
     ResponseCurve
         The same points, with multipliers and verdicts of the orbits next to them: "undecided" where
-        there is none, or one at another frequency (by more than 0.02 %), or where it does not tell
-        |mu| from 1. Its bifurcations are those of the
-        orbits, at their frequencies ``exact``, each with the nearest one of the truncated equations
-        of the same kind within 2 %, which it confirms. Where there is none, ``value`` and
-        ``unknown`` are the solution of the truncated equations at the same frequency, or the
-        nearest point of the curve: not a bifurcation of these equations, so that
-        :func:`follow_branch` may find no branch there, and says so. Unconfirmed are those of the
-        orbits by 4096 steps that those by 2048 do not have, and those of the truncated equations
-        where the verdict is open. Those that the orbits refute are left out.
+        there is none, or one at another frequency (by more than 0.02 %), or farther away than 1 %
+        and three times the estimated error, or where it does not tell ``|mu|`` from 1; if these are
+        at most 40 points, where :func:`floquet` does not decide
+        either. Its bifurcations are those of the orbits, at their frequencies ``exact``,
+        each with the nearest one of the truncated equations of the same kind within 2 %, which it
+        confirms. Where there is none, ``value`` and ``unknown`` are the solution of the truncated
+        equations at the same frequency, or the nearest point of the curve: not a bifurcation of
+        these equations, so that :func:`follow_branch` may find no branch there, and says so.
+        Unconfirmed are those of the orbits by 4096 steps that those by 2048 do not have, and those
+        of the truncated equations where the verdict is open. Those that the orbits refute are left
+        out.
 
     Raises
     ------
@@ -346,6 +365,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     """
     if curve.parameter != "omega":
         raise InputError("curve", f"in {curve.parameter}", "one in omega")
+    begin("stability by exact orbits")
     with_mass = massless(curve.structure) is None and is_piecewise_linear(curve.contact)
     if with_mass and curve.structure.n_pairs <= MAX_PAIRS:
         fine = coarse = _Orbits(curve, None)
@@ -364,9 +384,24 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
             multipliers[place] = one.leading
             shift = abs(one.parameter * curve.omega[0] / curve.omega[place] - 1.0)
             sure = abs(size - 1.0) > max(SURE, abs(size - abs(other.leading)))
-            undecided[place] = shift > SHIFTED or not sure
+            undecided[place] = shift > SHIFTED or not sure or not fine.near(curve, place, one)
     special = _special(curve, fine.crossings, _known(fine.crossings, coarse.crossings), undecided)
+    left = np.flatnonzero(undecided)
+    if len(left) <= SINGLY:
+        for place in map(int, left):
+            alone = floquet(curve.structure, curve.solution(place))
+            if alone.verdict != "undecided":
+                multipliers[place], undecided[place] = alone.multipliers[0], False
     return replace(curve, bifurcations=special, multipliers=multipliers, undecided=undecided)
+
+
+def verified(curve: ResponseCurve) -> ResponseCurve:
+    """The same curve with the verdicts of :func:`judge_curve`; its bifurcations stay those of the
+    truncated equations, each with the one of the exact orbits that confirms it."""
+    judged = judge_curve(curve)
+    exact = {id(one.unknown): one.exact for one in judged.bifurcations}
+    special = [replace(one, exact=exact.get(id(one.unknown), np.nan)) for one in curve.bifurcations]
+    return replace(judged, bifurcations=tuple(special))
 
 
 def _known(fine: list[_Crossing], coarse: list[_Crossing]) -> list[bool]:

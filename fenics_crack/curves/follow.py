@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, TypedDict, Unpack
 
@@ -9,9 +11,10 @@ from tqdm import tqdm
 
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.continuation import Continuation
+from fenics_crack.curves.continuation import LONGEST, Continuation
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
-from fenics_crack.curves.exact import judge_curve
+from fenics_crack.curves.exact import judge_curve, verified
+from fenics_crack.curves.points import CurvePoint
 from fenics_crack.curves.resume import same_problem
 from fenics_crack.errors import (
     ConvergenceError,
@@ -23,17 +26,26 @@ from fenics_crack.errors import (
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.reduced import massless
 from fenics_crack.model.structure import Structure
+from fenics_crack.stability.floquet import FEW_PAIRS
+from fenics_crack.stages import begin
 
 __all__ = ["CurveOptions", "continue_frequency", "continue_parameter", "follow_branch"]
 
+SHORTER = (1.0, 0.5, 0.25)
+"""Longest steps with which a start is sought from the end, relative to those asked for."""
+
+
+BAR = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}{postfix}"
+"""Of a curve; how long it is going to take cannot be told from how far it has come."""
+
 
 class CurveOptions(TypedDict, total=False):
-    """Options of :func:`continue_frequency` and :func:`continue_parameter`.
+    """Options of :func:`.continue_frequency` and :func:`.continue_parameter`.
 
     harmonics, samples, subharmonic, initial
-        As in :func:`solve_harmonic_balance`; ``initial`` is where to start.
+        As in :func:`.solve_harmonic_balance`; ``initial`` is where to start.
     tolerance, stability, longest_step, most_points, turning_back
-        As in :class:`Continuation`.
+        As in :class:`.Continuation`.
     resume
         Go on from the last point of a curve that did not reach its end. ``start`` is then its own,
         or for a branch ``start`` and ``end`` bound the parameter; harmonics, samples, subharmonic
@@ -64,6 +76,10 @@ def continue_frequency(
 ) -> ResponseCurve:
     """Follow the response from one load frequency to another, through resonances and folds.
 
+    Where the first solution found lies on a closed loop, or on a curve that turns back past its
+    start, another one is looked for by following the curve from its end, which its status says;
+    what came back is the result only where that fails too, or where ``initial`` is given.
+
     Parameters
     ----------
     structure : Structure
@@ -80,7 +96,7 @@ def continue_frequency(
         Raise if the end is not reached; else return what was found, ``complete`` being False.
         Ctrl-C always returns what was found.
     **options
-        As :class:`CurveOptions` lists them: harmonics, samples, subharmonic, initial, tolerance,
+        As :class:`.CurveOptions` lists them: harmonics, samples, subharmonic, initial, tolerance,
         stability, longest_step, most_points, turning_back, resume.
 
     Raises
@@ -91,10 +107,10 @@ def continue_frequency(
         No first point, or the end was not reached; what was found until then is its ``found``.
     """
     check_omega(omega_start, "omega_start")
-    growing = _continuation(
-        structure, omega_start, contact, ("omega", omega_start, omega_end), options
-    )
-    return _run(growing, progress, throw)
+    return _between(
+        structure, omega_start, contact, ("omega", omega_start, omega_end),
+        options, progress=progress, throw=throw,
+    )  # fmt: skip
 
 
 def continue_parameter(
@@ -109,16 +125,18 @@ def continue_parameter(
     throw: bool = True,
     **options: Unpack[CurveOptions],
 ) -> ResponseCurve:
-    """Follow the response at one load frequency over another parameter.
+    """Follow the response at one load frequency over another parameter; or in a run-up.
 
     Parameters
     ----------
-    structure, contact, progress, throw, options
+    structure, contact, progress, throw, **options
         As in :func:`continue_frequency`.
     omega : float
         Load frequency [rad/s].
-    parameter : "load", "stiffness", "damping" or "clearance"
-        As in :class:`Continuation`.
+    parameter : "load", "stiffness", "damping", "clearance" or "speed"
+        As in :class:`Continuation`. With "speed" the structure is one of
+        :func:`fenics_crack.run_up_structure`; the load's frequency stays in the ratio to the speed
+        that ``omega`` has to the structure's own: that is the engine order.
     start, end : float
         Its values.
 
@@ -129,8 +147,10 @@ def continue_parameter(
     ConvergenceError
         No first point, or the end was not reached; what was found until then is its ``found``.
     """
-    growing = _continuation(structure, omega, contact, (parameter, start, end), options)
-    return _run(growing, progress, throw)
+    return _between(
+        structure, omega, contact, (parameter, start, end),
+        options, progress=progress, throw=throw,
+    )  # fmt: skip
 
 
 def follow_branch(
@@ -157,7 +177,7 @@ def follow_branch(
         One of its bifurcations, of kind "period_doubling" or "branch_point".
     start, end : float, optional
         Range of the parameter; default: the curve's own.
-    progress, throw, options
+    progress, throw, **options
         As in :func:`continue_frequency`; harmonics, samples and subharmonic follow from the curve.
 
     Raises
@@ -182,8 +202,12 @@ def follow_branch(
     end = float(curve.values.max()) if end is None else end
     if not min(start, end) < bifurcation.value < max(start, end):
         raise InputError("start, end", (start, end), f"on either side of {bifurcation.value:g}")
+    structure = curve.structure
+    if curve.parameter == "speed":
+        structure = bifurcation.problem.structure
     problem = replace(
         curve.problem,
+        structure=structure,
         omega=bifurcation.omega,
         harmonics=doubled * (len(bifurcation.unknown) // 2),
         samples=curve.samples and doubled * curve.samples,
@@ -191,6 +215,47 @@ def follow_branch(
     )
     given: dict[str, Any] = {**options, "initial": bifurcation}
     return _run(Continuation(problem, curve.parameter, start, end, **given), progress, throw)
+
+
+def _between(
+    structure: Structure,
+    omega: float,
+    contact: ContactLaw,
+    span: tuple[str, float, float],
+    options: CurveOptions,
+    *,
+    progress: bool,
+    throw: bool,
+) -> ResponseCurve:
+    """The curve from the start to the end. Where the first solution found lies on another one,
+    which comes back to the start, such as a closed loop of the truncated equations, the curve is
+    followed from the end to the start, and begins with the solution met there."""
+    growing = _continuation(structure, omega, contact, span, options)
+    if options.get("initial") is not None or options.get("resume") is not None:
+        return _run(growing, progress, throw)
+
+    def again() -> Continuation | None:
+        parameter, start, end = span
+        structure, longest = growing.curve.structure, options.get("longest_step", LONGEST)
+        for share in SHORTER:  # long steps may miss the turns that lead to the start
+            given: CurveOptions = {**options, "longest_step": share * longest}
+            plain: CurveOptions = {**given, "stability": False}
+            try:
+                back = _continuation(structure, omega, contact, (parameter, end, start), plain)
+                back.run()
+                if not back.complete or back.returned:
+                    continue
+                given["initial"] = back.curve.solution(len(back.curve) - 1)
+                other = _continuation(structure, omega, contact, span, given)
+                other.run()
+            except ConvergenceError:
+                continue
+            if other.complete and not other.returned:
+                other.status += ", not by the first solution found at its start"
+                return other
+        return None
+
+    return _run(growing, progress, throw, again)
 
 
 def _continuation(
@@ -222,29 +287,50 @@ def _continuation(
 
 def _is_judged(curve: ResponseCurve) -> bool:
     """Whether a curve with multipliers is judged by exact orbits at once: over the load frequency,
-    with pairs that are seen through a static compliance, and a law that these can take."""
+    with few pairs that have mass, or pairs that are seen through a static compliance, and a law
+    that these can take."""
     in_time = is_piecewise_linear(curve.contact) or is_rigid(curve.contact)
-    coupled = massless(curve.structure) is not None and curve.static_above is not None
-    return curve.parameter == "omega" and coupled and in_time
+    if massless(curve.structure) is None:
+        fit = curve.structure.n_pairs <= FEW_PAIRS and is_piecewise_linear(curve.contact)
+    else:
+        fit = curve.static_above is not None
+    return curve.parameter == "omega" and fit and in_time
 
 
-def _run(growing: Continuation, progress: bool, throw: bool) -> ResponseCurve:
-    """Follow to the end."""
+def _where(point: CurvePoint, count: int) -> str:
+    """A point of a curve in words: load frequency or other parameter, and how many there are."""
+    where = f"{point.value:.6g}"
+    if point.value == point.omega:
+        where = f"{point.omega / (2.0 * math.pi):.6g} Hz, {point.omega:.6g} rad/s"
+    return f"{where}, {count} points"
+
+
+def _run(
+    growing: Continuation,
+    progress: bool,
+    throw: bool,
+    again: Callable[[], Continuation | None] | None = None,
+) -> ResponseCurve:
+    """Follow to the end; where the curve comes back to its start, from another solution there."""
+    begin("")
     hidden = not progress or growing.curve.structure.whole.comm.rank != 0
-    bar = tqdm(total=100.0, desc="curve", unit="%", disable=hidden, bar_format="{l_bar}{bar}")
+    bar = tqdm(total=100.0, desc="curve", unit="%", disable=hidden, bar_format=BAR)
     try:
-        for _ in growing:
-            if not hidden:
-                bar.update(max(0.0, 100.0 * growing.progress() - bar.n))
+        _follow(growing, bar)
+        if again is not None and growing.returned:
+            growing = again() or growing
     except KeyboardInterrupt:
-        growing.status, throw = "interrupted", False
+        throw = False
+        if not growing.returned:
+            growing.status = "interrupted"
     except ConvergenceError as error:
         growing.status = str(error)
     finally:
         bar.close()
     curve = growing.curve
     if curve.multipliers is not None and _is_judged(curve):
-        curve = judge_curve(curve)
+        with_mass = massless(curve.structure) is None
+        curve = verified(curve) if with_mass else judge_curve(curve)
     if throw and not curve.complete:
         raise ConvergenceError(
             f"curve in {curve.parameter} from {curve.values[0]:g}: {curve.status} at "
@@ -252,3 +338,12 @@ def _run(growing: Continuation, progress: bool, throw: bool) -> ResponseCurve:
             found=curve,
         )
     return curve
+
+
+def _follow(growing: Continuation, bar: Any) -> None:
+    if bar.disable:
+        growing.run()
+        return
+    for count, point in enumerate(growing, 1):
+        bar.set_postfix_str(_where(point, count), refresh=False)
+        bar.update(max(0.0, 100.0 * growing.progress() - bar.n))

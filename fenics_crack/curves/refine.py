@@ -71,7 +71,7 @@ def refine_curve(curve: ResponseCurve, between: int | None = None) -> ResponseCu
     ------
     InputError
         The curve is in another parameter, is too short, or its law differs from pair to pair and
-        is unknown to :func:`fenics_crack.model.contact.repeated`.
+        is not one of this package.
     ConvergenceError
         A point lies at an undamped resonance that the load drives.
     """

@@ -31,7 +31,8 @@ from fenics_crack.draw.paraview import PeriodFields
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import make_folder
 from fenics_crack.parallel import on_root
-from fenics_crack.scene.scene import Material
+from fenics_crack.scene.tables import Material
+from fenics_crack.stages import begin
 from fenics_crack.table import readable
 
 __all__ = ["animate_period", "show_period"]
@@ -53,8 +54,9 @@ def animate_period(
 ) -> float:
     """Draw one period of a vibration as an animated picture (collective).
 
-    Below the plate is the opening of the crack's mouth over time, without a crack the largest
-    displacement.
+    Below the plate is the opening of the crack's mouth over time, of several cracks of the one that
+    moves most; without a crack the largest displacement. The caption and the comment of the file
+    state the magnification.
 
     Parameters
     ----------
@@ -77,6 +79,7 @@ def animate_period(
     """
     if Path(path).suffix.lower() != ".gif":
         raise InputError("path", str(path), "a .gif file")
+    begin(Path(path).name)
     fields = PeriodFields.of(solution, frames, magnification, material)
     on_root(fields.mesh.structure.comm, lambda: _write(solution, fields, Path(path)))
     return fields.magnification
@@ -91,7 +94,12 @@ def show_period(
 ) -> None:
     """Show one period of a vibration in a window with a slider for the time (collective).
 
-    Returns when the window is closed. The arguments are as of :func:`animate_period`.
+    Returns when the window is closed.
+
+    Parameters
+    ----------
+    solution, frames, magnification, material
+        As of :func:`animate_period`.
 
     Raises
     ------
@@ -279,7 +287,7 @@ def _write(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> None
     shown = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     make_folder(path)
     duration = max(20, 10 * round(100.0 * SECONDS / len(shown)))  # [ms], in steps of 10
-    timing = {"duration": duration, "loop": 0}
+    timing = {"duration": duration, "loop": 0, "comment": page.caption.encode("latin-1")}
     shown[0].save(path, save_all=True, append_images=shown[1:], optimize=False, **timing)
 
 
@@ -374,8 +382,11 @@ class _Page:
         time = np.linspace(0.0, solution.period, 401)
         loads = time * solution.omega / (2.0 * np.pi)
         if len(fields.areas):
-            quantity, wave = "opening at\nthe mouth", -solution.gap(time)[:, 0]
-            self.values = -solution.gap(fields.time)[:, 0]
+            gaps, watched = solution.gap(time), solution.structure.watched_pairs.values()
+            pair = max(watched, key=lambda number: float(np.ptp(gaps[:, number])))
+            place = solution.structure.where(pair).replace(" ", "\n", 1)
+            quantity, wave = f"opening {place}", -gaps[:, pair]
+            self.values = -solution.gap(fields.time)[:, pair]
             closed = (solution.contact_force(time) > 0.0).any(axis=1)
             whole = axes.get_xaxis_transform()
             axes.fill_between(loads, 0.0, 1.0, where=closed, transform=whole, color=TINT, lw=0)

@@ -8,12 +8,16 @@ in SI units, whatever prefix their axes show, so that more can be drawn onto the
 from __future__ import annotations
 
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.ticker import Formatter, FuncFormatter, LogFormatter
 from mpi4py import MPI
@@ -21,15 +25,36 @@ from mpi4py import MPI
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import make_folder
 from fenics_crack.parallel import on_root
-from fenics_crack.table import readable
+from fenics_crack.stages import begin
+from fenics_crack.table import readable, with_unit
 
-__all__ = ["COLOURS", "figure_of", "finish", "label_axis", "make_axes"]
+__all__ = [
+    "ABOVE",
+    "COLOURS",
+    "FIRST",
+    "distinct_colours",
+    "figure_of",
+    "finish",
+    "label_axis",
+    "make_axes",
+    "upright",
+]
 
 COLOURS = {"blue": "#0072B2", "orange": "#D55E00", "green": "#009E73", "pink": "#CC79A7"}
 COLOURS["grey"] = "#5C5C5C"
 """Okabe and Ito's palette, which colour-blind readers can tell apart, and a grey."""
+ABOVE: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "frameon": False}
+"""Where the legend of a panel among others stands."""
 MANY = 1e5
 """Ratio of the ends of a logarithmic axis beyond which its labels are powers of ten."""
+LETTERS = 38
+"""Of a line of a label along the height of a panel, at most."""
+NO_PREFIX = ("1", "-", "%", "Hz", "rad/s")
+"""Units that are shown as they are."""
+FIRST = "first in the legend"
+"""Marks (``gid``) lines that come first in a legend, before those that explain styles."""
+ROWS = 2
+"""Of a legend below a panel for which a figure has room."""
 
 
 def make_axes(
@@ -61,10 +86,25 @@ def make_axes(
     return given
 
 
+def distinct_colours(count: int) -> list[str]:
+    """Colours for some lines: those of :data:`COLOURS`, of more a sequence from dark to light."""
+    if count <= len(COLOURS):
+        return list(COLOURS)[:count]
+    return [to_hex(colour) for colour in colormaps["viridis"](np.linspace(0.0, 0.95, count))]
+
+
+def upright(label: str) -> str:
+    """A long label that is read upwards, in lines that a panel has room for."""
+    return label if "\n" in label else fill(label, LETTERS)
+
+
 def label_axis(axis: Axis, quantity: str, unit: str) -> None:
     """Label an axis after all is drawn, and show its SI values in a unit with a prefix."""
-    factor, prefixed = readable(float(np.abs(axis.get_data_interval()).max()), unit)
-    axis.set_label_text(f"{quantity} [{prefixed}]")
+    factor, prefixed = 1.0, unit
+    if unit not in NO_PREFIX:
+        factor, prefixed = readable(float(np.abs(axis.get_data_interval()).max()), unit)
+    label = with_unit(quantity, prefixed)
+    axis.set_label_text(upright(label) if axis.axis_name == "y" else label)
     low, high = axis.get_view_interval()
     if axis.get_scale() != "log":
         axis.set_major_formatter(FuncFormatter(lambda x, _: _plain(round(factor * x, 12))))
@@ -98,21 +138,51 @@ def _power(value: float) -> str:
 def finish(axes: Axes, path: str | Path | None, title: str | None) -> Figure:
     """Give a panel its grid and legend, and finish its figure.
 
-    The legend stands below the panel where the figure has a constrained layout, else where it hides
-    least.
+    The legend never hides what is drawn: it stands below the panel where the figure has a
+    constrained layout, which grows by the rows of a long one, else where nothing is, with room made
+    above the data where there is no such place.
     """
     axes.grid(alpha=0.3)
     handles, labels = axes.get_legend_handles_labels()
-    named = dict(zip(labels, handles, strict=True))
-    where: dict[str, Any] = {"loc": "best", "framealpha": 0.9}
+    both = sorted(zip(labels, handles, strict=True), key=lambda one: _gid(one[1]) != FIRST)
+    named = dict(both)
     if named and axes.figure.get_layout_engine() is not None:
-        letters = 17.0 * axes.get_window_extent().width / axes.figure.dpi
+        alone = len(axes.figure.axes) == 1
+        room = 0.9 * axes.figure.bbox.width if alone else axes.get_window_extent().width
+        letters = 17.0 * room / axes.figure.dpi
         columns = max(1, min(len(named), int(letters / (max(map(len, named)) + 8))))
+        rows, before = -(-len(named) // columns), axes.get_legend()
+        more = max(rows, ROWS) - max(ROWS if before is None else int(before.get_gid()), ROWS)
+        if alone:
+            axes.figure.set_figheight(axes.figure.get_figheight() + 0.17 * more)
         below = {"bbox_to_anchor": (0.5, 0.0), "borderaxespad": 4.2}
         where = {"loc": "upper center", "ncol": columns, "frameon": False, **below}
-    if named:
-        axes.legend(list(named.values()), list(named), fontsize=8, **where)
+        axes.legend(list(named.values()), list(named), fontsize=8, **where).set_gid(str(rows))
+    elif named:
+        axes.legend(list(named.values()), list(named), fontsize=8, loc="best", framealpha=0.9)
+        _make_room(axes)
     return figure_of(axes, path, title)
+
+
+def _gid(handle: Any) -> str | None:
+    """The mark of a line in a legend; of a container, which has none, None."""
+    return handle.get_gid() if isinstance(handle, Artist) else None
+
+
+def _make_room(axes: Axes) -> None:
+    """Move the upper end of an axis away from the data where the legend lies on them."""
+    box = axes.get_legend().get_window_extent()
+    points = [line.get_path().vertices for line in axes.lines if len(line.get_xdata()) > 2]
+    if not points:
+        return
+    seen = axes.transData.transform(np.concatenate(points))
+    inside = (seen > (box.x0, box.y0)) & (seen < (box.x1, box.y1))
+    if not np.any(inside.all(axis=1)):
+        return
+    share = min(0.6, (box.height / axes.bbox.height) + 0.08)
+    low, high = axes.transScale.transform([(1.0, end) for end in axes.get_ylim()])[:, 1]
+    top = axes.transScale.inverted().transform((1.0, low + (high - low) / (1.0 - share)))[1]
+    axes.set_ylim(top=float(top))
 
 
 def figure_of(
@@ -121,6 +191,8 @@ def figure_of(
     """Set the title of a panel; save its figure on rank 0 and return it (collective)."""
     if title is not None:
         axes.set_title(title)
+    if path is not None:
+        begin(Path(path).name)
 
     def save() -> None:
         if path is not None:

@@ -24,7 +24,8 @@ from fenics_crack.files.store import make_folder
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows, on_root
-from fenics_crack.scene.scene import Material
+from fenics_crack.scene.tables import Material
+from fenics_crack.stages import begin
 
 __all__ = ["PeriodFields", "nodal_stress", "von_mises", "write_modes", "write_period"]
 
@@ -33,7 +34,20 @@ def write_modes(modes: Modes, path: str | Path) -> None:
     """Write mode shapes as vector fields of one .vtu file (collective).
 
     The fields are called ``mode 1: 2302.9 rad/s`` and so on. Their largest displacement is a tenth
-    of the structure's size, ready for ParaView's Warp By Vector.
+    of the structure's size, ready for ParaView's Warp By Vector; the field data ``magnification of
+    mode 1`` is that displacement over the shape's own.
+
+    Parameters
+    ----------
+    modes : Modes
+        Of a structure with a mesh.
+    path : str or Path
+        The .vtu file.
+
+    Raises
+    ------
+    InputError
+        The structure has no mesh.
     """
     mesh = NodalMesh(modes.structure)
     shapes = mesh.field(modes.structure.expand(modes.shapes.T))
@@ -41,8 +55,9 @@ def write_modes(modes: Modes, path: str | Path) -> None:
     def write() -> None:
         grid = moved_grid(mesh)
         for number, (omega, shape) in enumerate(zip(modes.omega, shapes, strict=True), 1):
-            scaled = _tenth(shape, mesh.size) * shape
-            grid[f"mode {number}: {omega:.1f} rad/s"] = np.pad(scaled, ((0, 0), (0, 1)))
+            factor = _tenth(shape, mesh.size)
+            grid[f"mode {number}: {omega:.1f} rad/s"] = np.pad(factor * shape, ((0, 0), (0, 1)))
+            grid.field_data[f"magnification of mode {number}"] = [factor]
         make_folder(path)
         grid.save(str(path))
 
@@ -168,7 +183,8 @@ def write_period(
     """Write one period of a vibration as a time series for ParaView (collective).
 
     A script beside it, ``paraview --script=NAME_paraview.py``, shows the plate from the front,
-    coloured by stress or displacement, and plays the period once.
+    coloured by stress or displacement, says the magnification and plays the period once. Each frame
+    has the ``magnification`` in its field data.
 
     Parameters
     ----------
@@ -203,6 +219,7 @@ def write_period(
     stress`` [Pa] of plane stress. At the tip and under the point load they grow without bound as
     the mesh is refined.
     """
+    begin(Path(path).name)
     fields = PeriodFields.of(solution, frames, magnification, material)
     target = Path(path)
 
@@ -220,6 +237,7 @@ def write_period(
         script = target.with_name(f"{target.stem}_paraview.py")
         names = {"script": script.name, "folder": str(target.parent.resolve()), "pvd": target.name}
         colours = {"field": field, "title": f"{field} [{unit}]", "end": fields.colour_end}
+        colours["caption"] = f"displacement x {fields.magnification:.3g}"
         script.write_text(STATE.format(**names, **colours))
 
     on_root(fields.mesh.structure.comm, write)
@@ -256,6 +274,10 @@ display.SetScalarBarVisibility(view, True)
 bar = GetScalarBar(colours, view)
 bar.Title = {title!r}
 bar.ComponentTitle = ""
+
+caption = Text(registrationName="magnification", Text={caption!r})
+shown = Show(caption, view)
+shown.WindowLocation = "Lower Center"
 
 view.ResetActiveCameraToNegativeZ()
 view.ResetCamera(False)

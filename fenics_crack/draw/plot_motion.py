@@ -1,7 +1,8 @@
-"""Pictures of one vibration: its spectrum, and its orbit in the phase plane."""
+"""Pictures of vibrations: their spectra, and the orbit of one in the phase plane."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,17 @@ from matplotlib.figure import Figure
 
 from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.draw.figure import COLOURS, figure_of, label_axis, make_axes
+from fenics_crack.draw.figure import (
+    ABOVE,
+    COLOURS,
+    distinct_colours,
+    figure_of,
+    label_axis,
+    make_axes,
+)
 from fenics_crack.errors import InputError
 
-__all__ = ["draw_orbits", "draw_spectrum"]
+__all__ = ["draw_orbits", "draw_spectra", "draw_spectrum"]
 
 DECADES = 9
 """Range of a spectrum below its largest amplitude; what is smaller is rounding."""
@@ -57,8 +65,9 @@ def draw_spectrum(
     if solution.structure.n_pairs:
         time = np.linspace(0.0, solution.period, 257)
         pair = int(np.argmax(np.ptp(solution.gap(time), axis=0)))
-        name = "gap at the mouth" if pair == 0 else f"gap of pair {pair + 1} from the mouth"
-        lengths[name] = _amplitudes(solution.gap_coefficients[:, pair])
+        lengths[f"gap {solution.structure.where(pair)}"] = _amplitudes(
+            solution.gap_coefficients[:, pair]
+        )
     if dof is not None:
         name = solution.structure.dof_name(dof)
         lengths[name] = _amplitudes(solution.coefficients_at([dof])[:, 0])
@@ -70,12 +79,62 @@ def draw_spectrum(
         series.append(({"contact force, all pairs": force}, "contact force", "N"))
     size = (7.0, 2.4 + 2.2 * len(series))
     panels = make_axes(axes, path, len(series), size=size, sharex=True)
-    for panel, content in zip(panels, series, strict=True):
-        _stems(panel, *content, solution.subharmonic)
-    panels[-1].set_xlabel("order of the harmonic, in load frequencies (0: mean)")
+    for panel, (values, quantity, unit) in zip(panels, series, strict=True):
+        shared = {name: (found, solution.subharmonic) for name, found in values.items()}
+        _stems(panel, shared, quantity, unit)
+    panels[-1].set_xlabel(ORDERS)
+    if title is not None:
+        panels[0].figure.suptitle(title, fontsize="large")
     if axes is None:
         panels[0].figure.align_ylabels()
-    return figure_of(panels[0], path, title, solution.structure.comm)
+    return figure_of(panels[0], path, None, solution.structure.comm)
+
+
+ORDERS = "order of the harmonic, in load frequencies (0: mean)"
+
+
+def draw_spectra(
+    solutions: Mapping[str, tuple[PeriodicSolution, int]],
+    *,
+    axes: Any = None,
+    path: str | Path | None = None,
+    title: str | None = None,
+) -> Figure:
+    """Draw the amplitudes of the harmonics of several vibrations, side by side.
+
+    The upper panel shows the displacement of a dof of each, the lower one, if all have pairs, the
+    gap at the mouth (of the first crack; in the middle of a crack inside).
+
+    Parameters
+    ----------
+    solutions : mapping
+        By their labels: a solution and whose displacement.
+    axes, path, title
+        As of :func:`draw_spectrum`.
+
+    Raises
+    ------
+    InputError
+        The number of axes is wrong.
+    """
+    motions, gaps, places = {}, {}, set()
+    for label, (solution, dof) in solutions.items():
+        motions[label] = _amplitudes(solution.coefficients_at([dof])[:, 0]), solution.subharmonic
+        if solution.structure.n_pairs:
+            pair = solution.structure.first_watched
+            gaps[label] = _amplitudes(solution.gap_coefficients[:, pair]), solution.subharmonic
+            places.add(solution.structure.where(pair))
+    series = [(motions, "displacement")]
+    if len(gaps) == len(motions) and (axes is None or np.size(axes) > 1):
+        series.append((gaps, f"gap {places.pop()}" if len(places) == 1 else "gap"))
+    size = (7.0, 2.4 + 2.2 * len(series))
+    panels = make_axes(axes, path, len(series), size=size, sharex=True)
+    for panel, (values, quantity) in zip(panels, series, strict=True):
+        _stems(panel, values, quantity, "m")
+    panels[-1].set_xlabel(ORDERS)
+    if title is not None:
+        panels[0].figure.suptitle(title, fontsize="large")
+    return figure_of(panels[0], path, None)
 
 
 def _amplitudes(column: np.ndarray) -> np.ndarray:
@@ -84,29 +143,31 @@ def _amplitudes(column: np.ndarray) -> np.ndarray:
 
 
 def _stems(
-    axes: Axes, series: dict[str, np.ndarray], quantity: str, unit: str, subharmonic: int
+    axes: Axes, series: Mapping[str, tuple[np.ndarray, int]], quantity: str, unit: str
 ) -> None:
-    """Draw amplitudes as stems, several series side by side."""
-    seen = np.concatenate([*series.values()])
+    """Draw amplitudes, each with the loads in its period, as stems, several series side by side."""
+    seen = np.concatenate([values for values, _ in series.values()])
     top = float(seen.max()) or 1.0
     lowest = np.min(seen, where=seen > 10.0**-DECADES * top, initial=0.1 * top)
     bottom = 10.0 ** np.floor(np.log10(0.5 * lowest))
-    highest = max(map(len, series.values())) - 1
-    size = 4.5 if highest < 25 else 3.0
-    styles = zip(series.items(), COLOURS.values(), "os", strict=False)
-    for number, ((label, values), colour, marker) in enumerate(styles):
-        shift = 0.25 * (number - 0.5 * (len(series) - 1)) / subharmonic
+    highest = max((len(values) - 1) / loads for values, loads in series.values())
+    most = max(len(values) for values, _ in series.values()) - 1
+    size, step = 4.5 if most < 25 else 3.0, 0.5 / max(2, len(series))
+    styles = zip(series.items(), distinct_colours(len(series)), 3 * "osD^", strict=False)
+    for number, ((label, (values, loads)), colour, marker) in enumerate(styles):
+        shift = step * (number - 0.5 * (len(series) - 1)) / loads
         kept = np.flatnonzero(values >= bottom)
-        order, shown = kept / subharmonic + shift, values[kept]
-        axes.vlines(order, bottom, shown, color=colour, lw=1.2)
-        axes.plot(order, shown, marker, color=colour, ms=size, label=label)
-    axes.set_xlim(-0.5, highest / subharmonic + 0.5)
+        order, shown = kept / loads + shift, values[kept]
+        ink = COLOURS.get(colour, colour)
+        axes.vlines(order, bottom, shown, color=ink, lw=1.2)
+        axes.plot(order, shown, marker, color=ink, ms=size, label=label)
+    axes.set_xlim(-0.5, highest + 0.5)
     axes.set_yscale("log")
-    axes.set_ylim(bottom, top * (top / bottom) ** 0.25)  # room for the legend
+    axes.set_ylim(bottom, top * (top / bottom) ** 0.08)
     axes.xaxis.get_major_locator().set_params(integer=True)
     label_axis(axes.yaxis, f"amplitude of the\n{quantity}", unit)
     axes.grid(alpha=0.3)
-    axes.legend(loc="upper right", fontsize=8, framealpha=0.9)
+    axes.legend(fontsize=8, ncol=min(3, len(series)), **ABOVE)
 
 
 def draw_orbits(
@@ -120,8 +181,9 @@ def draw_orbits(
 ) -> Figure:
     """Draw the motion in the phase plane, velocity over displacement (collective).
 
-    One panel shows the gap at the mouth, one the displacement of a dof. The orbit is thick where
-    the lips touch: at the mouth, or in the panel of the dof anywhere. A dot marks the beginning of
+    One panel shows the gap at the mouth (of the first crack; in the middle of a crack inside), one
+    the displacement of a dof. The orbit is thick where the lips touch there, or in the panel of the
+    dof anywhere. A dot marks the beginning of
     each load period; the motion runs clockwise.
 
     Parameters
@@ -139,8 +201,10 @@ def draw_orbits(
     closed = solution.contact_force(np.linspace(0.0, solution.period, instants + 1)) > 0.0
     orbits: list[tuple[np.ndarray, np.ndarray, str, str]] = []
     if solution.structure.n_pairs:
-        mouth = solution.gap_coefficients[:, :1]
-        orbits.append((mouth, closed[:, 0], "closing of the mouth", "mouth closed"))
+        pair = solution.structure.first_watched
+        mouth = solution.gap_coefficients[:, pair : pair + 1]
+        place = solution.structure.where(pair)
+        orbits.append((mouth, closed[:, pair], f"closing {place}", "lips touch there"))
     if dof is not None:
         column, name = solution.coefficients_at([dof]), solution.structure.dof_name(dof)
         orbits.append((column, np.any(closed, axis=1), name, "lips touch somewhere"))
@@ -181,5 +245,4 @@ def _orbit(
     label_axis(axes.yaxis, "its velocity", "m/s")
     axes.margins(0.08)
     axes.grid(alpha=0.3)
-    above = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "ncol": 3, "frameon": False}
-    axes.legend(fontsize=7.5, columnspacing=1.2, handletextpad=0.5, **above)
+    axes.legend(fontsize=7.5, ncol=3, columnspacing=1.2, handletextpad=0.5, **ABOVE)

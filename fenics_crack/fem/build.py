@@ -20,7 +20,7 @@ SAME = 1e-9
 
 
 def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
-    """Mesh a scene and assemble its structure (collective).
+    """Mesh a scene and assemble its structure, or read its matrices (collective).
 
     A crack that is given by ``first_omega`` gets the length found by :func:`find_crack_length`.
 
@@ -34,7 +34,8 @@ def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     Raises
     ------
     InputError
-        The mesh file is unusable, the load is off the mesh or clamped, or the lips do not match.
+        The mesh file or a matrix is unusable, the load is off the mesh or clamped, or the lips do
+        not match.
     """
     return assemble(with_crack_length(scene, comm), comm)
 
@@ -49,34 +50,45 @@ def with_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Scene:
 def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     """Find the crack length [m] at which the first natural frequency is ``crack.first_omega``.
 
-    The frequency of the open crack falls with its length; Brent's method over re-meshed plates, to
-    1e-5 of the width. A length found before is taken if it gives the frequency that it gave then.
+    The frequency of the open crack, without rotation, falls with its length; Brent's method over
+    re-meshed plates, to 1e-5 of the width. A length found before is taken if it gives the frequency
+    that it gave then.
+
+    Parameters
+    ----------
+    scene : Scene
+        With ``crack.first_omega`` or ``crack.first_frequency``.
+    comm : MPI.Comm
+        Ranks that share the mesh.
 
     Raises
     ------
     InputError
-        No length between 1 % and 95 % of the width gives that frequency.
+        No length between 1 % and 95 % of the width gives that frequency; for a crack inside, of the
+        room around its center.
     """
     crack, width = scene.crack, scene.geometry.width
     if crack is None or crack.first_omega is None or width is None:
         raise InputError("crack.first_omega", None, "given: a finite number > 0")
-    target = crack.first_omega
+    target, at_rest = crack.first_omega, scene.at_rest()
 
     @cache
     def excess(length: float) -> float:
-        plate = assemble(_with_length(scene, length), comm)
+        plate = assemble(_with_length(at_rest, length), comm)
         return float(solve_modes(plate, 1).omega[0]) - target
 
-    shortest, longest = 0.01 * width, 0.95 * width
+    room, words = width, "width"
+    if crack.center is not None:
+        room, words = 2.0 * min(crack.center, width - crack.center), "room around its center"
+    shortest, longest = 0.01 * room, 0.95 * room
     length, known = kept_length(scene, comm) or (0.0, 0.0)
     if shortest <= length <= longest and abs(excess(length) - known) <= SAME * target:
         return length
     highest, lowest = target + excess(shortest), target + excess(longest)
     if not lowest <= target <= highest:
         span = f"between {lowest:.1f} and {highest:.1f} rad/s"
-        raise InputError(
-            "crack.first_omega", target, f"{span}: cracks of 95 % and 1 % of the width"
-        )
+        allowed = f"{span}: cracks of 95 % and 1 % of the {words}"
+        raise InputError("crack.first_omega", target, allowed)
     import scipy.optimize  # takes a while, and most scenes give a length
 
     found = float(scipy.optimize.brentq(excess, shortest, longest, xtol=1e-5 * width))

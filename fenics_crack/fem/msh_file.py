@@ -1,8 +1,13 @@
-"""Mesh files: gmsh reads them in a process of its own, and they are checked before use."""
+"""Mesh files: gmsh reads them in a process of its own, and they are checked before use.
+
+Every cell, edge and point is put into gmsh's current model once. Edges in several named curves are
+in a physical group for each combination of these.
+"""
 
 from __future__ import annotations
 
 import pickle
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,8 +17,13 @@ import numpy as np
 
 from fenics_crack.errors import InputError
 from fenics_crack.fem.compat import gmsh
+from fenics_crack.fem.lips import boundary_edges, check_mouths, split_crack
 
-__all__ = ["read_file"]
+__all__ = ["Names", "Point", "read_file"]
+
+Point = tuple[float, float]
+Names = tuple[dict[str, tuple[int, ...]], dict[str, Point]]
+"""Tags of the facets of each named curve, and positions of the named points [m]."""
 
 FARTHEST = 1e6
 """Largest coordinate of a node [m]."""
@@ -24,13 +34,18 @@ _EDGES = {2: 1, 3: 1, 9: 8, 10: 8, 21: 26, 36: 26}
 """gmsh's kinds of cells that DOLFINx reads, and of their edges, order by order; and of points."""
 
 
-def read_file(path: Path) -> None:
-    """Read a mesh file into gmsh's current model.
+_CRACK = re.compile(r"crack([ _.-]?\d+)?$", re.IGNORECASE)
+"""Names of curves along which the nodes exist twice."""
+
+
+def read_file(path: Path) -> Names:
+    """Read a mesh file into gmsh's current model; return its named curves and points.
 
     Raises
     ------
     InputError
-        The file is not a plane mesh of one kind of cells, or is damaged.
+        The file is not a plane mesh of one kind of cells, lacks a group, or is damaged; the lips of
+        a crack cannot be found.
     """
 
     def require(condition: object, allowed: str) -> None:
@@ -67,8 +82,85 @@ def read_file(path: Path) -> None:
     )
     numbers, first = np.unique(numbers, return_index=True)
     used = np.isin(numbers, cells)
-    plate = (2, 1, "plate", kind, cells.ravel())
-    _fill(numbers[used], positions[first[used]], [plate, *parts])
+    numbers, positions = numbers[used], positions[first[used]]
+    curves: dict[str, np.ndarray] = {}
+    per_edge = gmsh.model.mesh.getElementProperties(_EDGES[kind])[3]
+    for dimension, _, name, _, nodes in parts:
+        if dimension == 1 and name:
+            edges = np.concatenate([curves.get(name, nodes[:0]), nodes])
+            curves[name] = edges
+    curves = {name: nodes.reshape(-1, per_edge) for name, nodes in curves.items()}
+    curves = _with_lips(curves, kind, cells, numbers, positions[:, :2])
+    require("clamp" in curves, "a mesh with a physical curve named 'clamp'")
+    require(
+        ("lower_lip" in curves) == ("upper_lip" in curves),
+        "a mesh with both 'lower_lip' and 'upper_lip', or none",
+    )
+    points: dict[str, Point] = {}
+    for dimension, _, name, _, nodes in parts:
+        if dimension == 0 and name:
+            require(name != "load" or len(nodes) == 1, "a mesh with one point in the group 'load'")
+            places = np.unique(positions[np.searchsorted(numbers, nodes), :2], axis=0)
+            if len(places) == 1:
+                points[name] = (float(places[0, 0]), float(places[0, 1]))
+    tags, sets = _apart(curves)
+    _fill(
+        numbers,
+        positions,
+        [(2, 1, "plate", kind, cells.ravel())]
+        + [(1, tag, name, _EDGES[kind], edges.ravel()) for tag, name, edges in sets]
+        + [group for group in parts if group[0] == 0],
+    )
+    return tags, points
+
+
+def _with_lips(
+    curves: dict[str, np.ndarray],
+    kind: int,
+    cells: np.ndarray,
+    numbers: np.ndarray,
+    positions: np.ndarray,
+) -> dict[str, np.ndarray]:
+    """The curves, those named ``crack`` replaced by the lips that are found along them."""
+    cracks = [edges for name, edges in curves.items() if _CRACK.match(name)]
+    curves = {name: edges for name, edges in curves.items() if not _CRACK.match(name)}
+    if not cracks and not {"lower_lip", "upper_lip"} <= curves.keys():
+        return curves
+    corners = 3 if kind in _TRIANGLES else 4
+    order = next(iter(curves.values())).shape[1] - 1 if curves else cracks[0].shape[1] - 1
+    edges, owners = boundary_edges(cells, corners, order)
+    place = np.zeros((int(numbers.max()) + 1, 2))
+    place[numbers] = positions
+    if cracks:
+        centres = place[cells[owners, :corners]].mean(axis=1)
+        lips = split_crack(np.concatenate(cracks)[:, :2], edges, centres, place)
+        for name, lip in zip(("lower_lip", "upper_lip"), lips, strict=True):
+            curves[name] = np.concatenate([curves.get(name, lip[:0]), lip])
+    check_mouths(curves["lower_lip"], curves["upper_lip"], edges, place)
+    return curves
+
+
+def _apart(
+    curves: dict[str, np.ndarray],
+) -> tuple[dict[str, tuple[int, ...]], list[tuple[int, str, np.ndarray]]]:
+    """Tags of each curve; and tag, name and edges of each combination of curves."""
+    edges = np.concatenate(list(curves.values()))
+    owner = np.repeat(np.arange(len(curves)), [len(own) for own in curves.values()])
+    _, first, which = np.unique(
+        np.sort(edges, axis=1), axis=0, return_index=True, return_inverse=True
+    )
+    member = np.zeros((len(first), len(curves)), dtype=bool)
+    member[which.ravel(), owner] = True
+    kinds, of_kind = np.unique(member, axis=0, return_inverse=True)
+    sets, names = [], np.array(list(curves))
+    for number, kind in enumerate(kinds):
+        own = edges[np.sort(first[of_kind.ravel() == number])]
+        sets.append((number + 1, " and ".join(names[kind]), own))
+    groups = {
+        name: tuple(int(tag) for tag in np.flatnonzero(column) + 1)
+        for name, column in zip(names.tolist(), kinds.T, strict=True)
+    }
+    return groups, sets
 
 
 def _cells(kind: int, nodes: list[np.ndarray]) -> np.ndarray:

@@ -11,12 +11,17 @@ from fenics_crack.errors import InputError
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.structure import Structure
+from fenics_crack.parallel import gather_rows
 
 __all__ = ["pack_modes", "unpack_modes"]
 
 
 def pack_modes(modes: Modes) -> dict[str, Any]:
-    """Datasets of the modes of a meshed structure (collective)."""
+    """Datasets of the modes; those of a structure without a mesh by its dofs (collective)."""
+    whole = modes.structure.whole
+    if whole.nodes is None:
+        by_dof = gather_rows(whole.comm, modes.structure.expand(modes.shapes.T).T)
+        return {"omega": modes.omega, "shapes": by_dof.T}
     mesh = NodalMesh(modes.structure)
     shapes = mesh.field(modes.structure.expand(modes.shapes.T))
     return {"omega": modes.omega, "nodes": _marks(mesh), "shapes": shapes}
@@ -28,8 +33,10 @@ def unpack_modes(parts: dict[str, Any], structure: Structure, contact: object = 
     Raises
     ------
     InputError
-        The structure has other nodes.
+        The structure has other nodes, or another number of dofs.
     """
+    if structure.whole.nodes is None:
+        return _of_dofs(parts, structure.whole)
     mesh, whole = NodalMesh(structure), structure.whole
     assert whole.nodes is not None
     marks = _marks(mesh)
@@ -44,6 +51,15 @@ def unpack_modes(parts: dict[str, Any], structure: Structure, contact: object = 
     rows = np.zeros((len(omega), whole.n_local))
     rows[:, whole.nodes.dofs[free] - whole.first_dof] = mine[:, free]
     return Modes(omega, rows.T, whole)
+
+
+def _of_dofs(parts: dict[str, Any], whole: Structure) -> Modes:
+    """Modes of a structure without a mesh."""
+    shapes = parts["shapes"]
+    if "nodes" in parts or shapes.ndim != 2 or shapes.shape[1] != whole.n_dofs:
+        raise InputError("structure", f"{whole.n_dofs} dofs", f"that of the file, {shapes.shape}")
+    own = slice(whole.first_dof, whole.first_dof + whole.n_local)
+    return Modes(parts["omega"], shapes[:, own].T, whole)
 
 
 def _marks(mesh: NodalMesh) -> np.ndarray:

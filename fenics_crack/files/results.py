@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,13 @@ Law = ContactLaw | None
 Parts = dict[str, Any]
 
 
-def save(result: Result, path: str | Path, scene: Scene | None = None) -> None:
+def save(
+    result: Result,
+    path: str | Path,
+    scene: Scene | None = None,
+    *,
+    watched: Mapping[str, np.ndarray] | None = None,
+) -> None:
     """Write a result to an HDF5 file, with its scene if there is one (collective).
 
     A solution's file holds gap and contact force, from which the displacement follows, and modes
@@ -47,6 +53,10 @@ def save(result: Result, path: str | Path, scene: Scene | None = None) -> None:
         The file; an older one is replaced once the new one is complete.
     scene : Scene, optional
         Its scene.
+    watched : mapping of str to array, optional
+        Motion of some dofs, for programs without the structure, by what they are called:
+        coefficients of a solution (2H+1,) and of a curve (n, 2H+1), or displacements in time (n,)
+        [m]. ``load`` leaves it alone.
 
     Raises
     ------
@@ -57,7 +67,7 @@ def save(result: Result, path: str | Path, scene: Scene | None = None) -> None:
     if type(result) not in _FORMS:
         names = ", ".join(kind.__name__ for kind in _FORMS)
         raise InputError("result", type(result).__name__, f"one of {names}")
-    parts = _FORMS[type(result)][0](result)
+    parts = _FORMS[type(result)][0](result) | _motion(result, watched or {})
     write(parts, path, result.KIND, scene, result.structure.comm)
 
 
@@ -82,6 +92,8 @@ def load(path: str | Path, structure: Structure, contact: Law = None) -> Result:
     """
     kind = type_of(path)
     with reading(path, kind.KIND) as parts:
+        for name in [name for name in parts if name.startswith("watched")]:
+            del parts[name]
         return _FORMS[kind][1](parts, structure, contact)
 
 
@@ -105,6 +117,15 @@ def _fields(result: Result, *apart: str) -> Parts:
     """What a result holds besides its structure, its law and the fields kept apart."""
     apart = ("structure", "contact", *apart)
     return {f.name: getattr(result, f.name) for f in fields(result) if f.name not in apart}
+
+
+def _motion(result: Result, watched: Mapping[str, np.ndarray]) -> Parts:
+    """Datasets of the motion of some dofs, side by side."""
+    if not watched:
+        return {}
+    kind = "displacement" if isinstance(result, TimeHistory) else "coefficients"
+    motion = np.stack(list(watched.values()), axis=-1)
+    return {"watched": list(watched), f"watched_{kind}": motion}
 
 
 # --- solutions ------------------------------------------------------------------------------------

@@ -2,7 +2,8 @@
 
 A file has the attributes ``kind`` (what is in it), ``program`` and ``version``, ``versions`` of
 what it was computed with, and, where there is one, the ``scene`` as TOML text; its datasets are
-numbers and words. Nothing in it is pickled, and nothing of it is ever executed.
+numbers and words, with the attributes ``unit`` and ``about``. Nothing in it is pickled, and nothing
+of it is ever executed.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from petsc4py import PETSc
 from slepc4py import SLEPc
 
 from fenics_crack.errors import InputError
+from fenics_crack.files.units import about
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.version import VERSION
@@ -34,6 +36,7 @@ __all__ = [
     "read_scene",
     "reading",
     "scene_text",
+    "versions",
     "write",
     "write_header",
 ]
@@ -77,7 +80,8 @@ def write(
                 for name, value in parts.items():
                     if value is not None:
                         packed = {"compression": "gzip"} if np.size(value) > 1000 else {}
-                        file.create_dataset(name, data=value, **packed)
+                        dataset = file.create_dataset(name, data=value, **packed)
+                        dataset.attrs.update(about(name, parts))
             partial.replace(target)
         except OSError as error:
             raise InputError("path", str(path), f"a file that can be written ({error})") from None
@@ -93,36 +97,36 @@ def write_header(file: h5py.File, kind: str, scene: Scene | None) -> None:
     file.attrs["kind"] = kind
     file.attrs["program"] = PROGRAM
     file.attrs["version"] = VERSION
-    file.attrs["versions"] = _versions()
+    file.attrs["versions"] = versions()
     if scene is not None:
         file.attrs["scene"] = scene_text(scene)
-        file.attrs["meshes"] = "\n".join(map(_digest, scene.mesh_files))
+        file.attrs["meshes"] = "\n".join(_digest(path) for _, path in scene.files)
 
 
-def _versions() -> str:
-    """Versions of what the program uses; of DOLFINx where it is loaded."""
+def versions() -> str:
+    """Versions of what the program uses; of DOLFINx and gmsh where they are loaded."""
     found = {
         name: ".".join(map(str, library.Sys.getVersion()))
         for name, library in (("PETSc", PETSc), ("SLEPc", SLEPc))
     }
-    for name, module in (("NumPy", "numpy"), ("DOLFINx", "dolfinx")):
+    for name, module in (("NumPy", "numpy"), ("DOLFINx", "dolfinx"), ("gmsh", "gmsh")):
         if module in sys.modules:
             found[name] = sys.modules[module].__version__
     return ", ".join(f"{name} {version}" for name, version in found.items())
 
 
 def scene_text(scene: Scene) -> str:
-    """The scene as it stands in a file: TOML, with the full paths of its meshes."""
-    return scene.with_mesh_files(lambda path: str(Path(path).absolute())).as_toml()
+    """The scene as it stands in a file: TOML, with the full paths of its files."""
+    return scene.with_files(lambda path: str(Path(path).absolute())).as_toml()
 
 
 def check_meshes(file: h5py.File, scene: Scene) -> None:
-    """Raise InputError if a mesh file of the scene has changed."""
+    """Raise InputError if a file of the scene, of its mesh or matrices, has changed."""
     digests = str(file.attrs.get("meshes", "")).split()
-    for path, digest in zip(scene.mesh_files, digests, strict=False):
+    for (key, path), digest in zip(scene.files, digests, strict=False):
         if _digest(path) != digest:
             allowed = f"the file with which {file.filename} was computed; it has changed or gone"
-            raise InputError("mesh.file", path, allowed)
+            raise InputError(key, path, allowed)
 
 
 def _digest(path: str) -> str:
@@ -165,7 +169,7 @@ def read_scene(path: str | Path) -> Scene | None:
     Raises
     ------
     InputError
-        As :func:`opened`, its scene cannot be used, or a mesh file of it has changed.
+        As :func:`opened`, its scene cannot be used, or a file of its mesh or matrices has changed.
     """
     with opened(path) as file:
         if "scene" not in file.attrs:

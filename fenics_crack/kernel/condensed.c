@@ -178,6 +178,21 @@ int evaluate(point *at, const double *gap, double parameter)
     return FOUND;
 }
 
+double largest_compliance(point *at, double parameter)
+{
+    const int pairs = at->of.pairs, rows = (at->of.harmonics + 1) * pairs;
+    double largest = 0.0;
+    at->factored = 0; /* what has been evaluated holds no longer */
+    if (set_parameter(at, parameter)) return INFINITY;
+    const double *compliance = compliance_of(at);
+    for (int row = 0; row < rows; row++) {
+        double sum = 0.0;
+        for (int q = 0; q < pairs; q++, compliance += 2) sum += hypot(compliance[0], compliance[1]);
+        if (sum > largest) largest = sum;
+    }
+    return largest;
+}
+
 void residual_at(const point *at, double *found)
 {
     memcpy(found, at->residual, at->unknowns * sizeof(double));

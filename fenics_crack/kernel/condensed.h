@@ -38,6 +38,8 @@ void free_point(point *at);
 int unknowns_of(const point *at);
 /* The equations at (g, p). Returns FOUND, SINGULAR_STRUCTURE or NO_MEMORY. */
 int evaluate(point *at, const double *gap, double parameter);
+/* Largest sum of |R_k| over a row of it at a parameter; infinite where the structure is singular. */
+double largest_compliance(point *at, double parameter);
 /* F there. */
 void residual_at(const point *at, double *found);
 /* x = J^-1 x there. */

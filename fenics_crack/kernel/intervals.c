@@ -5,8 +5,9 @@
 
 #include "lapack.h"
 
-/* Degree of the Taylor polynomials: 0.2^9 / 9! is 1e-12. Points of a bracket's search. */
-enum { DEGREE = 8, TERMS = DEGREE + 1, POINTS = 6 };
+/* Degree of the Taylor polynomials: 0.2^9 / 9! is 1e-12. Points of a bracket's search. Turns of all
+ * wrong pairs together; after how many events rounding is looked for. */
+enum { DEGREE = 8, TERMS = DEGREE + 1, POINTS = 6, TOGETHER = 30, OFTEN = 32 };
 static const double TWO_PI = 6.283185307179586476925;
 
 static double value_at(const double *c, int degree, double x)
@@ -68,39 +69,57 @@ static double negative_in(const double *c, double low, double high)
     return value_at(c, DEGREE, bottom) < 0.0 ? bottom : NAN;
 }
 
-/* The pair whose event comes first behind `begun` in a cell, -1 if there is none, and where;
- * polynomials: (p, TERMS). */
-static int first_event(int pairs, const double *polynomials, double begun, double *where)
+/* The polynomials (TERMS, p) whose sign in [-1, 1] may be wrong: of the pairs `some`, as (TERMS)
+ * numbers that are positive while the set is right. Returns how many. */
+static int candidates(const pivot_table *contact, const double *taylor, int *some, double *polynomials)
 {
-    int pair = -1;
-    for (int part = 0; part < POINTS && pair < 0; part++) {
+    const int pairs = contact->pairs;
+    int count = 0;
+    for (int i = 0; i < pairs; i++) {
+        const double sign = contact->closed[i] ? 1.0 : -1.0;
+        double others = 0.0;
+        for (int d = 1; d <= DEGREE; d++) others += fabs(taylor[(long)d * pairs + i]);
+        if (sign * taylor[i] > others) continue;
+        for (int d = 0; d <= DEGREE; d++)
+            polynomials[(long)count * TERMS + d] = sign * taylor[(long)d * pairs + i];
+        some[count++] = i;
+    }
+    return count;
+}
+
+/* The first event behind `begun` in a cell: its place among `count` polynomials, -1 if there is
+ * none, and where. */
+static int first_event(int count, const double *polynomials, double begun, double *where)
+{
+    int first = -1;
+    for (int part = 0; part < POINTS && first < 0; part++) {
         const double low = begun + (1.0 - begun) * part / POINTS;
         const double high = begun + (1.0 - begun) * (part + 1) / POINTS;
-        for (int i = 0; i < pairs; i++) {
-            const double *c = polynomials + i * TERMS;
+        for (int i = 0; i < count; i++) {
+            const double *c = polynomials + (long)i * TERMS;
             const double end = negative_in(c, low, high);
             if (isnan(end)) continue;
             const double root = root_of(c, DEGREE, low, end);
-            if (pair >= 0 && root >= *where) continue;
-            pair = i;
+            if (first >= 0 && root >= *where) continue;
+            first = i;
             *where = root;
         }
     }
-    return pair;
+    return first;
 }
 
-/* Taylor coefficients (p, TERMS) in x = 2 (theta - middle) / width. */
-static void expand(int pairs, int highest, const double *harmonics, double middle, double width,
-                   double *taylor)
+/* Taylor coefficients (TERMS, 2H+1) of 1, cos(k theta), sin(k theta), in x = 2 (theta - middle) /
+ * width. */
+static void expand(int harmonics, double middle, double width, double *taylor)
 {
-    memset(taylor, 0, (size_t)pairs * TERMS * sizeof(double));
-    for (int k = 0; k <= highest; k++) {
+    const long columns = 2L * harmonics + 1;
+    for (long d = 0; d <= DEGREE; d++) taylor[d * columns] = d == 0;
+    for (int k = 1; k <= harmonics; k++) {
         double real = cos(k * middle), imaginary = sin(k * middle);
-        for (int d = 0; d <= DEGREE; d++) {
-            const double *wave = harmonics + 2L * k * pairs;
-            for (int i = 0; i < pairs; i++)
-                taylor[i * TERMS + d] += real * wave[2 * i] - imaginary * wave[2 * i + 1];
-            /* times (i k width / 2) / (d + 1) */
+        for (long d = 0; d <= DEGREE; d++) {
+            taylor[d * columns + 2 * k - 1] = real;
+            taylor[d * columns + 2 * k] = imaginary;
+            /* exp(i k theta) times (i k width / 2) / (d + 1) */
             const double rate = 0.5 * width * k / (d + 1), turned = -rate * imaginary;
             imaginary = rate * real;
             real = turned;
@@ -108,92 +127,174 @@ static void expand(int pairs, int highest, const double *harmonics, double middl
     }
 }
 
-/* Forces and openings (p) of an instant's set, and their rates. */
-static int margins(sets *contact, int pairs, const signed char *closed, const double *values,
-                   const double *rates, double *margin, double *rate)
+/* What is known while a motion is followed. */
+typedef struct {
+    breathing *of;
+    int count, since;                    /* events; changes since rounding was looked for */
+    double *waves;                       /* (2, 2H+1) at a cell's end, and their change per cell */
+    double *values, *rates;              /* (2, p) of the answer there */
+    double *basis, *taylor, *candidates; /* (TERMS, 2H+1), (TERMS, p), (p, TERMS) */
+    int *some;                           /* (p) */
+    double *values_before, *rates_before;
+} walk;
+
+/* y (rows, p) = w (rows, c) X */
+static void combine(const pivot_table *contact, int rows, const double *w, double *y)
 {
-    const double *answer = answer_of(contact, closed);
-    if (!answer) return 1;
-    multiply(pairs, pairs, answer, values, margin);
-    multiply(pairs, pairs, answer, rates, rate);
-    return 0;
+    multiply_matrices(rows, contact->columns, contact->pairs, w, contact->answer, 0.0, y);
 }
 
-static int grazes(int pairs, const double *margin, const double *rate, const double *after,
-                  const double *after_rate)
+/* Values and rates, those per cell, at an end of a cell. */
+static void look(walk *now, int instant)
 {
-    for (int i = 0; i < pairs; i++) {
-        const double fall = rate[i], rise = -after_rate[i];
+    const breathing *m = now->of;
+    const int columns = m->contact.columns;
+    double *wave = now->waves, *slope = wave + columns;
+    wave[0] = 1.0, slope[0] = 0.0;
+    for (int k = 1; 2 * k < columns; k++) {
+        const double *at = m->circle + 2 * ((long)k * instant % m->cells); /* k theta */
+        wave[2 * k - 1] = at[0], wave[2 * k] = at[1];
+        const double rate = TWO_PI / m->cells * k;
+        slope[2 * k - 1] = -rate * wave[2 * k];
+        slope[2 * k] = rate * wave[2 * k - 1];
+    }
+    combine(&m->contact, 2, wave, now->values);
+}
+
+/* Whether a pair is in its place: closed pairs press, others do not penetrate. */
+static int right(const walk *now, int i)
+{
+    const breathing *m = now->of;
+    return m->contact.closed[i] ? now->values[i] > 0.0 : !(now->values[i] > m->allowed);
+}
+
+static int all_right(const walk *now)
+{
+    for (int i = 0; i < now->of->contact.pairs; i++)
+        if (!right(now, i)) return 0;
+    return 1;
+}
+
+/* Whether two tangents at the ends of a cell meet on the wrong side of zero. */
+static int grazes(const walk *now)
+{
+    const pivot_table *contact = &now->of->contact;
+    for (int i = 0; i < contact->pairs; i++) {
+        const double sign = contact->closed[i] ? 1.0 : -1.0;
+        const double fall = sign * now->rates_before[i], rise = -sign * now->rates[i];
         if (!(fall < 0.0 && rise < 0.0)) continue;
-        if ((margin[i] * rise + after[i] * fall + fall * rise) / (fall + rise) < 0.0) return 1;
+        const double before = sign * now->values_before[i], after = sign * now->values[i];
+        if ((before * rise + after * fall + fall * rise) / (fall + rise) < 0.0) return 1;
     }
     return 0;
 }
 
-long intervals_room(int pairs)
+/* A pair opens or closes at a phase, with `terms` answers to be carried along. Returns 1 where that
+ * cannot be done, -1 where there is no room for it. */
+static int record(walk *now, int pair, double theta, int terms)
 {
-    return pairs * (2L * TERMS + 8L) + 8L;
+    breathing *m = now->of;
+    if (now->count == m->most) return -1;
+    const long at = now->count;
+    double *v = m->vectors + at * m->contact.pairs;
+    if (turn_pair(&m->contact, pair, terms, now->taylor, v, m->gain + at)) return 1;
+    m->theta[at] = at ? fmax(m->theta[at - 1], theta) : theta;
+    m->pair[at] = pair;
+    now->count++;
+    now->since++;
+    return 0;
 }
 
-int intervals(sets *contact, int pairs, int highest, int cells, const double *harmonics,
-              const double *values, const double *rates, double allowed, int most, double *theta,
-              signed char *closed, double *work)
+/* Looks for rounding now and then. */
+static void keep_sharp(walk *now)
 {
-    const double width = TWO_PI / cells;
-    double *margin = work, *rate = margin + pairs, *after = rate + pairs,
-           *after_rate = after + pairs, *force = after_rate + pairs, *taylor = force + pairs,
-           *polynomials = taylor + (long)pairs * TERMS;
-    signed char *here = (signed char *)(polynomials + (long)pairs * TERMS), *there = here + pairs,
-                *at_first = there + pairs;
-    for (int i = 0; i < pairs; i++) here[i] = values[i] > 0.0;
-    if (forces_at(contact, values, allowed, NULL, here, force)) return -2;
-    memcpy(at_first, here, pairs);
-    int count = 1;
-    theta[0] = 0.0;
-    memcpy(closed, here, pairs);
-    if (margins(contact, pairs, here, values, rates, margin, rate)) return -2;
-    for (int cell = 0; cell < cells; cell++) {
-        const int next = (cell + 1) % cells;
-        memcpy(there, next ? here : at_first, pairs);
-        if (next && forces_at(contact, values + (long)next * pairs, allowed, NULL, there, force))
-            return -2;
-        if (margins(contact, pairs, there, values + (long)next * pairs, rates + (long)next * pairs,
-                    after, after_rate))
-            return -2;
-        if (memcmp(here, there, pairs) ||
-            grazes(pairs, margin, rate, after, after_rate)) {
-            const double middle = (cell + 0.5) * width;
-            signed char *set = closed + (long)(count - 1) * pairs;
-            double begun = -1.0;
-            int last = -1;
-            expand(pairs, highest, harmonics, middle, width, taylor);
-            for (int turn = 0; turn < 4 * pairs + 8; turn++) {
-                const double *answer = answer_of(contact, set);
-                double place;
-                if (!answer) return -2;
-                multiply_matrices(pairs, pairs, TERMS, answer, taylor, 0.0, polynomials);
-                if (last >= 0) without_root(polynomials + last * TERMS, begun);
-                const int pair = first_event(pairs, polynomials, begun, &place);
-                if (pair < 0) break;
-                if (count == most) return -1;
-                memcpy(set + pairs, set, pairs);
-                set += pairs;
-                set[pair] = !set[pair];
-                theta[count] = fmax(theta[count - 1], middle + 0.5 * width * place);
-                count++;
-                begun = place;
-                last = pair;
-            }
-            if (memcmp(set, there, pairs)) {
-                if (count == most) return -1;
-                memcpy(set + pairs, there, pairs);
-                theta[count] = (cell + 1) * width;
-                count++;
-            }
+    if (now->since < OFTEN) return;
+    refresh(&now->of->contact);
+    now->since = 0;
+}
+
+/* The set at an instant: pairs in the wrong place are turned, all of them, or where that goes round
+ * the first alone (sets.h). Only behind phase zero is it recorded. Returns 0, -1 without room, or -2
+ * where that does not end. */
+static int settle(walk *now, int instant, int recorded)
+{
+    breathing *m = now->of;
+    const long pairs = m->contact.pairs;
+    for (long turn = 0; turn < TOGETHER + 20L * pairs * pairs; turn++) {
+        int wrong = 0;
+        keep_sharp(now);
+        look(now, instant);
+        for (int i = 0; i < pairs; i++) {
+            if (right(now, i) || (wrong && turn >= TOGETHER)) continue;
+            const int failed = recorded ? record(now, i, instant * (TWO_PI / m->cells), 0)
+                                        : turn_pair(&m->contact, i, 0, NULL, NULL, NULL);
+            if (failed < 0) return -1;
+            wrong |= !failed;
+            now->since += !recorded;
         }
-        memcpy(here, there, pairs);
-        memcpy(margin, after, pairs * sizeof(double));
-        memcpy(rate, after_rate, pairs * sizeof(double));
+        if (!wrong) return 0;
     }
-    return count;
+    return -2;
+}
+
+/* All events in a cell, in order. Returns 0, or -1 without room. */
+static int search(walk *now, int cell)
+{
+    breathing *m = now->of;
+    const int pairs = m->contact.pairs;
+    const double width = TWO_PI / m->cells, middle = (cell + 0.5) * width;
+    double begun = -1.0, place;
+    int last = -1;
+    expand(m->contact.columns / 2, middle, width, now->basis);
+    combine(&m->contact, TERMS, now->basis, now->taylor);
+    for (int turn = 0; turn < 4 * pairs + 8; turn++) {
+        const int count = candidates(&m->contact, now->taylor, now->some, now->candidates);
+        for (int i = 0; i < count && last >= 0; i++)
+            if (now->some[i] == last) without_root(now->candidates + (long)i * TERMS, begun);
+        const int first = first_event(count, now->candidates, begun, &place);
+        if (first < 0) break;
+        const int failed = record(now, now->some[first], middle + 0.5 * width * place, TERMS);
+        if (failed < 0) return -1;
+        if (failed) break;
+        begun = place;
+        last = now->some[first];
+    }
+    return 0;
+}
+
+long intervals_room(int pairs, int harmonics)
+{
+    return pairs * (2L * TERMS + 5L) + (2L * harmonics + 1) * (TERMS + 2L);
+}
+
+int intervals(breathing *m)
+{
+    const long pairs = m->contact.pairs, columns = m->contact.columns;
+    walk now = {m, 0, 0};
+    now.values = m->work;
+    now.rates = now.values + pairs;
+    now.values_before = now.rates + pairs;
+    now.rates_before = now.values_before + pairs;
+    now.taylor = now.rates_before + pairs;
+    now.candidates = now.taylor + pairs * TERMS;
+    now.waves = now.candidates + pairs * TERMS;
+    now.basis = now.waves + 2 * columns;
+    now.some = (int *)(now.basis + columns * TERMS);
+    open_all(&m->contact);
+    if (settle(&now, 0, 0)) return -2;
+    inverse_of(&m->contact, m->stiffness);
+    memcpy(m->first, m->contact.closed, pairs);
+    for (int cell = 0; cell < m->cells; cell++) {
+        const int next = (cell + 1) % m->cells;
+        memcpy(now.values_before, now.values, pairs * sizeof(double));
+        memcpy(now.rates_before, now.rates, pairs * sizeof(double));
+        look(&now, next);
+        if (all_right(&now) && !grazes(&now)) continue;
+        if (search(&now, cell)) return -1;
+        keep_sharp(&now);
+        if (!next) break;
+        const int failed = settle(&now, next, 1);
+        if (failed) return failed;
+    }
+    return now.count;
 }

@@ -2,26 +2,37 @@
 #ifndef INTERVALS_H
 #define INTERVALS_H
 
-#include "sets.h"
+#include "pivots.h"
 
-/* Waves s (p) of H harmonics, s(theta) = Re sum_k S_k exp(i k theta), on `cells` equal cells of the
- * period, so short that Taylor polynomials about their middles are the waves to rounding.
+/* Gaps s(theta) = sum_j w_j(theta) s_j with the waves w = 1, cos theta, sin theta, cos 2 theta, ...
+ * of H harmonics are followed through `cells` equal cells of the period, so short that Taylor
+ * polynomials about their middles are the waves to rounding.
  *
- * Between two events the set A of closed pairs stays, and with it answer_of(A) s: the forces of the
- * closed pairs and the openings of the others. An event is the first root of one of these. A cell
- * is searched where the sets at its ends differ, or where two tangents meet below zero; in it the
- * first root is bracketed on a few points and on the minima between them; behind it the set differs
- * by one pair; and so on to the cell's end, where the set of the next instant is taken if it is
- * another one.
- *
- * harmonics: (H + 1, p) complex, real and imaginary parts in turns. values, rates: (cells, p), s and
- * its change per cell by its slope. theta: (most), closed: (most, p): where each interval begins,
- * the first at 0, and its set. work: as many numbers as intervals_room says. Returns the number of
- * intervals, -1 where that is more than `most`, or -2 where an instant has no forces.
+ * Between two events the set A of closed pairs stays, and with it the answers X_j to each s_j
+ * (pivots.h); sum_j w_j X_j are the forces of the closed pairs and, less than nothing, the openings
+ * of the others. An event is the first root of one of these. A cell is searched where a sign is
+ * wrong at its end, or where two tangents meet on the wrong side of zero; in it the first root is
+ * bracketed on a few points and on the minima between them; behind it the set differs by one pair,
+ * and each answer by a part of rank one; and so on to the cell's end, where a set that is wrong is
+ * turned into the right one.
  */
-int intervals(sets *contact, int pairs, int highest, int cells, const double *harmonics,
-              const double *values, const double *rates, double allowed, int most, double *theta,
-              signed char *closed, double *work);
-long intervals_room(int pairs);
+typedef struct {
+    pivot_table contact; /* columns = 2H+1, gaps: (2H+1, p) s_j */
+    int cells, most;
+    const double *circle; /* (cells, 2) cos theta, sin theta where the cells begin */
+    double allowed;      /* penetration that counts as none */
+    signed char *first;  /* (p) the set at phase zero */
+    double *stiffness;   /* (p, p) its S, zero outside */
+    double *theta;       /* (most) phase of each event, ascending */
+    int *pair;           /* (most) who opens or closes there */
+    double *vectors;     /* (most, p) v, */
+    double *gain;        /* (most) by which S changes there: S += gain v v^T */
+    double *work;        /* as many numbers as intervals_room says */
+} breathing;
+
+/* Returns the number of events, -1 where that is more than `most`, or -2 where an instant has no
+ * forces. */
+int intervals(breathing *m);
+long intervals_room(int pairs, int harmonics);
 
 #endif

@@ -1,6 +1,11 @@
 #include "lapack.h"
 
-enum { FEW = 32 }; /* numbers of a matrix for which a call of BLAS takes longer than the product */
+#include <math.h>
+
+enum {
+    FEW = 32,  /* numbers of a matrix for which a call of BLAS takes longer than the product */
+    SMALL = 48 /* rows of a matrix up to which LAPACK takes longer to factor it */
+};
 
 static void *bound[LAPACK_FUNCTIONS];
 
@@ -62,11 +67,48 @@ void multiply_matrices(int rows, int inner, int columns, const double *a, const 
                              &keep, c, &columns);
 }
 
+static void swap(double *x, double *y)
+{
+    const double kept = *x;
+    *x = *y, *y = kept;
+}
+
+/* What LAPACK's dgetrf does, one column after the other; two columns of L at once are taken from
+ * it, u l + v m. */
+static int factor_small(int n, double *a, int *pivots)
+{
+    int info = 0;
+    for (int j = 0; j < n; j++) {
+        double *restrict column = a + j * n;
+        int k = 0, at = j;
+        for (int i = 0; i < j; i++) swap(column + i, column + pivots[i] - 1);
+        for (; k + 1 < j; k += 2) {
+            const double *restrict l = a + k * n, *restrict m = l + n;
+            const double u = column[k], v = column[k + 1] -= u * l[k + 1];
+            for (int i = k + 2; i < n; i++) column[i] = column[i] - u * l[i] - v * m[i];
+        }
+        for (; k < j; k++)
+            for (int i = k + 1; i < n; i++) column[i] -= column[k] * a[k * n + i];
+        for (int i = j + 1; i < n; i++)
+            if (fabs(column[i]) > fabs(column[at])) at = i;
+        pivots[j] = at + 1;
+        for (int i = 0; i <= j && at != j; i++) swap(a + i * n + j, a + i * n + at);
+        if (column[j] == 0.0) {
+            if (!info) info = j + 1;
+            continue;
+        }
+        const double inverse = 1.0 / column[j];
+        for (int i = j + 1; i < n; i++) column[i] *= inverse;
+    }
+    return info;
+}
+
 int factor(int n, double *a, int *pivots)
 {
     int info = 0;
+    if (n <= SMALL) return factor_small(n, a, pivots);
     /* LAPACK sees A^T, which is factored just as well. */
-    if (n) ((getrf_t *)bound[DGETRF])(&n, &n, a, &n, pivots, &info);
+    ((getrf_t *)bound[DGETRF])(&n, &n, a, &n, pivots, &info);
     return info;
 }
 

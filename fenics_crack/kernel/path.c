@@ -26,6 +26,22 @@ static void slope_at(point *at, int n, double *slope)
     for (int i = 0; i < n; i++) slope[i] = -slope[i];
 }
 
+/* The unit tangent towards growing p at a point that has been evaluated; its slope t_p. */
+static double tangent_at(point *at, int n, const double *x, double *tangent, double *weight)
+{
+    slope_at(at, n, tangent);
+    *weight = 1.0 / fmax(inner(n, x, x), 1e-300);
+    const double slope = 1.0 / sqrt(*weight * inner(n, tangent, tangent) + 1.0);
+    for (int i = 0; i < n; i++) tangent[i] *= slope;
+    return slope;
+}
+
+static void turn_round(int n, double *tangent, double *slope)
+{
+    for (int i = 0; i < n; i++) tangent[i] = -tangent[i];
+    *slope = -*slope;
+}
+
 /* solve_in_plane with room for F, dx and J^-1 F_p: (3, n). */
 static int correct(point *at, int n, double *x, double *p, const double *across, double slope,
                    double weight, double tolerance, int iterations, double reach,
@@ -130,12 +146,8 @@ static int advance(point *at, int n, const stepping *how, path *points, double *
     if (outcome != FOUND) return outcome;
     /* The determinant of the bordered matrix keeps its sign along a path: it tells where the path
      * goes on, and the angle whether the step has left it. */
-    slope_at(at, n, tangent);
-    const double own = 1.0 / fmax(inner(n, x, x), 1e-300);
-    const double length = sqrt(own * inner(n, tangent, tangent) + 1.0);
-    const double direction = determinant_sign(at) == points->orientation ? 1.0 / length : -1.0 / length;
-    double slope = direction;
-    for (int i = 0; i < n; i++) tangent[i] *= direction;
+    double own, slope = tangent_at(at, n, x, tangent, &own);
+    if (determinant_sign(at) != points->orientation) turn_round(n, tangent, &slope);
     const double square = weight * inner(n, tangent, tangent) + slope * slope;
     const double cosine = square > 0.0 ? (weight * inner(n, tangent, old) + slope * old_slope) /
                                              sqrt(square)
@@ -143,8 +155,8 @@ static int advance(point *at, int n, const stepping *how, path *points, double *
     if (!(cosine > how->least_cosine)) {
         if (!(cosine < -0.999 && step < how->branching_step * how->longest)) return NOT_FOUND;
         /* A short step straight on, but the sign has changed: another branch crosses. */
-        crossing = 1, slope = -slope, points->orientation = -points->orientation;
-        for (int i = 0; i < n; i++) tangent[i] = -tangent[i];
+        crossing = 1, points->orientation = -points->orientation;
+        turn_round(n, tangent, &slope);
     }
     double chord = 0.0;
     for (int i = 0; i < n; i++) chord += (x[i] - here[i]) * (x[i] - here[i]);
@@ -173,6 +185,105 @@ int follow(point *at, const stepping *how, path *points)
         const double p = points->parameters[points->known - 1];
         inside = p >= how->lowest && p <= how->highest;
     }
+    free(room);
+    return outcome;
+}
+
+static double polynomial(const double *cubic, double s)
+{
+    return ((cubic[0] * s + cubic[1]) * s + cubic[2]) * s + cubic[3];
+}
+
+/* A root of a cubic polynomial between 0 and 1 by Brent's method (Algorithms for Minimization
+ * without Derivatives, 1973, chapter 4); the nearer end where rounding has hidden the change of
+ * sign. */
+static double root_within(const double *cubic)
+{
+    double a = 0.0, b = 1.0, fa = polynomial(cubic, a), fb = polynomial(cubic, b);
+    if (fa == 0.0 || fb == 0.0 || (fa > 0.0) == (fb > 0.0)) return fabs(fa) < fabs(fb) ? a : b;
+    double c = a, fc = fa, width = b - a, before = width;
+    for (int i = 0; i < 100; i++) {
+        if ((fb > 0.0) == (fc > 0.0)) c = a, fc = fa, width = before = b - a;
+        if (fabs(fc) < fabs(fb)) a = b, b = c, c = a, fa = fb, fb = fc, fc = fa;
+        const double middle = 0.5 * (c - b), least = 1e-15 * fabs(b) + 1e-13;
+        if (fabs(middle) <= least || fb == 0.0) break;
+        double step = middle, last = before;
+        before = width;
+        if (fabs(last) >= least && fabs(fa) > fabs(fb)) {
+            /* the chord, or the inverse parabola through three points */
+            const double s = fb / fa, q = fa / fc, r = fb / fc;
+            double up = a == c ? 2.0 * middle * s
+                               : s * (2.0 * middle * q * (q - r) - (b - a) * (r - 1.0));
+            double down = a == c ? 1.0 - s : (q - 1.0) * (r - 1.0) * (s - 1.0);
+            if (up > 0.0) down = -down;
+            else up = -up;
+            if (2.0 * up < fmin(3.0 * middle * down - fabs(least * down), fabs(last * down)))
+                step = up / down;
+            else before = middle;
+        } else {
+            before = middle;
+        }
+        width = step, a = b, fa = fb;
+        b += fabs(step) > least ? step : copysign(least, middle);
+        fb = polynomial(cubic, b);
+    }
+    return b;
+}
+
+/* The same with room (3, n). */
+static int between(point *at, int n, const stepping *how, int most, const double *target,
+                   path *ends, double *room)
+{
+    int first = 0, last = 1, next = 2, halve = 0;
+    for (int count = 0; count < most; count++) {
+        const double *here = ends->unknowns + (size_t)first * n;
+        const double *there = ends->unknowns + (size_t)last * n;
+        const double *tangent = ends->tangents + (size_t)first * n;
+        const double slope = ends->slopes[first], weight = ends->weights[first];
+        const double p = ends->parameters[first], rise = ends->parameters[last] - p;
+        double length = 0.0;
+        for (int i = 0; i < n; i++) length += (there[i] - here[i]) * tangent[i];
+        length = weight * length + rise * slope;
+        const double onwards = weight * inner(n, ends->tangents + (size_t)last * n, tangent) +
+                               ends->slopes[last] * slope;
+        if (!(length > 0.0 && onwards > 0.0)) return NOT_FOUND;
+        /* p(s) or dp/ds, of s / length */
+        const double begin = length * slope, end = length * ends->slopes[last] / onwards;
+        const double third = begin + end - 2.0 * rise, second = 3.0 * rise - 2.0 * begin - end;
+        const double turns[4] = {0.0, 3.0 * third, 2.0 * second, begin};
+        const double meets[4] = {third, second, begin, target ? p - *target : 0.0};
+        double share = root_within(target ? meets : turns);
+        ends->known = share < 0.5 ? first : last;
+        if (fmin(share, 1.0 - share) * length <= how->shortest) return FOUND;
+        if (halve) share = 0.5;
+        const double step = share * length;
+        double *x = ends->unknowns + (size_t)next * n, *ahead = ends->tangents + (size_t)next * n;
+        ends->parameters[next] = p + step * slope;
+        memcpy(x, here, n * sizeof(double));
+        add(n, x, step, tangent);
+        const int outcome = correct(at, n, x, ends->parameters + next, tangent, slope, weight,
+                                    how->tolerance, how->iterations, how->reach * step,
+                                    how->least_damping, ends->iterations + next, room);
+        if (outcome != FOUND) return outcome;
+        ends->slopes[next] = tangent_at(at, n, x, ahead, ends->weights + next);
+        if (weight * inner(n, ahead, tangent) + ends->slopes[next] * slope < 0.0)
+            turn_round(n, ahead, ends->slopes + next);
+        const int before = target ? (ends->parameters[next] - *target) * (p - *target) > 0.0
+                                  : ends->slopes[next] * slope > 0.0;
+        const int replaced = before ? first : last;
+        if (before) first = next;
+        else last = next;
+        next = replaced;
+        halve = count >= 3 && (before ? 1.0 - share : share) > 0.5 && !halve;
+    }
+    return NOT_FOUND;
+}
+
+int find_between(point *at, const stepping *how, int most, const double *target, path *ends)
+{
+    const int n = unknowns_of(at);
+    double *room = malloc(3 * (size_t)n * sizeof(double));
+    const int outcome = room ? between(at, n, how, most, target, ends, room) : NO_MEMORY;
     free(room);
     return outcome;
 }

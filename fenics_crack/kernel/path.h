@@ -35,4 +35,9 @@ typedef struct {
  * or why it ended before: NOT_FOUND where steps would be too short; the next one is then 0. */
 int follow(point *at, const stepping *how, path *points);
 
+/* The point between two, the first rows of `ends` (3 rows), where the parameter turns back, or
+ * unless NULL where it is a target, to a distance how->shortest, by at most so many points; its row
+ * is then ends->known. Returns FOUND, or why not. */
+int find_between(point *at, const stepping *how, int most, const double *target, path *ends);
+
 #endif

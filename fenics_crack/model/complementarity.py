@@ -25,7 +25,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import scipy.optimize
 
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import NULL, doubles, kernel, owned, signs
@@ -60,6 +59,8 @@ def solve_complementarity(
 
 def by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
     """The same by least squares with bounds; what of D is not symmetric follows by iteration."""
+    import scipy.optimize  # takes a while, and is rarely needed
+
     symmetric = 0.5 * (matrix + matrix.T)
     scale = 1.0 / np.sqrt(np.maximum(np.diag(symmetric), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(scale[:, None] * symmetric * scale)
@@ -125,6 +126,7 @@ def _lowest(
     moved: np.ndarray,
 ) -> float:
     """Share of a step where the convex function is lowest along it; D times the step is given."""
+    import scipy.optimize
 
     def slope(share: float) -> float:
         trial = force + share * change

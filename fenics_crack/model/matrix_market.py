@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sparse
 
-__all__ = ["read_matrix_market"]
+__all__ = ["matrix_market_shape", "read_matrix_market"]
 
 LAYOUTS, FIELDS = ("coordinate", "array"), ("real", "integer", "pattern")
 SYMMETRIES = ("general", "symmetric", "skew-symmetric")
@@ -31,13 +31,8 @@ def read_matrix_market(path: Path, rows: int | None = None) -> np.ndarray | spar
     OSError, ValueError
         The file cannot be read, or contradicts itself.
     """
-    opened: Any = {".gz": gzip.open, ".bz2": bz2.open}.get(path.suffix, open)
-    with opened(path, "rt", encoding="utf-8") as file:
-        layout, field, symmetry = _header(file.readline())
-        line = next((line for line in file if line.strip() and not line.startswith("%")), "")
-        sizes = [int(word) for word in line.split()]
-        if len(sizes) != (3 if layout == "coordinate" else 2) or min(sizes) < 0:
-            raise ValueError("the line with its size is missing or wrong")
+    with _opened(path) as file:
+        (layout, field, symmetry), sizes = _announced(file)
         shape = sizes[0], sizes[1]
         if rows is not None and shape[0] != rows:
             raise ValueError(f"it has {shape[0]} rows instead of {rows}")
@@ -53,6 +48,34 @@ def read_matrix_market(path: Path, rows: int | None = None) -> np.ndarray | spar
     if max(shape) > max(len(body), rows or 1):
         raise ValueError(f"of shape {shape}, it has only {len(body)} entries")
     return _sparse(body, shape, symmetry, field)
+
+
+def matrix_market_shape(path: Path) -> tuple[int, int]:
+    """Rows and columns that a file announces.
+
+    Raises
+    ------
+    OSError, ValueError
+        As :func:`read_matrix_market`.
+    """
+    with _opened(path) as file:
+        _, sizes = _announced(file)
+    return sizes[0], sizes[1]
+
+
+def _opened(path: Path) -> Any:
+    opened: Any = {".gz": gzip.open, ".bz2": bz2.open}.get(path.suffix, open)
+    return opened(path, "rt", encoding="utf-8")
+
+
+def _announced(file: Any) -> tuple[tuple[str, str, str], list[int]]:
+    """Layout, field and symmetry, and the numbers of the line with the size."""
+    header = _header(file.readline())
+    line = next((line for line in file if line.strip() and not line.startswith("%")), "")
+    sizes = [int(word) for word in line.split()]
+    if len(sizes) != (3 if header[0] == "coordinate" else 2) or min(sizes) < 0:
+        raise ValueError("the line with its size is missing or wrong")
+    return header, sizes
 
 
 def _header(line: str) -> tuple[str, str, str]:

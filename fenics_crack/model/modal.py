@@ -13,6 +13,7 @@ from fenics_crack.model.damping import RayleighDamping
 from fenics_crack.model.factor import Factor
 from fenics_crack.model.modes import damped_modes, projected_damping
 from fenics_crack.model.reduced import MasslessStructure, massless
+from fenics_crack.model.run_up import RunUpStructure
 from fenics_crack.model.structure import Structure
 
 __all__ = ["SMALL", "AllModes", "all_modes", "between_pairs", "flow_matrix", "is_small"]
@@ -195,6 +196,8 @@ def all_modes(structure: Structure) -> AllModes:
 def _all_modes(structure: Structure) -> AllModes:
     if (reduced := massless(structure)) is not None:
         return _of_massless(reduced)
+    if isinstance(structure, RunUpStructure):
+        return _of_run_up(structure)
     known = damped_modes(structure)
     if known is not None and len(known.omega) == structure.n_dofs:
         squares, shapes, damping = known.omega**2, known.shapes, known.rate
@@ -222,6 +225,23 @@ def _of_massless(structure: MasslessStructure) -> AllModes:
         loads @ gap,
         loads,
         np.eye(count, structure.n_dofs),
+    )
+
+
+def _of_run_up(structure: RunUpStructure) -> AllModes:
+    gap = structure.gap.toarray()
+    at_once = structure.left @ gap
+    residual = gap.T @ at_once
+    return AllModes(
+        structure.omega**2,
+        structure.shapes,
+        structure.rate,
+        structure.shapes.T @ gap,
+        False,
+        0.5 * (residual + residual.T),
+        at_once,
+        structure.left,
+        (structure.mass.getDiagonal().array_r[:, None] * structure.shapes).T,
     )
 
 

@@ -3,7 +3,8 @@
     K phi_j = omega_j^2 M phi_j,     phi_i^T M phi_j = delta_ij
 
 Shift-and-invert by the factor of K, which static responses use too. Where K is singular, the shift
-lies slightly below zero, so that rigid-body modes are found too.
+lies slightly below zero, so that rigid-body modes are found too. With tied lips all of this happens
+on the space of motions with B^T phi = 0 (:mod:`fenics_crack.model.tied`).
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.structure import Structure
+from fenics_crack.model.tied import TiedFactor, independent_ties
 from fenics_crack.parallel import gather_rows
+from fenics_crack.stages import begin
 from fenics_crack.table import Tabular, counted
 
 __all__ = [
@@ -34,18 +37,20 @@ __all__ = [
     "largest_frequency",
     "mass_norms",
     "modes_by",
+    "n_tied_modes",
     "projected_damping",
     "solve_modes",
     "times",
 ]
 
+LIPS = ("open", "tied")
 SINGULAR = 1e-10
 """Squares of frequencies, relative to the smallest K_ii / M_ii, that are null pivots missed."""
 
 
 @dataclass(frozen=True, repr=False)
 class Modes(Tabular):
-    """Natural frequencies and mode shapes.
+    """Natural frequencies and mode shapes: K phi_j = omega_j^2 M phi_j, phi_i^T M phi_j = delta_ij.
 
     Attributes
     ----------
@@ -76,55 +81,90 @@ class Modes(Tabular):
         return f"{counted(len(self.omega), 'mode')}, {span} rad/s, of {self.structure.n_dofs} dofs"
 
 
-def solve_modes(structure: Structure, count: int) -> Modes:
-    """Find the lowest natural modes of the structure with its cracks open (collective).
+def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Modes:
+    """Find the lowest natural modes of the structure, its lips all open or all tied (collective).
 
-    Those of a structure whose lips have no mass are the modes to which it was reduced.
+    Open lips pass through each other. Tied ones have no relative normal motion, B^T phi = 0
+    whatever the clearance, and slide without friction: a little softer than the uncracked
+    structure. A breathing crack without clearance resonates near 2 w_open w_tied / (w_open +
+    w_tied).
+
+    Those of a structure whose lips have no mass are the modes to which it was reduced; tied, they
+    are as near to those of the whole structure as the reduction.
 
     Parameters
     ----------
     structure : Structure
-        Its M and K are taken.
+        Its M and K are taken, and its B with tied lips.
     count : int
         Number of modes.
+    lips : "open" or "tied"
+        What the lips of all cracks do.
 
     Raises
     ------
     InputError
-        count is not between 1 and n_dofs, or the number of modes with mass, or the stiffness has a
-        negative eigenvalue.
+        lips is none of these, count is not between 1 and n_dofs (less one for each pair that is
+        tied), or the number of modes with mass, or the stiffness has a negative eigenvalue.
     ConvergenceError
         SLEPc found fewer modes than asked for.
     """
+    if lips not in LIPS:
+        raise InputError("lips", lips, "one of " + ", ".join(map(repr, LIPS)))
+    tied = lips == "tied" and structure.n_pairs > 0
+    known = structure.known_modes(tied=tied)
+    ties = independent_ties(structure) if tied and known is None else None
+    words = "the number of tied modes" if tied else "n_dofs" if known is None else "n_modes"
+    most = len(known[0]) if known is not None else _space(structure, ties)
     whole = isinstance(count, Integral) and not isinstance(count, bool)
-    if not (whole and 1 <= count <= structure.n_modes):
-        most = "n_modes" if structure.n_modes < structure.n_dofs else "n_dofs"
-        allowed = f"a whole number from 1 to {most} = {structure.n_modes}"
-        raise InputError("count", count, allowed)
-    if structure.known_modes is not None:
-        omega, shapes = structure.known_modes
+    if not (whole and 1 <= count <= most):
+        raise InputError("count", count, f"a whole number from 1 to {words} = {most}")
+    if known is not None:
+        omega, shapes = known
         return Modes(omega[:count], shapes[:, :count], structure)
-    with Factor(structure.stiffness, symmetric=True) as factor:
-        return modes_by(factor, structure, int(count))
+    with _factor(structure.stiffness, ties) as factor:
+        return modes_by(factor, structure, int(count), ties)
 
 
-def modes_by(factor: Factor, structure: Structure, count: int) -> Modes:
-    """The same of a structure with mass everywhere, by the factor of its stiffness."""
+def n_tied_modes(structure: Structure) -> int:
+    """How many modes there are with tied lips (collective)."""
+    if structure.n_pairs == 0:
+        return structure.n_modes
+    known = structure.known_modes(tied=True)
+    return len(known[0]) if known is not None else _space(structure, independent_ties(structure))
+
+
+def _space(structure: Structure, ties: Any) -> int:
+    """How many modes there are with mass everywhere."""
+    return structure.n_dofs - (0 if ties is None else int(ties.shape[1]))
+
+
+def _factor(matrix: Any, ties: Any) -> Factor | TiedFactor:
+    """The factor of a symmetric matrix, on the space of tied motions if there are ties."""
+    return Factor(matrix, symmetric=True) if ties is None else TiedFactor(matrix, ties)
+
+
+def modes_by(
+    factor: Factor | TiedFactor, structure: Structure, count: int, ties: Any = None
+) -> Modes:
+    """The same of a structure with mass everywhere, by the factor of its stiffness; ``ties`` are
+    the independent columns of B where lips are tied."""
     quotients = structure.stiffness.getDiagonal().array_r / structure.mass.getDiagonal().array_r
     smallest = float(np.min(gather_rows(structure.comm, quotients)))
     scale = smallest if smallest > 0.0 else 1.0  # [rad^2/s^2]
-    asked = count
+    begin(counted(count, "natural mode"))
+    asked, most = count, _space(structure, ties)
     while True:
-        squares, shapes = _nearest_zero(factor, structure, asked, scale)
+        squares, shapes = _nearest_zero(factor, structure, asked, scale, ties)
         if squares[0] < -1e-8 * scale:
             worst = f"{squares[0]:.3g} = omega^2 of a mode"
             raise InputError("stiffness", worst, "positive semidefinite")
         # A Krylov space holds one mode of a multiple frequency until rounding brings in the
         # others. So count the frequencies below the highest one; if some are missing, ask for more.
         bound = squares[count - 1] - 1e-6 * max(squares[count - 1], 0.01 * scale)
-        if asked == structure.n_dofs or _count_below(structure, bound) <= np.sum(squares < bound):
+        if asked == most or _count_below(structure, bound, ties) <= np.sum(squares < bound):
             break
-        asked = min(2 * asked + 2, structure.n_dofs)
+        asked = min(2 * asked + 2, most)
     omega, shapes = np.sqrt(np.maximum(squares[:count], 0.0)), shapes[:, :count]
     shapes *= _signs(structure, shapes)
     return Modes(omega, shapes, structure)
@@ -133,7 +173,7 @@ def modes_by(factor: Factor, structure: Structure, count: int) -> Modes:
 class _Inverse:
     """What PETSc calls to apply a factor."""
 
-    def __init__(self, factor: Factor) -> None:
+    def __init__(self, factor: Factor | TiedFactor) -> None:
         self._factor = factor
 
     def apply(self, _: Any, right: Any, solution: Any) -> None:
@@ -161,7 +201,7 @@ def _solve(solver: Any, count: int) -> None:
 
 
 def _nearest_zero(
-    factor: Factor, structure: Structure, count: int, scale: float
+    factor: Factor | TiedFactor, structure: Structure, count: int, scale: float, ties: Any
 ) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues omega^2, ascending, and shapes of the modes closest to zero, by the factor of K;
     where K is singular by that of K + s M."""
@@ -171,7 +211,7 @@ def _nearest_zero(
             return squares, shapes
     shift = -1e-6 * scale
     shifted = weighted_sum(structure.stiffness, -shift, structure.mass)
-    with Factor(shifted, symmetric=True) as other:
+    with _factor(shifted, ties) as other:
         found = _krylov(other, structure, count, shift)
     shifted.destroy()
     return found
@@ -184,7 +224,7 @@ def krylov_vectors(count: int) -> int:
 
 
 def _krylov(
-    factor: Factor, structure: Structure, count: int, shift: float
+    factor: Factor | TiedFactor, structure: Structure, count: int, shift: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues, ascending, and mass-normalised shapes of the modes closest to a shift, by the
     factor of K - shift M."""
@@ -213,10 +253,10 @@ def _krylov(
     return squares[order], shapes.T
 
 
-def _count_below(structure: Structure, square: float) -> int:
+def _count_below(structure: Structure, square: float, ties: Any) -> int:
     """Number of modes with omega^2 < square: the negative pivots of K - square M (Sylvester)."""
     shifted = weighted_sum(structure.stiffness, -square, structure.mass)
-    with Factor(shifted, symmetric=True) as factor:
+    with _factor(shifted, ties) as factor:
         count = factor.negative_pivots
     shifted.destroy()
     return count

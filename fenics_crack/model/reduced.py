@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 import scipy.sparse as sparse
 from mpi4py import MPI
 
@@ -86,8 +87,7 @@ class ReducedStructure(Structure):
             clearance=whole.clearance,
             damping=small.damping,
             nodes=whole.nodes,
-            pair_points=whole.pair_points,
-            pair_areas=whole.pair_areas,
+            pairs=whole.pairs,
         )
         omega = np.sqrt(np.maximum(squares, 0.0))
         self._hold(basis=basis, omega=omega, reference=reference, _whole=whole)
@@ -214,6 +214,11 @@ class ResidualFlexibility:
 class MasslessStructure(ReducedStructure):
     """Modes with free lips, and what they leave out without mass; the same on every rank.
 
+        u = Phi q + G (f - B lambda),        G = K^-1 - Phi Lambda^-1 Phi^T,
+
+    Lambda the squares of the modes' frequencies. The coordinates are those of the modes and,
+    without mass, the forces c on which G acts: u = Phi q + G X c, X = [B, f].
+
     Attributes
     ----------
     flexibility : (n_dofs - n_modes,) * 2
@@ -262,8 +267,7 @@ class MasslessStructure(ReducedStructure):
             clearance=whole.clearance,
             damping=_padded(damping, extra),
             nodes=whole.nodes,
-            pair_points=whole.pair_points,
-            pair_areas=whole.pair_areas,
+            pairs=whole.pairs,
         )
         self._hold(
             omega=omega,
@@ -279,10 +283,30 @@ class MasslessStructure(ReducedStructure):
         """Coordinates with mass, the first ones."""
         return len(self.omega)
 
-    @property
-    def known_modes(self) -> tuple[np.ndarray, np.ndarray]:
-        """omega, and the unit vectors of the modes' coordinates."""
-        return self.omega, np.eye(self.n_dofs, self.n_modes)
+    def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray]:
+        """omega, and the unit vectors of the modes' coordinates; with tied lips those of
+
+            (Lambda + b R_inf^-1 b^T) q = w^2 q,      b = Phi^T B,      lambda = R_inf^-1 b^T q:
+
+        ties are springs of the compliance that the modes leave out, and hold b^T q where it has
+        none."""
+        if not tied:
+            return self.omega, np.eye(self.n_dofs, self.n_modes)
+        pairs = self.gap[: self.n_modes].toarray()
+        compliance, turned = np.linalg.eigh(self.residual)
+        elastic = self.omega > 0.0
+        sizes = (pairs[elastic] ** 2 / self.omega[elastic, None] ** 2).sum()
+        soft = compliance > RIGID_TIE * (sizes + compliance.sum())
+        held = pairs @ turned[:, ~soft]
+        free = scipy.linalg.null_space(held.T) if held.size else np.eye(self.n_modes)
+        forces = (turned[:, soft] / compliance[soft]) @ (pairs @ turned[:, soft]).T
+        squares, shapes = scipy.linalg.eigh(
+            free.T @ (np.diag(self.omega**2) + pairs @ forces) @ free
+        )
+        modal = free @ shapes
+        static = np.zeros((self.n_dofs - self.n_modes, modal.shape[1]))
+        static[: self.n_pairs] = -forces @ modal
+        return np.sqrt(np.maximum(squares, 0.0)), np.vstack([modal, static])
 
     @property
     def compliance(self) -> np.ndarray:
@@ -341,6 +365,8 @@ class MasslessStructure(ReducedStructure):
         )
 
 
+RIGID_TIE = 1e-12
+"""Eigenvalues of R_inf, relative to all of the pairs' static compliance, that are none."""
 BLOCK = 16
 """Static solutions that are held at a time."""
 INSTEAD = "reduce with method = 'free_interface', or march by integrate_exponential"

@@ -54,6 +54,7 @@ from fenics_crack.model.reduced import (
 )
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
+from fenics_crack.stages import begin
 
 __all__ = ["reduce_structure"]
 
@@ -73,6 +74,13 @@ def reduce_structure(
 ) -> ReducedStructure:
     """Reduce a structure to a few coordinates (collective).
 
+    The displacement is sought as u = T q. T holds the lowest modes with open lips, and what differs
+    with the method. "massless": what the modes leave out answers at once, by its statics, so lips
+    have no mass (:class:`MasslessStructure`); for contact on many pairs. "free_interface": the
+    static response to each pair's force and to the load. "craig_bampton": static shapes of unit
+    gaps and of the load, the modes being those with tied pairs. "truncation": nothing else, so
+    contact looks far too stiff.
+
     Where one ratio damps all modes, it damps all coordinates: these are the modes of the reduced
     structure. Rayleigh damping keeps its coefficients. Any other damping is projected; but with
     ``massless`` all modes that are kept are damped, those beyond the damped ones with the last
@@ -86,15 +94,12 @@ def reduce_structure(
         How many of the lowest modes to keep; default: those that are damped, but 50 if all of more
         than 600 are; without damping, or with a matrix, 20.
     method : "massless", "free_interface", "craig_bampton" or "truncation"
-        The basis.
+        What stands in T beside the modes.
 
     Raises
     ------
     InputError
-        The method is unknown, there are fewer modes than asked for, or a structure with more than
-        600 dofs has a ratio for each of its modes.
-
-    Source: Craig and Kurdila, Fundamentals of Structural Dynamics, chapter 17.
+        Unknown method, fewer modes than asked for, more than 600 dofs with a ratio for each.
     """
     if method not in METHODS:
         raise InputError("method", method, "one of " + ", ".join(map(repr, METHODS)))
@@ -116,6 +121,7 @@ def reduce_structure(
     damped = damped_modes(structure) if modal else None
     loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
     sources = np.hstack([structure.gap.toarray(), structure.force[loaded].T])
+    begin("reduction")
     with Factor(structure.stiffness, symmetric=True) as own:
         kept: np.ndarray = np.zeros((structure.n_local, 0))
         squares: np.ndarray = np.zeros(0)
@@ -146,8 +152,10 @@ def _massless(structure: Structure, modes: int) -> MasslessStructure:
         more = structure.n_dofs
     loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
     sources = sparse.hstack([structure.gap, structure.force[loaded].T]).tocsr()
+    begin("factor of the stiffness")
     with Factor(structure.stiffness, symmetric=True) as factor:
         found = modes_by(factor, structure, more)
+        begin("static responses")
         squares, shapes = found.omega**2, found.shapes
         squares[squares <= RIGID * squares[-1]] = 0.0
         if rigid := np.count_nonzero(squares[modes:] == 0.0):

@@ -35,7 +35,7 @@ from fenics_crack.model.matrices import (
     read_only,
     whole_rows,
 )
-from fenics_crack.model.nodes import Nodes
+from fenics_crack.model.nodes import Nodes, Pairs
 
 __all__ = ["Structure"]
 
@@ -61,12 +61,15 @@ class Structure:
         g0 of every pair; positive: an opening that closes first, negative: preload.
     nodes : Nodes or None
         Positions of the dofs where there is a mesh.
-    pair_points : (n_pairs, 2) [m] or None
-        Positions of the contact pairs where there is a mesh.
-    pair_areas : (n_pairs,) [m^2] or None
-        Area of the lip that belongs to each pair, where there is a mesh.
+    pairs : Pairs
+        Positions, areas and cracks of the contact pairs where there is a mesh.
+    watched : (n_local,) or None
+        What a displacement is multiplied by for the motion that is watched [m]; None: the dof that
+        carries most of the load.
     damping_factor : float
         Factor of the damping relative to that of :attr:`original`; 1 unless varied.
+    rotation : fenics_crack.model.rotation.Rotation or None
+        What rotation has added to the matrices and the mean load; None at rest.
     """
 
     comm: MPI.Comm
@@ -76,9 +79,10 @@ class Structure:
     force: np.ndarray
     clearance: np.ndarray
     nodes: Nodes | None
-    pair_points: np.ndarray | None
-    pair_areas: np.ndarray | None
+    pairs: Pairs
+    watched: np.ndarray | None
     damping_factor: float
+    rotation: Any = None
 
     _gap_transposed: sparse.csr_matrix
     _original: Structure | None
@@ -97,8 +101,8 @@ class Structure:
         clearance: np.ndarray,
         damping: DampingRule | Any | None = None,
         nodes: Nodes | None = None,
-        pair_points: np.ndarray | None = None,
-        pair_areas: np.ndarray | None = None,
+        pairs: Pairs | None = None,
+        watched: np.ndarray | None = None,
     ) -> None:
         self._hold(
             comm=mass.comm.tompi4py(),
@@ -109,8 +113,8 @@ class Structure:
             clearance=clearance,
             damping=damping,
             nodes=nodes,
-            pair_points=pair_points,
-            pair_areas=pair_areas,
+            pairs=pairs or Pairs(),
+            watched=watched,
             damping_factor=1.0,
             _gap_transposed=_read_only_rows(gap.T),
             _original=None,
@@ -168,6 +172,31 @@ class Structure:
         return found
 
     @property
+    def pair_points(self) -> np.ndarray | None:
+        """Positions of the contact pairs where there is a mesh: (n_pairs, 2) [m]."""
+        return self.pairs.points
+
+    @property
+    def pair_areas(self) -> np.ndarray | None:
+        """Area of the lip that belongs to each pair, where there is a mesh: (n_pairs,) [m^2]."""
+        return self.pairs.areas
+
+    @property
+    def watched_pairs(self) -> dict[str, int]:
+        """A pair of each crack by its place: "the mouth"; without a mesh the first, "pair 1"."""
+        return self.pairs.places or ({"pair 1": 0} if self.n_pairs else {})
+
+    @property
+    def first_watched(self) -> int:
+        """The pair at the mouth of the first crack, or in the middle of one inside the plate."""
+        return next(iter(self.watched_pairs.values()))
+
+    def where(self, pair: int) -> str:
+        """A pair in words: "at the mouth", "at the middle of crack 2", "of pair 3"."""
+        names = {number: name for name, number in self.pairs.places.items()}
+        return f"at {names[pair]}" if pair in names else f"of pair {pair + 1}"
+
+    @property
     def n_dofs(self) -> int:
         """Number of degrees of freedom, without clamped ones."""
         return int(self.mass.size[0])
@@ -177,10 +206,9 @@ class Structure:
         """Number of natural modes: of coordinates with mass."""
         return self.n_dofs
 
-    @property
-    def known_modes(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """omega (n_modes,) [rad/s] and shapes (n_local, n_modes) where these are its coordinates,
-        else None."""
+    def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
+        """omega (m,) [rad/s] and shapes (n_local, m) with lips open or tied where the coordinates
+        are those of modes, else None."""
         return None
 
     @property
@@ -324,15 +352,17 @@ class Structure:
             stiffness=matrix,
             gap=sparse.csr_matrix((self.n_local, 0)),
             clearance=np.zeros(0),
-            pair_points=np.zeros((0, 2)),
-            pair_areas=np.zeros(0),
+            pairs=Pairs(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=int), np.zeros(0)),
         )
 
     def damped(self, damping: DampingRule | None) -> Structure:
         """Return this structure with another modal or Rayleigh damping, or none."""
         if damping is not None and not isinstance(damping, DampingRule):
             raise InputError("damping", damping, "a ModalDamping, a RayleighDamping or None")
-        return self._changed(damping=damping)
+        found = self._changed(damping=damping)
+        if self.rotation is not None:
+            found._hold(rotation=self.rotation.damped(damping))
+        return found
 
     def varied(
         self,
@@ -349,7 +379,8 @@ class Structure:
         Parameters
         ----------
         load : float or (3, 3)
-            Factor, or the matrix that maps mean, cosine and sine part to the new ones.
+            Factor, or the matrix that maps mean, cosine and sine part to the new ones. Left out
+            where the structure rotates, whose mean load holds the centrifugal one.
         damping : float
             Factor >= 0.
         clearance : float or (n_pairs,) [m]
@@ -363,6 +394,9 @@ class Structure:
         weights = numbers(load)
         if weights.shape not in ((), (3, 3)) or not np.all(np.isfinite(weights)):
             raise InputError("load", load, "a finite number, or a finite matrix of shape (3, 3)")
+        if self.whole.rotation is not None and not (weights.ndim == 0 and weights == 1.0):
+            allowed = "1 for a structure that rotates: part of its mean load is centrifugal"
+            raise InputError("load", load, allowed)
         check_number("damping", damping, 0.0)
         other = copy(self)
         for computed in ("damping", "damping_matrix"):
@@ -379,7 +413,7 @@ class Structure:
         return other
 
     def _changed(self, **changes: Any) -> Structure:
-        kept = "mass stiffness gap force clearance damping nodes pair_points pair_areas".split()
+        kept = "mass stiffness gap force clearance damping nodes pairs watched".split()
         return Structure(**({name: getattr(self, name) for name in kept} | changes))
 
     @classmethod

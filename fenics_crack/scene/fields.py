@@ -6,24 +6,43 @@ once what is allowed. How a value is read follows from the field's type.
 
 from __future__ import annotations
 
+import difflib
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import MISSING, Field, dataclass, field, fields
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from numbers import Integral, Real
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from fenics_crack.errors import InputError
 
-__all__ = ["OR_ZERO", "Axis", "Table", "Vector", "at_least_one", "choice", "holds", "positive"]
+__all__ = [
+    "OR_ZERO",
+    "Axis",
+    "Table",
+    "Vector",
+    "at_least_one",
+    "choice",
+    "hertz",
+    "holds",
+    "meant",
+    "named",
+    "near",
+    "path",
+    "positive",
+    "radians",
+    "twin",
+]
 
 Vector = tuple[float, float]
 SMALLEST, LARGEST = 1e-30, 1e30
 """Magnitudes allowed in a scene: their products and squares neither overflow nor underflow."""
 SIZES = f"{SMALLEST:g} to {LARGEST:g}"
 OR_ZERO = f"(0, or of size {SIZES})"
+TURN = 2.0 * math.pi
 MAX_VALUES = 1_000_000
 """Values of one axis, at most."""
 
@@ -42,6 +61,10 @@ class Axis:
 
     key: str
     values: tuple[Any, ...]
+
+
+class Point(Axis):
+    """A named point of the plate: its key is the name, its values are x and y [m]."""
 
 
 # --- how a value is read --------------------------------------------------------------------------
@@ -84,6 +107,10 @@ def _vector(value: object) -> Vector:
     return _float(value[0]), _float(value[1])
 
 
+def _float_or_str(value: object) -> float | str:
+    return _str(value) if isinstance(value, str) else _float(value)
+
+
 def _one_or_more(value: object) -> float | tuple[float, ...]:
     if not isinstance(value, list | tuple):
         return _float(value)
@@ -101,6 +128,28 @@ def _axes(value: object) -> tuple[Axis, ...]:
     return tuple(Axis(str(name), _values(str(name), given)) for name, given in value.items())
 
 
+def _points(value: object) -> tuple[Point, ...]:
+    """Named points of a mapping from names to [x, y]."""
+    if isinstance(value, tuple) and all(isinstance(point, Point) for point in value):
+        return value
+    if not isinstance(value, Mapping):
+        raise TypeError
+    return tuple(Point(str(name), _vector(given)) for name, given in value.items())
+
+
+def _list(value: object) -> list[object]:
+    if not isinstance(value, list | tuple):
+        raise TypeError
+    return list(value)
+
+
+def _words(value: object) -> tuple[str, ...]:
+    """A list of different words."""
+    if not isinstance(value, list | tuple) or len(set(map(_str, value))) != len(value):
+        raise TypeError
+    return tuple(map(_str, value))
+
+
 def _values(name: str, given: object) -> tuple[Any, ...]:
     if isinstance(given, list | tuple) and given:
         return tuple(given)
@@ -111,7 +160,7 @@ def _values(name: str, given: object) -> tuple[Any, ...]:
         right = span.keys() <= {"start", "stop", "count", "spacing"} and 2 <= count <= MAX_VALUES
     except (KeyError, TypeError, OverflowError):
         right = False
-    full_name = f'sweep.over."{name}"'
+    full_name = f'."{name}"'  # behind the name of the key: Table.checked
     if not right or spacing not in ("linear", "logarithmic"):
         allowed = (
             "a list of values, or a table of start, stop, count (>= 2) and, if wanted, "
@@ -131,9 +180,13 @@ _READERS: dict[str, Callable[[object], Any]] = {
     "int": _int,
     "str": _str,
     "Vector": _vector,
+    "float | str": _float_or_str,
     "float | tuple[float, ...]": _one_or_more,
     "int | str": lambda value: value if value == "all" else _int(value),
     "tuple[Axis, ...]": _axes,
+    "tuple[Point, ...]": _points,
+    "tuple[float, ...]": lambda value: tuple(map(_float, _list(value))),
+    "tuple[str, ...]": _words,
 }
 """By the type of a field that is not None."""
 
@@ -159,7 +212,45 @@ def at_least_one(default: Any = MISSING) -> Any:
 
 def choice(*words: str, default: Any = MISSING) -> Any:
     """Field of one of some words."""
-    return holds("one of " + ", ".join(map(repr, words)), lambda v: v in words, default)
+    allowed = "one of " + ", ".join(map(repr, words))
+    told = {"allowed": allowed, "accepts": lambda value: value in words, "words": words}
+    return field(default=default, metadata=told)
+
+
+def hertz(
+    omega: str,
+    allowed: str = "a finite number > 0 (up to 1e29)",
+    accepts: Callable[[Any], bool] = lambda value: 0 < value <= 1e29,
+) -> Any:
+    """Field of frequencies [Hz], the twin of the key ``omega`` in rad/s."""
+    return twin(omega, TURN, allowed, accepts)
+
+
+def twin(key: str, factor: float, allowed: str, accepts: Callable[[Any], bool]) -> Any:
+    """Field of the same quantity as ``key`` in another unit: that key is ``factor`` times it.
+
+    One of the two may be given; a table that is given the twin holds the other, too.
+    """
+    told = {"allowed": allowed, "accepts": accepts, "twin": key, "factor": factor}
+    return field(default=None, metadata=told)
+
+
+def path(allowed: str, default: Any = None) -> Any:
+    """Field of the path of a file, relative to the scene's."""
+    told = {"allowed": allowed, "accepts": lambda value: value != "", "path": True}
+    return field(default=default, metadata=told)
+
+
+def radians(frequency: Any) -> Any:
+    """Frequencies [Hz] in rad/s: of one number, or of each of a tuple."""
+    return scaled(frequency, TURN)
+
+
+def scaled(value: Any, factor: float) -> Any:
+    """A number times a factor, or each of a tuple."""
+    if isinstance(value, tuple):
+        return tuple(scaled(one, factor) for one in value)
+    return factor * value
 
 
 def _as_toml(value: object) -> str:
@@ -167,14 +258,47 @@ def _as_toml(value: object) -> str:
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
+def near(word: object, known: Iterable[str], likeness: float = 0.7) -> list[str]:
+    """The known word that a misspelt one may stand for, or two that are as near; or none."""
+    by_lower, lower = {name.lower(): name for name in known}, str(word).lower()[:100]
+    found = difflib.get_close_matches(lower, by_lower, 2, likeness)
+    alike = [difflib.SequenceMatcher(None, name, lower).ratio() for name in found]
+    return [by_lower[name] for name, ratio in zip(found, alike, strict=True) if ratio == alike[0]]
+
+
+def meant(names: Sequence[str]) -> str:
+    """A question after what may be meant, with a space behind it; empty if there is nothing."""
+    return f"did you mean {' or '.join(names[:3])}? " if names else ""
+
+
+@contextmanager
+def named(name: str) -> Iterator[None]:
+    """Call the table whose keys are refused by its name in the file: "cracks.1" for a Crack."""
+    try:
+        yield
+    except InputError as error:
+        key = error.key.partition(".")[2]
+        full = f"{name}.{key}" if key else name
+        raise InputError(full, error.value, error.allowed) from None
+
+
 class Table:
     """A table of the scene: checks each of its keys when it is made."""
+
+    WORD: ClassVar[str | None] = None
+    """The key for which a word may stand instead of the table: ``reduction = "off"``."""
 
     def __post_init__(self) -> None:
         for name, item in self.keys().items():
             value = getattr(self, name)
             if value is not None or item.default is not None:
                 object.__setattr__(self, name, self.checked(name, value))
+        for name, key in self.twins().items():
+            if (given := getattr(self, name)) is not None:
+                value = scaled(given, self.keys()[name].metadata["factor"])
+                allowed = f"left out with {self.name_of(key)} = {getattr(self, key)}"
+                self.require(getattr(self, key) in (None, value), name, allowed)
+                object.__setattr__(self, key, value)
 
     @classmethod
     def checked(cls, key: str, value: object) -> Any:
@@ -183,16 +307,31 @@ class Table:
         try:
             found = _READERS[str(item.type).removesuffix(" | None")](value)
             accepted = item.metadata["accepts"](found)
+        except InputError as error:  # of one of its axes
+            raise InputError(cls.name_of(key) + error.key, error.value, error.allowed) from None
         except (TypeError, OverflowError):
             accepted = False
         if not accepted:
-            raise InputError(cls.name_of(key), value, item.metadata["allowed"])
+            words = near(value, item.metadata.get("words", ())) if isinstance(value, str) else []
+            question = f"; {meant([repr(word) for word in words])}".rstrip("; ")
+            raise InputError(cls.name_of(key), value, item.metadata["allowed"] + question)
         return found
 
     @classmethod
     def keys(cls) -> dict[str, Field[Any]]:
         """The keys of the table."""
         return {item.name: item for item in fields(cls)}  # type: ignore[arg-type]
+
+    @classmethod
+    def twins(cls) -> dict[str, str]:
+        """The keys in another unit, as Hz, and those in SI units that stand for the same."""
+        twins = {name: item.metadata.get("twin") for name, item in cls.keys().items()}
+        return {name: omega for name, omega in twins.items() if omega is not None}
+
+    @property
+    def derived(self) -> set[str]:
+        """The keys whose values follow from those of others."""
+        return {key for name, key in self.twins().items() if getattr(self, name) is not None}
 
     @classmethod
     def name_of(cls, key: str = "") -> str:
@@ -203,12 +342,13 @@ class Table:
     def as_toml(self) -> str:
         """The table as it would stand in a file; what has its default is left out."""
         lines, after = [f"[{self.name_of()}]"], []
+        found = self.derived
         for name, item in self.keys().items():
             value = getattr(self, name)
             if isinstance(value, tuple) and value and isinstance(value[0], Axis):
                 after = ["", f"[{self.name_of(name)}]"]
                 after += [f"{_as_toml(a.key)} = {_as_toml(a.values)}" for a in value]
-            elif value != item.default:
+            elif value != item.default and name not in found:
                 lines.append(f"{name} = {_as_toml(value)}")
         return "\n".join([*lines, *after, ""])
 
@@ -228,16 +368,52 @@ class Table:
             self.require(getattr(self, key) is None, key, f"left out with {why}")
 
     @classmethod
+    def meant_by(cls, key: str) -> list[str]:
+        """The keys of the scene that may be meant by one that the table does not have.
+
+        It is misspelt, or belongs to another table.
+        """
+        tables = [cls, *(table for table in Table.__subclasses__() if table is not cls)]
+        own = [cls.name_of(name) for name in near(key, cls.keys())]
+        same = [table.name_of(key) for table in tables if key in table.keys()]
+        every = {name: table.name_of(name) for table in tables[::-1] for name in table.keys()}
+        alike = [every[name] for name in near(key, every, 0.8)]
+        return own or same or alike
+
+    @classmethod
+    def instead_of(cls, key: str) -> str:
+        """What is allowed where the table has no such key: which may be meant, and which it has."""
+        return f"left out; {meant(cls.meant_by(key))}known keys: {', '.join(cls.keys())}"
+
+    def changed(self, values: Mapping[str, object]) -> Any:
+        """The table with other values of some keys; a key takes the place of its twin."""
+        self.check_twins(values)
+        others = {key: twin for pair in self.twins().items() for key, twin in (pair, pair[::-1])}
+        gone = {others[key]: None for key in values if others.get(key, key) not in values}
+        return replace(self, **gone, **values)  # type: ignore[type-var]
+
+    @classmethod
+    def check_twins(cls, values: Mapping[str, object]) -> None:
+        """Raise InputError if a key and its twin in another unit are given."""
+        for name, omega in cls.twins().items():
+            if values.get(name) is not None and values.get(omega) is not None:
+                allowed = f"left out with {cls.name_of(omega)} = {values[omega]}: one of the two"
+                raise InputError(cls.name_of(name), values[name], allowed)
+
+    @classmethod
     def from_mapping(cls, values: object) -> Any:
         """Make the table from the mapping read in a file."""
         known = cls.keys()
         keys = ", ".join(known)
+        if cls.WORD is not None and isinstance(values, str):
+            values = {cls.WORD: values}
         if not isinstance(values, Mapping):
             raise InputError(cls.name_of(), values, f"a table with the keys {keys}")
         for key, value in values.items():
             if key not in known:
-                raise InputError(cls.name_of(key), value, f"left out; known keys: {keys}")
+                raise InputError(cls.name_of(str(key)), value, cls.instead_of(str(key)))
         for key, item in known.items():
             if item.default is MISSING and key not in values:
                 raise InputError(cls.name_of(key), None, f"given: {item.metadata['allowed']}")
+        cls.check_twins(values)
         return cls(**values)

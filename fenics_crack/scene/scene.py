@@ -1,348 +1,65 @@
 """The scene: everything that defines a computation, validated, frozen, in SI units.
 
-A scene is a TOML file (see ``demos/paper_plate.toml``) or a tree of the dataclasses below. Every
-key states here, once, what it may hold; a value outside of that raises :class:`InputError` with
+A scene is a TOML file (see ``demos/paper_plate.toml``) or a tree of the dataclasses in
+:mod:`fenics_crack.scene.tables`. A value that a key may not hold raises :class:`InputError` with
 the key, the value and what is allowed, before anything is computed.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import math
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any, get_args, get_origin, get_type_hints
 
-import numpy as np
-
-from fenics_crack.errors import MAX_SAMPLES, InputError, check_two_ratios
-from fenics_crack.scene.fields import (
-    OR_ZERO,
-    Axis,
-    Table,
-    Vector,
-    at_least_one,
-    choice,
-    holds,
-    positive,
+from fenics_crack.errors import InputError
+from fenics_crack.scene.cracks import OF_PLATES, check_cracks
+from fenics_crack.scene.fields import Axis, Table, meant, named, near, radians
+from fenics_crack.scene.tables import (
+    EXTENT,
+    RPM,
+    Base,
+    Contact,
+    Crack,
+    Curve,
+    Damping,
+    Excitation,
+    Geometry,
+    HarmonicBalance,
+    Identify,
+    Integration,
+    Load,
+    Material,
+    Mesh,
+    Output,
+    Reduction,
+    Rotation,
+    Structure,
+    Sweep,
 )
 
-__all__ = [
-    "Contact",
-    "Crack",
-    "Curve",
-    "Damping",
-    "Excitation",
-    "Geometry",
-    "HarmonicBalance",
-    "Integration",
-    "Material",
-    "Mesh",
-    "Reduction",
-    "Scene",
-    "Sweep",
-]
+__all__ = ["Scene"]
 
-EXTENT = "a number from 1e-6 to 1e6"
-NUMBER = f"a finite number {OR_ZERO}"
-NOT_NEGATIVE = f"a finite number >= 0 {OR_ZERO}"
-FORCE = f"[fx, fy], two finite numbers {OR_ZERO}"
-STEEPEST, THINNEST = 1e6, 1e4
-"""Largest ``mesh.grading``, and largest ratio of the plate's sides."""
-NEAREST = 1e-4
-"""Least distance of the crack and its tip from the edges, relative to the plate's side."""
-
-# --- the tables -----------------------------------------------------------------------------------
+PLATE_TABLES = ("geometry", "material", "mesh", "crack", "cracks", "loads", "base", "rotation")
+"""Tables of a plate, which matrices from elsewhere take the place of."""
+THINNEST = 1e4
+"""Largest ratio of the plate's sides."""
 
 
-@dataclass(frozen=True)
-class Geometry(Table):
-    """Rectangle [0, width] x [0, height], clamped along y = 0; a mesh file has its own shape."""
-
-    thickness: float = positive()
-    """[m]"""
-    width: float | None = holds(EXTENT, lambda value: 1e-6 <= value <= 1e6, None)
-    """[m]"""
-    height: float | None = holds(EXTENT, lambda value: 1e-6 <= value <= 1e6, None)
-    """[m]"""
-
-
-@dataclass(frozen=True)
-class Crack(Table):
-    """Straight horizontal edge crack: a slit whose two lips share only the tip."""
-
-    edge: str | None = choice("left", "right", default=None)
-    """Edge of the plate at the crack's mouth."""
-    height: float | None = positive(None)
-    """y of the crack [m]."""
-    length: float | None = positive(None)
-    """[m]; or let ``first_omega`` determine it."""
-    first_omega: float | None = positive(None)
-    """First natural frequency with the crack open [rad/s], from which the length is found."""
-    clearance: float = holds(NUMBER, default=0.0)
-    """g0 >= 0: opening that closes before the lips touch; < 0: preload [m]."""
-
-
-@dataclass(frozen=True)
-class Material(Table):
-    """Isotropic linear elastic."""
-
-    young: float = positive()
-    """Young's modulus E [Pa]."""
-    poisson: float = holds("a finite number with -1 < nu < 0.5", lambda nu: -1.0 < nu < 0.5)
-    """Poisson's ratio [-]."""
-    density: float = positive()
-    """[kg/m^3]"""
-
-
-@dataclass(frozen=True)
-class Damping(Table):
-    """Modal or Rayleigh damping, given in one of three ways.
-
-    Modal: ``ratio``, xi_j of critical damping, for each of the lowest ``modes``. With ``modes =
-    "all"`` and one ratio, all coordinates of a reduced structure are damped.
-
-    Rayleigh, C = mass M + stiffness K: ``mass`` and ``stiffness``, or one of them; or ``ratios``,
-    the ratios of damping at the two frequencies ``omegas``.
-    """
-
-    ratio: float | tuple[float, ...] | None = holds(
-        "a number from 0 to 1 (0.02 for 2 %), or a list of them, one per mode",
-        lambda ratio: np.min(ratio) >= 0 and np.max(ratio) <= 1,
-        None,
-    )
-    modes: int | str = holds(
-        "'all' or a whole number >= 1", lambda value: value == "all" or value >= 1, "all"
-    )
-    mass: float | None = holds(NOT_NEGATIVE, lambda value: value >= 0, None)
-    """[1/s]"""
-    stiffness: float | None = holds(NOT_NEGATIVE, lambda value: value >= 0, None)
-    """[s]"""
-    ratios: Vector | None = holds(
-        "[xi_1, xi_2], two numbers from 0 to 1",
-        lambda ratios: min(ratios) >= 0 and max(ratios) <= 1,
-        None,
-    )
-    omegas: Vector | None = holds(
-        "[omega_1, omega_2], two different numbers > 0",
-        lambda omegas: min(omegas) > 0 and omegas[0] != omegas[1],
-        None,
-    )
-    """[rad/s]"""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        ways = [("ratio",), ("mass", "stiffness"), ("ratios", "omegas")]
-        found = [(way, key) for way in ways for key in way if getattr(self, key) is not None]
-        allowed = "given, or damping.mass or damping.stiffness, or damping.ratios with omegas"
-        self.require(bool(found), "ratio", allowed)
-        (chosen, key), *_ = found
-        for way in ways:
-            if way is not chosen:
-                self.leave_out(way, f"{key} = {getattr(self, key)}")
-        if self.ratio is None:
-            self.require(self.modes == "all", "modes", f"left out with {key}: all are damped")
-        elif isinstance(self.ratio, tuple):
-            fits = self.modes in ("all", len(self.ratio))
-            self.require(fits, "ratio", f"a list of damping.modes = {self.modes}")
-        if chosen == ("ratios", "omegas"):
-            ratios = self.given("ratios", f"given with omegas = {self.omegas}")
-            omegas = self.given("omegas", f"given with ratios = {self.ratios}")
-            check_two_ratios(self.name_of("ratios"), ratios, omegas)
-
-    @property
-    def of_all_modes(self) -> bool:
-        """Whether every mode is damped, whatever the structure."""
-        if self.ratio is None:
-            return max(self.mass or 0.0, self.stiffness or 0.0, *(self.ratios or ())) > 0.0
-        return self.modes == "all" and float(np.min(self.ratio)) > 0.0
-
-
-@dataclass(frozen=True)
-class Excitation(Table):
-    """Point force f(t) = force_mean + force_cos cos(omega t) + force_sin sin(omega t)."""
-
-    omega: float = positive()
-    """Angular frequency [rad/s]."""
-    point: Vector | None = holds(f"[x, y], two finite numbers {OR_ZERO}", default=None)
-    """[m]; a mesh file may give it instead by a physical point named ``load``."""
-    force_sin: Vector = holds(FORCE, default=(0.0, 0.0))
-    """[N]"""
-    force_cos: Vector = holds(FORCE, default=(0.0, 0.0))
-    """[N]"""
-    force_mean: Vector = holds(FORCE, default=(0.0, 0.0))
-    """[N]"""
-
-
-@dataclass(frozen=True)
-class Contact(Table):
-    """Contact between the lips, pair by pair of nodes."""
-
-    stiffness: float | None = positive(None)
-    """Penalty stiffness k of one pair [N/m]; or give it per area."""
-    stiffness_per_area: float | None = positive(None)
-    """Penalty stiffness per area of the lip [N/m^3]: independent of the mesh."""
-    law: str = choice("penalty", "smoothed", "unilateral", default="penalty")
-    """"unilateral": no penetration."""
-    sharpness: float | None = positive(None)
-    """s of the smoothed law [1/m]."""
-    pairs: str = choice("all", "mouth", default="all")
-    """Every pair of lip nodes, or only the one at the mouth."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        law = f"law = {self.law!r}"
-        if self.law == "unilateral":
-            self.leave_out(("stiffness", "stiffness_per_area"), law)
-        else:
-            one = (self.stiffness is None) != (self.stiffness_per_area is None)
-            self.require(one, "stiffness", f"given, or contact.stiffness_per_area, with {law}")
-        if self.law == "smoothed":
-            self.given("sharpness", f"given with {law}")
-        else:
-            self.leave_out(("sharpness",), law)
-
-
-@dataclass(frozen=True)
-class HarmonicBalance(Table):
-    """Truncation of the Fourier series and sampling of the contact force."""
-
-    harmonics: int = at_least_one(5)
-    """H; with a tolerance, the fewest of a curve and of a sweep."""
-    samples: int | None = at_least_one(None)
-    """Instants per period at which contact is evaluated; chosen by the solver when left out."""
-    tolerance: float | None = positive(None)
-    """Choose H so that the estimated error stays below this: of one solution all of it, along a
-    curve and in a sweep that of the truncation."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.tolerance is not None:
-            self.leave_out(("samples",), "a tolerance")
-        least = 4 * self.harmonics + 1
-        self.require(
-            self.samples is None or least <= self.samples <= MAX_SAMPLES,
-            "samples",
-            f"a whole number from {least} (4 harmonics + 1) to {MAX_SAMPLES}, or left out",
-        )
-
-
-@dataclass(frozen=True)
-class Mesh(Table):
-    """How the plate is meshed.
-
-    ``layout = "grid"``: columns x rows equal quadrilaterals (or twice as many triangles); the crack
-    must run along grid lines. ``"graded"``: element size ``size`` away from the crack,
-    ``lip_elements`` along each lip, the one at the tip ``grading`` times shorter than the one at
-    the mouth. ``"file"``: any gmsh mesh of a plane region whose physical groups are named
-    ``clamp``, ``lower_lip``, ``upper_lip`` (curves), ``load`` (a point) and, for the region
-    itself, anything.
-    """
-
-    layout: str = choice("grid", "graded", "file")
-    cells: str = choice("triangle", "quadrilateral", default="quadrilateral")
-    order: int = holds("1 or 2", lambda value: value in (1, 2), default=1)
-    """Polynomial order of the displacement."""
-    columns: int | None = at_least_one(None)
-    rows: int | None = at_least_one(None)
-    size: float | None = positive(None)
-    """[m]"""
-    lip_elements: int | None = at_least_one(None)
-    grading: float = holds(
-        f"a number from 1 to {STEEPEST:g}", lambda value: 1 <= value <= STEEPEST, default=4.0
-    )
-    file: str | None = holds("the path of a .msh file", default=None)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        keys = {"grid": ("columns", "rows"), "graded": ("size", "lip_elements"), "file": ("file",)}
-        given = keys.pop(self.layout)
-        for others in keys.values():
-            self.leave_out(others, f"layout = {self.layout!r}")
-        for key in given:
-            if key != "lip_elements":  # an uncracked plate has no lips
-                self.given(key, f"given with layout = {self.layout!r}")
-
-
-@dataclass(frozen=True)
-class Reduction(Table):
-    """How the structure is reduced before it is solved (``reduce_structure``).
-
-    Without this table a structure of up to 100 dofs is solved as it is, and a larger one is reduced
-    with the default basis.
-    """
-
-    method: str | None = choice("massless", "free_interface", "craig_bampton", "off", default=None)
-    """Default: "massless" (modes, and lips without mass) with contact, unless all modes are kept;
-    without contact "free_interface"."""
-    modes: int | None = at_least_one(None)
-    """Lowest modes to keep; default: those that are damped, but 50 where all are."""
-
-
-@dataclass(frozen=True)
-class Curve(Table):
-    """A response curve, followed through its folds by continuation."""
-
-    start: float = holds(NUMBER)
-    stop: float = holds(NUMBER)
-    """Of the parameter: load frequencies [rad/s], factors of load, stiffness or damping, or
-    clearances added [m]."""
-    parameter: str = choice("omega", "load", "stiffness", "damping", "clearance", default="omega")
-    stability: bool = holds("true or false", default=True)
-    """Floquet multipliers and period doublings along the curve."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.require(self.start != self.stop, "stop", f"other than curve.start = {self.start:g}")
-        if self.parameter in ("omega", "stiffness"):
-            for name in ("start", "stop"):
-                allowed = f"a number > 0 with curve.parameter = {self.parameter!r}"
-                self.require(getattr(self, name) > 0.0, name, allowed)
-
-
-@dataclass(frozen=True)
-class Integration(Table):
-    """Direct integration in time, from rest."""
-
-    method: str | None = choice(
-        "exponential", "central_difference", "implicit", "events", default=None
-    )
-    """"events": exact from one switching instant to the next, for few pairs. Default: "exponential"
-    where lips have no mass, else "central_difference"."""
-    periods: int = at_least_one(400)
-    """Load periods at most."""
-    settle: float = positive(1e-3)
-    """Relative change of the gaps from one period to the next at which to stop."""
-    steps_per_period: int | None = at_least_one(None)
-    """Default: 512; twice what is stable (central differences), 256 (events)."""
-
-
-@dataclass(frozen=True)
-class Sweep(Table):
-    """Many cases: all combinations of the values of some keys of the scene.
-
-    [sweep.over]
-    "excitation.omega" = { start = 1000.0, stop = 4000.0, count = 61 }
-    "crack.length" = [0.02, 0.03, 0.04]
-    """
-
-    over: tuple[Axis, ...] = holds(
-        "a table of keys of the scene and the values that they take", lambda value: value
-    )
-    ranks: int = at_least_one(1)
-    """Ranks that share the mesh of one case."""
-
-    @property
-    def n_cases(self) -> int:
-        """How many cases."""
-        return math.prod(len(axis.values) for axis in self.over)
+NEEDED = {"needed": True}
+"""Of the fields for tables that every plate needs."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A cracked plate, its load, and how its vibration is computed.
+    """A cracked plate, its load, and how its vibration is computed; or matrices from elsewhere.
+
+    Each table of the file is an attribute, and each of its keys an attribute of that:
+    ``scene.material.young``; all of them are under "Keys of a scene" in the reference. SI units;
+    frequencies given in Hz are there in rad/s too. A table that is left out is None or has its
+    defaults. With the table ``structure`` the tables of a plate are None.
 
     Raises
     ------
@@ -350,112 +67,157 @@ class Scene:
         A table is missing or has a key that cannot be used.
     """
 
-    geometry: Geometry
-    material: Material
-    damping: Damping
-    excitation: Excitation
-    mesh: Mesh
+    geometry: Geometry = field(default=None, metadata=NEEDED)  # type: ignore[assignment]
+    material: Material = field(default=None, metadata=NEEDED)  # type: ignore[assignment]
+    damping: Damping = field(default=None, metadata=NEEDED)  # type: ignore[assignment]
+    excitation: Excitation = field(default=None, metadata=NEEDED)  # type: ignore[assignment]
+    mesh: Mesh = field(default=None, metadata=NEEDED)  # type: ignore[assignment]
     contact: Contact | None = None
     crack: Crack | None = None
+    cracks: tuple[Crack, ...] = ()
+    """Further ones."""
+    loads: tuple[Load, ...] = ()
+    """Beside the force of the excitation."""
+    base: Base | None = None
+    rotation: Rotation | None = None
+    structure: Structure | None = None
     harmonic_balance: HarmonicBalance = field(default_factory=HarmonicBalance)
     reduction: Reduction | None = None
     curve: Curve | None = None
     integration: Integration | None = None
     sweep: Sweep | None = None
+    identify: Identify | None = None
+    output: Output | None = None
 
     def __post_init__(self) -> None:
         for name, table in _TABLES.items():
             value = getattr(self, name)
-            if not isinstance(value, table) and not (value is None and name in _OPTIONAL):
+            if name in _LISTS:
+                fine = isinstance(value, tuple) and all(isinstance(one, table) for one in value)
+            else:
+                missing = value is None and (name in _OPTIONAL or self._not_needed(name))
+                fine = isinstance(value, table) or missing
+            if not fine:
                 raise InputError(name, value, f"a {table.__name__}")
-        if self.mesh.layout == "file":
+        if self.excitation.order is not None:
+            allowed = "left out without a rotation.speed > 0"
+            self.excitation.require(self.speed > 0.0, "order", allowed)
+            object.__setattr__(self, "excitation", self.excitation.at_speed(self.speed))
+        if self.curve is not None and self.curve.followed[0] == "speed":
+            allowed = "another one without an excitation.order, which needs a rotation"
+            self.curve.require(self.excitation.order is not None, "parameter", allowed)
+        if self.structure is not None:
+            self._check_matrices(self.structure)
+        elif self.mesh.layout == "file":
             self._check_file()
         else:
             self._check_plate()
         if self.sweep is not None:
-            object.__setattr__(self, "sweep", self._checked_sweep(self.sweep))
+            over = self._checked_axes("sweep.over", self.sweep.over)
+            object.__setattr__(self, "sweep", dataclasses.replace(self.sweep, over=over))
+        if self.identify is not None:
+            unknown = self._checked_axes("identify.unknown", self.identify.unknown)
+            found = dataclasses.replace(self.identify, unknown=unknown)
+            object.__setattr__(self, "identify", found)
+
+    @property
+    def all_cracks(self) -> dict[str, Crack]:
+        """Every crack by its name: "crack", "cracks.1", "cracks.2"."""
+        first = {} if self.crack is None else {"crack": self.crack}
+        return first | {f"cracks.{number}": c for number, c in enumerate(self.cracks, 1)}
+
+    def _not_needed(self, name: str) -> bool:
+        """Whether a table that a plate needs may be missing, for there are matrices instead."""
+        if self.structure is None:
+            return False
+        return name in PLATE_TABLES or (name == "damping" and self.structure.damping is not None)
+
+    def _check_matrices(self, structure: Structure) -> None:
+        for name in PLATE_TABLES:
+            if getattr(self, name):
+                raise InputError(name, "a table", "left out with [structure]")
+        if structure.damping is not None and self.damping is not None:
+            raise InputError("damping", "a table", "left out with structure.damping")
+        force = self.excitation.force_given or "point"
+        given = self.excitation.force_given or self.excitation.point is not None
+        self.excitation.require(not given, force, "left out with [structure], which has files")
+        if structure.gap is not None and self.contact is None:
+            raise InputError("contact", None, "given with structure.gap: a table")
+        if self.contact is not None:
+            allowed = "'all' with [structure]"
+            self.contact.require(self.contact.pairs == "all", "pairs", allowed)
+            self.contact.leave_out(("stiffness_per_area",), "[structure], which has no areas")
 
     def _check_plate(self) -> None:
-        geometry, crack = self.geometry, self.crack
+        geometry = self.geometry
         width, height = (geometry.given(key, f"given: {EXTENT}") for key in ("width", "height"))
         geometry.require(
             height / THINNEST <= width <= height * THINNEST,
             "width",
             f"within a factor {THINNEST:g} of geometry.height = {height:g}",
         )
-        x, y = self.excitation.given("point", "given: [x, y] on the plate")
-        on_plate = 0.0 <= x <= width and 0.0 <= y <= height
-        self.excitation.require(on_plate, "point", f"on the plate: [0..{width:g}, 0..{height:g}]")
-        if crack is None:
-            return
-        crack.given("edge", "given: 'left' or 'right'")
-        margin = f"at least {NEAREST:g} of that from both"
-        crack.require(
-            crack.height is not None and _inside(crack.height, height),
-            "height",
-            f"inside the plate: between 0 and geometry.height = {height:g}, {margin}",
-        )
-        crack.require(
-            (crack.length is None) != (crack.first_omega is None),
-            "length",
-            "given, or left out where crack.first_omega determines it",
-        )
-        crack.require(
-            crack.length is None or _inside(crack.length, width),
-            "length",
-            f"shorter than the plate: between 0 and geometry.width = {width:g}, {margin}",
-        )
-        if self.contact is None:
-            raise InputError("contact", None, "given where there is a crack: a table")
-        if self.mesh.layout == "grid":
-            self._check_grid(crack)
-        else:
-            self.mesh.given("lip_elements", "given where there is a crack")
-
-    def _check_grid(self, crack: Crack) -> None:
-        crack.given("length", "given with mesh.layout = 'grid'")
-        for key, side, lines in (("length", "width", "columns"), ("height", "height", "rows")):
-            extent, count = getattr(self.geometry, side), getattr(self.mesh, lines)
-            cells = getattr(crack, key) / extent * count
-            crack.require(
-                0 < round(cells) < count and abs(cells - round(cells)) < 1e-9 * count,
-                key,
-                f"a whole number of grid cells of {extent / count:g} m, at least one from each end",
-            )
+        if not self.has_other_loads:
+            self.excitation.given("point", "given: [x, y] on the plate")
+        if self.excitation.point is not None:
+            x, y = self.excitation.point
+            where = f"on the plate: [0..{width:g}, 0..{height:g}]"
+            self.excitation.require(0.0 <= x <= width and 0.0 <= y <= height, "point", where)
+        elif force := self.excitation.force_given:
+            self.excitation.require(False, force, "left out without excitation.point")
+        for number, load in enumerate(self.loads, 1):
+            x, y = load.point or (0.0, 0.0)
+            with named(f"loads.{number}"):
+                where = f"on the plate: [0..{width:g}, 0..{height:g}]"
+                load.require(0.0 <= x <= width and 0.0 <= y <= height, "point", where)
+        if self.all_cracks:
+            check_cracks(self.all_cracks, geometry, self.mesh)
+            if self.contact is None:
+                raise InputError("contact", None, "given where there is a crack: a table")
 
     def _check_file(self) -> None:
         self.geometry.leave_out(("width", "height"), "mesh.layout = 'file'")
-        if self.crack is not None:
-            own = ("edge", "height", "length", "first_omega")
-            self.crack.leave_out(own, "mesh.layout = 'file'")
+        for name, crack in self.all_cracks.items():
+            with named(name):
+                crack.leave_out(OF_PLATES, "mesh.layout = 'file'")
 
-    def _checked_sweep(self, sweep: Sweep) -> Sweep:
-        """The sweep with values as their keys hold them; each case is checked when it is made."""
+    def _checked_axes(self, name: str, given: tuple[Axis, ...]) -> tuple[Axis, ...]:
+        """Axes with values as their keys hold them; each case is checked when it is made."""
         axes, seen = [], set()
-        for axis in sweep.over:
-            table, _, key = axis.key.partition(".")
-            if table not in _SWEPT or key not in _TABLES[table].keys() or axis.key in seen:
+        for axis in given:
+            table, number, key = _parts(axis.key)
+            there = number is None or number <= len(getattr(self, table))
+            known_key = table in _SWEPT and key in _TABLES[table].keys()
+            if not (known_key and there) or axis.key in seen:
                 known = ", ".join(_SWEPT)
                 allowed = f"a table.key of the scene, given once, with a table of {known}"
-                raise InputError("sweep.over", axis.key, allowed)
+                if (question := meant(_meant(axis.key))) and axis.key not in seen:
+                    allowed += f"; {question}".rstrip()
+                raise InputError(name, axis.key, allowed)
             seen.add(axis.key)
-            values = tuple(_TABLES[table].checked(key, value) for value in axis.values)
+            for twins in _TABLES[table].twins().items():
+                at = axis.key.removesuffix(f".{key}")
+                if seen.issuperset(both := [f"{at}.{name}" for name in twins]):
+                    allowed = f"without {both[0] if axis.key == both[1] else both[1]}: one of them"
+                    raise InputError(name, axis.key, allowed)
+            with named(axis.key.removesuffix(f".{key}")):
+                values = tuple(_TABLES[table].checked(key, value) for value in axis.values)
             if len(set(values)) != len(values) or not values:
-                raise InputError(f'sweep.over."{axis.key}"', values, "values, each given once")
+                raise InputError(f'{name}."{axis.key}"', values, "values, each given once")
             axes.append(Axis(axis.key, values))
-        return dataclasses.replace(sweep, over=tuple(axes))
+        return tuple(axes)
 
     @classmethod
     def from_mapping(cls, tables: Mapping[str, object], folder: Path = Path()) -> Scene:
         """Make a scene from nested mappings; a relative ``mesh.file`` is one of ``folder``."""
         for name, value in tables.items():
             if name not in _TABLES:
-                raise InputError(name, value, f"left out; known tables: {', '.join(_TABLES)}")
-        for item in fields(cls):
-            if item.name not in tables and item.name not in (*_OPTIONAL, "harmonic_balance"):
-                raise InputError(item.name, None, "given: a table")
-        made = {name: _TABLES[name].from_mapping(value) for name, value in tables.items()}
-        return cls(**made).with_mesh_files(lambda path: str(folder / path))
+                raise InputError(name, value, _instead_of(name))
+        if "structure" not in tables:
+            for item in fields(cls):
+                if item.name not in tables and item.metadata:
+                    raise InputError(item.name, None, "given: a table")
+        made = {name: _made(name, value) for name, value in tables.items()}
+        return cls(**made).with_files(lambda path: str(folder / path))
 
     @classmethod
     def load(cls, path: str | Path) -> Scene:
@@ -484,63 +246,211 @@ class Scene:
         return cls.from_mapping(tables, folder)
 
     @property
-    def mesh_files(self) -> list[str]:
-        """The mesh files of the scene and its sweep."""
-        axes = self.sweep.over if self.sweep is not None else ()
-        swept = (axis.values for axis in axes if axis.key == "mesh.file")
-        return [file for files in ([self.mesh.file], *swept) for file in files if file is not None]
+    def has_other_loads(self) -> bool:
+        """Whether there is a load beside the force at ``excitation.point``."""
+        return bool(self.loads) or self.base is not None or self.structure is not None
 
-    def with_mesh_files(self, change: Callable[[str], str]) -> Scene:
-        """Return the scene with the paths of its mesh files changed."""
-        if not self.mesh_files:
+    @property
+    def speed(self) -> float:
+        """Of the rotor [rad/s]; 0 where there is none."""
+        return 0.0 if self.rotation is None else self.rotation.speed
+
+    @property
+    def in_rpm(self) -> bool:
+        """Whether the rotor's speed is given, or swept, in revolutions per minute."""
+        axes = self.sweep.over if self.sweep is not None else ()
+        given = self.rotation is not None and self.rotation.rpm is not None
+        given = given or (self.curve is not None and self.curve.parameter == "rpm")
+        return given or any(axis.key == "rotation.rpm" for axis in axes)
+
+    def at_rest(self) -> Scene:
+        """The scene without rotation, its load at the same frequency."""
+        changes: dict[str, object] = {"rotation": None, "curve": None, "sweep": None}
+        if self.excitation.order is not None:
+            changes["excitation.omega"] = self.excitation.omega
+        return self.replace(changes)
+
+    @property
+    def swept_omegas(self) -> tuple[float, ...]:
+        """The load frequencies of a sweep [rad/s]; without one, or where it is the same for all
+        cases, that of the excitation."""
+        swept = {axis.key: axis.values for axis in self.sweep.over} if self.sweep else {}
+        if "excitation.frequency" in swept:
+            return tuple(radians(swept["excitation.frequency"]))
+        orders = swept.get("excitation.order", (self.excitation.order,))
+        if None in orders:
+            return swept.get("excitation.omega", (self.excitation.omega,))
+        speeds = tuple(RPM * rpm for rpm in swept.get("rotation.rpm", ())) or (self.speed,)
+        speeds = swept.get("rotation.speed", speeds)
+        return tuple(order * speed for order in orders for speed in speeds)
+
+    @property
+    def in_hertz(self) -> bool:
+        """Whether the load's frequency is given, followed or swept in Hz, and so to be shown."""
+        curve, axes = self.curve, self.sweep.over if self.sweep is not None else ()
+        return (
+            self.excitation.frequency is not None
+            or (self.excitation.order is not None and self.in_rpm)
+            or (curve is not None and curve.parameter == "frequency")
+            or any(axis.key == "excitation.frequency" for axis in axes)
+        )
+
+    @property
+    def damped_modes(self) -> int | str:
+        """``damping.modes``; "all" where the damping is a matrix."""
+        return "all" if self.damping is None else self.damping.modes
+
+    @property
+    def files(self) -> list[tuple[str, str]]:
+        """The keys that name files, mesh or matrices, of the scene and its sweep, and the files."""
+        found = [(key, value) for key, value in self._paths().items()]
+        for axis in self.sweep.over if self.sweep is not None else ():
+            if axis.key in _PATHS:
+                found += [(axis.key, value) for value in axis.values if isinstance(value, str)]
+        return found
+
+    def _paths(self) -> dict[str, str]:
+        """Keys that name files, and the files."""
+        named = ((key, *key.split(".")) for key in _PATHS)
+        found = {key: getattr(getattr(self, table), name, None) for key, table, name in named}
+        return {key: value for key, value in found.items() if isinstance(value, str)}
+
+    def with_files(self, change: Callable[[str], str]) -> Scene:
+        """Return the scene with the paths of its files changed."""
+        if not self.files:
             return self
-        file = None if self.mesh.file is None else change(self.mesh.file)
-        changes: dict[str, object] = {"mesh.file": file}
+        changes: dict[str, object] = {key: change(path) for key, path in self._paths().items()}
         if self.sweep is not None:
-            changes["sweep.over"] = tuple(
-                Axis(axis.key, tuple(map(change, axis.values))) if axis.key == "mesh.file" else axis
-                for axis in self.sweep.over
-            )
+            over = []
+            for axis in self.sweep.over:
+                if axis.key in _PATHS:
+                    moved = (change(v) if isinstance(v, str) else v for v in axis.values)
+                    axis = Axis(axis.key, tuple(moved))
+                over.append(axis)
+            changes["sweep.over"] = tuple(over)
         return self.replace(changes)
 
     def replace(self, values: Mapping[str, object]) -> Scene:
         """Return a scene with some keys changed: ``scene.replace({"contact.stiffness": 1e9})``.
 
-        An optional table is made where it is missing, and removed by ``{"crack": None}``.
+        An optional table is made where it is missing, and removed by ``{"crack": None}``. Tables of
+        a list are counted from 1, ``{"cracks.1.length": 0.02}``; the next one is made. A frequency
+        in Hz takes the place of the one in rad/s, and the other way round.
         """
         tables: dict[str, Any] = {item.name: getattr(self, item.name) for item in fields(self)}
-        changes: dict[str, dict[str, object]] = {}
+        changes: dict[tuple[str, int | None], dict[str, object]] = {}
         for name, value in values.items():
-            table, _, key = name.partition(".")
+            table, number, key = _parts(name)
             known = _TABLES[table].keys() if table in _TABLES else {}
-            if not key and value is None and table in _OPTIONAL:
-                tables[table] = None
+            word = _TABLES[table].WORD if table in _TABLES else None
+            if not key and word is not None and isinstance(value, str):
+                changes.setdefault((table, None), {})[word] = value
+            elif not key and number is None and value is None and table in (*_OPTIONAL, *_LISTS):
+                tables[table] = () if table in _LISTS else None
             elif not key and table in _TABLES:
-                allowed = f"changed key by key; only {', '.join(_OPTIONAL)} can be removed, by none"
+                gone = ", ".join((*_OPTIONAL, *_LISTS))
+                allowed = f"changed key by key; only {gone} can be removed, by none"
+                raise InputError(name, value, allowed)
+            elif known and (number is None) == (table in _LISTS):
+                allowed = f"left out; known keys: {', '.join(f'{table}.1.{own}' for own in known)}"
                 raise InputError(name, value, allowed)
             elif key not in known:
-                keys = f"keys: {', '.join(known)}" if known else f"tables: {', '.join(_TABLES)}"
-                raise InputError(name, value, f"left out; known {keys}")
+                allowed = _TABLES[table].instead_of(key) if known else _instead_of(name)
+                raise InputError(name, value, allowed)
             else:
-                changes.setdefault(table, {})[key] = value
-        for table, change in changes.items():
-            now, kind = tables[table], _TABLES[table]
-            tables[table] = dataclasses.replace(now, **change) if now else kind.from_mapping(change)
+                changes.setdefault((table, number), {})[key] = value
+        for (table, number), change in sorted(changes.items(), key=lambda item: item[0][1] or 0):
+            if number is None:
+                tables[table] = _changed(table, tables[table], change)
+            else:
+                tables[table] = _changed_list(table, tables[table], number, change)
         return Scene(**tables)
 
     def as_toml(self) -> str:
         """The scene as a file that :meth:`load` reads; paths as they are."""
-        made = (getattr(self, name) for name in _TABLES)
-        return "\n".join(table.as_toml() for table in made if table is not None)
+        parts = []
+        for name, kind in _TABLES.items():
+            tables = getattr(self, name)
+            if name in _LISTS:
+                header = f"[{kind.name_of()}]"
+                parts += [table.as_toml().replace(header, f"[[{name}]]", 1) for table in tables]
+            elif tables is not None:
+                parts.append(tables.as_toml())
+        return "\n".join(parts)
 
 
-def _inside(place: float, extent: float) -> bool:
-    """Whether a place is between 0 and an extent, and not too near to either."""
-    return NEAREST * extent <= place <= (1.0 - NEAREST) * extent
+# --- lists of tables ------------------------------------------------------------------------------
+
+
+def _parts(name: str) -> tuple[str, int | None, str]:
+    """Table, place in a list counted from 1, and key of "cracks.1.length"; without a list None."""
+    table, _, key = name.partition(".")
+    place, _, rest = key.partition(".")
+    if table in _LISTS and place.isdecimal() and 0 < len(place) < 10 and int(place) > 0:
+        return table, int(place), rest
+    return table, None, key
+
+
+def _made(name: str, value: object) -> Any:
+    """A table, or the tuple of a list of tables, from what a file holds."""
+    kind = _TABLES[name]
+    if name not in _LISTS:
+        return kind.from_mapping(value)
+    if not isinstance(value, list | tuple):
+        raise InputError(name, value, f"a list of tables: [[{name}]]")
+    made = []
+    for number, table in enumerate(value, 1):
+        with named(f"{name}.{number}"):
+            made.append(kind.from_mapping(table))
+    return tuple(made)
+
+
+def _changed(name: str, table: Any, change: dict[str, object]) -> Any:
+    return table.changed(change) if table else _TABLES[name].from_mapping(change)
+
+
+def _changed_list(
+    name: str, tables: tuple[Any, ...], number: int, change: dict[str, object]
+) -> tuple[Any, ...]:
+    if number > len(tables) + 1:
+        key = f"{name}.{number}.{next(iter(change))}"
+        allowed = f"one of the {len(tables)} [[{name}]], or of the next one"
+        raise InputError(key, next(iter(change.values())), allowed)
+    old = tables[number - 1] if number <= len(tables) else None
+    with named(f"{name}.{number}"):
+        new = _changed(name, old, change)
+    return (*tables[: number - 1], new, *tables[number:])
+
+
+def _meant(name: str) -> list[str]:
+    """The keys and tables of a scene that a misspelt name may stand for."""
+    table, _, key = name.partition(".")
+    if table in _TABLES:
+        return _TABLES[table].meant_by(key) if key else []
+    if key:
+        every = {kind.name_of(key) for kind in _TABLES.values() for key in kind.keys()}
+        return near(name, every, 0.8) or sorted(full for full in every if full.endswith(f".{key}"))
+    same = dict.fromkeys(kind.name_of(table) for kind in _TABLES.values() if table in kind.keys())
+    return list(same) or near(table, _TABLES)
+
+
+def _instead_of(name: str) -> str:
+    """What is allowed where the scene has no such table."""
+    return f"left out; {meant(_meant(name))}known tables: {', '.join(_TABLES)}"
 
 
 _TABLES: dict[str, type[Table]] = {
     name: (get_args(hint) or (hint,))[0] for name, hint in get_type_hints(Scene).items()
 }
-_OPTIONAL = tuple(item.name for item in fields(Scene) if item.default is None)
-_SWEPT = tuple(name for name in _TABLES if name not in ("curve", "integration", "sweep"))
+_LISTS = tuple(name for name, hint in get_type_hints(Scene).items() if get_origin(hint) is tuple)
+_OPTIONAL = tuple(item.name for item in fields(Scene) if item.default is None and not item.metadata)
+_PATHS = tuple(
+    kind.name_of(key)
+    for kind in _TABLES.values()
+    for key, item in kind.keys().items()
+    if "path" in item.metadata
+)
+"""Keys that hold the path of a file."""
+_SWEPT = tuple(
+    name for name in _TABLES if name not in ("curve", "integration", "sweep", "identify", "output")
+)

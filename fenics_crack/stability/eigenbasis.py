@@ -33,7 +33,7 @@ import numpy as np
 
 from fenics_crack.model.modal import AllModes, between_pairs, flow_matrix
 
-__all__ = ["Eigenbasis", "UndampedModes", "eigenbasis", "undamped_modes"]
+__all__ = ["Eigenbasis", "UndampedModes", "advance_all", "eigenbasis", "undamped_modes"]
 
 MAX_CORRECTIONS = 8
 ENOUGH, SMALLEST = 1e-11, 1e-8
@@ -71,11 +71,20 @@ class Eigenbasis:
 
     def advance(self, duration: float, state: np.ndarray) -> np.ndarray:
         """E(duration) times a matrix (2n, m) in this basis."""
-        size = np.exp(self.decay * duration)
-        along = (size * np.cos(self.turn * duration))[:, None] * state
-        swapped = state.reshape(-1, 2, state.shape[1])[:, ::-1].reshape(state.shape)
-        along += (size * np.sin(self.turn * duration))[:, None] * swapped
-        return along
+        found: np.ndarray = advance_all([self], np.array([duration]), state[None])[0]
+        return found
+
+
+def advance_all(bases: list[Eigenbasis], durations: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """E(duration) times a matrix for each of m bases, of states (m, 2n, k): the same shape."""
+    decay = np.array([basis.decay for basis in bases]) * durations[:, None]
+    angle = np.array([basis.turn for basis in bases]) * durations[:, None]
+    size = np.exp(decay)
+    count, rows, columns = states.shape
+    swapped = states.reshape(count, -1, 2, columns)[:, :, ::-1].reshape(count, rows, columns)
+    along: np.ndarray = (size * np.cos(angle))[:, :, None] * states
+    along += (size * np.sin(angle))[:, :, None] * swapped
+    return along
 
 
 def undamped_modes(modes: AllModes, stiffness: np.ndarray) -> UndampedModes:

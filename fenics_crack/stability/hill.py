@@ -71,7 +71,7 @@ def hill_root(
                 bordering, start, x1=start + 1e-7 * omega, tol=1e-10 * omega, maxiter=MAX_SECANTS,
                 full_output=True, disp=False,
             )  # fmt: skip
-    except np.linalg.LinAlgError:
+    except (np.linalg.LinAlgError, OverflowError):  # the latter of Python's complex numbers
         return complex(np.nan)
     return complex(np.exp(root * solution.period)) if report.converged else complex(np.nan)
 

@@ -42,6 +42,8 @@ TOLERANCE = 1e-12
 """|z(T) - z| / |z| of the points, where the flow does not enlarge rounding beyond it."""
 MAX_ITERATIONS, MIN_DAMPING = 30, 0.01
 """From the solution to the branch."""
+ALIKE = 0.5
+"""Farthest orbit from the solution's motion from which the branch is followed, relative."""
 MAX_STEPS = 400
 """In each direction."""
 
@@ -63,7 +65,7 @@ def refine_bifurcation(
     structure: Structure | None = None,
     contact: ContactLaw | None = None,
     *,
-    reach: float = 0.2,
+    reach: float = 0.05,
     longest_step: float = 0.02,
 ) -> tuple[float, PeriodicOrbit]:
     """Locate a bifurcation found by harmonic balance on the branch of exact orbits.
@@ -88,17 +90,17 @@ def refine_bifurcation(
     orbit : PeriodicOrbit
         The orbit there.
 
+    Raises
+    ------
+    InputError
+        The kind is another, or as :func:`fenics_crack.integrate_events`.
+    ConvergenceError
+        No exact orbit near the solution, or no bifurcation of this kind within reach of it.
+
     Notes
     -----
     With few harmonics a curve has special points that are not there on exact orbits, or several
     where these have one: several of them may lead to the same point, or to none.
-
-    Raises
-    ------
-    InputError
-        The kind is another, or as :func:`fenics_crack.time.events.integrate_events`.
-    ConvergenceError
-        No exact orbit near the solution, or no bifurcation of this kind within reach of it.
     """
     kind, solution = bifurcation.kind, bifurcation.solution
     tests: dict[str, Callable[[], Test]] = {
@@ -116,7 +118,7 @@ def refine_bifurcation(
     assert law is not None
     branch = _Branch(orbits_near(structure or solution.structure, law, solution))
     start = branch.first()
-    if start is None:
+    if start is None or _far(start, branch.start):
         raise ConvergenceError(
             f"refinement: no exact orbit near the solution at {solution.omega:g} rad/s"
         )
@@ -137,6 +139,11 @@ def refine_bifurcation(
         f"refinement: no {kind.replace('_', ' ')} of exact orbits within "
         f"{100.0 * reach:g} % of {solution.omega:g} rad/s"
     )
+
+
+def _far(found: PathPoint, motion: np.ndarray) -> bool:
+    """Whether an orbit is another one than a solution's motion."""
+    return bool(np.linalg.norm(found.unknown - motion) > ALIKE * np.linalg.norm(motion))
 
 
 class _NoFlow(DenseLinearisation):

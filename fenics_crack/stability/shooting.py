@@ -29,13 +29,24 @@ from fenics_crack.table import Described, counted
 from fenics_crack.time.events import EventFlow
 from fenics_crack.time.march import initial_state
 
-__all__ = ["ExactOrbits", "PeriodicOrbit", "SteppedOrbits", "moving_below", "orbits_near", "shoot"]
+__all__ = [
+    "ExactOrbits",
+    "PeriodicOrbit",
+    "SteppedOrbits",
+    "allowed_distance",
+    "distance",
+    "moving_below",
+    "orbits_near",
+    "shoot",
+]
 
 MAX_STEPS, MIN_DAMPING, PATIENCE = 20, 1e-3, 6
 """Newton steps of shooting, how much they may be shortened, and how many may together fail to halve
 the residual."""
 MOVING, STEPS = 60, 1024
 """Modes that are marched, and steps in a period of the load."""
+BELIEVED = 3.0
+"""Times the estimated error, beyond which an orbit is another one."""
 INSTANTS = 512
 """At which the gaps of an orbit are kept."""
 
@@ -47,13 +58,14 @@ class PeriodicOrbit(Described):
     Attributes
     ----------
     state : (2n,)
-        At phase zero of the load.
+        At phase zero of the load: displacements of the modes, on the exact flow times its highest
+        frequency [rad/s], and their velocities.
     multipliers : (2n,) complex
         Floquet multipliers, largest modulus first.
     gap : (512, n_pairs) [m]
         Over one period, equally spaced.
     residual : float
-        |z(T) - z(0)| / |z(0)|.
+        ``|z(T) - z(0)| / |z(0)|``.
     iterations, events : int
         Newton steps; switching instants in the period.
     """
@@ -174,6 +186,19 @@ class SteppedOrbits(MarchedOrbits):
         )
 
 
+def distance(orbit: PeriodicOrbit, solution: PeriodicSolution) -> float:
+    """Of the gaps over the period, relative to B^T u as the estimated errors are."""
+    gap = solution.gap(np.arange(len(orbit.gap)) * solution.period / len(orbit.gap))
+    size = float(np.linalg.norm(orbit.gap + solution.structure.clearance))
+    return float(np.linalg.norm(orbit.gap - gap)) / size if size > 0.0 else 0.0
+
+
+def allowed_distance(solution: PeriodicSolution, least: float) -> float:
+    """How far the orbit may be that judges a solution of the same structure: three times the
+    estimated error."""
+    return max(least, BELIEVED * (solution.report.total - solution.report.reduction))
+
+
 def moving_below(structure: Structure, static_above: float) -> float:
     """Frequency [rad/s] above which modes answer at once, so that few are marched."""
     return min(static_above, all_modes(structure).above_lowest(MOVING))
@@ -217,7 +242,7 @@ def shoot(
     settle : int
         Follow the flow for so many periods of the response first: towards what attracts it.
     tolerance : float
-        |z(T) - z(0)| / |z(0)|.
+        ``|z(T) - z(0)| / |z(0)|``.
 
     Raises
     ------

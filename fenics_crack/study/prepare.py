@@ -19,9 +19,19 @@ from fenics_crack.model.contact import (
 from fenics_crack.model.memory import machine_memory, reduction_memory, whole_memory
 from fenics_crack.model.reduction import MODES, reduce_structure
 from fenics_crack.model.structure import Structure
-from fenics_crack.scene.scene import Contact, Reduction, Scene
+from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import Contact, Reduction
+from fenics_crack.study.watched import Watched, watched_dofs
 
-__all__ = ["Study", "check_memory_of", "contact_law", "law_of", "prepare", "reduction_of"]
+__all__ = [
+    "Study",
+    "check_memory_of",
+    "contact_law",
+    "law_of",
+    "prepare",
+    "reduced",
+    "reduction_of",
+]
 
 FEW_DOFS = 100
 """A structure with at most so many dofs is reduced only on request."""
@@ -41,14 +51,19 @@ class Study:
         Reduced as the scene says.
     contact : ContactLaw or None
         Law of all pairs; None without a crack.
+    watched : tuple of Watched
+        The displacements that are printed, written and drawn: ``watched[0].dof`` is the first one.
     """
 
     scene: Scene
     structure: Structure
     contact: ContactLaw | None
+    watched: tuple[Watched, ...]
 
 
-def prepare(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, whole: bool = False) -> Study:
+def prepare(
+    scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, whole: bool = False, like: Study | None = None
+) -> Study:
     """Find a scene's crack length, build its structure, reduce it, and make its law (collective).
 
     Parameters
@@ -59,24 +74,56 @@ def prepare(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, whole: bool = Fals
         Ranks that share the mesh.
     whole : bool
         Do not reduce, whatever the scene says.
+    like : Study, optional
+        Of another scene, whose mesh and matrices are taken if the rotor's speed is all that
+        differs.
 
     Raises
     ------
     InputError
-        As :func:`build_structure`, :func:`check_memory_of` and :func:`reduce_structure`.
+        As :func:`build_structure` and :func:`reduce_structure`; a point of ``[output.points]`` is
+        not near a node of its own; or solving the scene would take more than 80 % of the machine's
+        memory.
     """
     scene = with_crack_length(scene, comm)
-    structure = assemble(scene, comm)
-    law = law_of(scene, structure)
-    if whole:
-        return Study(scene, structure, law)
-    check_memory_of(scene, structure)
-    table = reduction_of(scene, structure)
+    known = None if like is None else _at_another_speed(scene, like)
+    structure = assemble(scene, comm) if known is None else known
+    watched = watched_dofs(scene, structure)
+    study = Study(scene, structure, law_of(scene, structure), watched)
+    return study if whole else reduced(study)
+
+
+def _at_another_speed(scene: Scene, like: Study) -> Structure | None:
+    """The structure of a scene from that of one which differs in the rotor's speed alone, and in
+    the load's frequency; else None (collective)."""
+    other, rotation = like.scene, like.structure.whole.rotation
+    if rotation is None or scene.speed == 0.0:
+        return None
+    if scene.base is not None and scene.base.moves_by_displacement:
+        return None
+    alike = {"rotation.speed": 1.0, "excitation.omega": 1.0, "reduction": None, "sweep": None}
+    if scene.replace(alike) != other.replace(alike):
+        return None
+    return rotation.at(scene.speed)
+
+
+def reduced(study: Study) -> Study:
+    """A study of a whole structure, reduced as its scene says (collective).
+
+    Raises
+    ------
+    InputError
+        As :func:`check_memory_of` and :func:`reduce_structure`.
+    """
+    scene, whole = study.scene, study.structure
+    check_memory_of(scene, whole)
+    table = reduction_of(scene, whole)
     if table is None:
-        return Study(scene, structure, law)
+        return study
     assert table.method is not None
     settled = scene.replace({f"reduction.{name}": value for name, value in asdict(table).items()})
-    return Study(settled, reduce_structure(structure, modes=table.modes, method=table.method), law)
+    structure = reduce_structure(whole, modes=table.modes, method=table.method)
+    return replace(study, scene=settled, structure=structure)
 
 
 def reduction_of(scene: Scene, structure: Structure) -> Reduction | None:
@@ -95,7 +142,7 @@ def reduction_of(scene: Scene, structure: Structure) -> Reduction | None:
         table = Reduction("free_interface" if few else None)
     if table.method == "off":
         return None
-    kept = scene.damping.modes if table.modes is None else table.modes
+    kept = scene.damped_modes if table.modes is None else table.modes
     if isinstance(kept, str):  # "all"
         kept = min(MODES, structure.n_dofs)
         table = replace(table, modes=kept)
@@ -118,20 +165,25 @@ def check_memory_of(scene: Scene, structure: Structure) -> float:
         needed = whole_memory(structure, scene.harmonic_balance.harmonics)
     else:
         assert table.method is not None
-        needed = reduction_memory(structure, _modes(scene, table), table.method)
+        needed = reduction_memory(structure, modes_of(scene, table), table.method)
     machine = machine_memory()
     if needed > SHARE * machine:
-        key = {"grid": "columns", "file": "file"}.get(scene.mesh.layout, "size")
-        allowed = (
-            f"that of a coarser mesh: {structure.n_dofs} degrees of freedom need "
-            f"{needed / 2**30:.3g} GiB of this machine's {machine / 2**30:.3g}"
+        sizes = (
+            f"{structure.n_dofs} degrees of freedom need {needed / 2**30:.3g} GiB of this "
+            f"machine's {machine / 2**30:.3g}"
         )
-        raise InputError(f"mesh.{key}", getattr(scene.mesh, key), allowed)
+        if scene.structure is not None:
+            mass = scene.structure.mass
+            raise InputError("structure.mass", mass, f"that of a smaller structure: {sizes}")
+        key = {"grid": "columns", "file": "file"}.get(scene.mesh.layout, "size")
+        value = getattr(scene.mesh, key)
+        raise InputError(f"mesh.{key}", value, f"that of a coarser mesh: {sizes}")
     return needed
 
 
-def _modes(scene: Scene, table: Reduction) -> int:
-    return int(scene.damping.modes if table.modes is None else table.modes)
+def modes_of(scene: Scene, table: Reduction) -> int:
+    """How many modes a reduction keeps."""
+    return int(scene.damped_modes if table.modes is None else table.modes)
 
 
 def law_of(scene: Scene, structure: Structure) -> ContactLaw | None:
@@ -146,6 +198,13 @@ def contact_law(contact: Contact, structure: Structure | None = None) -> Contact
 
     A stiffness per area [N/m^3] becomes that of each pair [N/m] by the structure's ``pair_areas``,
     so that refining the mesh does not change the physics.
+
+    Parameters
+    ----------
+    contact : Contact
+        The table: ``scene.contact``.
+    structure : Structure, optional
+        Needed for a stiffness per area.
 
     Raises
     ------

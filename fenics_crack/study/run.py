@@ -21,11 +21,21 @@ from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes, solve_modes
 from fenics_crack.model.reduced import massless
+from fenics_crack.model.reduction import MODES
+from fenics_crack.model.run_up_basis import run_up_structure
 from fenics_crack.model.structure import Structure
-from fenics_crack.parallel import gather_rows
-from fenics_crack.scene.scene import Integration, Scene
+from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import Integration
 from fenics_crack.stability.floquet import floquet
-from fenics_crack.study.prepare import Study, prepare
+from fenics_crack.stages import begin
+from fenics_crack.study.prepare import (
+    Study,
+    check_memory_of,
+    modes_of,
+    prepare,
+    reduced,
+    reduction_of,
+)
 from fenics_crack.time.central_differences import (
     integrate_central_difference,
     stable_steps_per_period,
@@ -51,7 +61,7 @@ class Run(Study, Generic[Found]):
 
     Attributes
     ----------
-    scene, structure, contact
+    scene, structure, contact, watched
         As :class:`Study` has them.
     result : Modes, PeriodicSolution, ResponseCurve, Backbone or TimeHistory
         What was found.
@@ -61,14 +71,28 @@ class Run(Study, Generic[Found]):
 
     @property
     def watched_dof(self) -> int:
-        """The dof of the whole structure that carries most of the load (collective)."""
-        whole = self.structure.whole
-        return int(np.argmax(gather_rows(whole.comm, np.abs(whole.force).max(axis=0))))
+        """The first of the dofs that are watched, of the whole structure."""
+        return self.watched[0].dof
 
     @property
     def watched_name(self) -> str:
-        """That dof in words (collective)."""
-        return self.structure.dof_name(self.watched_dof)
+        """That dof in words."""
+        return self.watched[0].words
+
+    def motion(self) -> dict[str, np.ndarray]:
+        """Motion of what is watched [m], by its words: coefficients of a solution (2H+1,), along a
+        curve (n, 2H+1), displacements in time (n,); of modes none (collective)."""
+        found, dofs = self.result, [watched.dof for watched in self.watched]
+        columns: list[np.ndarray] = []
+        if isinstance(found, PeriodicSolution):
+            columns = list(found.coefficients_at(dofs).T)
+        elif isinstance(found, ResponseCurve):
+            columns = [found.coefficients_at(dof) for dof in dofs]
+        elif isinstance(found, TimeHistory):
+            columns = list(found.displacement(dofs).T)
+        return {
+            watched.words: column for watched, column in zip(self.watched, columns, strict=False)
+        }
 
 
 # --- the commands ---------------------------------------------------------------------------------
@@ -81,26 +105,65 @@ def find_modes(scene: Scene, count: int, comm: MPI.Comm = MPI.COMM_WORLD) -> Run
 
 
 def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution]:
-    """Steady vibration at ``excitation.omega``, with its stability if that is quick (collective).
+    """Steady vibration at the load's frequency; its stability if that is quick (collective).
 
+    With a tolerance, the modes of the reduction are chosen, too, if the scene does not give them.
     The solution may not have converged.
     """
-    study = prepare(scene, comm)
-    structure, law = study.structure, study.contact
-    table, omega = scene.harmonic_balance, scene.excitation.omega
+    whole = prepare(scene, comm, whole=True)
+    law, omega, table = whole.contact, scene.excitation.omega, scene.harmonic_balance
     if law is None:
-        return Run(**vars(study), result=solve_linear(structure, omega, harmonics=table.harmonics))
-    harmonics = table.harmonics if table.tolerance is None else None
-    solution = solve_harmonic_balance(
-        structure, omega, law,
-        harmonics=harmonics, samples=table.samples, tolerance=table.tolerance, throw=False,
-    )  # fmt: skip
+        study = reduced(whole)
+        linear = solve_linear(study.structure, omega, harmonics=table.harmonics)
+        return Run(**vars(study), result=linear)
+    if table.tolerance is None:
+        study = reduced(whole)
+        samples = table.samples
+        solution = solve_harmonic_balance(
+            study.structure, omega, law, harmonics=table.harmonics, samples=samples, throw=False
+        )
+    else:
+        study, solution = _solve_to_tolerance(whole, law, table.tolerance)
+    structure = study.structure
     quick = is_piecewise_linear(law) or structure.n_dofs <= FEW_DOFS
     if is_rigid(law):
         quick = massless(structure) is not None
     if solution.converged and quick and is_small(structure):
+        begin("stability")
         solution = replace(solution, stability=floquet(structure, solution))
     return Run(**vars(study), result=solution)
+
+
+def _solve_to_tolerance(
+    whole: Study, law: ContactLaw, tolerance: float
+) -> tuple[Study, PeriodicSolution]:
+    """The solution with an estimated error, and its study with the modes that it takes.
+
+    Of a large structure whose lips lose their mass harmonics and modes are raised together; else
+    the modes are doubled until the error of the reduction is small enough.
+    """
+    scene, structure = whole.scene, whole.structure
+    omega = scene.excitation.omega
+    table = reduction_of(scene, structure)
+    chosen = table is not None and (scene.reduction is None or scene.reduction.modes is None)
+    if table is not None and chosen and table.method == "massless" and not is_small(structure):
+        check_memory_of(scene, structure)
+        found = solve_harmonic_balance(structure, omega, law, tolerance=tolerance, throw=False)
+        lips = massless(found.structure)
+        assert lips is not None
+        kept = {"reduction.method": "massless", "reduction.modes": lips.n_modes}
+        return replace(whole, scene=scene.replace(kept), structure=lips), found
+    modes = 0 if table is None else modes_of(scene, table)
+    while True:
+        study = reduced(replace(whole, scene=scene))
+        found = solve_harmonic_balance(
+            study.structure, omega, law, tolerance=tolerance, throw=False
+        )
+        enough = found.converged or not found.report.reduction > tolerance
+        modes *= 2
+        if enough or not chosen or modes >= structure.n_dofs:
+            return study, found
+        scene = scene.replace({"reduction.modes": modes})
 
 
 def follow_curve(
@@ -110,9 +173,14 @@ def follow_curve(
     table, balance = scene.curve, scene.harmonic_balance
     if table is None:
         raise InputError("curve", None, "given for this command: a table with start and stop")
-    study = prepare(scene, comm)
+    parameter, start, stop = table.followed
+    if parameter == "omega" and scene.base is not None and scene.base.moves_by_displacement:
+        keys = ("displacement_sin", "displacement_cos")
+        why = "a curve over the frequency, which takes base.acceleration_sin or _cos"
+        scene.base.leave_out(keys, why)
+    study = _prepare_curve(scene, comm)
     law = _needed_law(study)
-    if is_rigid(law) and massless(study.structure) is None:
+    if is_rigid(law) and parameter != "speed" and massless(study.structure) is None:
         allowed = "'penalty' or 'smoothed', or used with reduction.method = 'massless', for a curve"
         raise InputError("contact.law", "unilateral", allowed)
     options: dict[str, Any] = {
@@ -123,12 +191,28 @@ def follow_curve(
         "progress": progress,
         "throw": False,
     }
-    structure, omega, span = study.structure, scene.excitation.omega, (table.start, table.stop)
-    if table.parameter == "omega":
-        curve = continue_frequency(structure, *span, law, **options)
+    structure, omega = study.structure, scene.excitation.omega
+    if parameter == "omega":
+        curve = continue_frequency(structure, start, stop, law, **options)
     else:
-        curve = continue_parameter(structure, omega, law, table.parameter, *span, **options)
+        if parameter == "speed":
+            omega *= start / scene.speed  # the structure is that of the start
+        curve = continue_parameter(structure, omega, law, parameter, start, stop, **options)
     return Run(**vars(study), result=curve)
+
+
+def _prepare_curve(scene: Scene, comm: MPI.Comm) -> Study:
+    """A scene prepared for its curve: of a run-up with a basis for all speeds."""
+    assert scene.curve is not None
+    parameter, start, stop = scene.curve.followed
+    if parameter != "speed":
+        return prepare(scene, comm)
+    study = prepare(scene, comm, whole=True)
+    check_memory_of(scene, study.structure)
+    table = reduction_of(study.scene, study.structure)
+    modes = min(MODES, study.structure.n_dofs) if table is None else modes_of(scene, table)
+    structure = run_up_structure(study.structure, start, stop, modes)
+    return replace(study, structure=structure.at_speed(start))
 
 
 def integrate(
@@ -201,6 +285,13 @@ def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
     structure at hand, :func:`fenics_crack.load` reads the same files; sweeps are read by
     ``SweepResult.load``.
 
+    Parameters
+    ----------
+    path : path
+        The file.
+    comm : MPI.Comm
+        Ranks that share the structure.
+
     Raises
     ------
     InputError
@@ -209,5 +300,8 @@ def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
     kind, scene = type_of(path), read_scene(path)
     if scene is None:
         raise InputError("path", str(path), f"a {kind.KIND} saved with its scene")
-    study = prepare(scene, comm, whole=kind is Modes)
+    if kind is ResponseCurve and scene.curve is not None:
+        study = _prepare_curve(scene, comm)
+    else:
+        study = prepare(scene, comm, whole=kind is Modes)
     return Run(**vars(study), result=load(path, study.structure, study.contact))

@@ -11,28 +11,73 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.balance.harmonic_balance import solve_linear
+from fenics_crack.balance.indicators import indicators_of
 from fenics_crack.balance.memory import check_memory
 from fenics_crack.balance.neighbours import Neighbours
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.fem.assembly import clearance_of
+from fenics_crack.model.bilinear import BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.damping import DampingRule
 from fenics_crack.model.matrices import distributed
 from fenics_crack.model.modal import is_small
+from fenics_crack.model.nodes import Pairs
 from fenics_crack.model.reduced import MasslessStructure, ReducedStructure, massless
 from fenics_crack.model.structure import Structure
+from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stability.floquet import FEW_PAIRS, floquet
 from fenics_crack.stability.piecewise_flow import PiecewiseFlow
-from fenics_crack.study.prepare import law_of, prepare
-from fenics_crack.sweep.file import COLUMNS
+from fenics_crack.study.prepare import Study, law_of, prepare
+from fenics_crack.sweep.file import AT_POINTS, COLUMNS, PHASES, of_load
 from fenics_crack.sweep.plan import FORCES, Chunk
+from fenics_crack.table import with_frequency
 
-__all__ = ["REFUSALS", "Arrays", "Found", "Geometry", "all_failed", "build", "solve_chunk"]
+__all__ = ["REFUSALS", "Arrays", "Found", "Geometry", "Known", "all_failed", "build", "solve_chunk"]
 
 REFUSALS = (InputError, ConvergenceError, np.linalg.LinAlgError)
 """Errors that fail one case while the others go on."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of a geometry beside its structure.
+
+    Attributes
+    ----------
+    crack_length : float [m]
+        Of the first crack; nan where it is unknown.
+    natural : BilinearFrequencies
+        With lips open and tied.
+    load : (n_dofs,) or None
+        What the coordinates are multiplied by for the motion at the load [m]; None: one load, whose
+        vector does it.
+    watched : dict of str to (n_dofs,)
+        The same by "tip.ux" of the named points.
+    """
+
+    crack_length: float
+    natural: BilinearFrequencies
+    load: np.ndarray | None
+    watched: dict[str, np.ndarray]
+
+    @classmethod
+    def of(cls, study: Study) -> Known:
+        """Of a study whose structure is small (collective)."""
+        structure = study.structure
+        lengths = [crack.length for crack in study.scene.all_cracks.values()]
+        named = [watched for watched in study.watched if watched.name]
+        rows = np.zeros((0, structure.n_dofs))
+        if named:
+            rows = structure.values_at(np.eye(structure.n_dofs), [w.dof for w in named]).T
+        return cls(
+            lengths[0] if lengths and lengths[0] is not None else np.nan,
+            bilinear_frequencies(structure),
+            _watched(study.scene, structure),
+            {watched.name: row for watched, row in zip(named, rows, strict=True)},
+        )
 
 
 @dataclass(frozen=True)
@@ -48,12 +93,11 @@ class Arrays:
     damping: DampingRule | np.ndarray | None
     force: np.ndarray
     clearance: np.ndarray
-    pair_areas: np.ndarray | None
+    pairs: Pairs
     reference: Arrays | None
-    crack_length: float
 
     @classmethod
-    def of(cls, structure: Structure, crack_length: float) -> Arrays:
+    def of(cls, structure: Structure) -> Arrays:
         """Take a structure apart."""
         damping = structure.damping
         if damping is not None and not isinstance(damping, DampingRule):
@@ -68,9 +112,8 @@ class Arrays:
             damping=damping,
             force=structure.force,
             clearance=structure.clearance,
-            pair_areas=structure.pair_areas,
-            reference=None if reference is None else cls.of(reference, crack_length),
-            crack_length=crack_length,
+            pairs=structure.pairs,
+            reference=None if reference is None else cls.of(reference),
         )
 
     def structure(self) -> Structure:
@@ -85,7 +128,7 @@ class Arrays:
             force=self.force,
             clearance=self.clearance,
             damping=None if self.reduced else damping,
-            pair_areas=self.pair_areas,
+            pairs=self.pairs,
         )
         if not self.reduced:
             return plain
@@ -114,27 +157,41 @@ class Arrays:
         )
 
 
+def _watched(scene: Scene, structure: Structure) -> np.ndarray | None:
+    """What is watched of a structure, of its own coordinates; of matrices the dof that carries
+    most of the load (collective)."""
+    whole = structure.whole
+    if whole.watched is not None:
+        weights = gather_rows(whole.comm, whole.watched)
+    elif scene.structure is not None:
+        weights = np.zeros(whole.n_dofs)
+        weights[np.argmax(gather_rows(whole.comm, np.abs(whole.force).max(axis=0)))] = 1.0
+    else:
+        return None
+    dofs = np.flatnonzero(weights)
+    seen = structure.values_at(np.eye(structure.n_dofs), dofs.tolist())
+    return np.asarray(seen @ weights[dofs])
+
+
 def _rows(matrix: Any) -> sparse.csr_matrix:
     """A PETSc matrix on one rank."""
     starts, columns, values = matrix.getValuesCSR()
     return sparse.csr_matrix((values, columns, starts), shape=matrix.size)
 
 
-def build(scene: Scene, comm: MPI.Comm, unit_loads: bool) -> Geometry:
-    """The geometry of a case (collective)."""
-    if scene.crack is not None:
-        scene = scene.replace({"crack.clearance": 0.0})
+def build(scene: Scene, comm: MPI.Comm, unit_loads: bool, last: Study | None = None) -> Geometry:
+    """The geometry of a case; the mesh of the last one serves another speed of the rotor
+    (collective)."""
+    scene = scene.replace({f"{name}.clearance": 0.0 for name in scene.all_cracks})
     if unit_loads:
         units = {"force_mean": (0.0, 0.0), "force_cos": (0.0, 1.0), "force_sin": (1.0, 0.0)}
         scene = scene.replace({f"excitation.{name}": value for name, value in units.items()})
-    study = prepare(scene, comm)
+    study = prepare(scene, comm, like=last)
     if not is_small(study.structure):
         method = "off" if scene.reduction is None else scene.reduction.method
         allowed = f"one that leaves fewer than {study.structure.n_dofs} coordinates"
         raise InputError("reduction.method", method, allowed)
-    crack = study.scene.crack
-    length = np.nan if crack is None or crack.length is None else crack.length
-    return Geometry(study.structure, length, unit_loads)
+    return Geometry(study.structure, Known.of(study), unit_loads, study)
 
 
 @dataclass(frozen=True)
@@ -142,8 +199,9 @@ class Geometry:
     """What cases share that differ in load, clearance, law and harmonics."""
 
     structure: Structure  # without clearance
-    crack_length: float  # [m], nan where it is unknown
+    known: Known
     unit_loads: bool  # the load has a sine part of 1 N in x and a cosine part of 1 N in y
+    study: Study | None = None  # where it was built
 
     def of_case(self, scene: Scene) -> Structure:
         """The structure with the load and the clearance of a case."""
@@ -151,15 +209,15 @@ class Geometry:
         if self.unit_loads:
             wanted = np.array([getattr(scene.excitation, name) for name in FORCES])
             load = np.column_stack([np.zeros(len(FORCES)), wanted[:, ::-1]])
-        clearance = scene.crack.clearance if scene.crack is not None else 0.0
-        return self.structure.varied(load=load, clearance=clearance)
+        of_cracks = clearance_of(scene, self.structure.pairs) if scene.all_cracks else 0.0
+        return self.structure.varied(load=load, clearance=of_cracks)
 
 
 # --- a case ---------------------------------------------------------------------------------------
 
 
 Found = dict[str, Any]
-"""The :data:`COLUMNS` known of a case, and "gap" and "force" coefficients if it converged."""
+"""The columns known of a case, and "gap" and "force" coefficients if it converged."""
 
 
 def all_failed(chunk: Chunk, reason: str) -> list[Found]:
@@ -177,11 +235,15 @@ def solve_chunk(geometry: Geometry, chunk: Chunk) -> list[Found]:
             continue
         started = time.perf_counter()
         harmonics = case.harmonic_balance.harmonics
-        found: Found = {"crack_length": geometry.crack_length, "harmonics": harmonics}
+        found: Found = {"crack_length": geometry.known.crack_length, "harmonics": harmonics}
+        found |= with_frequency({"omega": case.excitation.omega})
+        near = geometry.known.natural.nearest(case.excitation.omega)
+        found |= {name: value for name, value in near.items() if name in COLUMNS}
+        found |= _numbered(geometry.known.natural)
         try:
             solution = cases.solve(case)
             measured = {name: v for name, v in solution.to_dict().items() if name in COLUMNS}
-            found |= measured | {"response": _response(solution, case)} | cases.verdict(solution)
+            found |= measured | _seen(solution, case, geometry.known) | cases.verdict(solution)
             found |= {"gap": solution.gap_coefficients, "force": solution.force_coefficients}
         except REFUSALS as error:
             cases = Cases(geometry)
@@ -235,8 +297,39 @@ class Cases:
         return {"verdict": found.verdict, "multiplier": abs(found.multipliers[0])}
 
 
-def _response(solution: PeriodicSolution, case: Scene) -> float:
-    """Half the peak-to-peak displacement of the load's point in the load's direction [m].
+def _numbered(natural: BilinearFrequencies) -> Found:
+    """Natural frequencies by the names of their columns; there may be fewer than these."""
+    rows = {"open": natural.omega_open, "tied": natural.omega_tied}
+    return {
+        f"omega_{lips}_{mode}": omega
+        for lips, row in rows.items()
+        for mode, omega in enumerate(row, 1)
+    }
+
+
+def _seen(solution: PeriodicSolution, case: Scene, known: Known) -> Found:
+    """What is seen at the load and at the watched points."""
+    instants = np.linspace(0.0, solution.period, 1024, endpoint=False)
+    motion = solution.coordinates(instants)
+
+    def at(row: np.ndarray) -> Found:
+        coefficients = solution.displacement_coefficients @ row
+        seen = indicators_of(solution.omega, coefficients, np.ptp(motion @ row) / 2.0, {})
+        values = {quantity: getattr(seen, quantity) for quantity in AT_POINTS}
+        return values | dict(zip(PHASES, coefficients[1:].tolist(), strict=False))
+
+    found: Found = {}
+    row = known.load if known.load is not None else _load_row(solution, case)
+    if row is not None:
+        found |= {of_load(quantity): value for quantity, value in at(row).items()}
+    for name, row in known.watched.items():
+        found |= {f"{name}.{quantity}": value for quantity, value in at(row).items()}
+    return found
+
+
+def _load_row(solution: PeriodicSolution, case: Scene) -> np.ndarray | None:
+    """The displacement of the load's point in the load's direction from the coordinates; None
+    without a load.
 
     The direction is that of the larger of the sine and the cosine part, of the mean if there is
     neither. The load vector f of a force F at the point x gives the displacement: f . u = F . u(x).
@@ -246,7 +339,6 @@ def _response(solution: PeriodicSolution, case: Scene) -> float:
     if sizes[name] == 0.0:
         name = "force_mean"
     if sizes[name] == 0.0:
-        return np.nan
-    row = solution.structure.force[FORCES.index(name)] / sizes[name]
-    instants = np.linspace(0.0, solution.period, 1024, endpoint=False)
-    return float(np.ptp(solution.coordinates(instants) @ row) / 2.0)
+        return None
+    row: np.ndarray = solution.structure.force[FORCES.index(name)] / sizes[name]
+    return row

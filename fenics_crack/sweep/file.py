@@ -26,15 +26,22 @@ import numpy as np
 
 from fenics_crack.errors import InputError
 from fenics_crack.files import store
+from fenics_crack.files.units import about
+from fenics_crack.model.bilinear import FEW
+from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES
 from fenics_crack.scene.scene import Scene
 from fenics_crack.version import VERSION
 
 __all__ = [
+    "AT_POINTS",
     "COLUMNS",
     "CONVERGED",
     "FAILED",
     "PENDING",
+    "PHASES",
     "SweepFile",
+    "columns_of",
+    "of_load",
     "read_columns",
     "read_waves",
     "shape_of",
@@ -44,12 +51,27 @@ KIND = "sweep"
 PENDING, CONVERGED, FAILED = 0, 1, 2
 """The states of a case."""
 STATUS_BYTES = 200
+
+
+def of_load(quantity: str) -> str:
+    """The column of a quantity at the load's point in the load's direction."""
+    return "response" if quantity == "amplitude" else quantity
+
+
+NATURAL = {
+    f"omega_{lips}_{mode}": (f"natural frequency {mode}, lips {lips}", "rad/s")
+    for lips in ("open", "tied")
+    for mode in range(1, FEW + 1)
+}
+"""Words and unit of the natural frequencies that are kept of each case."""
+AT_POINTS = {name: unit for name, (_, unit) in OF_POINTS.items() if name != "ratio_half_1"}
+"""What is kept of each point and direction, and its unit: no case has a longer period."""
+PHASES = {f"{part}_{order}": "m" for order in (1, 2, 3) for part in ("cosine", "sine")}
+"""Likewise: the parts of the harmonics whose amplitudes are ``harmonic_1`` to ``harmonic_3``."""
 COLUMNS: dict[str, tuple[str, str]] = {
-    "response": ("m", "f8"),
-    "opening": ("m", "f8"),
-    "penetration": ("m", "f8"),
-    "contact_force": ("N", "f8"),
-    "closed_share": ("1", "f8"),
+    **{of_load(name): (unit, "f8") for name, unit in (AT_POINTS | PHASES).items()},
+    **{name: (unit, "f8") for name, (_, unit) in (OF_LIPS | OF_FREQUENCIES).items()},
+    **{name: (unit, "f8") for name, (_, unit) in NATURAL.items()},
     "multiplier": ("1", "f8"),
     "verdict": ("", "S12"),
     "residual_error": ("1", "f8"),
@@ -59,15 +81,28 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "penetration_share": ("1", "f8"),
     "harmonics": ("1", "i4"),
     "iterations": ("1", "i4"),
+    "omega": ("rad/s", "f8"),
+    "frequency": ("Hz", "f8"),
     "crack_length": ("m", "f8"),
     "seconds": ("s", "f8"),
     "status": ("", f"S{STATUS_BYTES}"),
 }
-"""Unit and type of what is kept of each case beside its state."""
+"""Unit and type of what is kept of each case beside its state and what is seen at points."""
 WAVES = {"gap": "m", "force": "N"}
 """Coefficients kept of a case that converged, and their units."""
 BLANKS: dict[str, Any] = {"f": np.nan, "i": 0, "S": b""}
 """Of a case without a value, by the kind of the type."""
+
+
+def columns_of(scene: Scene) -> dict[str, tuple[str, str]]:
+    """The :data:`COLUMNS` of a scene's sweep and those of its points, "tip.ux.ratio_2_1"."""
+    points = () if scene.output is None else scene.output.points
+    return COLUMNS | {
+        f"{point.key}.u{axis}.{name}": (unit, "f8")
+        for point in points
+        for axis in "xy"
+        for name, unit in (AT_POINTS | PHASES).items()
+    }
 
 
 def shape_of(scene: Scene) -> tuple[int, ...]:
@@ -84,7 +119,7 @@ class SweepFile:
     """
 
     def __init__(self, path: Path, scene: Scene, harmonics: int, pairs: int) -> None:
-        self._path = path
+        self._path, self._columns = path, columns_of(scene)
         try:
             self.made = not path.exists()
             if self.made:
@@ -102,10 +137,10 @@ class SweepFile:
         """PENDING, CONVERGED or FAILED, in the shape of the axes."""
 
     def record(self, index: tuple[Any, ...], cases: Sequence[Mapping[str, Any]]) -> None:
-        """Write some cases: some :data:`COLUMNS` of each, and its waves if it converged."""
+        """Write some cases: some of its columns each, and its waves if it converged."""
         columns = {
             name: np.array([_stored(case.get(name, BLANKS[kind[0]])) for case in cases], kind)
-            for name, (_, kind) in COLUMNS.items()
+            for name, (_, kind) in self._columns.items()
         }
         waves = {name: [case.get(name, np.zeros((0, 0))) for case in cases] for name in WAVES}
         state = np.array([CONVERGED if "gap" in case else FAILED for case in cases])
@@ -155,7 +190,7 @@ def _make(path: Path, scene: Scene, harmonics: int, pairs: int) -> None:
     partial = path.with_name(f".{path.name}.{os.getpid()}")
     shape = shape_of(scene)
     sizes = {"state": ("", "u1", shape)}
-    sizes |= {name: (unit, kind, shape) for name, (unit, kind) in COLUMNS.items()}
+    sizes |= {name: (unit, kind, shape) for name, (unit, kind) in columns_of(scene).items()}
     if pairs:
         wave = (*shape, 2 * harmonics + 1, pairs)
         sizes |= {name: (unit, "f8", wave) for name, unit in WAVES.items()}
@@ -173,22 +208,35 @@ def _make(path: Path, scene: Scene, harmonics: int, pairs: int) -> None:
                 kept = h5py.h5t.py_create(np.dtype(kind))
                 h5py.h5d.create(file.id, name.encode(), kept, space, plan)
                 file[name].attrs["unit"] = unit
+                if words := _words(name):
+                    file[name].attrs["about"] = words
         os.link(partial, path)  # fails where another program has been quicker
     finally:
         partial.unlink(missing_ok=True)
 
 
+def _words(name: str) -> str:
+    """What a column or a wave is; empty where its name says it."""
+    if name in WAVES:
+        return f"axes of the sweep; {about(f'{name}_coefficients', {})['about']}"
+    quantity = "amplitude" if name == "response" else name.rpartition(".")[2]
+    known = QUANTITIES | NATURAL
+    return known[quantity][0] if quantity in known else ""
+
+
 def _check(path: Path, scene: Scene) -> None:
     """Raise InputError unless a file is the sweep of a scene, by this version of the program."""
     with store.opened(path, KIND) as file:
+        lost = [name for name in columns_of(scene) if name not in file]
         same = file.attrs.get("scene") == store.scene_text(scene)
         version = str(file.attrs.get("version"))
         store.check_meshes(file, scene)
     if not same:
         allowed = "the file of the same scene; for another one choose a new folder"
         raise InputError("path", str(path), allowed)
-    if version != VERSION:
-        allowed = f"a new name: it was begun by version {version}, this is {VERSION}"
+    if version != VERSION or lost:
+        why = f" and has no column {lost[0]!r}" if lost else ""
+        allowed = f"a new name: it was begun by version {version}{why}, this is {VERSION}"
         raise InputError("path", str(path), allowed)
 
 
@@ -199,10 +247,15 @@ def read_columns(path: Path) -> tuple[Scene, dict[str, np.ndarray]]:
     """
     with store.opened(path, KIND) as file:
         scene = Scene.from_text(str(file.attrs["scene"]), str(path))
-        if any(file[name].shape != shape_of(scene) for name in ("state", *COLUMNS)):
-            raise InputError("path", str(path), "a whole sweep")
+        columns = columns_of(scene)
+        for name in ("state", *columns):
+            if name not in file:
+                allowed = f"a sweep with a column {name!r}: this one is of an older version"
+                raise InputError("path", str(path), f"{allowed}; solve it anew in another folder")
+            if file[name].shape != shape_of(scene):
+                raise InputError("path", str(path), "a whole sweep")
         found = {"state": file["state"][()]}  # first: what is written later counts as pending
-        for name in COLUMNS:
+        for name in columns:
             values = file[name][()]
             values[found["state"] == PENDING] = BLANKS[values.dtype.kind]
             words = values.dtype.kind == "S"

@@ -19,16 +19,18 @@ from tqdm import tqdm
 from fenics_crack.errors import InputError
 from fenics_crack.parallel import StopRequest
 from fenics_crack.scene.scene import Scene
+from fenics_crack.study.prepare import Study
 from fenics_crack.sweep.case import (
     REFUSALS,
     Arrays,
     Found,
     Geometry,
+    Known,
     all_failed,
     build,
     solve_chunk,
 )
-from fenics_crack.sweep.file import PENDING, SweepFile
+from fenics_crack.sweep.file import FAILED, PENDING, SweepFile
 from fenics_crack.sweep.plan import Chunk, Index, Plan, everywhere
 
 __all__ = ["Manager", "Worker", "no_garbage_in_threads"]
@@ -43,7 +45,7 @@ class Job:
 
     geometry: int
     scene: Scene | None
-    arrays: Arrays | None
+    arrays: tuple[Arrays, Known] | None
     unit_loads: bool
     wanted: bool
     """Whether other jobs need the arrays."""
@@ -54,7 +56,7 @@ class Job:
 class Answer:
     """The outcome of a job."""
 
-    arrays: Arrays | None = None
+    arrays: tuple[Arrays, Known] | None = None
     refusal: Exception | None = None
     """Why the geometry cannot be built."""
     solved: list[tuple[Chunk, list[Found]]] = field(default_factory=list)
@@ -73,6 +75,7 @@ class Worker:
     def __init__(self, group: MPI.Comm) -> None:
         self._group = group
         self._known: dict[int, Geometry] = {}
+        self._last: Study | None = None
 
     def lead(self, job: Job) -> Answer:
         """Do a job with the whole group; called by its leader."""
@@ -85,8 +88,9 @@ class Worker:
         arrays = job.arrays
         try:
             if job.scene is not None:
-                built = build(job.scene, self._group, job.unit_loads)
-                arrays = Arrays.of(built.structure, built.crack_length)
+                built = build(job.scene, self._group, job.unit_loads, self._last)
+                self._last = built.study if job.scene.speed else None
+                arrays = Arrays.of(built.structure), built.known
                 answer.arrays = arrays if job.wanted else None
         except REFUSALS as error:
             answer.refusal = error
@@ -102,7 +106,8 @@ class Worker:
             if job.chunks:
                 arrays = self._group.bcast(arrays)
                 if job.geometry not in self._known:
-                    geometry = Geometry(arrays.structure(), arrays.crack_length, job.unit_loads)
+                    parts, known = arrays
+                    geometry = Geometry(parts.structure(), known, job.unit_loads)
                     self._known = {job.geometry: geometry}
                 for chunk in job.chunks[self._group.rank :: self._group.size]:
                     answer.solved.append((chunk, solve_chunk(self._known[job.geometry], chunk)))
@@ -138,7 +143,7 @@ class Manager:
         self._stopped = False
         self._waiting: dict[int, deque[Index]] = {}
         """Places of the chunks left of geometries that are built or being built."""
-        self._built: dict[int, Arrays] = {}
+        self._built: dict[int, tuple[Arrays, Known]] = {}
         left = [
             number
             for number, geometry in enumerate(plan.geometries)
@@ -149,6 +154,7 @@ class Manager:
         self._chunks_left = sum(len(self._pending(number)) for number in self._unbuilt)
         self._seconds, self._chunks_done, self._recorded = 0.0, 0, 0
         done = int(np.count_nonzero(file.state != PENDING))
+        self._failed = int(np.count_nonzero(file.state == FAILED))
         how = {"desc": "sweep", "unit": "case", "disable": not progress}
         self._bar = tqdm(total=file.state.size, initial=done, **how)
 
@@ -295,6 +301,9 @@ class Manager:
     def _write(self, chunk: Chunk, solved: list[Found]) -> None:
         self._file.record(chunk.index, solved)
         self._recorded += 1
+        self._failed += sum("gap" not in found for found in solved)
+        if self._failed:
+            self._bar.set_postfix_str(f"{self._failed} failed", refresh=False)
         self._bar.update(len(chunk.cases))
 
 

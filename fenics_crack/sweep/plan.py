@@ -10,6 +10,8 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.errors import MOST_HARMONICS, InputError
+from fenics_crack.fem.blocks import lip_pairs
+from fenics_crack.fem.matrix_files import count_pairs
 from fenics_crack.fem.plate import build_mesh
 from fenics_crack.scene.scene import Scene
 from fenics_crack.sweep.file import PENDING, shape_of
@@ -19,12 +21,13 @@ __all__ = ["FORCES", "Chunk", "Index", "Plan", "everywhere"]
 CHUNK = 12
 """Most cases of a chunk."""
 SAME_GEOMETRY = (
-    "excitation.omega", "excitation.force_sin", "excitation.force_cos", "excitation.force_mean",
+    "excitation.omega", "excitation.frequency", "excitation.force_sin", "excitation.force_cos",
+    "excitation.force_mean",
     "contact.stiffness", "contact.stiffness_per_area", "contact.law", "contact.sharpness",
-    "crack.clearance", "harmonic_balance.harmonics", "harmonic_balance.samples",
+    "harmonic_balance.harmonics", "harmonic_balance.samples",
     "harmonic_balance.tolerance",
 )  # fmt: skip
-"""Keys that change neither mesh, matrices and modes nor the place of the load."""
+"""Keys that change neither mesh, matrices and modes nor the place of the load; clearances, too."""
 FORCES = ("force_mean", "force_cos", "force_sin")
 """Parts of the load."""
 
@@ -53,12 +56,15 @@ class Plan:
             self._base = self._base.replace({"reduction.method": None})
         self.shape = shape_of(scene)  # of the table of cases
         # Where the force is swept, geometries are built with unit loads.
-        self.unit_loads = any(f"excitation.{name}" in keys for name in FORCES)
+        forces = {f"excitation.{name}" for name in FORCES}
+        self.unit_loads = not forces.isdisjoint(keys) and not _has_other_loads(scene, keys)
         self.reduction_swept = "reduction.method" in keys
-        same = [number for number, key in enumerate(keys) if key in SAME_GEOMETRY]
+        free = self._free_keys(scene, keys)
+        same = [number for number, key in enumerate(keys) if key in free]
         self._along = same[-1] if same else None
-        if "excitation.omega" in keys:
-            self._along = keys.index("excitation.omega")
+        for key in ("excitation.omega", "excitation.frequency"):
+            if key in keys:
+                self._along = keys.index(key)
         self._inner = [number for number in same if number != self._along]
         # Places of the geometries: an index on each axis that changes them, None on the others.
         ranges = ((None,) if n in same else range(size) for n, size in enumerate(self.shape))
@@ -68,8 +74,20 @@ class Plan:
         if base.tolerance is not None or "harmonic_balance.tolerance" in swept:
             self.harmonics = max(self.harmonics, MOST_HARMONICS)
         self.sizes = self._sizes()
-        """Bound of the pairs, and the crack's length [m], of each geometry: what it may cost."""
+        """What each geometry may cost: bound of the pairs, and the first crack's length [m]."""
         self.pairs = max(pairs for pairs, _ in self.sizes)
+
+    @staticmethod
+    def _free_keys(scene: Scene, keys: list[str]) -> set[str]:
+        """Keys whose values share a geometry; loads beside the force are part of it, and so is the
+        frequency where the clamp's displacement is given."""
+        free = {*SAME_GEOMETRY, *filter(_is_clearance_of_crack, keys)}
+        if _has_other_loads(scene, keys):
+            free -= {f"excitation.{name}" for name in FORCES}
+        given = scene.base is not None and scene.base.moves_by_displacement
+        if given or any(key.startswith("base.displacement") for key in keys):
+            free -= {"excitation.omega", "excitation.frequency"}
+        return free
 
     def _sizes(self) -> list[tuple[int, float]]:
         """The sizes of all geometries; raise InputError if no combination is a scene."""
@@ -85,12 +103,16 @@ class Plan:
             if case is None:
                 found.append((0, 0.0))
                 continue
+            if case.structure is not None:
+                found.append((count_pairs(case.structure), 0.0))
+                bounds[case.structure.gap] = found[-1][0]
+                continue
             pairs = case.contact and case.contact.pairs
-            length = case.crack and case.crack.length
-            key = case.mesh, pairs, length, case.geometry.width
+            cracks = tuple((c.edge, c.center, c.height, c.length) for c in case.all_cracks.values())
+            key = case.mesh, pairs, cracks, case.geometry.width, case.geometry.height
             if key not in bounds:
                 bounds[key] = _most_pairs(case)
-            found.append((bounds[key], length or 0.0))
+            found.append((bounds[key], cracks[0][-1] or 0.0 if cracks else 0.0))
         if not bounds:
             reason = self.case((0,) * len(self.shape))
             raise InputError("sweep.over", reason, "values of which a combination can be used")
@@ -131,9 +153,7 @@ class Plan:
 
 def _most_pairs(scene: Scene) -> int:
     """Upper bound of the contact pairs of a scene; only a mesh file is read."""
-    mesh, crack = scene.mesh, scene.crack
-    if scene.contact is not None and scene.contact.pairs == "mouth":
-        return 1
+    mesh, mouth = scene.mesh, scene.contact is not None and scene.contact.pairs == "mouth"
     if mesh.layout == "file":
         try:
             plate = build_mesh(scene, MPI.COMM_SELF)
@@ -141,14 +161,22 @@ def _most_pairs(scene: Scene) -> int:
             return 0  # its cases will fail
         if not plate.cracked:
             return 0
-        return len(plate.facet_tags.find(plate.groups["lower_lip"])) * mesh.order + 1
-    if crack is None:
+        facets = len(plate.facets("lower_lip"))
+        return len(plate.lips) if mouth else facets * mesh.order + len(plate.lips)
+    if not scene.all_cracks:
         return 0
-    if mesh.layout == "graded":
-        assert mesh.lip_elements is not None
-        return mesh.lip_elements * mesh.order
-    assert mesh.columns is not None and crack.length is not None and scene.geometry.width
-    return round(crack.length / scene.geometry.width * mesh.columns) * mesh.order
+    return len(scene.all_cracks) if mouth else lip_pairs(scene)
+
+
+def _is_clearance_of_crack(key: str) -> bool:
+    """Those of matrices are part of these."""
+    return key.startswith("crack") and key.endswith(".clearance")
+
+
+def _has_other_loads(scene: Scene, keys: list[str]) -> bool:
+    """Whether a case may have a load beside the force at ``excitation.point``."""
+    given = scene.has_other_loads or scene.rotation is not None
+    return given or any(key.startswith(("base.", "loads.", "rotation.")) for key in keys)
 
 
 def everywhere(geometry: tuple[int | None, ...]) -> tuple[Any, ...]:

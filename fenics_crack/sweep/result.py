@@ -44,35 +44,30 @@ from fenics_crack.files.store import read_scene
 from fenics_crack.model.contact import UnilateralConstraint, is_rigid
 from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.fields import Axis
+from fenics_crack.scene.quantities import OF_POINTS, QUANTITIES
 from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.words import unit_of
 from fenics_crack.study.prepare import law_of
 from fenics_crack.sweep.case import build
 from fenics_crack.sweep.file import (
-    COLUMNS,
     CONVERGED,
     FAILED,
     PENDING,
     SweepFile,
+    columns_of,
+    of_load,
     read_columns,
     read_waves,
     shape_of,
 )
 from fenics_crack.sweep.jobs import Manager, Worker, no_garbage_in_threads
 from fenics_crack.sweep.plan import Plan
-from fenics_crack.table import Tabular, with_unit
+from fenics_crack.table import Tabular
 
-__all__ = ["SweepResult", "axis_name", "run_sweep"]
+__all__ = ["SweepResult", "run_sweep"]
 
-UNITS = {
-    "geometry.thickness": "m", "geometry.width": "m", "geometry.height": "m", "crack.height": "m",
-    "crack.length": "m", "crack.first_omega": "rad/s", "crack.clearance": "m",
-    "material.young": "Pa", "material.density": "kg/m^3", "excitation.omega": "rad/s",
-    "excitation.point": "m", "excitation.force_sin": "N", "excitation.force_cos": "N",
-    "excitation.force_mean": "N", "contact.stiffness": "N/m",
-    "contact.stiffness_per_area": "N/m^3", "contact.sharpness": "1/m", "mesh.size": "m",
-    "damping.mass": "1/s", "damping.stiffness": "s", "damping.omegas": "rad/s",
-}  # fmt: skip
-
+DRAWN = ("amplitude", "opening", "ratio_2_1", "ratio_3_1", "closed_share", "mean_shift")
+"""Quantities that are drawn where the scene does not choose."""
 STATES = np.array(["pending", "converged", "failed"])
 """Words for PENDING, CONVERGED and FAILED."""
 
@@ -185,13 +180,18 @@ class SweepResult(Tabular):
     columns : dict of str to array
         Numbers and words by name, in the shape of the axes, nan where there is no value:
         ``response``, half the peak-to-peak displacement of the load's point in the load's direction
-        [m]; ``opening`` and ``penetration``, the largest of any pair [m]; ``contact_force``, the
-        largest of any pair [N]; ``closed_share`` of the period, mean over the pairs;
+        [m], ``mean`` to ``mean_shift`` there, and ``cosine_1`` to ``sine_3``, the parts of its
+        harmonics [m], the same of each point of ``[output.points]`` by
+        names like ``tip.ux.ratio_2_1``, and ``opening`` to ``closed_share``: as in
+        :class:`Indicators`; ``omega_open`` to ``over_bilinear``: as in
+        :meth:`BilinearFrequencies.nearest`; ``omega_open_1`` to ``omega_tied_6``, the lowest
+        natural frequencies with lips open and tied [rad/s];
         ``multiplier``, largest modulus, and the ``verdict`` from it, empty without a contact law;
         ``residual_error`` to ``reduction_error`` and ``penetration_share`` as in
-        :class:`ErrorReport`; ``harmonics``; Newton ``iterations``; ``crack_length``, given or found
-        [m]; ``seconds`` of wall-clock time; ``status``, how the case was solved or why not;
-        ``state``: 0 pending, 1 converged, 2 failed.
+        :class:`ErrorReport`; ``harmonics``; Newton ``iterations``; ``crack_length`` of the first
+        crack, given or found [m]; ``seconds`` of wall-clock time; ``status``, how the case was
+        solved or why not; ``state``: 0 pending, 1 converged, 2 failed; ``omega`` [rad/s] and
+        ``frequency`` [Hz] of the load.
     """
 
     path: Path
@@ -326,22 +326,43 @@ class SweepResult(Tabular):
 
     # --- shown ------------------------------------------------------------------------------------
 
+    @property
+    def quantities(self) -> dict[str, tuple[str, str]]:
+        """The columns that are drawn and printed, in words and with units: those that the scene's
+        ``[output] quantities`` chooses, or a few."""
+        output = self.scene.output
+        chosen = (output.quantities if output is not None else None) or DRAWN
+        points = output.points if output is not None else ()
+        seen = [
+            (f"{point.key}.u{axis}.", f", {axis} displacement of {point.key}")
+            for point in points
+            for axis in "xy"
+        ]
+        found = {}
+        for name in chosen:
+            words, unit = QUANTITIES[name]
+            if name not in OF_POINTS:
+                found[name] = words, unit
+            elif points:
+                found |= {before + name: (words + after, unit) for before, after in seen}
+            else:
+                found[of_load(name)] = f"{words} at the load's point", unit
+        return {name: how for name, how in found.items() if name in self.columns}
+
     def to_dict(self) -> dict[str, Any]:
         """The values of the axes by their keys, then the columns; a row for each case."""
         values = zip(*itertools.product(*(axis.values for axis in self.axes)), strict=True)
         found = {axis.key: list(swept) for axis, swept in zip(self.axes, values, strict=True)}
         found["state"] = STATES[self["state"]].ravel().tolist()
-        return found | {name: self[name].ravel().tolist() for name in COLUMNS}
+        return found | {
+            name: self[name].ravel().tolist() for name in self.columns if name != "state"
+        }
 
     def _units(self) -> dict[str, str]:
-        return UNITS | {name: unit for name, (unit, _) in COLUMNS.items()}
+        swept = {axis.key: unit_of(axis.key) for axis in self.axes}
+        return swept | {name: unit for name, (unit, _) in columns_of(self.scene).items()}
 
     def _title(self) -> str:
         counts = zip(STATES, np.bincount(self["state"].ravel(), minlength=3), strict=True)
         swept = " x ".join(f"{len(axis.values)} {axis.key}" for axis in self.axes)
         return ", ".join([swept, *(f"{count} {state}" for state, count in counts if count)])
-
-
-def axis_name(axis: Axis) -> str:
-    """The key of an axis with its unit."""
-    return with_unit(axis.key, UNITS.get(axis.key, ""))

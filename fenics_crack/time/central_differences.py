@@ -74,6 +74,16 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
 
     dt <= 2 / omega_max with every pair closed by its spring; with a constraint, which lowers the
     largest frequency, with every pair open.
+
+    Parameters
+    ----------
+    structure, omega, contact
+        As of :func:`integrate_central_difference`.
+
+    Raises
+    ------
+    InputError
+        An argument cannot be used, or the lips have no mass.
     """
     check_mass(structure, INSTEAD)
     check_omega(omega)
@@ -99,7 +109,9 @@ def integrate_central_difference(
     steps_per_period: int,
     **options: Any,
 ) -> TimeHistory:
-    """March the equation of motion under the structure's load (collective).
+    """March by central differences under the structure's load (collective).
+
+        (2 M + dt C) u_{n+1} = 2 dt^2 (f - K u - B lambda)_n + 4 M u_n - (2 M - dt C) u_{n-1}
 
     Parameters
     ----------

@@ -25,6 +25,11 @@ def integrate_exponential(
 ) -> TimeHistory:
     """March by exact exponential steps, under the penalty law or without penetration.
 
+        z_{n+1} = E z_n - Gamma (lambda_n + lambda_{n+1}),        E = exp(A h),
+
+    z being displacements and velocities of the modes less the steady response to the load, and
+    2 Gamma the response to unit contact forces held over the step h.
+
     Parameters
     ----------
     structure : Structure

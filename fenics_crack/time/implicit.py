@@ -94,7 +94,7 @@ def integrate_implicit(
     spectral_radius: float = 0.8,
     **options: Any,
 ) -> TimeHistory:
-    """March the equation of motion by steps as long as accuracy allows (collective).
+    """March by the generalised-alpha method, by steps as long as accuracy allows (collective).
 
     Parameters
     ----------
@@ -122,6 +122,8 @@ def integrate_implicit(
     Notes
     -----
     Two columns of n_local numbers are kept for each pair.
+
+    Source: Chung and Hulbert, Journal of Applied Mechanics 60 (1993) 371-375.
     """
     check_mass(structure, INSTEAD)
     check_number("spectral_radius", spectral_radius, 0.0)

@@ -19,6 +19,7 @@ from fenics_crack.model.contact import ContactLaw, check_law
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import StopRequest, raise_together
+from fenics_crack.stages import begin
 from fenics_crack.table import counted
 
 __all__ = ["March", "Scheme", "TimeHistory", "Window", "initial_state", "march"]
@@ -159,7 +160,7 @@ class TimeHistory:
     steps_per_period: int
     structure: Structure
     recorded: np.ndarray
-    """(n, n_recorded) [m], the dofs of :attr:`recorded_dofs` that this rank owns."""
+    """(n, n_recorded) [m], the dofs of ``recorded_dofs`` that this rank owns."""
     recorded_dofs: np.ndarray
     final_state: tuple[np.ndarray, np.ndarray]
     """Displacement [m] and velocity [m/s] (n_local,) at the end of the last period: ``initial`` of
@@ -255,6 +256,7 @@ def march(asked: March, scheme: Scheme) -> TimeHistory:
     gap, force, motion = records
     load_motion = np.empty((steps, len(asked.load_rows)))
     settled, done, before = np.inf, 0, None
+    begin("")
     hidden = not asked.progress or structure.comm.rank != 0
     started = clock.perf_counter()
     with StopRequest() as stop:

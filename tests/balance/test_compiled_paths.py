@@ -256,7 +256,7 @@ def test_undamped_resonance() -> None:
 
 
 def test_fold_and_value_between_two_points() -> None:
-    """p(s) turns at t_p = 0, and takes the value asked for, on the path."""
+    """p(s) turns at t_p = 0, and takes the value asked for, on the path; the same from Python."""
     law = fc.UnilateralPenalty(1.0)
     structure = oscillator(0.02, 0.1)
     family = FAMILIES["omega"](fc.Problem(structure, 2.0, law, 10), 2.0, 0.3)
@@ -267,13 +267,38 @@ def test_fold_and_value_between_two_points() -> None:
     turning = [ends for ends in pairs if ends[0].tangent.p * ends[1].tangent.p < 0.0]
     assert len(turning) == 2
     for ends in turning:
-        assert abs(must(find_between(family, ends, None, 1e-11)).tangent.p) < 1e-7
+        fold = must(find_between(family, ends, None, 1e-11))
+        assert abs(fold.tangent.p) < 1e-7
+        assert_same_point(fold, must(find_between(Plain(family), ends, None, 1e-11)))
     for first, last in pairs[10:90:20]:
         target = 0.3 * first.parameter + 0.7 * last.parameter
         found = must(find_between(family, (first, last), target, 1e-11))
         assert found.parameter == pytest.approx(target, abs=1e-7)
+        assert_same_point(found, must(find_between(Plain(family), (first, last), target, 1e-11)))
         at = family.linearise(found.unknown, found.parameter)
         assert np.linalg.norm(at.residual) < 1e-10 * np.linalg.norm(found.unknown)
+
+
+def assert_same_point(one: PathPoint, other: PathPoint) -> None:
+    """To what Newton's method leaves."""
+    size = np.abs(other.unknown).max()
+    assert one.parameter == pytest.approx(other.parameter, abs=1e-10)
+    assert np.allclose(one.unknown, other.unknown, rtol=0.0, atol=1e-9 * size)
+    assert np.allclose(one.tangent.x, other.tangent.x, rtol=0.0, atol=1e-7 * size)
+    assert one.tangent.p == pytest.approx(other.tangent.p, abs=1e-7)
+    assert one.iterations == other.iterations
+
+
+@pytest.mark.parametrize("name", list(RANGES))
+def test_largest_compliance(name: str) -> None:
+    """Of random chains, at parameters in and out of the range."""
+    structure, law = chain(pairs=3), fc.UnilateralPenalty(np.array([3.0, 8.0, 20.0]))
+    family = FAMILIES[name](fc.Problem(structure, 0.83, law, 4), *RANGES[name])
+    assert family.compiled is not None
+    for parameter in (-0.2, 0.0, 0.4, 1.0):
+        matrices = family.system(family.value(parameter)).compliance.matrices
+        expected = np.abs(matrices).sum(axis=2).max()
+        assert family.compiled.largest_compliance(parameter) == pytest.approx(expected, rel=1e-12)
 
 
 def must(point: PathPoint | None) -> PathPoint:

@@ -320,7 +320,8 @@ def test_nothing_converges(plate: fc.Structure, monkeypatch: pytest.MonkeyPatch)
         fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=12)
     solution = fc.solve_harmonic_balance(plate, 2000.0, RIGID, harmonics=12, throw=False)
     assert not solution.converged and "in the softness: failed" in solution.status
-    assert solution.status.endswith("path in the frequency: failed (from 0.5 to 2 of it)")
+    assert "path in the frequency: failed (from 0.5 to 2 of it)" in solution.status
+    assert solution.status.endswith("path in the damping: failed (none to its end)")
 
 
 @pytest.mark.parametrize("modes", [30, 40, 49])

@@ -14,8 +14,12 @@ from helpers import (
     OMEGA_0,
     Cubic,
     chain,
+    classical_amplitudes,
     dense_matrices,
+    duffing,
+    duffing_system,
     log_slope,
+    newton_roots,
     oscillator,
     relative,
     true_error,
@@ -132,12 +136,6 @@ def test_refusals() -> None:
 # --- spurious solutions: a Duffing oscillator -----------------------------------------------------
 
 
-def duffing() -> fc.Structure:
-    """x'' + 0.2 x' + x (+ x^3) = 1.25 sin 2 t."""
-    one = np.ones((1, 1))
-    return fc.Structure.from_matrices(one, one, one, force_sin=[1.25], damping=0.2 * one)
-
-
 def collocation_roots(harmonics: int) -> np.ndarray:
     """All 3^(2H+1) complex roots (roots, 2H+1) of L x + x^3 = f, the collocated equation.
 
@@ -172,36 +170,6 @@ def collocation_roots(harmonics: int) -> np.ndarray:
     roots: np.ndarray = (values / values[0])[[np.ravel_multi_index(s, shape) for s in steps]].T
     assert np.abs(roots @ linear.T + roots**3 - load).max() < 1e-6
     return roots
-
-
-def newton_roots(system: CondensedSystem, starts: int = 400) -> list[np.ndarray]:
-    """The distinct solutions that Newton's method finds from random starts of many sizes."""
-    size = np.linalg.norm(system.linear)
-    rng, found = np.random.default_rng(0), list[np.ndarray]()
-    for _ in range(starts):
-        gap = rng.normal(size=system.shape)
-        gap *= size * 10.0 ** rng.uniform(-1.0, 1.0) / np.linalg.norm(gap)
-        for _ in range(100):
-            at = system.linearise(gap)
-            if np.linalg.norm(at.residual) < 1e-11 * np.linalg.norm(gap):
-                if all(np.linalg.norm(gap - other) > 1e-6 * size for other in found):
-                    found.append(gap)
-                break
-            gap = gap - at.solve(at.residual)
-    return found
-
-
-def duffing_system(harmonics: int, samples: int) -> CondensedSystem:
-    """The package's equations of the Duffing oscillator."""
-    compliance = dynamic_compliance(duffing(), 2.0, harmonics)
-    return CondensedSystem(compliance, SampledIntegrals(Cubic(1.0), harmonics, samples))
-
-
-def classical_amplitudes() -> np.ndarray:
-    """H = 1: ((1 - W^2 + 3/4 y)^2 + (0.2 W)^2) y = 1.25^2 in y = |X1|^2."""
-    squares = np.roots([9.0 / 16.0, -4.5, 9.0 + 0.16, -(1.25**2)])
-    assert np.all(np.abs(squares.imag) < 1e-12)
-    return np.sort(np.sqrt(squares.real))
 
 
 @pytest.mark.verification

@@ -80,6 +80,8 @@ def test_animation(
     with Image.open(path) as picture:
         assert picture.n_frames == 10 and picture.size == (640, 740)
         assert picture.info["loop"] == 0 and picture.info["duration"] == 300
+        said = picture.info["comment"].decode("latin-1").rpartition("×")[2]
+        assert float(said) == pytest.approx(magnification, rel=5e-3)
     assert path.stat().st_size < 1e6
     gap = breathing.gap(fields.time)[:, 0]
     apart, touching = int(gap.argmin()), int(gap.argmax())

@@ -18,6 +18,7 @@ from helpers import (
 )
 
 import fenics_crack as fc
+from fenics_crack.balance.bordered import PathPoint
 from fenics_crack.balance.compliance import ModalCompliance, load_coefficients
 from fenics_crack.balance.condensed import respond
 from fenics_crack.balance.family import FAMILIES
@@ -53,20 +54,38 @@ def test_bilinear_oscillator_runs_through(stiffness: float, harmonics: int) -> N
 
 
 @pytest.mark.parametrize("span", [(2.0, 0.3), (0.3, 2.0)])
-@pytest.mark.parametrize("longest", [0.05, 0.1, 0.2, 0.3, 0.4])
+@pytest.mark.parametrize("longest", [0.05, 0.1, 0.2, 0.275, 0.4])
 def test_long_steps_reach_the_end(span: tuple[float, float], longest: float) -> None:
     """Stiff contact, up and down: the end, by whatever steps. Downwards the first solution lies on
-    the curve that leads there; upwards some begin on a loop of the truncated equations."""
+    the curve that leads there; upwards most lie on a loop of the truncated equations."""
+    others = 0
     for stiffness, harmonics in ((100.0, 10), (100.0, 20), (1000.0, 10), (1000.0, 20)):
         curve = continue_frequency(
             oscillator(0.02, 0.1), *span, fc.UnilateralPenalty(stiffness),
             harmonics=harmonics, longest_step=longest,
         )  # fmt: skip
-        assert curve.complete
-        if curve.status == "reached the end":
-            assert curve.values[-1] == pytest.approx(span[1])
-        else:
-            assert span[0] < span[1] and curve.status == "closed loop"
+        assert curve.complete and curve.status.startswith("reached the end")
+        assert curve.values[0] == pytest.approx(span[0])
+        assert curve.values[-1] == pytest.approx(span[1])
+        others += "not by the first solution" in curve.status
+    assert others == (0 if span[0] > span[1] else 3)
+
+
+def test_a_curve_past_a_loop() -> None:
+    """Upwards, where the first solution lies on a closed loop: the curve's points are those of the
+    way down, and a loop that a given solution lies on is followed as such."""
+    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(100.0)
+    up = continue_frequency(structure, 0.3, 2.0, law, harmonics=20, longest_step=0.2)
+    down = continue_frequency(structure, 2.0, 0.3, law, harmonics=20, longest_step=0.2)
+    assert "not by the first solution" in up.status
+    assert np.abs(up.gap(0) - down.gap(-1)).max() < 1e-6 * np.abs(up.gap(0)).max()
+    assert np.allclose(sorted(folds(up)), sorted(folds(down)), rtol=1e-6)
+    first = fc.solve_harmonic_balance(structure, 0.3, law, harmonics=20)
+    assert np.abs(first.gap_coefficients - up.gap(0)).max() > 1e-3 * np.abs(up.gap(0)).max()
+    loop = continue_frequency(
+        structure, 0.3, 2.0, law, harmonics=20, longest_step=0.2, initial=first
+    )
+    assert loop.complete and loop.status == "closed loop"
 
 
 def test_points_are_solutions() -> None:
@@ -113,22 +132,6 @@ def test_fold_of_a_duffing_oscillator() -> None:
     exact = grid[np.flatnonzero(np.diff(signs))]
     assert len(exact) == 2
     assert np.allclose(sorted(folds(curve)), exact, atol=1e-3)
-
-
-@pytest.mark.verification
-def test_both_stable_orbits_of_two_masses_and_a_stop() -> None:
-    """The curve crosses W = 0.70 three times; the outer two solutions are as published."""
-    structure, law = two_masses(), fc.UnilateralPenalty(100.0)
-    curve = continue_frequency(structure, 0.6, 0.9, law, harmonics=21)
-    crossing = np.flatnonzero((curve.omega[:-1] - 0.7) * (curve.omega[1:] - 0.7) < 0.0)
-    found = []
-    for index in crossing:
-        near = curve.solution(int(index))
-        solution = fc.solve_harmonic_balance(structure, 0.7, law, harmonics=21, initial=near)
-        found.append(amplitudes(solution.coefficients_at([1])[:, 0])[0])
-    assert len(found) == 3
-    assert max(found) == pytest.approx(0.77839461, abs=1e-3)
-    assert min(found) == pytest.approx(0.22134025, abs=1e-6)
 
 
 @pytest.mark.verification
@@ -440,6 +443,20 @@ def test_harmonics_follow_the_truncation(tmp_path: Path) -> None:
     assert np.array_equal(again.amplitude(0), curve.amplitude(0))
 
 
+def test_fewer_harmonics_where_more_have_no_solution(monkeypatch: pytest.MonkeyPatch) -> None:
+    """H grows by less, and the curve goes on: an estimate that is far too large does not end it."""
+    correct = fc.Continuation._again
+
+    def again(self: fc.Continuation, point: PathPoint) -> PathPoint | None:
+        return correct(self, point) if self._family.problem.harmonics <= 7 else None
+
+    monkeypatch.setattr(fc.Continuation, "_again", again)
+    structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(1.0)
+    curve = continue_frequency(structure, 3.0, 0.2, law, harmonics=4, tolerance=1e-3)
+    assert curve.complete and set(curve.harmonics) == {4, 5, 7}
+    assert np.nanmax(curve.truncation) > 1e-3
+
+
 @pytest.mark.parametrize(
     ("key", "arguments"),
     [
@@ -540,6 +557,36 @@ def test_iterating_again_goes_on() -> None:
     assert curve.complete and curve.status == "reached the end"
     assert len(folds(curve)) == 2
     assert len(list(growing)) == 1 and growing.status == "reached the end"
+
+
+@pytest.mark.parametrize("span", [(2.0, 0.3), (0.3, 2.0)])
+@pytest.mark.parametrize("most", [50000, 70])
+def test_run_records_what_iterating_gives(span: tuple[float, float], most: int) -> None:
+    """The same points and folds, to the last bit; upwards the first solution lies on a loop."""
+    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(100.0)
+    problem = fc.Problem(structure, span[0], law, harmonics=5)
+    growing = [fc.Continuation(problem, "omega", *span, most_points=most) for _ in range(2)]
+    points = list(growing[0])
+    growing[1].run()
+    one, other = growing[0].curve, growing[1].curve
+    assert len(points) == len(other) and one.status == other.status
+    assert np.array_equal([point.value for point in points], other.values)
+    for name in ("values", "omega", "unknowns", "iterations", "harmonics", "truncation"):
+        assert np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True)
+    assert folds(one) == folds(other)
+    assert len(folds(other)) == sum(len(point.bifurcations) for point in points)
+
+
+@pytest.mark.parametrize("stiffness", [1.0, 1000.0])
+@pytest.mark.parametrize("omega", [0.7, 2.0])
+def test_first_point_is_the_single_solution(stiffness: float, omega: float) -> None:
+    """What PETSc's SNES finds from the linear solution, along a path where full steps fail."""
+    structure, law = oscillator(0.02, 0.1), fc.UnilateralPenalty(stiffness)
+    first = fc.Continuation(fc.Problem(structure, omega, law, 10), "omega", omega, 0.3).curve
+    known = fc.solve_harmonic_balance(structure, omega, law, harmonics=10)
+    size = np.abs(known.gap_coefficients).max()
+    assert np.allclose(first.unknown(0), known.gap_coefficients, rtol=0.0, atol=1e-8 * size)
+    assert first.iterations[0] == known.iterations
 
 
 @pytest.mark.parametrize("stiffness", [1e7, 1e9, 1e10])

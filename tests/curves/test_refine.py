@@ -93,9 +93,11 @@ def test_several_pairs_and_kinds_of_contact() -> None:
 def test_harmonics_and_multipliers_come_along() -> None:
     """Of two neighbours the larger H, and multipliers at the new points too."""
     structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(1.0)
-    coarse = fc.continue_frequency(
-        structure, 0.4, 2.5, law, harmonics=4, tolerance=1e-3, stability=True
+    growing = fc.Continuation(
+        fc.Problem(structure, 0.4, law, 4), "omega", 0.4, 2.5, tolerance=1e-3, stability=True
     )
+    assert all(point.multiplier is not None for point in growing)
+    coarse = growing.curve  # not judged by exact orbits
     fine = fc.refine_curve(coarse, 2)
     assert set(fine.harmonics) == set(coarse.harmonics)
     assert fine.multipliers is not None and np.all(np.isfinite(fine.multipliers))

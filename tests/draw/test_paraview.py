@@ -250,6 +250,8 @@ def test_script_for_paraview(
     words = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant)}
     assert {word for word in words if str(word).endswith(".pvd")} == {"a period.pvd"}
     assert f"{given['field']} [{'Pa' if with_stress else 'm'}]" in words
+    factor = float(frame.field_data["magnification"][0])
+    assert f"displacement x {factor:.3g}" in words
 
 
 @pytest.mark.parametrize(
@@ -275,8 +277,11 @@ def test_modes_for_paraview(quadratic_plate: fc.Structure, tmp_path: Path) -> No
     assert list(grid.point_data) == [
         f"mode {number}: {omega:.1f} rad/s" for number, omega in enumerate(modes.omega, 1)
     ]
-    for name in grid.point_data:
+    for number, name in enumerate(grid.point_data):
         assert np.linalg.norm(grid[name], axis=1).max() == pytest.approx(0.01)
+        factor = float(grid.field_data[f"magnification of mode {number + 1}"][0])
+        shape = quadratic_plate.expand(modes.shapes[:, number])
+        assert np.isclose(np.abs(grid[name]).max(), factor * np.abs(shape).max())
 
 
 def test_pictures(

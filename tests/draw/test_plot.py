@@ -4,15 +4,22 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers import DEMOS, oscillator, two_masses
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.quiver import Quiver
 
 import fenics_crack as fc
+from fenics_crack.balance.error_report import LARGE_ERROR
+from fenics_crack.curves.estimates import displacement_errors
+from fenics_crack.draw import plot_curve
 
 LAW = fc.UnilateralPenalty(1e9)
 X = np.linspace(1.0, 2.0, 5)
@@ -33,7 +40,18 @@ def results(plate: fc.Structure) -> dict[str, Any]:
     curve = fc.continue_frequency(
         masses, 0.8, 1.4, fc.UnilateralPenalty(1.0), harmonics=3, stability=True
     )
+    touching = fc.continue_frequency(
+        oscillator(0.05, 1.0), 0.3, 2.0, fc.UnilateralPenalty(10.0), harmonics=3, stability=True
+    )
+    linear = fc.solve_linear(masses, 1.0)
+    arrivals = fc.tip_timing(
+        linear, 1, probes=[0.1, 0.5, 1.3, 3.1], tip_radius=100.0, order=6, noise=1e-4
+    )
     return {
+        "touching": touching,
+        "arrivals": arrivals,
+        "fit": fc.fit_order(arrivals),
+        "track": fc.track_order(arrivals, 6),
         "solution": fc.solve_harmonic_balance(plate, 2000.0, LAW),
         "modes": fc.solve_modes(plate, 4),
         "curve": curve,
@@ -59,9 +77,14 @@ DRAWN: dict[str, tuple[int, Callable[..., Figure]]] = {
     ),
     "curve": (1, lambda of, **how: fc.draw_curve(of["curve"], 1, **how)),
     "content": (1, lambda of, **how: fc.draw_content(of["curve"], 1, **how)),
-    "multipliers": (1, lambda of, **how: fc.draw_multipliers(of["curve"], points=5, **how)),
+    "multipliers": (1, lambda of, **how: fc.draw_multipliers(of["curve"], **how)),
+    "mesh": (1, lambda of, **how: fc.draw_mesh(of["solution"].structure, **how)),
+    "spectra": (2, lambda of, **how: fc.draw_spectra({"a": (of["solution"], 5)}, **how)),
     "spectrum": (2, lambda of, **how: fc.draw_spectrum(of["solution"], **how)),
     "orbits": (2, lambda of, **how: fc.draw_orbits(of["solution"], 5, **how)),
+    "arrivals": (1, lambda of, **how: fc.draw_arrivals(of["arrivals"], **how)),
+    "tip fit": (2, lambda of, **how: fc.draw_tip_fit(of["fit"], of["arrivals"], **how)),
+    "tip track": (1, lambda of, **how: fc.draw_tip_track(of["track"], **how)),
     "modes": (2, lambda of, **how: fc.draw_modes(of["modes"], numbers=[1, 3], **how)),
 }
 
@@ -179,8 +202,163 @@ print([name for name in ("matplotlib.pyplot", "pyvista", "vtkmodules") if name i
 
 
 def test_only_this_folder_draws() -> None:
-    """No other one imports what pictures are made with."""
+    """No other one imports what pictures are made with, but the picture of a folder above."""
     package = DEMOS.parent / "fenics_crack"
     made_with = re.compile(r"^\s*(?:import|from) (matplotlib|pyvista|PIL|vtk)", re.M)
     users = {path for path in package.rglob("*.py") if made_with.search(path.read_text())}
-    assert users and {path.parent for path in users} == {package / "draw"}
+    above = package / "identification" / "draw.py"
+    assert users and {path.parent for path in users - {above}} == {package / "draw"}
+
+
+# --- curves ---------------------------------------------------------------------------------------
+
+
+def legend_of(panel: Any) -> list[str]:
+    """The words of a legend."""
+    return [text.get_text() for text in panel.get_legend().get_texts()]
+
+
+def test_marks_do_not_pile_up(results: dict[str, Any]) -> None:
+    """Of 600 bifurcations at few places those that can be told apart are marked; all count."""
+    curve = results["touching"]
+    given = 600 // len(curve.bifurcations)
+    many = replace(curve, bifurcations=given * curve.bifurcations)
+    panel = fc.draw_curve(many, 0).axes[0]
+    marked = [line for line in panel.lines if line.get_marker() in "vsD^"]
+    shown = np.concatenate([np.column_stack(line.get_data()) for line in marked])
+    assert 0 < len(shown) <= len(curve.bifurcations) and len(shown) <= 40
+    counts = [int(re.findall(r"\((\d+)", word)[0]) for word in legend_of(panel) if "marked" in word]
+    assert sum(counts) == len(many.bifurcations)
+
+
+def test_inexact_parts_are_faint(results: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the estimated error is large nothing is solid; elsewhere nothing is faint."""
+    curve = results["touching"]
+    errors = np.where((curve.omega > 1.0) & (curve.omega < 1.1), 0.5, 0.01)
+    monkeypatch.setattr(plot_curve, "displacement_errors", lambda of: errors)
+    panel = fc.draw_curve(curve, 0).axes[0]
+    drawn = [line for line in panel.lines if len(line.get_xdata()) == len(curve)]
+    for faint in (True, False):
+        lines = [line for line in drawn if ((line.get_alpha() or 1.0) < 1.0) == faint]
+        seen = np.any([np.isfinite(line.get_ydata()) for line in lines], axis=0)
+        large = errors > 0.05
+        assert np.all(seen[large == faint])
+        inner = large[1:-1] & large[:-2] & large[2:] if not faint else ~large[1:-1] & ~large[:-2]
+        assert not np.any(seen[1:-1][inner])
+    assert any("estimated error above 5 %" in word for word in legend_of(panel))
+    monkeypatch.undo()
+    assert not any("faint" in word for word in legend_of(fc.draw_curve(exact_curve(), 0).axes[0]))
+
+
+def exact_curve() -> fc.ResponseCurve:
+    """With so many harmonics that its error is small."""
+    law = fc.UnilateralPenalty(0.3)
+    return fc.continue_frequency(oscillator(0.2, 1.0), 0.6, 0.9, law, harmonics=9)
+
+
+def test_errors_along_a_curve(results: dict[str, Any]) -> None:
+    """Interpolated: large where the estimates of the single points are, at nearly all of them."""
+    curve = results["touching"]
+    every = np.array([found.report.displacement for found in curve.solutions])
+    found = displacement_errors(curve)
+    assert np.mean((found > LARGE_ERROR) == (every > LARGE_ERROR)) > 0.95
+    assert np.any(every > LARGE_ERROR) and np.any(every < LARGE_ERROR)
+    assert np.isclose(found, np.maximum(every, 1e-12), rtol=1e-9).sum() >= 40
+
+
+def test_multipliers(results: dict[str, Any]) -> None:
+    """Their moduli stand over the load frequency, each under the kind that it is."""
+    curve = results["touching"]
+    panel = fc.draw_multipliers(curve, in_hertz=True).axes[0]
+    assert panel.get_xlabel() == "load frequency [Hz]"
+    dots = {
+        line.get_label(): line.get_xydata()
+        for line in panel.lines
+        if line.get_marker() in (".", "x") and len(line.get_xdata())
+    }
+    found = np.concatenate([*dots.values()])
+    expected = np.column_stack([curve.omega / (2.0 * np.pi), np.abs(curve.multipliers)])
+    assert np.allclose(found[np.lexsort(found.T)], expected[np.lexsort(expected.T)])
+    undecided = curve.verdicts == "undecided"
+    assert len(dots.get("undecided", [])) == undecided.sum() < len(curve)
+    pairs = np.sum(~undecided & (np.abs(curve.multipliers.imag) > 1e-9))
+    assert len(dots.get("a complex pair", [])) == pairs
+    without = replace(curve, multipliers=None, undecided=None)
+    with pytest.raises(fc.InputError, match="stability"):
+        fc.draw_multipliers(without)
+
+
+# --- maps, legends, the mesh ----------------------------------------------------------------------
+
+
+def test_doubtful_cells_are_hatched() -> None:
+    """Each of them over its own cell; those that did not converge are grey and crossed."""
+    values, doubtful = np.outer(X, X), np.zeros((5, 5), dtype=bool)
+    values[0, 3], doubtful[2, 1], doubtful[4, 4], doubtful[0, 3] = np.nan, True, True, True
+    words = {"x_label": "x", "y_label": "y", "value_label": "v"}
+    panel = fc.draw_map(X, 10.0 * X, values, doubtful=doubtful, **words).axes[0]
+    [hatched] = [one for one in panel.collections if one.get_hatch()]
+    middles = [path.vertices[:4].mean(axis=0) for path in hatched.get_paths()]
+    assert np.allclose(sorted(map(tuple, middles)), [(X[1], 10.0 * X[2]), (X[4], 10.0 * X[4])])
+    [crosses] = [line for line in panel.lines if len(line.get_xdata())]
+    assert np.allclose(crosses.get_xydata(), [(X[3], 10.0 * X[0])])
+    assert legend_of(panel)[0] == "not converged" and "not stable" in legend_of(panel)[1]
+    with pytest.raises(fc.InputError, match="doubtful"):
+        fc.draw_map(X, X, values, doubtful=doubtful[:3], **words)
+
+
+@pytest.mark.parametrize("constrained", [True, False])
+def test_legends_hide_nothing(constrained: bool) -> None:
+    """Below the panel, or in room that is made: no point of a line lies under a legend."""
+    figure = Figure(layout="constrained" if constrained else None)
+    FigureCanvasAgg(figure)
+    panel = figure.subplots()
+    time = np.linspace(0.0, 2e-3, 400)
+    waves = [
+        fc.Wave(f"a wave with a long name {n}", time, 1e-6 * np.sin(3e4 * time + n))
+        for n in range(6)
+    ]
+    fc.draw_waves(waves, quantity="q", axes=panel)
+    figure.canvas.draw()
+    box = panel.get_legend().get_window_extent()
+    for line in panel.lines:
+        seen = panel.transData.transform(line.get_xydata())
+        assert not np.any(np.all((seen > box.min) & (seen < box.max), axis=1))
+    inside = figure.bbox
+    assert box.x0 >= inside.x0 and box.y0 >= inside.y0 and box.x1 <= inside.x1
+
+
+def test_mesh(paper_scene: fc.Scene, plate: fc.Structure) -> None:
+    """The clamped edge, the lips along the crack, the pairs, and an arrow from the load's point."""
+    panel = fc.draw_mesh(plate).axes[0]
+    assert legend_of(panel) == ["clamped", "lips of the crack", "contact pairs (4)", "load"]
+    _, _, clamped, lips = (
+        np.concatenate(one.get_segments())
+        for one in panel.collections
+        if isinstance(one, LineCollection)
+    )
+    assert np.allclose(clamped[:, 1], 0.0) and np.ptp(clamped[:, 0]) == pytest.approx(0.1)
+    crack = paper_scene.crack
+    assert crack is not None and np.allclose(lips[:, 1], crack.height)
+    assert lips[:, 0].max() == pytest.approx(crack.length)
+    [arrows] = [one for one in panel.collections if isinstance(one, Quiver)]
+    assert np.allclose(arrows.XY, [paper_scene.excitation.point]) and arrows.U[0] > 0.0
+    with pytest.raises(fc.InputError, match="structure"):
+        fc.draw_mesh(oscillator(0.1, 1.0))
+
+
+def test_names_of_modes_are_beside_their_plates(results: dict[str, Any]) -> None:
+    """No title lies on a plate, its own or that of another row."""
+    figure = fc.draw_modes(results["modes"], columns=2)
+    figure.canvas.draw()
+    plates = [
+        panel.transData.transform(np.concatenate(one.get_segments()))
+        for panel in figure.axes
+        for one in panel.collections
+        if isinstance(one, LineCollection)
+    ]
+    assert len(plates) == 12
+    for panel in figure.axes:
+        low, high = panel.title.get_window_extent().get_points()
+        for points in plates:
+            assert not np.any(np.all((points > low) & (points < high), axis=1))

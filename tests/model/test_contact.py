@@ -16,7 +16,7 @@ from fenics_crack import (
     reduce_structure,
     solve_harmonic_balance,
 )
-from fenics_crack.scene.scene import Contact
+from fenics_crack.scene.tables import Contact
 
 GRADED = {"columns": None, "rows": None, "size": 0.02, "lip_elements": 5}
 GAPS = np.linspace(-2.0, 2.0, 81)[:, None] + 0.003

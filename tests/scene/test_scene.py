@@ -348,7 +348,7 @@ def test_scenes_are_frozen() -> None:
         with pytest.raises(dataclasses.FrozenInstanceError):
             setattr(scene, table.name, None)
         part = getattr(scene, table.name)
-        for item in dataclasses.fields(part) if part is not None else ():
+        for item in dataclasses.fields(part) if part else ():
             with pytest.raises(dataclasses.FrozenInstanceError):
                 setattr(part, item.name, 1.0)
 
@@ -521,7 +521,7 @@ def test_swept_mesh_files_lie_beside_the_scene(tmp_path: Path) -> None:
     made["sweep"] = {"over": {"mesh.file": ["a.msh", "b.msh"]}}
     scene = Scene.from_mapping(made, tmp_path)
     files = [str(tmp_path / name) for name in ("a.msh", "a.msh", "b.msh")]
-    assert scene.mesh_files == files and scene.sweep is not None
+    assert [path for _, path in scene.files] == files and scene.sweep is not None
     assert list(scene.sweep.over[0].values) == files[1:]
 
 
@@ -547,6 +547,7 @@ KEYS = [(table, key) for table, keys in GOOD.items() for key in keys] + [
     ("damping", "mass"), ("damping", "stiffness"), ("damping", "ratios"), ("damping", "omegas"),
     ("contact", "law"),
     ("contact", "sharpness"), ("contact", "pairs"), ("contact", "stiffness_per_area"),
+    ("excitation", "frequency"), ("crack", "first_frequency"), ("damping", "frequencies"),
     ("mesh", "cells"), ("mesh", "order"),
     ("mesh", "size"), ("mesh", "lip_elements"), ("mesh", "grading"), ("mesh", "file"),
     ("excitation", "force_cos"), ("excitation", "force_mean"), ("harmonic_balance", "samples"),

@@ -28,7 +28,7 @@ def test_bifurcations_of_two_masses_and_a_stop(harmonics: int) -> None:
         special = [b for b in curve.bifurcations if b.kind == kind]
         assert len(special) == len(expected)
         for bifurcation, exact in zip(special, expected, strict=True):
-            omega, orbit = refine_bifurcation(bifurcation)
+            omega, orbit = refine_bifurcation(bifurcation, reach=0.2)  # H = 21: 10 % away
             assert omega == pytest.approx(exact, rel=1e-9)
             assert orbit.residual < 1e-11
             if kind == "neimark_sacker":
@@ -38,7 +38,7 @@ def test_bifurcations_of_two_masses_and_a_stop(harmonics: int) -> None:
                 critical = 1.0 if kind == "fold" else -1.0
                 assert np.abs(orbit.multipliers - critical).min() < 1e-6
     doubling = next(b for b in curve.bifurcations if b.kind == "period_doubling")
-    assert refine_bifurcation(doubling)[0] == pytest.approx(0.7387830, rel=1e-7)
+    assert refine_bifurcation(doubling, reach=0.2)[0] == pytest.approx(0.7387830, rel=1e-7)
 
 
 def test_multiplier_seen_in_the_motion() -> None:

@@ -11,7 +11,7 @@ from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack.fem import build
-from fenics_crack.scene.scene import Reduction
+from fenics_crack.scene.tables import Reduction
 from fenics_crack.study.prepare import reduction_of
 
 FINE = {

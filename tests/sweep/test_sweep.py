@@ -18,9 +18,13 @@ import numpy as np
 import pytest
 from conftest import MPI_ENVIRONMENT
 from mpi4py import MPI
+from rotating import cracked
 
 import fenics_crack as fc
-from fenics_crack.scene.scene import Sweep
+import fenics_crack.study.prepare
+from fenics_crack.fem.assembly import assemble
+from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import Sweep
 from fenics_crack.study.prepare import prepare
 from fenics_crack.sweep import case as sweep_case
 from fenics_crack.sweep import jobs as sweep_jobs
@@ -143,7 +147,9 @@ def test_force_clearance_and_law_are_swept_without_a_new_geometry(
     scene = swept(paper_scene, over, GRADED | {"harmonic_balance.harmonics": 4})
     built = []
     whole = sweep_case.prepare
-    monkeypatch.setattr(sweep_case, "prepare", lambda *given: built.append(given) or whole(*given))
+    monkeypatch.setattr(
+        sweep_case, "prepare", lambda *given, **more: built.append(given) or whole(*given, **more)
+    )
     result = run_sweep(scene, tmp_path / "sweep.h5")
     assert len(built) == 1
     # A stiffness and no penetration exclude each other.
@@ -182,7 +188,7 @@ def test_a_case_leaves_the_solution_of_another_alone(paper_scene: fc.Scene, redu
         for load, clearance in given
     ]
     built = sweep_case.build(cases[1], MPI.COMM_SELF, True)
-    arrays = sweep_case.Arrays.of(built.structure, built.crack_length)
+    arrays = sweep_case.Arrays.of(built.structure)
     for geometry in (built, dataclasses.replace(built, structure=arrays.structure())):
         found = [sweep_case.Cases(geometry).solve(case) for case in cases]
         for solution, (load, clearance) in zip(found, given, strict=True):
@@ -702,3 +708,26 @@ def test_stops_at_ctrl_c(paper_scene: fc.Scene, tmp_path: Path, undisturbed: Swe
     assert run.process.wait(60.0) == 1  # the program's assertion: not complete
     assert 0 < run.done() < undisturbed["state"].size
     assert_same(undisturbed, run_sweep(scene, path))
+
+
+def test_speeds_share_a_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Over the rotor's speed, with an engine order, the plate is meshed once for each length; every
+    case is that of a scene of its own."""
+    meshed = []
+
+    def counted(scene: Scene, comm: MPI.Comm) -> fc.Structure:
+        meshed.append(scene)
+        return assemble(scene, comm)
+
+    coarse = {"mesh.size": 0.02, "mesh.lip_elements": 2, "reduction.modes": 4}
+    scene = cracked(600.0, -250.0).replace({"excitation.order": 12, **coarse})
+    over = {"crack.length": [0.005, 0.006], "rotation.speed": [580.0, 600.0, 620.0]}
+    monkeypatch.setattr(fenics_crack.study.prepare, "assemble", counted)
+    found = fc.run_sweep(scene.replace({"sweep.over": over}), tmp_path / "sweep.h5")
+    assert len(meshed) == 2
+    case = scene.replace({"crack.length": 0.006, "rotation.speed": 600.0})
+    one = fc.prepare(case, MPI.COMM_SELF)
+    solution = fc.solve_harmonic_balance(one.structure, 7200.0, one.contact, harmonics=5)
+    assert found["omega"][1, 1] == 7200.0
+    expected = solution.amplitude(one.watched[0].dof)
+    assert found["response"][1, 1] == pytest.approx(expected, rel=1e-5)

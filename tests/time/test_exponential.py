@@ -7,7 +7,7 @@ import pytest
 import scipy.integrate
 import scipy.linalg
 import scipy.optimize
-from helpers import DAMPINGS, chain, dense_matrices, heavy_mass, log_slope, oscillator, relative
+from helpers import DAMPINGS, chain, dense_matrices, free_bar, log_slope, oscillator, relative
 
 import fenics_crack as fc
 from fenics_crack.model.modal import all_modes
@@ -145,30 +145,6 @@ def test_energy_balance_is_of_second_order(damping: str) -> None:
 
 
 # --- verification ---------------------------------------------------------------------------------
-
-
-@pytest.mark.verification
-def test_contact_release() -> None:
-    """Mass on a spring against a stop, whose spring is resolved: the closed form to 1e-4."""
-    history = integrate_exponential(
-        heavy_mass(), 2.0 * np.pi / 0.04, fc.UnilateralPenalty(1e6), periods=1,
-        steps_per_period=8000, initial=(np.zeros(1), np.ones(1)),
-    )  # fmt: skip
-    force, step = history.contact_force[:, 0], history.time[1]
-    assert np.count_nonzero(force) * step == pytest.approx(0.0312600, rel=1e-3)
-    assert force.max() == pytest.approx(9950.372, rel=1e-4)
-    assert force.sum() * step == pytest.approx(198.0198, rel=1e-4)
-
-
-def free_bar(elements: int) -> fc.Structure:
-    """0.2 m of steel-like bar, 1 m^2, with linear elements and a wall 2 mm off its end."""
-    size, young, density = 0.2 / elements, 2e11, 8000.0
-    stiffness, mass = np.zeros((elements + 1,) * 2), np.zeros((elements + 1,) * 2)
-    for first in range(elements):
-        block = np.s_[first : first + 2, first : first + 2]
-        stiffness[block] += young / size * np.array([[1.0, -1.0], [-1.0, 1.0]])
-        mass[block] += density * size / 6.0 * np.array([[2.0, 1.0], [1.0, 2.0]])
-    return fc.Structure.from_matrices(mass, stiffness, np.eye(elements + 1)[-1], clearance=2e-3)
 
 
 @pytest.mark.verification

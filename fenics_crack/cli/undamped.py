@@ -12,9 +12,10 @@ from fenics_crack.model.modes import damped_range
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
+from fenics_crack.study.key_figures import highest_omega
 from fenics_crack.study.prepare import prepare, reduction_of
 
-__all__ = ["highest_omega", "in_words", "remark_on", "remark_on_sweep", "remark_on_whole"]
+__all__ = ["in_words", "remark_on", "remark_on_sweep", "remark_on_whole"]
 
 
 def in_words(highest: float, damped: tuple[int, float] | None) -> str:
@@ -42,7 +43,8 @@ def remark_on(structure: Structure, highest: float) -> str:
 
 def remark_on_whole(scene: Scene, whole: Structure, highest: float) -> str:
     """The same of a structure that the scene reduces before it is solved (collective)."""
-    table, ratio = reduction_of(scene, whole), scene.damping.ratio
+    table = reduction_of(scene, whole)
+    ratio = None if scene.damping is None else scene.damping.ratio
     if table is not None and table.method == "massless" and ratio is not None:
         if np.ravel(ratio)[-1] > 0.0:  # that of all further modes that are kept
             return ""
@@ -51,7 +53,7 @@ def remark_on_whole(scene: Scene, whole: Structure, highest: float) -> str:
 
 def remark_on_sweep(scene: Scene, comm: MPI.Comm) -> str:
     """The same of a sweep, from the modes of the plate as the scene has it (collective)."""
-    if scene.contact is None or scene.damping.of_all_modes:
+    if scene.contact is None or scene.damping is None or scene.damping.of_all_modes:
         return ""
 
     def remark() -> str:
@@ -61,16 +63,3 @@ def remark_on_sweep(scene: Scene, comm: MPI.Comm) -> str:
         return ""
 
     return on_root(comm, remark)
-
-
-def highest_omega(scene: Scene, command: str) -> float:
-    """H w: the highest frequency [rad/s] of the harmonics in "solve", "curve" or "sweep"."""
-    omegas, harmonics = [scene.excitation.omega], [scene.harmonic_balance.harmonics]
-    curve = scene.curve if command == "curve" else None
-    if curve is not None and curve.parameter == "omega":
-        omegas = [curve.start, curve.stop]
-    if command == "sweep" and scene.sweep is not None:
-        swept = {axis.key: axis.values for axis in scene.sweep.over}
-        omegas = [*swept.get("excitation.omega", omegas)]
-        harmonics = [*swept.get("harmonic_balance.harmonics", harmonics)]
-    return max(omegas) * max(harmonics)

@@ -1,0 +1,71 @@
+"""The site of the documentation: the guide's pages, and the reference from the docstrings.
+
+python -m sphinx -W docs build/docs
+"""
+
+from pygments.lexers.special import TextLexer
+from sphinx.application import Sphinx
+
+from fenics_crack.scene import tables
+from fenics_crack.version import VERSION
+
+project = "fenics_crack"
+author = "The fenics_crack developers"
+copyright = author
+release = VERSION
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc"]
+html_theme = "furo"
+html_title = f"fenics_crack {release}"
+html_theme_options = {"light_css_variables": {"code-font-size": "0.72rem"}}
+html_copy_source = False
+smartquotes = False  # u'' is an acceleration
+highlight_language = "none"  # indented blocks are formulas and commands
+myst_heading_anchors = 3
+
+# Docstrings have NumPy's form: types, shapes and units stand in them and not in the signatures.
+numpydoc_show_class_members = False
+autodoc_typehints = "none"
+autodoc_preserve_defaults = True
+autodoc_member_order = "bysource"
+autodoc_default_options = {"members": True}
+autosummary_generate = False
+add_module_names = False
+
+# What a text refers to must be there; but types are words too, such as "(n,) [m]".
+nitpicky = True
+nitpick_ignore_regex = [("py:class", ".*")]
+
+
+def lead_to_benchmarks(app: Sphinx, *place_and_text: object) -> None:
+    """Links to the benchmarks, which lie outside of this folder, lead to their page here."""
+    text = place_and_text[-1]
+    assert isinstance(text, list)
+    for link in ("(../benchmarks/README.md", "(benchmarks/README.md"):
+        text[0] = text[0].replace(link, "(benchmarks.md")
+
+
+def show_what_returns(
+    app: Sphinx, what: str, name: str, thing: object, options: object, signature: str, _: object
+) -> tuple[str, str | None]:
+    """The signature with its default values, and the type of what is returned."""
+    returned = getattr(thing, "__annotations__", {}).get("return")
+    return signature, returned if what in ("function", "method") else None
+
+
+def say_what_is_allowed(
+    app: Sphinx, what: str, name: str, thing: object, options: object, lines: list[str]
+) -> None:
+    """Below each key of a scene: the words of the error that any other value gets."""
+    kind, _, key = name.removeprefix("fenics_crack.scene.tables.").partition(".")
+    if field := getattr(getattr(tables, kind, None), "__dataclass_fields__", {}).get(key):
+        lines += ["", f"Allowed: {field.metadata['allowed']}.", ""]
+
+
+def setup(app: Sphinx) -> None:
+    """Called by Sphinx."""
+    app.add_lexer("geo", TextLexer)  # gmsh's language
+    app.connect("autodoc-process-docstring", say_what_is_allowed)
+    app.connect("autodoc-process-signature", show_what_returns)
+    app.connect("source-read", lead_to_benchmarks)
+    app.connect("include-read", lead_to_benchmarks)

@@ -1,0 +1,152 @@
+"""What is said of a result: large errors, stability, failed cases; one line for each kind.
+
+Advice is by the largest part of an error, and never what the scene does already.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from fenics_crack.balance.error_report import LARGE_ERROR, ErrorReport
+from fenics_crack.cli.tables import stability_changes
+from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.errors import MOST_HARMONICS
+from fenics_crack.model.modes import damped_range
+from fenics_crack.scene.scene import Scene
+from fenics_crack.stability.floquet import Stability
+from fenics_crack.study.run import Run
+from fenics_crack.sweep.result import SweepResult
+from fenics_crack.table import counted, frequency_axis
+
+__all__ = ["of_cases", "of_curve", "of_error", "of_modes", "of_stability"]
+
+MORE = "more harmonics (harmonic_balance.harmonics, or a tolerance that chooses them)"
+FINER = "a smaller harmonic_balance.tolerance"
+SHOWN = 4
+"""Kinds of failures that are told."""
+
+
+def of_error(scene: Scene, report: ErrorReport, harmonics: int, where: str = "") -> Iterator[str]:
+    """A warning of a large estimated error, with what makes it smaller."""
+    if report.total <= LARGE_ERROR:
+        return
+    parts = ("truncation", "reduction", "sampling", "residual")
+    part = max(parts, key=lambda name: getattr(report, name))
+    if part == "truncation":
+        wanted = MORE
+        if scene.harmonic_balance.tolerance is not None:
+            wanted = FINER if harmonics < MOST_HARMONICS else "more damping: H is at its limit"
+    elif part == "reduction":
+        wanted = "more modes (reduction.modes)"
+    elif part == "sampling":
+        wanted = "more samples (harmonic_balance.samples)"
+    else:
+        wanted = "softer contact, or contact.law = 'unilateral': it is rounding"
+    yield (
+        f"the estimated error is {report.total:.2g} of the gap{where}, most of it by {part}: it "
+        f"needs {wanted}"
+    )
+
+
+def of_modes(scene: Scene, report: ErrorReport) -> str:
+    """What to do where a tolerance is not met by the modes that a scene names; else empty."""
+    tolerance, table = scene.harmonic_balance.tolerance, scene.reduction
+    if tolerance is None or table is None or table.modes is None:
+        return ""
+    if not report.reduction > tolerance:
+        return ""
+    return (
+        f"; raise reduction.modes = {table.modes}, or leave it out "
+        "(--set reduction.modes=none): solve chooses the modes then"
+    )
+
+
+def of_stability(scene: Scene, run: Run, stability: Stability | None) -> Iterator[str]:
+    """A warning of an orbit that is not known to be stable."""
+    if stability is None or stability.verdict == "stable":
+        return
+    text = f"the orbit is {stability.verdict}: a motion in time may leave it"
+    hints = []
+    if stability.verdict == "undecided":
+        if scene.harmonic_balance.tolerance is None:
+            hints.append("more harmonics")
+        if not (scene.damping.of_all_modes or damped_range(run.structure) is None):
+            hints.append("damping of all modes (damping.modes = 'all')")
+    yield text + (f"; {' or '.join(hints)} may decide it" if hints else "")
+
+
+def of_curve(run: Run[ResponseCurve]) -> Iterator[str]:
+    """Warnings of a curve's errors, of its stability, and of its end."""
+    found, scene = run.result, run.scene
+    factor, _, unit = frequency_axis(scene.in_hertz)
+    if found.parameter != "omega":
+        factor, unit = 1.0, ""
+    peak = int(np.argmax(found.amplitude(run.watched_dof)))
+    looked_at = {peak, *np.linspace(0, len(found) - 1, 8).astype(int).tolist()}
+    reports = {index: found.solution(index).report for index in sorted(looked_at)}
+    worst = max(reports, key=lambda index: reports[index].total)
+    where = f" at {factor * found.values[worst]:g} {unit}".rstrip()
+    yield from of_error(scene, reports[worst], int(found.harmonics[worst]), where)
+    if found.multipliers is not None and bool(np.all(found.verdicts == "undecided")):
+        yield "the stability is undecided at all points"
+    special = [point.value for point in found.bifurcations]
+    gaps = []
+    for index in stability_changes(found) if found.undecided is None else ():
+        low, high = sorted(found.values[index : index + 2])
+        if not any(low <= value <= high for value in special):
+            gaps.append(f"{factor * low:g} and {factor * high:g} {unit}".rstrip())
+    if gaps:
+        times = "" if len(gaps) == 1 else f"at {len(gaps)} places, the first "
+        hint = "" if scene.harmonic_balance.tolerance is not None else f": it needs {MORE} there"
+        yield (
+            f"stability changes {times}between {gaps[0]}, without a bifurcation of the balanced "
+            f"equations{hint}"
+        )
+    if not found.complete:
+        yield f"the curve ended early: {found.status}"
+
+
+def of_cases(found: SweepResult) -> Iterator[str]:
+    """Warnings of the cases of a sweep."""
+    yield from _failures(found)
+    converged = found.converged
+    if large := int(np.sum(found.inexact)):
+        given = found.scene.harmonic_balance.tolerance is not None
+        wanted = FINER if given else MORE
+        yield f"{counted(large, 'case')} with an error above {LARGE_ERROR:.0%}: {wanted}"
+    verdicts = found["verdict"][converged]
+    unstable, undecided = (int(np.sum(verdicts == name)) for name in ("unstable", "undecided"))
+    if undecided and undecided == verdicts.size:
+        yield "the stability is undecided in all cases"
+    elif unstable or undecided:
+        numbers = [f"{n} {word}" for n, word in ((unstable, "unstable"), (undecided, "undecided"))]
+        told = " and ".join(text for text in numbers if not text.startswith("0 "))
+        yield f"of {counted(verdicts.size, 'case')} {told}"
+    if not found.complete:
+        yield "the sweep was stopped; the same command goes on with it"
+
+
+def _failures(found: SweepResult) -> Iterator[str]:
+    """Failed cases, those of one reason together: reasons that differ in numbers alone are one."""
+    kinds: dict[str, list[tuple[tuple[int, ...], str]]] = {}
+    for index, reason in found.failed:
+        kinds.setdefault(re.sub(r"[-+]?\d[\d.e+-]*", "#", reason), []).append((index, reason))
+    ordered = sorted(kinds.values(), key=len, reverse=True)
+    for cases in ordered[:SHOWN]:
+        index, reason = cases[0]
+        number = f"{counted(len(cases), 'case')} failed, the first at"
+        yield f"{number} {_place(found, index)}: {reason}"
+    if more := ordered[SHOWN:]:
+        left = sum(map(len, more))
+        yield f"{counted(left, 'case')} failed for other reasons: column status of the table"
+
+
+def _place(found: SweepResult, index: Sequence[int]) -> str:
+    """The swept values of a case."""
+    return ", ".join(
+        f"{axis.key.rpartition('.')[2]} = {axis.values[at]}"
+        for axis, at in zip(found.axes, index, strict=True)
+    )

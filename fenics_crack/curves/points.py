@@ -1,0 +1,119 @@
+"""Points of a curve: one as it comes, and all of them as columns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from fenics_crack.balance.fourier import resized
+from fenics_crack.stability.piecewise_flow import LeadingMultiplier
+
+__all__ = ["CurvePoint", "Points"]
+
+
+@dataclass(frozen=True)
+class CurvePoint:
+    """A point of a curve as it comes.
+
+    Attributes
+    ----------
+    value, omega : float
+        Of the parameter, and load frequency [rad/s].
+    unknown : (2H+1, n_pairs) [m]
+        Gap coefficients, or the slow gap's (``ResponseCurve.unknowns``).
+    iterations : int
+        Newton iterations.
+    truncation : float
+        Estimated error of the harmonics left out, or nan where it was not estimated.
+    multiplier : LeadingMultiplier or None
+        The Floquet multiplier of largest modulus; with ``stability=True``.
+    bifurcations : tuple of (str, float)
+        Kinds and parameters of the special points since the point before.
+    """
+
+    value: float
+    omega: float
+    unknown: np.ndarray
+    iterations: int
+    truncation: float = math.nan
+    multiplier: LeadingMultiplier | None = None
+    bifurcations: tuple[tuple[str, float], ...] = ()
+
+
+class Points:
+    """All points of a curve so far, as columns.
+
+    Attributes
+    ----------
+    values, omega, iterations, truncation, multipliers : lists
+        As those of :class:`CurvePoint`; multipliers only where they are known.
+    """
+
+    def __init__(self) -> None:
+        self.values: list[float] = []
+        self.omega: list[float] = []
+        self.iterations: list[int] = []
+        self.truncation: list[float] = []
+        self.multipliers: list[LeadingMultiplier] = []
+        self._unknowns: list[np.ndarray] = []  # each of some points: (n, 2H+1, n_pairs)
+        self._last: CurvePoint | None = None
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+    def append(self, point: CurvePoint) -> None:
+        """One more."""
+        self.values.append(point.value)
+        self.omega.append(point.omega)
+        self.iterations.append(point.iterations)
+        self.truncation.append(point.truncation)
+        self._unknowns.append(point.unknown[None])
+        if point.multiplier is not None:
+            self.multipliers.append(point.multiplier)
+        self._last = point
+
+    def extend(
+        self,
+        values: Iterable[float],
+        omega: Iterable[float],
+        unknowns: np.ndarray,
+        iterations: Iterable[int],
+    ) -> None:
+        """Many more of which nothing else is known, with unknowns (n, 2H+1, n_pairs)."""
+        self.values += values
+        self.omega += omega
+        self.iterations += iterations
+        self.truncation += [math.nan] * len(unknowns)
+        self._unknowns.append(unknowns)
+        self._last = None
+
+    @property
+    def last(self) -> CurvePoint:
+        """The last one."""
+        if self._last is None:
+            unknown = self._unknowns[-1][-1]
+            self._last = CurvePoint(
+                self.values[-1], self.omega[-1], unknown, self.iterations[-1], self.truncation[-1]
+            )
+        return self._last
+
+    @property
+    def harmonics(self) -> np.ndarray:
+        """H of each: (n,)."""
+        counts = [block.shape[1] // 2 for block in self._unknowns]
+        return np.repeat(counts, [len(block) for block in self._unknowns])
+
+    def unknowns(self, harmonics: int) -> np.ndarray:
+        """All unknowns with one number of harmonics: (n, 2H+1, n_pairs)."""
+        rows = 2 * harmonics + 1
+        return np.concatenate(
+            [
+                block
+                if block.shape[1] == rows
+                else np.array([resized(one, harmonics) for one in block])
+                for block in self._unknowns
+            ]
+        )

@@ -1,0 +1,298 @@
+"""Pictures of response curves: their size and stability, their harmonics, their multipliers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy.signal import find_peaks
+
+from fenics_crack.balance.error_report import LARGE_ERROR
+from fenics_crack.curves.curve import PARAMETERS, ResponseCurve
+from fenics_crack.curves.estimates import displacement_errors
+from fenics_crack.curves.refine import filled
+from fenics_crack.draw.figure import COLOURS, FIRST, finish, label_axis, make_axes
+from fenics_crack.errors import InputError
+from fenics_crack.table import frequency_axis, with_unit
+
+__all__ = ["draw_content", "draw_curve", "draw_multipliers"]
+
+BEHIND = ("#9a9a9a", "#c8a2b8", "#a9c7bb")
+"""Other curves, drawn behind the one in question."""
+MARKERS = {
+    "fold": ("v", "fold"),
+    "branch_point": ("s", "branch point"),
+    "period_doubling": ("D", "period doubling"),
+    "neimark_sacker": ("^", "Neimark-Sacker"),
+}
+CLOSEST, MOST = 0.02, 40
+"""Distance of neighbouring marks at least, relative to the sides of the picture; how many marks it
+has at most."""
+FAINT = 0.3
+"""Opacity of what has a large estimated error."""
+STYLES = {"stable": "-", "unstable": "--", "undecided": ":"}
+INEXACT = f"faint: estimated error above {100 * LARGE_ERROR:g} %"
+
+
+def draw_curve(
+    curve: ResponseCurve,
+    dof: int,
+    *,
+    axes: Any = None,
+    path: str | Path | None = None,
+    title: str | None = None,
+    colour: str = "blue",
+    label: str = "",
+    behind: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
+    points: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
+    in_hertz: bool = False,
+) -> Figure:
+    """Draw half the peak-to-peak displacement of a dof along a response curve.
+
+    Stable parts are solid, unstable ones dashed and undecided ones dotted, if the curve has
+    multipliers. Parts whose displacement has a large estimated error are faint. A curve in
+    frequency without multipliers is drawn with more solutions between those followed
+    (:func:`refine_curve`) where these lie far apart. Bifurcations are marked, of many in one place
+    only some, and the legend has their number; hollow marks are not confirmed by exact orbits. The
+    order of the largest harmonic stands at superharmonic peaks.
+
+    Parameters
+    ----------
+    curve : ResponseCurve
+        What to draw.
+    dof : int
+        Whose displacement.
+    axes, path, title
+        As of :func:`draw_waves`.
+    colour, label : str
+        "blue", "orange", "green", "pink", "grey" or a colour of matplotlib, and the legend entry,
+        for several curves on the same axes; with a label, bifurcations have the curve's colour.
+    behind, points : mapping, optional
+        Other curves, and single points, by their labels: values of the parameter, amplitudes [m].
+    in_hertz : bool
+        Load frequencies in Hz, those of ``behind`` and ``points`` too, which are given in rad/s.
+    """
+    [panel] = make_axes(axes, path)
+    curve = filled(curve)
+    if curve.parameter == "omega":
+        panel.set_yscale("log")
+    amplitude, factor = curve.amplitude(dof), _factor(curve, in_hertz)
+    for (name, (values, others)), grey in zip((behind or {}).items(), BEHIND, strict=False):
+        panel.plot(factor * values, others, color=grey, lw=1.2, label=name)
+    ink = COLOURS.get(colour, colour)
+    _draw_parts(panel, curve, factor * curve.values, amplitude, ink, label)
+    _mark_bifurcations(panel, curve, dof, factor, ink if label else "")
+    for (name, (values, others)), marker in zip((points or {}).items(), "^v", strict=False):
+        look = {"color": COLOURS["green"], "ms": 4.5, "mfc": "none", "label": name}
+        panel.plot(factor * values, others, marker, **look)
+    if curve.parameter == "omega":
+        _mark_superharmonics(panel, curve, dof, amplitude, factor)
+    _label_parameter(panel, curve, in_hertz)
+    panel.margins(y=0.1)
+    label_axis(panel.yaxis, "half peak-to-peak displacement", "m")
+    return finish(panel, path, title)
+
+
+def _draw_parts(
+    axes: Axes, curve: ResponseCurve, x: np.ndarray, y: np.ndarray, ink: str, label: str
+) -> None:
+    """Draw the parts of a curve by their stability and estimated error."""
+    known = curve.multipliers is not None
+    states = curve.verdicts if known else np.full(len(x), "stable")
+    inexact = displacement_errors(curve) > LARGE_ERROR
+    if label:
+        axes.plot([], [], color=ink, lw=1.8, label=label, gid=FIRST)
+    for state, style in STYLES.items():
+        if not np.any(states == state):
+            continue
+        for faint in (False, True):
+            at = (states == state) & (inexact == faint)
+            # the stretch between two points is in the state of the first
+            shown = np.where(at | np.append(False, at[:-1]), y, np.nan)
+            axes.plot(x, shown, style, color=ink, lw=1.4, alpha=FAINT if faint else 1.0)
+        grey = COLOURS["grey"] if label else ink
+        if known or not label:
+            axes.plot([], [], style, color=grey, lw=1.4, label=state if known else "with contact")
+    if inexact.any():
+        axes.plot([], [], color=ink, lw=1.4, alpha=FAINT, label=INEXACT)
+
+
+def _mark_bifurcations(axes: Axes, curve: ResponseCurve, dof: int, factor: float, ink: str) -> None:
+    """Mark them; ``ink`` is the colour where several curves are drawn, else empty."""
+    found = list(curve.bifurcations)
+    if not found:
+        return
+    judged = curve.undecided is not None
+    x = np.array([factor * one.value for one in found])
+    y = np.array([one.solution.amplitude(dof) for one in found])
+    solid = np.array([one.confirmed or not judged for one in found])
+    shown = _apart(axes, x, y, ~solid)
+    kinds = np.array([one.kind for one in found])
+    for kind, (marker, name) in MARKERS.items():
+        at = kinds == kind
+        if not at.any():
+            continue
+        look: dict[str, Any] = {"ls": "none", "marker": marker, "ms": 3.8, "mew": 0.8, "zorder": 3}
+        for full in (True, False):
+            which = shown & at & (solid == full)
+            face = {} if full else {"mfc": "white"}
+            axes.plot(x[which], y[which], color=ink or COLOURS["orange"], **look, **face)
+        if not ink:
+            total, drawn = int(at.sum()), int((shown & at).sum())
+            name += f" ({total})" if drawn == total else f" ({total}, {drawn} marked)"
+        axes.plot([], [], color=COLOURS["grey"] if ink else COLOURS["orange"], label=name, **look)
+    if not solid.all():
+        axes.plot([], [], " ", label="hollow: not confirmed by exact orbits")
+
+
+def _apart(axes: Axes, x: np.ndarray, y: np.ndarray, later: np.ndarray) -> np.ndarray:
+    """Which of the places in a picture are marked, so that marks do not pile up: (n,) bool.
+
+    Those of ``later`` come after the others.
+    """
+    # What is drawn so far sets the limits.
+    low, high = axes.dataLim.min, axes.dataLim.max
+    places = np.column_stack([x, y])
+    if axes.get_yscale() == "log":
+        least = max(axes.dataLim.minposy, 1e-300)
+        places[:, 1] = np.log(np.maximum(places[:, 1], least))
+        low, high = (np.array([end[0], np.log(max(end[1], least))]) for end in (low, high))
+    places = places / np.maximum(high - low, 1e-300)
+    order, distance = np.argsort(later, kind="stable"), CLOSEST
+    while True:
+        kept: list[int] = []
+        for number in order:
+            away = np.linalg.norm(places[kept] - places[number], axis=1)
+            if not np.any(away < distance):
+                kept.append(int(number))
+        if len(kept) <= MOST:
+            return np.isin(np.arange(len(x)), kept)
+        distance *= 1.25
+
+
+def _mark_superharmonics(
+    axes: Axes, curve: ResponseCurve, dof: int, amplitude: np.ndarray, factor: float
+) -> None:
+    """Write at each peak the order of its largest harmonic, if that is above the load's."""
+    style = {"ha": "center", "fontsize": 8, "color": COLOURS["grey"]}
+    peaks, _ = find_peaks(np.log10(np.maximum(amplitude, 1e-300)), prominence=0.05)
+    for peak, sizes in zip(peaks, _harmonic_amplitudes(curve, dof)[peaks], strict=True):
+        order, rest = divmod(int(np.argmax(sizes)) + 1, curve.subharmonic)
+        if order > 1 and not rest:
+            at = factor * curve.omega[peak], amplitude[peak]
+            axes.annotate(f"{order}$\\omega$", at, (0, 5), textcoords="offset points", **style)
+
+
+def _factor(curve: ResponseCurve, in_hertz: bool) -> float:
+    """What multiplies a curve's parameter in a picture."""
+    return frequency_axis(in_hertz)[0] if curve.parameter == "omega" else 1.0
+
+
+def _label_parameter(axes: Axes, curve: ResponseCurve, in_hertz: bool) -> None:
+    """Label the axis of a curve's parameter, after all is drawn."""
+    name, _, unit = PARAMETERS[curve.parameter].removesuffix("]").rpartition(" [")
+    if curve.parameter == "omega":
+        _, name, unit = frequency_axis(in_hertz)
+    if unit == "m":
+        label_axis(axes.xaxis, name, unit)
+    else:
+        axes.set_xlabel(with_unit(name, unit))
+
+
+def _harmonic_amplitudes(curve: ResponseCurve, dof: int) -> np.ndarray:
+    """Amplitudes of the harmonics 1 to H of the response at every point: (n, H) [m]."""
+    rows = curve.coefficients_at(dof)
+    return np.asarray(np.hypot(rows[:, 1::2], rows[:, 2::2]))
+
+
+def draw_content(
+    curve: ResponseCurve,
+    dof: int,
+    *,
+    axes: Any = None,
+    path: str | Path | None = None,
+    title: str | None = None,
+    highest: int = 5,
+    in_hertz: bool = False,
+) -> Figure:
+    """Draw the amplitudes of the lowest harmonics of a dof's displacement over the parameter.
+
+    Parameters
+    ----------
+    curve, dof, axes, path, title, in_hertz
+        As of :func:`draw_curve`.
+    highest : int
+        Highest harmonic of the load that is drawn.
+    """
+    [panel] = make_axes(axes, path)
+    panel.set_yscale("log")
+    harmonics = _harmonic_amplitudes(curve, dof)[:, curve.subharmonic - 1 :: curve.subharmonic]
+    shown = harmonics[:, :highest].T
+    x = _factor(curve, in_hertz) * curve.values
+    for order, (values, colour) in enumerate(zip(shown, COLOURS.values(), strict=False), 1):
+        panel.plot(x, values, color=colour, lw=1.2, label=f"harmonic {order}")
+    panel.set_ylim(1e-5 * shown.max(), 2.0 * shown.max())
+    _label_parameter(panel, curve, in_hertz)
+    label_axis(panel.yaxis, "amplitude of the harmonic", "m")
+    return finish(panel, path, title)
+
+
+HIGHEST = 2.0
+"""Largest modulus of a multiplier shown."""
+
+
+def draw_multipliers(
+    curve: ResponseCurve,
+    *,
+    axes: Any = None,
+    path: str | Path | None = None,
+    title: str | None = None,
+    in_hertz: bool = False,
+) -> Figure:
+    """Draw the modulus of the largest Floquet multiplier along a curve.
+
+    An orbit is stable where it is below 1. Colours show where the multiplier is: a real one leaves
+    the unit circle at +1 (folds, branch points) or -1 (period doublings), a pair anywhere else
+    (Neimark-Sacker). Undecided points are crosses.
+
+    Parameters
+    ----------
+    curve : ResponseCurve
+        Followed with ``stability=True``.
+    axes, path, title, in_hertz
+        As of :func:`draw_curve`.
+
+    Raises
+    ------
+    InputError
+        The curve was followed without ``stability=True``.
+    """
+    if curve.multipliers is None:
+        raise InputError("stability", False, "True when the curve is followed")
+    [panel] = make_axes(axes, path)
+    x, found = _factor(curve, in_hertz) * curve.values, curve.multipliers
+    sizes, open_ = np.abs(found), curve.verdicts == "undecided"
+    pair = np.abs(found.imag) > 1e-9 * sizes
+    where = np.select([pair, found.real > 0.0], ["pair", "+1"], "-1")
+    panel.axhline(1.0, color=COLOURS["grey"], lw=0.9, label="limit of stability")
+    panel.plot(x, sizes, color=COLOURS["grey"], lw=0.4, alpha=0.6)
+    for kind, label, colour in (
+        ("+1", "real, positive", "blue"),
+        ("-1", "real, negative", "orange"),
+        ("pair", "a complex pair", "green"),
+    ):
+        at = (where == kind) & ~open_
+        if at.any():
+            panel.plot(x[at], sizes[at], ".", ms=4.0, color=COLOURS[colour], label=label)
+    if open_.any():
+        panel.plot(x[open_], sizes[open_], "x", ms=4.0, color=COLOURS["pink"], label="undecided")
+    if far := int(np.sum(sizes > HIGHEST)):  # else all others would be a line
+        panel.set_ylim(top=HIGHEST)
+        panel.plot([], [], " ", label=f"{far} of {len(sizes)} lie above")
+    _label_parameter(panel, curve, in_hertz)
+    panel.set_ylabel("modulus of the largest multiplier [-]")
+    return finish(panel, path, title)

@@ -1,0 +1,174 @@
+"""Pictures of the mesh: with its named parts, and moved by mode shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from fenics_crack.draw.figure import COLOURS, figure_of, finish, label_axis, make_axes
+from fenics_crack.errors import InputError
+from fenics_crack.fem.nodal_mesh import NodalMesh
+from fenics_crack.model.modes import Modes
+from fenics_crack.model.structure import Structure
+
+__all__ = ["draw_mesh", "draw_modes"]
+
+TRIANGLES = {
+    3: [(0, 1, 2)],
+    4: [(0, 1, 2), (0, 2, 3)],
+    6: [(0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)],
+    9: [(0, 4, 8), (4, 1, 8), (1, 5, 8), (5, 2, 8), (2, 6, 8), (6, 3, 8), (3, 7, 8), (7, 0, 8)],
+}
+"""Into which a cell is cut to be coloured, by its number of nodes, in VTK's order."""
+MOST_ARROWS = 40
+"""Arrows of a load, at most."""
+LONGEST = 0.12
+"""Of the arrows and of the displacements of modes, relative to the size of the structure."""
+
+
+def draw_mesh(
+    structure: Structure,
+    *,
+    axes: Any = None,
+    path: str | Path | None = None,
+    title: str | None = None,
+) -> Figure:
+    """Draw the mesh of a structure at rest with its named parts (collective).
+
+    They are what is clamped, the lips of the crack, the pairs of their nodes where contact is
+    watched, and the load: arrows along its mean, cosine and sine part, each in a scale of its own.
+
+    Parameters
+    ----------
+    structure : Structure
+        Whole or reduced, from a mesh.
+    axes, path, title
+        As of :func:`draw_waves`.
+
+    Raises
+    ------
+    InputError
+        The structure has no mesh.
+    """
+    mesh = NodalMesh(structure)
+    load = mesh.field(mesh.structure.force)
+    ratio = float(np.clip(np.divide(*np.maximum(np.ptp(mesh.points, axis=0), 1e-300)), 0.4, 2.5))
+    size = (min(7.0, 3.6 + 2.0 * ratio), min(6.8, 1.6 + 3.6 / ratio))
+    [panel] = make_axes(axes, path, size=size)
+    clamped = mesh.boundary[mesh.clamped[mesh.boundary].all(axis=1)]
+    for edges, colour, width, label in (
+        (mesh.edges, "#9a9a9a", 0.4, ""),
+        (mesh.boundary, "black", 1.2, ""),
+        (clamped, COLOURS["green"], 5.0, "clamped"),
+        (mesh.lips, COLOURS["orange"], 2.2, "lips of the crack"),
+    ):
+        if len(edges):
+            lines = LineCollection(mesh.points[edges], colors=colour, linewidths=width)
+            panel.add_collection(lines)
+        if len(edges) and label:
+            panel.plot([], [], color=colour, lw=width, label=label)
+    pairs = mesh.structure.pair_points
+    if pairs is not None and len(pairs):
+        look = {"color": COLOURS["blue"], "ms": 3.0, "zorder": 3}
+        panel.plot(*pairs.T, "o", label=f"contact pairs ({len(pairs)})", **look)
+    acting = [part for part, there in enumerate(load.any(axis=(1, 2))) if there]
+    for part in acting:
+        several = len(acting) > 1
+        words = f"load, {PARTS[part]}" if several else "load"
+        colour = PART_COLOURS[part] if several else COLOURS["pink"]
+        _arrows(panel, mesh, load[part], words, colour)
+    panel.autoscale_view()
+    panel.margins(0.06)
+    panel.set_aspect("equal")
+    label_axis(panel.xaxis, "x", "m")
+    label_axis(panel.yaxis, "y", "m")
+    panel.set_axisbelow(True)
+    return finish(panel, path, title)
+
+
+PARTS = ("mean", "cosine part", "sine part")
+PART_COLOURS = (COLOURS["grey"], COLOURS["blue"], COLOURS["pink"])
+
+
+def _arrows(axes: Axes, mesh: NodalMesh, load: np.ndarray, label: str, colour: str) -> None:
+    """Draw nodal forces (n_nodes, 2) as arrows that begin at their nodes, the largest as long."""
+    sizes = np.linalg.norm(load, axis=1)
+    loaded = np.flatnonzero(sizes > 1e-9 * sizes.max())
+    loaded = loaded[:: -(-len(loaded) // MOST_ARROWS)]
+    arrows = LONGEST * mesh.size / sizes.max() * load[loaded]
+    ends = mesh.points[loaded] + arrows
+    look = {"color": colour, "angles": "xy", "scale_units": "xy", "scale": 1.0}
+    axes.quiver(*mesh.points[loaded].T, *arrows.T, units="inches", width=0.03, zorder=4, **look)
+    axes.update_datalim(ends)
+    axes.plot([], [], color=colour, marker=">", label=label)
+
+
+def draw_modes(
+    modes: Modes,
+    *,
+    numbers: Sequence[int] | None = None,
+    axes: Any = None,
+    path: str | Path | None = None,
+    title: str | None = None,
+    columns: int = 3,
+) -> Figure:
+    """Draw mode shapes over the structure at rest, coloured by their displacement (collective).
+
+    Parameters
+    ----------
+    modes : Modes
+        Of a structure with a mesh.
+    numbers : sequence of int, optional
+        Which modes, from 1; default: all.
+    axes : Axes or sequence of them, optional
+        One for each mode; default: a new figure.
+    path, title
+        As of :func:`draw_waves`.
+    columns : int
+        Panels side by side in a new figure.
+
+    Raises
+    ------
+    InputError
+        The structure has no mesh, there is no such mode, or the number of axes is wrong.
+    """
+    every = range(1, len(modes.omega) + 1)
+    numbers = list(every if numbers is None else numbers)
+    if not numbers or any(number not in every for number in numbers):
+        raise InputError("numbers", numbers, f"one or more of 1 to {every[-1]}")
+    columns = min(columns, len(numbers))
+    mesh = NodalMesh(modes.structure)
+    across, up = np.ptp(mesh.points, axis=0) + 2.0 * LONGEST * mesh.size
+    row = 0.4 + 2.4 * float(np.clip(up / across, 0.3, 1.0))
+    size = (2.7 * columns, row * -(-len(numbers) // columns))
+    panels = make_axes(axes, path, len(numbers), columns=columns, size=size)
+    shapes = mesh.field(modes.structure.expand(modes.shapes.T))
+    for panel, number in zip(panels, numbers, strict=True):
+        _mode_shape(panel, mesh, shapes[number - 1])
+        panel.set_title(f"mode {number}: {modes.omega[number - 1] / (2.0 * np.pi):.1f} Hz")
+    if title is not None:
+        panels[0].figure.suptitle(title, fontsize="large")
+    return figure_of(panels[0], path, None, mesh.structure.comm)
+
+
+def _mode_shape(axes: Axes, mesh: NodalMesh, shape: np.ndarray) -> None:
+    """Draw a displacement (n_nodes, 2), magnified and coloured by its length."""
+    amplitude = np.linalg.norm(shape, axis=1)
+    moved = mesh.points + LONGEST * mesh.size / amplitude.max() * shape
+    triangles = mesh.cells[:, TRIANGLES[mesh.cells.shape[1]]].reshape(-1, 3)
+    axes.tripcolor(*moved.T, triangles, amplitude, shading="gouraud", cmap="viridis")
+    for edges, points, colour, width in (
+        (mesh.edges, moved, "#777777", 0.3),
+        (mesh.boundary, mesh.points, COLOURS["grey"], 0.6),
+        (mesh.boundary, moved, "black", 1.2),
+    ):
+        axes.add_collection(LineCollection(points[edges], colors=colour, linewidths=width))
+    axes.autoscale_view()
+    axes.set_aspect("equal")
+    axes.axis("off")

@@ -1,0 +1,244 @@
+"""The lips of cracks in a mesh: where they run, where they begin, and how gmsh's plugin makes them.
+
+A lip is a chain of edges from a mouth to a tip, from tip to tip, or from mouth to mouth. A tip is a
+node of both lips. What gmsh's plugin "Crack" leaves is a curve along which the nodes of the mesh
+exist twice, with the cells of one side on the new ones; the lips are then those edges of the mesh's
+boundary that coincide in pairs.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sparse
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from fenics_crack.errors import InputError
+
+__all__ = ["Lip", "along", "boundary_edges", "check_mouths", "find_lips", "split_crack"]
+
+PLUGIN = (
+    "Plugin(Crack) of gmsh, run after meshing with Dimension = 1, PhysicalGroup = the tag of the "
+    "curve, and OpenBoundaryPhysicalGroup = the tag of a physical point at the mouth"
+)
+CLOSE = 1e-3
+"""Distance of nodes in the same place, relative to the shortest edge."""
+
+
+@dataclass(frozen=True)
+class Lip:
+    """A lip of one crack.
+
+    Attributes
+    ----------
+    points : (n, 2) [m]
+        Its corners, from the mouth to the tip; from the left to the right tip of a crack inside.
+    has_mouth : bool
+        Whether it begins at an edge of the plate.
+    """
+
+    points: np.ndarray
+    has_mouth: bool
+
+    @property
+    def position(self) -> np.ndarray:
+        """Distance of each corner from the beginning, along the lip [m]."""
+        steps = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
+        return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def find_lips(lower: np.ndarray, upper: np.ndarray, positions: np.ndarray) -> list[Lip]:
+    """The lips of all cracks, from bottom to top and from left to right by where they begin.
+
+    Parameters
+    ----------
+    lower, upper : (n, 2) int
+        Edges of the lower and of the upper lips: their nodes.
+    positions : (n_nodes, 2) [m]
+        Of all nodes.
+
+    Raises
+    ------
+    InputError
+        The two lips are the same curve, or a crack branches or is closed.
+    """
+    shared = np.intersect1d(lower, upper)
+    if len(shared) == len(np.unique(lower)):
+        allowed = f"different nodes in the same places but for the tips; {PLUGIN}, makes them"
+        raise InputError("lips", "the same nodes for 'lower_lip' and 'upper_lip'", allowed)
+    tips = set(shared.tolist())
+    lips = []
+    for chain in _chains(lower.tolist(), tips, positions):
+        first, last = (tuple(positions[chain[end]]) for end in (0, -1))
+        mouths = chain[0] not in tips, chain[-1] not in tips
+        turned = last < first if mouths[0] == mouths[1] else mouths[1]
+        points = positions[chain[::-1] if turned else chain]
+        lips.append(Lip(points, any(mouths)))
+    return sorted(lips, key=lambda lip: tuple(lip.points[0, ::-1]))
+
+
+def _chains(edges: list[tuple[int, int]], tips: set[int], positions: np.ndarray) -> list[list[int]]:
+    """Edges put together to chains of nodes, which end at tips and mouths."""
+    edges_at = defaultdict(list)
+    for number, corners in enumerate(edges):
+        for node in corners:
+            edges_at[node].append(number)
+    ends = {node for node, touching in edges_at.items() if len(touching) == 1} | tips
+    for node, touching in edges_at.items():
+        if len(touching) > 2 and node not in tips:
+            place = "({:g}, {:g})".format(*positions[node])
+            allowed = "cracks that neither branch nor cross, as one of them does here"
+            raise InputError("lips", f"{len(touching)} edges of a lip at {place}", allowed)
+    unused, chains = set(range(len(edges))), []
+    for start in ends:
+        for edge in edges_at.get(start, ()):
+            chain = [start]
+            while edge in unused:
+                unused.remove(edge)
+                one, other = edges[edge]
+                chain.append(other if one == chain[-1] else one)
+                if chain[-1] not in ends:
+                    edge = next(e for e in edges_at[chain[-1]] if e != edge)
+            if len(chain) > 1:
+                chains.append(chain)
+    if unused:
+        allowed = "cracks with two ends; a closed curve would cut a piece out of the structure"
+        raise InputError("lips", "a closed curve", allowed)
+    return chains
+
+
+def along(lips: Sequence[Lip], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """On which crack points (n, 2) lie, and how far from its beginning [m]: two arrays (n,)."""
+    corners = np.concatenate([lip.points for lip in lips])
+    position = np.concatenate([lip.position for lip in lips])
+    crack = np.repeat(np.arange(len(lips)), [len(lip.points) for lip in lips])
+    nearest = cKDTree(corners).query(points)[1]
+    best, found = np.full(len(points), np.inf), np.zeros(len(points))
+    for step in (-1, 0):  # the edges before and after the nearest corner
+        first = np.clip(nearest + step, 0, len(corners) - 2)
+        is_edge = crack[first] == crack[first + 1]
+        span = corners[first + 1] - corners[first]
+        length = np.where(is_edge, np.linalg.norm(span, axis=1), 1.0)
+        share = np.sum((points - corners[first]) * span, axis=1) / length**2
+        share = np.clip(share, 0.0, 1.0)
+        distance = np.linalg.norm(points - corners[first] - share[:, None] * span, axis=1)
+        better = is_edge & (distance < best)
+        best = np.where(better, distance, best)
+        found = np.where(better, position[first] + share * length, found)
+    return crack[nearest], found
+
+
+# --- what gmsh's plugin leaves --------------------------------------------------------------------
+
+
+def boundary_edges(cells: np.ndarray, corners: int, order: int) -> tuple[np.ndarray, np.ndarray]:
+    """Edges of one cell only, with all of their nodes in gmsh's order, and their cells."""
+    steps = np.arange(corners)
+    inner = corners + steps[:, None] * (order - 1) + np.arange(order - 1)
+    turns = np.column_stack([steps, (steps + 1) % corners, inner])
+    edges = cells[:, turns].reshape(-1, turns.shape[1])
+    _, first, uses = np.unique(
+        np.sort(edges[:, :2], axis=1), axis=0, return_index=True, return_counts=True
+    )
+    own = np.sort(first[uses == 1])
+    return edges[own], own // corners
+
+
+def split_crack(
+    crack: np.ndarray, edges: np.ndarray, centres: np.ndarray, positions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper lips along a curve whose nodes exist twice: rows of ``edges``.
+
+    The material of a lower lip lies below the crack: the normals that point out of it, summed along
+    the lip, point up; or to the right where the crack's ends are one above the other.
+
+    Parameters
+    ----------
+    crack : (n, 2) int
+        Edges of the curve, on either side or on both.
+    edges : (m, k) int
+        Boundary of the mesh, the corners first.
+    centres : (m, 2) [m]
+        Of the cells at these edges.
+    positions : (n_nodes, 2) [m]
+        Of all nodes.
+
+    Raises
+    ------
+    InputError
+        Nodes along the curve exist once; or cracks branch.
+    """
+    ends = positions[edges[:, :2]]
+    spans = ends[:, 1] - ends[:, 0]
+    middles = ends.mean(axis=1)
+    near = CLOSE * float(np.linalg.norm(spans, axis=1).min())
+    pairs = cKDTree(middles).query_pairs(near, output_type="ndarray")
+    same = np.linalg.norm(ends[pairs[:, 0]] - ends[pairs[:, 1], ::-1], axis=2).max(axis=1) <= near
+    same |= np.linalg.norm(ends[pairs[:, 0]] - ends[pairs[:, 1]], axis=2).max(axis=1) <= near
+    pairs = pairs[same]
+    wanted = positions[crack].mean(axis=1)
+    hits = np.zeros(len(pairs), dtype=bool)
+    missing = len(wanted)
+    if len(pairs):
+        hits = cKDTree(wanted).query(middles[pairs[:, 0]])[0] <= near
+        missing = int(np.sum(cKDTree(middles[pairs[:, 0]]).query(wanted)[0] > near))
+    if missing:
+        found = f"{missing} of the {len(wanted)} edges of the curve 'crack' have their nodes once"
+        raise InputError("lips", found, f"two lips, whose nodes exist twice but for tips: {PLUGIN}")
+    pairs = pairs[hits]
+    normals = np.column_stack([spans[:, 1], -spans[:, 0]])
+    inwards = np.sum(normals * (centres - middles), axis=1) > 0.0
+    normals[inwards] *= -1.0  # out of the material
+    side = _sides(edges[:, :2], pairs, normals)
+    rows = np.arange(len(pairs))
+    return edges[pairs[rows, side]], edges[pairs[rows, 1 - side]]
+
+
+def _sides(edges: np.ndarray, pairs: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Which edge of each pair, 0 or 1, is on the lower lip."""
+    count, flat = len(pairs), pairs.T.ravel()  # first ones, then their partners
+    nodes, places = np.unique(edges[flat], return_inverse=True)
+    places = places.reshape(-1, 2)
+    one, other = places[:count], places[count:]
+    is_tip = np.zeros(len(nodes), dtype=bool)
+    is_tip[one[(one == other) | (one == other[:, ::-1])]] = True
+    touches = sparse.csr_matrix(
+        (np.ones(4 * count), (np.repeat(np.arange(2 * count), 2), places.ravel()))
+    )[:, ~is_tip]
+    n_chains, chain = connected_components(touches @ touches.T)
+    partner = np.zeros((n_chains, n_chains), dtype=bool)
+    partner[chain, np.roll(chain, count)] = True
+    if np.any(partner.sum(axis=1) != 1) or np.any(np.diag(partner)):
+        allowed = "cracks that neither branch nor cross"
+        raise InputError("lips", "a crack with more than two lips", allowed)
+    outwards = np.zeros((n_chains, 2))
+    np.add.at(outwards, chain, normals[flat])
+    upright = np.abs(outwards[:, 1]) <= CLOSE * np.abs(outwards[:, 0])
+    is_lower = np.where(upright, outwards[:, 0], outwards[:, 1]) > 0.0
+    return np.where(is_lower[chain[:count]], 0, 1)
+
+
+def check_mouths(
+    lower: np.ndarray, upper: np.ndarray, edges: np.ndarray, positions: np.ndarray
+) -> None:
+    """Raise InputError if a tip lies on the edge of the plate: a mouth whose node exists once."""
+    shared = np.intersect1d(lower[:, :2], upper[:, :2])
+    lips = np.sort(np.concatenate([lower, upper])[:, :2], axis=1)
+    sides = np.sort(edges[:, :2], axis=1)
+    outer = sides[~_rows_in(sides, lips)]
+    closed = np.intersect1d(shared, outer)
+    if len(closed):
+        place = "({:g}, {:g})".format(*positions[closed[0]])
+        allowed = f"open there: its node must exist twice; {PLUGIN}, does that"
+        raise InputError("lips", f"a mouth at {place} that is closed", allowed)
+
+
+def _rows_in(rows: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Which rows of pairs of nodes are among others."""
+    largest = 1 + max(int(rows.max(initial=0)), int(others.max(initial=0)))
+    found: np.ndarray = np.isin(rows @ [largest, 1], others @ [largest, 1])
+    return found

@@ -1,0 +1,191 @@
+"""Loads of a scene as nodal forces: at points, on edges, and the inertia of a plate that is shaken.
+
+A force F at x does the work F . sum_i N_i(x) u_i, so node i gets N_i(x) F. On an edge E of a plate
+of thickness t, with outward normal n, a traction T or a pressure p, T = -p n, give it
+
+    f_i = t int_E N_i T ds.
+
+A clamp that moves by
+U(t), the same everywhere, carries the plate along: with displacements u relative to it
+
+    M u'' + C u' + K u + B lambda(g) = f - M R U'',
+
+where R is the translation of all nodes, clamped ones among them, and M the mass matrix with their
+rows; it stretches nothing, K R = 0, and closes no gap, B^T R = 0. Damping acts on u.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import ufl
+
+from fenics_crack.errors import InputError
+from fenics_crack.fem import compat
+from fenics_crack.fem.numbering import Dofs, nodes_on
+from fenics_crack.fem.plate import PlateMesh
+from fenics_crack.parallel import gather_rows
+from fenics_crack.scene.fields import Vector
+from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import Load
+
+__all__ = ["assemble_loads"]
+
+
+def assemble_loads(
+    scene: Scene, plate: PlateMesh, dofs: Dofs, mass: Any
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Mean, cosine and sine part of the load (3, n_local) [N], and what is watched (n_local,).
+
+    What is watched of a displacement u is its product with that vector [m]; None: the dof that
+    carries most of the load. ``mass`` is the mass matrix with the clamped rows (collective).
+
+    Raises
+    ------
+    InputError
+        A load is off the mesh, or where the plate is clamped.
+    """
+    force, watched = np.zeros((3, len(dofs.free))), None
+    excitation = scene.excitation
+    point = excitation.point if excitation.point is not None else plate.points.get("load")
+    if point is not None:
+        parts = (excitation.force_mean, excitation.force_cos, excitation.force_sin)
+        force += _point_force(scene, dofs, "excitation.point", point, parts)
+        if (scene.has_other_loads or scene.speed > 0.0) and any(map(any, parts)):
+            watched = _point_force(scene, dofs, "excitation.point", point, _unit(parts))[0]
+    elif not scene.has_other_loads:
+        allowed = "given, or a physical point 'load' in the mesh file"
+        raise InputError("excitation.point", None, allowed)
+    for number, load in enumerate(scene.loads, 1):
+        key = f"loads.{number}"
+        if load.point is not None:
+            forces = load.parts("force")
+            force += _point_force(scene, dofs, f"{key}.point", load.point, forces)
+            if watched is None and any(map(any, forces)):
+                watched = _point_force(scene, dofs, f"{key}.point", load.point, _unit(forces))[0]
+        else:
+            own = _edge_force(scene, plate, dofs, key, load)
+            force += own
+            if watched is None and np.any(gather_rows(dofs.comm, own.ravel())):
+                watched = _middle_of(plate, dofs, str(load.edge), own)
+    if scene.base is not None:
+        if watched is None:
+            watched = _farthest(plate, dofs, scene.base.direction)
+        for row, acceleration in enumerate(scene.base.accelerations(excitation.omega), 1):
+            force[row] -= _inertia(mass, dofs, acceleration)
+    return force, watched
+
+
+def _unit(parts: Sequence[Vector]) -> list[Vector]:
+    """The direction of a load: of the larger of its cosine and sine part, of its mean if there is
+    neither."""
+    mean, *moving = parts
+    x, y = max(moving, key=lambda part: math.hypot(*part))
+    if not (x or y):
+        x, y = mean
+    size = math.hypot(x, y)
+    return [(x / size, y / size)]
+
+
+def _point_force(
+    scene: Scene, dofs: Dofs, key: str, point: Vector, parts: Sequence[Vector]
+) -> np.ndarray:
+    """Forces at a point as consistent nodal forces: (len(parts), n_local)."""
+    nodes, values = compat.basis_at(dofs.space, scene.mesh.order, np.array(point))
+    values = np.where(np.abs(values) < 1e-12, 0.0, values)  # rounding
+    hits = dofs.comm.allgather(len(nodes) > 0)
+    if not any(hits):
+        raise InputError(key, tuple(point), "on the mesh")
+    if dofs.comm.rank != hits.index(True):
+        nodes, values = nodes[:0], values[:0]
+
+    # The cell may touch nodes of other ranks: hand every node's share to its owner.
+    numbers = dofs.space.dofmap.index_map.local_to_global(nodes.astype(np.int32))
+    numbers = gather_rows(dofs.comm, np.asarray(numbers, dtype=np.int64))
+    shares = gather_rows(dofs.comm, values)
+    mine = (numbers >= dofs.first_node) & (numbers < dofs.first_node + dofs.n_nodes)
+    share = np.zeros(dofs.n_nodes)
+    np.add.at(share, numbers[mine] - dofs.first_node, shares[mine])
+    force = np.array([np.outer(share, part).ravel()[dofs.free] for part in parts])
+    if any(map(any, parts)) and not np.any(gather_rows(dofs.comm, force.ravel())):
+        raise InputError(key, tuple(point), "where the plate is free to move")
+    return force
+
+
+# --- loads on edges -------------------------------------------------------------------------------
+
+
+def _edge_force(scene: Scene, plate: PlateMesh, dofs: Dofs, key: str, load: Load) -> np.ndarray:
+    """Tractions and pressures on an edge as consistent nodal forces: (3, n_local)."""
+    edges = sorted(set(plate.groups) - {"clamp"})
+    if load.edge not in edges:
+        raise InputError(f"{key}.edge", load.edge, "one of " + ", ".join(map(repr, edges)))
+    edge = ufl.ds(domain=plate.mesh, subdomain_data=plate.facet_tags)(plate.groups[load.edge])
+    test, thickness = ufl.TestFunction(dofs.space), scene.geometry.thickness
+    x = ufl.as_vector((1.0, 0.0))
+    along_x = thickness * compat.assembled_vector(ufl.inner(x, test) * edge)
+    length = gather_rows(dofs.comm, along_x).sum()
+    if not length > 0.0:
+        raise InputError(f"{key}.edge", load.edge, "an edge of the plate: it lies inside")
+    weights = along_x.reshape(-1, 2)[:, 0]
+    force = np.array([np.outer(weights, part).ravel() for part in load.parts("traction")])
+    pressed = -thickness * compat.assembled_vector(
+        ufl.inner(ufl.FacetNormal(plate.mesh), test) * edge
+    )
+    force += np.array([part[0] * pressed for part in load.parts("pressure")])
+    found = np.asarray(force[:, dofs.free])
+    loaded, moving = (np.any(gather_rows(dofs.comm, part.ravel())) for part in (force, found))
+    if loaded and not moving:
+        raise InputError(f"{key}.edge", load.edge, "where the plate is free to move")
+    return found
+
+
+def _middle_of(plate: PlateMesh, dofs: Dofs, edge: str, force: np.ndarray) -> np.ndarray:
+    """1 at the dof, in the direction of most of the load, of the node of an edge that is nearest
+    to its middle: (n_local,)."""
+    by_dof = np.zeros((3, 2 * dofs.n_nodes))
+    by_dof[:, dofs.free] = force
+    sums = np.abs(dofs.comm.allgather(by_dof.reshape(3, -1, 2).sum(axis=1))).sum(axis=(0, 1))
+    direction = (1.0, 0.0) if sums[0] >= sums[1] else (0.0, 1.0)
+    on_edge = nodes_on(plate, dofs.space, edge)
+    points = dofs.space.tabulate_dof_coordinates()[: dofs.n_nodes, :2]
+    own = on_edge[on_edge < dofs.n_nodes]
+    every = gather_rows(dofs.comm, points[own])
+    middle = (every.min(axis=0) + every.max(axis=0)) / 2.0
+    distance = np.linalg.norm(every - middle, axis=1)
+    order = np.lexsort([*every.T, np.round(distance / max(distance.max(), 1e-300), 9)])
+    return _one_at(dofs, own, every[order[0]], direction)
+
+
+# --- a clamp that moves ---------------------------------------------------------------------------
+
+
+def _inertia(mass: Any, dofs: Dofs, acceleration: Vector) -> np.ndarray:
+    """M R a on the free dofs: (n_local,) [N]."""
+    moved, found = mass.createVecs()
+    moved.array[:] = np.tile(acceleration, dofs.n_nodes)
+    mass.mult(moved, found)
+    return np.array(found.array_r[dofs.free])
+
+
+def _farthest(plate: PlateMesh, dofs: Dofs, direction: Vector) -> np.ndarray:
+    """1 at the dof, in the direction, of the node that is farthest from the clamp: (n_local,)."""
+    points = dofs.space.tabulate_dof_coordinates()[: dofs.n_nodes, :2]
+    clamped = nodes_on(plate, dofs.space, "clamp")
+    middle = gather_rows(dofs.comm, points[clamped[clamped < dofs.n_nodes]]).mean(axis=0)
+    every = gather_rows(dofs.comm, points)
+    distance = np.linalg.norm(every - middle, axis=1)
+    order = np.lexsort([*every.T, np.round(distance / distance.max(), 9)])
+    return _one_at(dofs, np.arange(dofs.n_nodes), every[order[-1]], direction)
+
+
+def _one_at(dofs: Dofs, nodes: np.ndarray, point: np.ndarray, direction: Vector) -> np.ndarray:
+    """1 at the dof, in a direction, of one of this rank's nodes by its position: (n_local,)."""
+    points = dofs.space.tabulate_dof_coordinates()[: dofs.n_nodes, :2]
+    here = nodes[np.all(points[nodes] == point, axis=1)]
+    found = np.zeros((dofs.n_nodes, 2))
+    found[here[:1]] = direction
+    return np.asarray(found.ravel()[dofs.free])

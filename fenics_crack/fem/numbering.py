@@ -1,0 +1,63 @@
+"""Which dofs of a function space are free, and their numbers in the structure."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import dolfinx
+import numpy as np
+from mpi4py import MPI
+from petsc4py import PETSc
+
+from fenics_crack.fem import compat
+from fenics_crack.fem.plate import PlateMesh
+from fenics_crack.model.nodes import Nodes
+
+__all__ = ["Dofs", "nodes_on"]
+
+
+class Dofs:
+    """Which dofs of the function space are free, and their numbers in the structure."""
+
+    def __init__(self, plate: PlateMesh, space: Any) -> None:
+        self.comm: MPI.Comm = plate.mesh.comm
+        self.space = space
+        self.n_nodes = space.dofmap.index_map.size_local
+        self.first_node = space.dofmap.index_map.local_range[0]
+        clamped = nodes_on(plate, space, "clamp")
+        free = np.ones((self.n_nodes, 2), dtype=bool)
+        free[clamped[clamped < self.n_nodes]] = False
+        self.free = np.flatnonzero(free.ravel())
+        """Owned free dofs, local numbers of the function space."""
+        first = self.comm.exscan(len(self.free)) or 0
+        self.numbers = np.full(2 * self.n_nodes, -1)
+        """Number in the structure of each owned dof of the space, -1 where clamped."""
+        self.numbers[self.free] = first + np.arange(len(self.free))
+
+    def free_block(self, matrix: Any) -> Any:
+        """Leave the clamped rows and columns out of a matrix, which is destroyed."""
+        free = (2 * self.first_node + self.free).astype(PETSc.IntType)
+        rows = PETSc.IS().createGeneral(free, comm=self.comm)
+        block = matrix.createSubMatrix(rows, rows)
+        rows.destroy()
+        matrix.destroy()
+        return block
+
+    def nodes(self) -> Nodes:
+        """Positions, numbers and cells for look-ups and pictures."""
+        cells, vtk_type = compat.vtk_cells(self.space)
+        numbers = self.space.dofmap.index_map.local_to_global(cells.ravel().astype(np.int32))
+        return Nodes(
+            points=self.space.tabulate_dof_coordinates()[: self.n_nodes, :2].copy(),
+            dofs=self.numbers.reshape(-1, 2),
+            cells=np.asarray(numbers).reshape(cells.shape),
+            vtk_type=max(self.comm.allgather(vtk_type)),
+        )
+
+
+def nodes_on(plate: PlateMesh, space: Any, group: str) -> np.ndarray:
+    """Local numbers, ghosts included, of the nodes in a facet group."""
+    facets = plate.facets(group)
+    dimension = plate.mesh.topology.dim - 1
+    plate.mesh.topology.create_connectivity(dimension, dimension + 1)
+    return np.sort(dolfinx.fem.locate_dofs_topological(space, dimension, facets))

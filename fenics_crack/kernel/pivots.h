@@ -1,0 +1,40 @@
+/* One set of closed pairs under a compliance, which changes pair by pair. */
+#ifndef PIVOTS_H
+#define PIVOTS_H
+
+/* With the pairs of A closed, B the others, and S = (D_AA)^-1, gaps s have the answer X = S s_A, the
+ * forces, in the rows of A, and X = s_B - D_BA f, less than nothing where a pair is open, in the
+ * others. A is right where X > 0 at the pairs of A and nowhere else. The table
+ *
+ *         [ -S       S D_AB              ]
+ *     T = [ D_BA S   D_BB - D_BA S D_AB  ]
+ *
+ * is symmetric. With u = T_.k and d = T_kk, a pair k that closes (d > 0) or opens (d < 0) changes
+ *
+ *     T -= u u^T / d,   then T_.k = u / |d|, T_kk = -1 / d;      X -= u X_k / d,   then X_k /= |d|;
+ *     S += v v^T / d,   v = u at the pairs closed before, and -1 at k if it closes
+ *
+ * (principal pivots: Cottle, Pang and Stone, The Linear Complementarity Problem, 1992, section 2.3).
+ */
+typedef struct {
+    int pairs, columns;
+    const double *d;      /* (p, p) D */
+    const double *gaps;   /* (c, p) s in each row */
+    double *table;        /* (p, p) T below its diagonal and on it */
+    double *answer;       /* (c, p) X in each row */
+    signed char *closed;  /* (p) */
+    double *room;         /* (4 p) */
+} pivot_table;
+
+/* All pairs open. */
+void open_all(pivot_table *s);
+/* Opens or closes one pair; carries `count` more answers along, others (count, p). v (p) and gain
+ * 1 / d: how S changes; v: or NULL. Returns 0, or 1, with nothing done, where D_AA would be singular.
+ */
+int turn_pair(pivot_table *s, int pair, int count, double *others, double *v, double *gain);
+/* Leaves rounding behind where it has grown: T and X from D again. Returns 1 where it did. */
+int refresh(pivot_table *s);
+/* S (p, p), zero outside A. */
+void inverse_of(const pivot_table *s, double *inverse);
+
+#endif

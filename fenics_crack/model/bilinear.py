@@ -1,0 +1,110 @@
+"""Frequencies between which a breathing crack resonates.
+
+Half a period with lips open and half a period with lips tied, each half as long as the natural
+vibration of that state, make a period pi / w_o + pi / w_t, and so the bilinear frequency
+
+    w_b = 2 w_o w_t / (w_o + w_t)
+
+(Shaw and Holmes, Journal of Sound and Vibration 90, 1983, 129, for one degree of freedom). It is
+exact for a bilinear oscillator without clearance, and near where one mode carries the motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from fenics_crack.model.modes import n_tied_modes, solve_modes
+from fenics_crack.model.structure import Structure
+from fenics_crack.table import Tabular, counted
+
+__all__ = ["FEW", "BilinearFrequencies", "bilinear_frequencies"]
+
+FEW = 6
+"""Lowest modes that are looked at."""
+
+
+@dataclass(frozen=True, repr=False)
+class BilinearFrequencies(Tabular):
+    """Natural frequencies with lips open and with lips tied, mode by mode in ascending order.
+
+    Attributes
+    ----------
+    omega_open, omega_tied : (n,) [rad/s]
+        Of the modes with the same number; tied ones are infinite where there are no more.
+    """
+
+    omega_open: np.ndarray
+    omega_tied: np.ndarray
+
+    KIND: ClassVar[str] = "set of bilinear frequencies"
+
+    @property
+    def omega_bilinear(self) -> np.ndarray:
+        """2 w_o w_t / (w_o + w_t): (n,) [rad/s]."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(2.0 / (1.0 / self.omega_open + 1.0 / self.omega_tied))
+
+    def nearest(self, omega: Any) -> dict[str, np.ndarray]:
+        """What is known of load frequencies (...) by the mode whose bilinear frequency is nearest.
+
+        ``mode``, its number; ``omega_open``, ``omega_tied`` and ``omega_bilinear`` of it [rad/s];
+        ``over_open``, ``over_tied`` and ``over_bilinear``, the load frequency over these: one less
+        is the frequency shift. Of shape (...).
+        """
+        omega, bilinear = np.asarray(omega, dtype=float), self.omega_bilinear
+        place = np.abs(omega[..., None] - bilinear).argmin(axis=-1)
+        found: dict[str, np.ndarray] = {"mode": place + 1}
+        for name in ("open", "tied", "bilinear"):
+            natural = getattr(self, f"omega_{name}")[place]
+            found[f"omega_{name}"] = natural
+            with np.errstate(divide="ignore", invalid="ignore"):
+                found[f"over_{name}"] = omega / natural
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """Columns, a row for every mode."""
+        return {
+            "mode": list(range(1, len(self.omega_open) + 1)),
+            "omega_open": self.omega_open.tolist(),
+            "omega_tied": self.omega_tied.tolist(),
+            "omega_bilinear": self.omega_bilinear.tolist(),
+        }
+
+    def _units(self) -> dict[str, str]:
+        return dict.fromkeys(("omega_open", "omega_tied", "omega_bilinear"), "rad/s")
+
+    def _title(self) -> str:
+        first = f"first {self.omega_open[0]:.6g} open, {self.omega_tied[0]:.6g} rad/s tied"
+        return f"{counted(len(self.omega_open), 'mode')}, {first}"
+
+
+def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
+    """The lowest natural frequencies, up to 6, with lips open and with lips tied (collective).
+
+    Tied lips slide (:func:`fenics_crack.solve_modes`); a contact law of little stiffness lets them
+    part, and resonances then lie lower. They are computed once for a structure and its varied
+    copies.
+
+    Parameters
+    ----------
+    structure : Structure
+        Whole or reduced.
+
+    Raises
+    ------
+    InputError, ConvergenceError
+        As :func:`fenics_crack.solve_modes`.
+    """
+    return structure.once(_bilinear_frequencies)
+
+
+def _bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
+    count = min(FEW, structure.n_modes)
+    is_open = solve_modes(structure, count).omega
+    tied = np.full(count, np.inf)
+    if most := min(count, n_tied_modes(structure)):
+        tied[:most] = solve_modes(structure, most, lips="tied").omega
+    return BilinearFrequencies(is_open, tied)

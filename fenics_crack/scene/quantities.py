@@ -1,0 +1,45 @@
+"""The quantities that tell of a breathing crack: their names, in words, with their units.
+
+The names are those of columns in tables and files, of ``[output] quantities``, and of what sweeps
+are drawn in. :class:`fenics_crack.Indicators` defines each by its equation.
+"""
+
+from __future__ import annotations
+
+__all__ = ["OF_FREQUENCIES", "OF_LIPS", "OF_POINTS", "QUANTITIES", "SHORT"]
+
+OF_POINTS: dict[str, tuple[str, str]] = {
+    "amplitude": ("half peak-to-peak", "m"),
+    "mean": ("mean displacement", "m"),
+    "harmonic_1": ("amplitude at the load frequency", "m"),
+    "harmonic_2": ("amplitude at twice the load frequency", "m"),
+    "harmonic_3": ("amplitude at three times the load frequency", "m"),
+    "ratio_2_1": ("harmonic ratio 2/1", "1"),
+    "ratio_3_1": ("harmonic ratio 3/1", "1"),
+    "ratio_half_1": ("harmonic ratio 1/2 over 1", "1"),
+    "mean_shift": ("mean displacement over harmonic 1", "1"),
+}
+"""Words and unit of what is known of each watched point and direction."""
+OF_LIPS: dict[str, tuple[str, str]] = {
+    "opening": ("largest opening", "m"),
+    "penetration": ("largest penetration", "m"),
+    "contact_force": ("largest contact force of a pair", "N"),
+    "closed_share": ("share of the period closed, mean over pairs", "1"),
+}
+"""Of all lips."""
+OF_FREQUENCIES: dict[str, tuple[str, str]] = {
+    "omega_open": ("natural frequency, lips open", "rad/s"),
+    "omega_tied": ("natural frequency, lips tied", "rad/s"),
+    "omega_bilinear": ("bilinear frequency", "rad/s"),
+    "over_open": ("load frequency over that with lips open", "1"),
+    "over_tied": ("load frequency over that with lips tied", "1"),
+    "over_bilinear": ("load frequency over the bilinear one", "1"),
+}
+"""Of the mode whose bilinear frequency is nearest to the load's."""
+QUANTITIES = OF_POINTS | OF_LIPS | OF_FREQUENCIES
+"""All of them."""
+SHORT = (
+    "amplitude", "ratio_2_1", "ratio_3_1", "ratio_half_1", "mean_shift", "opening", "penetration",
+    "contact_force", "closed_share", "over_open", "over_bilinear",
+)  # fmt: skip
+"""Printed where a scene does not choose."""

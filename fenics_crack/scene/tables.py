@@ -1,0 +1,674 @@
+"""The tables of a scene: every key states here, once, what it may hold."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from copy import copy
+from dataclasses import MISSING, dataclass
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.errors import MAX_SAMPLES, InputError, check_two_ratios
+from fenics_crack.scene.fields import (
+    OR_ZERO,
+    Axis,
+    Point,
+    Table,
+    Vector,
+    at_least_one,
+    choice,
+    hertz,
+    holds,
+    path,
+    positive,
+    radians,
+    twin,
+)
+from fenics_crack.scene.quantities import QUANTITIES
+
+__all__ = [
+    "EXTENT",
+    "RPM",
+    "Base",
+    "Contact",
+    "Crack",
+    "Curve",
+    "Damping",
+    "Excitation",
+    "Geometry",
+    "HarmonicBalance",
+    "Identify",
+    "Integration",
+    "Load",
+    "Material",
+    "Mesh",
+    "Output",
+    "Reduction",
+    "Rotation",
+    "Structure",
+    "Sweep",
+]
+
+EXTENT = "a number from 1e-6 to 1e6"
+NUMBER = f"a finite number {OR_ZERO}"
+NOT_NEGATIVE = f"a finite number >= 0 {OR_ZERO}"
+FORCE = f"[fx, fy], two finite numbers {OR_ZERO}"
+TRACTION = f"[tx, ty], two finite numbers {OR_ZERO}"
+KINDS = ("force", "pressure", "traction")
+"""Of the loads at a point or on an edge."""
+ACCELERATION = f"[ax, ay], two finite numbers {OR_ZERO}"
+DISPLACEMENT = f"[ux, uy], two finite numbers {OR_ZERO}"
+RPM = 2.0 * math.pi / 60.0
+"""[rad/s]"""
+LEAST_OF_AN_UNKNOWN = 4
+"""Values that its interpolation needs."""
+STEEPEST = 1e6
+"""Largest ``mesh.grading``."""
+
+
+@dataclass(frozen=True)
+class Geometry(Table):
+    """Rectangle [0, width] x [0, height], clamped along y = 0; a mesh file has its own shape."""
+
+    thickness: float = positive()
+    """[m]"""
+    width: float | None = holds(EXTENT, lambda value: 1e-6 <= value <= 1e6, None)
+    """[m]"""
+    height: float | None = holds(EXTENT, lambda value: 1e-6 <= value <= 1e6, None)
+    """[m]"""
+
+
+@dataclass(frozen=True)
+class Crack(Table):
+    """Straight horizontal crack: a slit whose two lips share only its tip, or its two tips."""
+
+    edge: str | None = choice("left", "right", default=None)
+    """Edge of the plate at the crack's mouth; left out for a crack inside the plate."""
+    center: float | None = positive(None)
+    """x of the middle of a crack inside the plate [m]."""
+    height: float | None = positive(None)
+    """y of the crack [m]."""
+    length: float | None = positive(None)
+    """[m]; or let ``first_omega`` determine it."""
+    first_omega: float | None = positive(None)
+    """First natural frequency with the crack open [rad/s], from which the length is found."""
+    first_frequency: float | None = hertz("first_omega")
+    """The same in Hz."""
+    clearance: float = holds(NUMBER, default=0.0)
+    """g0 >= 0: opening that closes before the lips touch; < 0: preload [m]."""
+
+    def span(self, width: float) -> tuple[float, float]:
+        """x of its left and its right end [m] in a plate of some width."""
+        assert self.length
+        if self.edge is None:
+            assert self.center
+            return self.center - 0.5 * self.length, self.center + 0.5 * self.length
+        return (0.0, self.length) if self.edge == "left" else (width - self.length, width)
+
+
+@dataclass(frozen=True)
+class Material(Table):
+    """Isotropic linear elastic."""
+
+    young: float = positive()
+    """Young's modulus E [Pa]."""
+    poisson: float = holds("a finite number with -1 < nu < 0.5", lambda nu: -1.0 < nu < 0.5)
+    """Poisson's ratio [-]."""
+    density: float = positive()
+    """[kg/m^3]"""
+
+
+@dataclass(frozen=True)
+class Damping(Table):
+    """Modal or Rayleigh damping, given in one of three ways.
+
+    Modal: ``ratio``, xi_j of critical damping, for each of the lowest ``modes``. With ``modes =
+    "all"`` and one ratio, all coordinates of a reduced structure are damped.
+
+    Rayleigh, C = mass M + stiffness K: ``mass`` and ``stiffness``, or one of them; or ``ratios``,
+    the ratios of damping at the two frequencies ``omegas`` or ``frequencies``.
+    """
+
+    ratio: float | tuple[float, ...] | None = holds(
+        "a number from 0 to 1 (0.02 for 2 %), or a list of them, one per mode",
+        lambda ratio: np.min(ratio) >= 0 and np.max(ratio) <= 1,
+        None,
+    )
+    """Of critical damping, of each mode."""
+    modes: int | str = holds(
+        "'all' or a whole number >= 1", lambda value: value == "all" or value >= 1, "all"
+    )
+    """How many of the lowest modes are damped."""
+    mass: float | None = holds(NOT_NEGATIVE, lambda value: value >= 0, None)
+    """[1/s]"""
+    stiffness: float | None = holds(NOT_NEGATIVE, lambda value: value >= 0, None)
+    """[s]"""
+    ratios: Vector | None = holds(
+        "[xi_1, xi_2], two numbers from 0 to 1",
+        lambda ratios: min(ratios) >= 0 and max(ratios) <= 1,
+        None,
+    )
+    """Of critical damping, at two frequencies."""
+    omegas: Vector | None = holds(
+        "[omega_1, omega_2], two different numbers > 0",
+        lambda omegas: min(omegas) > 0 and omegas[0] != omegas[1],
+        None,
+    )
+    """[rad/s]"""
+    frequencies: Vector | None = hertz(
+        "omegas",
+        "[f_1, f_2], two different numbers > 0",
+        lambda values: 0 < min(values) < max(values) <= 1e29,
+    )
+    """The same in Hz."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        ways = [("ratio",), ("mass", "stiffness"), ("ratios", "frequencies", "omegas")]
+        found = [(way, key) for way in ways for key in way if getattr(self, key) is not None]
+        allowed = (
+            "given, or damping.mass or damping.stiffness, or damping.ratios with omegas or "
+            "frequencies"
+        )
+        self.require(bool(found), "ratio", allowed)
+        (chosen, key), *_ = found
+        for way in ways:
+            if way is not chosen:
+                self.leave_out(way, f"{key} = {getattr(self, key)}")
+        if self.ratio is None:
+            self.require(self.modes == "all", "modes", f"left out with {key}: all are damped")
+        elif isinstance(self.ratio, tuple):
+            fits = self.modes in ("all", len(self.ratio))
+            self.require(fits, "ratio", f"a list of damping.modes = {self.modes}")
+        if "ratios" in chosen:
+            ratios = self.given("ratios", f"given with omegas = {self.omegas}")
+            omegas = self.given("omegas", f"given with ratios = {self.ratios}")
+            check_two_ratios(self.name_of("ratios"), ratios, omegas)
+
+    @property
+    def of_all_modes(self) -> bool:
+        """Whether every mode is damped, whatever the structure."""
+        if self.ratio is None:
+            return max(self.mass or 0.0, self.stiffness or 0.0, *(self.ratios or ())) > 0.0
+        return self.modes == "all" and float(np.min(self.ratio)) > 0.0
+
+
+@dataclass(frozen=True)
+class Excitation(Table):
+    """Point force f(t) = force_mean + force_cos cos(omega t) + force_sin sin(omega t)."""
+
+    omega: float = positive(None)
+    """Angular frequency [rad/s]; with an engine order, the one that follows from it."""
+    frequency: float | None = hertz("omega")
+    """The same in Hz; one of the two is given, or an order."""
+    order: int | None = at_least_one(None)
+    """Engine order: omega is this many times ``rotation.speed``."""
+    point: Vector | None = holds(f"[x, y], two finite numbers {OR_ZERO}", default=None)
+    """[m]; a mesh file may give it instead by a physical point named ``load``."""
+    force_sin: Vector = holds(FORCE, default=(0.0, 0.0))
+    """[N]"""
+    force_cos: Vector = holds(FORCE, default=(0.0, 0.0))
+    """[N]"""
+    force_mean: Vector = holds(FORCE, default=(0.0, 0.0))
+    """[N]"""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.order is not None:
+            self.leave_out(("frequency", "omega"), f"excitation.order = {self.order}")
+            return
+        self.given("omega", "given [rad/s], or excitation.frequency [Hz]: a finite number > 0")
+
+    @property
+    def derived(self) -> set[str]:
+        """With an order, omega too."""
+        return super().derived | ({"omega"} if self.order is not None else set())
+
+    def at_speed(self, speed: float) -> Excitation:
+        """The same with the frequency that its order makes of a rotor's speed [rad/s]."""
+        found = copy(self)
+        object.__setattr__(found, "omega", speed * (self.order or 0))
+        return found
+
+    def changed(self, values: Mapping[str, object]) -> Any:
+        """As of every table; a frequency takes the place of the order, or it of that."""
+        others = {key for key in ("omega", "frequency") if values.get(key) is not None}
+        if others and "order" not in values:
+            values = {"order": None, **values}
+        elif values.get("order", self.order) is not None:
+            values = {"omega": None, **values}
+        return super().changed(values)
+
+    @property
+    def force_given(self) -> str:
+        """The first key of a force that is not zero; empty if there is none."""
+        names = ("force_sin", "force_cos", "force_mean")
+        return next((name for name in names if any(getattr(self, name))), "")
+
+
+@dataclass(frozen=True)
+class Load(Table):
+    """A further load at the excitation's frequency: at a point a force, on an edge a pressure or a
+    traction; q(t) = mean + cos cos(omega t) + sin sin(omega t).
+
+    An edge is "top", "left" or "right" of a plate, or a curve that a mesh file names. A pressure
+    pushes towards the plate.
+    """
+
+    point: Vector | None = holds(f"[x, y], two finite numbers {OR_ZERO}", default=None)
+    """[m]"""
+    edge: str | None = holds("'top', 'left', 'right', or a curve of the mesh file", default=None)
+    force_sin: Vector | None = holds(FORCE, default=None)
+    force_cos: Vector | None = holds(FORCE, default=None)
+    force_mean: Vector | None = holds(FORCE, default=None)
+    """[N]"""
+    pressure_sin: float | None = holds(NUMBER, default=None)
+    pressure_cos: float | None = holds(NUMBER, default=None)
+    pressure_mean: float | None = holds(NUMBER, default=None)
+    """[Pa]"""
+    traction_sin: Vector | None = holds(TRACTION, default=None)
+    traction_cos: Vector | None = holds(TRACTION, default=None)
+    traction_mean: Vector | None = holds(TRACTION, default=None)
+    """[Pa]"""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.point is not None:
+            self.leave_out(("edge",), "point")
+        else:
+            self.given("edge", "given, or point: where the load acts")
+        forces, pressures, tractions = (self._names(kind) for kind in KINDS)
+        allowed, others = (
+            (forces, pressures + tractions)
+            if self.point is not None
+            else (pressures + tractions, forces)
+        )
+        self.leave_out(others, "edge" if self.point is None else "point")
+        some = any(getattr(self, name) is not None for name in allowed)
+        self.require(some, allowed[-1], f"given, or another of {', '.join(allowed[:-1])}")
+
+    @staticmethod
+    def _names(kind: str) -> tuple[str, ...]:
+        return tuple(f"{kind}_{part}" for part in ("mean", "cos", "sin"))
+
+    def parts(self, kind: str) -> list[Vector]:
+        """Mean, cosine and sine part of the "force" or the "traction"; of the "pressure" (p, 0)."""
+        found = []
+        for name in self._names(kind):
+            value = getattr(self, name)
+            found.append(value if isinstance(value, tuple) else (value or 0.0, 0.0))
+        return found
+
+
+@dataclass(frozen=True)
+class Base(Table):
+    """A clamp that moves as a whole, as on a shaker: u(t) = cos (omega t) + sin (omega t) parts.
+
+    Displacements are then relative to the clamp. Given by its acceleration or its displacement, at
+    the frequency of the excitation.
+    """
+
+    acceleration_sin: Vector | None = holds(ACCELERATION, default=None)
+    """[m/s^2]"""
+    acceleration_cos: Vector | None = holds(ACCELERATION, default=None)
+    """[m/s^2]"""
+    displacement_sin: Vector | None = holds(DISPLACEMENT, default=None)
+    """[m]"""
+    displacement_cos: Vector | None = holds(DISPLACEMENT, default=None)
+    """[m]"""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        parts = (self.acceleration_cos, self.acceleration_sin)
+        if self.moves_by_displacement:
+            self.leave_out(("acceleration_sin", "acceleration_cos"), "a displacement")
+            parts = (self.displacement_cos, self.displacement_sin)
+        moving = any(any(part) for part in parts if part is not None)
+        self.require(moving, "acceleration_sin", "given, or another part of the motion, not zero")
+
+    @property
+    def moves_by_displacement(self) -> bool:
+        """Whether the displacement is given, whose acceleration grows with omega^2."""
+        return self.displacement_cos is not None or self.displacement_sin is not None
+
+    def accelerations(self, omega: float) -> tuple[Vector, Vector]:
+        """Cosine and sine part at an angular frequency [rad/s]: a = -omega^2 u, [m/s^2]."""
+        factor, parts = 1.0, (self.acceleration_cos, self.acceleration_sin)
+        if self.moves_by_displacement:
+            factor, parts = -(omega**2), (self.displacement_cos, self.displacement_sin)
+        cosine, sine = (part or (0.0, 0.0) for part in parts)
+        return (factor * cosine[0], factor * cosine[1]), (factor * sine[0], factor * sine[1])
+
+    @property
+    def direction(self) -> Vector:
+        """(1, 0) or (0, 1): the direction of the larger motion."""
+        along = np.abs(self.accelerations(1.0)).max(axis=0)
+        return (1.0, 0.0) if along[0] >= along[1] else (0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Rotation(Table):
+    """The plate is a blade on a rotor, whose axis lies in its plane, parallel to the clamp.
+
+    The radius is hub_radius + y. Vibration in the plane is then along x, parallel to the axis, and
+    along the radius: Coriolis forces stand normal to the plane.
+    """
+
+    hub_radius: float = holds(NOT_NEGATIVE, lambda value: value >= 0)
+    """Radius of the clamp [m]: the axis is at y = -hub_radius."""
+    speed: float = holds(
+        "a finite number >= 0 (0, or 1e-6 to 1e9)", lambda w: w == 0 or 1e-6 <= w <= 1e9, None
+    )
+    """W, angular velocity of the rotor [rad/s]."""
+    rpm: float | None = twin(
+        "speed",
+        RPM,
+        "a finite number >= 0 (0, or 1e-5 to 9e9)",
+        lambda w: w == 0 or 1e-5 <= w <= 9e9,
+    )
+    """The same in revolutions per minute; one of the two is given."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.given("speed", "given [rad/s], or rotation.rpm: a finite number >= 0")
+
+
+@dataclass(frozen=True)
+class Contact(Table):
+    """Contact between the lips, pair by pair of nodes."""
+
+    stiffness: float | None = positive(None)
+    """Penalty stiffness k of one pair [N/m]; or give it per area."""
+    stiffness_per_area: float | None = positive(None)
+    """Penalty stiffness per area of the lip [N/m^3]: independent of the mesh."""
+    law: str = choice("penalty", "smoothed", "unilateral", default="penalty")
+    """"unilateral": no penetration."""
+    sharpness: float | None = positive(None)
+    """s of the smoothed law [1/m]."""
+    pairs: str = choice("all", "mouth", default="all")
+    """Every pair of lip nodes, or of each crack only the one at the mouth, or in the middle of a
+    crack inside the plate."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        law = f"law = {self.law!r}"
+        if self.law == "unilateral":
+            self.leave_out(("stiffness", "stiffness_per_area"), law)
+        else:
+            one = (self.stiffness is None) != (self.stiffness_per_area is None)
+            self.require(one, "stiffness", f"given, or contact.stiffness_per_area, with {law}")
+        if self.law == "smoothed":
+            self.given("sharpness", f"given with {law}")
+        else:
+            self.leave_out(("sharpness",), law)
+
+
+@dataclass(frozen=True)
+class HarmonicBalance(Table):
+    """Truncation of the Fourier series and sampling of the contact force."""
+
+    harmonics: int = at_least_one(5)
+    """H; with a tolerance, the fewest of a curve and of a sweep."""
+    samples: int | None = at_least_one(None)
+    """Instants per period at which contact is evaluated; chosen by the solver when left out."""
+    tolerance: float | None = positive(None)
+    """Choose H so that the estimated error stays below this: of one solution all of it, along a
+    curve and in a sweep that of the truncation."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.tolerance is not None:
+            self.leave_out(("samples",), "a tolerance")
+        least = 4 * self.harmonics + 1
+        self.require(
+            self.samples is None or least <= self.samples <= MAX_SAMPLES,
+            "samples",
+            f"a whole number from {least} (4 harmonics + 1) to {MAX_SAMPLES}, or left out",
+        )
+
+
+@dataclass(frozen=True)
+class Mesh(Table):
+    """How the plate is meshed.
+
+    ``layout = "grid"``: columns x rows equal quadrilaterals (or twice as many triangles); the crack
+    must run along grid lines. ``"graded"``: element size ``size`` away from the crack,
+    ``lip_elements`` along each lip, the one at the tip ``grading`` times shorter than the one at
+    the mouth; along a crack inside half of them from its middle to each tip. Where cracks are above
+    one another, lips may get more. ``"file"``: any gmsh mesh of a plane region whose physical
+    groups are named ``clamp``, ``lower_lip`` and ``upper_lip`` or ``crack`` (curves), ``load`` (a
+    point) and, for the region itself, anything.
+    """
+
+    layout: str = choice("grid", "graded", "file")
+    """As above."""
+    cells: str = choice("triangle", "quadrilateral", default="quadrilateral")
+    """Of a plate; a mesh file has its own."""
+    order: int = holds("1 or 2", lambda value: value in (1, 2), default=1)
+    """Polynomial order of the displacement."""
+    columns: int | None = at_least_one(None)
+    """Of a grid."""
+    rows: int | None = at_least_one(None)
+    """Of a grid."""
+    size: float | None = positive(None)
+    """[m]"""
+    lip_elements: int | None = at_least_one(None)
+    """Of a graded mesh, along each lip."""
+    grading: float = holds(
+        f"a number from 1 to {STEEPEST:g}", lambda value: 1 <= value <= STEEPEST, default=4.0
+    )
+    """Of a graded mesh: size at the mouth over size at the tip."""
+    file: str | None = path("the path of a .msh file")
+    """Beside the scene's file, or with its whole path."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        keys = {"grid": ("columns", "rows"), "graded": ("size", "lip_elements"), "file": ("file",)}
+        given = keys.pop(self.layout)
+        for others in keys.values():
+            self.leave_out(others, f"layout = {self.layout!r}")
+        for key in given:
+            if key != "lip_elements":  # an uncracked plate has no lips
+                self.given(key, f"given with layout = {self.layout!r}")
+
+
+@dataclass(frozen=True)
+class Structure(Table):
+    """Matrices from elsewhere, in Matrix Market files beside the scene, instead of a plate.
+
+    M u'' + C u' + K u + B lambda(g) = f(t), g = B^T u - g0. The tables [geometry], [material],
+    [mesh], [crack] and [base] and the force of [excitation] are then left out.
+    """
+
+    mass: str = path("the path of a Matrix Market file: (n, n)", MISSING)
+    """[kg]"""
+    stiffness: str = path("the path of a Matrix Market file: (n, n)", MISSING)
+    """[N/m]"""
+    gap: str | None = path("the path of a Matrix Market file: (n, n_pairs)")
+    """B, which makes the gaps of the contact pairs of the displacements; left out: no pairs."""
+    damping: str | None = path("the path of a Matrix Market file: (n, n)")
+    """C [N s/m]; or the table [damping]."""
+    force_sin: str | None = path("the path of a Matrix Market file: (n, 1)")
+    force_cos: str | None = path("the path of a Matrix Market file: (n, 1)")
+    force_mean: str | None = path("the path of a Matrix Market file: (n, 1)")
+    """[N]"""
+    clearance: float | str = path(
+        f"{NUMBER}, or the path of a Matrix Market file: (n_pairs, 1)", 0.0
+    )
+    """g0 of all pairs, or of each [m]; < 0: preload."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        loads = (self.force_sin, self.force_cos, self.force_mean)
+        self.require(any(loads), "force_sin", "given, or force_cos or force_mean: what moves it")
+
+
+@dataclass(frozen=True)
+class Reduction(Table):
+    """How the structure is reduced before it is solved (``reduce_structure``).
+
+    Without this table a structure of up to 100 dofs is solved as it is, and a larger one is reduced
+    with the default basis. ``reduction = "off"`` is short for ``reduction.method = "off"``.
+    """
+
+    WORD = "method"
+
+    method: str | None = choice("massless", "free_interface", "craig_bampton", "off", default=None)
+    """Default: "massless" (modes, and lips without mass) with contact, unless all modes are kept;
+    without contact "free_interface"."""
+    modes: int | None = at_least_one(None)
+    """Lowest modes to keep; default: those that are damped, but 50 where all are."""
+
+
+@dataclass(frozen=True)
+class Curve(Table):
+    """A response curve, followed through its folds by continuation."""
+
+    start: float = holds(NUMBER)
+    """As ``stop``."""
+    stop: float = holds(NUMBER)
+    """Of the parameter: load frequencies [rad/s] or, with "frequency", [Hz]; factors of load,
+    stiffness or damping; clearances added [m]; or, with an engine order, speeds of the rotor
+    [rad/s] or, with "rpm", in revolutions per minute."""
+    parameter: str = choice(
+        "omega",
+        "frequency",
+        "load",
+        "stiffness",
+        "damping",
+        "clearance",
+        "speed",
+        "rpm",
+        default="omega",
+    )
+    """What changes along the curve."""
+    stability: bool = holds("true or false", default=True)
+    """Floquet multipliers and period doublings along the curve."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.require(self.start != self.stop, "stop", f"other than curve.start = {self.start:g}")
+        if self.parameter in ("omega", "frequency", "stiffness", "speed", "rpm"):
+            for name in ("start", "stop"):
+                allowed = f"a number > 0 with curve.parameter = {self.parameter!r}"
+                self.require(getattr(self, name) > 0.0, name, allowed)
+
+    @property
+    def followed(self) -> tuple[str, float, float]:
+        """The parameter of the equations, and its ends: "omega" and "speed" in rad/s where Hz or
+        revolutions per minute are given."""
+        if self.parameter == "rpm":
+            return "speed", RPM * self.start, RPM * self.stop
+        if self.parameter == "frequency":
+            return "omega", radians(self.start), radians(self.stop)
+        return self.parameter, self.start, self.stop
+
+
+@dataclass(frozen=True)
+class Integration(Table):
+    """Direct integration in time, from rest."""
+
+    method: str | None = choice(
+        "exponential", "central_difference", "implicit", "events", default=None
+    )
+    """"events": exact from one switching instant to the next, for few pairs. Default: "exponential"
+    where lips have no mass, else "central_difference"."""
+    periods: int = at_least_one(400)
+    """Load periods at most."""
+    settle: float = positive(1e-3)
+    """Relative change of the gaps from one period to the next at which to stop."""
+    steps_per_period: int | None = at_least_one(None)
+    """Default: 512; twice what is stable (central differences), 256 (events)."""
+
+
+@dataclass(frozen=True)
+class Sweep(Table):
+    """Many cases: all combinations of the values of some keys of the scene.
+
+    For example::
+
+        [sweep.over]
+        "excitation.omega" = { start = 1000.0, stop = 4000.0, count = 61 }
+        "crack.length" = [0.02, 0.03, 0.04]
+    """
+
+    over: tuple[Axis, ...] = holds(
+        "a table of keys of the scene and the values that they take", lambda value: value
+    )
+    """Keys with a list of values, or start, stop, count and ``spacing = "logarithmic"``."""
+    ranks: int = at_least_one(1)
+    """Ranks that share the mesh of one case."""
+
+    @property
+    def n_cases(self) -> int:
+        """How many cases."""
+        return math.prod(len(axis.values) for axis in self.over)
+
+
+@dataclass(frozen=True)
+class Identify(Table):
+    """What is to be found from measurements, and where it is looked for.
+
+    For example::
+
+        [identify.unknown]
+        "crack.length" = { start = 0.003, stop = 0.045, count = 8 }
+        "crack.height" = { start = 0.02, stop = 0.2, count = 10 }
+    """
+
+    unknown: tuple[Axis, ...] = holds(
+        "a table of keys of the scene and the values between which they are looked for",
+        lambda value: value,
+    )
+    """Keys with at least 4 numbers in ascending order, at which the forward model is solved, or
+    start, stop, count and ``spacing = "logarithmic"``; or words: ``"crack.edge" = ["left",
+    "right"]``."""
+    frequencies: tuple[float, ...] = holds(
+        "a list of finite numbers > 0", lambda values: min(values, default=1.0) > 0, ()
+    )
+    """Further load frequencies at which measuring is considered [Hz]."""
+    finer: float = holds("a number from 1 to 4", lambda value: 1 <= value <= 4, 2.0)
+    """How much finer the mesh is, and how many more harmonics there are, in the few cases that
+    correct the model and tell its error; 1: neither."""
+    harmonic_deviation: float = holds("a number from 0 to 1", lambda value: 0 <= value <= 1, 0.15)
+    """Least standard deviation of computed harmonics of the crack, over their values: contact on a
+    coarse mesh makes them uneven, and all of them together too large or too small."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for axis in self.unknown:
+            words = [isinstance(value, str) for value in axis.values]
+            if not all(words):
+                fine = not any(words) and len(axis.values) >= LEAST_OF_AN_UNKNOWN
+                fine = fine and bool(np.all(np.diff(axis.values) > 0))
+                if not fine:
+                    allowed = f"words, or {LEAST_OF_AN_UNKNOWN} or more numbers in ascending order"
+                    raise InputError(f'identify.unknown."{axis.key}"', axis.values, allowed)
+
+
+@dataclass(frozen=True)
+class Output(Table):
+    """What is printed and drawn, and where the motion is watched.
+
+    [output]
+    quantities = ["amplitude", "ratio_2_1"]
+    [output.points]
+    tip = [0.1, 0.1]
+    """
+
+    quantities: tuple[str, ...] | None = holds(
+        f"a list of some of {', '.join(QUANTITIES)}",
+        lambda names: names and set(names) <= QUANTITIES.keys(),
+        None,
+    )
+    """Default: a few of them. Files have them all."""
+    points: tuple[Point, ...] = holds(
+        "a table of points: a name of letters, digits and _, and [x, y], two finite numbers",
+        lambda points: all(re.fullmatch(r"[A-Za-z]\w{0,29}", point.key, re.A) for point in points),
+        (),
+    )
+    """[m]; the nearest node of each is watched in x and y. Default: the dof with most of the load.
+    """

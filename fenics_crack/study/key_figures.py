@@ -1,0 +1,234 @@
+"""Numbers that tell whether a scene is what its author meant, from one factor of K and few modes.
+
+Nothing is solved. With the lips open, K^-1 and the lowest modes give displacement and gap at a
+frequency w,
+
+    u(w) = K^-1 f + sum_j phi_j (phi_j^T f) [d_j(w) - 1 / w_j^2],
+    d_j(w) = 1 / (w_j^2 - w^2 + 2 i xi_j w_j w),
+
+and, by B instead of f, the compliance of the lips R(w) = B^T H(w) B. The mean load and the preload
+alone close some pairs, by a static contact problem. As long as these stay closed and the others
+open, the motion is linear, and the closed ones carry R(w)^-1 B^T u(w) beside their static force.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from fenics_crack.model.complementarity import solve_complementarity
+from fenics_crack.model.damping import ModalDamping, RayleighDamping
+from fenics_crack.model.factor import Factor, weighted_sum
+from fenics_crack.model.modes import check_damped_modes, modes_by, solve_modes
+from fenics_crack.model.structure import Structure
+from fenics_crack.parallel import gather_rows
+from fenics_crack.scene.scene import Scene
+from fenics_crack.study.prepare import Study, reduction_of
+
+__all__ = ["KeyFigures", "find_key_figures", "highest_omega", "span_of"]
+
+FEW = 4
+"""Modes that are computed."""
+
+
+@dataclass(frozen=True)
+class KeyFigures:
+    """Of a scene's structure, whole.
+
+    Attributes
+    ----------
+    size : (2,) [m]
+        Width and height of the mesh.
+    elements : int or None
+        Along each lip of the crack that has the fewest; None without a crack.
+    omega_open, omega_tied : (at most 4,) [rad/s]
+        Lowest natural frequencies, lips open and lips tied together.
+    damping : (at most 4,)
+        Ratios of critical damping of the open modes.
+    own_stiffness : (n_pairs,) [N/m]
+        1 / (B^T K^-1 B)_jj: of the lips themselves, pair by pair.
+    stiffness_ratio : (n_pairs,) or None
+        Contact stiffness over the own stiffness; None without a law, or without a stiffness.
+    mean_opening, static_motion : float [m]
+        Largest opening of open lips under the mean load, and the largest motion of their gaps under
+        the load's amplitude, both static.
+    displacement, gap_motion : float [m]
+        Largest amplitudes with open lips at the frequencies that are asked for.
+    closed : int
+        Pairs that are closed under the mean load and the preload alone.
+    breathes : bool
+        Whether a pair that is then open closes, or one that is closed opens, at these frequencies.
+    modes_below : int
+        Natural frequencies below that of the highest harmonic.
+    modes_kept : int
+        After the reduction.
+    """
+
+    size: tuple[float, float]
+    elements: int | None
+    omega_open: np.ndarray
+    omega_tied: np.ndarray
+    damping: np.ndarray
+    own_stiffness: np.ndarray
+    stiffness_ratio: np.ndarray | None
+    mean_opening: float
+    static_motion: float
+    displacement: float
+    gap_motion: float
+    closed: int
+    breathes: bool
+    modes_below: int
+    modes_kept: int
+
+    @property
+    def omega_breathing(self) -> float:
+        """First resonance of a crack that opens for one half of a motion and closes for the other
+        [rad/s]: 2 w_open w_tied / (w_open + w_tied)."""
+        opened, tied = float(self.omega_open[0]), float(self.omega_tied[0])
+        return 2.0 * opened * tied / (opened + tied) if opened + tied > 0.0 else 0.0
+
+
+def find_key_figures(study: Study) -> KeyFigures:
+    """Compute the figures of a study whose structure is not reduced (collective)."""
+    scene, whole, law = study.scene, study.structure, study.contact
+    count = min(FEW, whole.n_dofs)
+    with Factor(whole.stiffness, symmetric=True) as factor:
+        modes = modes_by(factor, whole, count)
+        static = factor.solve(whole.force)
+        lips = whole.apply_bt(factor.solve_sparse(whole.gap)) if whole.n_pairs else np.zeros((0, 0))
+    ratios = _ratios(whole, modes.omega)
+    tied = modes.omega
+    if whole.n_pairs:
+        tied = solve_modes(whole, min(count, whole.n_dofs - whole.n_pairs), lips="tied").omega
+    gaps, psi = whole.apply_bt(static), whole.apply_bt(modes.shapes.T)
+    loads = whole.sum_over_ranks(modes.shapes.T @ whole.force.T)
+    resting = gaps[0] - whole.clearance  # of open lips
+    pressed = solve_complementarity(lips, resting) if whole.n_pairs else np.zeros(0)
+    closed = pressed > 0.0
+    largest, moved, breathes = 0.0, 0.0, False
+    for omega in _omegas(scene, np.concatenate([modes.omega, tied])):
+        change = _dynamic_part(modes.omega, ratios, omega)
+        load = change * (loads[:, 1] - 1j * loads[:, 2])
+        motion = static[1] - 1j * static[2] + load @ modes.shapes.T
+        largest = max(largest, _largest(whole, motion))
+        if not whole.n_pairs:
+            continue
+        gap = gaps[1] - 1j * gaps[2] + load @ psi
+        moved = max(moved, float(np.abs(gap).max()))
+        seen = lips + (psi.T * change) @ psi
+        force = np.zeros(whole.n_pairs, dtype=complex)
+        force[closed] = np.linalg.lstsq(seen[np.ix_(closed, closed)], gap[closed], rcond=None)[0]
+        opened = resting - lips @ pressed + np.abs(gap - seen @ force) >= 0.0
+        breathes = breathes or bool(np.any(np.where(closed, pressed <= np.abs(force), opened)))
+    own = 1.0 / np.maximum(np.diagonal(lips), 1e-300)
+    stiffness = None if law is None or not np.all(np.isfinite(law.stiffness)) else law.stiffness
+    table = reduction_of(scene, whole)
+    kept = whole.n_dofs if table is None else int(table.modes or scene.damped_modes)
+    crack = whole.n_pairs > 0
+    return KeyFigures(
+        size=_size(whole),
+        elements=_elements(scene, whole),
+        omega_open=modes.omega,
+        omega_tied=tied,
+        damping=ratios,
+        own_stiffness=own,
+        stiffness_ratio=None if stiffness is None else stiffness / own,
+        mean_opening=float(np.max(-resting, initial=0.0)) + 0.0,
+        static_motion=float(np.abs(gaps[1] - 1j * gaps[2]).max(initial=0.0)),
+        displacement=largest,
+        gap_motion=moved,
+        closed=int(closed.sum()),
+        breathes=breathes,
+        modes_below=_count_below(whole, _highest(scene)) if crack else 0,
+        modes_kept=kept,
+    )
+
+
+def _elements(scene: Scene, whole: Structure) -> int | None:
+    """Elements along the crack that has the fewest: its pairs by the order of the displacement,
+    rounded up, for tips are no pairs."""
+    if not whole.n_pairs:
+        return None
+    cracks = whole.pairs.cracks
+    fewest = whole.n_pairs if cracks is None else int(np.bincount(cracks).min())
+    return math.ceil(fewest / (1 if scene.mesh is None else scene.mesh.order))
+
+
+def _size(whole: Structure) -> tuple[float, float]:
+    """Width and height of the mesh [m] (collective)."""
+    if whole.nodes is None:
+        return np.nan, np.nan
+    width, height = np.ptp(gather_rows(whole.comm, whole.nodes.points), axis=0)
+    return float(width), float(height)
+
+
+def _ratios(whole: Structure, omega: np.ndarray) -> np.ndarray:
+    """Ratios of critical damping of the lowest modes."""
+    rule = whole.damping
+    if isinstance(rule, RayleighDamping):
+        return rule.mass / (2.0 * omega) + rule.stiffness * omega / 2.0
+    found = np.zeros(len(omega))
+    if isinstance(rule, ModalDamping):
+        damped = min(check_damped_modes(whole), len(omega))
+        ratio = np.asarray(rule.ratio)
+        found[:damped] = ratio if ratio.ndim == 0 else ratio[:damped]
+    return found
+
+
+def _dynamic_part(natural: np.ndarray, ratios: np.ndarray, omega: float) -> np.ndarray:
+    """d_j(w) - 1 / w_j^2 of the modes."""
+    below = natural**2 - omega**2 + 2j * ratios * natural * omega
+    return 1.0 / np.where(below == 0.0, 1e-12 * natural**2, below) - 1.0 / natural**2
+
+
+def _largest(whole: Structure, motion: np.ndarray) -> float:
+    own = np.abs(motion).max(initial=0.0)
+    return float(np.max(whole.comm.allgather(own)))
+
+
+def _count_below(whole: Structure, omega: float) -> int:
+    """How many natural frequencies are below one: the negative pivots of K - w^2 M (Sylvester)."""
+    shifted = weighted_sum(whole.stiffness, -(omega**2), whole.mass)
+    with Factor(shifted, symmetric=True) as factor:
+        count = factor.negative_pivots
+    shifted.destroy()
+    return count
+
+
+# --- the frequencies that a scene asks for --------------------------------------------------------
+
+
+def _omegas(scene: Scene, natural: np.ndarray) -> list[float]:
+    """Where the response is looked at: the ends of what is asked for, and resonances between."""
+    found = {scene.excitation.omega}
+    for low, high in (span_of(scene, "curve"), span_of(scene, "sweep")):
+        found |= {low, high, *(float(omega) for omega in natural if low <= omega <= high)}
+    return sorted(found)
+
+
+def span_of(scene: Scene, command: str) -> tuple[float, float]:
+    """Lowest and highest load frequency [rad/s] of "solve", "curve" or "sweep"."""
+    omegas = [scene.excitation.omega]
+    curve = scene.curve if command == "curve" else None
+    if curve is not None and curve.followed[0] == "omega":
+        omegas = [*curve.followed[1:]]
+    elif curve is not None and curve.followed[0] == "speed":
+        omegas = [(scene.excitation.order or 1) * speed for speed in curve.followed[1:]]
+    if command == "sweep" and scene.sweep is not None:
+        omegas = [*scene.swept_omegas]
+    return min(omegas), max(omegas)
+
+
+def highest_omega(scene: Scene, command: str) -> float:
+    """H w: the highest frequency [rad/s] of the harmonics in "solve", "curve" or "sweep"."""
+    harmonics = [scene.harmonic_balance.harmonics]
+    if command == "sweep" and scene.sweep is not None:
+        swept = {axis.key: axis.values for axis in scene.sweep.over}
+        harmonics = [*swept.get("harmonic_balance.harmonics", harmonics)]
+    return span_of(scene, command)[1] * max(harmonics)
+
+
+def _highest(scene: Scene) -> float:
+    return max(highest_omega(scene, command) for command in ("solve", "curve", "sweep"))

@@ -1,0 +1,348 @@
+"""What is out of the usual in a scene: most often a unit or a number mistyped.
+
+Each rule below is a function of the scene, or of the scene and its key figures, that yields
+remarks. A remark forbids nothing: it names a key, its value, and what is usual.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.scene.scene import Scene
+from fenics_crack.study.key_figures import KeyFigures, span_of
+
+__all__ = ["Remark", "is_proportional", "remarks_on", "remarks_on_scene"]
+
+Remarks = Iterator["Remark"]
+
+YOUNG, DENSITY = (1e7, 1.5e12), (50.0, 25000.0)
+"""Of most solids: [Pa], from rubber to diamond, and [kg/m^3], from foam to tungsten and osmium."""
+LARGEST_SIDE = 20.0
+"""Of plates that somebody shakes [m]."""
+MOST_DAMPING = 0.05
+"""Ratio of critical damping that structures hardly exceed; metals have 0.0001 to 0.01."""
+LEAST_FREQUENCY = 0.02
+"""Load frequency, relative to the first natural one, below which a scene is one of statics."""
+FORCES = ("force_mean", "force_cos", "force_sin")
+TURN = 2.0 * np.pi
+NEAR = 0.1
+"""Relative distance at which a load frequency is taken to be meant for a natural one."""
+SOFT, RIGID = 1.0, 1e6
+"""Contact stiffness over that of the lips: as soft as these, and not to be told from rigid."""
+
+
+@dataclass(frozen=True)
+class Remark:
+    """Something unusual: ``key = value: what is usual``."""
+
+    key: str
+    value: object
+    text: str
+
+    def __str__(self) -> str:
+        value = f"{self.value:g}" if isinstance(self.value, float) else str(self.value)
+        return f"{self.key} = {value}: {self.text}"
+
+
+def remarks_on_scene(scene: Scene) -> list[Remark]:
+    """What the scene alone shows; costs nothing."""
+    rules = (_material, _plate, _damping, _load, _settling, _proportional)
+    of_matrices = () if scene.damping is None else (_damping, _settling)
+    chosen = rules if scene.structure is None else of_matrices
+    return [remark for rule in chosen for remark in rule(scene)]
+
+
+def remarks_on(scene: Scene, figures: KeyFigures) -> list[Remark]:
+    """What the scene and its key figures show."""
+    rules = (_frequency, _curve, _response, _lips, _contact, _closing, _resolution, _modes)
+    of_matrices = (_frequency, _curve, _contact, _modes)
+    chosen = rules if scene.structure is None else of_matrices
+    own = remarks_on_scene(scene)
+    if any(remark.key.startswith(("material.", "geometry.")) for remark in own):
+        return own  # all else may follow from these
+    return own + [remark for rule in chosen for remark in rule(scene, figures)]
+
+
+# --- of the scene alone ---------------------------------------------------------------------------
+
+
+def _material(scene: Scene) -> Remarks:
+    young, poisson, density = vars(scene.material).values()
+    if not YOUNG[0] <= young <= YOUNG[1]:
+        unit = ""
+        if 0.5 <= young <= 1500.0:
+            unit = f"; in GPa? then {young:g}e9"
+        elif 1e3 <= young <= 2e6:
+            unit = f"; in MPa? then {1e6 * young:g}"
+        text = f"in Pa, steel has 2.1e11, and most solids from 1e7 to 1.5e12{unit}"
+        yield Remark("material.young", young, text)
+    if not DENSITY[0] <= density <= DENSITY[1]:
+        unit = ""
+        if 0.05 <= density <= 25.0:
+            unit = f"; in g/cm^3? then {1e3 * density:g}"
+        elif 5e-11 <= density <= 2.5e-8:
+            unit = f"; in t/mm^3? then {1e12 * density:g}"
+        elif 5e-8 <= density <= 2.5e-5:
+            unit = f"; in kg/mm^3? then {1e9 * density:g}"
+        text = f"in kg/m^3, steel has 7850, and most solids from 50 to 25000{unit}"
+        yield Remark("material.density", density, text)
+    if not 0.0 <= poisson <= 0.49:
+        yield Remark("material.poisson", poisson, "most solids have 0 to 0.49, steel 0.3")
+
+
+def _plate(scene: Scene) -> Remarks:
+    geometry = scene.geometry
+    sides = [(getattr(geometry, name), name) for name in ("width", "height")]
+    given = [(side, name) for side, name in sides if side is not None]
+    if given and max(given)[0] > LARGEST_SIDE:
+        side, name = max(given)
+        text = f"a plate of {side:g} m; in mm? then {side / 1000.0:g}"
+        yield Remark(f"geometry.{name}", side, text)
+    shortest = min((side for side, _ in given), default=np.inf)
+    thickness = geometry.thickness  # 1 m is customary in plane problems
+    if thickness > min(shortest, LARGEST_SIDE) and thickness != 1.0:
+        text = "thicker than the plate is wide or high"
+        if thickness <= 1000.0 * shortest:
+            text += f"; in mm? then {thickness / 1000.0:g}"
+        yield Remark("geometry.thickness", thickness, text)
+    for name, crack in scene.all_cracks.items():
+        share = (crack.length or np.nan) / (geometry.width or np.nan)
+        if share < 0.01 or share > 0.9:
+            text = f"{share:.3g} of the plate's width; 0.01 to 0.9 are usual"
+            yield Remark(f"{name}.length", crack.length, text)
+    size = scene.mesh.size
+    if size is not None and size > shortest / 2.0:
+        text = f"longer than half the plate's shorter side, {shortest:g} m"
+        if shortest / 2.0 < size <= 1000.0 * shortest and size / 1000.0 > shortest / 1000.0:
+            text += f"; in mm? then {size / 1000.0:g}"
+        yield Remark("mesh.size", size, text)
+
+
+def _damping(scene: Scene) -> Remarks:
+    for key in ("ratio", "ratios"):
+        given = getattr(scene.damping, key)
+        largest = 0.0 if given is None else float(np.max(given))
+        if largest > MOST_DAMPING:
+            text = (
+                f"{100.0 * largest:g} % of critical damping, where metals have 0.01 to 1 %; "
+                f"in per cent? then {largest / 100.0:g}"
+            )
+            yield Remark(f"damping.{key}", largest if given == largest else given, text)
+
+
+def _load(scene: Scene) -> Remarks:
+    load = scene.excitation
+    if scene.has_other_loads:
+        return
+    if not np.any([load.force_sin, load.force_cos, load.force_mean]):
+        text = "no force at all: excitation.force_sin, force_cos and force_mean are zero"
+        yield Remark("excitation.force_sin", list(load.force_sin), text)
+
+
+def _settling(scene: Scene) -> Remarks:
+    """From rest a motion settles like exp(-xi w t)."""
+    table, ratio = scene.integration, scene.damping.ratio
+    if table is None or ratio is None or not 0.0 < float(np.min(ratio)) or table.settle >= 1.0:
+        return
+    needed = -np.log(table.settle) / (TURN * float(np.min(ratio)))
+    if table.periods < 0.5 * needed:
+        text = (
+            f"with a damping of {float(np.min(ratio)):g} near resonance a motion from rest settles"
+        )
+        yield Remark("integration.periods", table.periods, f"{text} in about {needed:.0f}")
+
+
+def is_proportional(scene: Scene) -> bool:
+    """Whether the response is proportional to the load: no clearance, and no smoothing.
+
+    Where forces and gaps are multiplied by a positive number, the equations of lips that touch or
+    not, at g = 0, are multiplied by it as a whole.
+    """
+    rounded = scene.contact is not None and scene.contact.law == "smoothed"
+    if scene.structure is not None:
+        return not rounded and scene.structure.clearance == 0.0
+    return not rounded and all(c.clearance == 0.0 for c in scene.all_cracks.values())
+
+
+def _proportional(scene: Scene) -> Remarks:
+    text = (
+        "without a clearance or preload (crack.clearance) the response is proportional to the load"
+    )
+    if scene.curve is not None and scene.curve.parameter == "load" and is_proportional(scene):
+        yield Remark("curve.parameter", "load", f"{text}: such a curve is a straight line")
+    swept = {} if scene.sweep is None else {axis.key: axis.values for axis in scene.sweep.over}
+    loads = [name for name in FORCES if f"excitation.{name}" in swept]
+    others = [name for name in FORCES if np.any(getattr(scene.excitation, name))]
+    if (
+        any(key.endswith(".clearance") for key in swept)
+        or not is_proportional(scene)
+        or scene.has_other_loads
+        or {*loads, *others} != {*loads}
+    ):
+        return
+    if len(loads) == 1 and _of_one_direction(swept[f"excitation.{loads[0]}"]):
+        yield Remark(
+            "sweep.over", f"excitation.{loads[0]}", f"{text}: its size changes nothing else"
+        )
+
+
+def _of_one_direction(vectors: Sequence[Any]) -> bool:
+    """Whether vectors are positive multiples of one of them."""
+    given = np.array(vectors, dtype=float)
+    sizes = np.linalg.norm(given, axis=1, keepdims=True)
+    return bool(np.allclose(given / np.where(sizes > 0.0, sizes, 1.0), given[-1] / sizes[-1]))
+
+
+# --- of the key figures ---------------------------------------------------------------------------
+
+
+def _frequency(scene: Scene, figures: KeyFigures) -> Remarks:
+    load, first = scene.excitation, float(figures.omega_open[0])
+    natural = np.concatenate([figures.omega_open, figures.omega_tied])
+    if first <= 0.0 or load.order is not None or _is_near(load.omega, natural):
+        return
+    in_hertz = load.frequency is not None
+    key, value = ("frequency", load.frequency) if in_hertz else ("omega", load.omega)
+    share = (
+        f"{load.omega / first:.2g} times the first natural frequency, {first / TURN:.4g} Hz = "
+        f"{first:.4g} rad/s"
+    )
+    firsts, text = natural[[0, len(figures.omega_open)]], ""
+    if _is_near(TURN * load.omega, firsts) and not in_hertz:
+        text = "is it in Hz? then use excitation.frequency"
+    elif _is_near(load.omega / TURN, firsts) and in_hertz:
+        text = "is it in rad/s? then use excitation.omega"
+    elif load.omega < LEAST_FREQUENCY * first:
+        unit = "kHz" if in_hertz else "Hz? then use excitation.frequency. Or in kHz"
+        text = f"hardly a vibration; is it in {unit}?"
+    if text:
+        yield Remark(f"excitation.{key}", value, f"{share}; {text}")
+
+
+def _is_near(omega: float, natural: np.ndarray) -> bool:
+    return bool(np.any(np.abs(natural - omega) <= NEAR * natural))
+
+
+def _curve(scene: Scene, figures: KeyFigures) -> Remarks:
+    """A range may also hold a resonance of a harmonic, or one of half the frequency."""
+    if scene.curve is None or scene.curve.followed[0] != "omega":
+        return
+    low, high = span_of(scene, "curve")
+    first, last = float(figures.omega_open[0]), float(figures.omega_tied[-1])
+    if high >= last:
+        return
+    for lowest, highest in zip(figures.omega_open, figures.omega_tied, strict=False):
+        for order in (0.5, 1.0, 2.0, 3.0):
+            if low <= highest / order and high >= lowest / order:
+                return
+    in_hertz = scene.curve.parameter == "frequency"
+    unit = "Hz" if in_hertz else "rad/s"
+    text = (
+        f"no resonance from there to {scene.curve.stop:g} {unit}: the first, crack open, is at "
+        f"{first / TURN:.4g} Hz = {first:.4g} rad/s"
+    )
+    factor = TURN if in_hertz else 1.0 / TURN  # how much too large or too small
+    if low <= factor * last and high >= factor * first:
+        text += f"; are they in {'rad/s' if in_hertz else 'Hz'}? then use curve.parameter = "
+        text += "'omega'" if in_hertz else "'frequency'"
+    yield Remark("curve.start", scene.curve.start, text)
+
+
+def _response(scene: Scene, figures: KeyFigures) -> Remarks:
+    load = scene.excitation
+    if scene.has_other_loads:
+        return
+    key = max(("force_sin", "force_cos"), key=lambda name: np.hypot(*getattr(load, name)))
+    force = list(getattr(load, key))
+    if 0.0 < figures.displacement < 1e-12:
+        text = (
+            f"it moves the plate by {figures.displacement:.2g} m, less than a hundredth of an atom"
+        )
+        yield Remark(f"excitation.{key}", force, text)
+    if figures.displacement > 0.1 * min(figures.size) and figures.damping.min() > 0.0:
+        text = (
+            f"with open lips it moves the plate by {figures.displacement:.2g} m, and the plate has "
+            f"{min(figures.size):.2g} m: beyond small displacements; in N?"
+        )
+        yield Remark(f"excitation.{key}", force, text)
+
+
+def _lips(scene: Scene, figures: KeyFigures) -> Remarks:
+    """A slit of half an element is no crack; grids choose their elements."""
+    if figures.elements is None or scene.mesh.layout == "grid":
+        return
+    if scene.contact is not None and scene.contact.pairs == "mouth":
+        return
+    if figures.elements < 4:
+        key = "lip_elements" if scene.mesh.layout == "graded" else "file"
+        text = "elements longer than a quarter of the crack; 4 to 20 along each lip are usual"
+        yield Remark(f"mesh.{key}", getattr(scene.mesh, key), text)
+
+
+def _contact(scene: Scene, figures: KeyFigures) -> Remarks:
+    ratio, contact = figures.stiffness_ratio, scene.contact
+    if contact is None or ratio is None:
+        return
+    key = "stiffness" if contact.stiffness is not None else "stiffness_per_area"
+    value = getattr(contact, key)
+    if ratio.max() < SOFT:
+        text = (
+            f"at most {ratio.max():.2g} of the lips' own stiffness: they pass through each other; "
+            "100 to 10000 times is usual, or contact.law = 'unilateral'"
+        )
+        yield Remark(f"contact.{key}", value, text)
+    if ratio.min() > RIGID:
+        text = (
+            f"at least {ratio.min():.2g} times the lips' own stiffness: rigid for all that can be "
+            "computed, and hard to solve; contact.law = 'unilateral' is"
+        )
+        yield Remark(f"contact.{key}", value, text)
+    if contact.sharpness is not None and contact.sharpness * figures.gap_motion < 10.0:
+        text = (
+            f"the law is rounded over {1.0 / contact.sharpness:.2g} m, and the lips move by "
+            f"{figures.gap_motion:.2g} m: contact acts on open lips"
+        )
+        yield Remark("contact.sharpness", contact.sharpness, text)
+
+
+def _closing(scene: Scene, figures: KeyFigures) -> Remarks:
+    if scene.contact is None or figures.gap_motion == 0.0:
+        return
+    clearances = {f"{name}.clearance": c.clearance for name, c in scene.all_cracks.items()}
+    key, value = max(clearances.items(), key=lambda item: abs(item[1]), default=("", 0.0))
+    if value == 0.0:
+        key, value = "excitation.force_mean", list(scene.excitation.force_mean)  # type: ignore[assignment]
+    motion = f"the load moves open lips by {figures.gap_motion:.2g} m"
+    if not figures.breathes:
+        what = "part" if figures.closed else "meet"
+        text = f"the lips never {what}: {motion} at most; the response is linear"
+        yield Remark(key, value, text)
+
+
+def _resolution(scene: Scene, figures: KeyFigures) -> Remarks:
+    sides = min(figures.size), max(figures.size)
+    if scene.mesh.layout == "file" and sides[1] > LARGEST_SIDE:
+        text = f"a structure of {sides[0]:.3g} m x {sides[1]:.3g} m; is the mesh in mm?"
+        yield Remark("mesh.file", scene.mesh.file, text)
+    rule = scene.damping
+    if rule.mass is not None or rule.stiffness is not None:
+        key = "mass" if rule.mass is not None else "stiffness"
+        if (ratio := float(figures.damping[0])) > MOST_DAMPING:
+            text = (
+                f"{100.0 * ratio:.3g} % of critical damping at the first natural frequency, where "
+                "metals have 0.01 to 1 %"
+            )
+            yield Remark(f"damping.{key}", getattr(rule, key), text)
+
+
+def _modes(scene: Scene, figures: KeyFigures) -> Remarks:
+    if figures.modes_below > figures.modes_kept:
+        text = (
+            f"harmonics up to H w reach {figures.modes_below} modes, and "
+            f"{figures.modes_kept} are kept: raise reduction.modes"
+        )
+        yield Remark("harmonic_balance.harmonics", scene.harmonic_balance.harmonics, text)

@@ -1,0 +1,173 @@
+"""What is printed of a result: few lines, one of each kind, and no advice that is followed."""
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fenics_crack as fc
+from fenics_crack.balance.error_report import ErrorReport
+from fenics_crack.cli import commands, judgements, tables
+from fenics_crack.cli.command_line import main
+from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.study.remarks import remarks_on_scene
+from fenics_crack.study.run import follow_curve, solve
+from fenics_crack.sweep.file import COLUMNS, CONVERGED, FAILED
+from fenics_crack.sweep.result import SweepResult
+from fenics_crack.table import Table
+
+ZERO = {"residual": 0.0, "truncation": 0.0, "sampling": 0.0, "reduction": 0.0, "penetration": 0.0}
+FIXED = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 15}
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> fc.Scene:
+    """A new one: steel, with a tolerance."""
+    path = tmp_path_factory.mktemp("new") / "plate.toml"
+    assert main(["new", str(path), "--quiet"]) == 0
+    return fc.Scene.load(path)
+
+
+@pytest.mark.parametrize(
+    ("part", "changes", "harmonics", "advice"),
+    [
+        ("truncation", FIXED, 15, "more harmonics (harmonic_balance.harmonics, or a tolerance"),
+        ("truncation", {}, 15, "a smaller harmonic_balance.tolerance"),
+        ("truncation", {}, 100, "H is at its limit"),
+        ("reduction", {}, 15, "more modes (reduction.modes)"),
+        ("sampling", FIXED, 15, "more samples"),
+        ("residual", FIXED, 15, "contact.law = 'unilateral'"),
+    ],
+)
+def test_advice_is_by_the_largest_part(
+    scene: fc.Scene, part: str, changes: dict[str, Any], harmonics: int, advice: str
+) -> None:
+    """And is not what the scene does already."""
+    report = ErrorReport(**(ZERO | {part: 0.2}))
+    [text] = judgements.of_error(scene.replace(changes), report, harmonics, " at 800 Hz")
+    assert f"0.2 of the gap at 800 Hz, most of it by {part}" in text and advice in text
+    small = ErrorReport(**(ZERO | {part: 0.02}))
+    assert not [*judgements.of_error(scene, small, harmonics)]
+
+
+def test_undecided_orbit(scene: fc.Scene) -> None:
+    """No advice to take more harmonics where a tolerance does, nor to damp what is damped."""
+    undecided = fc.Stability(np.array([1.0 + 0j]), "undecided", np.nan)
+    run: Any = SimpleNamespace(structure=None)
+    [text] = judgements.of_stability(scene, run, undecided)
+    assert text == "the orbit is undecided: a motion in time may leave it"
+    [text] = judgements.of_stability(scene.replace(FIXED), run, undecided)
+    assert text.endswith("; more harmonics may decide it")
+
+
+def curve_of(kinds: list[tuple[str, bool]], verdicts: list[str]) -> Any:
+    """What is read of a curve over the load frequency."""
+    points = [SimpleNamespace(kind=kind, confirmed=known) for kind, known in kinds]
+    found = SimpleNamespace(bifurcations=points, verdicts=np.array(verdicts), multipliers=1)
+    return SimpleNamespace(result=found)
+
+
+def test_five_bifurcations_at_most() -> None:
+    """Confirmed ones first, then those with the larger response, in order along the curve."""
+    kinds = [("fold", number % 2 == 0) for number in range(14)]
+    rows = [(name, 0.0, 1.0) for name in ("start", "end", "largest")]
+    rows += [(f"fold {number}", 0.0, float(number)) for number in range(14)]
+    rows += [("stability lost after", 0.0, 99.0)] * 4
+    run = curve_of(kinds, ["stable", "unstable"])
+    shown, hidden = tables.few_special_points(run, Table(("point", "omega", "amplitude [m]"), rows))
+    assert [row[0] for row in shown.rows[3:]] == [f"fold {n}" for n in (4, 6, 8, 10, 12)]
+    assert hidden == 13
+    few = Table(("point", "omega", "amplitude [m]"), rows[:4])
+    assert tables.few_special_points(curve_of(kinds[:1], ["stable"]), few) == (few, 0)
+
+
+def swept(scene: fc.Scene, path: Path) -> SweepResult:
+    """186 cases of which some have failed, in two ways that differ in numbers alone."""
+    axes = {
+        "excitation.frequency": {"start": 480.0, "stop": 960.0, "count": 31},
+        "crack.length": [0.01, 0.02, 0.03, 0.04, 0.05, 0.06],
+    }
+    scene = scene.replace({"sweep.over": axes})
+    generator = np.random.default_rng(0)
+    columns: dict[str, np.ndarray] = {name: generator.random((31, 6)) for name in COLUMNS}
+    columns["state"] = np.full((31, 6), CONVERGED)
+    columns["verdict"] = generator.choice(["stable", "unstable", "undecided"], (31, 6))
+    columns["status"] = np.full((31, 6), "full Newton steps", dtype=object)
+    for place in ((0, 1), (3, 3), (8, 2)):
+        columns["state"][place] = FAILED
+        columns["response"][place] = np.nan
+        columns["status"][place] = f"no convergence, |F| = {generator.random()}"
+    columns["state"][5, 5], columns["status"][5, 5] = FAILED, "singular"
+    columns["response"][5, 5] = np.nan
+    return SweepResult(path, scene, columns)
+
+
+def test_sweep_fits_on_one_screen(
+    scene: fc.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    """31 x 6 cases in at most 40 lines of 120 columns, with the largest response of each length."""
+    found = swept(scene, tmp_path / "sweep.h5")
+    monkeypatch.setattr(commands, "run_sweep", lambda *given, **options: found)
+    path = tmp_path / "scene.toml"
+    path.write_text(found.scene.as_toml())
+    assert main(["sweep", str(path), "--output", str(tmp_path)]) == 3
+    out, err = capsys.readouterr()
+    lines = (out + err).splitlines()
+    assert sum(1 + (len(line) - 1) // 120 for line in lines) <= 40
+    assert all(len(line) <= 120 for line in out.splitlines())
+    peaks = np.nanargmax(found["response"], axis=0)
+    table = [line.split() for line in out.splitlines()[2:]]
+    assert len(table) == 6
+    frequencies = found.axes[0].values
+    for row in table:
+        length = found.axes[1].values.index(float(row[1]))
+        assert float(row[0]) == frequencies[peaks[length]]
+        assert row[2] == "converged"
+    assert "cases: 182 converged, 4 failed; the table has the largest responses over" in err
+    assert "3 cases failed, the first at frequency = 480.0, length = 0.02: no convergence" in err
+    assert err.count("failed, the first at") == 2 and "unstable and" in err
+    assert "a smaller harmonic_balance.tolerance" in err  # not: more harmonics
+
+
+def test_verdicts_that_say_nothing_are_said_once(scene: fc.Scene, tmp_path: Path) -> None:
+    """All cases undecided: a line instead of a column."""
+    found = swept(scene, tmp_path / "sweep.h5")
+    found.columns["verdict"][:] = "undecided"
+    assert "verdict" not in tables.few_cases(found)[0].columns
+    assert "the stability is undecided in all cases" in [*judgements.of_cases(found)]
+
+
+def test_response_proportional_to_the_load(scene: fc.Scene) -> None:
+    """A curve over the load, or a sweep over its size, gets one remark; not with a clearance."""
+    over_load = {"curve.parameter": "load", "curve.start": 1.0, "curve.stop": 2.0}
+    sizes = {"sweep.over": {"excitation.force_sin": [(1.0, 0.0), (2.0, 0.0)]}}
+    for changes in (over_load, sizes):
+        [remark] = remarks_on_scene(scene.replace(changes))
+        assert "proportional to the load" in str(remark)
+        assert not remarks_on_scene(scene.replace(changes | {"crack.clearance": 1e-6}))
+    directions = {"sweep.over": {"excitation.force_sin": [(1.0, 0.0), (0.0, 1.0)]}}
+    assert not remarks_on_scene(scene.replace(directions))
+    with_mean = sizes | {"excitation.force_mean": (1.0, 0.0)}
+    assert not remarks_on_scene(scene.replace(with_mean))
+
+
+@pytest.mark.parametrize("frequency", [800.0, 832.3])
+def test_solution_and_curve_agree(scene: fc.Scene, frequency: float) -> None:
+    """At one point: the same harmonics, modes, response, error and verdict; also at resonance."""
+    ends = {"curve.start": frequency, "curve.stop": 1.0003 * frequency}
+    given = scene.replace(FIXED | ends | {"excitation.frequency": frequency})
+    one, many = solve(given), follow_curve(given)
+    first = many.result.solution(0)
+    assert isinstance(many.result, ResponseCurve)
+    assert one.result.harmonics == first.harmonics
+    assert one.structure.n_dofs == many.structure.n_dofs
+    report, other = one.result.report, first.report
+    assert replace(report, residual=0.0).total == pytest.approx(
+        replace(other, residual=0.0).total, rel=1e-6
+    )
+    height = one.result.amplitude(one.watched_dof)
+    assert many.result.amplitude(many.watched_dof)[0] == pytest.approx(height, rel=1e-4)
+    assert one.result.stability.verdict == many.result.verdicts[0] == "stable"

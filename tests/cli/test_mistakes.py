@@ -1,0 +1,44 @@
+"""Slips of units and keys: the table in docs/mistakes.md, line by line."""
+
+import re
+from pathlib import Path
+
+import pytest
+from helpers import ROOT
+
+from fenics_crack.cli.command_line import main
+
+LINES = re.findall(
+    r"^\| ([^|]+?) \| (`[^|]+`) \| ([^|]+?) \|$", (ROOT / "docs" / "mistakes.md").read_text(), re.M
+)[1:]
+
+
+@pytest.fixture(scope="module")
+def plate(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A new scene."""
+    path = tmp_path_factory.mktemp("mistakes") / "plate.toml"
+    assert main(["new", str(path), "--quiet"]) == 0
+    return path
+
+
+def test_table_is_long_enough(plate: Path, capsys: pytest.CaptureFixture) -> None:
+    """Twenty slips at least; and the scene without any gets no remark."""
+    assert len(LINES) >= 20
+    assert main(["check", str(plate)]) == 0
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(("slip", "changes", "answer"), LINES, ids=[line[0] for line in LINES])
+def test_slip(
+    slip: str, changes: str, answer: str, plate: Path, capsys: pytest.CaptureFixture
+) -> None:
+    """An error ends the command; a remark names the key that was changed, in one line."""
+    given = re.findall(r"`([^`]+)`", changes)
+    code = main(["check", str(plate), *(word for key in given for word in ("--set", key))])
+    said = capsys.readouterr().err.splitlines()
+    is_error = answer.startswith("error: ")
+    assert code == (2 if is_error else 0), slip
+    parts = [re.escape(part) for part in answer.removeprefix("error: ").split(" ... ")]
+    assert any(re.search(".*".join(parts), line) for line in said), said
+    assert len(said) == 1, said
+    assert any(key.partition("=")[0].split(".")[0] in said[0] for key in given)

@@ -1,0 +1,152 @@
+"""What is printed and written of watched points: the table [output] of a scene."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+import fenics_crack as fc
+from fenics_crack.cli.command_line import main
+from fenics_crack.study.prepare import prepare
+
+POINTS = {"tip": [0.1, 0.1], "side": [0.098, 0.0625]}
+
+
+@pytest.fixture
+def scene(paper_scene: fc.Scene) -> fc.Scene:
+    """The paper's plate with two points that are watched."""
+    return paper_scene.replace(
+        {
+            "contact.stiffness": 1e9,
+            "damping.ratio": 0.02,
+            "output.points": POINTS,
+            "output.quantities": ["ratio_2_1", "omega_open"],
+        }
+    )
+
+
+def written(scene: fc.Scene, folder: Path) -> str:
+    """The file of a scene."""
+    file = folder / "scene.toml"
+    file.write_text(scene.as_toml(), encoding="utf-8")
+    return str(file)
+
+
+def test_points_are_watched_at_their_nearest_nodes(scene: fc.Scene) -> None:
+    """In x, then in y; without points the load's dof is watched."""
+    study = prepare(scene, MPI.COMM_SELF)
+    assert [w.name for w in study.watched] == ["tip.ux", "tip.uy", "side.ux", "side.uy"]
+    dofs = [study.structure.find_dof((0.1, y), axis) for y in (0.1, 0.0625) for axis in "xy"]
+    assert [w.dof for w in study.watched] == dofs
+    assert [w.distance for w in study.watched] == [0.0, 0.0, 0.002, 0.002]
+    (alone,) = prepare(scene.replace({"output": None}), MPI.COMM_SELF).watched
+    assert (alone.name, alone.dof) == ("", dofs[0])
+    assert alone.words == "x displacement at (0.1, 0.1) m"
+
+
+@pytest.mark.parametrize(
+    ("point", "words"),
+    [
+        ((0.0, 0.05), "near a node that exists once, not on the lips"),
+        ((0.05, 0.001), "near a node that is free to move"),
+        ((0.2, 0.1), r"on the mesh \(the nearest node is at \(0.1, 0.1\)\)"),
+    ],
+)
+def test_points_that_cannot_be_watched(scene: fc.Scene, point: Any, words: str) -> None:
+    """Refused before anything is solved, by name."""
+    with pytest.raises(fc.InputError, match=rf"output.points.bad = \(.*\): must be {words}"):
+        prepare(scene.replace({"output.points": {"bad": point}}), MPI.COMM_SELF)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("quantities", ["amplitud"]), ("quantities", []), ("quantities", "amplitude"),
+        ("quantities", ["mean", "mean"]), ("points", {"a.b": [0.0, 0.0]}), ("points", [0.0, 0.0]),
+        ("points", {"tip": [0.0]}), ("points", {"": [0.0, 0.0]}),
+    ],
+)  # fmt: skip
+def test_output_refuses(paper_scene: fc.Scene, key: str, value: Any) -> None:
+    """Unknown quantities, names with dots, and what is no point; it says what is known."""
+    known = "some of amplitude, mean, .*" if key == "quantities" else "a table of points"
+    with pytest.raises(fc.InputError, match=rf"output.{key} = .*: must be .*{known}"):
+        paper_scene.replace({f"output.{key}": value})
+
+
+def test_scene_with_output_is_read_back(scene: fc.Scene) -> None:
+    """As TOML."""
+    assert fc.Scene.from_text(scene.as_toml()) == scene
+
+
+def test_solution(scene: fc.Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What is chosen is printed, the file has it all, and the remark tells of the distance."""
+    assert main(["solve", written(scene, tmp_path), "--output", str(tmp_path)]) == 0
+    shown, notes = capsys.readouterr()
+    assert shown.count("harmonic ratio 2/1") == 4
+    assert "natural frequency, lips open, mode 1" in shown
+    assert "half peak-to-peak" not in shown and "Hz" not in shown
+    assert "watched at the nearest node, away by: side 2 mm" in notes
+    rows = {row["name"]: row for row in json.loads((tmp_path / "solution.json").read_text())}
+    solution = fc.load_run(tmp_path / "solution.h5", MPI.COMM_SELF).result
+    assert isinstance(solution, fc.PeriodicSolution)
+    plate = solution.structure
+    found = solution.indicators(plate.find_dof((0.1, 0.0625), "y"))
+    for name in ("amplitude", "ratio_2_1", "ratio_3_1", "mean_shift"):
+        assert rows[f"side.uy.{name}"]["value"] == pytest.approx(getattr(found, name), rel=1e-9)
+    assert rows["amplitude" if "amplitude" in rows else "tip.ux.amplitude"]["unit"] == "m"
+    is_open = fc.solve_modes(plate, 1).omega[0]
+    assert rows["omega_open"]["value"] == pytest.approx(is_open)
+    assert rows["frequency_open"]["value"] == pytest.approx(is_open / (2.0 * np.pi))
+    assert rows["over_open"]["value"] == pytest.approx(2000.0 / is_open)
+    with open(tmp_path / "solution.csv", newline="") as file:
+        heading, *waves = csv.reader(file)
+    assert heading == [
+        "time [s]", *(f"{a} displacement of {n} [m]" for n in ("tip", "side") for a in "xy"),
+        "closing at the mouth [m]", "contact force, all pairs [N]",
+    ]  # fmt: skip
+    wave = np.array(waves, dtype=float)
+    dofs = [plate.find_dof((0.1, 0.1), axis) for axis in "xy"]
+    np.testing.assert_allclose(wave[:, 1:3], solution.displacement(wave[:, 0], dofs), atol=1e-15)
+
+
+def test_curve(scene: fc.Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A column for each point and direction; the special points have what is chosen, in Hz."""
+    scene = scene.replace({"excitation.frequency": 300.0, "curve.start": 1500.0,
+                           "curve.stop": 1550.0})  # fmt: skip
+    words = ["curve", written(scene, tmp_path), "--output", str(tmp_path)]
+    assert main([*words, "--set", "curve.stability=false"]) == 0
+    heading = capsys.readouterr().out.splitlines()[0].split("  ")
+    shown = [word.strip() for word in heading if word.strip()]
+    assert shown == ["point", "frequency [Hz]", *(f"{n}.u{a}.ratio_2_1" for n in ("tip", "side")
+                     for a in "xy"), "frequency_open [Hz]"]  # fmt: skip
+    with open(tmp_path / "curve.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    curve = fc.load_run(tmp_path / "curve.h5", MPI.COMM_SELF).result
+    assert isinstance(curve, fc.ResponseCurve)
+    sizes = curve.amplitude(curve.structure.find_dof((0.1, 0.1), "y"))
+    np.testing.assert_allclose([float(r["tip.uy.amplitude [m]"]) for r in rows], sizes, rtol=1e-9)
+
+
+def test_motion_in_time_has_the_same_indicators(
+    scene: fc.Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exact from event to event, its last period: ratios and mean as with 30 harmonics."""
+    changes = {"integration.method": "events", "integration.settle": 1e-6}
+    scene = scene.replace(changes | {"harmonic_balance.harmonics": 30, "output.quantities": None})
+    file = written(scene, tmp_path)
+    found = {}
+    for command, name in (("solve", "solution"), ("integrate", "integration")):
+        assert main([command, file, "--output", str(tmp_path)]) == 0
+        text = (tmp_path / f"{name}.json").read_text()
+        found[command] = {row["name"]: row["value"] for row in json.loads(text)}
+    capsys.readouterr()
+    for quantity in ("amplitude", "harmonic_1", "ratio_2_1", "mean_shift"):
+        for point in ("tip.ux", "side.uy"):
+            exact = found["integrate"][f"{point}.{quantity}"]
+            assert found["solve"][f"{point}.{quantity}"] == pytest.approx(exact, rel=2e-3)

@@ -1,0 +1,180 @@
+"""The report: one page, whole in itself, with the numbers of its results."""
+
+import base64
+import io
+import json
+import re
+from collections.abc import Iterator
+from functools import partial
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+from helpers import DEMOS
+from PIL import Image
+
+from fenics_crack.cli import pictures
+from fenics_crack.cli.command_line import main
+from fenics_crack.draw import html
+from fenics_crack.table import quantity
+from fenics_crack.version import VERSION
+
+SCENE = str(DEMOS / "paper_plate.toml")
+COMMANDS = ("modes", "solve", "curve", "integrate", "sweep")
+FILES = ("modes", "solution", "curve", "integration", "sweep")
+VOID = {"meta", "img", "br", "link"}
+
+
+class Page(HTMLParser):
+    """Tags and attributes of a page, its words, and whether its tags close each other."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.words = ""
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attributes)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.words += data
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short_animations() -> Iterator[None]:
+    """Of four frames instead of sixty."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pictures, "animate_period", partial(pictures.animate_period, frames=4))
+        yield
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The results of every command, and their page."""
+    folder = tmp_path_factory.mktemp("plate & <co>")
+    changes = {
+        "contact.stiffness": "1e7", "damping.ratio": "0.05", "harmonic_balance.harmonics": "5",
+        "curve.start": "2000", "curve.stop": "2100", "integration.periods": "5",
+        "curve.stability": "false",
+        "sweep.over": "{'excitation.omega' = [1900.0, 2000.0, 2100.0]}",
+    }  # fmt: skip
+    common = [word for key, value in changes.items() for word in ("--set", f"{key}={value}")]
+    for command in COMMANDS:
+        assert main([command, SCENE, *common, "--output", str(folder), "--quiet"]) in (0, 3)
+    files = [str(folder / f"{name}.h5") for name in reversed(FILES)]
+    assert main(["report", *files, "--output", str(folder / "page.html"), "--quiet"]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(folder: Path) -> Page:
+    """The page, read."""
+    return Page((folder / "page.html").read_text("utf-8"))
+
+
+def test_it_is_whole(page: Page) -> None:
+    """Every tag is closed, and nothing is fetched from anywhere: it opens offline."""
+    assert not page.open
+    for tag, attributes in page.tags:
+        assert tag not in ("script", "link", "iframe", "object", "base")
+        for name, value in attributes.items():
+            if name in ("src", "href", "srcset", "poster", "data", "action"):
+                assert value is not None and value.startswith(("data:image/", "#"))
+            assert "url(" not in str(value)
+    names = {attributes.get("id") for _, attributes in page.tags}
+    links = {str(a["href"])[1:] for tag, a in page.tags if tag == "a"}
+    assert links and links <= names
+
+
+def test_nothing_is_external(folder: Path) -> None:
+    """No address stands in the page, in its style neither."""
+    text = (folder / "page.html").read_text("utf-8")
+    text = re.sub(r"data:image/[a-z]+;base64,[A-Za-z0-9+/=]+", "", text)
+    assert not re.search(r"https?:|//[a-z]|@import|url\(", text)
+
+
+def test_pictures_decode(page: Page) -> None:
+    """All of them, each with a caption; one is an animation."""
+    pictures = [attributes for tag, attributes in page.tags if tag == "img"]
+    assert len(pictures) >= 10
+    animated = []
+    for attributes in pictures:
+        kind, data = str(attributes["src"]).removeprefix("data:image/").split(";base64,")
+        with Image.open(io.BytesIO(base64.b64decode(data, validate=True))) as image:
+            image.load()
+            assert image.format == kind.upper() and min(image.size) > 100
+            animated.append(getattr(image, "n_frames", 1) > 1)
+        assert attributes["alt"] is not None
+    assert sum(animated) == 1
+
+
+def test_the_numbers_stand_there(page: Page, folder: Path) -> None:
+    """Those of the tables that the commands wrote, and the verdict."""
+    solution = json.loads((folder / "solution.json").read_text())
+    found = {row["quantity"]: row["value"] for row in solution}
+    for name in ("largest opening", "largest contact force of a pair"):
+        unit = "m" if "opening" in name else "N"
+        assert quantity(found[name], unit) in page.words
+    for row in json.loads((folder / "modes.json").read_text()):
+        assert f"{row['frequency [Hz]']:.6g}" in page.words
+    assert f"{found['verdict'].capitalize()}: " in page.words
+    assert "3 of 3 cases converged" in page.words
+    assert "young = " in page.words  # the scene
+    for name in ("PETSc", "SLEPc", "DOLFINx", "gmsh", "NumPy"):
+        assert re.search(rf"{name} \d", page.words), name
+    assert f"fenics_crack {VERSION}" in page.words
+    assert "Command: fenics-crack report" in page.words
+    order = [page.words.index(f"{title}") for title in ("Scene", "Steady vibration", "Versions")]
+    assert order == sorted(order)
+
+
+def test_words_are_escaped(folder: Path, page: Page) -> None:
+    """Names of files cannot become tags."""
+    assert "plate & <co>" in page.words
+    made = Page(html.page("<b>", "&", [html.paragraph("a < b"), html.folded("<i>", "x</pre>")]))
+    assert not made.open and "a < b" in made.words and "x</pre>" in made.words
+    assert not {"b", "i"} & {tag for tag, _ in made.tags}
+
+
+def test_results_of_one_kind_are_told_apart(folder: Path, tmp_path: Path) -> None:
+    """By what differs between their scenes."""
+    words = ["--set", "material.young=7e10", "--count", "2", "--output", str(tmp_path), "--quiet"]
+    assert main(["modes", SCENE, *words]) == 0
+    files = [str(folder / "modes.h5"), str(tmp_path / "modes.h5")]
+    assert main(["report", *files, "--quiet", "--output", str(tmp_path / "two.html")]) == 0
+    both = Page((tmp_path / "two.html").read_text("utf-8"))
+    assert "material.young = 70 GPa" in both.words
+    assert sum(tag == "section" for tag, _ in both.tags) == 5
+
+
+def test_matrices_without_a_mesh(tmp_path: Path) -> None:
+    """Their results are reported as well; what would be drawn on a mesh is left out."""
+    chain = str(DEMOS / "chain.toml")
+    for command in ("modes", "solve"):
+        assert main([command, chain, "--output", str(tmp_path), "--quiet"]) == 0
+    files = [str(tmp_path / f"{name}.h5") for name in ("modes", "solution")]
+    assert main(["report", *files, "--quiet"]) == 0
+    made = Page((tmp_path / "report.html").read_text("utf-8"))
+    assert "Mode shapes" not in made.words and "The program warned of nothing." in made.words
+    assert sum(tag == "img" for tag, _ in made.tags) == 3
+
+
+def test_it_refuses(folder: Path, tmp_path: Path, capsys: Any) -> None:
+    """One line names what is wrong."""
+    solution = str(folder / "solution.h5")
+    for words, expected in (
+        ([solution, "--output", str(tmp_path / "a.pdf")], "--output = "),
+        ([str(tmp_path / "none.h5")], "path = "),
+        ([SCENE], "path = "),
+    ):
+        assert main(["report", *words]) == 2
+        assert capsys.readouterr().err.startswith(f"fenics-crack: {expected}")

@@ -1,0 +1,278 @@
+"""Several cracks, and cracks inside the plate: pairs, mirror images, stress intensity, contact."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse as sparse
+import scipy.sparse.linalg
+from mpi4py import MPI
+from test_mesh import area, nodes_of_side, pair_nodes
+
+import fenics_crack as fc
+from fenics_crack import InputError, Scene, Structure, build_structure
+from fenics_crack.fem.plate import build_mesh
+from fenics_crack.parallel import gather_rows
+
+WIDTH, HEIGHT = 0.3, 0.2
+THREE: list[dict[str, Any]] = [
+    {"edge": "right", "height": 0.05, "length": 0.105},
+    {"center": 0.12, "height": 0.1, "length": 0.09},
+    {"edge": "left", "height": 0.15, "length": 0.15},
+]
+TOGETHER: list[dict[str, Any]] = [
+    {"edge": "left", "height": 0.1, "length": 0.06},
+    {"center": 0.135, "height": 0.1, "length": 0.06},
+    {"edge": "right", "height": 0.1, "length": 0.09},
+]
+"""At one height."""
+LAYOUTS: dict[str, dict[str, Any]] = {
+    "grid": {"layout": "grid", "columns": 20, "rows": 8},
+    "graded": {"layout": "graded", "size": 0.03, "lip_elements": 6, "grading": 3.0},
+}
+
+
+def plate(cracks: list[dict[str, Any]], layout: str = "graded", **changes: Any) -> Scene:
+    """A plate with cracks, the first of them in [crack]."""
+    scene = Scene.from_mapping(
+        {
+            "geometry": {"width": WIDTH, "height": HEIGHT, "thickness": 0.01},
+            "crack": cracks[0],
+            "cracks": cracks[1:],
+            "material": {"young": 2e11, "poisson": 0.3, "density": 7800.0},
+            "damping": {"ratio": 0.01},
+            "excitation": {"omega": 1.0, "point": [WIDTH / 2, HEIGHT], "force_sin": [0.0, 1.0]},
+            "contact": {"stiffness": 1e9},
+            "mesh": LAYOUTS[layout],
+        }
+    )
+    return scene.replace(changes)
+
+
+def mirrored(cracks: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The cracks with left and right exchanged."""
+    other = {"left": "right", "right": "left"}
+    return [
+        crack | ({"edge": other[crack["edge"]]} if "edge" in crack else
+                 {"center": WIDTH - crack["center"]})
+        for crack in cracks
+    ]  # fmt: skip
+
+
+def static(structure: Structure, force: np.ndarray) -> np.ndarray:
+    """Displacement under a static force, with open lips."""
+    starts, columns, values = structure.stiffness.getValuesCSR()
+    matrix = sparse.csr_matrix((values, columns, starts), structure.stiffness.size)
+    found: np.ndarray = scipy.sparse.linalg.spsolve(matrix.tocsc(), force)
+    return found
+
+
+# --- meshes and pairs -----------------------------------------------------------------------------
+@pytest.mark.parametrize("cracks", [THREE, TOGETHER], ids=["apart", "in line"])
+@pytest.mark.parametrize("cells", ["triangle", "quadrilateral"])
+@pytest.mark.parametrize("layout", ["grid", "graded"])
+def test_pairs_crack_by_crack(layout: str, cells: str, cracks: list[dict[str, Any]]) -> None:
+    """From the mouth, or the left tip; both nodes in one place, on the two sides of a crack."""
+    order = 1 if layout == "grid" else 2
+    scene = plate(cracks, layout, **{"mesh.cells": cells, "mesh.order": order})
+    np.testing.assert_allclose(area(scene), WIDTH * HEIGHT, rtol=1e-12)
+    structure = build_structure(scene)
+    points, positions = structure.pair_points, structure.pairs.positions
+    assert structure.nodes is not None and points is not None and positions is not None
+    lower, upper, normals = pair_nodes(structure)
+    np.testing.assert_allclose(normals, np.tile([0.0, 1.0], (len(points), 1)), atol=1e-12)
+    for side in (lower, upper):
+        np.testing.assert_allclose(structure.nodes.points[side], points, atol=1e-12)
+    for number, crack in enumerate(scene.all_cracks.values()):
+        own = structure.pairs.cracks == number
+        start, stop = crack.span(WIDTH)
+        if crack.edge == "right":
+            start, stop = stop, start
+        distance = np.abs(points[own, 0] - start)
+        np.testing.assert_allclose(positions[own], distance, atol=1e-12)
+        assert np.all(np.diff(distance) > 0.0) and distance[-1] < abs(stop - start)
+        assert (distance[0] < 1e-12) == (crack.edge is not None)
+        np.testing.assert_allclose(points[own, 1], crack.height, atol=1e-12)
+        elements = round(abs(stop - start) / WIDTH * 20) if layout == "grid" else 6
+        tips = 2 if crack.edge is None else 1
+        assert np.sum(own) >= elements * order + 1 - tips
+        if layout == "grid":
+            assert np.sum(own) == elements * order + 1 - tips
+        below = nodes_of_side(structure, (0.0, crack.height), (0.0, -1.0))
+        assert np.all(below[lower[own]]) and not np.any(below[upper[own]])
+    with pytest.raises(InputError, match="cracks may not touch"):
+        scene.replace({"cracks.1.height": scene.crack.height, "cracks.1.length": 0.24,
+                       "cracks.1.center": 0.15})  # type: ignore[union-attr]  # fmt: skip
+
+
+def test_an_inner_crack_is_graded_to_both_tips() -> None:
+    """Its element in the middle is ``grading`` times as long as those at the tips."""
+    structure = build_structure(plate([{"center": 0.12, "height": 0.1, "length": 0.09}]))
+    assert structure.pair_points is not None
+    lengths = np.diff([0.075, *structure.pair_points[:, 0], 0.165])
+    np.testing.assert_allclose(lengths, lengths[::-1], rtol=1e-6)
+    assert len(lengths) == 6
+    np.testing.assert_allclose(lengths[2] / lengths[0], 3.0, rtol=1e-6)
+
+
+def test_neighbours_do_not_differ_much() -> None:
+    """Between and beyond cracks, neighbouring columns and rows differ by less than a factor 2.5."""
+    for cracks in (THREE, TOGETHER, mirrored(THREE)):
+        structure = build_structure(plate(cracks, **{"mesh.size": 0.01}))
+        assert structure.nodes is not None
+        for axis in (0, 1):
+            steps = np.diff(np.unique(structure.nodes.points[:, axis].round(9)))
+            ratio = steps[1:] / steps[:-1]
+            assert np.max(np.maximum(ratio, 1.0 / ratio)) < 2.5
+
+
+def test_a_crack_near_the_edge_of_a_strip() -> None:
+    """A thousandth of its height from the top of a strip 10,000 times as wide as high."""
+    scene = Scene.from_mapping(
+        {
+            "geometry": {"width": 0.1, "height": 1e-5, "thickness": 0.01},
+            "material": {"young": 2e11, "poisson": 0.3, "density": 7800.0},
+            "damping": {"ratio": 0.01},
+            "excitation": {"omega": 1.0, "point": [0.1, 1e-5]},
+            "contact": {"law": "unilateral"},
+            "crack": {"edge": "left", "height": 0.9999e-5, "length": 0.04},
+            "mesh": {"layout": "graded", "size": 1.0, "lip_elements": 1, "cells": "triangle"},
+        }
+    )
+    cells = build_mesh(scene, MPI.COMM_SELF).mesh.topology.index_map(2).size_local
+    assert cells == 2 * 2 * (1 + 2)  # triangles, rows, columns left and right of the tip
+
+
+def test_one_pair_of_each_crack() -> None:
+    """pairs = 'mouth': those at the mouths, and the middle of a crack inside."""
+    structure = build_structure(plate(THREE, **{"contact.pairs": "mouth"}))
+    expected = [(WIDTH, 0.05), (0.12, 0.1), (0.0, 0.15)]
+    np.testing.assert_allclose(structure.pair_points, expected, atol=1e-12)
+    assert structure.watched_pairs == {
+        "the mouth of crack 1": 0, "the middle of crack 2": 1, "the mouth of crack 3": 2,
+    }  # fmt: skip
+    assert structure.where(1) == "at the middle of crack 2"
+
+
+def test_each_crack_has_its_clearance() -> None:
+    """In the order of the scene, also in a varied structure of a sweep."""
+    scene = plate(THREE, **{"crack.clearance": 1e-6, "cracks.2.clearance": -2e-6})
+    structure = build_structure(scene)
+    expected = np.array([1e-6, 0.0, -2e-6])[structure.pairs.cracks]
+    np.testing.assert_array_equal(structure.clearance, expected)
+
+
+def test_sides_have_names() -> None:
+    """Facets of left, right, top and bottom add up to the outline; bottom is the clamp."""
+    for cracks in (THREE, [THREE[0]]):
+        made = build_mesh(plate(cracks, "grid"), MPI.COMM_SELF)
+        counts = {name: len(made.facets(name)) for name in made.groups}
+        assert counts["left"] == counts["right"] == 8
+        assert counts["top"] == counts["bottom"] == counts["clamp"] == 20
+        middle = made.mesh.geometry.x[made.mesh.geometry.x[:, 0] < 1e-9]
+        assert len(middle) >= 9
+
+
+def test_length_of_a_crack_inside_from_a_frequency() -> None:
+    """``first_omega`` finds it; with another crack it is refused."""
+    inside = {"center": 0.12, "height": 0.06, "length": 0.09}
+    omega = float(fc.solve_modes(build_structure(plate([inside])), 1).omega[0])
+    asked = plate([inside], **{"crack.length": None, "crack.first_omega": omega})
+    assert fc.find_crack_length(asked, MPI.COMM_SELF) == pytest.approx(0.09, abs=1e-5 * WIDTH)
+    with pytest.raises(InputError, match="several cracks"):
+        asked.replace({"cracks.1.edge": "left", "cracks.1.height": 0.15, "cracks.1.length": 0.1})
+
+
+# --- mirror images --------------------------------------------------------------------------------
+@pytest.mark.parametrize("cracks", [THREE, TOGETHER], ids=["apart", "in line"])
+@pytest.mark.parametrize("layout", ["grid", "graded"])
+def test_mirrored_plates(layout: str, cracks: list[dict[str, Any]]) -> None:
+    """Natural frequencies are the same, and so are static gaps, crack by crack."""
+    one = build_structure(plate(cracks, layout))
+    other = build_structure(plate(mirrored(cracks), layout))
+    assert (one.n_dofs, one.n_pairs) == (other.n_dofs, other.n_pairs)
+    omegas = [fc.solve_modes(structure, 4).omega for structure in (one, other)]
+    np.testing.assert_allclose(*omegas, rtol=1e-8)
+    found = []
+    for structure in (one, other):
+        gap = structure.apply_bt(static(structure, structure.force[2])[None])[0]
+        x = structure.pair_points[:, 0] if structure is one else WIDTH - structure.pair_points[:, 0]
+        order = np.lexsort((x.round(9), structure.pairs.cracks))
+        found.append(np.array([x[order] / WIDTH, gap[order] / np.abs(gap).max()]))
+    np.testing.assert_allclose(*found, atol=1e-8)
+
+
+def test_symmetric_cracks_open_alike() -> None:
+    """Two edge cracks and a load in the middle: the gaps of the left and of the right are equal."""
+    pair = [{"edge": edge, "height": 0.1, "length": 0.09} for edge in ("left", "right")]
+    structure = build_structure(plate(pair))
+    gap = structure.apply_bt(static(structure, structure.force[2])[None])[0]
+    left, right = (gap[structure.pairs.cracks == number] for number in (0, 1))
+    assert np.all(left < 0.0)
+    np.testing.assert_allclose(left, right, rtol=1e-9)
+
+
+@pytest.mark.parametrize("law", ["penalty", "unilateral"])
+def test_contact_of_two_cracks_and_its_mirror_image(law: str) -> None:
+    """The balance converges, both cracks close and open, and the mirrored plate does the same."""
+    contact = {"contact.law": law, "contact.stiffness": None if law == "unilateral" else 1e8}
+    cracks = [THREE[0], THREE[1]]
+    found = []
+    for placed, load in ((cracks, 1.0), (mirrored(cracks), -1.0)):
+        force = {"excitation.force_sin": (load * 100.0, 300.0), "reduction.modes": 20}
+        study = fc.prepare(plate(placed, **contact, **force), MPI.COMM_SELF)
+        omega = 0.7 * float(fc.solve_modes(study.structure.whole, 1).omega[0])
+        solution = fc.solve_harmonic_balance(
+            study.structure, omega, study.contact, harmonics=7, throw=True
+        )
+        assert solution.converged
+        gap = solution.gap(np.linspace(0.0, solution.period, 64))
+        for number in (0, 1):
+            own = gap[:, study.structure.pairs.cracks == number]
+            assert own.min() < 0.0
+            assert np.any(solution.contact_force(np.linspace(0.0, solution.period, 64)) > 0.0)
+        x = study.structure.pair_points[:, 0]
+        x = WIDTH - x if load < 0.0 else x
+        found.append(gap[:, np.lexsort((x.round(9), study.structure.pairs.cracks))])
+    np.testing.assert_allclose(*found, atol=1e-5 * np.abs(found[0]).max())
+
+
+# --- stress intensity -----------------------------------------------------------------------------
+# --- several ranks --------------------------------------------------------------------------------
+def summary(scene: Scene, comm: MPI.Comm) -> dict[str, Any]:
+    """What must not depend on the number of ranks (collective)."""
+    structure = build_structure(scene, comm)
+    assert structure.nodes is not None and structure.pair_points is not None
+    points = structure.nodes.points
+    linear = points @ np.array([[0.3, 1.7], [-0.4, 0.9]])
+    for number, crack in enumerate(scene.all_cracks.values()):
+        above = nodes_of_side(structure, (0.0, crack.height), (0.0, 1.0))
+        linear[above] *= 1.5 + number
+    moved = np.zeros((1, structure.n_local))
+    free = structure.nodes.dofs >= 0
+    moved[0, structure.nodes.dofs[free] - structure.first_dof] = linear[free]
+    nodes = gather_rows(comm, points)
+    return {
+        "dofs": structure.n_dofs,
+        "nodes": nodes[np.lexsort(nodes.round(9).T)],
+        "points": structure.pair_points,
+        "areas": structure.pair_areas,
+        "cracks": structure.pairs.cracks,
+        "positions": structure.pairs.positions,
+        "clearance": structure.clearance,
+        "closing": structure.apply_bt(moved),
+        "omega": fc.solve_modes(structure, 3).omega,
+    }
+
+
+@pytest.mark.mpi
+def test_two_ranks_build_the_same_cracks(on_ranks: Callable[..., Any]) -> None:
+    """Pairs, their cracks, closings and natural frequencies are the serial ones on two ranks."""
+    scene = plate(THREE, **{"mesh.order": 2, "cracks.1.clearance": 1e-6})
+    parallel, alone = on_ranks(summary, scene), summary(scene, MPI.COMM_SELF)
+    assert parallel.keys() == alone.keys()
+    for name, value in alone.items():
+        np.testing.assert_allclose(parallel[name], value, rtol=1e-8, atol=1e-12, err_msg=name)

@@ -1,0 +1,320 @@
+"""Loads beside the force of the excitation: forces, pressures and tractions, a clamp that moves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+import fenics_crack as fc
+from fenics_crack import InputError, Scene
+from fenics_crack.fem.plate import write_msh
+from fenics_crack.study.run import find_modes, follow_curve, solve
+from fenics_crack.sweep.result import run_sweep
+
+WIDTH, HEIGHT, THICKNESS, DENSITY = 0.01, 0.4, 0.005, 7800.0
+STRIP: dict[str, Any] = {
+    "geometry": {"width": WIDTH, "height": HEIGHT, "thickness": THICKNESS},
+    "material": {"young": 2.1e11, "poisson": 0.3, "density": DENSITY},
+    "damping": {"ratio": 0.01},
+    "excitation": {"omega": 100.0},
+    "mesh": {"layout": "grid", "columns": 1, "rows": 20, "order": 2},
+}
+
+
+def strip(**tables: Any) -> Scene:
+    """A slender strip without a crack, clamped at its end."""
+    return Scene.from_mapping(STRIP | tables)
+
+
+# --- a clamp that moves ---------------------------------------------------------------------------
+
+
+def test_resonance_of_a_shaken_cantilever() -> None:
+    """At resonance the tip moves by 1.566 a / (2 xi w_1^2) against the clamp: the first mode of a
+    slender beam has phi(L) = 2 and the participation factor 0.783 (Blevins, table 8-1)."""
+    scene = strip(base={"acceleration_cos": [3.0, 0.0]})
+    omega = float(fc.solve_modes(fc.build_structure(scene), 1).omega[0])
+    assert omega == pytest.approx(
+        1.8751**2 / HEIGHT**2 * math.sqrt(2.1e11 / DENSITY) * WIDTH / math.sqrt(12.0), rel=5e-3
+    )
+    run = solve(scene.replace({"excitation.omega": omega, "reduction": "off"}), MPI.COMM_SELF)
+    assert run.watched_name.startswith("x displacement at ") and ", 0.4)" in run.watched_name
+    expected = 2.0 * 0.782992 * 3.0 / (2.0 * 0.01 * omega**2)
+    assert run.result.amplitude(run.watched_dof) == pytest.approx(expected, rel=5e-3)
+
+
+@pytest.mark.parametrize("way", ["sin", "cos"])
+def test_far_above_all_resonances_the_plate_stands_still(way: str) -> None:
+    """Nothing but inertia is left: the displacement against the clamp is -U but for the clamped
+    row of elements, whose mass the full matrix couples to the clamp."""
+    motion = [2e-3, -1e-3]
+    scene = strip(base={f"displacement_{way}": motion}, excitation={"omega": 1e9})
+    structure = fc.build_structure(scene)
+    found = fc.solve_linear(structure, 1e9).displacement_coefficients[2 if way == "sin" else 1]
+    points, dofs = structure.nodes.points, structure.nodes.dofs  # type: ignore[union-attr]
+    far = points[:, 1] > 0.5 * HEIGHT
+    moved = found[dofs[far]]
+    np.testing.assert_allclose(moved, np.tile(motion, (len(moved), 1)) * -1.0, rtol=1e-6)
+
+
+def test_slowly_shaken_it_bends_under_its_weight() -> None:
+    """Far below resonance a constant acceleration is a weight: w = rho A a L^4 / (8 E I)."""
+    scene = strip(base={"acceleration_sin": [5.0, 0.0]}, excitation={"omega": 1e-3})
+    run = solve(scene.replace({"reduction": "off"}), MPI.COMM_SELF)
+    bent = DENSITY * 5.0 * HEIGHT**4 * 12.0 / (8.0 * 2.1e11 * WIDTH**2)
+    assert run.result.amplitude(run.watched_dof) == pytest.approx(bent, rel=5e-3)
+
+
+def test_the_whole_plate_is_accelerated() -> None:
+    """The load is -M R a: the mass of all elements but what the clamped nodes carry, half a row of
+    elements of order 1."""
+    mesh = {"layout": "grid", "columns": 2, "rows": 5, "order": 1}
+    structure = fc.build_structure(strip(mesh=mesh, base={"acceleration_cos": [2.0, 3.0]}))
+    mass = DENSITY * WIDTH * HEIGHT * THICKNESS * (1.0 - 0.5 / 5)
+    dofs = structure.nodes.dofs  # type: ignore[union-attr]
+    free = dofs[dofs[:, 0] >= 0]
+    assert structure.force[1][free].sum(axis=0) == pytest.approx([-2.0 * mass, -3.0 * mass])
+    assert not structure.force[[0, 2]].any()
+
+
+CRACKED = {
+    "crack": {"edge": "left", "height": 0.2, "length": 0.005},
+    "contact": {"stiffness": 1e7},
+    "mesh": {"layout": "grid", "columns": 2, "rows": 10, "order": 2},
+    "harmonic_balance": {"harmonics": 5},
+}
+
+
+def test_displacement_is_an_acceleration() -> None:
+    """a = -w^2 U, in a single solution and in a sweep over the frequency, where every case has its
+    own; a force at a point is added."""
+    extra = {"omega": 200.0, "point": [0.0, HEIGHT], "force_mean": [0.3, 0.0]}
+    moved = strip(base={"displacement_cos": [1e-4, 0.0]}, **CRACKED | {"excitation": extra})
+    swept = moved.replace({"sweep.over": {"excitation.omega": [200.0, 230.0]}})
+    for omega in (200.0, 230.0):
+        shaken = strip(
+            base={"acceleration_cos": [-(omega**2) * 1e-4, 0.0]},
+            **CRACKED | {"excitation": extra | {"omega": omega}},
+        )
+        one = solve(moved.replace({"excitation.omega": omega}), MPI.COMM_SELF).result
+        other = solve(shaken, MPI.COMM_SELF).result
+        np.testing.assert_allclose(one.gap_coefficients, other.gap_coefficients, rtol=1e-9)
+    assert swept.sweep is not None
+
+
+def test_sweep_of_a_shaken_plate(tmp_path: Path) -> None:
+    """Its response is the watched dof's, as of single solutions; displacements follow w^2."""
+    moved = strip(base={"displacement_cos": [1e-4, 0.0]}, **CRACKED)
+    omegas = [200.0, 230.0]
+    swept = moved.replace({"sweep.over": {"excitation.omega": omegas}})
+    found = run_sweep(swept, tmp_path / "sweep.h5", MPI.COMM_SELF)
+    for place, omega in enumerate(omegas):
+        run = solve(moved.replace({"excitation.omega": omega}), MPI.COMM_SELF)
+        assert found["response"][place] == pytest.approx(
+            run.result.amplitude(run.watched_dof), rel=1e-6
+        )
+
+
+def test_a_curve_over_the_frequency_takes_accelerations() -> None:
+    """A displacement would change the load along it, and is refused; over the load it is not."""
+    moved = strip(base={"displacement_cos": [1e-4, 0.0]}, **CRACKED).replace(
+        {"curve.start": 200.0, "curve.stop": 210.0, "curve.stability": False}
+    )
+    with pytest.raises(InputError, match=r"base\.displacement_cos = .*base\.acceleration_sin"):
+        follow_curve(moved, MPI.COMM_SELF)
+    over = {"curve.parameter": "load", "curve.start": 1.0, "curve.stop": 1.5}
+    assert follow_curve(moved.replace(over), MPI.COMM_SELF).result.complete
+    shaken = moved.replace({"base.displacement_cos": None, "base.acceleration_cos": [4.0, 0.0]})
+    curve = follow_curve(shaken, MPI.COMM_SELF).result
+    alone = solve(shaken.replace({"excitation.omega": 210.0}), MPI.COMM_SELF).result
+    np.testing.assert_allclose(curve.gap(len(curve) - 1), alone.gap_coefficients, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("tables", "key"),
+    [
+        ({"base": {}}, "base.acceleration_sin"),
+        ({"base": {"acceleration_sin": [0.0, 0.0]}}, "base.acceleration_sin"),
+        ({"base": {"acceleration_sin": 1.0}}, "base.acceleration_sin"),
+        (
+            {"base": {"acceleration_sin": [1.0, 0.0], "displacement_sin": [1.0, 0.0]}},
+            "base.acceleration_sin",
+        ),
+        (
+            {"base": {"acceleration_sin": [1, 0]}, "excitation": {"omega": 1, "force_sin": [1, 0]}},
+            "excitation.force_sin",
+        ),
+        ({}, "excitation.point"),
+    ],
+)
+def test_bad_motions_are_named(tables: dict[str, Any], key: str) -> None:
+    """Both kinds, none, and a force nowhere."""
+    with pytest.raises(InputError) as caught:
+        strip(**tables)
+    assert caught.value.key == key
+
+
+# --- forces, pressures and tractions --------------------------------------------------------------
+
+PLAIN = {"layout": "grid", "columns": 4, "rows": 40, "order": 2}
+
+
+def total(structure: fc.Structure, part: int) -> np.ndarray:
+    """Sum of the nodal forces of a part of the load, in x and y."""
+    dofs = structure.nodes.dofs  # type: ignore[union-attr]
+    return np.asarray(structure.force[part][dofs[dofs[:, 0] >= 0]].sum(axis=0))
+
+
+def test_pressures_and_tractions_add_up() -> None:
+    """Their sums are those over the edges: p A towards the plate, T A along; area A = length times
+    thickness. Of an edge of second-order elements the corner at the clamp carries 1/6 of its
+    element."""
+    loads = [
+        {"edge": "top", "pressure_cos": 2e5, "traction_sin": [1e4, 3e4]},
+        {"edge": "left", "pressure_mean": 5e4},
+        {"point": [0.0, HEIGHT], "force_cos": [7.0, 1.0]},
+    ]
+    structure = fc.build_structure(strip(loads=loads, mesh=PLAIN))
+    top, left = WIDTH * THICKNESS, (HEIGHT - HEIGHT / 40 / 6) * THICKNESS
+    assert total(structure, 0) == pytest.approx([5e4 * left, 0.0], abs=1e-9)
+    assert total(structure, 1) == pytest.approx([7.0, 1.0 - 2e5 * top], abs=1e-9)
+    assert total(structure, 2) == pytest.approx([1e4 * top, 3e4 * top], abs=1e-9)
+
+
+def test_a_bar_in_tension_and_a_beam_under_pressure() -> None:
+    """u = T L / E at the end of a bar, w = q L^4 / (8 E I) of a beam, q = p t; far below any
+    resonance, in one scene with two loads whose responses add up."""
+    young, stress, pressure = 2.1e11, 3e6, 2e3
+    loads = [
+        {"edge": "top", "traction_cos": [0.0, stress]},
+        {"edge": "right", "pressure_sin": pressure},
+    ]
+    scene = strip(loads=loads, mesh=PLAIN, excitation={"omega": 1e-3})
+    run = solve(scene.replace({"reduction": "off"}), MPI.COMM_SELF)
+    dof = run.structure.find_dof((0.5 * WIDTH, HEIGHT), "y")
+    stretched = stress * HEIGHT / young
+    found = run.result.displacement_coefficients[1, dof]
+    assert found == pytest.approx(stretched, rel=2e-3)
+    assert run.watched_dof == dof  # the middle of the first load's edge
+    across = run.structure.find_dof((0.5 * WIDTH, HEIGHT), "x")
+    bent = pressure * THICKNESS * HEIGHT**4 * 12.0 / (8.0 * young * WIDTH**3 * THICKNESS)
+    assert run.result.displacement_coefficients[2, across] == pytest.approx(-bent, rel=1e-2)
+
+
+def test_two_point_loads_are_one() -> None:
+    """Two halves of a force at the same point are the force, also in a sweep's response, whose
+    unit loads they take the place of."""
+    whole = strip(**CRACKED | {"excitation": {
+        "omega": 200.0, "point": [0.0, HEIGHT], "force_sin": [2.0, 0.0], "force_mean": [0.1, 0.0],
+    }})  # fmt: skip
+    half = {"point": [0.0, HEIGHT], "force_sin": [1.0, 0.0], "force_mean": [0.05, 0.0]}
+    halves = strip(loads=[half, half], **CRACKED | {"excitation": {"omega": 200.0}})
+    mixed = whole.replace({"excitation.force_sin": [1.0, 0.0], "excitation.force_mean": [0.05, 0],
+                           "loads.1.point": [0.0, HEIGHT], "loads.1.force_sin": [1.0, 0.0],
+                           "loads.1.force_mean": [0.05, 0.0]})  # fmt: skip
+    runs = [solve(scene, MPI.COMM_SELF) for scene in (whole, halves, mixed)]
+    for run in runs[1:]:
+        assert run.watched_dof == runs[0].watched_dof
+        np.testing.assert_allclose(
+            run.result.gap_coefficients, runs[0].result.gap_coefficients, rtol=1e-9, atol=1e-20
+        )
+
+
+def test_sweeps_over_loads(tmp_path: Path) -> None:
+    """Keys are counted from 1; the response is the displacement of the excitation's point if it
+    has a force, in its direction, else of the first load's."""
+    first = {"omega": 200.0, "point": [0.0, HEIGHT], "force_sin": [1.0, 0.0]}
+    second = {"point": [WIDTH, 0.3], "force_sin": [0.5, 0.0], "force_cos": [0.0, 0.2]}
+    scene = strip(loads=[second], **CRACKED | {"excitation": first})
+    values = [[0.5, 0.0], [2.0, 0.0]]
+    over = {"loads.1.force_sin": values, "excitation.force_sin": [[1.0, 0.0], [0.0, 0.0]]}
+    found = run_sweep(scene.replace({"sweep.over": over}), tmp_path / "s.h5", MPI.COMM_SELF)
+    assert found.converged.all()
+    for i, value in enumerate(values):
+        for j, (force, point) in enumerate(
+            [([1.0, 0.0], (0.0, HEIGHT)), ([0.0, 0.0], (WIDTH, 0.3))]
+        ):
+            changes = {"loads.1.force_sin": value, "excitation.force_sin": force}
+            run = solve(scene.replace(changes), MPI.COMM_SELF)
+            dof = run.structure.whole.find_dof(point, "x")
+            expected = run.result.amplitude(dof)
+            assert run.watched_dof == dof
+            assert found["response"][i, j] == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_named_curve_of_a_mesh_file(tmp_path: Path) -> None:
+    """The same loads on the same mesh, read from a file."""
+    loads = [{"edge": "top", "pressure_cos": 2e5}, {"edge": "right", "traction_mean": [1.0, 2.0]}]
+    plate = strip(loads=loads, mesh=PLAIN)
+    write_msh(plate, tmp_path / "strip.msh")
+    tables = STRIP | {"loads": loads, "geometry": {"thickness": THICKNESS}}
+    tables["mesh"] = {"layout": "file", "file": str(tmp_path / "strip.msh"), "order": 2}
+    read, made = (fc.build_structure(one) for one in (Scene.from_mapping(tables), plate))
+    for part in range(3):
+        assert total(read, part) == pytest.approx(total(made, part), abs=1e-9)
+
+
+def test_every_part_of_the_load_is_drawn() -> None:
+    """Each in a colour and under a name of its own."""
+    loads = [{"edge": "top", "pressure_cos": 2e5}, {"edge": "right", "traction_mean": [1.0, 2.0]}]
+    panel = fc.draw_mesh(fc.build_structure(strip(loads=loads, mesh=PLAIN))).axes[0]
+    shown = panel.get_legend_handles_labels()[1]
+    assert shown == ["clamped", "load, mean", "load, cosine part"]
+
+
+def test_loads_are_written_and_read() -> None:
+    """As a list of tables; the round trip is exact."""
+    loads = [{"edge": "top", "pressure_sin": 1e3}, {"point": [0.0, 0.1], "force_mean": [1.0, 2.0]}]
+    scene = strip(loads=loads)
+    text = scene.as_toml()
+    assert text.count("[[loads]]") == 2 and Scene.from_text(text) == scene
+    assert scene.replace({"loads": None, "base.acceleration_cos": [1.0, 0.0]}).loads == ()
+
+
+@pytest.mark.parametrize(
+    ("load", "key"),
+    [
+        ({}, "loads.1.edge"),
+        ({"edge": "top"}, "loads.1.traction_sin"),
+        ({"point": [0.0, 0.1]}, "loads.1.force_sin"),
+        ({"point": [0.0, 0.1], "edge": "top", "force_sin": [1, 0]}, "loads.1.edge"),
+        ({"point": [0.0, 0.1], "pressure_sin": 1.0}, "loads.1.pressure_sin"),
+        ({"edge": "top", "force_sin": [1.0, 0.0]}, "loads.1.force_sin"),
+        ({"point": [0.0, 9.0], "force_sin": [1.0, 0.0]}, "loads.1.point"),
+        ({"point": [0.0, 0.0], "force_sin": [1.0, 0.0]}, "loads.1.point"),
+        ({"edge": "up", "pressure_sin": 1.0}, "loads.1.edge"),
+        ({"edge": "bottom", "pressure_sin": 1.0}, "loads.1.edge"),
+        ({"edge": "top", "presure_sin": 1.0}, "loads.1.presure_sin"),
+        ({"edge": "top", "traction_sin": 1.0}, "loads.1.traction_sin"),
+    ],
+    ids=str,
+)
+def test_bad_loads_are_named(load: dict[str, Any], key: str) -> None:
+    """By their number in the scene."""
+    with pytest.raises(InputError) as caught:
+        fc.build_structure(strip(loads=[load]))
+    assert caught.value.key == key
+
+
+def loads_on(text: str, comm: MPI.Comm) -> tuple[list[float], str]:
+    """Norms and sums of the parts of a scene's load, and what is watched."""
+    run = find_modes(Scene.from_text(text), 1, comm)
+    force = run.structure.force
+    sums = [comm.allreduce((force**2).sum(axis=1)), comm.allreduce(force.sum(axis=1))]
+    return np.concatenate(sums).tolist(), run.watched_name
+
+
+@pytest.mark.mpi
+def test_on_two_ranks(on_ranks: Callable[..., Any]) -> None:
+    """The same forces and the same watched dof, however the mesh is shared."""
+    loads = [{"edge": "left", "pressure_cos": 2e5}, {"point": [WIDTH, 0.3], "force_sin": [7, 1]}]
+    text = strip(loads=loads, mesh=PLAIN, base={"acceleration_sin": [1.0, 2.0]}).as_toml()
+    (shared, name), (alone, same) = on_ranks(loads_on, text), loads_on(text, MPI.COMM_SELF)
+    assert name == same
+    assert shared == pytest.approx(alone, rel=1e-10, abs=1e-12)

@@ -1,0 +1,203 @@
+"""Modes with tied lips: closed forms, the uncracked plate, springs in the limit, two ranks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.linalg
+from helpers import chain, chain_stiffness, dense
+from mpi4py import MPI
+
+import fenics_crack as fc
+
+HALF = 6
+"""Masses on each side of the middle of a chain."""
+
+
+def held_chain() -> tuple[np.ndarray, np.ndarray]:
+    """K of 13 unit masses between unit springs, and B of one pair that stops the middle one."""
+    gap = np.zeros(2 * HALF + 1)
+    gap[HALF] = 1.0
+    return chain_stiffness(np.ones(2 * HALF + 2)), gap
+
+
+def half_chain() -> np.ndarray:
+    """omega_j = 2 sin(j pi / (2 (p + 1))) of p unit masses between unit springs and walls."""
+    return 2.0 * np.sin(np.arange(1, HALF + 1) * np.pi / (2.0 * (HALF + 1)))
+
+
+# --- closed forms ---------------------------------------------------------------------------------
+@pytest.mark.parametrize("count", [1, 2, 5, 12])
+def test_chain_held_in_the_middle(count: int) -> None:
+    """Two equal chains, so each of their frequencies twice; the clearance does not matter."""
+    stiffness, gap = held_chain()
+    structure = fc.Structure.from_matrices(np.eye(13), stiffness, gap, clearance=0.3)
+    modes = fc.solve_modes(structure, count, lips="tied")
+    np.testing.assert_allclose(modes.omega, np.repeat(half_chain(), 2)[:count], rtol=1e-10)
+    np.testing.assert_allclose(modes.shapes[HALF], 0.0, atol=1e-12)
+    np.testing.assert_allclose(modes.shapes.T @ modes.shapes, np.eye(count), atol=1e-10)
+
+
+def test_two_masses_become_one() -> None:
+    """m x'' + k x = 0 on either side of the pair: w^2 = (k_1 + k_2) / (m_1 + m_2) tied."""
+    structure = fc.Structure.from_matrices(np.diag([2.0, 3.0]), np.diag([5.0, 7.0]), [1.0, -1.0])
+    found = fc.solve_modes(structure, 1, lips="tied")
+    assert found.omega[0] == pytest.approx(np.sqrt(12.0 / 5.0), rel=1e-14)
+    np.testing.assert_allclose(found.shapes, np.full((2, 1), 5.0**-0.5), rtol=1e-14)
+
+
+def test_ties_that_repeat_each_other() -> None:
+    """A pair given twice, its half, and a pair of nothing tie no more than the pair does."""
+    stiffness, gap = held_chain()
+    many = np.column_stack([np.zeros(13), gap, gap, 0.5 * gap])
+    structure = fc.Structure.from_matrices(np.eye(13), stiffness, many)
+    omega = fc.solve_modes(structure, 12, lips="tied").omega
+    np.testing.assert_allclose(omega, np.repeat(half_chain(), 2), rtol=1e-10)
+
+
+def test_ties_hold_a_floating_part() -> None:
+    """Two masses that nothing holds: a tie to the ground holds one, and a spring then the other."""
+    floating = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    one = fc.Structure.from_matrices(np.eye(2), floating, [1.0, 0.0])
+    assert fc.solve_modes(one, 1, lips="tied").omega[0] == pytest.approx(1.0, rel=1e-12)
+    both = fc.Structure.from_matrices(np.eye(2), floating, [1.0, -1.0])
+    assert fc.solve_modes(both, 1, lips="tied").omega[0] == pytest.approx(0.0, abs=1e-7)
+
+
+@pytest.mark.parametrize("unconstrained", [False, True])
+def test_null_space_of_the_pairs(unconstrained: bool) -> None:
+    """The eigenvalues of K on an orthonormal basis of B^T u = 0, by LAPACK."""
+    structure = chain(n=10, pairs=3, unconstrained=unconstrained)
+    space = scipy.linalg.null_space(structure.gap.T.toarray())
+    matrices = (space.T @ dense(part) @ space for part in (structure.stiffness, structure.mass))
+    squares = scipy.linalg.eigvalsh(*matrices)
+    found = fc.solve_modes(structure, 7, lips="tied")
+    np.testing.assert_allclose(found.omega**2, squares, rtol=1e-9, atol=1e-9)
+
+
+def test_without_pairs_tied_is_open() -> None:
+    """Nothing to tie."""
+    structure = fc.Structure.from_matrices(np.eye(13), held_chain()[0], None)
+    tied, is_open = (fc.solve_modes(structure, 3, lips=lips).omega for lips in ("tied", "open"))
+    np.testing.assert_array_equal(tied, is_open)
+
+
+# --- plates ---------------------------------------------------------------------------------------
+def test_plate_tied_in_both_directions_is_uncracked(paper_scene: fc.Scene) -> None:
+    """Lips that can neither part nor slide are those of the plate without a crack on the same mesh;
+    lips that slide are softer, and springs of 1e13 N/m nearly reach them."""
+    plate = fc.build_structure(paper_scene)
+    normal = plate.gap.toarray()
+    nodes = plate.nodes
+    assert nodes is not None
+    sliding = np.zeros_like(normal)
+    for sign in (1.0, -1.0):
+        (dof,) = np.flatnonzero(normal == sign)
+        ((node, component),) = np.argwhere(nodes.dofs == dof)
+        assert component == 1
+        sliding[nodes.dofs[node, 0]] = sign
+    glued = fc.Structure.from_matrices(
+        dense(plate.mass), dense(plate.stiffness), np.hstack([normal, sliding])
+    )
+    whole = fc.build_structure(paper_scene.replace({"crack": None, "contact": None}))
+    uncracked = fc.solve_modes(whole, 6).omega
+    np.testing.assert_allclose(fc.solve_modes(glued, 6, lips="tied").omega, uncracked, rtol=1e-10)
+    tied = fc.solve_modes(plate, 6, lips="tied")
+    assert np.all(fc.solve_modes(plate, 6).omega < tied.omega)
+    assert np.all(tied.omega < uncracked)
+    np.testing.assert_allclose(plate.apply_bt(tied.shapes.T), 0.0, atol=1e-12)
+    np.testing.assert_allclose(fc.solve_modes(plate.tied(1e13), 6).omega, tied.omega, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("method", "error"), [("massless", 1e-4), ("free_interface", 1e-6), ("craig_bampton", 1e-6)]
+)
+def test_reduced_plate(breathing_plate: fc.Structure, method: str, error: float) -> None:
+    """20 modes know the first tied frequency; their pairs are at rest relative to each other."""
+    exact = fc.solve_modes(breathing_plate, 3, lips="tied").omega
+    reduced = fc.reduce_structure(breathing_plate, modes=20, method=method)
+    found = fc.solve_modes(reduced, 3, lips="tied")
+    np.testing.assert_allclose(found.omega[0], exact[0], rtol=error)
+    np.testing.assert_allclose(found.omega, exact, rtol=1e-3)
+    np.testing.assert_allclose(reduced.apply_bt(found.shapes.T), 0.0, atol=1e-12)
+
+
+def test_massless_with_all_modes() -> None:
+    """Nothing is left without mass: the ties hold the modes themselves."""
+    stiffness, gap = held_chain()
+    whole = fc.Structure.from_matrices(np.eye(13), stiffness, gap)
+    reduced = fc.reduce_structure(whole, modes=13, method="massless")
+    found = fc.solve_modes(reduced, 12, lips="tied").omega
+    np.testing.assert_allclose(found, np.repeat(half_chain(), 2), rtol=1e-10)
+
+
+# --- two ranks, bad input -------------------------------------------------------------------------
+def tied_modes(scene: fc.Scene, comm: MPI.Comm) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies with tied lips, and the closing of the pairs in their shapes."""
+    plate = fc.build_structure(scene, comm)
+    modes = fc.solve_modes(plate, 4, lips="tied")
+    return modes.omega, plate.apply_bt(modes.shapes.T)
+
+
+def test_same_on_two_ranks(paper_scene: fc.Scene, on_ranks: Callable[..., Any]) -> None:
+    """The multipliers are on the last rank."""
+    scene = paper_scene.replace({"mesh.columns": 8, "mesh.rows": 10})
+    parallel, alone = on_ranks(tied_modes, scene), tied_modes(scene, MPI.COMM_SELF)
+    np.testing.assert_allclose(parallel[0], alone[0], rtol=1e-9)
+    np.testing.assert_allclose(parallel[1], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("lips", ["closed", "", None, 3])
+def test_unknown_lips(lips: Any) -> None:
+    """Open or tied, nothing else."""
+    structure = fc.Structure.from_matrices(np.eye(13), *held_chain())
+    with pytest.raises(fc.InputError, match=r"lips = .*: must be one of 'open', 'tied'"):
+        fc.solve_modes(structure, 1, lips=lips)
+
+
+@pytest.mark.parametrize("count", [0, 13, 2.5])
+def test_as_many_modes_as_are_left(count: Any) -> None:
+    """Each pair takes one."""
+    structure = fc.Structure.from_matrices(np.eye(13), *held_chain())
+    with pytest.raises(fc.InputError, match="from 1 to the number of tied modes = 12"):
+        fc.solve_modes(structure, count, lips="tied")
+
+
+# --- between open and tied ------------------------------------------------------------------------
+def test_bilinear_frequency_of_two_springs() -> None:
+    """One half of a period in each state: T = pi / w_o + pi / w_t; a stop
+    leaves half of 2 pi / w_o."""
+    pair = fc.Structure.from_matrices(np.diag([2.0, 3.0]), np.diag([5.0, 7.0]), [1.0, -1.0])
+    found = fc.bilinear_frequencies(pair)
+    is_open = np.sort(np.sqrt([5.0 / 2.0, 7.0 / 3.0]))
+    np.testing.assert_allclose(found.omega_open, is_open, rtol=1e-12)
+    np.testing.assert_allclose(found.omega_tied, [np.sqrt(2.4), np.inf], rtol=1e-12)
+    period = np.pi / is_open + np.pi / found.omega_tied
+    np.testing.assert_allclose(found.omega_bilinear, 2.0 * np.pi / period, rtol=1e-12)
+    stopped = fc.bilinear_frequencies(fc.Structure.from_matrices([[1.0]], [[4.0]], [1.0]))
+    np.testing.assert_allclose(stopped.omega_bilinear, [4.0])
+    assert fc.bilinear_frequencies(pair.varied(load=2.0)) is found
+
+
+def test_nearest_mode() -> None:
+    """Of each load frequency the mode whose bilinear frequency is nearest, and the ratios to it."""
+    found = fc.BilinearFrequencies(np.array([1.0, 10.0, 20.0]), np.array([3.0, 10.0, np.inf]))
+    np.testing.assert_allclose(found.omega_bilinear, [1.5, 10.0, 40.0])
+    near = found.nearest([1.2, 9.0, 30.0])
+    np.testing.assert_array_equal(near["mode"], [1, 2, 3])
+    np.testing.assert_allclose(near["over_open"], [1.2, 0.9, 1.5])
+    np.testing.assert_allclose(near["over_tied"], [0.4, 0.9, 0.0])
+    np.testing.assert_allclose(near["over_bilinear"], [0.8, 0.9, 0.75])
+    assert found.nearest(1.2)["mode"] == 1
+    assert "3 modes, first 1 open, 3 rad/s tied" in repr(found)
+    assert found.table().columns[1] == "omega_open [rad/s]"
+
+
+def test_rigid_body_has_no_bilinear_frequency() -> None:
+    """0 open and 0 tied: 0, without a warning; over it nothing is finite."""
+    floating = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    found = fc.bilinear_frequencies(fc.Structure.from_matrices(np.eye(2), floating, [1.0, -1.0]))
+    np.testing.assert_allclose(found.omega_bilinear[0], 0.0, atol=1e-7)

@@ -1,0 +1,65 @@
+"""What is misspelt, or in the wrong place, is answered with what was meant."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from test_scene import GOOD, changed
+
+from fenics_crack import InputError, Scene
+
+
+@pytest.mark.parametrize(
+    ("changes", "question"),
+    [
+        # a key
+        ({"damping.rato": 0.1}, "did you mean damping.ratio? known keys: ratio,"),
+        ({"material.Young": 1.0}, "did you mean material.young? "),
+        ({"material.densty": 1.0}, "did you mean material.density? "),
+        ({"excitation.freqency": 1.0}, "did you mean excitation.frequency? "),
+        ({"excitation.force": [1.0, 0.0]}, "did you mean excitation.force_sin or excitation.force"),
+        ({"harmonic_balance.harmonic": 1}, "did you mean harmonic_balance.harmonics? "),
+        # a key of another table, misspelt or not
+        ({"crack.stiffness": 1e9}, "did you mean damping.stiffness or contact.stiffness or "),
+        ({"geometry.lenght": 0.1}, "did you mean crack.length? "),
+        ({"geometry.young": 0.1}, "did you mean material.young? "),
+        # a table
+        ({"meshh": {}}, "did you mean mesh? "),
+        ({"Crack": {}}, "did you mean crack? "),
+        ({"harmonic-balance": {}}, "did you mean harmonic_balance? "),
+        ({"harmonics": 5}, "did you mean harmonic_balance.harmonics? "),
+        # a word
+        ({"contact.law": "unilatral"}, "'unilateral'; did you mean 'unilateral'?"),
+        ({"mesh.layout": "Grid"}, "did you mean 'grid'?"),
+        ({"mesh.cells": "quad"}, "one of 'triangle', 'quadrilateral'"),
+        # an axis of a sweep
+        ({"sweep": {"over": {"excitation.omga": [1.0]}}}, "did you mean excitation.omega?"),
+        ({"sweep": {"over": {"crak.length": [0.01]}}}, "did you mean crack.length?"),
+        ({"sweep": {"over": {"crack.young": [1e9]}}}, "did you mean material.young?"),
+        ({"sweep": {"over": {"omega": [1.0]}}}, "did you mean excitation.omega?"),
+    ],
+)
+def test_in_a_file(changes: dict[str, Any], question: str) -> None:
+    """The question stands in the one line of the error."""
+    with pytest.raises(InputError) as caught:
+        Scene.from_mapping(changed(changes))
+    assert question in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("key", "question"),
+    [
+        ("crack.lenght", "did you mean crack.length? known keys: edge,"),
+        ("crak.length", "did you mean crack.length? known tables: geometry,"),
+        ("length", "did you mean crack.length? "),
+        ("curve.harmonics", "did you mean harmonic_balance.harmonics? "),
+        ("rubbish", "left out; known tables: "),
+        ("crack.rubbish", "left out; known keys: "),
+    ],
+)
+def test_in_a_change(key: str, question: str) -> None:
+    """As ``--set`` and ``replace`` make it."""
+    with pytest.raises(InputError) as caught:
+        Scene.from_mapping(GOOD).replace({key: 1.0})
+    assert caught.value.key == key and question in caught.value.allowed

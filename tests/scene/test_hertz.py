@@ -1,0 +1,174 @@
+"""Frequencies of a scene in Hz or in rad/s: one of the two is given, and all computes the same."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import DEMOS
+from test_scene import GONE, GOOD, GRADED, changed
+
+import fenics_crack as fc
+from fenics_crack import InputError, Scene
+from fenics_crack.cli.command_line import main
+from fenics_crack.study.run import follow_curve
+from fenics_crack.sweep.plan import Plan
+from fenics_crack.table import frequency_axis
+
+TURN = 2.0 * math.pi
+IN_HERTZ = {"excitation.omega": GONE, "excitation.frequency": 318.25}
+
+
+def test_a_frequency_in_hertz_is_one_in_radians() -> None:
+    """w = 2 pi f for the load, the first natural frequency and the two of Rayleigh's damping."""
+    first = {"crack.length": GONE, "crack.first_frequency": 366}
+    two = {"damping": {"ratios": [0.01, 0.02], "frequencies": [100.0, 900.0]}}
+    scene = Scene.from_mapping(changed(GRADED | IN_HERTZ | first | two))
+    assert scene.excitation.omega == TURN * 318.25
+    assert scene.crack is not None and scene.crack.first_omega == TURN * 366.0
+    assert scene.damping.omegas == (TURN * 100.0, TURN * 900.0)
+    text = scene.as_toml()
+    assert "frequency = 318.25" in text and "omega" not in text
+    assert Scene.from_text(text) == scene and Scene.from_text(text).as_toml() == text
+
+
+@pytest.mark.parametrize(
+    ("key", "twin", "changes"),
+    [
+        ("excitation.frequency", "excitation.omega", {"excitation.frequency": 318.0}),
+        ("excitation.frequency", "excitation.omega", {"excitation.frequency": 2000.0 / TURN}),
+        (
+            "crack.first_frequency",
+            "crack.first_omega",
+            GRADED | {"crack.length": GONE, "crack.first_frequency": 1.0, "crack.first_omega": 2.0},
+        ),
+        (
+            "damping.frequencies",
+            "damping.omegas",
+            {"damping": {"ratios": [0.1, 0.1], "frequencies": [1, 2], "omegas": [1.0, 2.0]}},
+        ),
+    ],
+)
+def test_both_twins_are_refused(key: str, twin: str, changes: dict[str, Any]) -> None:
+    """The error names both keys, even where the numbers agree."""
+    with pytest.raises(InputError) as caught:
+        Scene.from_mapping(changed(changes))
+    assert caught.value.key == key and twin in caught.value.allowed
+
+
+@pytest.mark.parametrize(
+    ("key", "changes"),
+    [
+        *(("excitation.frequency", IN_HERTZ | {"excitation.frequency": v}) for v in (0, -1, "1")),
+        ("excitation.frequency", IN_HERTZ | {"excitation.frequency": 1e30}),
+        ("excitation.omega", {"excitation.omega": GONE}),
+        ("crack.length", GRADED | {"crack.first_frequency": 366.0}),
+        ("damping.frequencies", {"damping.frequencies": [1.0, 2.0]}),
+        ("damping.frequencies", {"damping": {"ratios": [0.1, 0.1], "frequencies": [2.0, 2.0]}}),
+        ("damping.ratios", {"damping": {"frequencies": [1.0, 2.0]}}),
+    ],
+)
+def test_bad_frequencies_are_named(key: str, changes: dict[str, Any]) -> None:
+    """As their twins are."""
+    with pytest.raises(InputError) as caught:
+        Scene.from_mapping(changed(changes))
+    assert caught.value.key == key
+
+
+def test_a_frequency_replaces_its_twin() -> None:
+    """Whichever is set last holds; removing both leaves none."""
+    scene = Scene.from_mapping(GOOD)
+    turned = scene.replace({"excitation.frequency": 100.0})
+    assert (turned.excitation.frequency, turned.excitation.omega) == (100.0, TURN * 100.0)
+    assert turned.in_hertz and not scene.in_hertz
+    assert turned.replace({"excitation.omega": 2000.0}) == scene
+    for key in ("excitation.omega", "excitation.frequency"):
+        with pytest.raises(InputError, match=r"excitation\.omega = None"):
+            turned.replace({key: None})
+    with pytest.raises(InputError, match=r"excitation\.frequency = 1"):
+        scene.replace({"excitation.omega": 1.0, "excitation.frequency": 1.0})
+    cracked = Scene.from_mapping(
+        changed(GRADED | {"crack.length": GONE, "crack.first_frequency": 366.0})
+    )
+    found = cracked.replace({"crack.length": 0.02, "crack.first_omega": None})
+    assert found.crack is not None and found.crack.first_frequency is None
+    two = scene.replace({"damping.ratio": None, "damping.ratios": [0.1, 0.1],
+                         "damping.frequencies": [1.0, 2.0]})  # fmt: skip
+    assert two.replace({"damping.omegas": [1.0, 2.0]}).damping.frequencies is None
+
+
+def test_sweeps_in_hertz() -> None:
+    """Cases are those of the sweep in rad/s; both twins in one sweep are refused."""
+    scene = Scene.from_mapping(GOOD)
+    swept = scene.replace({"sweep.over": {"excitation.frequency": [300.0, 310.0]}})
+    assert swept.in_hertz and swept.sweep is not None
+    assert swept.swept_omegas == (TURN * 300.0, TURN * 310.0)
+    plan = Plan(swept)
+    case = plan.case((1,))
+    assert isinstance(case, Scene) and case.excitation.omega == TURN * 310.0
+    assert plan.geometries == [(None,)]  # frequencies share one
+    over = {"excitation.omega": [1.0, 2.0], "excitation.frequency": [1.0, 2.0]}
+    for axes in (over, dict(reversed(over.items()))):
+        with pytest.raises(InputError) as caught:
+            scene.replace({"sweep.over": axes})
+        both = f"{caught.value.value} {caught.value.allowed}"
+        assert all(key in both for key in over)
+
+
+def test_a_curve_in_hertz() -> None:
+    """Start and stop in Hz give the curve in rad/s, point by point."""
+    scene = Scene.load(DEMOS / "paper_plate.toml").replace(
+        {"contact.stiffness": 1e7, "damping.ratio": 0.02, "crack.length": 0.05,
+         "crack.first_omega": None, "harmonic_balance.harmonics": 3}
+    )  # fmt: skip
+    span = {"curve.start": 300.0, "curve.stop": 330.0, "curve.stability": False}
+    turned = scene.replace(span | {"curve.parameter": "frequency"})
+    assert turned.in_hertz
+    found = follow_curve(turned).result
+    assert found.parameter == "omega"
+    assert found.values[[0, -1]] == pytest.approx([TURN * 300.0, TURN * 330.0], rel=1e-14)
+    table = found.to_dict()
+    np.testing.assert_allclose(table["frequency"], found.omega / TURN, rtol=1e-15)
+    panel = fc.draw_curve(found, 0, in_hertz=True).axes[0]
+    assert panel.get_xlabel() == "load frequency [Hz]"
+    assert 290.0 < panel.get_xlim()[0] < panel.get_xlim()[1] < 340.0
+    for name in ("start", "stop"):
+        with pytest.raises(InputError) as caught:
+            turned.replace({f"curve.{name}": -1.0})
+        assert caught.value.key == f"curve.{name}"
+
+
+def test_the_axis_of_frequencies() -> None:
+    """What multiplies rad/s, the name, and the unit."""
+    assert frequency_axis(False) == (1.0, "load frequency", "rad/s")
+    factor, name, unit = frequency_axis(True)
+    assert (name, unit) == ("load frequency", "Hz") and factor * TURN == pytest.approx(1.0)
+
+
+def test_tables_have_both_and_the_terminal_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Columns in rad/s and Hz in the files; of a curve in Hz the terminal has Hz alone."""
+    given = ["crack.length=0.05", "crack.first_omega=none", "harmonic_balance.harmonics=3",
+             "contact.stiffness=1e7", "damping.ratio=0.02", "curve.parameter=frequency",
+             "curve.start=300", "curve.stop=330", "curve.stability=false"]  # fmt: skip
+    options = [word for text in given for word in ("--set", text)]
+    scene = [str(DEMOS / "paper_plate.toml"), "--output", str(tmp_path), "--quiet"]
+    assert main(["curve", *scene, *options]) == 0
+    heading = capsys.readouterr().out.splitlines()[0]
+    assert "frequency [Hz]" in heading and "rad/s" not in heading
+    (first, *_) = json.loads((tmp_path / "curve.json").read_text())
+    assert first["frequency [Hz]"] == 300.0
+    assert first["omega [rad/s]"] == pytest.approx(TURN * 300.0, rel=1e-15)
+    with open(tmp_path / "curve.csv", newline="") as file:
+        assert {"omega [rad/s]", "frequency [Hz]"} <= set(csv.DictReader(file).fieldnames or ())
+    sweep = ["--set", "sweep.over={'excitation.frequency' = [300.0, 310.0]}"]
+    assert main(["sweep", *scene, *options, *sweep]) == 0
+    found = fc.SweepResult.load(tmp_path / "sweep.h5")
+    assert found["frequency"].tolist() == pytest.approx([300.0, 310.0])
+    assert found["omega"].tolist() == [TURN * 300.0, TURN * 310.0]

@@ -1,0 +1,100 @@
+"""Answers that passed for right and were wrong, each held against the exact flow."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import fenics_crack as fc
+from fenics_crack.stability.shooting import distance
+
+
+def oscillator(clearance: float, *, force: float = 0.1, damping: float = 0.02) -> fc.Structure:
+    """m = 1 kg, k = 1 N/m, with a clearance, or preload where it is negative."""
+    return fc.Structure.from_matrices(
+        [[1.0]], [[1.0]], [1.0], force_cos=[force], damping=[[damping]], clearance=clearance
+    )
+
+
+@pytest.mark.parametrize("stiffness", [10.0, 1000.0])
+@pytest.mark.parametrize("share", [0.99, 0.9999, 1.0001])
+def test_grazing_is_judged_by_the_exact_orbit(share: float, stiffness: float) -> None:
+    """A stop that the motion without contact just reaches, or just does not: what is called stable
+    or unstable is an exact orbit within three times the estimate, and its multiplier says so."""
+    omega = 0.8
+    reached = 0.1 / abs(1.0 - omega**2 + 0.02j * omega)
+    structure, law = oscillator(share * reached), fc.UnilateralPenalty(stiffness)
+    solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=5)
+    found = fc.floquet(structure, solution)
+    if found.verdict == "undecided":
+        return
+    assert found.refined
+    orbit = fc.shoot(structure, solution)
+    assert found.distance == pytest.approx(distance(orbit, solution), abs=1e-6)
+    assert found.distance <= max(3.0 * solution.report.total, 1e-6)
+    assert (found.verdict == "stable") == (abs(orbit.multipliers[0]) < 1.0)
+
+
+def test_stiff_curve_calls_no_orbit_what_it_is_not() -> None:
+    """kc = 100, H = 10: a point is called stable or unstable only where the exact orbit next to it
+    is; before, seven of 24 exactly stable points were called unstable."""
+    structure, law = oscillator(0.0), fc.UnilateralPenalty(100.0)
+    curve = fc.continue_frequency(
+        structure, 0.3, 0.6, law, harmonics=10, stability=True, throw=False
+    )
+    decided = 0
+    for place in np.linspace(0, len(curve) - 1, 12).astype(int):
+        verdict, solution = curve.verdicts[place], curve.solution(int(place))
+        if verdict == "undecided":
+            continue
+        orbit = fc.shoot(structure, solution)
+        if distance(orbit, solution) <= max(3.0 * solution.report.total, 0.01):
+            decided += 1
+            assert (verdict == "stable") == (abs(orbit.multipliers[0]) < 1.0)
+    assert decided > 0
+    assert not any(one.confirmed and abs(one.exact / one.value - 1.0) > 0.02
+                   for one in curve.bifurcations)  # fmt: skip
+
+
+def test_refinement_does_not_wander() -> None:
+    """A bifurcation more than 5 % away is not the one that was asked for, unless that is said."""
+    structure, law = oscillator(0.0), fc.UnilateralPenalty(1.0)
+    curve = fc.continue_frequency(structure, 1.0, 3.0, law, harmonics=10, stability=True)
+    for one in curve.bifurcations:
+        try:
+            omega, _ = fc.refine_bifurcation(one)
+        except fc.ConvergenceError:
+            continue
+        assert omega == pytest.approx(one.value, rel=0.05)
+        assert not one.confirmed or one.exact == pytest.approx(omega, rel=1e-3)
+
+
+def test_harmonics_are_judged_up_to_the_highest_mode() -> None:
+    """A second mode at 130 times the load's frequency, beyond four times the harmonics."""
+    squares = np.array([1.0, (130 * 0.3) ** 2])
+    structure = fc.Structure.from_matrices(
+        np.eye(2), np.diag(squares), [1.0, 1.0], force_cos=[1.0, 0.0],
+        damping=np.diag([0.02, 2e-3 * 130 * 0.3]),
+    )  # fmt: skip
+    solution = fc.solve_harmonic_balance(structure, 0.3, fc.UnilateralPenalty(0.5), harmonics=10)
+    orbit = fc.shoot(structure, solution)
+    assert distance(orbit, solution) < 3.0 * solution.report.total
+
+
+def test_cold_start_with_several_stiff_pairs() -> None:
+    """A path in the damping leads there where those in stiffness and frequency do not."""
+    rng = np.random.default_rng(4)
+    solved = 0
+    for _ in range(6):
+        turned = np.linalg.qr(rng.normal(size=(6, 6)))[0]
+        squares = np.append(1.0, 30.0 ** (2.0 * rng.random(5)))
+        structure = fc.Structure.from_matrices(
+            np.eye(6), (turned * squares) @ turned.T, np.eye(6)[:, :3],
+            force_cos=rng.normal(size=6),
+            damping=(turned * (0.01 * np.sqrt(squares))) @ turned.T, clearance=0.0,
+        )  # fmt: skip
+        found = fc.solve_harmonic_balance(
+            structure, 1.1, fc.UnilateralPenalty(300.0), harmonics=10, throw=False
+        )
+        solved += found.converged
+    assert solved == 6

@@ -1,0 +1,139 @@
+"""Key figures of a scene against dense algebra and solutions; remarks on what is unusual."""
+
+import numpy as np
+import pytest
+import scipy.linalg
+from helpers import DEMOS
+
+import fenics_crack as fc
+from fenics_crack.study.key_figures import KeyFigures, find_key_figures, highest_omega, span_of
+from fenics_crack.study.remarks import is_proportional, remarks_on
+
+PAPER = fc.Scene.load(DEMOS / "paper_plate.toml").replace({"damping.ratio": 0.01})
+GRID = PAPER.replace({"mesh.columns": 6, "mesh.rows": 6})
+
+
+def figures_of(scene: fc.Scene) -> KeyFigures:
+    """Of the whole structure."""
+    return find_key_figures(fc.prepare(scene, whole=True))
+
+
+def test_against_dense_algebra() -> None:
+    """Stiffness of the lips, frequencies, and static motion under mean and amplitude."""
+    loads = {"excitation.force_mean": (-30.0, 9.0), "excitation.force_cos": (5.0, 2.0)}
+    scene = GRID.replace(loads)
+    structure, figures = fc.build_structure(scene), figures_of(scene)
+    mass, stiffness = (
+        matrix.convert("dense").getDenseArray() for matrix in (structure.mass, structure.stiffness)
+    )
+    gap = structure.gap.toarray()
+    compliance = gap.T @ np.linalg.solve(stiffness, gap)
+    np.testing.assert_allclose(figures.own_stiffness, 1.0 / np.diag(compliance), rtol=1e-9)
+    np.testing.assert_allclose(figures.stiffness_ratio, 1e11 * np.diag(compliance), rtol=1e-9)
+    mean, cosine, sine = (gap.T @ np.linalg.solve(stiffness, f) for f in structure.force)
+    assert figures.mean_opening == pytest.approx(max(0.0, -mean.min()), rel=1e-9)
+    assert figures.static_motion == pytest.approx(np.hypot(cosine, sine).max(), rel=1e-9)
+    omega = np.sqrt(scipy.linalg.eigh(stiffness, mass, eigvals_only=True))
+    np.testing.assert_allclose(figures.omega_open, omega[:4], rtol=1e-8)
+    assert figures.modes_below == np.sum(omega < 5 * 2000.0)
+    tied = np.sqrt(scipy.linalg.eigh(stiffness + 1e16 * gap @ gap.T, mass, eigvals_only=True))
+    np.testing.assert_allclose(figures.omega_tied, tied[:4], rtol=1e-3)
+    ratio = scene.damping.ratio
+    dynamic = stiffness - 2000.0**2 * mass
+    shapes = scipy.linalg.eigh(stiffness, mass)[1]
+    rates = mass @ shapes * (2.0 * ratio * omega) @ (mass @ shapes).T
+    motion = np.linalg.solve(
+        dynamic + 2000.0j * rates, structure.force[1] - 1j * structure.force[2]
+    )
+    assert figures.displacement == pytest.approx(np.abs(motion).max(), rel=1e-3)
+    assert figures.gap_motion == pytest.approx(np.abs(gap.T @ motion).max(), rel=2e-2)
+
+
+@pytest.mark.parametrize("share", [0.8, 1.2])
+def test_lips_that_never_meet_or_part(share: float) -> None:
+    """One pair: a clearance, or a preload, just below and just above what the load moves."""
+    free = figures_of(PAPER)
+    assert free.breathes and free.closed == 0
+    law = fc.UnilateralPenalty(1e11)
+    away = PAPER.replace({"crack.clearance": share * free.gap_motion})
+    found = fc.solve_harmonic_balance(fc.build_structure(away), 2000.0, law)
+    touching = np.abs(found.force_coefficients).max() > 1e-6
+    assert figures_of(away).breathes == touching == (share < 1.0)
+    # Of closed lips a constant preload is F = g0 / R(0); the load carries |s(w) / R(w)|.
+    times = np.linspace(0.0, found.period, 400)
+    pressed = PAPER.replace({"crack.clearance": -1.0})
+    held = fc.solve_harmonic_balance(fc.build_structure(pressed), 2000.0, law)
+    force = held.contact_force(times)[:, 0]
+    depth = np.ptp(force) / 2.0 / force.mean()  # clearance of -1 m: where the force just vanishes
+    near = PAPER.replace({"crack.clearance": -float(depth) / share})
+    orbit = fc.solve_harmonic_balance(fc.build_structure(near), 2000.0, law)
+    assert figures_of(near).closed == 1
+    assert figures_of(near).breathes == (orbit.contact_force(times).min() <= 0.0) == (share > 1.0)
+
+
+def test_mean_load_keeps_lips_apart_or_together() -> None:
+    """Like a clearance and like a preload, and remarked on as such."""
+    for force, texts in (((-1e5, 0.0), ("never meet", "never part")), ((3.0, 0.0), ())):
+        words = []
+        for sign in (1.0, -1.0):
+            scene = PAPER.replace({"excitation.force_mean": (sign * force[0], 0.0)})
+            words += [str(remark) for remark in remarks_on(scene, figures_of(scene))]
+        assert len(words) == len(texts)
+        assert all(any(text in word for word in words) for text in texts)
+
+
+@pytest.mark.parametrize("demo", sorted(DEMOS.glob("*.toml")), ids=lambda path: path.stem)
+def test_no_remark_on_demos(demo: object) -> None:
+    """Every scene of demos is usual."""
+    scene = fc.Scene.load(str(demo))
+    study = fc.prepare(scene, whole=True)
+    assert not remarks_on(study.scene, find_key_figures(study))
+
+
+def test_uncracked_plate() -> None:
+    """Frequencies alone; nothing meets or parts."""
+    scene = PAPER.replace({"crack": None, "contact": None})
+    figures = figures_of(scene)
+    assert figures.elements is None and not figures.own_stiffness.size
+    np.testing.assert_array_equal(figures.omega_open, figures.omega_tied)
+    assert not remarks_on(scene, figures)
+
+
+def test_breathing_frequency() -> None:
+    """Half a period open, half of it tied: 1 / w = (1 / w_open + 1 / w_tied) / 2."""
+    figures = figures_of(PAPER)
+    inverse = (1.0 / figures.omega_open[0] + 1.0 / figures.omega_tied[0]) / 2.0
+    assert figures.omega_breathing == pytest.approx(1.0 / inverse)
+
+
+def test_frequencies_asked_for() -> None:
+    """Of each command, from its own table or the excitation."""
+    scene = PAPER.replace({"curve.start": 3000.0, "curve.stop": 1000.0})
+    assert span_of(scene, "curve") == (1000.0, 3000.0)
+    assert span_of(scene, "solve") == span_of(scene, "sweep") == (2000.0, 2000.0)
+    assert highest_omega(scene, "curve") == 5 * 3000.0
+
+
+def test_proportional_to_the_load() -> None:
+    """Without a clearance, and with a law that has no length of its own: so is the solution."""
+    plate, law = fc.build_structure(PAPER), fc.UnilateralPenalty(1e9)
+    one, seven = (
+        fc.solve_harmonic_balance(plate.varied(load=factor), 2000.0, law) for factor in (1.0, 7.0)
+    )
+    np.testing.assert_allclose(seven.gap_coefficients, 7.0 * one.gap_coefficients, rtol=1e-6)
+    assert is_proportional(PAPER)
+    assert not is_proportional(PAPER.replace({"crack.clearance": 1e-7}))
+    smoothed = {"contact.law": "smoothed", "contact.sharpness": 1e8}
+    assert not is_proportional(PAPER.replace(smoothed))
+    assert not is_proportional(fc.Scene.load(DEMOS / "chain.toml"))
+
+
+def test_elements_along_each_lip() -> None:
+    """As many as the scene asks for, also of a crack inside, whose tips are no pairs."""
+    mesh = {"layout": "graded", "columns": None, "rows": None, "order": 2}
+    changes = {f"mesh.{key}": value for key, value in mesh.items()}
+    scene = PAPER.replace(changes | {"mesh.size": 0.05, "mesh.lip_elements": 4})
+    inside = {"crack.edge": None, "crack.center": 0.05, "crack.length": 0.04}
+    for one in (scene, scene.replace(inside)):
+        assert figures_of(one).elements == 4
+        assert not any("elements" in str(remark) for remark in remarks_on(one, figures_of(one)))

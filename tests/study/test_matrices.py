@@ -1,0 +1,197 @@
+"""Scenes of matrices from files: the same numbers as of the plate that they were taken from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.io
+import scipy.sparse as sparse
+from helpers import DEMOS, relative
+from mpi4py import MPI
+
+import fenics_crack as fc
+from fenics_crack import InputError, Scene
+from fenics_crack.cli.command_line import main
+from fenics_crack.study.run import find_modes, follow_curve, integrate, solve
+from fenics_crack.sweep.result import run_sweep
+
+LOAD = {"contact.stiffness": 1e9, "damping.ratio": 0.02, "harmonic_balance.harmonics": 5}
+CURVE = {"curve.start": 2000.0, "curve.stop": 2050.0, "curve.stability": False}
+
+
+@pytest.fixture
+def plate(paper_scene: Scene) -> Scene:
+    """The plate, whose matrices are written to files; preloaded, so that the clearance counts."""
+    return paper_scene.replace(LOAD | {"crack.clearance": -1e-7})
+
+
+@pytest.fixture
+def scene(plate: Scene, tmp_path: Path) -> Scene:
+    """The scene of the files."""
+    whole = fc.build_structure(plate, MPI.COMM_SELF)
+    force = whole.force[2]
+    parts = {"gap": whole.gap, "force": sparse.csr_matrix(force[:, None])}
+    parts["clearance"] = sparse.csr_matrix(whole.clearance[:, None])
+    for name in ("mass", "stiffness"):
+        starts, columns, values = getattr(whole, name).getValuesCSR()
+        parts[name] = sparse.csr_matrix((values, columns, starts))
+    for name, part in parts.items():
+        scipy.io.mmwrite(tmp_path / f"{name}.mtx", part, precision=17)
+    text = """
+        [structure]
+        mass = "mass.mtx"
+        stiffness = "stiffness.mtx"
+        gap = "gap.mtx"
+        force_sin = "force.mtx"
+        clearance = "clearance.mtx"
+        [excitation]
+        omega = 2000.0
+        [damping]
+        ratio = 0.02
+        [contact]
+        stiffness = 1e9
+        """
+    (tmp_path / "scene.toml").write_text(text)
+    return Scene.load(tmp_path / "scene.toml")
+
+
+def test_results_are_those_of_the_plate(plate: Scene, scene: Scene) -> None:
+    """Modes, a solution, a curve, a motion in time."""
+    comm = MPI.COMM_SELF
+    pairs = [
+        (find_modes(plate, 4, comm).result.omega, find_modes(scene, 4, comm).result.omega),
+        *[
+            tuple(solve(one, comm).result.gap_coefficients for one in (plate, scene)),
+            tuple(
+                follow_curve(one.replace(CURVE), comm).result.gap_coefficients
+                for one in (plate, scene)
+            ),
+        ],
+    ]
+    for expected, found in pairs:
+        assert relative(found, expected) < 1e-9
+    time = {"integration.periods": 3}
+    histories = [integrate(one.replace(time), comm).result for one in (plate, scene)]
+    assert relative(histories[1].gap, histories[0].gap) < 1e-9
+    runs = [solve(one, comm) for one in (plate, scene)]
+    assert runs[0].watched_dof == runs[1].watched_dof
+    assert runs[1].watched_name == f"displacement of dof {runs[1].watched_dof}"
+
+
+def test_they_are_reduced_and_swept(plate: Scene, scene: Scene, tmp_path: Path) -> None:
+    """To lips without mass; over the frequency, and over the preload."""
+    changes: dict[str, Any] = {"reduction.modes": 10, "reduction.method": "massless"}
+    found = solve(scene.replace(changes), MPI.COMM_SELF)
+    assert isinstance(found.structure, fc.MasslessStructure)
+    expected = solve(plate.replace(changes), MPI.COMM_SELF).result
+    assert relative(found.result.gap_coefficients, expected.gap_coefficients) < 1e-8
+    over = {"excitation.omega": [1900.0, 2000.0], "structure.clearance": [-1e-7, 0.0]}
+    sweep = run_sweep(scene.replace(changes | {"sweep.over": over}), tmp_path / "sweep.h5")
+    assert sweep.converged.all()
+    assert relative(sweep.gap((1, 0)), expected.gap_coefficients) < 1e-6
+    assert sweep["response"][1, 0] == pytest.approx(expected.amplitude(found.watched_dof), rel=1e-3)
+    again = sweep.solution((1, 1))
+    assert relative(again.gap_coefficients, sweep.gap((1, 1))) < 1e-9
+
+
+def test_results_belong_to_their_files(scene: Scene, tmp_path: Path) -> None:
+    """Modes and solutions are read back; a changed matrix is refused by its key."""
+    runs = {"solution": solve(scene, MPI.COMM_SELF), "modes": find_modes(scene, 3, MPI.COMM_SELF)}
+    for name, run in runs.items():
+        fc.save(run.result, tmp_path / f"{name}.h5", run.scene)
+        again = fc.load_run(tmp_path / f"{name}.h5", MPI.COMM_SELF)
+        assert again.scene.structure == run.scene.structure
+    modes = again.result
+    assert isinstance(modes, fc.Modes)
+    np.testing.assert_array_equal(modes.shapes, runs["modes"].result.shapes)  # type: ignore[union-attr]
+    with open(tmp_path / "gap.mtx", "a") as file:
+        file.write("% changed\n")
+    with pytest.raises(InputError) as caught:
+        fc.load_run(tmp_path / "solution.h5", MPI.COMM_SELF)
+    assert caught.value.key == "structure.gap"
+
+
+@pytest.mark.parametrize("commands", [["check"], ["modes"], ["solve"], ["integrate"], ["sweep"]])
+def test_the_example_runs_from_the_shell(
+    commands: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Every command; what is drawn needs no mesh, and what needs one is left out with a word."""
+    (name,) = commands
+    output = [] if name == "check" else ["--output", str(tmp_path)]
+    assert main([name, str(DEMOS / "chain.toml"), *output]) == 0
+    printed = capsys.readouterr()
+    assert "remark" not in printed.err and "warning" not in printed.err
+    result = {"solve": "solution", "integrate": "integration"}.get(name, name)
+    if name == "check":
+        return
+    assert main(["plot", str(tmp_path / f"{result}.h5")]) == 0
+    pictures = {path.name for path in tmp_path.glob("*.*") if path.suffix not in (".csv", ".json")}
+    expected = {
+        "solve": {"solution_waves.png", "solution_orbits.png"},
+        "integrate": {"integration_waves.png"},
+        "sweep": {"sweep_response.png"},
+        "modes": {"modes.h5"},
+    }[name]
+    assert expected <= pictures
+    assert ("no mesh" in capsys.readouterr().err) == (name in ("solve", "modes"))
+
+
+def test_the_example_meets_its_stop() -> None:
+    """The first natural frequency of a chain of n masses held at one end is
+    2 sqrt(k / m) sin(pi / (2 (2 n + 1))); at resonance the stop takes most of the motion."""
+    scene = Scene.load(DEMOS / "chain.toml")
+    omega = find_modes(scene, 1, MPI.COMM_SELF).result.omega[0]
+    assert omega == pytest.approx(2.0 * np.sqrt(2e4 / 0.1) * np.sin(np.pi / 50.0), rel=1e-12)
+    run = solve(scene, MPI.COMM_SELF)
+    settled = {"integration.settle": 1e-6, "integration.steps_per_period": 2000}
+    history = integrate(scene.replace(settled), MPI.COMM_SELF).result
+    marched = float(np.ptp(history.displacement([run.watched_dof])[-history.steps_per_period :]))
+    assert run.result.amplitude(run.watched_dof) == pytest.approx(marched / 2.0, rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        ({"structure.mass": "gap.mtx"}, "structure.mass"),
+        ({"structure.mass": "missing.mtx"}, "structure.mass"),
+        ({"structure.gap": "stiff.mtx"}, "structure.gap"),
+        ({"structure.force_sin": "mass.mtx"}, "structure.force_sin"),
+        ({"structure.clearance": "force.mtx"}, "structure.clearance"),
+        ({"structure.force_sin": None}, "structure.force_sin"),
+        ({"contact": None}, "contact"),
+        ({"contact.stiffness": None, "contact.stiffness_per_area": 1e9}, "contact.stiffness_per"),
+        ({"contact.pairs": "mouth"}, "contact.pairs"),
+        ({"excitation.force_sin": [1.0, 0.0]}, "excitation.force_sin"),
+        ({"excitation.point": [1.0, 0.0]}, "excitation.point"),
+        ({"geometry.thickness": 1.0}, "geometry"),
+        ({"base.acceleration_sin": [1.0, 0.0]}, "base"),
+        ({"structure.damping": "mass.mtx"}, "damping"),
+        ({"structure": None}, "geometry"),
+        ({"damping.ratio": None}, "damping.ratio"),
+    ],
+    ids=str,
+)
+def test_bad_matrices_are_named(
+    scene: Scene, changes: dict[str, Any], key: str, tmp_path: Path
+) -> None:
+    """By the key of the scene."""
+    moved = {k: str(tmp_path / v) if str(v).endswith("mtx") else v for k, v in changes.items()}
+    with pytest.raises(InputError) as caught:
+        fc.build_structure(scene.replace(moved), MPI.COMM_SELF)
+    assert caught.value.key.startswith(key)
+
+
+def test_a_matrix_of_damping(scene: Scene, tmp_path: Path) -> None:
+    """C from a file, and no table [damping]: the same as Rayleigh's C = a M."""
+    mass = scipy.io.mmread(tmp_path / "mass.mtx")
+    scipy.io.mmwrite(tmp_path / "damping.mtx", 50.0 * mass, precision=17)
+    text = scene.as_toml().replace("[structure]", '[structure]\ndamping = "damping.mtx"')
+    text = text.replace("[damping]\nratio = 0.02\n", "")
+    matrix = Scene.from_text(text, folder=tmp_path)
+    assert matrix.damping is None and Scene.from_text(matrix.as_toml()) == matrix
+    rule = scene.replace({"damping.ratio": None, "damping.mass": 50.0})
+    found, expected = (solve(one, MPI.COMM_SELF).result.gap_coefficients for one in (matrix, rule))
+    assert relative(found, expected) < 1e-9

@@ -1,0 +1,101 @@
+"""Indicators of the cases of a sweep: at the load, at points of the scene, and in old files."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+import fenics_crack as fc
+from fenics_crack.scene.tables import Sweep
+from fenics_crack.study.run import solve
+from fenics_crack.sweep.file import AT_POINTS
+from fenics_crack.sweep.result import SweepResult, run_sweep
+
+REDUCED = {
+    "mesh.columns": 4, "reduction.method": "massless", "reduction.modes": 12,
+    "contact.law": "unilateral", "contact.stiffness": None,
+}  # fmt: skip
+
+
+@pytest.fixture
+def scene(paper_scene: fc.Scene) -> fc.Scene:
+    """Two frequencies, two clearances."""
+    over = {"excitation.omega": [1900.0, 2000.0], "crack.clearance": [0.0, 1e-7]}
+    base = paper_scene.replace({"contact.stiffness": 1e9, "damping.ratio": 0.02})
+    return dataclasses.replace(base, sweep=Sweep.from_mapping({"over": over}))
+
+
+@pytest.mark.parametrize("changes", [{}, REDUCED], ids=["whole", "massless"])
+def test_cases_have_the_indicators_of_their_solutions(
+    scene: fc.Scene, tmp_path: Path, changes: dict[str, object]
+) -> None:
+    """Of the load's point in the load's direction, x, and of each point in both directions."""
+    scene = scene.replace(changes | {"output.points": {"corner": (0.1, 0.1), "side": (0.1, 0.05)}})
+    result = run_sweep(scene, tmp_path / "sweep.h5", MPI.COMM_SELF)
+    assert result.converged.all()
+    case = scene.replace({"sweep": None, "excitation.omega": 2000.0, "crack.clearance": 1e-7})
+    run = solve(case, MPI.COMM_SELF)
+    assert [watched.name for watched in run.watched][::2] == ["corner.ux", "side.ux"]
+    for watched in run.watched:
+        found = run.result.indicators(watched.dof)
+        for name in AT_POINTS:
+            exact = pytest.approx(getattr(found, name), rel=1e-4, abs=1e-6 * found.harmonic_1)
+            assert result[f"{watched.name}.{name}"][1, 1] == exact, name
+    for name in AT_POINTS:
+        load = result["response" if name == "amplitude" else name]
+        np.testing.assert_allclose(load, result[f"corner.ux.{name}"], rtol=1e-9)
+    known = fc.bilinear_frequencies(run.structure)
+    np.testing.assert_allclose(result["omega_tied"], known.omega_tied[0], rtol=1e-9)
+    np.testing.assert_allclose(result["over_open"][1], 2000.0 / known.omega_open[0], rtol=1e-9)
+    np.testing.assert_allclose(result["closed_share"][1, 1], found.closed_share, atol=2e-3)
+
+
+def test_names_words_and_units(scene: fc.Scene, tmp_path: Path) -> None:
+    """What is drawn and printed, the columns of files, and units in the HDF5 file."""
+    scene = scene.replace(
+        {"output.points": {"tip": (0.1, 0.1)}, "output.quantities": ["amplitude", "over_open"]}
+    )
+    path = tmp_path / "sweep.h5"
+    result = run_sweep(scene, path, MPI.COMM_SELF)
+    assert result.quantities == {
+        "tip.ux.amplitude": ("half peak-to-peak, x displacement of tip", "m"),
+        "tip.uy.amplitude": ("half peak-to-peak, y displacement of tip", "m"),
+        "over_open": ("load frequency over that with lips open", "1"),
+    }
+    assert {"tip.ux.amplitude [m]", "tip.uy.ratio_2_1", "omega_open [rad/s]"} <= set(
+        result.table().columns
+    )
+    with h5py.File(path, "r") as file:
+        assert file["tip.uy.amplitude"].attrs["unit"] == "m"
+        assert file["omega_bilinear"].attrs["unit"] == "rad/s"
+        assert file["tip.uy.ratio_2_1"].attrs["about"] == "harmonic ratio 2/1"
+        assert "a0, a1, b1" in file["gap"].attrs["about"]
+        assert file["tip.uy.ratio_2_1"].shape == (2, 2)
+    again = run_sweep(scene, path, MPI.COMM_SELF)
+    np.testing.assert_array_equal(again["tip.ux.amplitude"], result["tip.ux.amplitude"])
+
+
+def test_default_quantities(scene: fc.Scene, tmp_path: Path) -> None:
+    """Those of the load's point and of the lips."""
+    result = run_sweep(scene, tmp_path / "sweep.h5", MPI.COMM_SELF)
+    assert list(result.quantities) == [
+        "response", "opening", "ratio_2_1", "ratio_3_1", "closed_share", "mean_shift"
+    ]  # fmt: skip
+    assert result.quantities["response"] == ("half peak-to-peak at the load's point", "m")
+
+
+def test_file_of_an_older_version(scene: fc.Scene, tmp_path: Path) -> None:
+    """A file without a column is neither read nor continued; it says which column and why."""
+    path = tmp_path / "sweep.h5"
+    run_sweep(scene, path, MPI.COMM_SELF)
+    with h5py.File(path, "r+") as file:
+        del file["ratio_2_1"]
+    with pytest.raises(fc.InputError, match=r"a column 'ratio_2_1': this one is of an older"):
+        SweepResult.load(path)
+    with pytest.raises(fc.InputError, match=r"a new name: .* has no column 'ratio_2_1'"):
+        run_sweep(scene, path, MPI.COMM_SELF)

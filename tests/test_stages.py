@@ -1,0 +1,44 @@
+"""Stages of a computation, on a terminal and elsewhere."""
+
+import io
+
+import pytest
+
+import fenics_crack as fc
+from fenics_crack import stages
+
+
+class Terminal(io.StringIO):
+    """A stream that says it is one."""
+
+    def isatty(self) -> bool:
+        """It is."""
+        return True
+
+
+@pytest.mark.parametrize("stream", [Terminal(), io.StringIO()], ids=["terminal", "file"])
+def test_long_stages_leave_a_line(stream: io.StringIO, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A terminal shows each as it begins; only what took more than a second stays."""
+    clock = iter([0.0, 0.5, 3.0, 3.1])
+    monkeypatch.setattr(stages.time, "perf_counter", lambda: next(clock))
+    with stages.listening(stages.StageLines(stream)):
+        stages.begin("mesh")
+        stages.begin("natural modes")
+        stages.begin("solution")
+    clear = "\r\033[K"
+    live = (
+        f"  mesh ...{clear}  natural modes ...{clear}  natural modes: 2.5 s\n  solution ...{clear}"
+    )
+    assert stream.getvalue() == (live if stream.isatty() else "  natural modes: 2.5 s\n")
+    stages.begin("nobody listens")
+
+
+def test_what_is_told(paper_scene: fc.Scene) -> None:
+    """Mesh, matrices, modes and attempts, in the order in which they happen."""
+    told: list[str] = []
+    with stages.listening(told.append):
+        study = fc.prepare(paper_scene.replace({"mesh.columns": 8, "contact.stiffness": 1e9}))
+        fc.solve_harmonic_balance(study.structure, 2000.0, study.contact, harmonics=5)
+    assert told[:2] == ["mesh", "matrices"] and told[-1] == ""
+    assert any(stage.endswith("natural modes") for stage in told)
+    assert "cold start: an orbit marched in time" in told and "from a marched orbit" in told
