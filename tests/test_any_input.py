@@ -574,7 +574,7 @@ def check_call(arguments: list[str]) -> int:
     assert code in (0, 2, 3), f"{code}: {errors}"
     assert "Traceback" not in errors
     if code == 2 and "usage: " not in errors:
-        lines = [line for line in errors.splitlines() if not line.startswith("remark: ")]
+        lines = errors.splitlines()
         assert len(lines) == 1 and lines[0].startswith("fenics-crack: ")
     return code
 

@@ -10,11 +10,15 @@ import tomllib
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fenics_crack.cli.exit_codes import Exit
 from fenics_crack.errors import ConvergenceError, InputError, check_count
 from fenics_crack.version import VERSION
+
+if TYPE_CHECKING:
+    from fenics_crack.cli.console import Console
+    from fenics_crack.scene.scene import Scene
 
 __all__ = ["main", "parser"]
 
@@ -135,11 +139,22 @@ def _run(given: argparse.Namespace) -> Exit:
     scene = on_root(comm, lambda: Scene.load(given.scene).replace(changes))
     if given.command == "check":
         return scenes.check(scene, console)
-    console.remarks(remarks_on_scene(scene))
-    from fenics_crack.cli import commands  # what solves takes a while to import
-
     folder = given.output or Path("output") / given.scene.stem
     make_writable(folder, comm)
+    told = remarks_on_scene(scene)
+    try:
+        return _compute(given, scene, folder, console)
+    except InputError:
+        told = []  # one line about an error
+        raise
+    finally:
+        console.remarks(told)
+
+
+def _compute(given: argparse.Namespace, scene: Scene, folder: Path, console: Console) -> Exit:
+    """Call a command that solves a scene."""
+    from fenics_crack.cli import commands  # takes a while to import
+
     if given.command == "modes":
         check_count("--count", given.count, 1)
         return commands.modes(scene, given.count, folder, console)
