@@ -47,13 +47,13 @@ from fenics_crack.draw.plot_mesh import draw_modes as draw_modes
 from fenics_crack.draw.plot_motion import draw_orbits as draw_orbits
 from fenics_crack.draw.plot_motion import draw_spectra as draw_spectra
 from fenics_crack.draw.plot_motion import draw_spectrum as draw_spectrum
+from fenics_crack.draw.plot_posterior import draw_posterior as draw_posterior
 from fenics_crack.errors import ConvergenceError as ConvergenceError
 from fenics_crack.errors import InputError as InputError
 from fenics_crack.fem.build import build_structure as build_structure
 from fenics_crack.fem.build import find_crack_length as find_crack_length
 from fenics_crack.files.results import load as load
 from fenics_crack.files.results import save as save
-from fenics_crack.identification.draw import draw_posterior as draw_posterior
 from fenics_crack.identification.identify import identify as identify
 from fenics_crack.identification.measurements import Measurement as Measurement
 from fenics_crack.identification.measurements import Measurements as Measurements

@@ -16,7 +16,6 @@ from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError, check_count
 from fenics_crack.files.results import save
 from fenics_crack.files.store import kind_of
-from fenics_crack.identification.identify import identify
 from fenics_crack.model.modes import Modes
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.quantities import SHORT
@@ -180,7 +179,8 @@ def sweep(scene: Scene, folder: Path, console: Console) -> Exit:
     """All cases of a sweep, or those that an earlier run has left."""
     with console.timed("sweep"):
         found = run_sweep(scene, folder / "sweep.h5", console.comm, progress=console.progress)
-    table, shown, how = found.table(), found.table(), ""
+    table = found.table()
+    shown, how = table, ""
     if console.form == "text":
         shown, how = tables.few_cases(found)
     console.finish(folder, "sweep", shown, table, table)
@@ -195,6 +195,8 @@ def sweep(scene: Scene, folder: Path, console: Console) -> Exit:
 
 def identification(scene: Scene, measured: Path, folder: Path, console: Console) -> Exit:
     """A crack from measurements: what it is, how sure, and where to measure next."""
+    from fenics_crack.identification.identify import identify  # scipy.stats
+
     with console.timed("identification"):
         found = identify(
             scene, measured, folder=folder, comm=console.comm, progress=console.progress
@@ -202,7 +204,7 @@ def identification(scene: Scene, measured: Path, folder: Path, console: Console)
     worth = found.where_to_measure()
 
     def write() -> None:
-        from fenics_crack.identification.draw import draw_posterior  # matplotlib
+        from fenics_crack.draw.plot_posterior import draw_posterior  # matplotlib
 
         found.save(folder)
         worth.to_csv(folder / "where_to_measure.csv")

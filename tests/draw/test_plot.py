@@ -202,12 +202,11 @@ print([name for name in ("matplotlib.pyplot", "pyvista", "vtkmodules") if name i
 
 
 def test_only_this_folder_draws() -> None:
-    """No other one imports what pictures are made with, but the picture of a folder above."""
+    """No other one imports what pictures are made with."""
     package = DEMOS.parent / "fenics_crack"
     made_with = re.compile(r"^\s*(?:import|from) (matplotlib|pyvista|PIL|vtk)", re.M)
     users = {path for path in package.rglob("*.py") if made_with.search(path.read_text())}
-    above = package / "identification" / "draw.py"
-    assert users and {path.parent for path in users - {above}} == {package / "draw"}
+    assert {path.parent for path in users} == {package / "draw"}
 
 
 # --- curves ---------------------------------------------------------------------------------------
