@@ -33,7 +33,7 @@ from fenics_crack.errors import InputError
 from fenics_crack.files.store import scene_text
 from fenics_crack.identification.interpolation import Cube, Interpolation
 from fenics_crack.identification.measurements import Measurement
-from fenics_crack.model.bilinear import FEW
+from fenics_crack.model.bilinear import FEW, BilinearFrequencies
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Sweep
@@ -219,9 +219,8 @@ class _Part:
     def natural(self, lips: str, mode: int) -> np.ndarray:
         """A natural frequency at all nodes [Hz]: (n,); of an uncracked plate the same for all."""
         if lips == "bilinear":
-            parts = [self.natural(state, mode) for state in ("open", "tied")]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                return np.asarray(2.0 / (1.0 / parts[0] + 1.0 / parts[1]))
+            opened, tied = (self.natural(state, mode) for state in ("open", "tied"))
+            return BilinearFrequencies(opened, tied).omega_bilinear
         column = self.column(f"omega_{lips}_{mode}") / (2.0 * np.pi)
         known = np.isfinite(column)
         best = np.max(np.where(known, column, -np.inf), axis=1)

@@ -36,6 +36,7 @@ from fenics_crack.model.matrices import (
     whole_rows,
 )
 from fenics_crack.model.nodes import Nodes, Pairs
+from fenics_crack.parallel import gather_rows
 
 __all__ = ["Structure"]
 
@@ -190,6 +191,10 @@ class Structure:
     def first_watched(self) -> int:
         """The pair at the mouth of the first crack, or in the middle of one inside the plate."""
         return next(iter(self.watched_pairs.values()))
+
+    def most_loaded(self) -> int:
+        """The dof that carries most of the load, of all ranks' (collective)."""
+        return int(np.argmax(gather_rows(self.comm, np.abs(self.force).max(axis=0))))
 
     def where(self, pair: int) -> str:
         """A pair in words: "at the mouth", "at the middle of crack 2", "of pair 3"."""

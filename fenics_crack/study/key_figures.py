@@ -18,6 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fenics_crack.model.bilinear import BilinearFrequencies
 from fenics_crack.model.complementarity import solve_complementarity
 from fenics_crack.model.damping import ModalDamping, RayleighDamping
 from fenics_crack.model.factor import Factor, weighted_sum
@@ -86,8 +87,7 @@ class KeyFigures:
     def omega_breathing(self) -> float:
         """First resonance of a crack that opens for one half of a motion and closes for the other
         [rad/s]: 2 w_open w_tied / (w_open + w_tied)."""
-        opened, tied = float(self.omega_open[0]), float(self.omega_tied[0])
-        return 2.0 * opened * tied / (opened + tied) if opened + tied > 0.0 else 0.0
+        return float(BilinearFrequencies(self.omega_open, self.omega_tied).omega_bilinear[0])
 
 
 def find_key_figures(study: Study) -> KeyFigures:
@@ -168,7 +168,7 @@ def _ratios(whole: Structure, omega: np.ndarray) -> np.ndarray:
     """Ratios of critical damping of the lowest modes."""
     rule = whole.damping
     if isinstance(rule, RayleighDamping):
-        return rule.mass / (2.0 * omega) + rule.stiffness * omega / 2.0
+        return rule.rate(omega**2) / (2.0 * omega)
     found = np.zeros(len(omega))
     if isinstance(rule, ModalDamping):
         damped = min(check_damped_modes(whole), len(omega))

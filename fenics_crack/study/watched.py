@@ -54,8 +54,10 @@ def watched_dofs(scene: Scene, structure: Structure) -> tuple[Watched, ...]:
     points = () if scene.output is None else scene.output.points
     if not points:
         given = structure.watched
-        size = np.abs(structure.force).max(axis=0) if given is None else np.abs(given)
-        dof = int(np.argmax(gather_rows(structure.comm, size)))
+        if given is None:
+            dof = structure.most_loaded()
+        else:
+            dof = int(np.argmax(gather_rows(structure.comm, np.abs(given))))
         return (Watched("", structure.dof_name(dof), dof),)
     found = []
     for point in points:

@@ -165,7 +165,7 @@ def _watched(scene: Scene, structure: Structure) -> np.ndarray | None:
         weights = gather_rows(whole.comm, whole.watched)
     elif scene.structure is not None:
         weights = np.zeros(whole.n_dofs)
-        weights[np.argmax(gather_rows(whole.comm, np.abs(whole.force).max(axis=0)))] = 1.0
+        weights[whole.most_loaded()] = 1.0
     else:
         return None
     dofs = np.flatnonzero(weights)

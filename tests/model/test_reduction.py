@@ -489,7 +489,7 @@ def test_all_modes_damped_whatever_the_mesh() -> None:
         )
     reduced, whole = (solution.gap_coefficients for solution in solutions)
     difference = np.linalg.norm(reduced - whole) / np.linalg.norm(whole)
-    assert solutions[0].structure.n_dofs < solutions[1].structure.n_dofs
+    assert solutions[0].structure.n_dofs < solutions[1].structure.n_dofs == 402
     assert difference < 3.0 * solutions[0].report.reduction < 1e-3
     finer = scene.replace({"mesh.size": 0.004, "mesh.order": 2})
     fine = fc.prepare(finer).structure  # else minutes
