@@ -81,14 +81,15 @@ def main(output: Path = Path("output/blade"), *, quick: bool = False) -> dict[st
 def draw_run_up(run: fc.Run, order: int, output: Path) -> None:
     """The tip's amplitude over the speed, and the share of the period for which lips are closed."""
     curve, tip = run.result, run.watched_dof
-    fc.draw_curve(curve, tip, path=output / "run_up.png", title=f"Run-up, engine order {order}")
+    title = f"Run-up, engine order {order}"
+    fc.draw_curve(curve, tip, path=output / "run_up.png", title=title, in_hertz=True)
     share = 100.0 * curve.indicators(tip).closed_share
     fc.draw_response(
         curve.values / RPM,
         {"mean over the pairs": share},
         quantity="closed share of the period",
         unit="%",
-        over="speed [rpm]",
+        over="rotor speed [rpm]",
         path=output / "closed.png",
         title="The crack along the run-up",
     )
@@ -114,7 +115,7 @@ def closing_map(scene: fc.Scene, output: Path, speeds: int, loads: int) -> np.nd
         rpm,
         100.0 * shares,
         x_label="mean flow load at the tip [N]",
-        y_label="speed [rpm]",
+        y_label="rotor speed [rpm]",
         value_label="closed share of the period [%]",
         path=output / "map.png",
         title="Breathing, and held open by rotation",

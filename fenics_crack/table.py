@@ -21,6 +21,7 @@ import numpy as np
 from fenics_crack.errors import InputError
 
 __all__ = [
+    "RPM",
     "Described",
     "Table",
     "Tabular",
@@ -29,13 +30,17 @@ __all__ = [
     "quantity",
     "ranging",
     "readable",
+    "speed_axis",
     "with_frequency",
     "with_unit",
 ]
 
 SHOWN_ROWS, NOTEBOOK_ROWS = 40, 20
 """Rows shown as text and in a notebook; files have all of them."""
+RPM = 2.0 * math.pi / 60.0
+"""Of revolutions per minute in rad/s."""
 UNITS = {"omega": "rad/s", "frequency": "Hz", "energy": "J", "contact_force": "N"}
+UNITS |= {"speed": "rad/s", "rpm": "1/min"}
 UNITS |= dict.fromkeys(("opening", "penetration", "clearance"), "m")
 """Units of the entries of ``to_dict``; all others have none."""
 
@@ -191,13 +196,21 @@ def frequency_axis(in_hertz: bool) -> tuple[float, str, str]:
     return (0.5 / math.pi, "load frequency", "Hz") if in_hertz else (1.0, "load frequency", "rad/s")
 
 
+def speed_axis(in_rpm: bool) -> tuple[float, str, str]:
+    """The same of a rotor's speeds."""
+    return (1.0 / RPM, "rotor speed", "rpm") if in_rpm else (1.0, "rotor speed", "rad/s")
+
+
 def with_frequency(values: dict[str, Any]) -> dict[str, Any]:
-    """Entries with the "frequency" [Hz] of their "omega" [rad/s], a number or a list, behind it."""
+    """Entries with the "frequency" [Hz] of their "omega" [rad/s], a number or a list, behind it,
+    and with the "rpm" of their "speed" [rad/s]."""
+    twins = {"omega": ("frequency", 2.0 * math.pi), "speed": ("rpm", RPM)}
     found: dict[str, Any] = {}
     for name, value in values.items():
         found[name] = value
-        if name == "omega":
-            found["frequency"] = (np.array(value) / (2.0 * np.pi)).tolist()
+        if name in twins:
+            twin, unit = twins[name]
+            found[twin] = (np.array(value) / unit).tolist()
     return found
 
 

@@ -58,8 +58,7 @@ class TipTrack(Tabular):
         return found
 
     def _units(self) -> Mapping[str, str]:
-        names = self.to_dict()
-        return UNITS | {n: "m" for n in names if n.startswith("amplitude")} | {"speed": "rad/s"}
+        return UNITS | {n: "m" for n in self.to_dict() if n.startswith("amplitude")}
 
     def _title(self) -> str:
         speeds = f"{self.speed[0]:.6g} to {self.speed[-1]:.6g} rad/s"

@@ -20,13 +20,13 @@ from fenics_crack.model.modes import Modes
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.quantities import SHORT
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import RPM, Integration
+from fenics_crack.scene.tables import Integration
 from fenics_crack.study.campbell import campbell
 from fenics_crack.study.key_figures import highest_omega
 from fenics_crack.study.run import Run, find_modes, follow_curve, integrate, load_run, solve
 from fenics_crack.sweep.file import KIND as SWEEP
 from fenics_crack.sweep.result import SweepResult, run_sweep
-from fenics_crack.table import Table, ranging
+from fenics_crack.table import RPM, Table, ranging
 from fenics_crack.time.march import TimeHistory
 
 __all__ = [

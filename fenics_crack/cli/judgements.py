@@ -12,14 +12,14 @@ import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR, ErrorReport
 from fenics_crack.cli.tables import stability_changes
-from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.errors import MOST_HARMONICS
 from fenics_crack.model.modes import damped_range
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stability.floquet import Stability
 from fenics_crack.study.run import Run
 from fenics_crack.sweep.result import SweepResult
-from fenics_crack.table import counted, frequency_axis
+from fenics_crack.table import counted
 
 __all__ = ["of_cases", "of_curve", "of_error", "of_modes", "of_stability"]
 
@@ -81,14 +81,12 @@ def of_stability(scene: Scene, run: Run, stability: Stability | None) -> Iterato
 def of_curve(run: Run[ResponseCurve]) -> Iterator[str]:
     """Warnings of a curve's errors, of its stability, and of its end."""
     found, scene = run.result, run.scene
-    factor, _, unit = frequency_axis(scene.in_hertz)
-    if found.parameter != "omega":
-        factor, unit = 1.0, ""
+    factor, _, unit = parameter_axis(found.parameter, scene.in_hertz)
     peak = int(np.argmax(found.amplitude(run.watched_dof)))
     looked_at = {peak, *np.linspace(0, len(found) - 1, 8).astype(int).tolist()}
     reports = {index: found.solution(index).report for index in sorted(looked_at)}
     worst = max(reports, key=lambda index: reports[index].total)
-    where = f" at {factor * found.values[worst]:g} {unit}".rstrip()
+    where = f" at {factor * found.values[worst]:g} {unit}".removesuffix(" -")
     yield from of_error(scene, reports[worst], int(found.harmonics[worst]), where)
     if found.multipliers is not None and bool(np.all(found.verdicts == "undecided")):
         yield "the stability is undecided at all points"
@@ -97,7 +95,7 @@ def of_curve(run: Run[ResponseCurve]) -> Iterator[str]:
     for index in stability_changes(found) if found.undecided is None else ():
         low, high = sorted(found.values[index : index + 2])
         if not any(low <= value <= high for value in special):
-            gaps.append(f"{factor * low:g} and {factor * high:g} {unit}".rstrip())
+            gaps.append(f"{factor * low:g} and {factor * high:g} {unit}".removesuffix(" -"))
     if gaps:
         times = "" if len(gaps) == 1 else f"at {len(gaps)} places, the first "
         hint = "" if scene.harmonic_balance.tolerance is not None else f": it needs {MORE} there"

@@ -26,7 +26,7 @@ from fenics_crack.cli.judgements import of_cases, of_curve, of_error, of_modes, 
 from fenics_crack.cli.pictures import draw_run, draw_scene
 from fenics_crack.cli.scenes import harmonics_in_words
 from fenics_crack.cli.sweep_pictures import draw_sweep
-from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.curves.estimates import displacement_errors
 from fenics_crack.draw import html
 from fenics_crack.errors import InputError
@@ -305,9 +305,8 @@ def _errors_in_words(found: PeriodicSolution) -> list[str]:
 
 def _of_curve(run: Run[ResponseCurve], pictures: list[str]) -> _Found:
     found = run.result
-    in_frequency = found.parameter == "omega"
-    factor, _, unit = frequency_axis(run.scene.in_hertz)
-    factor, unit = (factor, f" {unit}") if in_frequency else (1.0, "")
+    factor, _, unit = parameter_axis(found.parameter, run.scene.in_hertz)
+    unit = f" {unit}".removesuffix(" -")
     amplitude = found.amplitude(run.watched_dof)
     peak = int(np.argmax(amplitude))
     facts = [

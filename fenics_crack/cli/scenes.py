@@ -18,12 +18,11 @@ from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import RPM
 from fenics_crack.study.key_figures import KeyFigures, find_key_figures, highest_omega
 from fenics_crack.study.prepare import Study, check_memory_of, prepare, reduction_of
 from fenics_crack.study.remarks import is_proportional, remarks_on
 from fenics_crack.sweep.plan import Plan
-from fenics_crack.table import Table, counted
+from fenics_crack.table import RPM, Table, counted
 
 __all__ = ["check", "harmonics_in_words", "new"]
 

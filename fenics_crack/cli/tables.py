@@ -16,7 +16,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.study.run import Run
 from fenics_crack.study.watched import Watched
 from fenics_crack.sweep.result import SweepResult
-from fenics_crack.table import Table, frequency_axis, quantity, with_unit
+from fenics_crack.table import UNITS, Table, frequency_axis, quantity, with_frequency, with_unit
 from fenics_crack.time.march import TimeHistory
 
 __all__ = [
@@ -34,7 +34,6 @@ __all__ = [
     "stability_changes",
 ]
 
-FREQUENCY_COLUMNS = ("omega [rad/s]", "frequency [Hz]")
 ENDS = 3
 """Rows of special points that are no bifurcations: start, end, largest."""
 WIDEST = 120
@@ -217,7 +216,8 @@ def curve_points(run: Run[ResponseCurve]) -> Table:
 def special_points(run: Run[ResponseCurve]) -> Table:
     """Ends, largest response of the first watched dof, bifurcations and changes of stability.
 
-    Of a curve over the load frequency both columns, rad/s and Hz.
+    Of a curve over the load frequency both columns, rad/s and Hz; of a run-up also the speed, in
+    rad/s and rpm.
     """
     found, along = run.result, _along(run)
     factor, _, unit = frequency_axis(run.scene.in_hertz)
@@ -239,11 +239,18 @@ def special_points(run: Run[ResponseCurve]) -> Table:
         after = found.verdicts[index + 1]
         what = {"stable": "gained", "unstable": "lost", "undecided": "undecided"}[after]
         rows.append((f"stability {what} after", found.values[index], at(index)))
-    if found.parameter != "omega":
+    if found.parameter not in ("omega", "speed"):
         names = ("point", PARAMETERS[found.parameter], *along)
         return Table(names, [(name, value, *more) for name, value, more in rows])
-    both = [(name, value, value / (2.0 * np.pi), *more) for name, value, more in rows]
-    return Table(("point", *FREQUENCY_COLUMNS, *along), both)
+    values = np.array([value for _, value, _ in rows])
+    axes = {found.parameter: values, "omega": values * (found.omega[0] / found.values[0])}
+    columns = with_frequency({name: axis.tolist() for name, axis in axes.items()})
+    both = [
+        (name, *at, *more)
+        for (name, _, more), at in zip(rows, zip(*columns.values(), strict=True), strict=True)
+    ]
+    headings = [with_unit(name, UNITS[name]) for name in columns]
+    return Table(("point", *headings, *along), both)
 
 
 def _along(run: Run[ResponseCurve]) -> dict[str, np.ndarray]:
@@ -290,18 +297,19 @@ def few_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table, in
 
 
 def in_short(table: Table, scene: Scene, default: Sequence[str]) -> Table:
-    """What is printed of a table: the quantities that the scene chooses, or the default, and one of
-    the frequencies in rad/s and in Hz.
+    """What is printed of a table: the quantities that the scene chooses, or the default, one of the
+    frequencies in rad/s and in Hz, and one of the speeds in rad/s and in rpm.
 
     A table with a column "name" has a quantity in each row, another one in each column. What is not
     a quantity is printed too, where quantities are columns or the scene does not choose.
     """
     chosen = None if scene.output is None else scene.output.quantities
     prefix, unit = ("omega", "rad/s") if scene.in_hertz else ("frequency", "Hz")
+    other_speed = "speed" if scene.in_rpm else "rpm"
 
     def wanted(heading: str, unit_of: str) -> bool:
         name = heading.partition(" [")[0].rpartition(".")[2]
-        if name.startswith(prefix) and unit_of == unit:
+        if name == other_speed or (name.startswith(prefix) and unit_of == unit):
             return False
         name = name.replace("frequency_", "omega_")
         return name in (chosen or default) if name in QUANTITIES else True

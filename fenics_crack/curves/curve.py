@@ -22,9 +22,17 @@ from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw, force_in_time
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
-from fenics_crack.table import Described, Tabular, counted, ranging, with_frequency
+from fenics_crack.table import (
+    Described,
+    Tabular,
+    counted,
+    frequency_axis,
+    ranging,
+    speed_axis,
+    with_frequency,
+)
 
-__all__ = ["PARAMETERS", "Bifurcation", "ResponseCurve"]
+__all__ = ["PARAMETERS", "Bifurcation", "ResponseCurve", "parameter_axis"]
 
 PARAMETERS = {
     "omega": "load frequency [rad/s]",
@@ -39,6 +47,14 @@ PARAMETERS = {
 
 PHASES = 2.0 * np.pi * np.arange(256) / 256
 """Of a period, at which points of a curve are looked at."""
+
+
+def parameter_axis(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
+    """What multiplies a curve's parameter, its name and unit: in Hz and rpm, or in rad/s."""
+    if parameter in ("omega", "speed"):
+        return (frequency_axis if parameter == "omega" else speed_axis)(in_hertz)
+    name, _, unit = PARAMETERS[parameter].removesuffix("]").rpartition(" [")
+    return 1.0, name, unit
 
 
 def _expanded(problem: Problem, unknown: np.ndarray) -> PeriodicSolution:

@@ -28,6 +28,7 @@ from fenics_crack.model.reduced import massless
 from fenics_crack.model.structure import Structure
 from fenics_crack.stability.floquet import FEW_PAIRS
 from fenics_crack.stages import begin
+from fenics_crack.table import RPM
 
 __all__ = ["CurveOptions", "continue_frequency", "continue_parameter", "follow_branch"]
 
@@ -297,11 +298,14 @@ def _is_judged(curve: ResponseCurve) -> bool:
     return curve.parameter == "omega" and fit and in_time
 
 
-def _where(point: CurvePoint, count: int) -> str:
+def _where(parameter: str, point: CurvePoint, count: int) -> str:
     """A point of a curve in words: load frequency or other parameter, and how many there are."""
     where = f"{point.value:.6g}"
-    if point.value == point.omega:
-        where = f"{point.omega / (2.0 * math.pi):.6g} Hz, {point.omega:.6g} rad/s"
+    hertz = f"{point.omega / (2.0 * math.pi):.6g} Hz"
+    if parameter == "omega":
+        where = f"{hertz}, {point.omega:.6g} rad/s"
+    if parameter == "speed":
+        where = f"{point.value / RPM:.6g} rpm, {where} rad/s; load {hertz}"
     return f"{where}, {count} points"
 
 
@@ -344,6 +348,7 @@ def _follow(growing: Continuation, bar: Any) -> None:
     if bar.disable:
         growing.run()
         return
+    parameter = growing.curve.parameter
     for count, point in enumerate(growing, 1):
-        bar.set_postfix_str(_where(point, count), refresh=False)
+        bar.set_postfix_str(_where(parameter, point, count), refresh=False)
         bar.update(max(0.0, 100.0 * growing.progress() - bar.n))

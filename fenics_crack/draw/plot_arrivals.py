@@ -14,7 +14,7 @@ from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.arrivals.harmonics import Candidates, TipFit
 from fenics_crack.arrivals.track_order import TipTrack
 from fenics_crack.draw.figure import COLOURS, figure_of, finish, label_axis, make_axes
-from fenics_crack.table import frequency_axis, with_unit
+from fenics_crack.table import frequency_axis, speed_axis, with_unit
 
 __all__ = ["draw_arrivals", "draw_tip_fit", "draw_tip_track"]
 
@@ -28,6 +28,7 @@ def draw_arrivals(
     axes: Any = None,
     path: str | Path | None = None,
     title: str | None = None,
+    in_rpm: bool = False,
 ) -> Figure:
     """Draw the displacements that the arrivals tell, for each probe.
 
@@ -44,11 +45,14 @@ def draw_arrivals(
         Where to save the new figure.
     title : str, optional
         Title of the picture.
+    in_rpm : bool
+        Speeds of a run-up in revolutions per minute, else in rad/s.
     """
     [panel] = make_axes(axes, path)
     speed = arrivals.speed
     steady = np.ptp(speed) <= STEADY * speed.mean()
-    place = arrivals.first + np.arange(len(arrivals)) if steady else speed
+    pace, *over = speed_axis(in_rpm)
+    place = arrivals.first + np.arange(len(arrivals)) if steady else pace * speed
     size = 3.0 if len(arrivals) > 100 else 4.5
     columns = zip(
         arrivals.displacement.T, arrivals.probes, cycle(COLOURS.values()), cycle("osD^vPX")
@@ -56,10 +60,7 @@ def draw_arrivals(
     for column, probe, colour, marker in columns:
         label = f"probe at {np.degrees(probe):.4g}°"
         panel.plot(place, column, marker, color=colour, ms=size, mew=0, alpha=0.8, label=label)
-    if steady:
-        panel.set_xlabel("revolution")
-    else:
-        label_axis(panel.xaxis, "speed", "rad/s")
+    panel.set_xlabel("revolution" if steady else with_unit(*over))
     label_axis(panel.yaxis, "tip displacement", "m")
     return finish(panel, path, title)
 

@@ -11,9 +11,8 @@ from matplotlib.figure import Figure
 
 from fenics_crack.draw.figure import COLOURS, finish, make_axes
 from fenics_crack.errors import check_count
-from fenics_crack.scene.tables import RPM
 from fenics_crack.study.campbell import Campbell
-from fenics_crack.table import frequency_axis
+from fenics_crack.table import frequency_axis, speed_axis, with_unit
 
 __all__ = ["draw_campbell"]
 
@@ -51,7 +50,7 @@ def draw_campbell(
         check_count("orders", order, 1)
     [panel] = make_axes(axes, path)
     factor, _, unit = frequency_axis(in_hertz)
-    pace, name = (1.0 / RPM, "rpm") if in_rpm else (1.0, "rad/s")
+    pace, *name = speed_axis(in_rpm)
     speed, bilinear = pace * diagram.speed, factor * diagram.omega_bilinear
     colours = list(COLOURS.values())[:-1]
     for mode, line in enumerate(bilinear.T):
@@ -69,7 +68,7 @@ def draw_campbell(
         panel.plot(at, order * factor / pace * at, "o", color=COLOURS["grey"], mfc="none", ms=6)
     if diagram.cracked:
         panel.fill_between([], [], [], color=COLOURS["grey"], alpha=0.25, label="open to tied lips")
-    panel.set(xlabel=f"speed [{name}]", ylabel=f"natural frequency [{unit}]")
+    panel.set(xlabel=with_unit(*name), ylabel=f"natural frequency [{unit}]")
     return finish(panel, path, title)
 
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from scipy.signal import find_peaks
 
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.curves.curve import PARAMETERS, ResponseCurve
+from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.curves.estimates import displacement_errors
 from fenics_crack.curves.refine import filled
 from fenics_crack.draw.figure import COLOURS, FIRST, finish, label_axis, make_axes
@@ -74,7 +74,8 @@ def draw_curve(
     behind, points : mapping, optional
         Other curves, and single points, by their labels: values of the parameter, amplitudes [m].
     in_hertz : bool
-        Load frequencies in Hz, those of ``behind`` and ``points`` too, which are given in rad/s.
+        Load frequencies in Hz and speeds in rpm, those of ``behind`` and ``points`` too, which are
+        given in rad/s.
     """
     [panel] = make_axes(axes, path)
     curve = filled(curve)
@@ -189,14 +190,23 @@ def _mark_superharmonics(
 
 def _factor(curve: ResponseCurve, in_hertz: bool) -> float:
     """What multiplies a curve's parameter in a picture."""
-    return frequency_axis(in_hertz)[0] if curve.parameter == "omega" else 1.0
+    return parameter_axis(curve.parameter, in_hertz)[0]
 
 
 def _label_parameter(axes: Axes, curve: ResponseCurve, in_hertz: bool) -> None:
-    """Label the axis of a curve's parameter, after all is drawn."""
-    name, _, unit = PARAMETERS[curve.parameter].removesuffix("]").rpartition(" [")
-    if curve.parameter == "omega":
-        _, name, unit = frequency_axis(in_hertz)
+    """Label the axis of a curve's parameter, after all is drawn; above that of a run-up is the
+    frequency of its engine order."""
+    factor, name, unit = parameter_axis(curve.parameter, in_hertz)
+    if curve.parameter == "speed":
+        order = float(curve.omega[0] / curve.values[0])
+        hertz, load, of_load = frequency_axis(in_hertz)
+        slope, words = order * hertz / factor, with_unit(f"{load}, engine order {order:g}", of_load)
+        for above in axes.child_axes:  # of a curve drawn before
+            above.set_visible(above.get_visible() and above.get_xlabel() == words)
+        if not axes.child_axes:
+            both = lambda x: slope * x, lambda x: x / slope
+            above = axes.secondary_xaxis("top", functions=both)
+            above.set_xlabel(words)
     if unit == "m":
         label_axis(axes.xaxis, name, unit)
     else:

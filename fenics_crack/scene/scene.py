@@ -19,7 +19,6 @@ from fenics_crack.scene.cracks import OF_PLATES, check_cracks
 from fenics_crack.scene.fields import Axis, Table, meant, named, near, radians
 from fenics_crack.scene.tables import (
     EXTENT,
-    RPM,
     Base,
     Contact,
     Crack,
@@ -39,6 +38,7 @@ from fenics_crack.scene.tables import (
     Structure,
     Sweep,
 )
+from fenics_crack.table import RPM
 
 __all__ = ["Scene"]
 

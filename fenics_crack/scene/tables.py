@@ -28,10 +28,10 @@ from fenics_crack.scene.fields import (
     twin,
 )
 from fenics_crack.scene.quantities import QUANTITIES
+from fenics_crack.table import RPM
 
 __all__ = [
     "EXTENT",
-    "RPM",
     "Base",
     "Contact",
     "Crack",
@@ -61,8 +61,6 @@ KINDS = ("force", "pressure", "traction")
 """Of the loads at a point or on an edge."""
 ACCELERATION = f"[ax, ay], two finite numbers {OR_ZERO}"
 DISPLACEMENT = f"[ux, uy], two finite numbers {OR_ZERO}"
-RPM = 2.0 * math.pi / 60.0
-"""[rad/s]"""
 LEAST_OF_AN_UNKNOWN = 4
 """Values that its interpolation needs."""
 STEEPEST = 1e6

@@ -23,8 +23,7 @@ from fenics_crack.model.matrices import numbers
 from fenics_crack.model.modes import n_tied_modes, solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import RPM
-from fenics_crack.table import Tabular, counted
+from fenics_crack.table import UNITS, Tabular, counted, with_frequency
 
 __all__ = ["Campbell", "campbell"]
 
@@ -96,19 +95,15 @@ class Campbell(Tabular):
         """Columns, a row for every speed and mode."""
         n, m = self.omega_open.shape
         speed = np.repeat(self.speed, m)
-        found = {
-            "speed": speed.tolist(),
-            "rpm": (speed / RPM).tolist(),
-            "mode": np.tile(np.arange(1, m + 1), n).tolist(),
-        }
+        found = {"speed": speed.tolist(), "mode": np.tile(np.arange(1, m + 1), n).tolist()}
         for kind in self.kinds:
             omega = getattr(self, f"omega_{kind}").ravel()
             found[f"omega_{kind}"] = omega.tolist()
             found[f"frequency_{kind}"] = (omega / (2.0 * np.pi)).tolist()
-        return found
+        return with_frequency(found)
 
     def _units(self) -> dict[str, str]:
-        found = {"speed": "rad/s", "rpm": "1/min"}
+        found = {**UNITS}
         for kind in KINDS:
             found |= {f"omega_{kind}": "rad/s", f"frequency_{kind}": "Hz"}
         return found

@@ -237,7 +237,7 @@ def test_tables(sine: fc.PeriodicSolution, tmp_path: Any) -> None:
     for result, rows, heading in (
         (fit, 2, "multiple,order,omega [rad/s],frequency [Hz],amplitude [m],amplitude_error [m]"),
         (fit.candidates, 24, "order,residual [m],condition,alike,hidden"),
-        (track, 10, "speed [rad/s],omega [rad/s],frequency [Hz],amplitude_1 [m]"),
+        (track, 10, "speed [rad/s],rpm [1/min],omega [rad/s],frequency [Hz],amplitude_1 [m]"),
         (arrivals, 200, "revolution,probe,angle [rad],mark [s],next_mark [s],arrival [s]"),
     ):
         result.to_csv(tmp_path / "table.csv")

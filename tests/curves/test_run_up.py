@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,11 @@ from rotating import cracked
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
 from fenics_crack.balance.family import SpeedFamily
+from fenics_crack.cli import judgements, tables
+from fenics_crack.curves.follow import _where
+from fenics_crack.curves.points import CurvePoint
 from fenics_crack.study.run import Run, follow_curve
+from fenics_crack.table import RPM
 
 ORDER = 12
 CURVE = {"parameter": "speed", "start": 560.0, "stop": 640.0}
@@ -101,6 +106,47 @@ def test_run_up_in_a_file(run_up: Run[fc.ResponseCurve], tmp_path: Path) -> None
         run_up.result, dof, probes=[0.1, 1.0, 2.5], tip_radius=0.42, order=ORDER, revolutions=50
     )
     assert 2.0 * np.pi / np.diff(arrivals.marks)[[0, -1]] == pytest.approx([560, 640], rel=0.02)
+
+
+@pytest.mark.parametrize("in_rpm", [True, False])
+def test_run_up_in_the_scenes_unit(
+    run_up: Run[fc.ResponseCurve], in_rpm: bool, tmp_path: Path
+) -> None:
+    """Pictures, tables and words have rpm and Hz where the scene gives rpm, else rad/s; files have
+    both; the picture names the frequency of the engine order."""
+    speeds = {"parameter": "rpm", "start": 560.0 / RPM, "stop": 640.0 / RPM} if in_rpm else CURVE
+    run, unit = replace(run_up, scene=blade(speeds)), "rpm" if in_rpm else "rad/s"
+    factor, per_speed = (1.0 / RPM, 12.0 / 60.0) if in_rpm else (1.0, 12.0)
+    figure = fc.draw_curve(run.result, run.watched_dof, in_hertz=run.scene.in_hertz)
+    [panel] = figure.axes
+    assert panel.get_xlabel() == f"rotor speed [{unit}]"
+    assert panel.lines[0].get_xdata()[0] == pytest.approx(560.0 * factor)
+    [above] = panel.child_axes
+    order = f"load frequency, engine order 12 [{'Hz' if in_rpm else 'rad/s'}]"
+    assert above.get_xlabel() == order
+    figure.draw_without_rendering()
+    assert above.get_xlim() == pytest.approx(per_speed * np.array(panel.get_xlim()))
+
+    whole = tables.special_points(run)
+    first = dict(zip(whole.columns, whole.rows[0], strict=True))
+    given = first["speed [rad/s]"], first["rpm [1/min]"]
+    assert given == pytest.approx((560.0, 560.0 / RPM))
+    assert first["omega [rad/s]"] == pytest.approx(12.0 * 560.0)
+    assert first["frequency [Hz]"] == pytest.approx(12.0 * 560.0 / (2.0 * np.pi))
+    shown = tables.in_short(whole, run.scene, ()).columns
+    assert shown == (["point", "rpm [1/min]", "frequency [Hz]"] if in_rpm else
+                     ["point", "speed [rad/s]", "omega [rad/s]"])  # fmt: skip
+    assert tables.curve_points(run).columns[:4] == whole.columns[1:5]
+    multipliers = np.where(np.arange(len(run.result)) < 3, 0.5, 2.0) + 0j
+    changes = replace(run.result, multipliers=multipliers, bifurcations=(), undecided=None)
+    [told] = [
+        text for text in judgements.of_curve(replace(run, result=changes)) if "changes" in text
+    ]
+    low, high = factor * run.result.values[2:4]
+    assert f"between {low:g} and {high:g} {unit}, " in told
+    point = CurvePoint(600.0, 7200.0, np.zeros((3, 1)), 1)
+    bar = "5729.58 rpm, 600 rad/s; load 1145.92 Hz, 7 points"
+    assert _where("speed", point, 7) == bar
 
 
 def test_bad_input() -> None:
