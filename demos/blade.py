@@ -21,7 +21,6 @@ W^2 against w^2 = 100 W^2, is left out.
 
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,10 +30,6 @@ from fenics_crack.study.run import follow_curve
 
 SCENE = Path(__file__).with_name("rotating_blade.toml")
 RPM = 2.0 * np.pi / 60.0
-STAGGER = np.radians(20.0)
-TIP_RADIUS = 0.45  # m: hub_radius + height
-PROBES = np.radians([0, 20, 41, 63, 88, 117, 150])
-NOISE = 2e-8  # s
 
 
 def main(output: Path = Path("output/blade"), *, quick: bool = False) -> dict[str, float]:
@@ -59,8 +54,8 @@ def main(output: Path = Path("output/blade"), *, quick: bool = False) -> dict[st
     peak = int(np.argmax(seen.amplitude))
 
     shares = closing_map(scene, output, *((3, 3) if quick else (7, 8)))
-    track = probes_see(curve, tip, order, output, 300 if quick else 1500)
-    tangential = track.amplitudes[:, 0].max()
+    track = probes_see(run, order, output, 300 if quick else 1500)
+    tangential = track.amplitudes[:, 0].max() / scene.tip_timing.tangential
     found = {
         "order meets open lips [rpm]": meets["open"],
         "order meets breathing lips [rpm]": meets["bilinear"],
@@ -68,7 +63,7 @@ def main(output: Path = Path("output/blade"), *, quick: bool = False) -> dict[st
         "largest amplitude [m]": float(seen.amplitude[peak]),
         "at [rpm]": float(curve.values[peak]) / RPM,
         "share of the period closed there": float(seen.closed_share[peak]),
-        "largest amplitude by tip timing [m]": float(tangential / np.sin(STAGGER)),
+        "largest amplitude by tip timing [m]": float(tangential),
         "share closed, slow and pressed": float(shares[0, 0]),
         "share closed, fast and free": float(shares[-1, -1]),
         "seconds": time.perf_counter() - begun,
@@ -123,21 +118,21 @@ def closing_map(scene: fc.Scene, output: Path, speeds: int, loads: int) -> np.nd
     return shares
 
 
-def probes_see(
-    curve: fc.ResponseCurve, tip: int, order: int, output: Path, revolutions: int
-) -> fc.TipTrack:
+def probes_see(run: fc.Run, order: int, output: Path, revolutions: int) -> fc.TipTrack:
     """Arrival times in the run-up, and the vibration found in them; tangential amplitudes [m]."""
-    # A point next to the fold may already be unstable: the motion jumps there in any case.
+    casing = run.scene.tip_timing
+    assert casing is not None
     arrivals = fc.tip_timing(
-        replace(curve, multipliers=None),
-        {tip: float(np.sin(STAGGER))},
-        probes=PROBES,
-        tip_radius=TIP_RADIUS,
+        run.result,
+        {run.watched_dof: casing.tangential},
+        probes=np.radians(casing.probes),
+        tip_radius=casing.tip_radius,
         order=order,
         revolutions=revolutions,
-        noise=NOISE,
+        noise=casing.noise,
     )
-    track = fc.track_order(arrivals, order, harmonics=2, revolutions=10)
+    fc.draw_arrivals(arrivals, path=output / "arrivals.png", in_rpm=True)
+    track = fc.track_order(arrivals, order, harmonics=2, revolutions=casing.fitted_revolutions)
     fc.draw_tip_track(track, path=output / "probes.png", in_hertz=True)
     print(track)
     return track

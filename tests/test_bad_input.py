@@ -22,9 +22,9 @@ LISTS = {
     "SWEPT": "geometry, material, damping, excitation, mesh, contact, crack, cracks, loads, base, "
     "rotation, structure, harmonic_balance, reduction",
     "REMOVABLE": "contact, crack, base, rotation, structure, reduction, curve, integration, sweep, "
-    "identify, output, cracks, loads",
+    "identify, tip_timing, output, cracks, loads",
 }
-LISTS["TABLES"] = LISTS["SWEPT"] + ", curve, integration, sweep, identify, output"
+LISTS["TABLES"] = LISTS["SWEPT"] + ", curve, integration, sweep, identify, tip_timing, output"
 """Names of tables that errors list."""
 TABLE = [
     # command, scene or file and arguments (key=value stands for --set key=value), message
@@ -207,6 +207,31 @@ TABLE = [
     ("integrate scene.toml reduction.modes=3 contact.law=smoothed contact.sharpness=1e6", "contact.law = 'smoothed': must be 'penalty' or 'unilateral' with integration.method = 'exponential'"),
     ("integrate scene.toml integration.method=exponential contact.law=unilateral contact.stiffness=none", "integration.method = 'exponential': must be 'implicit' with contact.law = 'unilateral', or reduction.method = 'massless'"),
     ("integrate scene.toml integration.method=exponential reduction.method=off mesh.columns=20 mesh.rows=20", "integration.method = 'exponential': must be another with 860 dofs, or reduction.method = 'massless'"),
+    ("timing scene.toml", "tip_timing = None: must be given for this command: a table"),
+    ("timing scene.toml tip_timing.probes=[1]", "tip_timing.tip_radius = None: must be given: a finite number > 0 (1e-30 to 1e+30)"),
+    ("timing scene.toml tip_timing.tip_radius=1", "tip_timing.probes = None: must be given: a list of rising angles in degrees, from 0 to less than 360"),
+    ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[2,1]", "tip_timing.probes = [2, 1]: must be a list of rising angles in degrees, from 0 to less than 360"),
+    ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[0,360]", "tip_timing.probes = [0, 360]: must be a list of rising angles in degrees, from 0 to less than 360"),
+    ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[]", "tip_timing.probes = []: must be a list of rising angles in degrees, from 0 to less than 360"),
+    ("timing scene.toml tip_timing.tip_radius=0 tip_timing.probes=[1]", "tip_timing.tip_radius = 0: must be a finite number > 0 (1e-30 to 1e+30)"),
+    ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1]", "tip_timing.order = None: must be given without excitation.order: a whole number >= 1"),
+    ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1] tip_timing.order=0", "tip_timing.order = 0: must be a whole number >= 1"),
+    ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1] tip_timing.order=2 rotation.rpm=100 rotation.hub_radius=0", "tip_timing.order = 2: must be left out with a rotor's speed, in [rotation]"),
+    ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1] tip_timing.order=2 rotation.rpm=100 rotation.hub_radius=0 excitation.order=2", "tip_timing.order = 2: must be left out with excitation.order"),
+    ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1] tip_timing.tangential=0", "tip_timing.tangential = 0: must be a finite number other than 0 "),
+    ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1] tip_timing.noise=-1", "tip_timing.noise = -1: must be a finite number >= 0 "),
+    ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1] tip_timing.clock=nan", "tip_timing.clock = nan: must be a finite number >= 0 "),
+    ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1] tip_timing.seed=-1", "tip_timing.seed = -1: must be a whole number >= 0"),
+    ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1] tip_timing.orders=[1.5]", "tip_timing.orders = [1.5]: must be a list of different whole numbers >= 1"),
+    ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1] tip_timing.orders=[2,2]", "tip_timing.orders = [2, 2]: must be a list of different whole numbers >= 1"),
+    ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1] tip_timing.frequencies=[2,1]", "tip_timing.frequencies = [2, 1]: must be two finite numbers > 0, the second one larger"),
+    ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1] tip_timing.frequencies=[1,2] tip_timing.subharmonic=2", "tip_timing.subharmonic = 2: must be 1 with tip_timing.frequencies"),
+    ("timing scene.toml --quiet tip_timing.tip_radius=1 tip_timing.probes=[1] tip_timing.order=2", "tip_timing.probes = '1 probe at "),
+    ("timing scene.toml tip_timing.tip_radius=1e-9 tip_timing.probes=[1] tip_timing.order=2", "tip_timing.tip_radius = 1e-09: must be so large that the tip never moves backwards"),
+    ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1] tip_timing.order=2 tip_timing.revolutions=100000000", "tip_timing.revolutions = 100000000: must be fewer: 1e+07 passages at most"),
+    ("timing scene.toml missing.csv tip_timing.tip_radius=1 tip_timing.probes=[1]", "path = 'missing.csv': must be a file that can be read ("),
+    ("timing scene.toml missing.h5 tip_timing.tip_radius=1 tip_timing.probes=[1]", "path = 'missing.h5': must be a file that exists"),
+    ("timing scene.toml scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1]", "path = 'scene.toml': must be a file with the column 'revolution'"),
     ("integrate scene.toml integration.steps_per_period=1", "integration.steps_per_period = 1: must be >= "),
     ("integrate scene.toml integration.steps_per_period=2000000000", "integration.steps_per_period = 2000000000: must be at most 1e+09"),
 ]

@@ -149,5 +149,5 @@ def test_blade(tmp_path: Path) -> None:
     assert 0.1 < found["share of the period closed there"] < 0.6
     seen = found["largest amplitude by tip timing [m]"] / found["largest amplitude [m]"]
     assert 0.5 < seen < 1.05  # groups of revolutions blur the peak
-    for name in ("campbell", "run_up", "closed", "map", "probes"):
+    for name in ("campbell", "run_up", "closed", "map", "arrivals", "probes"):
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000

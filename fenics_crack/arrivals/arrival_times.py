@@ -18,8 +18,12 @@ from fenics_crack.table import Tabular, counted
 __all__ = ["ArrivalTimes", "check_probes"]
 
 UNITS = {"angle": "rad", "mark": "s", "next_mark": "s", "arrival": "s", "displacement": "m"}
+UNITS |= {"speed": "rad/s", "tip_radius": "m"}
 COLUMNS = ("revolution", "angle [rad]", "mark [s]", "next_mark [s]", "arrival [s]")
 """What a CSV file must have."""
+STEADY = 1e-3
+RADIUS = "tip_radius [m]"
+"""What it may have."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -85,6 +89,12 @@ class ArrivalTimes(Tabular):
         return np.asarray(2.0 * np.pi / np.diff(self.marks))
 
     @property
+    def steady(self) -> bool:
+        """Whether the speed varies by less than 0.1 %; else these are arrivals of a run-up."""
+        speed = self.speed
+        return bool(np.ptp(speed) <= STEADY * speed.mean())
+
+    @property
     def nominal_angle(self) -> np.ndarray:
         """Rotor angle phi + 2 pi n where a tip without vibration arrives: (revolutions, probes)."""
         turns = self.first + np.arange(len(self))
@@ -110,19 +120,22 @@ class ArrivalTimes(Tabular):
         return replace(self, time=np.where(kept[:, None], self.time, np.nan))
 
     @classmethod
-    def from_csv(cls, path: str | Path, *, tip_radius: float) -> Self:
+    def from_csv(cls, path: str | Path, *, tip_radius: float | None = None) -> Self:
         """Read arrivals from a CSV file with these columns, in any order, and any others.
 
         ``revolution`` (a whole number), ``angle [rad]`` of the probe, ``mark [s]`` and
-        ``next_mark [s]`` (begin and end of the revolution), ``arrival [s]``. A row is a passage;
-        passages may be missing, revolutions may not. :meth:`to_csv` writes such a file.
+        ``next_mark [s]`` (begin and end of the revolution), ``arrival [s]``; and ``tip_radius [m]``
+        unless it is given here. A row is a passage; passages may be missing, revolutions may not.
+        :meth:`to_csv` writes such a file, from which the same arrivals are read to the last bit.
 
         Raises
         ------
         InputError
-            The file cannot be read, a column is missing, or rows contradict each other.
+            The file cannot be read, a column is missing, or rows contradict each other or the
+            radius given.
         """
-        turn, angle, mark, after, arrival = _columns(path)
+        (turn, angle, mark, after, arrival), radius = _columns(path)
+        tip_radius = _one_radius(path, radius, tip_radius)
         first, count = int(turn.min()), int(turn.max() - turn.min()) + 1
         probes, where = np.unique(angle, return_inverse=True)
         row = (turn - first).astype(int)
@@ -151,6 +164,8 @@ class ArrivalTimes(Tabular):
             "next_mark": np.repeat(self.marks[1:], probes).tolist(),
             "arrival": self.time.ravel().tolist(),
             "displacement": self.displacement.ravel().tolist(),
+            "speed": np.repeat(self.speed, probes).tolist(),
+            "tip_radius": [float(self.tip_radius)] * self.time.size,
         }
 
     def _units(self) -> Mapping[str, str]:
@@ -171,8 +186,22 @@ def check_probes(probes: np.ndarray) -> None:
         raise InputError("probes", probes, "increasing angles [rad] from 0 to less than 2 pi")
 
 
-def _columns(path: str | Path) -> np.ndarray:
-    """The columns of a file that are needed: (5, rows)."""
+def _one_radius(path: str | Path, of_file: np.ndarray | None, given: float | None) -> float:
+    """The tip's radius [m], from a file or given; InputError unless it is one."""
+    if of_file is None:
+        if given is None:
+            allowed = f"given for {path}, which has no column '{RADIUS}'"
+            raise InputError("tip_radius", None, allowed)
+        return given
+    values = np.unique(np.append(of_file, of_file[0] if given is None else given))
+    if len(values) > 1:
+        allowed = "one number, in all rows" + ("" if given is None else f" {given:g}, as given")
+        raise InputError("path", f"{path}, {RADIUS} = {values.tolist()}", allowed)
+    return float(values[0])
+
+
+def _columns(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
+    """The columns of a file that are needed: (5, rows), and the radii (rows,) if it has them."""
     try:
         with open(path, encoding="utf-8") as file:
             names = [name.strip() for name in next(csv.reader(file), [])]
@@ -180,7 +209,8 @@ def _columns(path: str | Path) -> np.ndarray:
                 if name not in names:
                     allowed = f"a file with the column '{name}'; it has {', '.join(names)}"
                     raise InputError("path", str(path), allowed)
-            places = [names.index(name) for name in COLUMNS]
+            wanted = [*COLUMNS, *([RADIUS] if RADIUS in names else [])]
+            places = [names.index(name) for name in wanted]
             lines = file.readlines()
         rows = np.genfromtxt(lines, delimiter=",", usecols=places, ndmin=2) if lines else None
     except (OSError, UnicodeDecodeError) as error:
@@ -193,4 +223,4 @@ def _columns(path: str | Path) -> np.ndarray:
     if rows is None or not np.all(np.isfinite(rows[:, :4])) or np.any(rows[:, 0] % 1.0):
         allowed = "a file whose rows have finite numbers but for the arrival, and whole revolutions"
         raise InputError("path", str(path), allowed)
-    return np.asarray(rows.T)
+    return rows.T[:5], rows.T[5] if len(wanted) > 5 else None

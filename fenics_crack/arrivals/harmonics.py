@@ -15,6 +15,7 @@ __all__ = ["Candidates", "TipFit", "columns_of", "strengths"]
 
 UNITS = {"omega": "rad/s", "frequency": "Hz", "phase": "rad", "residual": "m"}
 UNITS |= {"amplitude": "m", "amplitude_error": "m"}
+MISFIT = 0.001
 
 
 @dataclass(frozen=True, repr=False)
@@ -131,6 +132,11 @@ class TipFit(Tabular):
         """Orders that these probes cannot measure, whether they are there or not."""
         return tuple(self.candidates.orders[self.candidates.hidden].tolist())
 
+    @property
+    def does_not_fit(self) -> bool:
+        """Whether the misfit is below 0.001: harmonics are missing, or the order is wrong."""
+        return self.misfit < MISFIT
+
     def ratio(self, multiple: float = 2.0) -> tuple[float, float]:
         """Amplitude at a multiple of the load's frequency relative to that at it, and its standard
         error; a breathing crack has a second harmonic, an open crack none.
@@ -185,7 +191,7 @@ class TipFit(Tabular):
         parts = [f"order {self.order:.6g}, {self.omega:.6g} rad/s"]
         sizes = zip(self.multiples, self.amplitudes, self.amplitude_errors, strict=True)
         parts += [f"{m:g}x {quantity(a, 'm')} ± {quantity(e, 'm')}" for m, a, e in sizes]
-        if self.misfit < 0.001:
+        if self.does_not_fit:
             parts.append("DOES NOT FIT")
         for words, orders in (("as well", self.ambiguous), ("not measured", self.hidden)):
             if orders:

@@ -108,7 +108,7 @@ def nominal_condition(angle: np.ndarray, order: float, multiples: np.ndarray) ->
 
 def refuse(arrivals: ArrivalTimes, unknowns: int) -> NoReturn:
     """Raise InputError: these probes cannot tell so many unknowns."""
-    found = f"{counted(len(arrivals.probes), 'probe')} at {arrivals.probes.tolist()}"
+    found = f"{counted(len(arrivals.probes), 'probe')} at {arrivals.probes.tolist()} rad"
     allowed = f"able to tell the {unknowns} unknowns of a fit: more probes, unequally spaced"
     raise InputError("probes", found, allowed)
 

@@ -18,6 +18,8 @@ from fenics_crack.model.matrices import numbers
 __all__ = ["tip_timing"]
 
 MOST_PASSAGES = 10**7
+JUMP = 1e-3
+"""Of the frequency, relative: so near to a fold the motion may jump before it is reached."""
 
 
 def tip_timing(
@@ -45,7 +47,8 @@ def tip_timing(
     acceleration from that of its first point to that of its last one, and the vibration is taken
     to be the steady one at each speed, interpolated between the points (:func:`refine_curve` makes
     more of them). So it is for slow sweeps alone. Where the curve turns back at a fold, the motion
-    jumps to the part that it reaches beyond the fold.
+    jumps to the part that it reaches beyond the fold, from the last point next to it that is not
+    unstable.
 
     Parameters
     ----------
@@ -176,6 +179,8 @@ def _run_up(
     rising = np.sign(end - begin) * curve.omega
     before = np.concatenate([[-np.inf], np.maximum.accumulate(rising)[:-1]])
     kept = rising > before
+    if curve.multipliers is not None:
+        kept &= ~_next_to_folds(rising, kept, curve.verdicts == "unstable")
     if curve.multipliers is not None and np.any(curve.verdicts[kept] == "unstable"):
         at = float(curve.omega[kept & (curve.verdicts == "unstable")][0])
         allowed = "stable along the run-up, or a part that is, or its branch"
@@ -186,3 +191,21 @@ def _run_up(
         speeds, harmonics = speeds[::-1], harmonics[::-1]
     rotor = Rotor(begin / order, float(curve.omega[kept][-1]) / order, revolutions)
     return TipMotion(rotor, speeds, harmonics, order / curve.subharmonic)
+
+
+def _next_to_folds(rising: np.ndarray, kept: np.ndarray, unstable: np.ndarray) -> np.ndarray:
+    """Unstable points from which the motion jumps, next to where the curve turns back: (n,) bool.
+
+    ``rising``: the frequency, rising along the run-up; ``kept``: points that it passes.
+    """
+    found = np.zeros(len(rising), dtype=bool)
+    for fold in np.flatnonzero(kept[:-1] & ~kept[1:]):
+        place = int(fold)
+        while (
+            place >= 0
+            and unstable[place]
+            and rising[fold] - rising[place] < JUMP * abs(rising[fold])
+        ):
+            found[place] = True
+            place -= 1
+    return found

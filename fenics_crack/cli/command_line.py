@@ -38,6 +38,12 @@ KEYS = {
     "omega": "excitation.omega",
     "parameter": "curve.parameter",
     "end": "curve.stop",
+    "high": "tip_timing.frequencies",
+    "high - low": "tip_timing.frequencies",
+    "low": "tip_timing.frequencies",
+    "probes": "tip_timing.probes",
+    "revolutions": "tip_timing.revolutions",
+    "tip_radius": "tip_timing.tip_radius",
     "samples": "harmonic_balance.samples",
     "start": "curve.start",
     "start, end": "curve.start, curve.stop",
@@ -162,6 +168,10 @@ def _compute(given: argparse.Namespace, scene: Scene, folder: Path, console: Con
         return commands.campbell_diagram(scene, given.speeds, given.count, folder, console)
     if given.command == "identify":
         return commands.identification(scene, given.measurements, folder, console)
+    if given.command == "timing":
+        from fenics_crack.cli.timing import timing
+
+        return timing(scene, given.source, folder, console)
     work = {"solve": commands.solution, "curve": commands.curve, "sweep": commands.sweep}
     return work.get(given.command, commands.integration)(scene, folder, console)
 
@@ -197,6 +207,10 @@ COMMANDS = {
     "curve": ("response curve of the table [curve]", SOLVED),
     "integrate": ("motion in time by the table [integration]", SOLVED),
     "sweep": ("all cases of the table [sweep.over]; goes on where it stopped", SOLVED),
+    "timing": (
+        "arrival times of the tip at the probes of [tip_timing], and the vibration found in them",
+        "scene source --set --output",
+    ),
     "identify": (
         "a crack from measured frequencies and harmonics, by the table [identify]",
         "scene measurements --set --output",
@@ -217,6 +231,11 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "measurements": (
         "a CSV file with the columns quantity, value, deviation, mode, frequency [Hz], point",
         {"type": Path},
+    ),
+    "source": (
+        "what makes the arrivals: the .h5 file of a solution or a curve; or a CSV file of them, "
+        "measured or computed (default: the scene, solved)",
+        {"type": Path, "nargs": "?"},
     ),
     "results": (
         "a .h5 file that another command has written, several of one kind to be drawn in one "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -26,6 +26,7 @@ __all__ = [
     "few_special_points",
     "history_quantities",
     "history_waves",
+    "in_one_unit",
     "in_short",
     "remark_on_points",
     "solution_quantities",
@@ -304,12 +305,10 @@ def in_short(table: Table, scene: Scene, default: Sequence[str]) -> Table:
     a quantity is printed too, where quantities are columns or the scene does not choose.
     """
     chosen = None if scene.output is None else scene.output.quantities
-    prefix, unit = ("omega", "rad/s") if scene.in_hertz else ("frequency", "Hz")
-    other_speed = "speed" if scene.in_rpm else "rpm"
 
-    def wanted(heading: str, unit_of: str) -> bool:
+    def wanted(heading: str, unit: str) -> bool:
         name = heading.partition(" [")[0].rpartition(".")[2]
-        if name == other_speed or (name.startswith(prefix) and unit_of == unit):
+        if _is_twin(name, unit, scene):
             return False
         name = name.replace("frequency_", "omega_")
         return name in (chosen or default) if name in QUANTITIES else True
@@ -323,6 +322,25 @@ def in_short(table: Table, scene: Scene, default: Sequence[str]) -> Table:
             and (chosen is None or row[0] in ALWAYS or row[0] not in OTHERS)
         ]
         return Table(table.columns[1:], rows)
+    return _with_columns(table, wanted)
+
+
+def in_one_unit(table: Table, scene: Scene) -> Table:
+    """A table with one of the frequencies, in rad/s or in Hz, and one of the speeds, likewise."""
+    return _with_columns(
+        table, lambda heading, unit: not _is_twin(heading.partition(" [")[0], unit, scene)
+    )
+
+
+def _is_twin(name: str, unit: str, scene: Scene) -> bool:
+    """Whether a quantity is a frequency or a speed in the unit that the scene does not use."""
+    prefix, other = ("omega", "rad/s") if scene.in_hertz else ("frequency", "Hz")
+    speed = "speed" if scene.in_rpm else "rpm"
+    return name == speed or (name.startswith(prefix) and unit == other)
+
+
+def _with_columns(table: Table, wanted: Callable[[str, str], bool]) -> Table:
+    """The columns of a table that are wanted by their headings and units."""
     headings = enumerate(table.columns)
     kept = [n for n, name in headings if wanted(name, name.partition("[")[2].rstrip("]"))]
     return Table([table.columns[n] for n in kept], [[row[n] for n in kept] for row in table.rows])

@@ -13,13 +13,17 @@ from matplotlib.figure import Figure
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.arrivals.harmonics import Candidates, TipFit
 from fenics_crack.arrivals.track_order import TipTrack
-from fenics_crack.draw.figure import COLOURS, figure_of, finish, label_axis, make_axes
+from fenics_crack.draw.figure import (
+    COLOURS,
+    distinct_colours,
+    figure_of,
+    finish,
+    label_axis,
+    make_axes,
+)
 from fenics_crack.table import frequency_axis, speed_axis, with_unit
 
 __all__ = ["draw_arrivals", "draw_tip_fit", "draw_tip_track"]
-
-STEADY = 1e-3
-"""Variation of the speed from which arrivals are drawn over it."""
 
 
 def draw_arrivals(
@@ -49,14 +53,12 @@ def draw_arrivals(
         Speeds of a run-up in revolutions per minute, else in rad/s.
     """
     [panel] = make_axes(axes, path)
-    speed = arrivals.speed
-    steady = np.ptp(speed) <= STEADY * speed.mean()
     pace, *over = speed_axis(in_rpm)
-    place = arrivals.first + np.arange(len(arrivals)) if steady else pace * speed
+    steady, turns = arrivals.steady, arrivals.first + np.arange(len(arrivals))
+    place = turns if steady else pace * arrivals.speed
     size = 3.0 if len(arrivals) > 100 else 4.5
-    columns = zip(
-        arrivals.displacement.T, arrivals.probes, cycle(COLOURS.values()), cycle("osD^vPX")
-    )
+    colours = [COLOURS.get(name, name) for name in distinct_colours(len(arrivals.probes))]
+    columns = zip(arrivals.displacement.T, arrivals.probes, colours, cycle("osD^vPX"), strict=False)
     for column, probe, colour, marker in columns:
         label = f"probe at {np.degrees(probe):.4g}°"
         panel.plot(place, column, marker, color=colour, ms=size, mew=0, alpha=0.8, label=label)

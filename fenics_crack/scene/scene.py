@@ -37,6 +37,7 @@ from fenics_crack.scene.tables import (
     Rotation,
     Structure,
     Sweep,
+    TipTiming,
 )
 from fenics_crack.table import RPM
 
@@ -87,6 +88,7 @@ class Scene:
     integration: Integration | None = None
     sweep: Sweep | None = None
     identify: Identify | None = None
+    tip_timing: TipTiming | None = None
     output: Output | None = None
 
     def __post_init__(self) -> None:
@@ -451,6 +453,6 @@ _PATHS = tuple(
     if "path" in item.metadata
 )
 """Keys that hold the path of a file."""
-_SWEPT = tuple(
-    name for name in _TABLES if name not in ("curve", "integration", "sweep", "identify", "output")
-)
+_LOOKED_AT = ("curve", "integration", "sweep", "identify", "tip_timing", "output")
+"""Tables that say what is looked at, and change nothing of it."""
+_SWEPT = tuple(name for name in _TABLES if name not in _LOOKED_AT)

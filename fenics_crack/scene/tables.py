@@ -50,6 +50,7 @@ __all__ = [
     "Rotation",
     "Structure",
     "Sweep",
+    "TipTiming",
 ]
 
 EXTENT = "a number from 1e-6 to 1e6"
@@ -645,6 +646,71 @@ class Identify(Table):
                 if not fine:
                     allowed = f"words, or {LEAST_OF_AN_UNKNOWN} or more numbers in ascending order"
                     raise InputError(f'identify.unknown."{axis.key}"', axis.values, allowed)
+
+
+@dataclass(frozen=True)
+class TipTiming(Table):
+    """Probes in the casing that see when the tip of a blade passes, and what is sought in that.
+
+    [tip_timing]
+    probes = [0.0, 20.0, 41.0, 63.0, 88.0, 117.0, 150.0]
+    tip_radius = 0.45
+    """
+
+    probes: tuple[float, ...] = holds(
+        "a list of rising angles in degrees, from 0 to less than 360",
+        lambda angles: (
+            angles and 0.0 <= angles[0] and angles[-1] < 360.0 and bool(np.all(np.diff(angles) > 0))
+        ),
+    )
+    """Where they stand [degrees], from the tip's place at a mark on the shaft, in the direction of
+    rotation."""
+    tip_radius: float = positive()
+    """Distance of the tip from the axis [m]."""
+    tangential: float = holds(
+        f"a finite number other than 0 {OR_ZERO}", lambda share: share != 0.0, 1.0
+    )
+    """Displacement of the tip in the direction of rotation over the one that is watched first (the
+    load's, or that of the first of [output.points]): sin of the stagger; < 0: against it."""
+    order: int | None = at_least_one(None)
+    """Periods of the load in a revolution, without [rotation]."""
+    revolutions: int = at_least_one(100)
+    """How many are computed; of a run-up all together."""
+    noise: float = holds(NOT_NEGATIVE, lambda value: value >= 0, 0.0)
+    """Standard deviation of normal errors of the computed arrivals [s]."""
+    clock: float = holds(NOT_NEGATIVE, lambda value: value >= 0, 0.0)
+    """Resolution of the computed arrivals [s]; 0: none."""
+    seed: int = holds("a whole number >= 0", lambda value: value >= 0, 0)
+    """Of the noise."""
+    orders: tuple[float, ...] = holds(
+        "a list of different whole numbers >= 1",
+        lambda orders: (
+            orders
+            and all(order >= 1.0 and order % 1.0 == 0.0 for order in orders)
+            and len(set(orders)) == len(orders)
+        ),
+        tuple(map(float, range(1, 25))),
+    )
+    """Engine orders that may be in the arrivals."""
+    frequencies: tuple[float, ...] | None = holds(
+        "two finite numbers > 0, the second one larger",
+        lambda ends: len(ends) == 2 and 0.0 < ends[0] < ends[1],
+        None,
+    )
+    """Instead of engine orders: ends of a range in which a frequency is sought that need be no
+    multiple of the speed [Hz]."""
+    fitted_harmonics: int = at_least_one(2)
+    """Harmonics that are fitted; 2 or more show a breathing crack."""
+    subharmonic: int = at_least_one(1)
+    """2: the vibration has twice the load's period; the harmonics are those of half the load's
+    frequency."""
+    fitted_revolutions: int = at_least_one(1)
+    """Revolutions of a run-up that are fitted together."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.frequencies is not None:
+            self.require(self.subharmonic == 1, "subharmonic", "1 with tip_timing.frequencies")
 
 
 @dataclass(frozen=True)

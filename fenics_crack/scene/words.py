@@ -56,7 +56,7 @@ WHOLE = ("rad/s", "rpm", "Hz", "kg/m^3", "N/m^3", "1/m", "1/s", "s")
 """Units that take no prefix here."""
 
 
-RANGES = ("curve", "integration", "sweep", "identify", "output")
+RANGES = ("curve", "integration", "sweep", "identify", "tip_timing", "output")
 """Tables that say what is looked at, and change nothing of it."""
 
 

@@ -257,9 +257,10 @@ def test_csv_and_back(breathing: fc.PeriodicSolution, tmp_path: Any) -> None:
     arrivals.to_csv(tmp_path / "arrivals.csv")
     lines = (tmp_path / "arrivals.csv").read_text().splitlines()
     assert lines[0].startswith("revolution,probe,angle [rad],mark [s],next_mark [s],arrival [s]")
-    same = fc.ArrivalTimes.from_csv(tmp_path / "arrivals.csv", tip_radius=0.5)
-    for name in ("time", "marks", "probes", "displacement"):
+    same = fc.ArrivalTimes.from_csv(tmp_path / "arrivals.csv")
+    for name in ("time", "marks", "probes", "displacement", "speed"):
         assert np.array_equal(getattr(same, name), getattr(arrivals, name), equal_nan=True)
+    assert (same.tip_radius, same.first) == (0.5, 0)
     rows = [line.split(",") for line in lines]
     shuffled = [",".join(["x" if k else "note", *reversed(row)]) for k, row in enumerate(rows)]
     shuffled[1:] = [row for row in shuffled[:0:-1] if "nan" not in row]
@@ -269,9 +270,30 @@ def test_csv_and_back(breathing: fc.PeriodicSolution, tmp_path: Any) -> None:
     assert "5 revolutions, 2 probes, 166.667 rad/s, 1 missing" in repr(again)
 
 
+def test_csv_of_a_measured_run_up(tmp_path: Any) -> None:
+    """Numbers that no short decimal holds, revolutions counted from another one, most passages of a
+    probe missed, all of a revolution: the same to the last bit, and its file again."""
+    generator = np.random.default_rng(5)
+    marks = np.cumsum(0.01 + 1e-3 * generator.random(31)) + 1e5 / 3.0
+    time = marks[:-1, None] + 0.01 * generator.random((30, 3))
+    time[:, 1], time[7] = np.nan, np.nan
+    radius = 1.0 / 3.0
+    arrivals = fc.ArrivalTimes(time, marks, np.array([0.0, 0.1, 1.0]) * np.pi / 3.0, radius, 12345)
+    arrivals.to_csv(tmp_path / "one.csv")
+    same = fc.ArrivalTimes.from_csv(tmp_path / "one.csv")
+    for name in ("time", "marks", "probes", "displacement", "angle", "speed", "nominal_angle"):
+        assert getattr(same, name).tobytes() == getattr(arrivals, name).tobytes(), name
+    assert (same.tip_radius, same.first) == (radius, 12345) and not same.steady
+    same.to_csv(tmp_path / "two.csv")
+    assert (tmp_path / "one.csv").read_bytes() == (tmp_path / "two.csv").read_bytes()
+    with pytest.raises(fc.InputError, match=r"tip_radius \[m\] = .* 0.5, as given"):
+        fc.ArrivalTimes.from_csv(tmp_path / "one.csv", tip_radius=0.5)
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
+        (lambda text: text.replace(",0.5\n", ",0.6\n", 1), r"tip_radius \[m\] = .* 0.5, as given"),
         (lambda text: text.replace("arrival [s]", "arrival [ms]"), "column 'arrival"),
         (lambda text: text.replace("\n1,", "\n1.5,"), "whole revolutions"),
         (lambda text: text.replace("\n1,", "\n7,"), "without gaps"),
@@ -292,6 +314,10 @@ def test_bad_files(
         fc.ArrivalTimes.from_csv(path, tip_radius=0.5)
     with pytest.raises(fc.InputError, match="can be read"):
         fc.ArrivalTimes.from_csv(tmp_path / "none.csv", tip_radius=0.5)
+    fc.tip_timing(breathing, 0, revolutions=3, **GOOD).to_csv(path)
+    path.write_text(path.read_text().replace("tip_radius", "radius"))
+    with pytest.raises(fc.InputError, match=r"^tip_radius = None: must be given for .*no column"):
+        fc.ArrivalTimes.from_csv(path)
 
 
 def test_bad_arrivals() -> None:

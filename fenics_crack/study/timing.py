@@ -1,0 +1,113 @@
+"""Tip timing of a scene: the arrivals that its probes see, and the vibration sought in arrivals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from fenics_crack.arrivals.arrival_times import ArrivalTimes
+from fenics_crack.arrivals.fit_frequency import fit_frequency
+from fenics_crack.arrivals.fit_order import fit_order
+from fenics_crack.arrivals.harmonics import TipFit
+from fenics_crack.arrivals.simulate import tip_timing
+from fenics_crack.arrivals.track_order import TipTrack, track_order
+from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.errors import InputError
+from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.tables import TipTiming
+from fenics_crack.study.run import Run, load_run, solve
+
+__all__ = ["arrivals_of", "vibration_in"]
+
+
+def arrivals_of(scene: Scene, source: Path | None, comm: MPI.Comm = MPI.COMM_WORLD) -> ArrivalTimes:
+    """Arrival times by the table ``[tip_timing]`` of a scene (collective).
+
+    Parameters
+    ----------
+    scene : Scene
+        With the table.
+    source : path, optional
+        A CSV file, which is read; or a result of ``solve`` or ``curve``, whose own scene says how
+        it turns. Default: the steady vibration of the scene, which is solved.
+
+    Raises
+    ------
+    InputError
+        The scene has no such table, the source is something else, or as :func:`tip_timing`.
+    """
+    table = _table_of(scene)
+    if source is not None and source.suffix.lower() != ".h5":
+        return ArrivalTimes.from_csv(source, tip_radius=table.tip_radius)
+    run = solve(scene, comm) if source is None else load_run(source, comm)
+    result = run.result
+    if not isinstance(result, PeriodicSolution | ResponseCurve):
+        raise InputError("source", str(source), "a solution, a curve, or a CSV file of arrivals")
+    if isinstance(result, PeriodicSolution) and not result.converged:
+        raise InputError("source", str(source or "the scene"), f"converged: {result.status}")
+    return tip_timing(
+        result,
+        {run.watched_dof: table.tangential},
+        probes=np.radians(table.probes),
+        tip_radius=table.tip_radius,
+        **_turning(table, run),
+        revolutions=table.revolutions,
+        noise=table.noise,
+        clock=table.clock,
+        seed=table.seed,
+    )
+
+
+def vibration_in(scene: Scene, arrivals: ArrivalTimes) -> TipFit | TipTrack:
+    """What ``[tip_timing]`` asks to be sought in arrival times, measured or computed.
+
+    At constant speed one of its engine orders, or a frequency; in a run-up the known order.
+
+    Raises
+    ------
+    InputError
+        As :func:`fit_order`, :func:`fit_frequency` and :func:`track_order`.
+    """
+    table = _table_of(scene)
+    if not arrivals.steady:
+        return track_order(
+            arrivals,
+            _order(table, scene),
+            harmonics=table.fitted_harmonics,
+            subharmonic=table.subharmonic,
+            revolutions=table.fitted_revolutions,
+        )
+    if table.frequencies is not None:
+        low, high = (2.0 * np.pi * end for end in table.frequencies)
+        return fit_frequency(arrivals, low, high, harmonics=table.fitted_harmonics)
+    return fit_order(
+        arrivals, table.orders, harmonics=table.fitted_harmonics, subharmonic=table.subharmonic
+    )
+
+
+def _table_of(scene: Scene) -> TipTiming:
+    if scene.tip_timing is None:
+        raise InputError("tip_timing", None, "given for this command: a table")
+    return scene.tip_timing
+
+
+def _turning(table: TipTiming, run: Run) -> dict[str, Any]:
+    """The speed of rotation, or the engine order from which it follows."""
+    steady = run.scene.excitation.order is None and not isinstance(run.result, ResponseCurve)
+    if steady and run.scene.speed > 0.0:
+        table.leave_out(("order",), "a rotor's speed, in [rotation]")
+        return {"speed": run.scene.speed}
+    return {"order": _order(table, run.scene)}
+
+
+def _order(table: TipTiming, scene: Scene) -> int:
+    """The engine order of a scene."""
+    if scene.excitation.order is not None:
+        table.leave_out(("order",), "excitation.order")
+        return scene.excitation.order
+    found: int = table.given("order", "given without excitation.order: a whole number >= 1")
+    return found

@@ -1,0 +1,126 @@
+"""The command ``timing``: arrival times of a scene, a result or a file, and what is in them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_any_input import TINY
+
+import fenics_crack as fc
+from fenics_crack.cli.command_line import main
+
+RADIUS = 0.2
+PROBES = [10.0, 31.0, 67.0, 101.0, 148.0, 199.0, 243.0, 300.0]
+TIMING = {"probes": PROBES, "tip_radius": RADIUS, "tangential": -0.5, "order": 5}
+TIMING |= {"revolutions": 20, "fitted_harmonics": 3}
+
+
+def written(folder: Path, changes: dict[str, Any] | None = None) -> str:
+    """A scene whose crack breathes, at 0.9 of its resonance; and its file."""
+    force = {"excitation.omega": 1800.0, "excitation.force_sin": [30.0, 0.0]}
+    more = {f"tip_timing.{key}": value for key, value in TIMING.items()} | force
+    scene = fc.Scene.from_mapping(TINY).replace(more | (changes or {}))
+    file = folder / "scene.toml"
+    file.write_text(scene.as_toml(), encoding="utf-8")
+    return str(file)
+
+
+def shown(captured: Any) -> list[dict[str, Any]]:
+    """The table that was printed as JSON."""
+    found: list[dict[str, Any]] = json.loads(captured.readouterr().out)
+    return found
+
+
+def test_arrivals_and_the_way_back(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of a scene and of its result those of the library; from their file the same fit, and from
+    that the solution's harmonics."""
+    scene, out = written(tmp_path), str(tmp_path / "out")
+    quiet = ["--output", out, "--quiet", "--format", "json"]
+    assert main(["solve", scene, *quiet]) == 0
+    capsys.readouterr()
+    run = fc.load_run(tmp_path / "out" / "solution.h5")
+    assert isinstance(run.result, fc.PeriodicSolution)
+    wanted = fc.tip_timing(
+        run.result, {run.watched_dof: -0.5}, probes=np.radians(PROBES), tip_radius=RADIUS, order=5,
+        revolutions=20,
+    )  # fmt: skip
+    tables = []
+    for source in ([], [f"{out}/solution.h5"], [f"{out}/arrivals.csv"]):
+        assert main(["timing", scene, *source, *quiet]) == 0
+        tables.append(shown(capsys))
+        found = fc.ArrivalTimes.from_csv(tmp_path / "out" / "arrivals.csv")
+        assert np.abs(found.time - wanted.time).max() < 1e-15 and found.tip_radius == RADIUS
+        for name in ("arrivals.png", "timing.png", "timing.csv"):
+            assert (tmp_path / "out" / name).stat().st_size > 100
+            (tmp_path / "out" / name).unlink()
+    assert tables[1] == tables[2]
+    wave = -0.5 * run.result.coefficients_at([run.watched_dof])[:, 0]
+    sizes = np.hypot(wave[1::2], wave[2::2])
+    assert sizes[1] > 0.01 * sizes[0]  # it breathes
+    for table in tables:
+        assert [row["order"] for row in table] == [0.0, 5.0, 10.0, 15.0]
+        assert [row["amplitude [m]"] for row in table[1:]] == pytest.approx(sizes, rel=1e-6)
+        assert table[1]["omega [rad/s]"] == pytest.approx(1800.0, rel=1e-12)
+
+
+def test_what_probes_cannot_tell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The ratio of harmonics with its error; orders that fit as well, or are hidden; a misfit."""
+    noise = {"tip_timing.noise": 1e-8, "tip_timing.orders": [5, 6, 7, 8]}
+    scene = written(tmp_path, noise)
+    assert main(["timing", scene, "--output", str(tmp_path)]) == 0
+    told = capsys.readouterr()
+    assert "arrivals of 20 revolutions, 8 probes, 360 rad/s: " in told.err
+    assert "second harmonic over first: 0." in told.err and "warning" not in told.err
+    assert "frequency" not in told.out and "omega [rad/s]  amplitude [m]" in told.out
+    few = [f"tip_timing.{key}" for key in ("fitted_harmonics=1", "probes=[0,60,120,180,240,300]")]
+    assert main(["timing", scene, "--output", str(tmp_path), "--set", few[0], "--set", few[1]]) == 0
+    told = capsys.readouterr()
+    assert "warning: orders that explain the arrivals as well: 7" in told.err  # 5 + 7 = 2 x 6
+    assert "warning: orders that these probes cannot measure: 6" in told.err
+    words = ["--set", "tip_timing.fitted_harmonics=1", "--set", "tip_timing.orders=[5]"]
+    assert main(["timing", scene, "--output", str(tmp_path), *words]) == 0
+    assert "harmonics are missing (tip_timing.fitted_harmonics)" in capsys.readouterr().err
+
+
+def test_a_run_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A curve's arrivals; the known order tracked through them, largest where the curve is."""
+    run_up = {"curve.start": 1500.0, "curve.stop": 2300.0, "tip_timing.revolutions": 300}
+    scene = written(tmp_path, run_up | {"excitation.force_sin": [1.0, 0.0]})
+    quiet = ["--output", str(tmp_path), "--quiet", "--format", "json"]
+    assert main(["curve", scene, *quiet]) == 0
+    run = fc.load_run(tmp_path / "curve.h5")
+    capsys.readouterr()
+    assert main(["timing", scene, str(tmp_path / "curve.h5"), *quiet]) == 0
+    rows = shown(capsys)
+    assert len(rows) == 300
+    best = max(rows, key=lambda row: row["amplitude_1 [m]"])
+    assert isinstance(run.result, fc.ResponseCurve)
+    first = np.abs(run.result.indicators(run.watched_dof).harmonic_1)
+    at = int(np.argmax(first))
+    assert best["omega [rad/s]"] == pytest.approx(run.result.omega[at], rel=0.01)
+    assert best["amplitude_1 [m]"] == pytest.approx(0.5 * first[at], rel=0.02)
+    assert best["rpm [1/min]"] == pytest.approx(best["omega [rad/s]"] / 5 * 30 / np.pi)
+    assert main(["timing", scene, str(tmp_path / "arrivals.csv"), "--output", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0].startswith("multiple, where it is largest  speed [rad/s]  omega [rad/s]")
+    assert len(printed) == 2 + 3
+
+
+def test_a_frequency_that_follows_no_order(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The rotor turns as [rotation] says; the frequency is found between two given ones."""
+    turning = {"rotation.rpm": 2000.0, "rotation.hub_radius": 0.1, "tip_timing.order": None}
+    sought = {"tip_timing.frequencies": [150.0, 400.0], "tip_timing.revolutions": 100}
+    scene = written(tmp_path, turning | sought | {"tip_timing.fitted_harmonics": 2})
+    words = ["--output", str(tmp_path), "--format", "json"]
+    assert main(["timing", scene, *words]) == 0
+    told = capsys.readouterr()
+    row = json.loads(told.out)[1]
+    assert row["omega [rad/s]"] == pytest.approx(1800.0, rel=1e-6)
+    assert row["order"] == pytest.approx(1800.0 / (2000.0 * np.pi / 30.0), rel=1e-6)
+    assert "2000 rpm" in told.err
