@@ -123,7 +123,8 @@ def solve_forward(
         over = (*axes, Axis(FREQUENCY, loads or (of.excitation.omega / (2.0 * math.pi),)))
         swept = replace(of, sweep=Sweep(over=over))
         digest = hashlib.sha256(scene_text(swept).encode()).hexdigest()[:8]
-        return run_sweep(swept, folder / f"{name}_{digest}.h5", comm, progress=progress)
+        path = folder / f"{name}_{digest}.h5"
+        return run_sweep(swept, path, comm, progress=progress, verdicts=False)
 
     coarse = run("forward", plain, table.unknown)
     finer = None if whole is None else run("forward_finer", whole, _thinned(table.unknown))

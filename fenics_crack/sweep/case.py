@@ -225,8 +225,8 @@ def all_failed(chunk: Chunk, reason: str) -> list[Found]:
     return [{"status": case if isinstance(case, str) else reason} for case in chunk.cases]
 
 
-def solve_chunk(geometry: Geometry, chunk: Chunk) -> list[Found]:
-    """Solve cases one after the other."""
+def solve_chunk(geometry: Geometry, chunk: Chunk, verdicts: bool) -> list[Found]:
+    """Solve cases one after the other; with verdicts on their stability, if wanted."""
     cases, solved = Cases(geometry), []
     for case in chunk.cases:
         if isinstance(case, str):
@@ -243,7 +243,9 @@ def solve_chunk(geometry: Geometry, chunk: Chunk) -> list[Found]:
         try:
             solution = cases.solve(case)
             measured = {name: v for name, v in solution.to_dict().items() if name in COLUMNS}
-            found |= measured | _seen(solution, case, geometry.known) | cases.verdict(solution)
+            found |= measured | _seen(solution, case, geometry.known)
+            if verdicts:
+                found |= cases.verdict(solution)
             found |= {"gap": solution.gap_coefficients, "force": solution.force_coefficients}
         except REFUSALS as error:
             cases = Cases(geometry)

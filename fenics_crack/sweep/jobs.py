@@ -50,6 +50,8 @@ class Job:
     wanted: bool
     """Whether other jobs need the arrays."""
     chunks: tuple[Chunk, ...]
+    verdicts: bool
+    """Whether the stability of each case is judged."""
 
 
 @dataclass
@@ -110,7 +112,8 @@ class Worker:
                     geometry = Geometry(parts.structure(), known, job.unit_loads)
                     self._known = {job.geometry: geometry}
                 for chunk in job.chunks[self._group.rank :: self._group.size]:
-                    answer.solved.append((chunk, solve_chunk(self._known[job.geometry], chunk)))
+                    found = solve_chunk(self._known[job.geometry], chunk, job.verdicts)
+                    answer.solved.append((chunk, found))
         except Exception:
             answer.error = traceback.format_exc()
         parts = self._group.gather((answer.solved, answer.error))
@@ -131,11 +134,18 @@ class Manager:
     """Rank 0's queue of jobs, and the file; its methods may be called from two threads."""
 
     def __init__(
-        self, plan: Plan, file: SweepFile, groups: int, ranks: int, progress: bool
+        self,
+        plan: Plan,
+        file: SweepFile,
+        groups: int,
+        ranks: int,
+        *,
+        progress: bool,
+        verdicts: bool,
     ) -> None:
         self.error: BaseException | None = None
         self._plan, self._file = plan, file
-        self._groups, self._ranks = groups, ranks
+        self._groups, self._ranks, self._verdicts = groups, ranks, verdicts
         self._news = threading.Condition()
         self._executor: Any = None
         self._given: dict[Any, Job] = {}
@@ -246,7 +256,7 @@ class Manager:
             if not self._waiting[number]:
                 del self._built[number], self._waiting[number]
             if chunks:
-                return Job(number, None, arrays, self._plan.unit_loads, False, chunks)
+                return self._job(number, None, arrays, False, chunks)
         while self._unbuilt:
             number = self._unbuilt.popleft()
             self._waiting[number] = deque(self._pending(number))
@@ -260,8 +270,18 @@ class Manager:
             alone = self._groups == 1 or len(self._unbuilt) >= self._groups
             first = self._pop(number, share if alone else 0)
             wanted = bool(self._waiting[number])
-            return Job(number, scene, None, self._plan.unit_loads, wanted, first)
+            return self._job(number, scene, None, wanted, first)
         return None
+
+    def _job(
+        self,
+        number: int,
+        scene: Scene | None,
+        arrays: tuple[Arrays, Known] | None,
+        wanted: bool,
+        chunks: tuple[Chunk, ...],
+    ) -> Job:
+        return Job(number, scene, arrays, self._plan.unit_loads, wanted, chunks, self._verdicts)
 
     def _pending(self, number: int) -> list[Index]:
         return self._plan.pending(self._plan.geometries[number], self._file.state)

@@ -73,7 +73,12 @@ STATES = np.array(["pending", "converged", "failed"])
 
 
 def run_sweep(
-    scene: Scene, path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: bool = False
+    scene: Scene,
+    path: str | Path,
+    comm: MPI.Comm = MPI.COMM_WORLD,
+    *,
+    progress: bool = False,
+    verdicts: bool = True,
 ) -> SweepResult:
     """Solve all cases of a scene's sweep by harmonic balance (collective).
 
@@ -91,6 +96,9 @@ def run_sweep(
         The ranks; with ``sweep.ranks = s`` a multiple of s.
     progress : bool
         Show a bar.
+    verdicts : bool
+        Judge the stability of each case. It takes a tenth to a third of the time where a geometry
+        has many cases; without, the columns ``verdict`` and ``multiplier`` are empty.
 
     Returns
     -------
@@ -116,7 +124,8 @@ def run_sweep(
         nonlocal manager
         plan = Plan(scene)
         file = SweepFile(Path(path), scene, plan.harmonics, plan.pairs)
-        manager = Manager(plan, file, comm.size // ranks, ranks, progress)
+        groups = comm.size // ranks
+        manager = Manager(plan, file, groups, ranks, progress=progress, verdicts=verdicts)
 
     on_root(comm, start)
     group = comm.Split(comm.rank // ranks, comm.rank)

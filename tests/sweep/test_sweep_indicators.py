@@ -55,6 +55,18 @@ def test_cases_have_the_indicators_of_their_solutions(
     np.testing.assert_allclose(result["closed_share"][1, 1], found.closed_share, atol=2e-3)
 
 
+def test_without_verdicts(scene: fc.Scene, tmp_path: Path) -> None:
+    """All else is the same, to the bit; a file keeps the verdicts that it has."""
+    whole = run_sweep(scene, tmp_path / "whole.h5", MPI.COMM_SELF)
+    plain = run_sweep(scene, tmp_path / "plain.h5", MPI.COMM_SELF, verdicts=False)
+    assert np.all(whole["verdict"] == "stable") and np.all(plain["verdict"] == "")
+    assert np.all(np.isnan(plain["multiplier"])) and not plain.not_stable.any()
+    for name in set(whole.columns) - {"verdict", "multiplier", "seconds"}:
+        np.testing.assert_array_equal(plain[name], whole[name], err_msg=name)
+    again = run_sweep(scene, tmp_path / "whole.h5", MPI.COMM_SELF, verdicts=False)
+    np.testing.assert_array_equal(again["multiplier"], whole["multiplier"])
+
+
 def test_names_words_and_units(scene: fc.Scene, tmp_path: Path) -> None:
     """What is drawn and printed, the columns of files, and units in the HDF5 file."""
     scene = scene.replace(
