@@ -20,7 +20,7 @@ from hypothesis import settings
 from mpi4py import MPI
 
 import fenics_crack
-from fenics_crack import Scene, Structure, build_structure
+from fenics_crack import Scene, Structure, build_structure, reduce_structure
 
 # The same examples in every run; the first call of a form may compile for seconds.
 settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)
@@ -76,6 +76,14 @@ def wide_plate(paper_scene: Scene) -> Structure:
     return build_structure(
         paper_scene.replace({"mesh.columns": 8, "mesh.rows": 8, "damping.ratio": 0.01})
     )
+
+
+@pytest.fixture(scope="session")
+def light_lips(paper_scene: Scene) -> Structure:
+    """The paper's plate with 1 % of damping and eight pairs without mass, 15 modes."""
+    changes = {"mesh.order": 2, "mesh.columns": 8, "mesh.rows": 8, "damping.ratio": 0.01}
+    whole = build_structure(paper_scene.replace(changes))
+    return reduce_structure(whole, modes=15, method="massless")
 
 
 @pytest.fixture(scope="session")

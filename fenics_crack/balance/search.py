@@ -215,13 +215,13 @@ class Search:
         """From the wave of a marched orbit; None where it has none."""
         name = "from a marched orbit"
         try:
-            begin = self._marched(problem)
+            guess = self._marched(problem)
         except ConvergenceError as error:
             self._note(name, str(error))
             return None
-        found = self._newton(newton, begin, parameter, 12, name)
+        found = self._newton(newton, guess, parameter, 12, name)
         if not self.converged:
-            found = self._shortened(newton, begin, parameter) or found
+            found = self._shortened(newton, guess, parameter) or found
         return found
 
     def _shortened(
@@ -382,9 +382,9 @@ class Search:
         stepping: Stepping,
     ) -> Linearisation:
         """Follow a path until Newton's method lands at the end, from either side."""
-        begin, end = span
+        first, end = span
         steps, found = 0, start
-        last = PathPoint(start.unknown, begin, 0, Tangent(start.unknown, 0.0, 0.0))
+        last = PathPoint(start.unknown, first, 0, Tangent(start.unknown, 0.0, 0.0))
         self.converged = False
 
         def at_end(nearby: np.ndarray) -> PathPoint | None:
@@ -393,13 +393,13 @@ class Search:
             return replace(last, unknown=found.unknown, parameter=end) if self.converged else None
 
         stepping = replace(stepping, rounding=self._rounding, span=span)
-        for point in follow_path(newton.system, start.unknown, begin, stepping):
+        for point in follow_path(newton.system, start.unknown, first, stepping):
             steps += 1
             self.iterations += point.iterations
             if max(point.parameter, last.parameter) >= end:
                 land(last, point, end, at_end)
-            if self.converged or abs(point.parameter - end) > max(FAR, end - begin):
+            if self.converged or abs(point.parameter - end) > max(FAR, end - first):
                 break
             last = point
-        self._note(f"path {name}", f"{steps} steps, {last.parameter:.3g} of {begin:.3g} to {end:g}")
+        self._note(f"path {name}", f"{steps} steps, {last.parameter:.3g} of {first:.3g} to {end:g}")
         return found if self.converged else newton.system.linearise(found.unknown, end)

@@ -424,22 +424,41 @@ def _special(
     curve: ResponseCurve, crossings: list[_Crossing], known: list[bool], undecided: np.ndarray
 ) -> tuple[Bifurcation, ...]:
     """Bifurcations of the orbits at their places on the curve, and those without an orbit."""
-    left = [(_place(curve, one), one) for one in curve.bifurcations]
+    special = [(_place(curve, one), one) for one in curve.bifurcations]
+    near = _matched(crossings, special, max(10, len(curve) // 30))
     found: list[tuple[int, Bifurcation]] = []
-    for crossing, sure in zip(crossings, known, strict=True):
-        place, exact = crossing.point, crossing.omega
-        alike = [
-            (abs(number - place), index)
-            for index, (number, one) in enumerate(left)
-            if one.kind == crossing.kind and abs(one.value - exact) < NEARBY * exact
-        ]
-        if alike and min(alike)[0] <= max(10, len(curve) // 30):
-            one = left.pop(min(alike)[1])[1]
+    for number, (crossing, sure) in enumerate(zip(crossings, known, strict=True)):
+        if number in near:
+            one = special[near[number]][1]
         else:
             [one] = curve.expand_bifurcations([(crossing.kind, *_solution_at(curve, crossing))])
-        found.append((place, replace(one, exact=exact if sure else np.nan)))
-    found += [(place, one) for place, one in left if undecided[place] or one.kind == "branch_point"]
+        found.append((crossing.point, replace(one, exact=crossing.omega if sure else np.nan)))
+    for number, (place, one) in enumerate(special):
+        open_there = undecided[place] or one.kind == "branch_point"
+        if open_there and number not in near.values():
+            found.append((place, one))
     return tuple(one for _, one in sorted(found, key=lambda pair: pair[0]))
+
+
+def _matched(
+    crossings: list[_Crossing], special: list[tuple[int, Bifurcation]], points: int
+) -> dict[int, int]:
+    """The bifurcation of the truncated equations nearest to each of the orbits, by their numbers.
+
+    Those of one kind are assigned so that the sum of their squared distances, in points along the
+    curve and in frequency, is smallest: never crosswise. None is farther than ``points`` and
+    :data:`NEARBY`.
+    """
+    far = 2.0
+    cost = np.full((len(crossings), len(special)), far)
+    for row, crossing in enumerate(crossings):
+        for column, (place, one) in enumerate(special):
+            along = (place - crossing.point) / points
+            apart = (one.value / crossing.omega - 1.0) / NEARBY
+            if one.kind == crossing.kind and max(abs(along), abs(apart)) <= 1.0:
+                cost[row, column] = min(along**2 + apart**2, 0.99 * far)
+    pairs = zip(*scipy.optimize.linear_sum_assignment(cost), strict=True)
+    return {int(row): int(column) for row, column in pairs if cost[row, column] < far}
 
 
 def _solution_at(curve: ResponseCurve, crossing: _Crossing) -> tuple[float, np.ndarray]:

@@ -8,30 +8,23 @@ import pytest
 from helpers import two_masses
 
 import fenics_crack as fc
+from fenics_crack.curves import exact
 from fenics_crack.model.flow import ExponentialFlow
 
 RIGID = fc.UnilateralConstraint()
 
 
 @pytest.fixture(scope="module")
-def plate(paper_scene: fc.Scene) -> fc.Structure:
-    """Eight pairs without mass, 1 % of damping."""
-    changes = {"mesh.order": 2, "mesh.columns": 8, "mesh.rows": 8, "damping.ratio": 0.01}
-    whole = fc.build_structure(paper_scene.replace(changes))
-    return fc.reduce_structure(whole, modes=15, method="massless")
-
-
-@pytest.fixture(scope="module")
-def curve(plate: fc.Structure) -> fc.ResponseCurve:
+def curve(light_lips: fc.Structure) -> fc.ResponseCurve:
     """With so few harmonics that the truncated equations bifurcate where nothing happens."""
-    return fc.continue_frequency(plate, 1730.0, 1780.0, RIGID, harmonics=6, stability=True)
+    return fc.continue_frequency(light_lips, 1730.0, 1780.0, RIGID, harmonics=6, stability=True)
 
 
-def growth(plate: fc.Structure, omega: float) -> float:
+def growth(light_lips: fc.Structure, omega: float) -> float:
     """Factor per period of the distance to the orbit of 1024 steps after a disturbance."""
-    near = fc.solve_harmonic_balance(plate, omega, RIGID, harmonics=20)
-    orbit = fc.shoot(plate, near, steps_per_period=1024)
-    flow = ExponentialFlow(plate, omega, RIGID, 1024)
+    near = fc.solve_harmonic_balance(light_lips, omega, RIGID, harmonics=20)
+    orbit = fc.shoot(light_lips, near, steps_per_period=1024)
+    flow = ExponentialFlow(light_lips, omega, RIGID, 1024)
     moved, distances = orbit.state * (1.0 + 1e-8), []
     for _ in range(120):
         moved = flow.advance(moved).states[-1]
@@ -40,10 +33,10 @@ def growth(plate: fc.Structure, omega: float) -> float:
 
 
 def test_bifurcations_that_the_motion_does_not_have(
-    plate: fc.Structure, curve: fc.ResponseCurve
+    light_lips: fc.Structure, curve: fc.ResponseCurve
 ) -> None:
     """Three points where pairs leave the unit circle by six harmonics; the motion has the last."""
-    problem = fc.Problem(plate, 1730.0, RIGID, 6)
+    problem = fc.Problem(light_lips, 1730.0, RIGID, 6)
     truncated = fc.Continuation(problem, "omega", 1730.0, 1780.0, stability=True)
     assert len(list(truncated)) == len(curve) and truncated.complete
     found = truncated.curve.bifurcations
@@ -57,20 +50,20 @@ def test_bifurcations_that_the_motion_does_not_have(
 
 
 def test_verdicts_are_those_of_the_disturbed_motion(
-    plate: fc.Structure, curve: fc.ResponseCurve
+    light_lips: fc.Structure, curve: fc.ResponseCurve
 ) -> None:
     """Also where the truncated equations were unstable."""
     [one] = curve.bifurcations
     for omega in (1741.0, one.exact - 3.0):
-        assert growth(plate, omega) < 1.0
-    assert growth(plate, one.exact + 3.0) > 1.0
+        assert growth(light_lips, omega) < 1.0
+    assert growth(light_lips, one.exact + 3.0) > 1.0
 
 
 def test_another_number_of_harmonics_finds_the_same(
-    plate: fc.Structure, curve: fc.ResponseCurve
+    light_lips: fc.Structure, curve: fc.ResponseCurve
 ) -> None:
     """The place is that of the orbits, not of the harmonics."""
-    other = fc.continue_frequency(plate, 1730.0, 1780.0, RIGID, harmonics=12, stability=True)
+    other = fc.continue_frequency(light_lips, 1730.0, 1780.0, RIGID, harmonics=12, stability=True)
     [one], [two] = curve.bifurcations, other.bifurcations
     assert one.kind == two.kind and one.exact == pytest.approx(two.exact, rel=1e-5)
     omega, orbit = fc.refine_bifurcation(two)
@@ -92,10 +85,34 @@ def test_two_masses_and_a_stop() -> None:
             assert one.exact == pytest.approx(fc.refine_bifurcation(one)[0], rel=2e-5)
 
 
-def test_files_and_words(curve: fc.ResponseCurve, plate: fc.Structure, tmp_path: Path) -> None:
+def test_neighbours_are_not_matched_crosswise(curve: fc.ResponseCurve) -> None:
+    """Two of one kind, whose nearest points on the curve are the same or lie in the other order,
+    go to the orbits in the order of their frequencies; too far or of another kind: to none."""
+    unknown = curve.unknown(9)
+
+    def matched(places: dict[float, int], kind: str = "fold") -> dict[float, float]:
+        found = curve.expand_bifurcations([(kind, omega, unknown) for omega in places])
+        special = list(zip(places.values(), found, strict=True))
+        crossings = [
+            exact._Crossing("fold", omega, point, True) for omega, point in ((783.0, 9), (785.0, 9))
+        ]
+        near = exact._matched(crossings, special, 10)
+        return {crossings[one].omega: special[other][1].value for one, other in near.items()}
+
+    in_order = {783.0: 783.6, 785.0: 785.6}
+    for one, two in ((9, 9), (10, 9), (9, 10), (12, 11)):
+        assert matched({783.6: one, 785.6: two}) == in_order
+        assert matched({785.6: two, 783.6: one}) == in_order
+    assert matched({784.8: 9}) == {785.0: 784.8}
+    assert matched({783.6: 9, 785.6: 30}) == {783.0: 783.6}
+    assert matched({783.6: 9, 805.0: 9}) == {783.0: 783.6}
+    assert matched({783.6: 9, 785.6: 9}, "period_doubling") == {}
+
+
+def test_files_and_words(curve: fc.ResponseCurve, light_lips: fc.Structure, tmp_path: Path) -> None:
     """Verdicts and exact frequencies outlast a file; undecided is not stable."""
     fc.save(curve, tmp_path / "curve.h5")
-    loaded = fc.load(tmp_path / "curve.h5", plate, RIGID)
+    loaded = fc.load(tmp_path / "curve.h5", light_lips, RIGID)
     assert isinstance(loaded, fc.ResponseCurve)
     assert np.array_equal(loaded.verdicts, curve.verdicts)
     assert loaded.bifurcations[0].exact == curve.bifurcations[0].exact
@@ -106,8 +123,8 @@ def test_files_and_words(curve: fc.ResponseCurve, plate: fc.Structure, tmp_path:
     assert not np.any(nothing.stable) and set(nothing.verdicts) == {"undecided"}
 
 
-def test_curves_over_another_parameter_are_refused(plate: fc.Structure) -> None:
+def test_curves_over_another_parameter_are_refused(light_lips: fc.Structure) -> None:
     """Orbits are followed over the load frequency."""
-    load = fc.continue_parameter(plate, 1700.0, RIGID, "load", 1.0, 1.1, harmonics=5)
+    load = fc.continue_parameter(light_lips, 1700.0, RIGID, "load", 1.0, 1.1, harmonics=5)
     with pytest.raises(fc.InputError, match="omega"):
         fc.judge_curve(load)
