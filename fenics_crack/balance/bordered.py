@@ -115,6 +115,7 @@ class Compiled(Protocol):
         iterations: int,
         reach: float,
         least_damping: float | None,
+        patience: int | None,
     ) -> PathPoint | None:
         """As :func:`solve_in_plane`."""
 
@@ -168,10 +169,11 @@ def solve_in_plane(
     except the one that meets the tolerance.
     """
     kernel = compiled(system)
-    if kernel is not None and patience is None and history is None:
+    if kernel is not None and history is None:
         return kernel.solve_in_plane(
             unknown, parameter, plane,
             tolerance=tolerance, iterations=iterations, reach=reach, least_damping=least_damping,
+            patience=patience,
         )  # fmt: skip
     guess = parameter
     change, shift, damping, before = np.zeros_like(unknown), 0.0, 1.0, np.inf

@@ -13,6 +13,7 @@ same numbers, many points in one call.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, overload
@@ -32,7 +33,7 @@ from fenics_crack.balance.linearisation import Linearisation
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import NULL, Struct, doubles, ints, kernel, owned
 
-__all__ = ["CompiledSystem", "ModalPart", "Stretch"]
+__all__ = ["CompiledPaths", "CompiledSystem", "ModalPart", "Stretch"]
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,100 @@ class ModalPart:
     """d at p = 0, and dd/dp."""
 
 
-class CompiledSystem:
+class CompiledPaths(ABC):
+    """The loops of the kernel, for equations of any kind."""
+
+    shape: tuple[int, ...]
+    """Of the unknowns."""
+    _equations: Any
+    """The kernel's."""
+    _last: Linearisation | None = None
+    """Where they have been evaluated."""
+
+    @abstractmethod
+    def _found(self, unknown: np.ndarray, parameter: float) -> Linearisation:
+        """The equations at a point that has been found, where they have just been evaluated."""
+
+    @abstractmethod
+    def _check(self, outcome: int) -> None:
+        """Raise what an outcome means that is neither FOUND nor NOT_FOUND, or do what it asks
+        for."""
+
+    def solve_in_plane(
+        self,
+        unknown: np.ndarray,
+        parameter: float,
+        plane: Tangent | None,
+        *,
+        tolerance: float,
+        iterations: int,
+        reach: float,
+        least_damping: float | None,
+        patience: int | None = None,
+    ) -> PathPoint | None:
+        """As :func:`fenics_crack.balance.bordered.solve_in_plane`."""
+        found, place, taken = np.empty(self.shape), np.empty(1), np.zeros(1, np.intc)
+        flat = plane or Tangent(np.zeros(self.shape), 1.0, 0.0)
+        assert unknown.shape == flat.x.shape == self.shape
+        across = doubles(np.ascontiguousarray(flat.x))
+        self._last = None
+        outcome = kernel.NEW_SET
+        while outcome == kernel.NEW_SET:
+            found[...], place[0] = unknown, parameter
+            outcome = kernel.solve_in_plane(
+                self._equations, doubles(found), doubles(place), plane is not None, across, flat.p,
+                flat.weight, tolerance, iterations, reach,
+                -1.0 if least_damping is None else least_damping, patience or 0, ints(taken),
+            )  # fmt: skip
+            self._check(outcome)
+        if outcome == kernel.NOT_FOUND:
+            return None
+        at = self._found(found, float(place[0]))
+        return PathPoint(found, float(place[0]), int(taken[0]), flat, at=at)
+
+    def follow(
+        self, known: list[PathPoint], orientation: float, step: float, stepping: Stepping
+    ) -> tuple[Stretch, float, float]:
+        """Points of a path behind the last one or two that are known, the sign of its determinant
+        and the next step. There are none where steps would be too short, and fewer than there might
+        be where the parameter leaves its span."""
+        begun, found = len(known), Stretch(self.shape, len(known) + stepping.chunk)
+        path = found.struct(known, step=step, orientation=orientation)
+        how = Struct(
+            "stepping", longest=stepping.longest, shortest=stepping.shortest,
+            tolerance=stepping.tolerance, rounding=stepping.rounding,
+            least_cosine=stepping.least_cosine, branching_step=BRANCHING_STEP, reach=REACH,
+            iterations=MAX_ITERATIONS, least_damping=MIN_DAMPING, lowest=min(stepping.span),
+            highest=max(stepping.span),
+        )  # fmt: skip
+        self._last = None
+        outcome, points = kernel.NEW_SET, path.at
+        while outcome == kernel.NEW_SET and points.known == begun:
+            outcome = kernel.follow(self._equations, how.at, points)
+            if points.known == begun:
+                self._check(outcome)
+        return found[begun : points.known], points.orientation, points.step
+
+    def find_between(
+        self, ends: tuple[PathPoint, PathPoint], target: float | None, tolerance: float, near: float
+    ) -> PathPoint | None:
+        """As :func:`fenics_crack.balance.bordered.find_between`."""
+        found = Stretch(self.shape, 3)
+        how = Struct(
+            "stepping", shortest=near, tolerance=tolerance, reach=REACH,
+            iterations=MAX_ITERATIONS, least_damping=MIN_DAMPING,
+        )  # fmt: skip
+        wanted = NULL if target is None else doubles(np.array([target]))
+        self._last = None
+        outcome = kernel.NEW_SET
+        while outcome == kernel.NEW_SET:
+            path = found.struct(ends)
+            outcome = kernel.find_between(self._equations, how.at, MAX_BETWEEN, wanted, path.at)
+            self._check(outcome)
+        return None if outcome == kernel.NOT_FOUND else found[path.at.known]
+
+
+class CompiledSystem(CompiledPaths):
     """F(g, p) = 0 in the kernel.
 
     Parameters
@@ -104,7 +198,7 @@ class CompiledSystem:
         self._kept = {name: np.ascontiguousarray(array) for name, array in reals.items()}
         equations = Struct("condensed", harmonics=rows // 2, pairs=pairs, **numbers, **self._kept)
         self._point = owned(kernel.new_point(equations.at), kernel.free_point)
-        self._last: CompiledPoint | None = None
+        self._equations = kernel.equations_of(self._point)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
         """The equations at a point."""
@@ -116,76 +210,17 @@ class CompiledSystem:
         return float(np.vdot(first, second))
 
     def evaluated(self, at: CompiledPoint) -> Any:
-        """The kernel's point, with the equations at a point."""
+        """The kernel's equations, evaluated at a point."""
         if self._last is not at:
             self._last = None
-            self._check(kernel.evaluate(self._point, doubles(at.unknown), at.parameter))
-            self._last = at
-        return self._point
-
-    def solve_in_plane(
-        self,
-        unknown: np.ndarray,
-        parameter: float,
-        plane: Tangent | None,
-        *,
-        tolerance: float,
-        iterations: int,
-        reach: float,
-        least_damping: float | None,
-    ) -> PathPoint | None:
-        """As :func:`fenics_crack.balance.bordered.solve_in_plane`."""
-        found, place, taken = np.array(unknown), np.array([parameter]), np.zeros(1, np.intc)
-        flat = plane or Tangent(np.zeros_like(found), 1.0, 0.0)
-        assert found.shape == flat.x.shape == self.shape
-        self._last = None
-        outcome = kernel.solve_in_plane(
-            self._point, doubles(found), doubles(place), plane is not None,
-            doubles(np.ascontiguousarray(flat.x)), flat.p, flat.weight, tolerance, iterations,
-            reach, -1.0 if least_damping is None else least_damping, ints(taken),
-        )  # fmt: skip
-        self._check(outcome)
-        if outcome == kernel.NOT_FOUND:
-            return None
-        self._last = CompiledPoint(self, found, float(place[0]))
-        return PathPoint(found, float(place[0]), int(taken[0]), flat, at=self._last)
-
-    def follow(
-        self, known: list[PathPoint], orientation: float, step: float, stepping: Stepping
-    ) -> tuple[Stretch, float, float]:
-        """Points of a path behind the last one or two that are known, the sign of its determinant
-        and the next step. There are none where steps would be too short, and fewer than there might
-        be where the parameter leaves its span."""
-        begun, found = len(known), Stretch(self.shape, len(known) + stepping.chunk)
-        path = found.struct(known, step=step, orientation=orientation)
-        how = Struct(
-            "stepping", longest=stepping.longest, shortest=stepping.shortest,
-            tolerance=stepping.tolerance, rounding=stepping.rounding,
-            least_cosine=stepping.least_cosine, branching_step=BRANCHING_STEP, reach=REACH,
-            iterations=MAX_ITERATIONS, least_damping=MIN_DAMPING, lowest=min(stepping.span),
-            highest=max(stepping.span),
-        )  # fmt: skip
-        self._last = None
-        outcome, points = kernel.follow(self._point, how.at, path.at), path.at
-        if points.known == begun:
+            outcome = self._equations.evaluate(self._equations, doubles(at.unknown), at.parameter)
             self._check(outcome)
-        return found[begun : points.known], points.orientation, points.step
+            self._last = at
+        return self._equations
 
-    def find_between(
-        self, ends: tuple[PathPoint, PathPoint], target: float | None, tolerance: float, near: float
-    ) -> PathPoint | None:
-        """As :func:`fenics_crack.balance.bordered.find_between`."""
-        found = Stretch(self.shape, 3)
-        path = found.struct(ends)
-        how = Struct(
-            "stepping", shortest=near, tolerance=tolerance, reach=REACH,
-            iterations=MAX_ITERATIONS, least_damping=MIN_DAMPING,
-        )  # fmt: skip
-        wanted = NULL if target is None else doubles(np.array([target]))
-        self._last = None
-        outcome = kernel.find_between(self._point, how.at, MAX_BETWEEN, wanted, path.at)
-        self._check(outcome)
-        return None if outcome == kernel.NOT_FOUND else found[path.at.known]
+    def _found(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
+        self._last = found = CompiledPoint(self, unknown, parameter)
+        return found
 
     def largest_compliance(self, parameter: float) -> float:
         """Largest sum of abs(R_k) over a row of it at a parameter [m/N]."""
@@ -272,21 +307,25 @@ class CompiledPoint(Linearisation):
     @property
     def residual(self) -> np.ndarray:  # type: ignore[override]
         found = np.empty_like(self.unknown)
-        kernel.residual_at(self.system.evaluated(self), doubles(found))
+        at = self.system.evaluated(self)
+        at.residual(at, doubles(found))
         return found
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         found = np.array(right, dtype=float)
         assert found.size == self.unknown.size
-        kernel.solve(self.system.evaluated(self), doubles(found))
+        at = self.system.evaluated(self)
+        at.solve(at, doubles(found))
         return found
 
     @property
     def by_parameter(self) -> np.ndarray:
         found = np.empty_like(self.unknown)
-        kernel.by_parameter(self.system.evaluated(self), doubles(found))
+        at = self.system.evaluated(self)
+        at.by_parameter(at, doubles(found))
         return found
 
     @property
     def sign(self) -> float:
-        return float(kernel.determinant_sign(self.system.evaluated(self)))
+        at = self.system.evaluated(self)
+        return float(at.sign(at))

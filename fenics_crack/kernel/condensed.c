@@ -12,6 +12,7 @@
 #define SINGULAR 1e-15
 
 struct point {
+    equations own;
     condensed of;
     int unknowns, factored;
     double parameter;
@@ -25,30 +26,6 @@ struct point {
 static double *room(size_t count)
 {
     return malloc((count ? count : 1) * sizeof(double));
-}
-
-point *new_point(const condensed *equations)
-{
-    point *at = calloc(1, sizeof(point));
-    if (!at) return NULL;
-    at->of = *equations;
-    const size_t H = equations->harmonics, p = equations->pairs, m = equations->modes;
-    const size_t rows = 2 * H + 1, n = rows * p, cells = switching_cells(equations->harmonics);
-    at->unknowns = (int)n;
-    at->waves = room(2 * H * (cells / 4 + 1)), at->stiffness = room(p);
-    at->compliance = room(2 * (H + 1) * p * p), at->linear = room(n);
-    at->receptance = room(2 * (H + 1) * m);
-    at->means = room(2 * p * rows), at->force = room(n), at->tangent = room(p * rows * rows);
-    at->residual = room(n), at->jacobian = room(n * n), at->pivots = malloc(n * sizeof(int));
-    if (!(at->waves && at->stiffness && at->compliance && at->linear && at->receptance &&
-          at->means && at->force && at->tangent && at->residual && at->jacobian &&
-          at->pivots)) {
-        free_point(at);
-        return NULL;
-    }
-    switching_waves(equations->harmonics, at->waves);
-    at->parameter = NAN;
-    return at;
 }
 
 void free_point(point *at)
@@ -165,8 +142,9 @@ void respond_to_columns(int harmonics, int pairs, int columns, const double *com
             }
 }
 
-int evaluate(point *at, const double *gap, double parameter)
+static int evaluate(equations *own, const double *gap, double parameter)
 {
+    point *at = (point *)own;
     const condensed *of = &at->of;
     at->factored = 0;
     if (set_parameter(at, parameter)) return SINGULAR_STRUCTURE;
@@ -193,8 +171,9 @@ double largest_compliance(point *at, double parameter)
     return largest;
 }
 
-void residual_at(const point *at, double *found)
+static void residual_at(const equations *own, double *found)
 {
+    const point *at = (const point *)own;
     memcpy(found, at->residual, at->unknowns * sizeof(double));
 }
 
@@ -209,20 +188,23 @@ static void factor_jacobian(point *at)
     at->factored = 1;
 }
 
-void solve(point *at, double *x)
+static void solve(equations *own, double *x)
 {
+    point *at = (point *)own;
     factor_jacobian(at);
     solve_factored(at->unknowns, at->jacobian, at->pivots, x);
 }
 
-double determinant_sign(point *at)
+static double determinant_sign(equations *own)
 {
+    point *at = (point *)own;
     factor_jacobian(at);
     return sign_of_factored(at->unknowns, at->jacobian, at->pivots);
 }
 
-void by_parameter(point *at, double *found)
+static void by_parameter(equations *own, double *found)
 {
+    point *at = (point *)own;
     const condensed *of = &at->of;
     const int pairs = of->pairs, modes = of->modes;
     const double omega = of->omega + at->parameter * of->omega_rate;
@@ -256,7 +238,32 @@ void by_parameter(point *at, double *found)
     }
 }
 
-int unknowns_of(const point *at)
+point *new_point(const condensed *given)
 {
-    return at->unknowns;
+    point *at = calloc(1, sizeof(point));
+    if (!at) return NULL;
+    at->of = *given;
+    const size_t H = given->harmonics, p = given->pairs, m = given->modes;
+    const size_t rows = 2 * H + 1, n = rows * p, cells = switching_cells(given->harmonics);
+    at->unknowns = (int)n;
+    at->own = (equations){(int)n, evaluate, residual_at, solve, by_parameter, determinant_sign};
+    at->waves = room(2 * H * (cells / 4 + 1)), at->stiffness = room(p);
+    at->compliance = room(2 * (H + 1) * p * p), at->linear = room(n);
+    at->receptance = room(2 * (H + 1) * m);
+    at->means = room(2 * p * rows), at->force = room(n), at->tangent = room(p * rows * rows);
+    at->residual = room(n), at->jacobian = room(n * n), at->pivots = malloc(n * sizeof(int));
+    if (!(at->waves && at->stiffness && at->compliance && at->linear && at->receptance &&
+          at->means && at->force && at->tangent && at->residual && at->jacobian &&
+          at->pivots)) {
+        free_point(at);
+        return NULL;
+    }
+    switching_waves(given->harmonics, at->waves);
+    at->parameter = NAN;
+    return at;
+}
+
+equations *equations_of(point *at)
+{
+    return &at->own;
 }

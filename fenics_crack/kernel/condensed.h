@@ -2,6 +2,8 @@
 #ifndef CONDENSED_H
 #define CONDENSED_H
 
+#include "equations.h"
+
 /*     F(g, p) = g - g_lin(p) + R(p) b(g, p) = 0,    J = dF/dg = I + R T,
  *
  * with the coefficients b of the contact forces k(p) max(g, 0) and their derivative T, and
@@ -26,28 +28,16 @@ typedef struct {
     const double *load;                       /* l: (H+1, modes), complex */
 } condensed;
 
-/* What comes of an evaluation, or of a correction by Newton's method. */
-enum { FOUND, NOT_FOUND, SINGULAR_STRUCTURE, NO_MEMORY };
-
 /* The equations at one point, with room for all of their parts. */
 typedef struct point point;
 
 /* NULL without memory. */
-point *new_point(const condensed *equations);
+point *new_point(const condensed *given);
 void free_point(point *at);
-int unknowns_of(const point *at);
-/* The equations at (g, p). Returns FOUND, SINGULAR_STRUCTURE or NO_MEMORY. */
-int evaluate(point *at, const double *gap, double parameter);
+/* Its equations; evaluating them returns FOUND, SINGULAR_STRUCTURE or NO_MEMORY. */
+equations *equations_of(point *at);
 /* Largest sum of |R_k| over a row of it at a parameter; infinite where the structure is singular. */
 double largest_compliance(point *at, double parameter);
-/* F there. */
-void residual_at(const point *at, double *found);
-/* x = J^-1 x there. */
-void solve(point *at, double *x);
-/* dF/dp there, (n). */
-void by_parameter(point *at, double *found);
-/* Sign of det J there. */
-double determinant_sign(point *at);
 
 /* R T for unknowns ordered (row, pair), from R (H+1, pairs, pairs), complex, and
  * T (pairs, 2H+1, columns): (n, columns pairs), ordered (column, pair) too. */

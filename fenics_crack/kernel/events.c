@@ -1,5 +1,6 @@
 #include "events.h"
 
+#include <complex.h>
 #include <math.h>
 #include <string.h>
 
@@ -214,6 +215,60 @@ static void steady(const exact_flow *f, const regime *r, double time, double sig
     const double c = cos(f->omega * time), s = sin(f->omega * time);
     const double *mean = r->steady, *cosine = mean + r->size, *sine = cosine + r->size;
     for (int j = 0; j < r->size; j++) z[j] += sign * (mean[j] + c * cosine[j] + s * sine[j]);
+}
+
+int closed_at(const exact_flow *f, const double *state)
+{
+    const int half = f->size / 2;
+    double largest = 0.0, farthest = 0.0;
+    int closed = 0;
+    for (int i = 0; i < f->pairs * half; i++) largest = fmax(largest, fabs(f->rows[i]));
+    for (int i = 0; i < f->size; i++) farthest = fmax(farthest, fabs(state[i]));
+    for (int pair = 0; pair < f->pairs; pair++) {
+        const double *row = f->rows + (size_t)pair * half;
+        const double gap = dot(half, row, state) - f->clearance[pair];
+        const int grazes = fabs(gap) <= 1e-14 * largest * farthest;
+        const double inside = grazes ? dot(half, row, state + half) : gap;
+        if (inside > 0.0) closed |= 1 << pair;
+    }
+    return closed;
+}
+
+void respond_to_load(const exact_flow *f, regime *r)
+{
+    const int m = r->turning, size = r->size;
+    double *cosine = f->room, *sine = cosine + size;
+    const double *load = r->load, w = f->omega;
+    for (int j = 0; j < size; j++) {
+        const int turns = j < m, second = turns ? m + j : j;
+        const double b = turns ? r->turn[j] : 0.0;
+        const double complex left = I * w - r->decay[j];
+        const double complex one = load[j] - I * load[size + j];
+        const double complex two = load[second] - I * load[size + second];
+        double complex y = 0.0, z = 0.0; /* without a load there is none, on resonance either */
+        if (j >= m && j < 2 * m) continue; /* done with its first one */
+        if (one != 0.0 || two != 0.0) {
+            const double complex square = left * left + b * b;
+            y = turns ? (left * one + b * two) / square : one / left;
+            z = (left * two - b * one) / square;
+        }
+        cosine[j] = creal(y), sine[j] = -cimag(y);
+        if (turns) cosine[second] = creal(z), sine[second] = -cimag(z);
+    }
+    multiply(size, size, r->vectors, cosine, r->steady + size);
+    multiply(size, size, r->vectors, sine, r->steady + 2 * size);
+    for (int pair = 0; pair < f->pairs; pair++) {
+        r->forced[3 * pair + 1] = dot(size, r->free + (size_t)pair * size, cosine);
+        r->forced[3 * pair + 2] = dot(size, r->free + (size_t)pair * size, sine);
+    }
+    r->omega = w;
+}
+
+void set_frequency(exact_flow *f, double omega)
+{
+    f->omega = omega;
+    for (long set = 0; set < 1L << f->pairs; set++)
+        if (f->known[set] && f->known[set]->omega != omega) respond_to_load(f, f->known[set]);
 }
 
 int follow_exactly(const exact_flow *f, motion *m, double longest)

@@ -19,15 +19,19 @@ typedef struct {
     const double *turn;      /* (m) b */
     const double *vectors;   /* (size, size) V */
     const double *inverse;   /* V^-1 */
-    const double *steady;    /* (3, size) mean, c, s */
+    const double *load;      /* (2, size) weights of the load's cosine and sine */
+    double *steady;          /* (3, size) mean, c, s */
     const double *free;      /* (3, p, size): gaps, their slopes and curvatures, from the weights */
-    const double *forced;    /* (p, 3): gaps of z_p: mean less clearance, cosine, sine */
+    double *forced;          /* (p, 3): gaps of z_p: mean less clearance, cosine, sine */
     double step;             /* of the search: a twelfth of the fastest mode's period */
+    double omega;            /* to which c and s belong; NAN: none */
 } regime;
 
 typedef struct {
     int pairs, size;
     double omega;
+    const double *rows;      /* (p, size / 2): gaps from the first half of z, but for the clearance */
+    const double *clearance; /* (p) */
     regime **known;          /* (2^p) by the closed pairs' bits; NULL: not yet made */
     double *room;            /* 8 size + 6 p */
 } exact_flow;
@@ -47,6 +51,13 @@ typedef struct {
     int *sets;               /* (count) bits of the closed pairs there */
 } motion;
 
+/* Bits of the pairs that are closed in a state, or about to be. */
+int closed_at(const exact_flow *f, const double *state);
+/* Take on the load's frequency, as do the regimes that are made: the steady response y = Re (Y
+ * e^{iwt}) of the weights solves iw Y = L Y + (cosine - i sine). */
+void set_frequency(exact_flow *f, double omega);
+/* The same of one regime of it. */
+void respond_to_load(const exact_flow *f, regime *r);
 /* Follow a motion to its end, DONE; until a set of closed pairs is not yet made, UNKNOWN, or until
  * there is no room for another interval, FULL: to be called again then. FAST: the search would take
  * `longest` steps. */

@@ -1,9 +1,10 @@
-#include "condensed.h"
 #include "path.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
+
+enum { PATIENT = 32 };
 
 static double inner(int n, const double *x, const double *y)
 {
@@ -19,15 +20,15 @@ static void add(int n, double *x, double s, const double *y)
 }
 
 /* -J^-1 dF/dp. */
-static void slope_at(point *at, int n, double *slope)
+static void slope_at(equations *at, int n, double *slope)
 {
-    by_parameter(at, slope);
-    solve(at, slope);
+    at->by_parameter(at, slope);
+    at->solve(at, slope);
     for (int i = 0; i < n; i++) slope[i] = -slope[i];
 }
 
 /* The unit tangent towards growing p at a point that has been evaluated; its slope t_p. */
-static double tangent_at(point *at, int n, const double *x, double *tangent, double *weight)
+static double tangent_at(equations *at, int n, const double *x, double *tangent, double *weight)
 {
     slope_at(at, n, tangent);
     *weight = 1.0 / fmax(inner(n, x, x), 1e-300);
@@ -43,18 +44,19 @@ static void turn_round(int n, double *tangent, double *slope)
 }
 
 /* solve_in_plane with room for F, dx and J^-1 F_p: (3, n). */
-static int correct(point *at, int n, double *x, double *p, const double *across, double slope,
+static int correct(equations *at, int n, double *x, double *p, const double *across, double slope,
                    double weight, double tolerance, int iterations, double reach,
-                   double least_damping, int *taken, double *room)
+                   double least_damping, int patience, int *taken, double *room)
 {
     double *F = room, *change = room + n, *rate = change + n;
     const double guess = *p;
     double shift = 0.0, damping = 1.0, before = INFINITY;
+    double sizes[PATIENT], smallest = INFINITY; /* of the steps before the last `patience` */
     *taken = 0;
     for (int i = 0; i < 4 * iterations; i++) {
-        const int outcome = evaluate(at, x, *p);
+        const int outcome = at->evaluate(at, x, *p);
         if (outcome != FOUND) return outcome;
-        residual_at(at, F);
+        at->residual(at, F);
         const double square = inner(n, F, F);
         const double size = sqrt((across ? weight : 1.0 / fmax(inner(n, x, x), 1e-300)) * square);
         if (size <= tolerance) return FOUND;
@@ -65,10 +67,14 @@ static int correct(point *at, int n, double *x, double *p, const double *across,
             add(n, x, -damping, change), *p -= damping * shift;
             continue;
         }
-        if (*taken == iterations) return NOT_FOUND;
+        if (patience) {
+            sizes[*taken % PATIENT] = size;
+            if (*taken >= patience) smallest = fmin(smallest, sizes[(*taken - patience) % PATIENT]);
+        }
+        if (*taken == iterations || 0.5 * smallest < size) return NOT_FOUND;
         /* (dx, dp) = (a + dp b, dp), J a = -F, J b = -F_p, dp = -w <t_x, a> / (w <t_x, b> + t_p) */
         for (int j = 0; j < n; j++) change[j] = -F[j];
-        solve(at, change);
+        at->solve(at, change);
         shift = 0.0;
         if (across) {
             slope_at(at, n, rate);
@@ -84,16 +90,16 @@ static int correct(point *at, int n, double *x, double *p, const double *across,
     return NOT_FOUND;
 }
 
-int solve_in_plane(point *at, double *unknown, double *parameter, int bordered,
+int solve_in_plane(equations *at, double *unknown, double *parameter, int bordered,
                    const double *across, double slope, double weight, double tolerance,
-                   int iterations, double reach, double least_damping, int *taken)
+                   int iterations, double reach, double least_damping, int patience, int *taken)
 {
-    const int n = unknowns_of(at);
+    const int n = at->unknowns;
     double *room = malloc(3 * (size_t)n * sizeof(double));
     const int outcome = !room ? NO_MEMORY
                               : correct(at, n, unknown, parameter, bordered ? across : NULL, slope,
-                                        weight, tolerance, iterations, reach, least_damping, taken,
-                                        room);
+                                        weight, tolerance, iterations, reach, least_damping,
+                                        patience, taken, room);
     free(room);
     return outcome;
 }
@@ -128,7 +134,7 @@ static void bend(int n, const path *at, double step, double *x, double *p, doubl
 }
 
 /* One step: FOUND, NOT_FOUND where the step is too long, or SINGULAR_STRUCTURE. */
-static int advance(point *at, int n, const stepping *how, path *points, double *room)
+static int advance(equations *at, int n, const stepping *how, path *points, double *room)
 {
     const int last = points->known - 1;
     const double step = points->step, weight = points->weights[last];
@@ -142,12 +148,12 @@ static int advance(point *at, int n, const stepping *how, path *points, double *
     add(n, x, step, old), p = points->parameters[last] + step * old_slope;
     bend(n, points, step, x, &p, room);
     const int outcome = correct(at, n, x, &p, old, old_slope, weight, sharp, how->iterations,
-                                how->reach * step, how->least_damping, &taken, room);
+                                how->reach * step, how->least_damping, 0, &taken, room);
     if (outcome != FOUND) return outcome;
     /* The determinant of the bordered matrix keeps its sign along a path: it tells where the path
      * goes on, and the angle whether the step has left it. */
     double own, slope = tangent_at(at, n, x, tangent, &own);
-    if (determinant_sign(at) != points->orientation) turn_round(n, tangent, &slope);
+    if (at->sign(at) != points->orientation) turn_round(n, tangent, &slope);
     const double square = weight * inner(n, tangent, tangent) + slope * slope;
     const double cosine = square > 0.0 ? (weight * inner(n, tangent, old) + slope * old_slope) /
                                              sqrt(square)
@@ -170,9 +176,9 @@ static int advance(point *at, int n, const stepping *how, path *points, double *
     return FOUND;
 }
 
-int follow(point *at, const stepping *how, path *points)
+int follow(equations *at, const stepping *how, path *points)
 {
-    const int n = unknowns_of(at);
+    const int n = at->unknowns;
     double *room = malloc((3 * (size_t)n + 1) * sizeof(double));
     int outcome = room ? FOUND : NO_MEMORY, inside = 1;
     while (outcome == FOUND && points->known < points->room && inside) {
@@ -231,7 +237,7 @@ static double root_within(const double *cubic)
 }
 
 /* The same with room (3, n). */
-static int between(point *at, int n, const stepping *how, int most, const double *target,
+static int between(equations *at, int n, const stepping *how, int most, const double *target,
                    path *ends, double *room)
 {
     int first = 0, last = 1, next = 2, halve = 0;
@@ -263,7 +269,7 @@ static int between(point *at, int n, const stepping *how, int most, const double
         add(n, x, step, tangent);
         const int outcome = correct(at, n, x, ends->parameters + next, tangent, slope, weight,
                                     how->tolerance, how->iterations, how->reach * step,
-                                    how->least_damping, ends->iterations + next, room);
+                                    how->least_damping, 0, ends->iterations + next, room);
         if (outcome != FOUND) return outcome;
         ends->slopes[next] = tangent_at(at, n, x, ahead, ends->weights + next);
         if (weight * inner(n, ahead, tangent) + ends->slopes[next] * slope < 0.0)
@@ -279,9 +285,9 @@ static int between(point *at, int n, const stepping *how, int most, const double
     return NOT_FOUND;
 }
 
-int find_between(point *at, const stepping *how, int most, const double *target, path *ends)
+int find_between(equations *at, const stepping *how, int most, const double *target, path *ends)
 {
-    const int n = unknowns_of(at);
+    const int n = at->unknowns;
     double *room = malloc(3 * (size_t)n * sizeof(double));
     const int outcome = room ? between(at, n, how, most, target, ends, room) : NO_MEMORY;
     free(room);

@@ -1,18 +1,21 @@
-/* Corrections along a path of the condensed equations, and the path itself. */
+/* Corrections along a path of equations, and the path itself. */
 #ifndef PATH_H
 #define PATH_H
 
+#include "equations.h"
+
 /* The loops of fenics_crack/balance/bordered.py and arclength.py, which say what is done and why,
- * for equations in condensed.h. A point of a path has n = (2H+1) pairs unknowns, a parameter and a
- * unit tangent (t_x, t_p) in the norm weight |x|^2 + p^2.
+ * for the equations in condensed.h and orbits.h. A point of a path has n unknowns, a parameter and
+ * a unit tangent (t_x, t_p) in the norm weight |x|^2 + p^2.
  */
 
 /* Newton's method in the plane across a tangent, or unless `bordered` at a given parameter.
  * unknown, parameter: the guess, and the point found; taken: iterations. A `least_damping` below 0
- * asks for full steps. Returns FOUND, or why not. */
-int solve_in_plane(point *at, double *unknown, double *parameter, int bordered,
+ * asks for full steps; `patience`, unless 0 and at most 30: steps that may together fail to halve
+ * the residual. Returns FOUND, or why not. */
+int solve_in_plane(equations *at, double *unknown, double *parameter, int bordered,
                    const double *across, double slope, double weight, double tolerance,
-                   int iterations, double reach, double least_damping, int *taken);
+                   int iterations, double reach, double least_damping, int patience, int *taken);
 
 typedef struct {
     double longest, shortest, tolerance, least_cosine, rounding, branching_step, reach;
@@ -33,11 +36,11 @@ typedef struct {
 
 /* Follow the path until there is no more room or the parameter leaves its range. Returns FOUND,
  * or why it ended before: NOT_FOUND where steps would be too short; the next one is then 0. */
-int follow(point *at, const stepping *how, path *points);
+int follow(equations *at, const stepping *how, path *points);
 
 /* The point between two, the first rows of `ends` (3 rows), where the parameter turns back, or
  * unless NULL where it is a target, to a distance how->shortest, by at most so many points; its row
  * is then ends->known. Returns FOUND, or why not. */
-int find_between(point *at, const stepping *how, int most, const double *target, path *ends);
+int find_between(equations *at, const stepping *how, int most, const double *target, path *ends);
 
 #endif

@@ -21,11 +21,11 @@ from itertools import pairwise
 
 import numpy as np
 import scipy.linalg
-from scipy.linalg.lapack import dgeev
 
 from fenics_crack.balance.active_sets import contact_intervals
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.balance.fourier import evaluate, to_complex
+from fenics_crack.balance.orbits import eigenvalues
 from fenics_crack.balance.switching import switching_instants
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.coupled import ActiveSets, smooth_forces, unique_sets
@@ -141,7 +141,7 @@ class PiecewiseFlow:
             product = self._product(gap, base_omega)[0]
         if not np.all(np.isfinite(product)):
             return product[0] + 0j * np.nan
-        found = _eigenvalues(product)
+        found = eigenvalues(product)
         return found[np.argsort(-np.abs(found), kind="stable")]
 
     def leading(self, gap: np.ndarray, base_omega: float) -> LeadingMultiplier:
@@ -161,7 +161,7 @@ class PiecewiseFlow:
         product = self._product(gap, base_omega)[0]
         value = _leading(product) if len(product) > FULL else None
         if value is None:
-            found = _eigenvalues(product)
+            found = eigenvalues(product)
             value = complex(found[np.argmax(np.abs(found))])
             through = np.count_nonzero((found.imag == 0.0) & (found.real < -1.0))
             doubling = -1.0 if through % 2 else 1.0  # of det(I + M)
@@ -177,7 +177,7 @@ class PiecewiseFlow:
         """Modulus of the leading multiplier less one, to locate where it vanishes."""
         product = self._product(gap, base_omega)[0]
         value = _leading(product, proven=False) if len(product) > FULL else None
-        return float(np.abs(_eigenvalues(product) if value is None else value).max()) - 1.0
+        return float(np.abs(eigenvalues(product) if value is None else value).max()) - 1.0
 
     def monodromy(self, gap: np.ndarray, base_omega: float) -> np.ndarray:
         """M over one period of the gap (2H+1, n_pairs), from phase zero: (2n, 2n).
@@ -270,17 +270,6 @@ def _make_room(kept: dict) -> None:
     """Forget what is kept where it has become much."""
     if len(kept) >= MAX_KEPT:
         kept.clear()
-
-
-def _eigenvalues(matrix: np.ndarray) -> np.ndarray:
-    """All of them; straight from LAPACK, for small matrices a tenth of NumPy's time."""
-    if not np.isfinite(matrix).all():
-        raise np.linalg.LinAlgError("the monodromy matrix is not finite")
-    real, imaginary, _, _, info = dgeev(matrix, compute_vl=0, compute_vr=0)
-    if info:
-        raise np.linalg.LinAlgError("eigenvalues of the monodromy matrix do not converge")
-    found: np.ndarray = real + 1j * imaginary
-    return found
 
 
 def _leading(matrix: np.ndarray, *, proven: bool = True) -> complex | None:

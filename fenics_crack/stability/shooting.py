@@ -17,16 +17,18 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.bordered import PathPoint, solve_in_plane
+from fenics_crack.balance.compiled import CompiledPaths
 from fenics_crack.balance.orbits import MarchedOrbits, OrbitPoint, Orbits
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError, check_count
+from fenics_crack.kernel import Struct, doubles, kernel, owned
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.reduced import massless
 from fenics_crack.model.structure import Structure
 from fenics_crack.table import Described, counted
-from fenics_crack.time.events import EventFlow
+from fenics_crack.time.events import LONGEST_SEARCH, MAX_EVENTS, EventFlow
 from fenics_crack.time.march import initial_state
 
 __all__ = [
@@ -111,6 +113,7 @@ class ExactOrbits(Orbits):
         self._flow = EventFlow(structure, solution.omega, contact)
         state = self._flow.state(*initial_state(structure, solution))
         super().__init__(solution.omega, state)
+        self.compiled = _CompiledOrbits(self, self._flow.at(self.omega), self._size, self._turns)
 
     def unknown_of(self, displacement: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """x of another motion at phase zero, (n_dofs,) each."""
@@ -144,6 +147,37 @@ class ExactOrbits(Orbits):
             found.iterations,
             found.at.events,
         )
+
+
+class _CompiledOrbits(CompiledPaths):
+    """The same in the kernel, with a flow of their own."""
+
+    def __init__(self, orbits: ExactOrbits, flow: EventFlow, size: float, turns: float) -> None:
+        self.shape = orbits.start.shape
+        self._orbits, self._flow = orbits, flow
+        given = Struct(
+            "orbit_equations", flow=flow.known.at, omega=orbits.omega, size=size, turns=turns,
+            longest=LONGEST_SEARCH, most=MAX_EVENTS,
+        )  # fmt: skip
+        self._point = owned(kernel.new_orbit_point(given.at), kernel.free_orbit_point)
+        self._equations = kernel.equations_of_orbit(self._point)
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
+        """The equations at a point."""
+        return self._orbits.linearise(unknown, parameter)
+
+    def _found(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
+        residual, monodromy = np.empty(self.shape), np.empty(2 * self.shape)
+        self._equations.residual(self._equations, doubles(residual))
+        kernel.monodromy_of(self._point, doubles(monodromy))
+        events = int(kernel.events_of(self._point))
+        return OrbitPoint(self._orbits, (unknown, parameter), residual, lambda: monodromy, events)
+
+    def _check(self, outcome: int) -> None:
+        if outcome == kernel.NO_MEMORY:
+            raise MemoryError("exact orbits")
+        if outcome == kernel.NEW_SET:
+            self._flow.make(kernel.new_set_of(self._point))
 
 
 class SteppedOrbits(MarchedOrbits):

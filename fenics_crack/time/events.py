@@ -26,12 +26,12 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
 from fenics_crack.time.regime import FreeMotion, Regime
 
-__all__ = ["MAX_PAIRS", "EventFlow", "integrate_events"]
+__all__ = ["LONGEST_SEARCH", "MAX_EVENTS", "MAX_PAIRS", "EventFlow", "integrate_events"]
 
 MAX_PAIRS = 12
 MAX_EVENTS = 100_000
 """In one flow; more are a sign that pairs chatter without end."""
-MAX_STEPS = 3e5
+LONGEST_SEARCH = 3e5
 """Twelfths of the period of the highest mode in one flow."""
 KEPT = 256
 """Intervals between events that are kept at a time."""
@@ -73,8 +73,10 @@ class EventFlow:
         """What depends on the load's frequency: regimes, by the bits of their closed pairs."""
         pairs, size = self.gap_rows.shape
         self._regimes: dict[int, Regime] = {}
-        self._known = Struct(
+        self.known = Struct(
             "exact_flow", pairs=pairs, size=size, omega=self.omega, known=table("regime", 2**pairs),
+            rows=np.ascontiguousarray(self.gap_rows[:, : size // 2]),
+            clearance=np.array(self.structure.clearance, dtype=float),
             room=np.empty(8 * size + 6 * pairs),
         )  # fmt: skip
 
@@ -112,23 +114,23 @@ class EventFlow:
         """Flow from ``start`` for ``duration``: the state; ``rows @ z`` at ``instants`` (ascending,
         within the flow); what computes the monodromy matrix; and the number of events."""
         instants = np.zeros(0) if instants is None else np.array(instants, dtype=float)
-        state = np.array(state, dtype=float)
+        state = np.array(state, dtype=float).reshape(self.gap_rows.shape[1])
         gaps = np.diff(instants)
         equal = len(gaps) > 1 and float(np.ptp(gaps)) <= 1e-9 * float(gaps[0])
         weights, sets = np.empty((len(instants), len(state))), np.empty(len(instants), np.intc)
         passed, lengths = np.empty(KEPT, np.intc), np.empty(KEPT)
         motion = Struct(
             "motion", now=start, end=start + duration, state=state,
-            closed=self._closed_at(state), switched=-1, most=KEPT, passed_sets=passed,
-            lengths=lengths, count=len(instants), instants=instants,
+            closed=kernel.closed_at(self.known.at, doubles(state)), switched=-1, most=KEPT,
+            passed_sets=passed, lengths=lengths, count=len(instants), instants=instants,
             spacing=float(np.mean(gaps)) if equal else 0.0, weights=weights, sets=sets,
         ).at  # fmt: skip
         before: list[tuple[np.ndarray, np.ndarray]] = []
-        while (code := kernel.follow_exactly(self._known.at, motion, MAX_STEPS)) != kernel.DONE:
+        while (code := kernel.follow_exactly(self.known.at, motion, LONGEST_SEARCH)) != kernel.DONE:
             if code == kernel.FAST:
                 raise ConvergenceError("events: the highest modes are too fast for that long")
             if code == kernel.UNKNOWN:
-                self._make(motion.closed)
+                self.make(motion.closed)
                 continue
             if motion.events > MAX_EVENTS:
                 raise ConvergenceError("events: the pairs open and close without end")
@@ -158,28 +160,23 @@ class EventFlow:
         product, work = np.eye(size), np.empty(size * (size + 2))
         for sets, lengths in passed:
             kernel.derivative_of(
-                self._known.at, len(sets), ints(sets), doubles(lengths), doubles(product),
+                self.known.at, len(sets), ints(sets), doubles(lengths), doubles(product),
                 doubles(work),
             )  # fmt: skip
         return product
 
-    def _closed_at(self, state: np.ndarray) -> int:
-        """Bits of the pairs in penetration, or about to be."""
-        gap = self.gap_rows @ state - self.structure.clearance
-        rate = self._modes.pairs.T @ state[len(state) // 2 :]
-        rounding = 1e-14 * np.abs(self.gap_rows).max(initial=0.0) * np.abs(state).max()
-        closed = np.where(np.abs(gap) <= rounding, rate > 0.0, gap > 0.0)
-        return int(closed @ (1 << np.arange(len(closed))))
-
-    def _make(self, closed: int) -> None:
+    def make(self, closed: int) -> None:
         """The regime of a set of closed pairs, by its bits."""
         own = self.structure, self._modes
         if closed not in self._free:
             springs = (closed >> np.arange(len(self._stiffness)) & 1) * self._stiffness
             self._free[closed] = FreeMotion(*own, springs, self.scale)
-        made = Regime(self._free[closed], *own, self.omega, self.scale)
+        made = Regime(self._free[closed], *own, self.scale)
+        kernel.respond_to_load(self.known.at, made.known.at)
+        if not np.isfinite(made.steady).all():
+            raise ConvergenceError("events: the load meets an undamped resonance")
         self._regimes[closed] = made
-        self._known.at.known[closed] = made.known.at
+        self.known.at.known[closed] = made.known.at
 
 
 def integrate_events(

@@ -68,29 +68,26 @@ class FreeMotion:
 
 
 class Regime:
-    """The flow with one set of closed pairs under the load: z_p = mean + c cos(wt) + s sin(wt)."""
+    """The flow with one set of closed pairs under the load: z_p = mean + c cos(wt) + s sin(wt),
+    where the kernel makes c and s for a frequency."""
 
     def __init__(
-        self, free: FreeMotion, structure: Structure, modes: AllModes, omega: float, scale: float
+        self, free: FreeMotion, structure: Structure, modes: AllModes, scale: float
     ) -> None:
         self._free = free
-        count, matrix = len(modes.squares), free.matrix
-        _, cosine, sine = structure.force @ modes.shapes
-        response: np.ndarray = np.zeros(count, dtype=complex)
-        if np.any(cosine) or np.any(sine):
-            stiffness, damping = -scale * matrix[count:, :count], -matrix[count:, count:]
-            impedance = stiffness - omega**2 * np.eye(count) + 1j * omega * damping
-            response = np.linalg.solve(impedance, cosine - 1j * sine)
+        count = len(modes.squares)
         mean = np.concatenate([scale * free.static, np.zeros(count)])
-        harmonic = np.concatenate([scale * response, 1j * omega * response])
-        self.steady = np.array([mean, harmonic.real, -harmonic.imag])
+        load = np.vstack([np.zeros((count, 2)), (structure.force[1:] @ modes.shapes).T])
+        self.steady = np.zeros((3, 2 * count))
         """mean, c, s: (3, 2n)"""
-        gaps = self.steady[:, :count] @ modes.pairs / scale
-        gaps[0] -= structure.clearance
+        self.steady[0] = mean
+        forced = np.zeros((structure.n_pairs, 3))
+        forced[:, 0] = free.side * (modes.pairs.T @ mean[:count] / scale - structure.clearance)
         self.known = Struct(
             "regime", size=2 * count, turning=len(free.turn), decay=free.decay, turn=free.turn,
             vectors=free.vectors, inverse=free.inverse, steady=self.steady, free=free.gaps,
-            forced=np.ascontiguousarray((free.side * gaps).T), step=free.step,
+            load=np.ascontiguousarray((free.inverse @ load).T), forced=forced, step=free.step,
+            omega=np.nan,
         )  # fmt: skip
 
     def sampled(self, rows: np.ndarray, weights: np.ndarray, waves: np.ndarray) -> np.ndarray:

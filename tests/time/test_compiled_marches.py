@@ -12,8 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fenics_crack as fc
+from fenics_crack.balance.bordered import Tangent, solve_in_plane
+from fenics_crack.balance.orbits import OrbitPoint
 from fenics_crack.model.complementarity import solve_complementarity
 from fenics_crack.model.flow import ExponentialFlow
+from fenics_crack.stability.shooting import ExactOrbits
 from fenics_crack.time import central_differences, implicit
 from fenics_crack.time.events import KEPT, EventFlow
 from fenics_crack.time.march import March, Scheme, march
@@ -253,3 +256,32 @@ def test_exact_flow_past_many_events() -> None:
     assert counted == events > 2 * KEPT
     assert np.abs(state - start).max() <= 1e-9 * scale_of(state)
     assert np.abs(derivative() - product).max() <= 1e-6 * scale_of(product)
+
+
+@settings(max_examples=25, deadline=None, derandomize=True)
+@given(st.integers(1, 3), st.integers(1, 2), DAMPINGS, SEEDS)
+def test_orbits_by_newton(dofs: int, pairs: int, damping: str, seed: int) -> None:
+    """The compiled loop takes the steps of the one in Python: at a frequency, in a plane, and with
+    little patience; then it stands at the orbit, with its monodromy matrix."""
+    rng = np.random.default_rng(seed)
+    structure = random_structure(rng, dofs, min(pairs, dofs), damping)
+    law, omega = fc.UnilateralPenalty(5.0), float(rng.uniform(0.5, 2.0))
+    near = fc.solve_harmonic_balance(structure, omega, law, harmonics=6, throw=False)
+    system = ExactOrbits(structure, law, near)
+    start, across = system.start, rng.normal(size=2 * dofs)
+    for plane in (None, Tangent(across / np.linalg.norm(across), 0.5, 1.0)):
+        for patience in (None, 1, 3):
+            given = {"tolerance": 1e-10, "iterations": 8, "reach": 0.05, "patience": patience}
+            one = solve_in_plane(system, start, 1.0, plane, history=[], **given)
+            two = solve_in_plane(system, start, 1.0, plane, **given)
+            assert (one is None) == (two is None)
+            if one is None or two is None:
+                continue
+            assert one.iterations == two.iterations
+            assert one.parameter == pytest.approx(two.parameter, rel=1e-9)
+            assert np.abs(one.unknown - two.unknown).max() <= 1e-8
+            assert isinstance(one.at, OrbitPoint) and isinstance(two.at, OrbitPoint)
+            assert one.at.events == two.at.events
+            scale = scale_of(one.at.monodromy)
+            assert np.abs(one.at.monodromy - two.at.monodromy).max() <= 1e-6 * scale
+            assert np.abs(two.at.residual).max() <= 1e-9

@@ -1,0 +1,19 @@
+/* Equations F(x, p) = 0 at a point, of whatever kind: what paths are followed with. */
+#ifndef EQUATIONS_H
+#define EQUATIONS_H
+
+/* What comes of an evaluation, or of a correction by Newton's method. NEW_SET: the motion meets a
+ * set of closed pairs that is not yet made (orbits.h). */
+enum { FOUND, NOT_FOUND, SINGULAR_STRUCTURE, NO_MEMORY, NEW_SET };
+
+/* The points of each kind begin with it; `at` is such a point. */
+typedef struct equations {
+    int unknowns;
+    int (*evaluate)(struct equations *at, const double *x, double p); /* FOUND, or why not */
+    void (*residual)(const struct equations *at, double *found);      /* F there */
+    void (*solve)(struct equations *at, double *x);                   /* x = J^-1 x there */
+    void (*by_parameter)(struct equations *at, double *found);        /* dF/dp there */
+    double (*sign)(struct equations *at);                             /* of det J there */
+} equations;
+
+#endif
