@@ -41,7 +41,7 @@ from fenics_crack.scene.tables import (
 )
 from fenics_crack.table import RPM
 
-__all__ = ["Scene"]
+__all__ = ["LOOKED_AT", "Scene"]
 
 PLATE_TABLES = ("geometry", "material", "mesh", "crack", "cracks", "loads", "base", "rotation")
 """Tables of a plate, which matrices from elsewhere take the place of."""
@@ -453,6 +453,6 @@ _PATHS = tuple(
     if "path" in item.metadata
 )
 """Keys that hold the path of a file."""
-_LOOKED_AT = ("curve", "integration", "sweep", "identify", "tip_timing", "output")
+LOOKED_AT = ("curve", "integration", "sweep", "identify", "tip_timing", "output")
 """Tables that say what is looked at, and change nothing of it."""
-_SWEPT = tuple(name for name in _TABLES if name not in _LOOKED_AT)
+_SWEPT = tuple(name for name in _TABLES if name not in LOOKED_AT)

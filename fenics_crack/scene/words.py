@@ -7,7 +7,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.scene import LOOKED_AT, Scene
 from fenics_crack.table import quantity
 
 __all__ = ["WHOLE", "differences", "key_in_words", "unit_of", "value_in_words"]
@@ -56,10 +56,6 @@ WHOLE = ("rad/s", "rpm", "Hz", "kg/m^3", "N/m^3", "1/m", "1/s", "s")
 """Units that take no prefix here."""
 
 
-RANGES = ("curve", "integration", "sweep", "identify", "tip_timing", "output")
-"""Tables that say what is looked at, and change nothing of it."""
-
-
 def unit_of(key: str) -> str:
     """The unit of a key's values; empty if they have none. [[cracks]] have the units of [crack]."""
     return UNITS.get(re.sub(r"^(crack|load)s\.\d+", r"\1", key), "")
@@ -98,7 +94,7 @@ def differences(scenes: Sequence[Scene]) -> list[str]:
         for scene, one in zip(scenes, found, strict=True)
     ]
     differ = [key for key in keys if any(one[key] != values[0][key] for one in values)]
-    chosen = [key for key in differ if key.split(".")[0] not in RANGES] or differ
+    chosen = [key for key in differ if key.split(".")[0] not in LOOKED_AT] or differ
     return [
         ", ".join(f"{key} = {value_in_words(key, one[key])}" for key in chosen) for one in values
     ]
