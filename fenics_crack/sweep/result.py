@@ -111,13 +111,7 @@ def run_sweep(
         The scene has no sweep, no combination of its values is a scene, the number of ranks does
         not fit, a structure is too large and not to be reduced, or the file cannot be used.
     """
-    if scene.sweep is None:
-        raise InputError("sweep", None, "given: what to vary")
-    ranks = scene.sweep.ranks
-    if comm.size % ranks:
-        raise InputError("sweep.ranks", ranks, f"a divisor of the number of ranks, {comm.size}")
-    if ranks > 1 and scene.reduction is not None and scene.reduction.method == "off":
-        raise InputError("reduction.method", "off", "a reduction where sweep.ranks > 1")
+    ranks = _ranks_of_a_case(scene, comm)
     manager: Manager | None = None
 
     def start() -> None:
@@ -154,6 +148,18 @@ def run_sweep(
     if error is not None:
         raise error
     return on_root(comm, lambda: SweepResult.load(path))
+
+
+def _ranks_of_a_case(scene: Scene, comm: MPI.Comm) -> int:
+    """How many ranks solve a case together."""
+    if scene.sweep is None:
+        raise InputError("sweep", None, "given: what to vary")
+    ranks = scene.sweep.ranks
+    if comm.size % ranks:
+        raise InputError("sweep.ranks", ranks, f"a divisor of the number of ranks, {comm.size}")
+    if ranks > 1 and scene.reduction is not None and scene.reduction.method == "off":
+        raise InputError("reduction.method", "off", "a reduction where sweep.ranks > 1")
+    return ranks
 
 
 def manage(manager: Manager, leaders: MPI.Comm, stop: StopRequest) -> None:
