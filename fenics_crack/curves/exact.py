@@ -49,7 +49,8 @@ from fenics_crack.model.contact import is_piecewise_linear
 from fenics_crack.model.reduced import massless
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.stability.piecewise_flow import doubling_test
-from fenics_crack.stability.shooting import allowed_distance, distance, orbits_near
+from fenics_crack.stability.refinement import bifurcation_between
+from fenics_crack.stability.shooting import ExactOrbits, allowed_distance, distance, orbits_near
 from fenics_crack.stages import begin
 from fenics_crack.time.events import MAX_PAIRS
 
@@ -72,12 +73,15 @@ SURE = 1e-6
 LONGEST = 1e-3
 """Step in the frequency from orbit to orbit, relative: lightly damped multipliers turn by
 2 pi w_j / w times as much, and where two of them meet may leave the unit circle for no longer."""
-ROUNDING = 1e-5
-"""Of the frequency, relative: folds that lie as near to each other are none."""
+ROUNDING, IDENTICAL = 1e-5, 1e-6
+"""Of the frequency, relative: folds that are not located and lie as near to each other are none;
+bifurcations found on a branch that do are the same one."""
 HALVINGS = 5
 """Of a chord."""
 SHARP = 0.03
 """Of a bifurcation's place, relative to its chord."""
+SMOOTH = 0.25
+"""Of a test function's largest value, what may be left where it vanishes."""
 SAME = 5e-4
 """Of the frequency, relative: how far a bifurcation may move when steps are halved."""
 SINGLY = 40
@@ -234,8 +238,23 @@ class _Orbits:
                 yield kind, *self._located(kind, first, last, turning)
 
     def _located(self, kind: str, first: _Orbit, last: _Orbit, turning: bool) -> tuple[float, bool]:
+        """Where a bifurcation lies between two orbits, and True; about where, and False, if nothing
+        shows that there is one."""
+        if isinstance(self._system, ExactOrbits) and kind != "neimark_sacker":
+            ends = [(one.unknown, one.parameter) for one in (first, last)]
+            for start, goal in (ends, ends[::-1]):
+                found = bifurcation_between(self._system, start, goal, kind)
+                if found is not None:
+                    return found.parameter, True
+            return 0.5 * (first.parameter + last.parameter), False
+        return self._along_chord(kind, first, last, turning)
+
+    def _along_chord(
+        self, kind: str, first: _Orbit, last: _Orbit, turning: bool
+    ) -> tuple[float, bool]:
         """Where a test function vanishes along a chord, and True; its smallest value that was met,
-        and False, where an orbit is missed or it has one sign."""
+        and False, where an orbit is missed, or it has one sign, or jumps past zero: from one branch
+        of orbits to another."""
         pairs = max(first.outside[2], last.outside[2])
         met: list[tuple[float, float]] = []
 
@@ -251,7 +270,7 @@ class _Orbits:
             scipy.optimize.brentq(test, 0.0, 1.0, xtol=SHARP, rtol=1e-12)
         except (ConvergenceError, ValueError):
             return (min(met)[1] if met else first.parameter), False
-        return min(met)[1], True
+        return min(met)[1], min(met)[0] <= SMOOTH * max(met)[0]
 
     def _point(self, first: _Orbit, last: _Orbit, share: float, turning: bool) -> PathPoint | None:
         """The orbit between two others."""
@@ -289,11 +308,16 @@ def _filled(
 
 
 def _distinct(crossings: list[_Crossing]) -> list[_Crossing]:
-    """Without pairs of folds at the same frequency: M - I is singular there to rounding."""
+    """Each that is found on a branch once. Without pairs of folds at the same frequency that are
+    not: M - I is singular there to rounding."""
     left: list[_Crossing] = []
     for one in crossings:
-        twice = left and one.kind == left[-1].kind == KINDS[0]
-        if twice and abs(one.omega - left[-1].omega) <= ROUNDING * one.omega:
+        near = [other for other in left if other.kind == one.kind and other.located == one.located]
+        apart = [abs(one.omega / other.omega - 1.0) for other in near]
+        if one.located and min(apart, default=1.0) <= IDENTICAL:
+            continue
+        fold = near and near[-1] is left[-1] and one.kind == KINDS[0] and not one.located
+        if fold and apart[-1] <= ROUNDING:
             left.pop()
         else:
             left.append(one)

@@ -20,12 +20,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import islice
 from typing import Protocol
 
 import numpy as np
 
 from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import PathPoint, locate, solve_in_plane, tangent_of
+from fenics_crack.balance.bordered import (
+    PathPoint,
+    Tangent,
+    compiled,
+    locate,
+    solve_in_plane,
+    tangent_of,
+)
 from fenics_crack.balance.linearisation import DenseLinearisation
 from fenics_crack.balance.orbits import OrbitPoint
 from fenics_crack.balance.rounding import EPSILON
@@ -36,7 +44,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.stability.piecewise_flow import doubling_test
 from fenics_crack.stability.shooting import ExactOrbits, PeriodicOrbit, SteppedOrbits, orbits_near
 
-__all__ = ["refine_bifurcation"]
+__all__ = ["bifurcation_between", "refine_bifurcation"]
 
 TOLERANCE = 1e-12
 """|z(T) - z| / |z| of the points, where the flow does not enlarge rounding beyond it."""
@@ -46,6 +54,9 @@ ALIKE = 0.5
 """Farthest orbit from the solution's motion from which the branch is followed, relative."""
 MAX_STEPS = 400
 """In each direction."""
+
+PART, MOST = 0.25, 9
+"""Longest step from one orbit towards another one, in parts of the distance, and how many."""
 
 Test = Callable[[PathPoint], float]
 
@@ -103,13 +114,8 @@ def refine_bifurcation(
     where these have one: several of them may lead to the same point, or to none.
     """
     kind, solution = bifurcation.kind, bifurcation.solution
-    tests: dict[str, Callable[[], Test]] = {
-        "fold": lambda: _turning,
-        "period_doubling": lambda: _doubling,
-        "neimark_sacker": _PairTest,
-    }
-    if kind not in tests:
-        raise InputError("kind", kind, "one of " + ", ".join(map(repr, tests)))
+    if kind not in TESTS:
+        raise InputError("kind", kind, "one of " + ", ".join(map(repr, TESTS)))
     check_number("reach", reach, 0.0, above=True)
     if reach > 0.5:
         raise InputError("reach", reach, "at most 0.5")
@@ -123,7 +129,7 @@ def refine_bifurcation(
             f"refinement: no exact orbit near the solution at {solution.omega:g} rad/s"
         )
     sides = [
-        _sought(branch, replace(start, tangent=tangent), tests[kind](), reach, longest_step)
+        _sought(branch, replace(start, tangent=tangent), TESTS[kind](), reach, longest_step)
         for tangent in (start.tangent, start.tangent.reversed())
     ]
     while sides:
@@ -139,6 +145,33 @@ def refine_bifurcation(
         f"refinement: no {kind.replace('_', ' ')} of exact orbits within "
         f"{100.0 * reach:g} % of {solution.omega:g} rad/s"
     )
+
+
+def bifurcation_between(
+    orbits: ExactOrbits | SteppedOrbits,
+    first: tuple[np.ndarray, float],
+    last: tuple[np.ndarray, float],
+    kind: str,
+) -> PathPoint | None:
+    """The bifurcation that is met where the branch of exact orbits is followed from one of them,
+    (x, p), towards another one, as far again as that is away; None where there is none."""
+    branch = _Branch(orbits)
+    at = branch.linearise(*first)
+    tangent = tangent_of(branch, first[0], at)
+    chord = Tangent(last[0] - first[0], last[1] - first[1], tangent.weight)
+    length = float(np.sqrt(chord.weight * (chord.x @ chord.x) + chord.p**2))
+    if not isinstance(at, OrbitPoint) or not length > 0.0:
+        return None
+    if chord.along(tangent, branch) < 0.0:
+        tangent = tangent.reversed()
+    start = PathPoint(*first, 0, tangent, at=at)
+    try:
+        for found in islice(_sought(branch, start, TESTS[kind](), 1.0, PART * length), MOST):
+            if found is not None:
+                return found
+    except ConvergenceError:  # lost between two points
+        pass
+    return None
 
 
 def _far(found: PathPoint, motion: np.ndarray) -> bool:
@@ -166,6 +199,7 @@ class _Branch:
     def __init__(self, orbits: ExactOrbits | SteppedOrbits) -> None:
         self._orbits, self.start = orbits, orbits.start
         self.inner, self.orbit = orbits.inner, orbits.orbit
+        self.compiled = compiled(orbits)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint | _NoFlow:
         """The equations at (x, p); without a residual where there is no flow over the period."""
@@ -205,6 +239,8 @@ def _sought(
     )  # fmt: skip
     before, value = start, test(start)
     for point in follow_path(branch, start.unknown, start.parameter, stepping, start.tangent):
+        if point.at is None:  # from the kernel
+            point = replace(point, at=branch.linearise(point.unknown, point.parameter))
         now = test(point)
         if np.isnan(now):
             return
@@ -252,3 +288,11 @@ class _PairTest:
 def _orbit(point: PathPoint) -> OrbitPoint:
     assert isinstance(point.at, OrbitPoint)
     return point.at
+
+
+TESTS: dict[str, Callable[[], Test]] = {
+    "fold": lambda: _turning,
+    "period_doubling": lambda: _doubling,
+    "neimark_sacker": _PairTest,
+}
+"""By the kind of a bifurcation, what makes its test function."""
