@@ -71,7 +71,7 @@ class Case:
     topic: str
     file: str
     rows: Callable[[], list[Row]]
-    draw: Callable[[Any], None] | None
+    draw: Callable[[Any], None]
     """Draws into matplotlib axes."""
     maker: Callable[[], str | None] | None
     """The other program that made the references, with its version; None if it is missing."""
@@ -84,10 +84,9 @@ class Case:
     def write(self, rows: list[Row]) -> None:
         """Page and picture."""
         self.page.write_text(self.render(rows))
-        if self.draw:
-            figure = Figure(figsize=(6.4, 3.6), layout="constrained")
-            self.draw(figure.subplots())
-            figure.savefig(self.page.with_suffix(".png"), dpi=110)
+        figure = Figure(figsize=(6.4, 3.6), layout="constrained")
+        self.draw(figure.subplots())
+        figure.savefig(self.page.with_suffix(".png"), dpi=110)
 
     def render(self, rows: list[Row]) -> str:
         """The page's text."""
@@ -99,9 +98,8 @@ class Case:
             f"{verdict} figures {'do not hold' if wrong else 'hold'}.\n",
             f"{self.text}\n",
             HEAD + "\n".join(f"| {' | '.join(row.cells())} |" for row in rows) + "\n",
+            f"![{self.title}]({self.name}.png)\n",
         ]
-        if self.draw:
-            parts.append(f"![{self.title}]({self.name}.png)\n")
         if self.maker:
             parts.append(f"The references were made with {self.maker()}.\n")
         parts.append(f"The rows come from `tests/verification/{self.file}`:\n")
@@ -110,7 +108,7 @@ class Case:
 
 
 def case(
-    *, draw: Callable[[Any], None] | None = None, maker: Callable[[], str | None] | None = None
+    *, draw: Callable[[Any], None], maker: Callable[[], str | None] | None = None
 ) -> Callable[[Callable[[], list[Row]]], Callable[[], list[Row]]]:
     """Put a function into the book."""
 
@@ -165,6 +163,8 @@ def index() -> str:
         "longer holds (`tests/verification/`). 🟢: every figure is within the difference allowed",
         "there; 🔴: at least one is not. A case is a function that returns rows. After a change:\n",
         "    .venv/bin/python -m pytest tests/verification --write-book\n",
+        "References that CalculiX makes need it (`apt-get install calculix-ccx`); without it the",
+        "tests of these pages are skipped.\n",
         "Smaller checks, a line each: [Verification](../verification.md).\n",
     ]
     for topic in dict.fromkeys(case.topic for case in CASES.values()):

@@ -12,6 +12,9 @@ import numpy as np
 
 import fenics_crack as fc
 
+CORNERS = {"CPE6": 6, "CPE8": 8, "CPS8": 8, "C3D8": 4}
+"""Nodes of a cell that an element of CalculiX takes, in VTK's order, which is its own."""
+
 
 def calculix() -> str | None:
     """Name and version; None where it is not installed."""
@@ -22,32 +25,56 @@ def calculix() -> str | None:
     return f"CalculiX {said.split()[-1]}"
 
 
-def mesh_lines(structure: fc.Structure, scene: fc.Scene) -> list[str]:
-    """Nodes, six-node triangles in plane stress, material and clamp of a plate of order 2.
+def mesh_lines(structure: fc.Structure, scene: fc.Scene, element: str) -> list[str]:
+    """Nodes, elements, material and clamp of a plate.
 
     The nodes of the lips are double, as ours are. Nodes and dofs count from 1. Numbers
-    may have 20 characters.
+    may have 20 characters. All but CPS8 are in plane strain: they get E (1 + 2 nu) / (1 + nu)^2 and
+    nu / (1 + nu), with which plane strain is plane stress with E and nu. C3D8 is a layer of bricks
+    of the plate's thickness between two planes; the nodes of the second have the numbers of the
+    first, increased by the number of nodes.
     """
     assert structure.nodes is not None
-    points, dofs, cells = structure.nodes.points, structure.nodes.dofs, structure.nodes.cells
-    assert cells.shape[1] == 6
-    a, b, c = (points[cells[:, corner]] for corner in range(3))
-    one, two = b - a, c - a
-    turned = one[:, 0] * two[:, 1] < one[:, 1] * two[:, 0]
-    cells = np.where(turned[:, None], cells[:, [0, 2, 1, 5, 4, 3]], cells)
-    material = scene.material
-    lines = ["*NODE, NSET=ALL"]
-    lines += [f"{i + 1}, {x:.13e}, {y:.13e}, 0.0" for i, (x, y) in enumerate(points)]
-    lines += ["*ELEMENT, TYPE=CPS6, ELSET=PLATE"]
+    points, dofs = structure.nodes.points, structure.nodes.dofs
+    solid, thickness = element == "C3D8", scene.geometry.thickness
+    cells = _counterclockwise(points, structure.nodes.cells[:, : CORNERS[element]])
+    used = np.unique(cells)
+    clamped = np.argwhere(dofs < 0)
+    lines = ["*NODE, NSET=FRONT", *_nodes(points, used, 0, 0.0)]
+    if solid:
+        cells = np.hstack([cells, cells + len(points)])
+        lines += ["*NODE, NSET=BACK", *_nodes(points, used, len(points), thickness)]
+    lines += [f"*ELEMENT, TYPE={element}, ELSET=PLATE"]
     lines += [
         f"{i + 1}, " + ", ".join(str(node + 1) for node in cell) for i, cell in enumerate(cells)
     ]
-    lines += ["*MATERIAL, NAME=M", "*ELASTIC", f"{material.young:.13e}, {material.poisson:.13e}"]
-    lines += ["*DENSITY", f"{material.density:.13e}"]
-    lines += ["*SOLID SECTION, ELSET=PLATE, MATERIAL=M", f"{scene.geometry.thickness:.13e}"]
+    young, poisson = scene.material.young, scene.material.poisson
+    if element != "CPS8":
+        young, poisson = young * (1 + 2 * poisson) / (1 + poisson) ** 2, poisson / (1 + poisson)
+    lines += ["*MATERIAL, NAME=M", "*ELASTIC", f"{young:.13e}, {poisson:.13e}"]
+    lines += ["*DENSITY", f"{scene.material.density:.13e}"]
+    if scene.damping.stiffness:
+        lines += [f"*DAMPING, ALPHA=0.0, BETA={scene.damping.stiffness:.13e}"]
+    lines += ["*SOLID SECTION, ELSET=PLATE, MATERIAL=M"]
+    lines += [] if solid else [f"{thickness:.13e}"]
     lines += ["*BOUNDARY"]
-    lines += [f"{node + 1}, {axis + 1}" for node, axis in np.argwhere(dofs < 0)]
-    return lines
+    for shift in (0, len(points)) if solid else (0,):
+        lines += [f"{node + 1 + shift}, {axis + 1}" for node, axis in clamped if node in used]
+    return lines + (["FRONT, 3", "BACK, 3"] if solid else [])
+
+
+def _counterclockwise(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    a, b, c = (points[cells[:, corner]] for corner in range(3))
+    one, two = b - a, c - a
+    turned = one[:, 0] * two[:, 1] < one[:, 1] * two[:, 0]
+    if cells.shape[1] != 6:
+        assert not turned.any()
+        return cells
+    return np.where(turned[:, None], cells[:, [0, 2, 1, 5, 4, 3]], cells)
+
+
+def _nodes(points: np.ndarray, used: np.ndarray, shift: int, z: float) -> list[str]:
+    return [f"{i + 1 + shift}, {points[i, 0]:.13e}, {points[i, 1]:.13e}, {z:.13e}" for i in used]
 
 
 def ties(structure: fc.Structure) -> list[str]:
@@ -63,6 +90,26 @@ def ties(structure: fc.Structure) -> list[str]:
         ]
         lines += ["*EQUATION", str(len(used)), ", ".join(terms)]
     return lines
+
+
+def contact_lines(structure: fc.Structure, scene: fc.Scene) -> list[str]:
+    """Contact of the faces of a grid's bricks along a crack, by a pressure of so much a depth."""
+    assert structure.nodes is not None and scene.crack is not None
+    points, cells = structure.nodes.points, structure.nodes.cells
+    x, y = points.T
+    on_line = np.isclose(y, scene.crack.height) & (x < scene.crack.length * (1.0 + 1e-9))
+    faces: dict[bool, list[str]] = {True: [], False: []}
+    for number, cell in enumerate(cells):
+        for side in range(4):
+            if on_line[cell[[side, (side + 1) % 4]]].all():
+                above = y[cell].mean() > scene.crack.height
+                faces[bool(above)] += [f"{number + 1}, S{side + 3}"]
+    return [
+        "*SURFACE, NAME=LOWER", *faces[False], "*SURFACE, NAME=UPPER", *faces[True],
+        "*SURFACE INTERACTION, NAME=LIPS", "*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR",
+        f"{scene.contact.stiffness_per_area:.13e}",
+        "*CONTACT PAIR, INTERACTION=LIPS, TYPE=SURFACE TO SURFACE", "UPPER, LOWER",
+    ]  # fmt: skip
 
 
 def run(lines: list[str]) -> str:
@@ -83,22 +130,67 @@ def natural(lines: list[str], count: int) -> np.ndarray:
 
 
 def static(lines: list[str], structure: fc.Structure, force: np.ndarray) -> np.ndarray:
-    """Displacement of all nodes (m, 2) under a force on the dofs."""
+    """Displacement of all dofs under a force on them."""
+    step = ["*STEP", "*STATIC", "*CLOAD", *_values(structure, force, (0,))]
+    table = run([*lines, *step, "*NODE PRINT, NSET=FRONT", "U", "*END STEP"])
+    return _displacements(table, structure)[0]
+
+
+def transient(
+    scene: fc.Scene,
+    structure: fc.Structure,
+    steps: int,
+    periods: int,
+    initial: tuple[np.ndarray, np.ndarray],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Instants [s] and displacement (instant, dof) under force_sin sin(omega t), with contact.
+
+    Steps are no longer than so many a period; CalculiX makes them shorter where contact begins. A
+    clamped layer of bricks, from a state of displacement and velocity.
+    """
+    assert structure.nodes is not None
+    period = 2.0 * np.pi / scene.excitation.omega
+    step, back = period / steps, len(structure.nodes.points)
+    lines = mesh_lines(structure, scene, "C3D8") + contact_lines(structure, scene)
+    for kind, values in zip(("DISPLACEMENT", "VELOCITY"), initial, strict=True):
+        if values.any():
+            lines += [f"*INITIAL CONDITIONS, TYPE={kind}", *_values(structure, values, (0, back))]
+    instants = np.arange(periods * steps + 2) * step
+    lines += ["*AMPLITUDE, NAME=LOAD"]
+    lines += [f"{t:.13e}, {np.sin(scene.excitation.omega * t):.13e}" for t in instants]
+    lines += ["*STEP, INC=100000", "*DYNAMIC, ALPHA=0.0"]
+    lines += [f"{step:.13e}, {periods * period:.13e}, {1e-6 * step:.13e}, {step:.13e}"]
+    lines += ["*CLOAD, AMPLITUDE=LOAD", *_values(structure, 0.5 * structure.force[2], (0, back))]
+    table = run([*lines, "*NODE PRINT, NSET=FRONT", "U", "*END STEP"])
+    time = [float(line.split()[-1]) for line in table.splitlines() if "displacements" in line]
+    return np.array([0.0, *time]), np.vstack([initial[0], _displacements(table, structure)])
+
+
+def _values(structure: fc.Structure, values: np.ndarray, shifts: tuple[int, ...]) -> list[str]:
+    """Lines of node, axis and value of the dofs that are not zero."""
     assert structure.nodes is not None
     dofs = structure.nodes.dofs
-    loads = [
-        f"{node + 1}, {axis + 1}, {force[dofs[node, axis]]:.13e}"
+    return [
+        f"{node + 1 + shift}, {axis + 1}, {values[dofs[node, axis]]:.13e}"
         for node, axis in np.argwhere(dofs >= 0)
-        if force[dofs[node, axis]]
+        for shift in shifts
+        if values[dofs[node, axis]]
     ]
-    table = run(
-        [*lines, "*STEP", "*STATIC", "*CLOAD", *loads, "*NODE PRINT, NSET=ALL", "U", "*END STEP"]
-    )
-    found = np.zeros(dofs.shape)
-    for row in _numbers(table):
-        if len(row) == 4 and int(row[0]) <= len(found):
-            found[int(row[0]) - 1] = float(row[1]), float(row[2])
-    return found
+
+
+def _displacements(table: str, structure: fc.Structure) -> np.ndarray:
+    """Of all dofs, from tables of the front's nodes, one an instant."""
+    assert structure.nodes is not None
+    dofs = structure.nodes.dofs
+    found = []
+    for part in table.split("displacements")[1:]:
+        values = np.zeros(structure.n_dofs)
+        for row in _numbers(part):
+            for axis, dof in enumerate(dofs[int(row[0]) - 1]):
+                if dof >= 0:
+                    values[dof] = float(row[1 + axis])
+        found += [values]
+    return np.array(found)
 
 
 def _numbers(table: str) -> list[list[str]]:

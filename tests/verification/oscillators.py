@@ -102,6 +102,8 @@ def draw_truncation(axes: Any) -> None:
     axes.loglog(COUNTS, truncation_errors(), "o-", label="fenics_crack")
     axes.loglog(COUNTS, [3.1e-4, 3.7e-5, 4.0e-6, 3.9e-7], "kx", label="reference")
     axes.set(xlabel="harmonics H", ylabel="relative L2 error of x over a period")
+    axes.minorticks_off()
+    axes.set_xticks(COUNTS, [str(count) for count in COUNTS])
     axes.legend()
 
 
@@ -142,7 +144,20 @@ def bilinear_convergence() -> list[Row]:
     return rows
 
 
-@case()
+def draw_doubled(axes: Any) -> None:
+    """Two periods of both orbits."""
+    once = fc.solve_harmonic_balance(oscillator(), 2.0 * OMEGA_0, ONE, harmonics=20)
+    share = np.linspace(0.0, 2.0, 800)
+    for orbit, style, name in (
+        (once, "C0--", "one period, unstable"), (period_two_orbit(40), "C1-", "two periods, stable")
+    ):  # fmt: skip
+        axes.plot(share, orbit.gap(share * once.period)[:, 0], style, label=name)
+    axes.axhline(0.0, color="0.7", lw=1)
+    axes.set(xlabel="t / period of the load", ylabel="x", xlim=(0.0, 2.0))
+    axes.legend()
+
+
+@case(draw=draw_doubled)
 def period_doubling() -> list[Row]:
     """Bilinear oscillator: an orbit of two periods.
 
@@ -175,9 +190,9 @@ def draw_stop_curve(axes: Any) -> None:
     curve = fc.continue_frequency(two_masses(), 0.6, 0.9, STOP, harmonics=61, stability=True)
     points = range(len(curve.omega))
     found = [amplitudes(curve.solution(i).coefficients_at([1])[:, 0])[0] for i in points]
-    for stable, style in ((True, "C0-"), (False, "C0--")):
-        part = np.where(curve.stable == stable, found, np.nan)
-        axes.semilogy(curve.omega, part, style, label="stable" if stable else "unstable")
+    unstable = np.convolve(~curve.stable, np.ones(3), "same") > 0.0  # with the points beside it
+    for name, chosen, style in (("stable", curve.stable, "C0-"), ("unstable", unstable, "C0--")):
+        axes.semilogy(curve.omega, np.where(chosen, found, np.nan), style, label=name)
     axes.plot([0.7, 0.7], [0.77839461, 0.22134025], "kx", ms=8, mew=2, label="reference")
     axes.set(xlabel="W", ylabel="abs(X1) of mass 2")
     axes.legend()
@@ -219,7 +234,28 @@ def two_masses_and_a_stop() -> list[Row]:
     ]
 
 
-@case()
+@cache
+def duffing_roots() -> tuple[np.ndarray, np.ndarray]:
+    """With 64 samples and with 3: (root, coefficient, 1)."""
+    many, few = (np.array(newton_roots(duffing_system(1, samples))) for samples in (64, 3))
+    return many, few
+
+
+def draw_roots(axes: Any) -> None:
+    """Roots in the plane of both coefficients."""
+    for roots, style, name in zip(
+        duffing_roots(), ("o", "kx"), ("64 samples", "3 samples"), strict=True
+    ):
+        axes.plot(roots[:, 1, 0], roots[:, 2, 0], style, label=name)
+    angle = np.linspace(0.0, 2.0 * np.pi, 200)
+    for place, size in enumerate(classical_amplitudes()):
+        axes.plot(size * np.cos(angle), size * np.sin(angle), color="0.8", lw=1, zorder=0,
+                  label=None if place else "abs(X1), closed form")  # fmt: skip
+    axes.set(xlabel="cosine coefficient of x", ylabel="sine coefficient of x", aspect="equal")
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+
+
+@case(draw=draw_roots)
 def duffing_spurious_roots() -> list[Row]:
     """Duffing oscillator: roots that are none.
 
@@ -233,7 +269,7 @@ def duffing_spurious_roots() -> list[Row]:
     here, Newton's method from 400 random starts finds them.
     """
     exact = classical_amplitudes()
-    many, few = (np.array(newton_roots(duffing_system(1, samples))) for samples in (64, 3))
+    many, few = duffing_roots()
     found = np.sort(np.hypot(many[:, 1, 0], many[:, 2, 0]))
     return [
         Row("roots with 64 samples", len(many), 3, 0.0, absolute=True),

@@ -12,6 +12,7 @@ import scipy.sparse as sparse
 import scipy.sparse.linalg
 from book import Row, case
 from helpers import DEMOS, gmsh_model
+from matplotlib.collections import PolyCollection
 
 import fenics_crack as fc
 
@@ -37,19 +38,30 @@ def cracked_plate(
 # --- published frequencies ------------------------------------------------------------------------
 
 
-@case()
-def tapered_membrane() -> list[Row]:
-    """NAFEMS FV32: cantilevered tapered membrane.
+def draw_shapes(axes: Any, structure: fc.Structure, names: list[str], columns: int) -> None:
+    """The first modes of a plate, side by side."""
+    nodes = structure.nodes
+    assert nodes is not None
+    shapes = fc.solve_modes(structure, len(names)).shapes
+    free, size = nodes.dofs >= 0, np.ptp(nodes.points, axis=0)
+    for mode, name in enumerate(names):
+        motion = np.zeros(nodes.points.shape)
+        motion[free] = shapes[nodes.dofs[free], mode]
+        place = np.array([mode % columns, -(mode // columns)]) * 1.3 * size
+        moved = nodes.points + place + 0.15 * size.max() / np.abs(motion).max() * motion
+        axes.add_collection(
+            PolyCollection(moved[nodes.cells[:, :4]], facecolor="C0", edgecolor="w", linewidth=0.2)
+        )
+        at = nodes.points.min(axis=0) + place + size * [0.5, -0.05]
+        axes.text(*at, name, ha="center", va="top", fontsize="small")
+    axes.set_aspect("equal")
+    axes.autoscale_view()
+    axes.axis("off")
 
-    Plane stress; 10 m long, 5 m deep at the clamp and 1 m at the end, 0.05 m thick, E = 2e11 Pa,
-    nu = 0.3, 8000 kg/m^3.
 
-    Reference: target frequencies of NAFEMS, The Standard NAFEMS Benchmarks (1990), test FV32; and
-    64 x 32 nine-node quadrilaterals of another program. Here: 32 x 16 nine-node quadrilaterals from
-    a gmsh file.
-    """
-    target = [44.623, 130.03, 162.70, 246.05, 379.90, 391.44]
-    finer = [44.617, 130.011, 162.689, 245.987, 379.719, 391.406]
+@cache
+def tapered() -> fc.Structure:
+    """The membrane on 32 x 16 nine-node quadrilaterals from a gmsh file."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "taper.msh"
         with gmsh_model() as model:
@@ -64,8 +76,31 @@ def tapered_membrane() -> list[Row]:
                 "mesh": {"layout": "file", "file": str(path), "order": 2},
             }
         )
-        found = fc.solve_modes(fc.build_structure(scene), 6).omega / (2.0 * np.pi)
-    rows = [Row(f"f{i + 1} [Hz], target", found[i], target[i], 1e-3) for i in range(6)]
+        return fc.build_structure(scene)
+
+
+TARGET = (44.623, 130.03, 162.70, 246.05, 379.90, 391.44)
+
+
+def draw_tapered(axes: Any) -> None:
+    """Its six modes; clamped on the left."""
+    draw_shapes(axes, tapered(), [f"{target:g} Hz" for target in TARGET], 3)
+
+
+@case(draw=draw_tapered)
+def tapered_membrane() -> list[Row]:
+    """NAFEMS FV32: cantilevered tapered membrane.
+
+    Plane stress; 10 m long, 5 m deep at the clamp and 1 m at the end, 0.05 m thick, E = 2e11 Pa,
+    nu = 0.3, 8000 kg/m^3.
+
+    Reference: target frequencies of NAFEMS, The Standard NAFEMS Benchmarks (1990), test FV32; and
+    64 x 32 nine-node quadrilaterals of another program. Here: 32 x 16 nine-node quadrilaterals from
+    a gmsh file.
+    """
+    finer = [44.617, 130.011, 162.689, 245.987, 379.719, 391.406]
+    found = fc.solve_modes(tapered(), 6).omega / (2.0 * np.pi)
+    rows = [Row(f"f{i + 1} [Hz], target", found[i], TARGET[i], 1e-3) for i in range(6)]
     return rows + [Row(f"f{i + 1} [Hz], finer mesh", found[i], finer[i], 1e-4) for i in range(6)]
 
 
@@ -87,7 +122,22 @@ def _draw_taper(model: Any) -> None:
     model.mesh.generate(2)
 
 
-@case()
+@cache
+def square() -> fc.Structure:
+    """Unit square of 24 x 24 nine-node quadrilaterals."""
+    mesh = {"layout": "grid", "columns": 24, "rows": 24, "order": 2}
+    return fc.build_structure(cracked_plate(1.0, 1.0, [], mesh))
+
+
+SQUARE = (0.65816, 1.57953, 1.77205)
+
+
+def draw_square(axes: Any) -> None:
+    """Its three modes; clamped below."""
+    draw_shapes(axes, square(), [f"{value:g}" for value in SQUARE], 3)
+
+
+@case(draw=draw_square)
 def square_cantilever() -> list[Row]:
     """Square plate in its plane, clamped on one side.
 
@@ -96,10 +146,8 @@ def square_cantilever() -> list[Row]:
 
     Reference: published values of fine meshes, to five digits.
     """
-    mesh = {"layout": "grid", "columns": 24, "rows": 24, "order": 2}
-    found = fc.solve_modes(fc.build_structure(cracked_plate(1.0, 1.0, [], mesh)), 3).omega
-    target = (0.65816, 1.57953, 1.77205)
-    return [Row(f"mode {i + 1}", found[i], target[i], 1e-3) for i in range(3)]
+    found = fc.solve_modes(square(), 3).omega
+    return [Row(f"mode {i + 1}", found[i], SQUARE[i], 1e-3) for i in range(3)]
 
 
 # --- stress intensity -----------------------------------------------------------------------------
@@ -119,6 +167,7 @@ def pull(scene: fc.Scene) -> float:
     return float(force @ found)
 
 
+@cache
 def stress_intensity(kind: str, share: float, size: float) -> float:
     """K_I / sqrt(pi a) from the energy release rate; the crack, or half of it, over W is known.
 
@@ -155,7 +204,27 @@ def tada(kind: str, share: float) -> float:
     return float(np.sqrt(np.tan(angle) / angle) * bent / np.cos(angle))
 
 
-@case()
+STRIPS = [("edge", share) for share in (0.1, 0.2, 0.3, 0.5)]
+STRIPS += list(product(("centre", "two edges"), (0.3, 0.5)))
+
+
+def strip_factor(kind: str, share: float) -> float:
+    """F of a strip on the meshes of the page."""
+    return stress_intensity(kind, share, 0.12 if kind == "centre" else 0.2)
+
+
+def draw_factors(axes: Any) -> None:
+    """F over the crack's share of the width."""
+    shares = np.linspace(0.01, 0.6, 60)
+    for colour, kind in zip(("C0", "C1", "C2"), ("edge", "centre", "two edges"), strict=True):
+        axes.plot(shares, [tada(kind, share) for share in shares], colour, label=f"{kind}, Tada")
+        found = [(share, strip_factor(kind, share)) for other, share in STRIPS if other == kind]
+        axes.plot(*np.transpose(found), f"{colour}o", label=f"{kind}, fenics_crack")
+    axes.set(xlabel="a / W of the edge crack, 2 a / W of the others", ylabel="F")
+    axes.legend(fontsize="small")
+
+
+@case(draw=draw_factors)
 def stress_intensity_factors() -> list[Row]:
     """Stress intensity of cracks in tension.
 
@@ -167,15 +236,12 @@ def stress_intensity_factors() -> list[Row]:
     Anderson, Fracture Mechanics, table 2.4). The formulas are good to 0.5 %, 0.1 % and 0.5 %. The
     edge crack's plate is clamped below, 2 W from the crack.
     """
-    cases = [("edge", s) for s in (0.1, 0.2, 0.3, 0.5)]
-    cases += list(product(("centre", "two edges"), (0.3, 0.5)))
     return [
         Row(
             f"F, {kind}, {'a' if kind == 'edge' else '2 a'} / W = {share:g}",
-            stress_intensity(kind, share, 0.12 if kind == "centre" else 0.2),
-            tada(kind, share), 0.01,
+            strip_factor(kind, share), tada(kind, share), 0.01,
         )
-        for kind, share in cases
+        for kind, share in STRIPS
     ]  # fmt: skip
 
 

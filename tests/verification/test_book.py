@@ -24,7 +24,7 @@ def test_book(name: str, request: pytest.FixtureRequest) -> None:
         case.write(rows)
     assert [row for row in rows if not row.holds] == []
     assert differences(case.page.read_text(), rows, case.render(rows)) == []
-    assert case.draw is None or case.page.with_suffix(".png").exists()
+    assert case.page.with_suffix(".png").exists()
 
 
 def test_index(request: pytest.FixtureRequest) -> None:
