@@ -6,11 +6,12 @@ import elements
 import impacts
 import oscillators
 import plates
+import programs
 import pytest
 from book import CASES, PAGES, differences, index
 
 pytestmark = pytest.mark.verification
-FILES = (oscillators, impacts, plates, beams, elements, calculix)
+FILES = (oscillators, impacts, plates, beams, elements, calculix, programs)
 
 
 @pytest.mark.parametrize("name", CASES)
