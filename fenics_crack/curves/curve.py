@@ -282,6 +282,11 @@ class ResponseCurve(Tabular):
             found[index] = waves[0] + waves[1::2].sum(axis=0), order @ waves[2::2]
         return (found[index] for index in range(len(self)))
 
+    def gaps_in_time(self, places: np.ndarray) -> np.ndarray:
+        """Gaps of all pairs over the period at some points: (n, 256, n_pairs) [m]."""
+        found = {index: self._contact_of(at)[0] for index, at in self._linearised(places)}
+        return np.array([found[int(place)] for place in places])
+
     def amplitude(self, dof: int) -> np.ndarray:
         """Half the peak-to-peak displacement of a dof at every point: (n,) [m], of 256 instants."""
         return np.asarray(self.measure([dof])[0].amplitude)
@@ -340,14 +345,15 @@ class ResponseCurve(Tabular):
         assert isinstance(at.system, CondensedSystem)
         return gap, force_in_time(at.system.integrals.law, gap, waves)
 
-    def _linearised(self) -> Iterator[tuple[int, CondensedPoint]]:
-        """The equations at all points, with their numbers; not in order."""
+    def _linearised(self, places: np.ndarray | None = None) -> Iterator[tuple[int, CondensedPoint]]:
+        """The equations at all points, or some, with their numbers; not in order."""
+        wanted = np.arange(len(self)) if places is None else places
         for count in np.unique(self.harmonics):
             problem = self.problem.with_harmonics(int(count))
             family = FAMILIES[self.parameter](
                 problem, float(self.values[0]), float(self.values[-1])
             )
-            for index in np.flatnonzero(self.harmonics == count):
+            for index in wanted[self.harmonics[wanted] == count]:
                 system = family.system(float(self.values[index]))
                 yield int(index), system.linearise(self.unknown(index))
 

@@ -30,7 +30,7 @@ Source: Seydel, Practical Bifurcation and Stability Analysis, chapters 5 and 7.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -44,13 +44,15 @@ from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.orbits import OrbitPoint
 from fenics_crack.curves.bifurcations import attainable
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
+from fenics_crack.curves.nearness import NO_DOUBT, near_points
 from fenics_crack.errors import ConvergenceError, InputError
-from fenics_crack.model.contact import is_piecewise_linear
+from fenics_crack.model.contact import is_piecewise_linear, is_rigid
+from fenics_crack.model.modal import all_modes, between_pairs
 from fenics_crack.model.reduced import massless
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.stability.piecewise_flow import doubling_test
 from fenics_crack.stability.refinement import bifurcation_between
-from fenics_crack.stability.shooting import ExactOrbits, allowed_distance, distance, orbits_near
+from fenics_crack.stability.shooting import ExactOrbits, orbits_near
 from fenics_crack.stages import begin
 from fenics_crack.time.events import MAX_PAIRS
 
@@ -64,15 +66,15 @@ ITERATIONS, PATIENCE = 6, 3
 """Newton steps to an orbit, and how many may together fail to halve the residual."""
 ALIKE = 0.25
 """Farthest orbit from the motion of its point, relative."""
-NO_DOUBT = 0.01
-"""Distance of an orbit from its point at which the point's estimated error is not asked for."""
 REACH, SHIFTED = 5e-3, 2e-4
 """Farthest orbit from the frequency of its point, relative, and where it decides about it."""
 SURE = 1e-6
 """Distance of the leading multiplier from the unit circle that decides, at least."""
-LONGEST = 1e-3
-"""Step in the frequency from orbit to orbit, relative: lightly damped multipliers turn by
-2 pi w_j / w times as much, and where two of them meet may leave the unit circle for no longer."""
+LONGEST, TURN = (1e-3, 1e-2), 0.05
+"""Step in the frequency from orbit to orbit, relative, and the angle [rad] by which multipliers may
+turn in it: that of a mode w_j turns by 2 pi w_j / w times as much as the step, and lightly damped
+ones that meet may leave the unit circle for no longer. Where the angle asks for more than the first
+step allows, this is taken."""
 ROUNDING, IDENTICAL = 1e-5, 1e-6
 """Of the frequency, relative: folds that are not located and lie as near to each other are none;
 bifurcations found on a branch that do are the same one."""
@@ -100,6 +102,10 @@ class _Orbit:
     parameter: float
     leading: complex
     outside: tuple[int, int, int]
+
+
+_Found = tuple[np.ndarray, float, np.ndarray]
+"""x, p and M of an orbit."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +140,8 @@ class _Orbits:
         if before is None:
             motions = np.array([self._system.unknown_of(*one) for one in curve.motions()])
             parameters = curve.omega / self._system.omega
-            self.at, self._motions, self._parameters = _filled(motions, parameters)
+            longest = np.clip(TURN / (2.0 * np.pi * _highest(curve)) * curve.omega, *LONGEST)
+            self.at, self._motions, self._parameters = _filled(motions, parameters, longest)
             self._turning = _near_turns(self._parameters)
             starts: list[np.ndarray | None] = list(self._motions)
         else:
@@ -142,19 +149,22 @@ class _Orbits:
             self.at, self._motions = before.at[places], before._motions[places]
             self._parameters, self._turning = before._parameters[places], before._turning[places]
             starts = [one and one.unknown for one in (before.found[place] for place in places)]
-        self.found: list[_Orbit | None] = list(self._next_to(starts))
+        self.found: list[_Orbit | None] = _judged(list(self._next_to(starts)))
         self.crossings = _distinct(list(self._crossings()))
 
-    def near(self, curve: ResponseCurve, place: int, orbit: _Orbit) -> bool:
-        """Whether an orbit is no farther from its point than three times the estimated error."""
-        motion = self._motions[np.searchsorted(self.at, place)]
-        if np.linalg.norm(orbit.unknown - motion) <= NO_DOUBT * np.linalg.norm(motion):
-            return True
-        at = self._system.linearise(orbit.unknown, orbit.parameter)
-        across = Tangent(0.0 * motion, 1.0, 0.0)
-        found = self._system.orbit(PathPoint(orbit.unknown, orbit.parameter, 0, across, at=at))
-        solution = curve.solution(place)
-        return distance(found, solution) <= allowed_distance(solution, NO_DOUBT)
+    def gap(self, place: int) -> np.ndarray:
+        """Gaps [m] of the orbit next to a point of the curve: (512, n_pairs)."""
+        orbit = self.found[np.searchsorted(self.at, place)]
+        assert orbit is not None
+        return self._system.gap(orbit.unknown, orbit.parameter)
+
+    def doubtful(self, place: int) -> bool:
+        """Whether the motion of a point of the curve is farther away than is beyond doubt."""
+        number = np.searchsorted(self.at, place)
+        orbit, motion = self.found[number], self._motions[number]
+        assert orbit is not None
+        away = float(np.linalg.norm(orbit.unknown - motion))
+        return away > NO_DOUBT * float(np.linalg.norm(motion))
 
     def wanted(self) -> np.ndarray:
         """Places that are the curve's points, or next to bifurcations."""
@@ -164,7 +174,7 @@ class _Orbits:
                 wanted[max(0, place - 2) : place + 4] = True
         return np.flatnonzero(wanted)
 
-    def _next_to(self, starts: list[np.ndarray | None]) -> Iterator[_Orbit | None]:
+    def _next_to(self, starts: list[np.ndarray | None]) -> Iterator[_Found | None]:
         """The orbits at all places; what has to be added to a start is extrapolated."""
         added: list[np.ndarray] = []
         for place, start in enumerate(starts):
@@ -178,18 +188,20 @@ class _Orbits:
                 yield None
             else:
                 added = [*added, point.unknown - start][-2:]
-                yield _judged(point)
+                yield point.unknown, point.parameter, _orbit(point).monodromy
 
     def _solve(self, start: np.ndarray, place: int) -> PathPoint | None:
         """The orbit at the frequency of a place; across the curve where that turns, or fails."""
         motion, parameter = self._place(place)
-        ends = max(0, place - 1), min(len(self._motions) - 1, place + 1)
-        across = _chord(*(self._place(end) for end in ends))
-        for plane in (across,) if self._turning[place] else (None, across):
+        for across in (True,) if self._turning[place] else (False, True):
+            plane = None
+            if across:
+                ends = max(0, place - 1), min(len(self._motions) - 1, place + 1)
+                plane = _chord(*(self._place(end) for end in ends))
             found = self._in_plane(start, parameter, plane)
             if found is not None:
-                away = float(np.linalg.norm(found.unknown - motion))
-                if away <= ALIKE * np.linalg.norm(motion):
+                away = found.unknown - motion
+                if away @ away <= ALIKE**2 * (motion @ motion):
                     return found
         return None
 
@@ -229,7 +241,8 @@ class _Orbits:
         if halvings > 0 and not simple:
             found = self._point(first, last, 0.5, turning)
             if found is not None:
-                middle = _judged(found)
+                [middle] = _judged([(found.unknown, found.parameter, _orbit(found).monodromy)])
+                assert middle is not None
                 yield from self._between(first, middle, turning, halvings - 1)
                 yield from self._between(middle, last, turning, halvings - 1)
                 return
@@ -288,18 +301,29 @@ def _chord(first: tuple[np.ndarray, float], last: tuple[np.ndarray, float]) -> T
     return Tangent(change / length, rise / length, weight) if length > 1e-9 else None
 
 
+def _highest(curve: ResponseCurve) -> float:
+    """Natural frequency [rad/s] of the fastest motion, all pairs closed; infinite where lips have
+    no mass."""
+    modes = all_modes(curve.structure)
+    if massless(curve.structure) is not None or is_rigid(curve.contact):
+        return np.inf
+    springs = np.broadcast_to(curve.contact.stiffness, curve.structure.n_pairs)
+    closed = np.diag(modes.squares) + between_pairs(modes, springs)
+    return float(np.sqrt(np.abs(np.linalg.eigvalsh(closed)).max()))
+
+
 def _filled(
-    motions: np.ndarray, parameters: np.ndarray
+    motions: np.ndarray, parameters: np.ndarray, longest: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Numbers, motions and parameters of points, and of others between these by cubic splines over
-    the distance along the curve, so that no step in the parameter is longer than :data:`LONGEST`.
+    the distance along the curve, so that no step in the parameter is longer than allowed, relative.
     """
     if len(parameters) < 2:
         return np.zeros(len(parameters)), motions, parameters
     size = float(np.linalg.norm(motions, axis=1).mean()) or 1.0
     both = np.column_stack([motions / size, parameters])
     length = np.maximum(np.linalg.norm(np.diff(both, axis=0), axis=1), 1e-12)
-    counts = np.ceil(np.abs(np.diff(parameters)) / (LONGEST * parameters[:-1])).astype(int)
+    counts = np.ceil(np.abs(np.diff(parameters)) / (longest[:-1] * parameters[:-1])).astype(int)
     at = [n + np.arange(max(count, 1)) / max(count, 1) for n, count in enumerate(counts)]
     numbers = np.append(np.concatenate(at), len(parameters) - 1.0)
     along = np.concatenate([[0.0], np.cumsum(length)])
@@ -331,26 +355,36 @@ def _near_turns(omega: np.ndarray) -> np.ndarray:
     return np.asarray(np.min(np.abs(np.arange(len(omega))[:, None] - turns), 1, initial=9) <= 2)
 
 
-def _judged(found: PathPoint) -> _Orbit:
-    """An orbit with its multipliers."""
-    assert isinstance(found.at, OrbitPoint)
-    values = found.at.multipliers
+def _judged(found: Sequence[_Found | None]) -> list[_Orbit | None]:
+    """Orbits with their multipliers, which are computed for all at once."""
+    known = [one for one in found if one is not None]
+    if not known:
+        return [None] * len(found)
+    values = np.linalg.eigvals(np.array([monodromy for _, _, monodromy in known])) + 0j
     real, large = values.imag == 0.0, np.abs(values) > 1.0
-    outside = (
-        int(np.sum(real & (values.real > 1.0))),
-        int(np.sum(real & (values.real < -1.0))),
-        int(np.sum(large & (values.imag > 0.0))),
+    kinds = real & (values.real > 1.0), real & (values.real < -1.0), large & (values.imag > 0.0)
+    outside = np.sum(kinds, axis=2).T.tolist()
+    first = np.argmax(np.abs(values), axis=1)
+    leading = values[np.arange(len(values)), first]
+    leading = leading.real + 1j * np.abs(leading.imag)
+    judged = (
+        _Orbit(unknown, parameter, complex(value), (counts[0], counts[1], counts[2]))
+        for (unknown, parameter, _), value, counts in zip(known, leading, outside, strict=True)
     )
-    leading = complex(values[0].real, abs(values[0].imag))
-    return _Orbit(found.unknown, found.parameter, leading, outside)
+    return [None if one is None else next(judged) for one in found]
+
+
+def _orbit(found: PathPoint) -> OrbitPoint:
+    assert isinstance(found.at, OrbitPoint)
+    return found.at
 
 
 def _test(kind: str, found: PathPoint, pairs: int) -> float:
     """A function that changes its sign at a bifurcation."""
-    assert isinstance(found.at, OrbitPoint)
+    at = _orbit(found)
     if kind != "neimark_sacker":
-        return doubling_test(found.at.monodromy if kind == KINDS[1] else -found.at.monodromy)
-    values = found.at.multipliers
+        return doubling_test(at.monodromy if kind == KINDS[1] else -at.monodromy)
+    values = at.multipliers
     sizes = np.abs(values[values.imag > 0.0])
     return float(sizes[pairs - 1]) - 1.0 if len(sizes) >= pairs else -1.0
 
@@ -408,7 +442,9 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
             multipliers[place] = one.leading
             shift = abs(one.parameter * curve.omega[0] / curve.omega[place] - 1.0)
             sure = abs(size - 1.0) > max(SURE, abs(size - abs(other.leading)))
-            undecided[place] = shift > SHIFTED or not sure or not fine.near(curve, place, one)
+            undecided[place] = shift > SHIFTED or not sure
+    asked = np.array([place for place in np.flatnonzero(~undecided) if fine.doubtful(place)], int)
+    undecided[asked] = ~near_points(curve, asked, fine.gap)
     special = _special(curve, fine.crossings, _known(fine.crossings, coarse.crossings), undecided)
     left = np.flatnonzero(undecided)
     if len(left) <= SINGLY:

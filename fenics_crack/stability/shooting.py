@@ -131,18 +131,30 @@ class ExactOrbits(Orbits):
         )
         return moved / self._size, monodromy, events
 
+    def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
+        """The equations at (x, p)."""
+        return self.compiled.linearise(unknown, parameter)
+
+    def by_parameter(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
+        """dF/dp at fixed x, by central differences."""
+        return self.compiled.slope(unknown, parameter)
+
+    def gap(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
+        """Gaps [m] over the period of the motion from a state: (512, n_pairs)."""
+        flow = self._flow.at(parameter * self.omega)
+        period = self._turns / flow.omega
+        instants = np.arange(INSTANTS) * period / INSTANTS
+        gap = flow.advance(self._size * unknown, 0.0, period, instants=instants)[1]
+        return np.asarray(gap - flow.structure.clearance)
+
     def orbit(self, found: PathPoint) -> PeriodicOrbit:
         """The orbit of a solution of the equations."""
         assert isinstance(found.at, OrbitPoint)
-        flow = self._flow.at(found.parameter * self.omega)
-        period = self._turns / flow.omega
-        state = self._size * found.unknown
-        _, gap, _, _ = flow.advance(state, 0.0, period, instants=np.arange(512) * period / 512)
         size = float(np.linalg.norm(found.unknown))
         return PeriodicOrbit(
-            state,
+            self._size * found.unknown,
             found.at.multipliers,
-            gap - flow.structure.clearance,
+            self.gap(found.unknown, found.parameter),
             float(np.linalg.norm(found.at.residual)) / size if size > 0.0 else 0.0,
             found.iterations,
             found.at.events,
@@ -164,7 +176,25 @@ class _CompiledOrbits(CompiledPaths):
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
         """The equations at a point."""
-        return self._orbits.linearise(unknown, parameter)
+        self._evaluate(unknown, parameter)
+        return self._found(unknown, parameter)
+
+    def slope(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
+        """dF/dp."""
+        found = np.empty(self.shape)
+        self._evaluate(unknown, parameter)
+        self._equations.by_parameter(self._equations, doubles(found))
+        return found
+
+    def _evaluate(self, unknown: np.ndarray, parameter: float) -> None:
+        assert unknown.shape == self.shape
+        given, outcome = doubles(np.ascontiguousarray(unknown, dtype=float)), kernel.NEW_SET
+        while outcome == kernel.NEW_SET:
+            outcome = self._equations.evaluate(self._equations, given, parameter)
+            self._check(outcome)
+        if outcome == kernel.NOT_FOUND:
+            self._orbits.moved(unknown, parameter)  # says why
+            raise ConvergenceError("events: no motion over the period")
 
     def _found(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
         residual, monodromy = np.empty(self.shape), np.empty(2 * self.shape)
@@ -204,16 +234,19 @@ class SteppedOrbits(MarchedOrbits):
         """x of another motion at phase zero, (n_dofs,) each."""
         return np.asarray(self._flow.state(displacement, velocity) / self._size)
 
+    def gap(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
+        """Gaps [m] over the period of the motion from a state: (512, n_pairs)."""
+        gap = self.steps(unknown, parameter).gap
+        return gap[np.arange(INSTANTS) * len(gap) // INSTANTS]
+
     def orbit(self, found: PathPoint) -> PeriodicOrbit:
         """The orbit of a solution of the equations."""
         assert isinstance(found.at, OrbitPoint)
-        steps = self.steps(found.unknown, found.parameter)
         size = float(np.linalg.norm(found.unknown))
-        instants = np.arange(INSTANTS) * len(steps.gap) // INSTANTS
         return PeriodicOrbit(
-            steps.states[0],
+            self._size * found.unknown,
             found.at.multipliers,
-            steps.gap[instants],
+            self.gap(found.unknown, found.parameter),
             float(np.linalg.norm(found.at.residual)) / size if size > 0.0 else 0.0,
             found.iterations,
             found.at.events,
