@@ -116,7 +116,8 @@ def solve_forward(
     table = scene.identify
     assert table is not None
     loads = tuple(sorted({float(one) for one in (*frequencies, *table.frequencies)}))
-    plain = scene.replace({"sweep": None, "curve": None, "integration": None, "identify": None})
+    asked = ("sweep", "curve", "integration", "identify", "tip_timing")
+    plain = scene.replace(dict.fromkeys(asked))
     whole = _finer(plain, table.finer)
 
     def run(name: str, of: Scene, axes: Sequence[Axis]) -> SweepResult:

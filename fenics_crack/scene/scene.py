@@ -43,6 +43,9 @@ from fenics_crack.table import RPM
 
 __all__ = ["LOOKED_AT", "Scene"]
 
+LOOKED_AT = ("curve", "integration", "sweep", "identify", "tip_timing", "output")
+"""Tables that say what is looked at, and change nothing of it."""
+
 PLATE_TABLES = ("geometry", "material", "mesh", "crack", "cracks", "loads", "base", "rotation")
 """Tables of a plate, which matrices from elsewhere take the place of."""
 THINNEST = 1e4
@@ -453,6 +456,4 @@ _PATHS = tuple(
     if "path" in item.metadata
 )
 """Keys that hold the path of a file."""
-LOOKED_AT = ("curve", "integration", "sweep", "identify", "tip_timing", "output")
-"""Tables that say what is looked at, and change nothing of it."""
 _SWEPT = tuple(name for name in _TABLES if name not in LOOKED_AT)

@@ -19,7 +19,7 @@ from fenics_crack.model.contact import (
 from fenics_crack.model.memory import machine_memory, reduction_memory, whole_memory
 from fenics_crack.model.reduction import MODES, reduce_structure
 from fenics_crack.model.structure import Structure
-from fenics_crack.scene.scene import Scene
+from fenics_crack.scene.scene import LOOKED_AT, Scene
 from fenics_crack.scene.tables import Contact, Reduction
 from fenics_crack.study.watched import Watched, watched_dofs
 
@@ -101,7 +101,8 @@ def _at_another_speed(scene: Scene, like: Study) -> Structure | None:
         return None
     if scene.base is not None and scene.base.moves_by_displacement:
         return None
-    alike = {"rotation.speed": 1.0, "excitation.omega": 1.0, "reduction": None, "sweep": None}
+    alike = {"rotation.speed": 1.0, "excitation.omega": 1.0} | dict.fromkeys(LOOKED_AT)
+    alike["reduction"] = None
     if scene.replace(alike) != other.replace(alike):
         return None
     return rotation.at(scene.speed)

@@ -268,7 +268,7 @@ class Cases:
     def solve(self, case: Scene) -> PeriodicSolution:
         """The solution of a case; one of :data:`REFUSALS` where there is none."""
         omega, table = case.excitation.omega, case.harmonic_balance
-        at_omega = case.replace({"excitation.omega": 1.0})
+        at_omega = case.replace({"excitation.omega": 1.0, "curve": None})
         if self._last != at_omega:
             self._last = at_omega
             self._structure = self._geometry.of_case(case)
