@@ -47,8 +47,8 @@ def tip_timing(
     acceleration from that of its first point to that of its last one, and the vibration is taken
     to be the steady one at each speed, interpolated between the points (:func:`refine_curve` makes
     more of them). So it is for slow sweeps alone. Where the curve turns back at a fold, the motion
-    jumps to the part that it reaches beyond the fold, from the last point next to it that is not
-    unstable.
+    jumps to the part that it reaches beyond the fold, from the last point next to it that is
+    stable.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def _run_up(
     before = np.concatenate([[-np.inf], np.maximum.accumulate(rising)[:-1]])
     kept = rising > before
     if curve.multipliers is not None:
-        kept &= ~_next_to_folds(rising, kept, curve.verdicts == "unstable")
+        kept &= ~_next_to_folds(rising, kept, curve.verdicts != "stable")
     if curve.multipliers is not None and np.any(curve.verdicts[kept] == "unstable"):
         at = float(curve.omega[kept & (curve.verdicts == "unstable")][0])
         allowed = "stable along the run-up, or a part that is, or its branch"
@@ -193,8 +193,9 @@ def _run_up(
     return TipMotion(rotor, speeds, harmonics, order / curve.subharmonic)
 
 
-def _next_to_folds(rising: np.ndarray, kept: np.ndarray, unstable: np.ndarray) -> np.ndarray:
-    """Unstable points from which the motion jumps, next to where the curve turns back: (n,) bool.
+def _next_to_folds(rising: np.ndarray, kept: np.ndarray, doubtful: np.ndarray) -> np.ndarray:
+    """Points not known to be stable next to where the curve turns back, before which the motion
+    jumps: (n,) bool.
 
     ``rising``: the frequency, rising along the run-up; ``kept``: points that it passes.
     """
@@ -203,7 +204,7 @@ def _next_to_folds(rising: np.ndarray, kept: np.ndarray, unstable: np.ndarray) -
         place = int(fold)
         while (
             place >= 0
-            and unstable[place]
+            and doubtful[place]
             and rising[fold] - rising[place] < JUMP * abs(rising[fold])
         ):
             found[place] = True

@@ -82,7 +82,7 @@ def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> P
 
 def _linear_amplitude(structure: Structure, omega: float, load: np.ndarray) -> np.ndarray:
     """Complex displacement under a load (n_local,)."""
-    if massless(structure) is None:
+    if not structure.light_lips:
         with DynamicStiffness(structure, omega) as block:
             found: np.ndarray = block.solve(load[None] if omega > 0.0 else load.real[None])[0]
             return found
@@ -277,7 +277,7 @@ def check_initial(problem: Problem, initial: PeriodicSolution) -> None:
     if not isinstance(initial, PeriodicSolution):
         raise InputError("initial", type(initial).__name__, "a PeriodicSolution")
     has = initial.structure.n_dofs, initial.structure.n_pairs
-    gaps_only = massless(structure) is not None and has[1] == structure.n_pairs
+    gaps_only = structure.light_lips and has[1] == structure.n_pairs
     if not gaps_only and has != (structure.n_dofs, structure.n_pairs):
         raise InputError(
             "initial",

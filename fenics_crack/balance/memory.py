@@ -5,7 +5,6 @@ from __future__ import annotations
 from fenics_crack.balance.krylov import RESTART
 from fenics_crack.errors import InputError
 from fenics_crack.model.memory import machine_memory
-from fenics_crack.model.reduced import massless
 from fenics_crack.model.structure import Structure
 
 __all__ = ["check_memory"]
@@ -18,7 +17,7 @@ def check_memory(structure: Structure, harmonics: int) -> None:
     """Raise InputError where the dense Jacobian of the condensed equations would not fit, or that
     of coupled pairs at all instants."""
     pairs = structure.n_pairs
-    if massless(structure) is not None:
+    if structure.light_lips:
         _check_coupled(pairs, harmonics)
         return
     unknowns = (2 * harmonics + 1) * pairs

@@ -15,7 +15,6 @@ from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.errors import MAX_SAMPLES, InputError, check_count, check_number, check_omega
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.modal import all_modes, is_small
-from fenics_crack.model.reduced import massless
 from fenics_crack.model.structure import Structure
 
 __all__ = ["Problem", "is_regular"]
@@ -108,17 +107,17 @@ class Problem:
         Lips with mass are seen through one if the law is rigid, or so stiff against it that they
         bounce at frequencies which H harmonics do not resolve."""
         structure, contact = self.structure, self.contact
-        lips, rigid = massless(structure), is_rigid(contact)
-        projected = is_rigid(contact) and contact.weight is not None and lips is None
+        light, rigid = structure.light_lips, is_rigid(contact)
+        projected = is_rigid(contact) and contact.weight is not None and not light
         if projected or not is_small(structure):
             return None
         found = all_modes(structure).static_part(self.cutoff)
-        if lips is None and not rigid:
+        if not light and not rigid:
             asked = self.static_above is not None and np.any(found)
             if not asked and not float(np.max(contact.stiffness * np.diag(found))) > STIFF:
                 return None
         if rigid and not is_regular(found):
-            if lips is not None:
+            if light:
                 raise InputError(
                     "contact", self.contact, "a penalty where R_inf, what modes leave out, is zero"
                 )

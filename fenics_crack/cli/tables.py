@@ -9,14 +9,14 @@ import numpy as np
 from fenics_crack.balance.fourier import balanced
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.curve import PARAMETERS, ResponseCurve
+from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, parameter_axis
 from fenics_crack.model.bilinear import bilinear_frequencies
 from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.run import Run
 from fenics_crack.study.watched import Watched
 from fenics_crack.sweep.result import SweepResult
-from fenics_crack.table import UNITS, Table, frequency_axis, quantity, with_frequency, with_unit
+from fenics_crack.table import UNITS, Table, quantity, with_frequency, with_unit
 from fenics_crack.time.march import TimeHistory
 
 __all__ = [
@@ -221,7 +221,7 @@ def special_points(run: Run[ResponseCurve]) -> Table:
     rad/s and rpm.
     """
     found, along = run.result, _along(run)
-    factor, _, unit = frequency_axis(run.scene.in_hertz)
+    factor, _, unit = parameter_axis(found.parameter, run.scene.in_hertz)
 
     def at(index: int) -> list[float]:
         return [float(column[index]) for column in along.values()]
@@ -232,7 +232,7 @@ def special_points(run: Run[ResponseCurve]) -> Table:
     for point in found.bifurcations:
         name = point.kind.replace("_", " ")
         if found.undecided is not None:
-            exact = f", exact {factor * point.exact:.6g} {unit}"
+            exact = f", exact {factor * point.exact:.6g} {unit}".removesuffix(" -")
             name += exact if point.confirmed else ", unconfirmed"
         seen = [point.solution.indicators(watched.dof) for watched in run.watched]
         rows.append((name, point.value, list(map(float, _columns(run, seen).values()))))

@@ -83,7 +83,7 @@ class Bifurcation(Described):
     problem : Problem
         What is solved there.
     exact : float
-        Load frequency [rad/s] of the bifurcation of the exact orbits that confirms it
+        Value of the parameter at the bifurcation of the exact orbits that confirms it
         (:func:`judge_curve`); nan: unconfirmed.
     """
 
@@ -114,7 +114,7 @@ class Bifurcation(Described):
         return self.problem.omega
 
     def to_dict(self) -> dict[str, Any]:
-        """Kind, value of the curve's parameter, load frequency, and that of the exact orbits."""
+        """Kind, value of the curve's parameter, load frequency, and the exact orbits' value."""
         return with_frequency(
             {
                 "kind": self.kind,
@@ -127,7 +127,7 @@ class Bifurcation(Described):
     def _title(self) -> str:
         name, found = self.kind.replace("_", " "), f"H = {self.problem.harmonics}"
         if self.confirmed:
-            found += f", exact {self.exact:.6g} rad/s"
+            found += f", exact {self.exact:.6g}"
         return f"{name} at {self.value:.6g}, {found}"
 
 

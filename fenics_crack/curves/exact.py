@@ -44,11 +44,11 @@ from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.orbits import OrbitPoint
 from fenics_crack.curves.bifurcations import attainable
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
+from fenics_crack.curves.judged_points import judge_points
 from fenics_crack.curves.nearness import NO_DOUBT, near_points
-from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import is_piecewise_linear, is_rigid
 from fenics_crack.model.modal import all_modes, between_pairs
-from fenics_crack.model.reduced import massless
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.stability.piecewise_flow import doubling_test
 from fenics_crack.stability.refinement import bifurcation_between
@@ -305,7 +305,7 @@ def _highest(curve: ResponseCurve) -> float:
     """Natural frequency [rad/s] of the fastest motion, all pairs closed; infinite where lips have
     no mass."""
     modes = all_modes(curve.structure)
-    if massless(curve.structure) is not None or is_rigid(curve.contact):
+    if curve.structure.light_lips or is_rigid(curve.contact):
         return np.inf
     springs = np.broadcast_to(curve.contact.stiffness, curve.structure.n_pairs)
     closed = np.diag(modes.squares) + between_pairs(modes, springs)
@@ -390,10 +390,15 @@ def _test(kind: str, found: PathPoint, pairs: int) -> float:
 
 
 def judge_curve(curve: ResponseCurve) -> ResponseCurve:
-    """Judge a curve over the load frequency by the exact orbits next to its points.
+    """Judge a curve by the exact orbits next to its points.
 
-    With at most 12 pairs with mass and a penalty law these are those of the exact flow from event
-    to event, else of 2048 and 4096 exponential steps in a period.
+    A curve over the load frequency is judged by the branch of orbits along it. With at most 12
+    pairs with mass and a penalty law these are those of the exact flow from event to event, else of
+    2048 and 4096 exponential steps in a period.
+
+    A curve over another parameter is judged point by point, as :func:`floquet` judges a solution.
+    Its bifurcations stay those of the truncated equations; the orbits confirm those between whose
+    neighbouring points a multiplier of theirs crosses, ``exact`` being interpolated between these.
 
     Parameters
     ----------
@@ -403,7 +408,8 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     Returns
     -------
     ResponseCurve
-        The same points, with multipliers and verdicts of the orbits next to them: "undecided" where
+        The same points, with multipliers and verdicts of the orbits next to them; over the load
+        frequency "undecided" where
         there is none, or one at another frequency (by more than 0.02 %), or farther away than 1 %
         and three times the estimated error, or where it does not tell ``|mu|`` from 1; if these are
         at most 40 points, where :func:`floquet` does not decide
@@ -419,12 +425,12 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     Raises
     ------
     InputError
-        The curve is over another parameter, or as :func:`fenics_crack.shoot`.
+        As :func:`fenics_crack.shoot`.
     """
-    if curve.parameter != "omega":
-        raise InputError("curve", f"in {curve.parameter}", "one in omega")
     begin("stability by exact orbits")
-    with_mass = massless(curve.structure) is None and is_piecewise_linear(curve.contact)
+    if curve.parameter != "omega":
+        return judge_points(curve, [_place(curve, one) for one in curve.bifurcations])
+    with_mass = not curve.structure.light_lips and is_piecewise_linear(curve.contact)
     if with_mass and curve.structure.n_pairs <= MAX_PAIRS:
         fine = coarse = _Orbits(curve, None)
     else:

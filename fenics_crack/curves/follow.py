@@ -24,7 +24,6 @@ from fenics_crack.errors import (
     check_options,
 )
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
-from fenics_crack.model.reduced import massless
 from fenics_crack.model.structure import Structure
 from fenics_crack.stability.floquet import FEW_PAIRS
 from fenics_crack.stages import begin
@@ -287,15 +286,14 @@ def _continuation(
 
 
 def _is_judged(curve: ResponseCurve) -> bool:
-    """Whether a curve with multipliers is judged by exact orbits at once: over the load frequency,
-    with few pairs that have mass, or pairs that are seen through a static compliance, and a law
-    that these can take."""
+    """Whether a curve with multipliers is judged by exact orbits at once: with few pairs that have
+    mass, or pairs that are seen through a static compliance, and a law that these can take."""
     in_time = is_piecewise_linear(curve.contact) or is_rigid(curve.contact)
-    if massless(curve.structure) is None:
+    if not curve.structure.light_lips:
         fit = curve.structure.n_pairs <= FEW_PAIRS and is_piecewise_linear(curve.contact)
     else:
         fit = curve.static_above is not None
-    return curve.parameter == "omega" and fit and in_time
+    return fit and in_time
 
 
 def _where(parameter: str, point: CurvePoint, count: int) -> str:
@@ -333,7 +331,7 @@ def _run(
         bar.close()
     curve = growing.curve
     if curve.multipliers is not None and _is_judged(curve):
-        with_mass = massless(curve.structure) is None
+        with_mass = not curve.structure.light_lips
         curve = verified(curve) if with_mass else judge_curve(curve)
     if throw and not curve.complete:
         raise ConvergenceError(

@@ -22,7 +22,6 @@ from fenics_crack.balance.search import Search
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import AllModes, all_modes
-from fenics_crack.model.reduced import massless
 from fenics_crack.model.structure import Structure
 
 __all__ = [
@@ -47,7 +46,7 @@ class Equilibrium:
     """Where a structure rests without load, held or closed by its pairs alone."""
 
     def __init__(self, structure: Structure, contact: ContactLaw) -> None:
-        if massless(structure) is not None:
+        if structure.light_lips:
             allowed = 'reduced with method="free_interface"'
             raise InputError("structure", "lips without mass", allowed)
         self.contact = contact

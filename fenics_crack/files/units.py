@@ -45,10 +45,10 @@ VALUES = {"omega": "rad/s", "clearance": "m", "speed": "rad/s"}
 
 def about(name: str, parts: Mapping[str, Any]) -> dict[str, str]:
     """The attributes of a dataset, of those of its file; none where it is a count or a word."""
-    if name in ("values", "bifurcation_values") and "parameter" in parts:
+    if name in ("values", "bifurcation_values", "exact_values") and "parameter" in parts:
         found = VALUES.get(str(parts["parameter"]), "1"), f"of the parameter {parts['parameter']}"
-    elif name == "exact_values":
-        found = "rad/s", "load frequency of the exact bifurcation, nan where there is none"
+        if name == "exact_values":
+            found = found[0], f"{found[1]} at the exact bifurcations, nan where there is none"
     elif name.startswith("error_"):
         found = "1", "estimated, relative to the gap"
     elif name.removeprefix("bifurcation_").isdigit():

@@ -228,6 +228,7 @@ class MasslessStructure(ReducedStructure):
         Phi^T C Phi, its diagonal where it is diagonal; without the factor of a varied copy.
     """
 
+    light_lips = True
     flexibility: np.ndarray
     rate: np.ndarray
     _static: ResidualFlexibility | None

@@ -81,6 +81,7 @@ class RunUpStructure(ReducedStructure):
         G = K^-1 - Phi Lambda^-1 Phi^T.
     """
 
+    light_lips = True
     speed: float
     shapes: np.ndarray
     left: np.ndarray

@@ -91,6 +91,8 @@ class Structure:
     _known: dict[Callable[[Structure], Any], Any]
     _VARIED_TOO: ClassVar[tuple[str, ...]] = ()
     """Attributes that are structures, varied with this one."""
+    light_lips: ClassVar[bool] = False
+    """Whether lips have no mass: what the modes leave out answers forces on the pairs at once."""
 
     def __init__(
         self,

@@ -31,7 +31,6 @@ from fenics_crack.balance.solver import Solver
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import ContactLaw, check_law, is_piecewise_linear, is_rigid
 from fenics_crack.model.modal import all_modes, is_small
-from fenics_crack.model.reduced import massless
 from fenics_crack.model.structure import Structure
 from fenics_crack.stability.hill import hill_root
 from fenics_crack.stability.piecewise_flow import PiecewiseFlow
@@ -101,7 +100,7 @@ def floquet(
     if contact is None:
         contact = solution.contact  # type: ignore[assignment]
     coupled = solution.static_above is not None
-    check_law(structure, contact, rigid=massless(structure) is not None)
+    check_law(structure, contact, rigid=structure.light_lips)
     assert contact is not None
     if not is_small(structure):
         raise InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")

@@ -25,7 +25,6 @@ from fenics_crack.kernel import Struct, doubles, kernel, owned
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.model.modal import all_modes
-from fenics_crack.model.reduced import massless
 from fenics_crack.model.structure import Structure
 from fenics_crack.table import Described, counted
 from fenics_crack.time.events import LONGEST_SEARCH, MAX_EVENTS, EventFlow
@@ -224,7 +223,7 @@ class SteppedOrbits(MarchedOrbits):
         self, structure: Structure, contact: ContactLaw, solution: PeriodicSolution, steps: int
     ) -> None:
         # A constraint needs something that answers at once.
-        heavy = massless(structure) is None and is_rigid(contact)
+        heavy = not structure.light_lips and is_rigid(contact)
         above = moving_below(structure, (solution.static_above if heavy else None) or np.inf)
         flow = ExponentialFlow(structure, solution.omega, contact, steps, static_above=above)
         state = flow.state(*initial_state(structure, solution))
@@ -278,7 +277,7 @@ def orbits_near(
     steps_per_period: int | None = None,
 ) -> ExactOrbits | SteppedOrbits:
     """Orbits of the exact flow, or of a march where steps are given, or lips have no mass."""
-    exact = massless(structure) is None and is_piecewise_linear(contact)
+    exact = not structure.light_lips and is_piecewise_linear(contact)
     if exact and steps_per_period is None:
         return ExactOrbits(structure, contact, solution)
     return SteppedOrbits(structure, contact, solution, steps_per_period or STEPS)

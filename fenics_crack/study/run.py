@@ -127,7 +127,7 @@ def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution
     structure = study.structure
     quick = is_piecewise_linear(law) or structure.n_dofs <= FEW_DOFS
     if is_rigid(law):
-        quick = massless(structure) is not None
+        quick = structure.light_lips
     if solution.converged and quick and is_small(structure):
         begin("stability")
         solution = replace(solution, stability=floquet(structure, solution))
@@ -180,7 +180,7 @@ def follow_curve(
         scene.base.leave_out(keys, why)
     study = _prepare_curve(scene, comm)
     law = _needed_law(study)
-    if is_rigid(law) and parameter != "speed" and massless(study.structure) is None:
+    if is_rigid(law) and not study.structure.light_lips:
         allowed = "'penalty' or 'smoothed', or used with reduction.method = 'massless', for a curve"
         raise InputError("contact.law", "unilateral", allowed)
     options: dict[str, Any] = {
@@ -229,7 +229,7 @@ def integrate(
     if method == "exponential" and not (is_piecewise_linear(law) or is_rigid(law)):
         allowed = "'penalty' or 'unilateral' with integration.method = 'exponential'"
         raise InputError("contact.law", scene.contact and scene.contact.law, allowed)
-    if method == "exponential" and is_rigid(law) and massless(structure) is None:
+    if method == "exponential" and is_rigid(law) and not structure.light_lips:
         allowed = "'implicit' with contact.law = 'unilateral', or reduction.method = 'massless'"
         raise InputError("integration.method", method, allowed)
     options: dict[str, Any] = {
@@ -258,7 +258,7 @@ def integrate(
 
 def _method(table: Integration, structure: Structure) -> str:
     """How a structure is integrated: as the table says, or the default; InputError if it cannot."""
-    lips = massless(structure) is not None
+    lips = structure.light_lips
     method = table.method or ("exponential" if lips else "central_difference")
     allowed = ""
     if lips and method != "exponential":

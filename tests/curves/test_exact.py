@@ -123,8 +123,17 @@ def test_files_and_words(curve: fc.ResponseCurve, light_lips: fc.Structure, tmp_
     assert not np.any(nothing.stable) and set(nothing.verdicts) == {"undecided"}
 
 
-def test_curves_over_another_parameter_are_refused(light_lips: fc.Structure) -> None:
-    """Orbits are followed over the load frequency."""
-    load = fc.continue_parameter(light_lips, 1700.0, RIGID, "load", 1.0, 1.1, harmonics=5)
-    with pytest.raises(fc.InputError, match="omega"):
-        fc.judge_curve(load)
+def test_a_curve_over_the_load_of_a_plate(light_lips: fc.Structure) -> None:
+    """Judged at once, point by point: three points by single solutions and by disturbed motions."""
+    apart = light_lips.varied(clearance=1e-6)
+    load = fc.continue_parameter(
+        apart, 1740.0, RIGID, "load", 0.5, 2.0, harmonics=6, stability=True
+    )
+    assert load.undecided is not None and not np.any(load.undecided)
+    for index in (0, len(load) // 2, len(load) - 1):
+        there = apart.varied(load=float(load.values[index]))
+        alone = fc.solve_harmonic_balance(there, 1740.0, RIGID, harmonics=6)
+        found = fc.floquet(there, alone)
+        assert load.verdicts[index] == found.verdict == "stable"
+        assert abs(load.multipliers[index]) == pytest.approx(abs(found.multipliers[0]), rel=1e-5)
+        assert growth(there, 1740.0) < 1.0

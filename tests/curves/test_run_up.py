@@ -17,7 +17,7 @@ from fenics_crack.balance.family import SpeedFamily
 from fenics_crack.cli import judgements, tables
 from fenics_crack.curves.follow import _where
 from fenics_crack.curves.points import CurvePoint
-from fenics_crack.study.run import Run, follow_curve
+from fenics_crack.study.run import Run, follow_curve, solve
 from fenics_crack.table import RPM
 
 ORDER = 12
@@ -93,6 +93,22 @@ def test_run_up_meets_structures_of_each_speed(run_up: Run[fc.ResponseCurve]) ->
         )
         expected = found.amplitude(run_up.watched_dof)
         assert mine.amplitude(run_up.watched_dof) == pytest.approx(expected, rel=1e-4)
+
+
+def test_verdicts_are_those_of_single_solutions(run_up: Run[fc.ResponseCurve]) -> None:
+    """At three speeds, each of a scene that is meshed, reduced and solved by itself."""
+    curve = run_up.result
+    peak = int(curve.amplitude(run_up.watched_dof).argmax())
+    assert curve.undecided is not None
+    for index in (0, peak, len(curve) - 1):
+        speed = float(curve.values[index])
+        one = solve(blade().replace({"rotation.speed": speed}), MPI.COMM_SELF)
+        assert one.result.stability is not None
+        expected = one.result.amplitude(one.watched_dof)
+        assert curve.amplitude(run_up.watched_dof)[index] == pytest.approx(expected, rel=1e-4)
+        assert curve.verdicts[index] == one.result.stability.verdict == "stable"
+        largest = abs(one.result.stability.multipliers[0])
+        assert abs(curve.multipliers[index]) == pytest.approx(largest, rel=1e-5)
 
 
 def test_run_up_in_a_file(run_up: Run[fc.ResponseCurve], tmp_path: Path) -> None:
