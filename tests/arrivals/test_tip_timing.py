@@ -159,6 +159,33 @@ def test_run_up_jumps_where_the_curve_turns_back() -> None:
     assert found[1] == pytest.approx(exact.min(), rel=0.01)
 
 
+@pytest.mark.parametrize("verdict", ["unstable", "undecided"])
+def test_run_up_jumps_before_a_fold_that_is_not_stable(verdict: str) -> None:
+    """Points next to the fold that are not stable are not passed; away from it they are told."""
+    curve = fc.continue_frequency(
+        blade(damping=30.0, clearance=0.01), 950.0, 1250.0, LAW, harmonics=7, stability=True
+    )
+    turn = int(np.argmax(np.diff(curve.omega) < 0.0))
+    how: dict[str, Any] = {"probes": [0.3, 2.0], "tip_radius": 5.0, "order": 3, "revolutions": 200}
+
+    def judged(places: range) -> fc.ResponseCurve:
+        multipliers, undecided = np.full(len(curve), 0.5 + 0j), np.zeros(len(curve), dtype=bool)
+        multipliers[list(places)] = 2.0
+        undecided[list(places)] = verdict == "undecided"
+        return replace(curve, multipliers=multipliers, undecided=undecided)
+
+    near = np.flatnonzero(curve.omega[: turn + 1] > (1.0 - 9e-4) * curve.omega[turn])
+    before = fc.tip_timing(judged(range(0)), 0, **how)
+    early = fc.tip_timing(judged(range(int(near[0]), turn + 1)), 0, **how)
+    assert len(near) > 1 and not np.array_equal(early.time, before.time)
+    last = curve.omega[int(near[0]) - 1] / 3.0  # up to which nothing changes
+    same = before.speed * 1.001 < last
+    assert same.sum() > 50 and np.array_equal(early.time[same], before.time[same])
+    if verdict == "unstable":
+        with pytest.raises(fc.InputError, match="unstable at"):
+            fc.tip_timing(judged(range(turn - 12, turn + 1)), 0, **how)
+
+
 # --- noise, clock, limits -------------------------------------------------------------------------
 
 
