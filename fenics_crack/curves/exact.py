@@ -160,11 +160,42 @@ class _Orbits:
 
     def doubtful(self, place: int) -> bool:
         """Whether the motion of a point of the curve is farther away than is beyond doubt."""
-        number = np.searchsorted(self.at, place)
-        orbit, motion = self.found[number], self._motions[number]
+        number = int(np.searchsorted(self.at, place))
+        return self._away(self.found[number], number) > NO_DOUBT
+
+    def turned(self, curve: ResponseCurve) -> np.ndarray:
+        """Whether orbits lie on the other side of a fold than their points, or these at a fold:
+        (n,) bool.
+
+        The sign of det(I - M), (-1)^r, changes with the direction of the frequency along a branch,
+        and with neither alone but at branch points.
+        """
+        ahead = np.sign(np.diff(curve.omega))
+        ways = np.concatenate([ahead[:1], ahead, ahead[-1:]])
+        ways = np.where(ways[1:] == ways[:-1], ways[1:], 0.0)  # 0: at the fold
+        for one in curve.bifurcations:
+            if one.kind == "branch_point":
+                ways[_place(curve, one) :] *= -1.0
+        found = [self.found[place] for place in np.searchsorted(self.at, np.arange(len(curve)))]
+        product = ways * [(-1.0) ** one.outside[0] if one else 0.0 for one in found]
+        return np.asarray(product * np.sign(product.sum()) <= 0.0)
+
+    def disputed(self, place: int) -> bool:
+        """Whether the motion of a point of the curve leads straight to another orbit, nearer to it
+        than that of its neighbours, and of another stability."""
+        number = int(np.searchsorted(self.at, place))
+        own, found = self.found[number], self._solve(self._motions[number], number)
+        if own is None or found is None:
+            return False
+        [other] = _judged([(found.unknown, found.parameter, _orbit(found).monodromy)])
+        nearer = self._away(other, number) < self._away(own, number)
+        return nearer and (abs(own.leading) < 1.0) != (other is None or abs(other.leading) < 1.0)
+
+    def _away(self, orbit: _Orbit | None, number: int) -> float:
+        """Distance of an orbit from the motion of its place, relative to this."""
         assert orbit is not None
-        away = float(np.linalg.norm(orbit.unknown - motion))
-        return away > NO_DOUBT * float(np.linalg.norm(motion))
+        motion = self._motions[number]
+        return float(np.linalg.norm(orbit.unknown - motion) / np.linalg.norm(motion))
 
     def wanted(self) -> np.ndarray:
         """Places that are the curve's points, or next to bifurcations."""
@@ -448,9 +479,13 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
             multipliers[place] = one.leading
             shift = abs(one.parameter * curve.omega[0] / curve.omega[place] - 1.0)
             sure = abs(size - 1.0) > max(SURE, abs(size - abs(other.leading)))
-            undecided[place] = shift > SHIFTED or not sure
+            elsewhere = shift > SHIFTED or (shift > ROUNDING and fine.doubtful(place))
+            undecided[place] = elsewhere or not sure
     asked = np.array([place for place in np.flatnonzero(~undecided) if fine.doubtful(place)], int)
     undecided[asked] = ~near_points(curve, asked, fine.gap)
+    undecided |= fine.turned(curve)
+    for place in asked[~undecided[asked]]:
+        undecided[place] = fine.disputed(int(place))
     special = _special(curve, fine.crossings, _known(fine.crossings, coarse.crossings), undecided)
     left = np.flatnonzero(undecided)
     if len(left) <= SINGLY:
@@ -462,11 +497,12 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
 
 
 def verified(curve: ResponseCurve) -> ResponseCurve:
-    """The same curve with the verdicts of :func:`judge_curve`; its bifurcations stay those of the
-    truncated equations, each with the one of the exact orbits that confirms it."""
+    """The same curve with the verdicts and bifurcations of :func:`judge_curve`, and those of the
+    truncated equations that the orbits refute, unconfirmed."""
     judged = judge_curve(curve)
-    exact = {id(one.unknown): one.exact for one in judged.bifurcations}
-    special = [replace(one, exact=exact.get(id(one.unknown), np.nan)) for one in curve.bifurcations]
+    kept = {id(one.unknown) for one in judged.bifurcations}
+    refuted = [one for one in curve.bifurcations if id(one.unknown) not in kept]
+    special = sorted([*judged.bifurcations, *refuted], key=lambda one: _place(curve, one))
     return replace(judged, bifurcations=tuple(special))
 
 

@@ -34,7 +34,7 @@ from fenics_crack.balance.bordered import (
     solve_in_plane,
     tangent_of,
 )
-from fenics_crack.balance.linearisation import DenseLinearisation
+from fenics_crack.balance.linearisation import DenseLinearisation, System
 from fenics_crack.balance.orbits import OrbitPoint
 from fenics_crack.balance.rounding import EPSILON
 from fenics_crack.balance.solution import PeriodicSolution
@@ -239,8 +239,7 @@ def _sought(
     )  # fmt: skip
     before, value = start, test(start)
     for point in follow_path(branch, start.unknown, start.parameter, stepping, start.tangent):
-        if point.at is None:  # from the kernel
-            point = replace(point, at=branch.linearise(point.unknown, point.parameter))
+        point = evaluated(branch, point)
         now = test(point)
         if np.isnan(now):
             return
@@ -254,6 +253,13 @@ def _sought(
             return
         before, value = point, now
         yield None
+
+
+def evaluated(system: System, point: PathPoint) -> PathPoint:
+    """A point with the equations there, which those of the kernel's paths do without."""
+    return (
+        point if point.at else replace(point, at=system.linearise(point.unknown, point.parameter))
+    )
 
 
 def _turning(point: PathPoint) -> float:

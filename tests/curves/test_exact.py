@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import stiff_curves
 from helpers import two_masses
 
 import fenics_crack as fc
@@ -107,6 +108,16 @@ def test_neighbours_are_not_matched_crosswise(curve: fc.ResponseCurve) -> None:
     assert matched({783.6: 9, 785.6: 30}) == {783.0: 783.6}
     assert matched({783.6: 9, 805.0: 9}) == {783.0: 783.6}
     assert matched({783.6: 9, 785.6: 9}, "period_doubling") == {}
+
+
+def test_stiff_stop() -> None:
+    """Against the branch of exact orbits: the truncated equations are often wrong, the judged curve
+    never is; what it confirms is there, and what is not there is unconfirmed."""
+    found = dict(zip(stiff_curves.COLUMNS, stiff_curves.case(100.0, 10, (2.0, 0.5)), strict=True))
+    assert found["truncated: wrong"] > 20 and found["judged: wrong"] == 0
+    assert found["stable"] + found["unstable"] > 100 and found["undecided"] > 100
+    assert found["truncated: bifurcations"] > 10 and found["confirmed"] >= 4
+    assert found["confirmed without counterpart"] == 0 and found["unconfirmed"] > 10
 
 
 def test_files_and_words(curve: fc.ResponseCurve, light_lips: fc.Structure, tmp_path: Path) -> None:
