@@ -105,7 +105,7 @@ class Arrays:
         reference = structure.reference if isinstance(structure, ReducedStructure) else None
         return cls(
             reduced=isinstance(structure, ReducedStructure),
-            modes=None if massless(structure) is None else structure.n_modes,
+            modes=structure.n_modes if structure.light_lips else None,
             mass=_rows(structure.mass),
             stiffness=_rows(structure.stiffness),
             gap=structure.gap,
@@ -286,7 +286,7 @@ class Cases:
         """Verdict and modulus of the leading multiplier of the last solution; empty without a law,
         and for a constraint of lips with mass."""
         structure, law = solution.structure, solution.contact
-        if law is None or (is_rigid(law) and massless(structure) is None):
+        if law is None or (is_rigid(law) and not structure.light_lips):
             return {}
         few = structure.n_pairs <= FEW_PAIRS and solution.static_above is None
         if few and self._flow is None:
