@@ -48,6 +48,7 @@ from fenics_crack.draw.plot_motion import draw_orbits as draw_orbits
 from fenics_crack.draw.plot_motion import draw_spectra as draw_spectra
 from fenics_crack.draw.plot_motion import draw_spectrum as draw_spectrum
 from fenics_crack.draw.plot_posterior import draw_posterior as draw_posterior
+from fenics_crack.draw.plot_verification import draw_verification as draw_verification
 from fenics_crack.errors import ConvergenceError as ConvergenceError
 from fenics_crack.errors import InputError as InputError
 from fenics_crack.fem.build import build_structure as build_structure
@@ -82,11 +83,15 @@ from fenics_crack.stability.shooting import PeriodicOrbit as PeriodicOrbit
 from fenics_crack.stability.shooting import shoot as shoot
 from fenics_crack.study.campbell import Campbell as Campbell
 from fenics_crack.study.campbell import campbell as campbell
+from fenics_crack.study.grid_convergence import GridConvergence as GridConvergence
+from fenics_crack.study.grid_convergence import grid_convergence as grid_convergence
 from fenics_crack.study.prepare import Study as Study
 from fenics_crack.study.prepare import contact_law as contact_law
 from fenics_crack.study.prepare import prepare as prepare
 from fenics_crack.study.run import Run as Run
 from fenics_crack.study.run import load_run as load_run
+from fenics_crack.study.verification import Verification as Verification
+from fenics_crack.study.verify import verify as verify
 from fenics_crack.sweep.result import SweepResult as SweepResult
 from fenics_crack.sweep.result import run_sweep as run_sweep
 from fenics_crack.time.central_differences import (

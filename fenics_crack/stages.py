@@ -12,17 +12,29 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-__all__ = ["StageLines", "begin", "listening"]
+__all__ = ["StageLines", "begin", "listening", "within"]
 
 LONG = 1.0
 """Stages are told after their end, with their time, if they took longer [s]."""
 _listeners: list[Callable[[str], None]] = []
+_parts: list[str] = []
 
 
 def begin(stage: str) -> None:
     """Tell what is done from now on; "" ends a stage where a progress bar goes on."""
+    told = ": ".join([*_parts, stage]) if stage else ""
     for listener in _listeners:
-        listener(stage)
+        listener(told)
+
+
+@contextmanager
+def within(part: str) -> Iterator[None]:
+    """Tell stages as those of a part: "16 modes: natural modes"."""
+    _parts.append(part)
+    try:
+        yield
+    finally:
+        _parts.pop()
 
 
 @contextmanager

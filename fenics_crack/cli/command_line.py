@@ -172,7 +172,12 @@ def _compute(given: argparse.Namespace, scene: Scene, folder: Path, console: Con
         from fenics_crack.cli.timing import timing
 
         return timing(scene, given.source, folder, console)
-    work = {"solve": commands.solution, "curve": commands.curve, "sweep": commands.sweep}
+    work = {
+        "solve": commands.solution,
+        "verify": commands.verification,
+        "curve": commands.curve,
+        "sweep": commands.sweep,
+    }
     return work.get(given.command, commands.integration)(scene, folder, console)
 
 
@@ -204,6 +209,11 @@ COMMANDS = {
         f"{SOLVED} --count --speeds",
     ),
     "solve": ("steady vibration at excitation.omega", SOLVED),
+    "verify": (
+        "what mesh, modes, harmonics and samples contribute to the error of solve: observed "
+        "orders, extrapolated values, grid-convergence indices, and a picture",
+        SOLVED,
+    ),
     "curve": ("response curve of the table [curve]", SOLVED),
     "integrate": ("motion in time by the table [integration]", SOLVED),
     "sweep": ("all cases of the table [sweep.over]; goes on where it stopped", SOLVED),

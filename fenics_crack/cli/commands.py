@@ -24,6 +24,7 @@ from fenics_crack.scene.tables import Integration
 from fenics_crack.study.campbell import campbell
 from fenics_crack.study.key_figures import highest_omega
 from fenics_crack.study.run import Run, find_modes, follow_curve, integrate, load_run, solve
+from fenics_crack.study.verify import verify
 from fenics_crack.sweep.file import KIND as SWEEP
 from fenics_crack.sweep.result import SweepResult, run_sweep
 from fenics_crack.table import RPM, Table, ranging
@@ -39,6 +40,7 @@ __all__ = [
     "report",
     "solution",
     "sweep",
+    "verification",
 ]
 
 MOST_SPEEDS = 10_000
@@ -223,6 +225,28 @@ def identification(scene: Scene, measured: Path, folder: Path, console: Console)
     console.note(f"{folder / 'identify.h5'}, .json; posterior.png, fit.csv, where_to_measure.csv")
     console.warnings(found.warnings)
     return Exit.DONE
+
+
+def verification(scene: Scene, folder: Path, console: Console) -> Exit:
+    """What mesh, modes, harmonics and samples contribute to the error of the steady vibration."""
+    with console.stage("verification"):
+        found = verify(scene, console.comm)
+    table = found.table()
+
+    def write() -> None:
+        from fenics_crack.draw.plot_verification import draw_verification  # matplotlib
+
+        table.save(folder / "verify.csv")
+        table.save(folder / "verify.json")
+        draw_verification(found, path=folder / "verify.png")
+
+    on_root(console.comm, write)
+    console.table(found.totals() if console.form == "text" else table)
+    for sentence in found.statement[: -len(found.warnings) or None]:
+        console.note(sentence)
+    console.note(f"{folder / 'verify.csv'}, .json, .png")
+    console.warnings(found.warnings)
+    return Exit.NOT_CONVERGED if found.failures else Exit.DONE
 
 
 def plot(

@@ -37,6 +37,7 @@ from fenics_crack.model.bilinear import FEW, BilinearFrequencies
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Sweep
+from fenics_crack.study.finer import finer_mesh
 from fenics_crack.sweep.file import CONVERGED
 from fenics_crack.sweep.result import SweepResult, run_sweep
 
@@ -147,16 +148,10 @@ def _finer(scene: Scene, factor: float) -> Scene | None:
     if scene.harmonic_balance.tolerance is None:
         harmonics = min(100, math.ceil(factor * scene.harmonic_balance.harmonics))
         changes = {"harmonic_balance.harmonics": harmonics, "harmonic_balance.samples": None}
-    if scene.structure is None:
-        mesh = scene.mesh
-        if mesh.size is not None:
-            changes["mesh.size"] = mesh.size / factor
-        for key in ("lip_elements", "columns", "rows"):
-            count = getattr(mesh, key)
-            if count is not None:
-                grown = factor if key == "lip_elements" else math.ceil(factor)
-                changes[f"mesh.{key}"] = math.ceil(grown * count)
-    return scene.replace(changes) if changes else None
+    finer = finer_mesh(scene, factor)
+    if finer is None and not changes:
+        return None
+    return (finer or scene).replace(changes)
 
 
 def _thinned(axes: Sequence[Axis]) -> tuple[Axis, ...]:

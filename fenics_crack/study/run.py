@@ -14,7 +14,7 @@ from fenics_crack.balance.harmonic_balance import solve_harmonic_balance, solve_
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.follow import continue_frequency, continue_parameter
-from fenics_crack.errors import InputError
+from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.files.results import Result, load, type_of
 from fenics_crack.files.store import read_scene
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
@@ -45,10 +45,15 @@ from fenics_crack.time.exponential import integrate_exponential
 from fenics_crack.time.implicit import integrate_implicit
 from fenics_crack.time.march import TimeHistory
 
-__all__ = ["Run", "find_modes", "follow_curve", "integrate", "load_run", "solve"]
+__all__ = [
+    "REFUSALS", "Run", "find_modes", "follow_curve", "integrate", "load_run", "solve",
+    "solve_prepared",
+]  # fmt: skip
 
 FEW_DOFS = 100
 """With more dofs, stability takes minutes unless the law is piecewise linear."""
+REFUSALS = (InputError, ConvergenceError, np.linalg.LinAlgError)
+"""Errors that fail one run while others go on."""
 RECORDED_PERIODS = 4
 """Periods kept of a motion in time."""
 
@@ -110,8 +115,13 @@ def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution
     With a tolerance, the modes of the reduction are chosen, too, if the scene does not give them.
     The solution may not have converged.
     """
-    whole = prepare(scene, comm, whole=True)
-    law, omega, table = whole.contact, scene.excitation.omega, scene.harmonic_balance
+    return solve_prepared(prepare(scene, comm, whole=True))
+
+
+def solve_prepared(whole: Study) -> Run[PeriodicSolution]:
+    """The same of a scene that is prepared, not reduced (collective)."""
+    scene, law = whole.scene, whole.contact
+    omega, table = scene.excitation.omega, scene.harmonic_balance
     if law is None:
         study = reduced(whole)
         linear = solve_linear(study.structure, omega, harmonics=table.harmonics)

@@ -16,7 +16,7 @@ from fenics_crack.balance.memory import check_memory
 from fenics_crack.balance.neighbours import Neighbours
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.errors import InputError
 from fenics_crack.fem.assembly import clearance_of
 from fenics_crack.model.bilinear import BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.contact import is_rigid
@@ -31,14 +31,12 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.stability.floquet import FEW_PAIRS, floquet
 from fenics_crack.stability.piecewise_flow import PiecewiseFlow
 from fenics_crack.study.prepare import Study, law_of, prepare
+from fenics_crack.study.run import REFUSALS
 from fenics_crack.sweep.file import AT_POINTS, COLUMNS, PHASES, of_load
 from fenics_crack.sweep.plan import FORCES, Chunk
 from fenics_crack.table import with_frequency
 
-__all__ = ["REFUSALS", "Arrays", "Found", "Geometry", "Known", "all_failed", "build", "solve_chunk"]
-
-REFUSALS = (InputError, ConvergenceError, np.linalg.LinAlgError)
-"""Errors that fail one case while the others go on."""
+__all__ = ["Arrays", "Found", "Geometry", "Known", "all_failed", "build", "solve_chunk"]
 
 
 @dataclass(frozen=True)

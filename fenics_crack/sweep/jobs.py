@@ -20,16 +20,8 @@ from fenics_crack.errors import InputError
 from fenics_crack.parallel import StopRequest
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import Study
-from fenics_crack.sweep.case import (
-    REFUSALS,
-    Arrays,
-    Found,
-    Geometry,
-    Known,
-    all_failed,
-    build,
-    solve_chunk,
-)
+from fenics_crack.study.run import REFUSALS
+from fenics_crack.sweep.case import Arrays, Found, Geometry, Known, all_failed, build, solve_chunk
 from fenics_crack.sweep.file import FAILED, PENDING, SweepFile
 from fenics_crack.sweep.plan import Chunk, Index, Plan, everywhere
 

@@ -8,10 +8,11 @@ import oscillators
 import plates
 import programs
 import pytest
+import uncertainties
 from book import CASES, PAGES, differences, index
 
 pytestmark = pytest.mark.verification
-FILES = (oscillators, impacts, plates, beams, elements, calculix, programs)
+FILES = (oscillators, impacts, plates, beams, elements, calculix, programs, uncertainties)
 
 
 @pytest.mark.parametrize("name", CASES)

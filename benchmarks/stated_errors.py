@@ -1,0 +1,210 @@
+"""True errors over those that ``fc.verify`` states: does the truth lie within its uncertainties?
+
+``mesh``: scenes of many kinds (the demos' plates, both orders, triangles, a grid, a crack inside,
+none, loads at points and on edges). The true error is the change on a mesh four times finer.
+
+``harmonics``: variants of one plate with four pairs, lips with mass, a penalty law; some chosen,
+others drawn (frequency, length, stiffness, damping, clearance, 3 to 19 harmonics). The true error
+is the distance from the motion in time from event to event, which has no harmonics; variants whose
+motion does not repeat within 400 periods are told and left out.
+
+``modes``: the same plate with 5 to 20 modes, against the whole structure.
+
+Printed: for each scene and quantity the value, the true and the stated relative error, their ratio,
+the observed order and the behaviour; then how many ratios are above 1, and their quantiles.
+
+    OMP_NUM_THREADS=1 python benchmarks/stated_errors.py [--quick] [--only PART] [folder]
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from importlib import resources
+from typing import Any
+
+import common
+import numpy as np
+
+import fenics_crack as fc
+from fenics_crack.study.finer import finer_mesh
+from fenics_crack.study.run import solve
+
+Numbers = dict[str, float]
+COLUMNS = ("scene", "quantity", "value", "true", "stated", "true / stated", "order", "behaviour")
+GRID = {
+    "mesh.layout": "grid", "mesh.size": None, "mesh.lip_elements": None, "mesh.columns": 8,
+    "mesh.rows": 8, "contact.stiffness_per_area": 5e9,
+}  # fmt: skip
+PULLED = {
+    "excitation.point": None, "excitation.force_sin": (0.0, 0.0), "loads.1.edge": "top",
+    "loads.1.traction_sin": (1000.0, 0.0),
+}  # fmt: skip
+WHOLE = {"reduction.method": "off", "reduction.modes": None}
+VARIANTS: list[dict[str, Any]] = [
+    {},
+    *({"harmonic_balance.harmonics": count} for count in (4, 10, 15)),
+    *({"contact.stiffness_per_area": stiffness} for stiffness in (1e9, 1e10)),
+    *({"excitation.omega": omega} for omega in (1500.0, 2600.0)),
+    {"crack.length": 0.03},
+    {"damping.ratio": 0.03},
+    {"damping.ratio": 0.03, "contact.stiffness_per_area": 2e11},
+    {"damping.ratio": 0.03, "excitation.omega": 3000.0},
+    *({"damping.ratio": 0.03, "crack.clearance": clearance} for clearance in (2e-7, -2e-7)),
+]
+
+
+DRAWN, SEED = 24, 7
+
+
+def main() -> None:
+    """Run it."""
+    common.run(__doc__, {"mesh": run_mesh, "harmonics": run_harmonics, "modes": run_modes})
+
+
+def pulled_plate() -> fc.Scene:
+    """The plate of demos/sweep.toml pulled at its upper edge: four pairs, ten modes, lips with
+    mass."""
+    kept = {"reduction.method": "free_interface", "reduction.modes": 10}
+    return load("sweep", PULLED | kept)
+
+
+def load(demo: str, changes: Mapping[str, Any] | None = None) -> fc.Scene:
+    """A demo's scene for one solution, some keys changed."""
+    scene = fc.Scene.load(common.DEMOS / f"{demo}.toml")
+    return scene.replace({"sweep": None, "curve": None, **(changes or {})})
+
+
+# --- references -----------------------------------------------------------------------------------
+
+
+def solved(scene: fc.Scene) -> Numbers:
+    """Indicators and natural frequencies of a scene's solution."""
+    run = solve(scene)
+    omega = fc.solve_modes(run.structure.whole, 3).omega
+    found = run.result.indicators(run.watched_dof).to_dict()
+    found |= {f"omega_open_{mode}": value for mode, value in enumerate(omega, 1)}
+    hertz = {f"frequency_open_{mode}": w / (2.0 * np.pi) for mode, w in enumerate(omega, 1)}
+    return found | hertz
+
+
+def on_finer_mesh(scene: fc.Scene) -> Numbers:
+    """The same with elements four times as short."""
+    finer = finer_mesh(scene, 4.0)
+    assert finer is not None
+    return solved(finer)
+
+
+def exact(scene: fc.Scene) -> Numbers:
+    """Indicators of the motion from event to event, once it repeats; none where it does not."""
+    run = solve(scene)
+    motion = fc.integrate_events(
+        run.structure, run.result.omega, run.contact, periods=400, settle=1e-8,
+        record_periods=1, initial=run.result, steps_per_period=1024,
+    )  # fmt: skip
+    if not motion.settled <= 1e-7:
+        return {}
+    wave = motion.displacement([run.watched_dof])[:, 0]
+    size = 2.0 * np.abs(np.fft.rfft(wave)) / len(wave)
+    return {
+        "amplitude": float(np.ptp(wave)) / 2.0,
+        "ratio_2_1": size[2] / size[1],
+        "ratio_3_1": size[3] / size[1],
+        "mean_shift": float(wave.mean()) / size[1],
+        "opening": -float(motion.gap.min()),
+        "closed_share": float(np.mean(motion.gap > 0.0)),
+    }
+
+
+# --- parts ----------------------------------------------------------------------------------------
+
+
+def run_mesh(arguments: common.Arguments) -> None:
+    """Against meshes four times finer."""
+    text = resources.files("fenics_crack.cli").joinpath("new_scene.toml").read_text("utf-8")
+    bare = {"crack": None, "contact": None}
+    inside = {"crack.edge": None, "crack.center": 0.05, "crack.length": 0.04}
+    scenes = {
+        "sweep": load("sweep"),
+        "sweep, quadratic": load("sweep", {"mesh.order": 2}),
+        "sweep, fine": load("sweep", {"mesh.size": 0.005, "mesh.lip_elements": 8}),
+        "sweep, triangles": load("sweep", {"mesh.cells": "triangle"}),
+        "sweep, grid": load("sweep", GRID),
+        "sweep, pulled": load("sweep", PULLED),
+        "sweep, crack inside": load("sweep", inside),
+        "no crack": load("sweep", bare),
+        "no crack, quadratic": load("sweep", bare | {"mesh.order": 2}),
+        "fenics-crack new": fc.Scene.from_text(text).replace({"sweep": None, "curve": None}),
+        "blade": load("blade"),
+    }
+    rows: list[common.Row] = []
+    for name, scene in list(scenes.items())[: 2 if arguments.quick else None]:
+        found = fc.verify(scene)
+        rows += compared(name, found, "mesh", on_finer_mesh(found.scene))
+    report(arguments, "mesh", rows)
+
+
+def run_harmonics(arguments: common.Arguments) -> None:
+    """Against the exact motion."""
+    rows: list[common.Row] = []
+    for changes in (VARIANTS + drawn())[: 2 if arguments.quick else None]:
+        found = fc.verify(pulled_plate().replace(changes))
+        reference = exact(found.scene)
+        name = ", ".join(f"{key.partition('.')[2]} {value:.4g}" for key, value in changes.items())
+        if not reference:
+            print(f"{name}: the motion does not repeat")
+        rows += compared(name or "as it is", found, "harmonics", reference)
+    report(arguments, "harmonics", rows)
+
+
+def drawn() -> list[dict[str, Any]]:
+    """Variants drawn at random."""
+    rng = np.random.default_rng(SEED)
+    return [
+        {
+            "excitation.omega": float(rng.uniform(700.0, 5000.0)),
+            "crack.length": float(rng.choice([0.03, 0.04, 0.05, 0.06])),
+            "contact.stiffness_per_area": float(10.0 ** rng.uniform(9.0, 11.5)),
+            "damping.ratio": float(10.0 ** rng.uniform(-2.0, -1.2)),
+            "harmonic_balance.harmonics": int(rng.integers(3, 20)),
+            "crack.clearance": float(rng.choice([0.0, 0.0, 1e-7, -1e-7])),
+        }
+        for _ in range(DRAWN)
+    ]
+
+
+def run_modes(arguments: common.Arguments) -> None:
+    """Against the whole structure."""
+    rows: list[common.Row] = []
+    for count in (5, 10, 20)[: 1 if arguments.quick else None]:
+        found = fc.verify(pulled_plate().replace({"reduction.modes": count}))
+        rows += compared(f"{count} modes", found, "modes", solved(found.scene.replace(WHOLE)))
+    report(arguments, "modes", rows)
+
+
+def compared(
+    name: str, found: fc.Verification, cause: str, reference: Numbers
+) -> Iterator[common.Row]:
+    """A row for each quantity that a cause changes and the reference has."""
+    for quantity, part in found.parts[cause].items():
+        value, stated = found.values[quantity], part.uncertainty(-1)
+        if quantity in reference and stated > 0.0:
+            true = abs(reference[quantity] - value)
+            shares = (true / abs(value), stated / abs(value), true / stated)
+            yield (name, quantity, value, *shares, part.order, part.behaviour)
+
+
+def report(arguments: common.Arguments, part: str, rows: list[common.Row]) -> None:
+    """The table, and what it comes to."""
+    common.save_table(arguments.folder / f"stated_errors_{part}.csv", part, COLUMNS, rows)
+    shares = np.array([row[5] for row in rows])
+    asymptotic = np.array([row[5] for row in rows if row[7] == "asymptotic"])
+    least, middle, most = np.quantile(shares, (0.05, 0.5, 0.95))
+    print(
+        f"{part}: {np.sum(shares > 1.0)} of {len(shares)} above 1; 5, 50, 95 %: {least:.2f}, "
+        f"{middle:.2f}, {most:.2f}; largest {shares.max():.2f}; median of the {len(asymptotic)} "
+        f"asymptotic ones {np.median(asymptotic) if len(asymptotic) else np.nan:.2f}"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,228 @@
+"""What contributes to the error of a scene's answer: the result of :func:`fenics_crack.verify`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from fenics_crack.errors import InputError
+from fenics_crack.scene.scene import Scene
+from fenics_crack.study.grid_convergence import LEAST_ORDER, GridConvergence
+from fenics_crack.table import Table, Tabular, with_unit
+
+__all__ = ["CAUSES", "Verification"]
+
+CAUSES = ("mesh", "modes", "harmonics", "samples")
+RUNS = 3
+"""Of each cause."""
+SHOWN, LEAST = 0.1, 1e-3
+"""Shares of its total, and of a value, from which on a doubtful contribution is told."""
+SPREAD = "not in the asymptotic range, 3 times the spread is taken"
+DOUBTS = {
+    "outside": "the observed order is not near that of theory, a factor of 3 is taken",
+    "two sizes": "two runs show no order, that of theory and a factor of 3 are taken",
+    "oscillating": f"values oscillate, {SPREAD}",
+    "diverging": f"values come no closer, {SPREAD}",
+    "irregular": f"values come closer faster than by any order of theory, {SPREAD}",
+}
+"""What is said of each behaviour of :class:`GridConvergence` but "asymptotic"."""
+
+
+@dataclass(frozen=True, repr=False)
+class Verification(Tabular):
+    """What contributes to the error of a scene's answer.
+
+    Attributes
+    ----------
+    scene : Scene
+        With all that was chosen for it: length of the crack, modes, harmonics.
+    values, units : dict of str to float, and to str
+        The scene's own answer by its quantities, as ``[output] quantities`` names them, with those
+        of named points as "tip.ux.amplitude"; "frequency_open_1" [Hz] or "omega_open_1" [rad/s] are
+        natural frequencies with lips open.
+    parts : dict of str to dict of str to GridConvergence
+        By the cause, "mesh", "modes", "harmonics" or "samples", and the quantity. Sizes are the
+        side of a mean element [m], and one over the number of modes, harmonics or samples; the
+        last value is that of the scene's own choice.
+    counts : dict of str to tuple of int
+        The numbers of elements, modes, harmonics or samples, the scene's own first.
+    absent : dict of str to str
+        Causes that contribute nothing, and why.
+    unknown : dict of str to str
+        Causes whose contribution is not known, and why: no total has it.
+    failures : tuple of str
+        Runs that were refused or did not converge.
+    verdicts : dict of str to str
+        Of the stability, by the run, where an orbit is not known to be stable.
+    """
+
+    scene: Scene
+    values: dict[str, float]
+    units: dict[str, str]
+    parts: dict[str, dict[str, GridConvergence]]
+    counts: dict[str, tuple[int, ...]]
+    absent: dict[str, str]
+    unknown: dict[str, str]
+    failures: tuple[str, ...]
+    verdicts: dict[str, str]
+
+    KIND: ClassVar[str] = "verification"
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """The causes that were varied."""
+        return tuple(self.parts)
+
+    def contributions(self, quantity: str) -> dict[str, float]:
+        """Uncertainty of a quantity by each cause that was varied, in its unit.
+
+        Raises
+        ------
+        InputError
+            There is no such quantity.
+        """
+        if quantity not in self.values:
+            raise InputError("quantity", quantity, "one of " + ", ".join(map(repr, self.values)))
+        return {cause: found[quantity].uncertainty(-1) for cause, found in self.parts.items()}
+
+    def total(self, quantity: str, *, independent: bool = True) -> float:
+        """Root of the sum of squares of the contributions to a quantity, or their sum."""
+        found = self.contributions(quantity).values()
+        return math.hypot(*found) if independent else sum(found)
+
+    def extrapolated(self, quantity: str) -> float:
+        """The value with the corrections by all causes in the asymptotic range."""
+        own = self.values[quantity]
+        parts = (found[quantity] for found in self.parts.values())
+        return own + sum(part.extrapolated - own for part in parts if part.is_asymptotic)
+
+    def relative(self, quantity: str, error: float) -> float:
+        """An error over the size of a quantity; nan where that is 0."""
+        value = self.values[quantity]
+        return error / abs(value) if value else math.nan
+
+    # --- tables -----------------------------------------------------------------------------------
+
+    def totals(self) -> Table:
+        """A row for each quantity: value, contributions and totals relative to it in per cent, to
+        three digits, the observed order of the mesh, and the extrapolated value."""
+        rows = []
+        for name, value in self.values.items():
+            errors = [*self.contributions(name).values()]
+            errors += [self.total(name), self.total(name, independent=False)]
+            shares = [float(f"{100.0 * self.relative(name, error):.3g}") for error in errors]
+            order = self.parts["mesh"][name].order if "mesh" in self.parts else math.nan
+            quantity = with_unit(name, self.units[name])
+            rows.append([quantity, value, *shares, round(order, 2), self.extrapolated(name)])
+        columns = [f"{what} [%]" for what in (*self.causes, "total", "sum")]
+        return Table(["quantity", "value", *columns, "order in h", "extrapolated"], rows)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Columns, a row for each quantity and cause, and for its totals: what was varied, the
+        three values, what follows from them, and the uncertainty of the first."""
+        rows = [row for name in self.values for row in self._rows(name)]
+        keys = dict.fromkeys(key for row in rows for key in row)
+        return {key: [row.get(key, math.nan) for row in rows] for key in keys}
+
+    def _rows(self, name: str) -> Iterator[dict[str, Any]]:
+        shared = {"quantity": name, "unit": self.units[name]}
+        for cause, found in self.parts.items():
+            part, counts = found[name], self.counts[cause]
+            row: dict[str, Any] = shared | {"cause": cause, "behaviour": part.behaviour}
+            row |= {f"count_{n + 1}": math.nan for n in range(RUNS)}
+            row |= {f"count_{n}": count for n, count in enumerate(counts, 1)}
+            row |= {f"value_{n + 1}": math.nan for n in range(RUNS)}
+            row |= {f"value_{n}": value for n, value in enumerate(part.values[::-1], 1)}
+            row |= {key: getattr(part, key) for key in ("order", "exponent", "factor")}
+            yield row | {
+                "extrapolated": part.extrapolated,
+                "gci_finest": part.gci,
+                **self._error(name, part.uncertainty(-1)),
+            }
+        for cause, independent in (("total", True), ("sum", False)):
+            known = {"value_1": self.values[name], "extrapolated": self.extrapolated(name)}
+            total = self._error(name, self.total(name, independent=independent))
+            yield shared | {"cause": cause, "behaviour": ""} | known | total
+
+    def _error(self, name: str, error: float) -> dict[str, float]:
+        return {"uncertainty": error, "relative": self.relative(name, error)}
+
+    def _units(self) -> dict[str, str]:
+        return {}
+
+    def _title(self) -> str:
+        return self.statement[0]
+
+    # --- words ------------------------------------------------------------------------------------
+
+    @property
+    def statement(self) -> tuple[str, ...]:
+        """What was found, in sentences; what is not known and what is doubtful among them."""
+        first = next(iter(self.values))
+        shares = {name: self.relative(name, self.total(name)) for name in self.values}
+        worst = max(shares, key=lambda name: shares[name])
+        told = [self._in_words(first)]
+        if worst != first:
+            told.append(f"largest of all: {self._in_words(worst)}")
+        told += [f"{cause}, no contribution: {why}" for cause, why in self.absent.items()]
+        return (*told, *self.warnings)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Those of the sentences that doubt the numbers."""
+        found = [
+            f"{cause} not varied, so it is missing in the totals: {why}"
+            for cause, why in self.unknown.items()
+        ]
+        found += [f"failed, {text}" for text in self.failures]
+        found += [f"the orbit with {run} is {verdict}" for run, verdict in self.verdicts.items()]
+        for cause, parts in self.parts.items():
+            for kind, what in DOUBTS.items():
+                names = [n for n, p in parts.items() if p.behaviour == kind and self._matters(n, p)]
+                if names:
+                    found.append(f"{cause}, {', '.join(names)}: {what}")
+        mesh, contact = self.parts.get("mesh", {}), self.scene.contact
+        if "amplitude" in mesh and mesh["amplitude"].order < LEAST_ORDER and self._under_a_force:
+            found.append(
+                "amplitude: under a force at a point the displacement has no limit, it grows like "
+                "log(1/h); watch another place (output.points), or load an edge (loads)"
+            )
+        if "mesh" in self.parts and contact is not None and contact.stiffness is not None:
+            found.append(
+                "contact.stiffness is that of a pair, of which a finer mesh has more: the mesh "
+                "changes the law, too; contact.stiffness_per_area stays the same law"
+            )
+        return tuple(found)
+
+    @property
+    def _under_a_force(self) -> bool:
+        """Whether what is watched is where a force acts at a point."""
+        scene = self.scene
+        if scene.output is not None and scene.output.points:
+            return False
+        first = scene.loads[0].point if scene.loads else None
+        return bool(scene.excitation.force_given) or first is not None
+
+    def _matters(self, name: str, part: GridConvergence) -> bool:
+        """Whether a contribution is so large that a doubt of it is told."""
+        size = max(SHOWN * self.total(name), LEAST * abs(self.values[name]))
+        return part.uncertainty(-1) >= size
+
+    def _in_words(self, name: str) -> str:
+        """A quantity with its uncertainty, and where most of that is from."""
+        parts = self.contributions(name)
+        text = f"{name} = {self.values[name]:.5g} {self.units[name]}".rstrip()
+        if not any(parts.values()):
+            return f"{text}: nothing that was varied changes it"
+        share, bound = (
+            100.0 * self.relative(name, self.total(name, independent=way)) for way in (True, False)
+        )
+        cause = max(parts, key=lambda one: parts[one])
+        most = self.parts[cause][name]
+        how = f"observed order {most.order:.2g}" if math.isfinite(most.order) else most.behaviour
+        return (
+            f"{text} +- {share:.2g} % (sum of all: {bound:.2g} %), most of it by {cause}, {how}; "
+            f"extrapolated {self.extrapolated(name):.5g}"
+        )

@@ -1,0 +1,100 @@
+"""Roache's index: a published example, exact powers, and sequences that are none."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import fenics_crack as fc
+from fenics_crack import InputError
+
+CELLS = (18000, 8000, 4500)
+REATTACHMENT = (6.063, 5.972, 5.863)
+
+
+def test_worked_example() -> None:
+    """Celik and others, J. Fluids Eng. 130, 2008, 078001, table 1: the reattachment length on
+    18000, 8000 and 4500 cells."""
+    found = fc.grid_convergence([cells**-0.5 for cells in CELLS], REATTACHMENT)
+    fine, coarse = (found.sizes[n + 1] / found.sizes[n] for n in range(2))
+    assert (fine, coarse) == (pytest.approx(1.5), pytest.approx(1.333, abs=4e-4))
+    assert found.behaviour == "asymptotic" and found.factor == 1.25
+    assert found.order == pytest.approx(1.53, abs=0.01)
+    assert found.extrapolated == pytest.approx(6.1685, abs=5e-4)
+    one, two, _ = REATTACHMENT
+    assert abs(one - two) / one == pytest.approx(0.015, abs=5e-4)
+    assert 1.0 - one / found.extrapolated == pytest.approx(0.017, abs=5e-4)
+    assert found.gci == pytest.approx(0.022, abs=5e-4)
+
+
+@given(
+    order=st.floats(0.51, 4.0),
+    fine=st.floats(1.1, 3.0),
+    coarse=st.floats(1.1, 3.0),
+    limit=st.floats(-10.0, 10.0),
+    factor=st.sampled_from([-1.0, 1.0]),
+)
+def test_powers_are_found(
+    order: float, fine: float, coarse: float, limit: float, factor: float
+) -> None:
+    """f + C h^p gives p and f again, in any order of the sizes, and the uncertainty of each is
+    1.25 times its distance from f."""
+    sizes = [fine * coarse, 1.0, fine]
+    values = [limit + factor * size**order for size in sizes]
+    found = fc.grid_convergence(sizes, values, formal=4.0)
+    assert found.behaviour == "asymptotic"
+    assert found.order == pytest.approx(order, rel=1e-6)
+    assert found.extrapolated == pytest.approx(limit, abs=1e-6)
+    for place, size in enumerate(found.sizes):
+        assert found.uncertainty(place) == pytest.approx(1.25 * size**order, abs=1e-5)
+
+
+SEQUENCES = [
+    # values with sizes 1, 2, 4; behaviour, order, exponent, uncertainty of the first
+    ((1.0, 1.1, 1.3), "asymptotic", 1.0, 1.0, 1.25 * 0.1),
+    ((1.0, 1.1, 1.35), "asymptotic", math.log2(2.5), 1.0, 1.25 * 0.1),
+    ((1.0, 1.1, 1.5), "outside", 2.0, 1.0, 3.0 * 0.1),
+    ((1.0, 1.1, 1.21), "outside", math.log2(1.1), 0.5, 3.0 * 0.1 / (2.0**0.5 - 1.0)),
+    ((1.0, 1.1, 1.2), "diverging", 0.0, math.nan, 3.0 * 0.2),
+    ((1.0, 1.1, 1.15), "diverging", -1.0, math.nan, 3.0 * 0.15),
+    ((1.0, 1.1, 1.1), "diverging", -math.inf, math.nan, 3.0 * 0.1),
+    ((1.0, 1.1, 1.05), "oscillating", math.nan, math.nan, 3.0 * 0.1),
+    ((1.0, 1.01, 1.5), "irregular", math.log2(49.0), math.nan, 3.0 * 0.5),
+    ((1.0, 1.0, 1.5), "irregular", math.inf, math.nan, 3.0 * 0.5),
+    ((1.0, 1.0, 1.0), "unchanged", math.nan, math.nan, 0.0),
+    ((0.0, 0.0, 0.0), "unchanged", math.nan, math.nan, 0.0),
+    ((1.0, 1.1), "two sizes", math.nan, 1.0, 3.0 * 0.1),
+]
+
+
+@pytest.mark.parametrize(("values", "behaviour", "order", "exponent", "uncertainty"), SEQUENCES)
+def test_behaviours(
+    values: tuple[float, ...], behaviour: str, order: float, exponent: float, uncertainty: float
+) -> None:
+    """Theory's order is 1, that of the elements 4: no better one is used, none below 0.5; the
+    spread counts where there is none."""
+    found = fc.grid_convergence([1.0, 2.0, 4.0][: len(values)], values, formal=1.0, highest=4.0)
+    assert found.behaviour == behaviour
+    assert found.order == pytest.approx(order, rel=1e-9, abs=1e-9, nan_ok=True)
+    assert found.exponent == pytest.approx(exponent, nan_ok=True)
+    assert found.uncertainty() == pytest.approx(uncertainty)
+    assert found.is_asymptotic == math.isfinite(found.extrapolated)
+    assert behaviour in repr(found)
+
+
+def test_bad_input() -> None:
+    """Each error names what is wrong."""
+    for key, call in {
+        "sizes": lambda: fc.grid_convergence([1.0], [1.0]),
+        " sizes": lambda: fc.grid_convergence([1.0, 0.0, 2.0], [1.0, 2.0, 3.0]),
+        "  sizes": lambda: fc.grid_convergence([1.0, 1.0, 2.0], [1.0, 2.0, 3.0]),
+        "values": lambda: fc.grid_convergence([1.0, 2.0, 3.0], [1.0, 2.0]),
+        " values": lambda: fc.grid_convergence([1.0, 2.0, 3.0], [1.0, 2.0, math.nan]),
+        "formal": lambda: fc.grid_convergence([1.0, 2.0, 3.0], [1.0, 2.0, 3.0], formal=0.0),
+    }.items():
+        with pytest.raises(InputError) as caught:
+            call()
+        assert caught.value.key == key.strip()

@@ -1,0 +1,224 @@
+"""What contributes to the error of a scene's answer, and what is said of it."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from helpers import DEMOS
+
+import fenics_crack as fc
+from fenics_crack import ConvergenceError, InputError, Scene
+from fenics_crack.cli.command_line import main
+from fenics_crack.stages import listening
+from fenics_crack.study import verify as module
+from fenics_crack.study.prepare import Study
+from fenics_crack.study.run import Run, solve_prepared
+
+PLATE: dict[str, Any] = {
+    "geometry": {"width": 0.1, "height": 0.1, "thickness": 1.0},
+    "crack": {"edge": "left", "height": 0.05, "length": 0.05},
+    "material": {"young": 2e9, "poisson": 0.3, "density": 7800.0},
+    "damping": {"ratio": 0.01},
+    "excitation": {"omega": 2000.0, "point": [0.1, 0.1], "force_sin": [100.0, 0.0]},
+    "contact": {"stiffness_per_area": 5e10},
+    "mesh": {"layout": "graded", "size": 0.03, "lip_elements": 2, "grading": 2.0},
+    "reduction": {"modes": 6},
+    "output": {"quantities": ["amplitude", "ratio_2_1", "opening"]},
+}
+"""Two pairs, 15 elements."""
+
+
+def plate(changes: dict[str, object] | None = None) -> Scene:
+    """The plate with some keys changed."""
+    return Scene.from_mapping(PLATE).replace(changes or {})
+
+
+def test_each_part_is_what_its_runs_say() -> None:
+    """The three runs of each cause, one at a time, are those of scenes changed by hand; totals are
+    those of the contributions."""
+    scene = plate({"harmonic_balance.harmonics": 3})
+    found = fc.verify(scene)
+    assert found.causes == ("mesh", "modes", "harmonics") and not found.failures
+    assert found.counts["modes"] == (6, 12, 24) and found.counts["harmonics"] == (3, 6, 12)
+    changes: dict[str, list[dict[str, object]]] = {
+        "mesh": [{"mesh.size": 0.03 / f, "mesh.lip_elements": int(2 * f)} for f in (1.5, 2.0)],
+        "modes": [{"reduction.modes": 12}, {"reduction.modes": 24}],
+        "harmonics": [{"harmonic_balance.harmonics": 6}, {"harmonic_balance.harmonics": 12}],
+    }
+    for cause, two in changes.items():
+        runs = [module.solve_prepared(fc.prepare(scene.replace(c), whole=True)) for c in two]
+        values = [run.result.indicators(run.watched_dof).opening for run in runs]
+        part = found.parts[cause]["opening"]
+        assert part.values[1::-1] == pytest.approx(values, rel=1e-6)
+        assert part.values[2] == found.values["opening"]
+        if cause != "mesh":
+            assert part.sizes == tuple(1.0 / count for count in found.counts[cause][::-1])
+    mesh = found.parts["mesh"]["opening"]
+    assert mesh.sizes[2] == pytest.approx(math.sqrt(0.01 / found.counts["mesh"][0]))
+    parts = found.contributions("opening")
+    assert found.total("opening") == pytest.approx(math.hypot(*parts.values()))
+    assert found.total("opening", independent=False) == pytest.approx(sum(parts.values()))
+    rows = [row for row in found.totals().rows if row[0] == "opening [m]"]
+    assert rows[0][2] == pytest.approx(100.0 * parts["mesh"] / found.values["opening"], rel=1e-2)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_orders_of_natural_frequencies(order: int) -> None:
+    """Without a crack the clamp's ends are left, 1.52 by Williams (quadratic elements show it, of
+    linear ones the smooth part is in between); with an open crack 1."""
+    mesh = {"mesh.size": 0.01, "mesh.order": order, "mesh.lip_elements": 4}
+    whole = fc.verify(plate(mesh | {"crack": None, "contact": None}))
+    part = whole.parts["mesh"]["omega_open_1"]
+    assert part.behaviour == "asymptotic" and 1.3 < part.order < 2.0
+    if order == 2:
+        assert part.order == pytest.approx(1.52, abs=0.1)
+    assert set(whole.absent) == {"harmonics", "samples"}
+    cracked = fc.verify(plate(mesh)).parts["mesh"]["omega_open_1"]
+    assert cracked.order == pytest.approx(1.0, abs=0.15) and cracked.exponent <= 1.0
+
+
+def test_force_at_a_point_is_told() -> None:
+    """Under it the displacement grows like log(1/h): its order is near 0, and that is said."""
+    changes = {"mesh.size": 0.01, "mesh.order": 2, "crack": None, "contact": None}
+    found = fc.verify(plate(changes))
+    assert abs(found.parts["mesh"]["amplitude"].order) < 0.2
+    assert any("log(1/h)" in text for text in found.warnings)
+    edge = {"excitation.point": None, "excitation.force_sin": (0.0, 0.0), "loads.1.edge": "top"}
+    found = fc.verify(plate(changes | edge | {"loads.1.traction_sin": (1e3, 0.0)}))
+    assert found.parts["mesh"]["amplitude"].order > 1.0
+    assert not found.warnings
+
+
+def test_samples_of_a_smoothed_law() -> None:
+    """Those of the scene, or of the solver; a tolerance chooses harmonics first."""
+    smoothed = plate({"contact.law": "smoothed", "contact.sharpness": 1e8})
+    smoothed = smoothed.replace({"harmonic_balance.harmonics": 2})
+    found = fc.verify(smoothed)
+    assert found.counts["samples"] == (1024, 2048, 4096)
+    found = fc.verify(plate({"harmonic_balance.samples": 32}))
+    assert found.counts["samples"] == (32, 64, 128) and found.counts["harmonics"] == (5, 10, 20)
+    assert found.total("opening") > found.contributions("opening")["samples"] > 0.0
+    found = fc.verify(plate({"harmonic_balance.tolerance": 0.05}))
+    assert found.scene.harmonic_balance.tolerance is None
+    assert found.counts["harmonics"][0] == found.scene.harmonic_balance.harmonics
+    assert found.absent == {"samples": "contact is integrated exactly"}
+
+
+def test_what_cannot_be_varied() -> None:
+    """Matrices and mesh files keep their mesh, which no total has; that is said."""
+    for demo, key in (("chain", "[structure]"), ("inclined_crack", "mesh.file")):
+        few = {"harmonic_balance.harmonics": 2}
+        found = fc.verify(Scene.load(DEMOS / f"{demo}.toml").replace(few))
+        assert list(found.unknown) == ["mesh"] and key in found.unknown["mesh"]
+        assert "mesh" not in found.parts and found.parts["harmonics"]
+        assert any(text.startswith("mesh not varied") for text in found.statement)
+    assert "reduced" in fc.verify(plate({"reduction.method": "off"})).absent["modes"]
+
+
+def test_grids_and_odd_lips_take_whole_factors() -> None:
+    """1.5 times as many would leave a grid's lines, or be rounded; all modes stay all."""
+    grid = {"mesh.layout": "grid", "mesh.size": None, "mesh.lip_elements": None}
+    grid |= {"mesh.columns": 2, "mesh.rows": 2, "mesh.grading": 4.0, "reduction": None}
+    found = fc.verify(plate(grid))
+    assert found.counts["mesh"] == (4, 16, 36)
+    assert found.scene.reduction is not None and found.scene.reduction.method == "off"
+    found = fc.verify(plate({"mesh.lip_elements": 3}))
+    assert found.parts["mesh"]["opening"].sizes[2] > 2.0 * found.parts["mesh"]["opening"].sizes[0]
+
+
+def test_failed_runs_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that does not converge leaves two sizes and a factor of 3; two leave a cause unknown."""
+    bad: set[int] = set()
+
+    def failing(study: Study) -> Run:
+        run = solve_prepared(study)
+        if run.result.harmonics in bad:
+            return replace(run, result=replace(run.result, converged=False, status="lost"))
+        if run.structure.n_modes == 24:
+            raise InputError("reduction.modes", 24, "less")
+        return run
+
+    monkeypatch.setattr(module, "solve_prepared", failing)
+    bad.add(10)
+    found = fc.verify(plate())
+    assert found.failures == ("24 modes: reduction.modes = 24: must be less", "10 harmonics: lost")
+    part = found.parts["harmonics"]["opening"]
+    assert part.behaviour == "two sizes" and part.factor == 3.0
+    assert "failed, 10 harmonics: lost" in found.statement
+    bad.add(20)
+    found = fc.verify(plate())
+    assert "harmonics" in found.unknown and "harmonics" not in found.parts
+    bad.add(5)
+    with pytest.raises(ConvergenceError, match="the scene's own choice: lost"):
+        fc.verify(plate())
+
+
+def test_unstable_orbits_are_named(paper_scene: Scene) -> None:
+    """The paper's plate on its stiff contact; and that its stiffness is one of a pair."""
+    found = fc.verify(paper_scene)
+    assert found.verdicts["the scene's own choice"] == "unstable"
+    assert any("unstable" in text for text in found.warnings)
+    assert any("stiffness_per_area" in text for text in found.warnings)
+    assert not any(part.is_asymptotic for part in [found.parts["mesh"]["ratio_2_1"]])
+
+
+def test_stages_name_the_run() -> None:
+    """Each stage is that of a run."""
+    told: list[str] = []
+    with listening(told.append):
+        fc.verify(plate())
+    assert "the scene's own choice: mesh" in told and "a mesh 1.5 times finer: mesh" in told
+    assert any(text.startswith("24 modes: ") for text in told)
+
+
+def test_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """Table, statement, files and picture; frequencies in the scene's unit."""
+    path = tmp_path / "plate.toml"
+    path.write_text(plate({"excitation.frequency": 318.3}).as_toml())
+    words = ["verify", str(path), "--output", str(tmp_path)]
+    assert main(words) == 0
+    printed = capsys.readouterr()
+    assert "frequency_open_1 [Hz]" in printed.out and "total [%]" in printed.out
+    assert "amplitude = " in printed.err and "contact is integrated exactly" in printed.err
+    rows = list(csv.DictReader((tmp_path / "verify.csv").open()))
+    mesh = next(row for row in rows if (row["quantity"], row["cause"]) == ("opening", "mesh"))
+    assert float(mesh["gci_finest"]) > 0.0 and [mesh[f"count_{n}"] for n in (1, 2, 3)] == [
+        str(count) for count in fc.verify(Scene.load(path)).counts["mesh"]
+    ]
+    records = json.loads((tmp_path / "verify.json").read_text())
+    assert {row["cause"] for row in records} == {"mesh", "modes", "harmonics", "total", "sum"}
+    assert (tmp_path / "verify.png").stat().st_size > 20_000
+    assert main([*words, "--format", "json", "--quiet"]) == 0
+    assert json.loads(capsys.readouterr().out) == records
+
+
+def test_bad_input() -> None:
+    """Each error names what is wrong."""
+    found = fc.verify(plate())
+    with pytest.raises(InputError) as caught:
+        found.contributions("colour")
+    assert caught.value.key == "quantity"
+    with pytest.raises(InputError, match="axes"):
+        fc.draw_verification(found, axes=[None])
+
+
+@pytest.mark.mpi
+def test_two_ranks(mpirun: Callable[..., str], tmp_path: Path) -> None:
+    """They share each mesh, and state the same."""
+    path = tmp_path / "plate.toml"
+    path.write_text(plate().as_toml())
+    program = f"""
+import fenics_crack as fc
+found = fc.verify(fc.Scene.load({str(path)!r}))
+from mpi4py import MPI
+if MPI.COMM_WORLD.rank == 0:
+    print([round(row[2] + row[6], 2) for row in found.totals().rows], found.counts)
+"""
+    assert mpirun(program, 2) == mpirun(program, 1)

@@ -1,0 +1,66 @@
+"""Stated uncertainties."""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from book import Row, case
+from stated_errors import WHOLE, compared, exact, on_finer_mesh, pulled_plate, solved
+
+import fenics_crack as fc
+
+
+@cache
+def plate() -> fc.Verification:
+    """Of the pulled plate."""
+    return fc.verify(pulled_plate())
+
+
+@cache
+def shares() -> dict[str, list[Any]]:
+    """By each cause: quantities, with their true and stated errors."""
+    scene = plate().scene
+    references = {
+        "mesh": on_finer_mesh(scene),
+        "modes": solved(scene.replace(WHOLE)),
+        "harmonics": exact(scene),
+    }
+    return {cause: list(compared("", plate(), cause, r)) for cause, r in references.items()}
+
+
+def draw_shares(axes: Any) -> None:
+    """True errors over stated ones."""
+    for (cause, rows), mark in zip(shares().items(), "osD", strict=True):
+        stated, true = (np.array([row[place] for row in rows]) for place in (4, 3))
+        axes.loglog(100.0 * stated, 100.0 * true, mark, label=cause)
+    ends = np.array(axes.get_xlim())
+    axes.loglog(ends, ends, "k-", lw=1, label="equal")
+    axes.set(xlabel="stated uncertainty [%]", ylabel="true error [%]", xlim=ends)
+    axes.legend()
+
+
+@case(draw=draw_shares)
+def true_errors_over_stated_ones() -> list[Row]:
+    """True errors over those that `fenics-crack verify` states.
+
+    A plate of 0.1 x 0.1 m with an edge crack to its middle, clamped below and pulled to and fro at
+    its upper edge, breathes: four pairs of lips with mass, a penalty law, seven harmonics, ten
+    modes, 90 bilinear elements (`demos/sweep.toml`, with a traction instead of the force at a
+    point, under which the displacement has no limit). `fc.verify` states what mesh, modes and
+    harmonics contribute to the error of each number.
+
+    Reference: what it did not look at. The true error by the mesh is the change on a mesh four
+    times finer; by the modes, that to the whole structure; by the harmonics, that to the motion in
+    time from event to event, which has none. Each is divided by the stated uncertainty, so it
+    should lie between 0 and 1. An error of first order on a mesh four times finer, with the factor
+    of safety 1.25, gives 3/4/1.25 = 0.6. The order of the natural frequencies is 1, that of an open
+    crack (see [Natural frequencies with a crack](frequencies_with_a_crack.md)). Many more of these:
+    `benchmarks/stated_errors.py`.
+    """
+    rows = [
+        Row(f"{cause}: {row[1]}", row[5], 0.0, 1.0, absolute=True)
+        for cause, found in shares().items()
+        for row in found
+    ]
+    order = plate().parts["mesh"]["omega_open_1"].order
+    return [*rows, Row("observed order of omega_open_1", order, 1.0, 0.15, absolute=True)]
