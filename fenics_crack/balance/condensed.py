@@ -45,6 +45,9 @@ __all__ = [
 
 LOW_RANK = 700
 """Unknowns from which solutions go through the rank of the contact's tangent."""
+IN_KERNEL = 2000
+"""Unknowns up to which the kernel follows paths: their Jacobian is dense there, but many points
+share its factors."""
 
 
 def respond(matrices: np.ndarray, force: np.ndarray) -> np.ndarray:
@@ -162,9 +165,8 @@ class CondensedSystem(CondensedEquations):
 
     @property
     def in_kernel(self) -> bool:
-        """Whether the kernel has these equations: with this law, and where the rank of T does not
-        count."""
-        return isinstance(self.integrals, ExactIntegrals) and self.global_size < LOW_RANK
+        """Whether the kernel has these equations: with this law, and unless they are too many."""
+        return isinstance(self.integrals, ExactIntegrals) and self.global_size <= IN_KERNEL
 
     @cached_property
     def compiled(self) -> CompiledSystem | None:

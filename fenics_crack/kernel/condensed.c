@@ -14,12 +14,15 @@
 struct point {
     equations own;
     condensed of;
-    int unknowns, factored;
+    int unknowns, factored, kept, formed;
     double parameter;
     double *waves, *stiffness;
-    double *compliance; /* R at the parameter, where modes give it */
+    double *compliance; /* R at the parameter, where modes give it and it is `formed` */
     double *linear, *receptance;
-    double *means, *force, *tangent, *residual, *jacobian;
+    double *loads, *across;           /* l as coefficients (2H+1, modes), and P^T (pairs, modes) */
+    double *drive;                    /* P b - l, (2H+1, modes) */
+    double *answer, *other, *rates, *scaled; /* room: (2H+1, modes) twice, as h, as P complex */
+    double *means, *force, *tangent, *residual, *change, *jacobian;
     int *pivots;
 };
 
@@ -31,8 +34,9 @@ static double *room(size_t count)
 void free_point(point *at)
 {
     free(at->waves), free(at->stiffness), free(at->compliance), free(at->linear);
-    free(at->receptance), free(at->means), free(at->force), free(at->tangent);
-    free(at->residual), free(at->jacobian), free(at->pivots);
+    free(at->receptance), free(at->loads), free(at->across), free(at->drive), free(at->answer);
+    free(at->other), free(at->rates), free(at->scaled), free(at->means), free(at->force);
+    free(at->tangent), free(at->residual), free(at->change), free(at->jacobian), free(at->pivots);
     free(at);
 }
 
@@ -62,44 +66,56 @@ static int set_receptance(point *at, double parameter)
     return 0;
 }
 
-/* R, g_lin and k at a parameter. */
+/* h, k, and the part of g_lin without modes, at a parameter. */
 static int set_parameter(point *at, double parameter)
 {
     const condensed *of = &at->of;
-    const int pairs = of->pairs, modes = of->modes;
     const double factor = exp(of->growth * parameter);
     if (parameter == at->parameter) return 0;
-    at->parameter = NAN;
+    at->parameter = NAN, at->formed = 0;
     for (int i = 0; i < at->unknowns; i++)
         at->linear[i] = of->linear[i] + parameter * of->linear_rate[i];
-    for (int i = 0; i < pairs; i++) at->stiffness[i] = factor * of->stiffness[i];
-    if (modes && set_receptance(at, parameter)) return 1;
-    for (int k = 0; k <= of->harmonics && modes; k++) {
-        double *block = at->compliance + 2 * (size_t)k * pairs * pairs;
-        const double *h = at->receptance + 2 * k * modes, *load = of->load + 2 * k * modes;
-        for (int i = 0; i < 2 * pairs * pairs; i++) block[i] = 0.0;
-        for (int j = 0; j < modes; j++) {
-            const double *shape = of->shapes + j * pairs;
-            const double re = h[2 * j] * load[2 * j] - h[2 * j + 1] * load[2 * j + 1];
-            const double im = h[2 * j] * load[2 * j + 1] + h[2 * j + 1] * load[2 * j];
-            for (int p = 0; p < pairs; p++) {
-                /* g_lin = Re (x_k e^{ik theta}): a = Re x_k, b = -Im x_k. */
-                if (k) at->linear[(2 * k - 1) * pairs + p] += shape[p] * re;
-                at->linear[2 * k * pairs + p] -= k ? shape[p] * im : -shape[p] * re;
-                for (int q = 0; q < pairs; q++) {
-                    block[2 * (p * pairs + q)] += shape[p] * h[2 * j] * shape[q];
-                    block[2 * (p * pairs + q) + 1] += shape[p] * h[2 * j + 1] * shape[q];
-                }
-            }
-        }
-    }
+    for (int i = 0; i < of->pairs; i++) at->stiffness[i] = factor * of->stiffness[i];
+    if (of->modes && set_receptance(at, parameter)) return 1;
     at->parameter = parameter;
     return 0;
 }
 
-static const double *compliance_of(const point *at)
+/* R at the parameter: R_k = P^T (h_k P). */
+static const double *compliance_of(point *at)
 {
-    return at->of.modes ? at->compliance : at->of.compliance;
+    const int pairs = at->of.pairs, modes = at->of.modes;
+    if (!modes) return at->of.compliance;
+    for (int k = 0; k <= at->of.harmonics && !at->formed; k++) {
+        const double *h = at->receptance + 2 * k * modes, *shape = at->of.shapes;
+        double *block = at->compliance + 2 * (size_t)k * pairs * pairs, *scaled = at->scaled;
+        if (pairs == 1) {
+            block[0] = block[1] = 0.0;
+            for (int j = 0; j < modes; j++, h += 2, shape++)
+                block[0] += *shape * h[0] * *shape, block[1] += *shape * h[1] * *shape;
+            continue;
+        }
+        for (int j = 0; j < modes; j++, h += 2)
+            for (int q = 0; q < pairs; q++, shape++, scaled += 2)
+                scaled[0] = h[0] * *shape, scaled[1] = h[1] * *shape;
+        multiply_matrices(pairs, modes, 2 * pairs, at->across, at->scaled, 0.0, block);
+    }
+    at->formed = 1;
+    return at->compliance;
+}
+
+/* x = f_k q_k of coefficients (2H+1, modes), a - i b for a - i b, with complex f_kj. */
+static void scale(int harmonics, int modes, const double *factors, const double *q, double *x)
+{
+    for (int j = 0; j < modes; j++) x[j] = factors[2 * j] * q[j];
+    for (int k = 1; k <= harmonics; k++) {
+        const double *f = factors + 2 * k * modes, *a = q + (2 * k - 1) * modes, *b = a + modes;
+        double *c = x + (2 * k - 1) * modes, *d = c + modes;
+        for (int j = 0; j < modes; j++) {
+            c[j] = f[2 * j] * a[j] + f[2 * j + 1] * b[j];
+            d[j] = f[2 * j] * b[j] - f[2 * j + 1] * a[j];
+        }
+    }
 }
 
 /* R lambda of coefficients (2H+1, pairs). */
@@ -142,6 +158,17 @@ void respond_to_columns(int harmonics, int pairs, int columns, const double *com
             }
 }
 
+/* found = P^T h q with q = P b - loads, (2H+1, modes), which is left there. */
+static void respond_by_modes(point *at, const double *force, const double *loads, double *q,
+                             double *found)
+{
+    const int rows = 2 * at->of.harmonics + 1, pairs = at->of.pairs, modes = at->of.modes;
+    multiply_matrices(rows, pairs, modes, force, at->across, 0.0, q);
+    for (int i = 0; i < rows * modes && loads; i++) q[i] -= loads[i];
+    scale(at->of.harmonics, modes, at->receptance, q, at->answer);
+    multiply_matrices(rows, modes, pairs, at->answer, at->of.shapes, 0.0, found);
+}
+
 static int evaluate(equations *own, const double *gap, double parameter)
 {
     point *at = (point *)own;
@@ -151,7 +178,8 @@ static int evaluate(equations *own, const double *gap, double parameter)
     if (contact_integrals(of->harmonics, of->pairs, gap, at->stiffness, at->waves, at->means,
                           at->force, at->tangent))
         return NO_MEMORY;
-    respond(of->harmonics, of->pairs, compliance_of(at), at->force, at->residual);
+    if (of->modes) respond_by_modes(at, at->force, at->loads, at->drive, at->residual);
+    else respond(of->harmonics, of->pairs, of->compliance, at->force, at->residual);
     for (int i = 0; i < at->unknowns; i++) at->residual[i] += gap[i] - at->linear[i];
     return FOUND;
 }
@@ -185,7 +213,7 @@ static void factor_jacobian(point *at)
                        at->tangent, at->jacobian);
     for (int i = 0; i < n; i++) at->jacobian[(size_t)i * (n + 1)] += 1.0;
     factor(n, at->jacobian, at->pivots);
-    at->factored = 1;
+    at->factored = at->kept = 1;
 }
 
 static void solve(equations *own, double *x)
@@ -193,6 +221,33 @@ static void solve(equations *own, double *x)
     point *at = (point *)own;
     factor_jacobian(at);
     solve_factored(at->unknowns, at->jacobian, at->pivots, x);
+}
+
+static int has_factors(const equations *own)
+{
+    const point *at = (const point *)own;
+    return at->kept;
+}
+
+static void solve_nearly(const equations *own, double *x)
+{
+    const point *at = (const point *)own;
+    solve_factored(at->unknowns, at->jacobian, at->pivots, x);
+}
+
+static void apply_jacobian(equations *own, const double *x, double *found)
+{
+    point *at = (point *)own;
+    const int pairs = at->of.pairs, rows = 2 * at->of.harmonics + 1;
+    double *column = at->means, *product = column + rows; /* means have served the tangent */
+    for (int pair = 0; pair < pairs; pair++) {
+        for (int i = 0; i < rows; i++) column[i] = x[i * pairs + pair];
+        multiply(rows, rows, at->tangent + (size_t)pair * rows * rows, column, product);
+        for (int i = 0; i < rows; i++) at->change[i * pairs + pair] = product[i];
+    }
+    if (at->of.modes) respond_by_modes(at, at->change, NULL, at->other, found);
+    else respond(at->of.harmonics, pairs, at->of.compliance, at->change, found);
+    for (int i = 0; i < at->unknowns; i++) found[i] += x[i];
 }
 
 static double determinant_sign(equations *own)
@@ -206,36 +261,30 @@ static void by_parameter(equations *own, double *found)
 {
     point *at = (point *)own;
     const condensed *of = &at->of;
-    const int pairs = of->pairs, modes = of->modes;
+    const int pairs = of->pairs, modes = of->modes, rows = 2 * of->harmonics + 1;
     const double omega = of->omega + at->parameter * of->omega_rate;
     const double damping = of->damping + at->parameter * of->damping_rate;
-    /* - linear_rate + growth R b, */
-    respond(of->harmonics, pairs, compliance_of(at), at->force, found);
-    for (int i = 0; i < at->unknowns; i++)
-        found[i] = of->growth * found[i] - of->linear_rate[i];
+    for (int i = 0; i < at->unknowns; i++) found[i] = -of->linear_rate[i];
+    if (of->growth != 0.0) { /* growth R b */
+        respond(of->harmonics, pairs, compliance_of(at), at->force, at->change);
+        for (int i = 0; i < at->unknowns; i++) found[i] += of->growth * at->change[i];
+    }
     if (!modes || (of->omega_rate == 0.0 && of->damping_rate == 0.0)) return;
-    for (int k = 1; k <= of->harmonics; k++) {
-        /* and - P^T h_k (dZ_k/dp) q, q = h_k (P b - l), with
-         * dZ_kj/dp = -2 k^2 w w' + i k (w' d + w d') c_j. */
-        const double *a = at->force + (2 * k - 1) * pairs, *b = a + pairs;
-        const double *h = at->receptance + 2 * k * modes, *load = of->load + 2 * k * modes;
+    /* - P^T h_k (dZ_k/dp) h_k (P b - l), with dZ_kj/dp = -2 k^2 w w' + i k (w' d + w d') c_j. */
+    for (int k = 0; k <= of->harmonics; k++) {
+        const double *h = at->receptance + 2 * k * modes;
         const double inert = -2.0 * k * k * omega * of->omega_rate;
         const double viscous = k * (of->omega_rate * damping + omega * of->damping_rate);
+        double *rate = at->rates + 2 * k * modes;
         for (int j = 0; j < modes; j++) {
-            const double *shape = of->shapes + j * pairs;
-            const double hre = h[2 * j], him = h[2 * j + 1], drag = viscous * of->rates[j];
-            double re = -load[2 * j], im = -load[2 * j + 1];
-            for (int p = 0; p < pairs; p++) re += shape[p] * a[p], im -= shape[p] * b[p];
-            /* h^2 dZ, then times P b - l. */
-            const double hhre = hre * hre - him * him, hhim = 2.0 * hre * him;
-            const double gre = hhre * inert - hhim * drag, gim = hhim * inert + hhre * drag;
-            const double qre = gre * re - gim * im, qim = gre * im + gim * re;
-            for (int p = 0; p < pairs; p++) {
-                found[(2 * k - 1) * pairs + p] -= shape[p] * qre;
-                found[2 * k * pairs + p] += shape[p] * qim;
-            }
+            const double drag = viscous * of->rates[j];
+            const double re = h[2 * j] * h[2 * j] - h[2 * j + 1] * h[2 * j + 1];
+            const double im = 2.0 * h[2 * j] * h[2 * j + 1];
+            rate[2 * j] = im * drag - re * inert, rate[2 * j + 1] = -re * drag - im * inert;
         }
     }
+    scale(of->harmonics, modes, at->rates, at->drive, at->answer);
+    multiply_matrices(rows, modes, pairs, at->answer, of->shapes, 1.0, found);
 }
 
 point *new_point(const condensed *given)
@@ -246,19 +295,31 @@ point *new_point(const condensed *given)
     const size_t H = given->harmonics, p = given->pairs, m = given->modes;
     const size_t rows = 2 * H + 1, n = rows * p, cells = switching_cells(given->harmonics);
     at->unknowns = (int)n;
-    at->own = (equations){(int)n, evaluate, residual_at, solve, by_parameter, determinant_sign};
+    at->own = (equations){(int)n,        evaluate,    residual_at,  solve,          by_parameter,
+                          determinant_sign, has_factors, solve_nearly, apply_jacobian};
     at->waves = room(2 * H * (cells / 4 + 1)), at->stiffness = room(p);
-    at->compliance = room(2 * (H + 1) * p * p), at->linear = room(n);
-    at->receptance = room(2 * (H + 1) * m);
+    at->compliance = room(m ? 2 * (H + 1) * p * p : 0), at->linear = room(n);
+    at->receptance = room(2 * (H + 1) * m), at->loads = room(rows * m), at->across = room(m * p);
+    at->drive = room(rows * m), at->answer = room(rows * m), at->other = room(rows * m);
+    at->rates = room(2 * (H + 1) * m), at->scaled = room(2 * m * p), at->change = room(n);
     at->means = room(2 * p * rows), at->force = room(n), at->tangent = room(p * rows * rows);
     at->residual = room(n), at->jacobian = room(n * n), at->pivots = malloc(n * sizeof(int));
     if (!(at->waves && at->stiffness && at->compliance && at->linear && at->receptance &&
-          at->means && at->force && at->tangent && at->residual && at->jacobian &&
-          at->pivots)) {
+          at->loads && at->across && at->drive && at->answer && at->other && at->rates &&
+          at->scaled && at->means && at->force && at->tangent && at->residual && at->change &&
+          at->jacobian && at->pivots)) {
         free_point(at);
         return NULL;
     }
     switching_waves(given->harmonics, at->waves);
+    for (size_t j = 0; j < m; j++) {
+        for (size_t q = 0; q < p; q++) at->across[q * m + j] = given->shapes[j * p + q];
+        for (size_t k = 0; k <= H; k++) { /* a - i b */
+            const double *load = given->load + 2 * (k * m + j);
+            if (k) at->loads[2 * k * m + j] = -load[1];
+            at->loads[(k ? 2 * k - 1 : 0) * m + j] = load[0];
+        }
+    }
     at->parameter = NAN;
     return at;
 }

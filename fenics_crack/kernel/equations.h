@@ -14,6 +14,11 @@ typedef struct equations {
     void (*solve)(struct equations *at, double *x);                   /* x = J^-1 x there */
     void (*by_parameter)(struct equations *at, double *found);        /* dF/dp there */
     double (*sign)(struct equations *at);                             /* of det J there */
+    /* For points that share LU factors (broyden.h); NULL where they do not: whether J has been
+     * factored at some point, x = J^-1 x with the J of the last such one, and J x there. */
+    int (*has_factors)(const struct equations *at);
+    void (*solve_nearly)(const struct equations *at, double *x);
+    void (*apply)(struct equations *at, const double *x, double *found);
 } equations;
 
 #endif

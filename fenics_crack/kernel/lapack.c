@@ -4,6 +4,7 @@
 
 enum {
     FEW = 32,  /* numbers of a matrix for which a call of BLAS takes longer than the product */
+    SHORT = 256, /* products of numbers in a product of matrices for which it does */
     SMALL = 48 /* rows of a matrix up to which LAPACK takes longer to factor it */
 };
 
@@ -60,6 +61,15 @@ void multiply_matrices(int rows, int inner, int columns, const double *a, const 
     if (!rows || !columns) return;
     if (!inner) {
         for (int i = 0; i < rows * columns; i++) c[i] = keep ? keep * c[i] : 0.0;
+        return;
+    }
+    if ((long)rows * inner * columns <= SHORT) {
+        for (int i = 0; i < rows; i++, a += inner)
+            for (int j = 0; j < columns; j++, c++) {
+                double sum = keep ? keep * *c : 0.0;
+                for (int k = 0; k < inner; k++) sum += a[k] * b[k * columns + j];
+                *c = sum;
+            }
         return;
     }
     /* BLAS sees C^T = B^T A^T. */

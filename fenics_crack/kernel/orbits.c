@@ -119,7 +119,7 @@ orbit_point *new_orbit_point(const orbit_equations *given)
     if (!at) return NULL;
     const size_t n = given->flow->size;
     at->of = *given;
-    at->own = (equations){(int)n, evaluate, residual, solve, by_parameter, sign};
+    at->own = (equations){(int)n, evaluate, residual, solve, by_parameter, sign, NULL, NULL, NULL};
     at->unknown = malloc((3 * n + 2 * n * n + n * (n + 2)) * sizeof(double));
     at->pivots = malloc(n * sizeof(int));
     at->moved.most = ROOM;

@@ -1,10 +1,18 @@
+#include "broyden.h"
 #include "path.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-enum { PATIENT = 32 };
+enum {
+    MANY = 100,              /* unknowns from which on points share LU factors */
+    DOUBTED = NEW_SET + 1,   /* of points: they do not go with the next factors */
+    PATIENT = 32
+};
+#define ITERATIONS 0.05 /* with shared factors that take as long as new ones, per unknown */
+#define TANGENT 1e-5    /* residual of a tangent found with shared factors */
+#define LEVEL 1e-3      /* slope of a tangent below which it must be exact: the path may turn */
 
 static double inner(int n, const double *x, const double *y)
 {
@@ -133,32 +141,145 @@ static void bend(int n, const path *at, double step, double *x, double *p, doubl
     if (far < 0.1 * step * step) add(n, x, 1.0, room), *p += room[n];
 }
 
-/* One step: FOUND, NOT_FOUND where the step is too long, or SINGULAR_STRUCTURE. */
-static int advance(equations *at, int n, const stepping *how, path *points, double *room)
+/* Points that share the LU factors of one of them, which take n^3. The sign of det J is known there
+ * only: where it is wrong at the next point that is factored, those between are followed again, each
+ * with its own. */
+typedef struct {
+    broyden by;
+    int sure;         /* the last point with factors of its own, */
+    double step;      /* and the step behind it */
+    int points, work; /* since then: points, and the iterations of all */
+    int own;          /* points before this one need their own */
+    double *here;     /* room for a point z */
+} sharing;
+
+/* The exact tangent at a point that has been evaluated. The determinant of the bordered matrix
+ * keeps its sign along a path: it tells where the path goes on. */
+static double tangent_onwards(equations *at, int n, double orientation, const double *x,
+                              double *tangent, double *weight)
+{
+    double slope = tangent_at(at, n, x, tangent, weight);
+    if (at->sign(at) != orientation) turn_round(n, tangent, &slope);
+    return slope;
+}
+
+static void set_row(int n, double *row, const double *x, double p)
+{
+    memcpy(row, x, n * sizeof(double));
+    row[n] = p;
+}
+
+/* Factors of its own for the last point: FOUND, or DOUBTED where the path leads the other way. */
+static int renew(equations *at, int n, path *points, sharing *with)
 {
     const int last = points->known - 1;
-    const double step = points->step, weight = points->weights[last];
+    const double *x = points->unknowns + (size_t)last * n;
+    double *tangent = points->tangents + (size_t)last * n;
+    const int outcome = at->evaluate(at, x, points->parameters[last]);
+    if (outcome != FOUND) return outcome;
+    const double slope = tangent_onwards(at, n, points->orientation, x, with->here,
+                                         points->weights + last);
+    const double along = points->weights[last] * inner(n, with->here, tangent);
+    if (!(along + slope * points->slopes[last] > 0.0)) return DOUBTED;
+    memcpy(tangent, with->here, n * sizeof(double)), points->slopes[last] = slope;
+    with->sure = last, with->step = points->step, with->points = with->work = 0;
+    return FOUND;
+}
+
+/* Forget the points behind the last one that is sure; 0 where there are none. */
+static int go_back(sharing *with, path *points)
+{
+    if (!with || with->sure == points->known - 1) return 0;
+    with->own = points->known, points->known = with->sure + 1, points->step = with->step;
+    with->points = with->work = 0;
+    return 1;
+}
+
+/* Correct a prediction with the factors that there are. */
+static int correct_shared(equations *at, int n, const stepping *how, const path *points, sharing *with,
+                          double tolerance, double *x, double *p, int *taken)
+{
+    const int last = points->known - 1, sure = with->sure;
+    broyden *by = &with->by;
+    set_row(n, by->across, points->tangents + (size_t)last * n, points->slopes[last]);
+    set_row(n, by->along, points->tangents + (size_t)sure * n, points->slopes[sure]);
+    set_row(n, with->here, x, *p);
+    by->weight = points->weights[last];
+    const int outcome = correct_by_former(at, by, with->here, tolerance, how->iterations,
+                                          how->reach * points->step, taken, &with->work);
+    if (outcome == FOUND) memcpy(x, with->here, n * sizeof(double)), *p = with->here[n];
+    return outcome;
+}
+
+/* The tangent there, from the guess 2 (z - z_0) / step - t_0; 0 where it must be an exact one. */
+static int tangent_shared(equations *at, int n, const path *points, sharing *with, double *tangent,
+                          double *slope, double *weight)
+{
+    const int last = points->known - 1;
+    const double *before = points->unknowns + (size_t)last * n;
+    broyden *by = &with->by;
+    double *t = with->here;
+    *weight = 1.0 / fmax(inner(n, t, t), 1e-300);
+    for (int i = 0; i <= n; i++) {
+        const double moved = t[i] - (i < n ? before[i] : points->parameters[last]);
+        t[i] = 2.0 * moved / points->step - by->across[i];
+    }
+    at->by_parameter(at, by->rate), at->apply(at, t, by->residual);
+    add(n, by->residual, t[n], by->rate);
+    if (!solve_by_former(at, by, t, TANGENT, &with->work)) return 0;
+    const double size = sqrt(*weight * inner(n, t, t) + t[n] * t[n]);
+    for (int i = 0; i < n; i++) tangent[i] = t[i] / size;
+    *slope = t[n] / size;
+    return fabs(*slope) > LEVEL;
+}
+
+/* The prediction x, p of the next point. */
+static void predict(int n, const path *points, double *x, double *p, double *room)
+{
+    const int last = points->known - 1;
+    memcpy(x, points->unknowns + (size_t)last * n, n * sizeof(double));
+    add(n, x, points->step, points->tangents + (size_t)last * n);
+    *p = points->parameters[last] + points->step * points->slopes[last];
+    bend(n, points, points->step, x, p, room);
+}
+
+/* One step: FOUND, NOT_FOUND where the step is too long, SINGULAR_STRUCTURE, or DOUBTED where
+ * points before it must be followed again. */
+static int advance(equations *at, int n, const stepping *how, path *points, sharing *with,
+                   double *room)
+{
+    const int last = points->known - 1;
+    const double step = points->step, weight = points->weights[last], reach = how->reach * step;
     const double *here = points->unknowns + (size_t)last * n, old_slope = points->slopes[last];
     const double *old = points->tangents + (size_t)last * n;
     double *x = points->unknowns + (size_t)points->known * n, p;
-    double *tangent = points->tangents + (size_t)points->known * n;
+    double *tangent = points->tangents + (size_t)points->known * n, own, slope;
     const double sharp = fmax(how->rounding, fmin(how->tolerance, 1e-4 * step));
-    int taken, crossing = 0;
-    memcpy(x, here, n * sizeof(double));
-    add(n, x, step, old), p = points->parameters[last] + step * old_slope;
-    bend(n, points, step, x, &p, room);
-    const int outcome = correct(at, n, x, &p, old, old_slope, weight, sharp, how->iterations,
-                                how->reach * step, how->least_damping, 0, &taken, room);
+    int taken, crossing = 0, outcome = NOT_FOUND, work = with ? with->work : 0;
+    int shared = with && points->known > with->own && at->has_factors(at);
+    while (shared && outcome == NOT_FOUND) {
+        predict(n, points, x, &p, room);
+        outcome = correct_shared(at, n, how, points, with, sharp, x, &p, &taken);
+        if (outcome != NOT_FOUND) break;
+        shared = with->sure < last; /* the others are worn out */
+        if (shared && (outcome = renew(at, n, points, with)) != FOUND) return outcome;
+        outcome = NOT_FOUND, work = 0;
+    }
+    if (!shared) {
+        predict(n, points, x, &p, room);
+        outcome = correct(at, n, x, &p, old, old_slope, weight, sharp, how->iterations, reach,
+                          how->least_damping, 0, &taken, room);
+    }
     if (outcome != FOUND) return outcome;
-    /* The determinant of the bordered matrix keeps its sign along a path: it tells where the path
-     * goes on, and the angle whether the step has left it. */
-    double own, slope = tangent_at(at, n, x, tangent, &own);
-    if (at->sign(at) != points->orientation) turn_round(n, tangent, &slope);
+    if (shared) shared = tangent_shared(at, n, points, with, tangent, &slope, &own);
+    if (!shared) slope = tangent_onwards(at, n, points->orientation, x, tangent, &own);
+    /* The angle tells whether the step has left the path. */
     const double square = weight * inner(n, tangent, tangent) + slope * slope;
     const double cosine = square > 0.0 ? (weight * inner(n, tangent, old) + slope * old_slope) /
                                              sqrt(square)
                                        : 0.0;
     if (!(cosine > how->least_cosine)) {
+        if (with && with->sure < last && cosine < 0.0) return DOUBTED;
         if (!(cosine < -0.999 && step < how->branching_step * how->longest)) return NOT_FOUND;
         /* A short step straight on, but the sign has changed: another branch crosses. */
         crossing = 1, points->orientation = -points->orientation;
@@ -173,21 +294,39 @@ static int advance(equations *at, int n, const stepping *how, path *points, doub
     points->crossings[points->known++] = crossing;
     if (taken <= 3) points->step = fmin(how->longest, 1.7 * step);
     else if (taken > 5) points->step *= 0.7;
-    return FOUND;
+    if (!with) return FOUND;
+    if (!shared) {
+        with->sure = points->known - 1, with->step = points->step, with->points = with->work = 0;
+        return FOUND;
+    }
+    /* Behind more work than a point has taken on the average, and at the end of a call, the last
+     * point gets factors of its own. */
+    work = with->work - work;
+    const double average = (ITERATIONS * n + with->work) / ++with->points;
+    const int ends = points->known == points->room || p < how->lowest || p > how->highest;
+    return ends || work > average ? renew(at, n, points, with) : FOUND;
 }
 
 int follow(equations *at, const stepping *how, path *points)
 {
-    const int n = at->unknowns;
-    double *room = malloc((3 * (size_t)n + 1) * sizeof(double));
+    const int n = at->unknowns, many = n >= MANY && at->apply;
+    const size_t row = (size_t)n + 1, rows = many ? 10 + 2 * BROYDEN_PAIRS : 3;
+    double *room = malloc(rows * row * sizeof(double));
     int outcome = room ? FOUND : NO_MEMORY, inside = 1;
+    sharing with = {.sure = points->known - 1, .step = points->step, .by = {.unknowns = n}};
+    broyden *by = &with.by;
+    double **const each[] = {&with.here,    &by->across, &by->along,  &by->rate,
+                             &by->residual, &by->step,   &by->answer, &by->steps};
+    for (int i = 0; room && many && i < 8; i++) *each[i] = room + (3 + i) * row;
+    if (room && many) by->gains = by->steps + BROYDEN_PAIRS * row;
     while (outcome == FOUND && points->known < points->room && inside) {
         outcome = NOT_FOUND;
         while (points->step > 0.0 &&
-               (outcome = advance(at, n, how, points, room)) == NOT_FOUND) {
+               (outcome = advance(at, n, how, points, many ? &with : NULL, room)) == NOT_FOUND) {
             points->step *= 0.5;
             if (points->step < how->shortest) points->step = 0.0; /* as the caller will see */
         }
+        if (outcome != FOUND && go_back(many ? &with : NULL, points)) outcome = FOUND;
         const double p = points->parameters[points->known - 1];
         inside = p >= how->lowest && p <= how->highest;
     }

@@ -327,3 +327,63 @@ def test_folds_of_a_stiff_curve() -> None:
         # p leaves the fold with the square of the distance.
         first, second = (side.parameter - parameter for side in sides)
         assert abs(first) < 1e-3 * 1e-5 or second == pytest.approx(4.0 * first, rel=0.5)
+
+
+def test_path_of_many_unknowns() -> None:
+    """144 unknowns, so that points share LU factors: points and tangents are on the path, and each
+    is where Python's loop, which factors J at every iteration, has one."""
+    structure, law = chain(pairs=3), fc.UnilateralPenalty(np.array([3.0, 8.0, 20.0]))
+    family = FAMILIES["omega"](fc.Problem(structure, 1.4, law, 24), 1.4, 0.5)
+    start = fc.solve_harmonic_balance(
+        structure, 1.4, law, harmonics=24, residual_tolerance=1e-12
+    ).gap_coefficients
+    stepping = Stepping(first=0.01, longest=0.05, tolerance=1e-9, least_cosine=0.85)
+    ways = [
+        list(islice(follow_path(system, start, 0.0, stepping), 100))
+        for system in (family, Plain(family))
+    ]
+    for one, other in zip(*ways, strict=True):
+        at = family.linearise(one.unknown, one.parameter)
+        size, tangent = np.linalg.norm(one.unknown), one.tangent
+        assert np.linalg.norm(at.residual) < 2e-9 * size
+        along = at.apply(tangent.x) + tangent.p * at.by_parameter
+        assert np.linalg.norm(along) < 1e-4 * size
+        assert one.parameter == pytest.approx(other.parameter, abs=1e-6)
+        assert np.allclose(one.unknown, other.unknown, rtol=0.0, atol=1e-5 * size)
+        assert tangent.along(other.tangent, family) > 1.0 - 1e-6
+        assert one.iterations <= other.iterations + 2
+
+
+def test_branch_crosses_a_path_of_many_unknowns() -> None:
+    """Two like oscillators, weakly coupled: next to the folds where they move alike, branches on
+    which they do not cross the path. Shared factors do not show it; the next ones do, and the
+    points between are followed again."""
+    stiffness = np.array([[1.005, -0.005], [-0.005, 1.005]])
+    twins = fc.Structure.from_matrices(
+        np.eye(2), stiffness, np.eye(2), force_cos=np.array([0.1, 0.1]), damping=0.05 * np.eye(2),
+        clearance=1.0,
+    )  # fmt: skip
+    law = fc.UnilateralPenalty(1.0)
+    family = FAMILIES["omega"](fc.Problem(twins, 0.8, law, 25), 0.8, 1.5)
+    start = fc.solve_harmonic_balance(
+        twins, 0.8, law, harmonics=25, residual_tolerance=1e-12
+    ).gap_coefficients
+    assert start.size == 102
+    stepping = Stepping(first=0.01, longest=0.05, shortest=1e-10, tolerance=1e-9, least_cosine=0.85)
+    ways = [
+        list(islice(follow_path(system, start, 0.0, stepping), 100))
+        for system in (family, Plain(family))
+    ]
+    crossings = [[point.parameter for point in way if point.crosses_branch] for way in ways]
+    assert len(crossings[0]) == len(crossings[1]) == 2
+    assert np.allclose(*crossings, rtol=0.0, atol=1e-6)
+    turns = [
+        [
+            after.parameter
+            for before, after in pairwise(way)
+            if before.tangent.p * after.tangent.p < 0
+        ]
+        for way in ways
+    ]
+    assert len(turns[0]) == len(turns[1]) == 2
+    assert np.allclose(*turns, rtol=0.0, atol=1e-6)
