@@ -33,8 +33,8 @@ import numpy as np
 
 import fenics_crack as fc
 from fenics_crack.errors import ConvergenceError
+from fenics_crack.model.exact_flow import EventFlow
 from fenics_crack.stability.piecewise_flow import PiecewiseFlow
-from fenics_crack.time.events import EventFlow
 from fenics_crack.time.march import initial_state
 
 OMEGAS = (1300.0, 2000.0, 3300.0, 5200.0, 8700.0)

@@ -46,9 +46,9 @@ from scipy.integrate import solve_ivp
 import fenics_crack as fc
 from fenics_crack.balance.problem import Problem
 from fenics_crack.draw.figure import COLOURS
+from fenics_crack.model.exact_flow import EventFlow
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import damped_modes
-from fenics_crack.time.events import EventFlow
 
 COLUMNS = ("scene", "method", "setting", "error", "CPU ms", "MiB", "periods", "note")
 LOOKS = {

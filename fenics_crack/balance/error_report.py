@@ -5,16 +5,21 @@ J of F(g) = g + R b(g) - g_lin at the solution, and a disturbance d of b,
 
     delta g = -J^-1 R d.
 
-- truncation: the first Newton step of the equations with more harmonics;
+- truncation: d are the harmonics left out, of equations that have them;
 - sampling: d is the difference between the contact integrals used and finer or exact ones; by
   collocation this is the aliasing;
 - reduction: R lacks delta R, known from a larger basis: R d becomes delta R b - delta g_lin.
 
-Where pairs are seen through a static compliance (:mod:`coupled`), truncation and reduction are what
-Newton's method changes with more harmonics, or with the modes of the larger basis: one step where
-it is small, else some.
+Truncation, and reduction where pairs are seen through a static compliance (:mod:`coupled`), are
+what Newton's method changes with more harmonics, or with the modes of the larger basis, in as many
+steps as it takes until these are short against that. Where it does not settle, the truncation is
+the distance of the exact orbit next to the solution; where there is none, or it cannot be followed,
+the error is not known, which an estimate of 1 or more says.
 
 All are root mean squares over the period and the pairs, relative to that of B^T u.
+
+Source of the test of the second step: Deuflhard, Newton Methods for Nonlinear Problems, 2004,
+section 2.1.1, with the monitor |simplified step| / |step|.
 """
 
 from __future__ import annotations
@@ -24,6 +29,7 @@ from typing import Any
 
 import numpy as np
 
+from fenics_crack.balance.bordered import solve_in_plane
 from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.condensed import (
     CondensedPoint,
@@ -40,7 +46,8 @@ from fenics_crack.balance.contact_integrals import (
 )
 from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
-from fenics_crack.balance.fourier import resized
+from fenics_crack.balance.fourier import balanced, resized
+from fenics_crack.balance.orbits import exact_next_to
 from fenics_crack.balance.problem import Problem, is_regular
 from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear, is_rigid
 from fenics_crack.model.modal import all_modes
@@ -50,6 +57,7 @@ from fenics_crack.table import Described
 
 __all__ = [
     "LARGE_ERROR",
+    "UNKNOWN",
     "ErrorReport",
     "beyond_truncation",
     "estimate_errors",
@@ -61,13 +69,14 @@ __all__ = [
 LARGE_ERROR = 0.05
 """Estimated error beyond which a solution is not shown without a warning."""
 
-ROUGH = 1e-2
-"""To which equations of an estimate are solved."""
-FARTHER = 5.0
-"""Growth of the residual at which Newton's method for an estimate ends."""
-SMALL_STEP, MAX_STEPS = 0.02, 4
-"""Of Newton's method for an estimate: a first step, relative to the solution, that is enough, and
-how many follow where it is not."""
+UNKNOWN = 1.0
+"""An estimate from which on the error is not known: the better equations have not been solved."""
+NOTHING, CALM, SETTLED, MAX_STEPS = 1e-9, 0.25, 0.1, 6
+"""Of Newton's method for an estimate: a first step, relative to the solution, that needs no second;
+the second relative to the first, and any later one relative to the distance gone, with which it
+ends; and how many follow the first."""
+SOLVED, SHORTENED, SHORTEST = 1e-7, 25, 0.02
+"""Of the steps shortened where those do not end: |F| / |x|, how many, and how short."""
 STIFF = 1e3
 """Stiffness of a penalty that stands for a constraint where the reference has mass at its lips,
 relative to the inverse of R_inf."""
@@ -80,6 +89,9 @@ harmonics have more."""
 @dataclass(frozen=True, repr=False)
 class ErrorReport(Described):
     """Estimated errors of the gap, relative to the root mean square of B^T u.
+
+    An estimate of 1 or more says that the error is not known: the better equations that it is
+    judged by were not solved, or lead to another motion.
 
     Attributes
     ----------
@@ -115,7 +127,10 @@ class ErrorReport(Described):
         return {**asdict(self), "total": self.total}
 
     def _title(self) -> str:
-        return ", ".join(f"{name} {value:.2g}" for name, value in self.to_dict().items())
+        return ", ".join(
+            f"{name} {value:.2g}" + (" (unknown)" if value >= UNKNOWN else "")
+            for name, value in self.to_dict().items()
+        )
 
 
 def estimate_errors(at: CondensedPoint, displacement: np.ndarray, problem: Problem) -> ErrorReport:
@@ -128,14 +143,14 @@ def estimate_errors(at: CondensedPoint, displacement: np.ndarray, problem: Probl
     def relative(change: np.ndarray) -> float:
         return relative_size(change, at, structure.clearance)
 
-    truncation, reduction = beyond_truncation(at), _lost_in_reduction(at, problem)
+    truncation, reduction = beyond_truncation(at, problem), _lost_in_reduction(at, problem)
     missed = _missed_by_samples(at)
     sampling = at.gap_by_force(missed) if np.any(missed) else missed
     return ErrorReport(
         residual=max(relative(at.residual), relative(expanded - at.gap)),
-        truncation=relative(truncation.gap),
+        truncation=truncation.relative_to(at, structure.clearance),
         sampling=relative(sampling),
-        reduction=relative(reduction.gap),
+        reduction=reduction.relative_to(at, structure.clearance),
         penetration=relative(_penetration(at)),
         displacement=_of_displacement(at, displacement, problem, (truncation, reduction)),
     )
@@ -151,11 +166,19 @@ class _Change:
     force : (2H+1, n_pairs) [N]
     better : Structure and its Compliance, or None
         Where the structure is another one.
+    settled : bool
+        Whether the better equations have been solved; else the change may be any.
     """
 
     gap: np.ndarray
     force: np.ndarray
     better: tuple[Structure, Compliance] | None = None
+    settled: bool = True
+
+    def relative_to(self, at: CondensedPoint, clearance: np.ndarray) -> float:
+        """Of the gap; at least :data:`UNKNOWN` where that is not known."""
+        size = relative_size(self.gap, at, clearance)
+        return size if self.settled else max(size, UNKNOWN)
 
 
 def _of_displacement(
@@ -178,7 +201,8 @@ def _of_displacement(
         else:
             other, compliance = change.better
             moved = compliance.displacement(at.force + change.force) @ other.force.T - known
-        total += float(np.sqrt(mean_square(moved) / size))
+        found = float(np.sqrt(mean_square(moved) / size))
+        total += found if change.settled else max(found, UNKNOWN)
     return total
 
 
@@ -190,8 +214,9 @@ def relative_size(change: np.ndarray, at: CondensedPoint, clearance: np.ndarray)
     return float(np.sqrt(mean_square(change) / size)) if size > 0.0 else 0.0
 
 
-def beyond_truncation(at: CondensedPoint) -> _Change:
-    """What K > H harmonics change, K = :func:`_more_harmonics`.
+def beyond_truncation(at: CondensedPoint, problem: Problem) -> _Change:
+    """What K > H harmonics change, K = :func:`_more_harmonics`; where their equations are not
+    solved, as where stiff pairs chatter, the orbit of the exact flow next to the solution.
 
     Steps are found by elimination: iterative solutions of these equations do not converge where
     many pairs are stiff, unless these are seen through a static compliance.
@@ -199,7 +224,37 @@ def beyond_truncation(at: CondensedPoint) -> _Change:
     rows, harmonics = len(at.unknown), _more_harmonics(at)
     start = resized(at.unknown, harmonics)
     # The first H are solved; what samples leave there is another error.
-    return _improvement(at.system.widened(harmonics), start, rows, solved=rows)
+    found = _improvement(at.system.widened(harmonics), start, rows, solved=rows)
+    if found.settled:
+        return found
+    return _to_exact_orbit(at, problem) or _by_shortened_steps(at, harmonics) or found
+
+
+def _to_exact_orbit(at: CondensedPoint, problem: Problem) -> _Change | None:
+    """What the orbit of the exact flow next to a solution changes; None where it has none."""
+    rows = len(at.gap)
+    count = max(1024, 16 * rows)
+    found = exact_next_to(problem, at.system.compliance.displacement(at.force), count)
+    if found is None:
+        return None
+    gap, force = balanced(found, count // 2 - 1), problem.contact.force(found)
+    return _Change(gap - resized(at.gap, len(gap) // 2), balanced(force, rows // 2) - at.force)
+
+
+def _by_shortened_steps(at: CondensedPoint, harmonics: int) -> _Change | None:
+    """The same by steps that are shortened where the residual would grow; None where they do not
+    arrive, or are many."""
+    wide = at.system.widened(harmonics)
+    if wide.global_size > MANY or isinstance(wide, CoupledSystem):
+        return None
+    found = solve_in_plane(
+        wide, resized(at.unknown, harmonics), float(isinstance(wide, ConstraintSystem)), None,
+        tolerance=SOLVED, iterations=SHORTENED, least_damping=SHORTEST,
+    )  # fmt: skip
+    if found is None:
+        return None
+    there = wide.linearise(found.unknown)
+    return _Change(there.gap - resized(at.gap, harmonics), there.force[: len(at.gap)] - at.force)
 
 
 def improved(at: CondensedPoint) -> np.ndarray:
@@ -228,30 +283,39 @@ def _improvement(
     *,
     solved: int = 0,
 ) -> _Change:
-    """What better equations change, by Newton's method: one step where that is small, else some,
-    as far as they come closer. The first ``solved`` rows of the residual stay as they are."""
+    """What better equations change: how far Newton's method goes until its steps are small against
+    that, at least two of them. The first ``solved`` rows of the residual stay as they are.
+
+    The second step takes the first Jacobian. Where it is not much shorter than the first one,
+    Newton's own steps follow. Where they do not arrive, the change is not known.
+    """
     first = system.linearise(start)
     known = first.residual.copy()
     known[solved:] = 0.0
+
+    def change_to(point: CondensedPoint, settled: bool = True) -> _Change:
+        gap, force = point.gap - first.gap, (point.force - first.force)[:rows]
+        return _Change(gap, force, better, settled)
+
     step = first.solve_roughly(known - first.residual)
-    change = _Change(first.gap_of(step), first.force_of(step)[:rows], better)
-    length = np.linalg.norm(step)
-    if length < SMALL_STEP * np.linalg.norm(start):
-        return change
-    unknown, left = start, np.inf
-    before = float(np.linalg.norm(first.residual - known))
-    farthest = change
+    length = float(np.linalg.norm(step))
+    if not length > NOTHING * np.linalg.norm(start):
+        return _Change(first.gap_of(step), first.force_of(step)[:rows], better)
+    point = system.linearise(start + step)
+    again = first.solve_roughly(known - point.residual)
+    if np.linalg.norm(again) < CALM * length:
+        step = step + again
+        return _Change(first.gap_of(step), first.force_of(step)[:rows], better)
+    farthest = change_to(point, settled=False)
     for _ in range(MAX_STEPS):
-        unknown = unknown + step
-        point = system.linearise(unknown)
-        left = float(np.linalg.norm(point.residual - known))
-        change = _Change(point.gap - first.gap, (point.force - first.force)[:rows], better)
-        farthest = max(farthest, change, key=lambda one: mean_square(one.gap))
-        if left < ROUGH * length or not left < FARTHER * before:
-            break
         step = point.solve_roughly(known - point.residual)
-    # Where they come no closer, how far they went is all that is known.
-    return change if left < 0.3 * before else farthest
+        if not np.all(np.isfinite(step)):
+            break
+        point = system.linearise(point.unknown + step)
+        if np.linalg.norm(step) < SETTLED * np.linalg.norm(point.unknown - start):
+            return change_to(point)
+        farthest = max(farthest, change_to(point, False), key=lambda one: mean_square(one.gap))
+    return farthest
 
 
 def _missed_by_samples(at: CondensedPoint) -> np.ndarray:

@@ -1,15 +1,18 @@
 """Attempts to converge, the cheapest first, each recorded.
 
-1. Full Newton steps from the given start; without one and with many unknowns, from the solution
-   with half the harmonics.
-2. A path in the contact stiffness k. Where k R is small the solution is unique and close to the
+1. Full Newton steps from the given start, then shortened ones; without a start and with many
+   unknowns, from the solution with half the harmonics.
+2. From a start with fewer harmonics, a path in the compliance of the others
+   (:class:`HigherHarmonics`).
+3. A path in the contact stiffness k. Where k R is small the solution is unique and close to the
    linear one; from there the path of solutions is followed by arc-length, through its folds. It
    cannot return to soft contact, so it reaches every stiffness unless solutions grow without bound.
-3. A path in the frequency, for small or reduced structures, where it is cheap: from the nearest
-   frequency at which full steps converge.
-
-4. For small structures and a piecewise linear law: an orbit that has been marched; a path in the
-   damping, from so much of it that the lips hardly move; and all of this with half the harmonics.
+4. For small structures and a piecewise linear law: a path in the damping, from so much of it that
+   the lips hardly move, and an orbit that has been marched.
+5. For small or reduced structures: a path in the frequency, from the nearest one at which full
+   steps converge.
+6. For those of 4: all of this with half the harmonics; then the path of 3 again, with many more
+   steps. Stiff pairs with little damping have thousands of folds on their way.
 
 With :class:`UnilateralConstraint` and a weight, attempts 1 and 2 find the contact force of a stiff
 penalty, from which full steps start; where these fail, solutions are followed from a soft penalty
@@ -32,7 +35,12 @@ import numpy as np
 from fenics_crack.balance.arclength import Stepping, follow_path
 from fenics_crack.balance.bordered import PathPoint, Tangent, land, solve_in_plane
 from fenics_crack.balance.compliance import Compliance
-from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, ConstraintSystem
+from fenics_crack.balance.condensed import (
+    CondensedPoint,
+    CondensedSystem,
+    ConstraintSystem,
+    HigherHarmonics,
+)
 from fenics_crack.balance.contact_integrals import ContactIntegrals, ExactIntegrals
 from fenics_crack.balance.coupled import CoupledSystem
 from fenics_crack.balance.family import DampingFamily, Family, FrequencyFamily
@@ -76,6 +84,9 @@ RECURRENCES = 4
 """Periods after which the motion came nearest to where it had been, from which an orbit is sought
 where the last one does not lead to any."""
 RAMP = Stepping(first=0.2, longest=0.5, shortest=1e-5, most=100)
+FIRST, FEW, LAST = 600, 200, 8000
+"""Steps of a path in the stiffness where other attempts are left, of those others, and of a path
+where there are none."""
 WIDE, NARROW = Stepping(first=1.0, longest=2.0), Stepping(first=0.1, longest=0.3)
 """For paths in ln k, and for paths whose parameter runs from 0 to 1."""
 
@@ -115,35 +126,88 @@ class Search:
 
     def penalty(
         self,
-        system: StiffnessSystem,
+        system: CondensedSystem,
         start: np.ndarray,
         family_from: Callable[[float], FrequencyFamily] | None = None,
         name: str = "full Newton steps",
         problem: Problem | None = None,
+        kept: int | None = None,
     ) -> Linearisation:
         """Solve for a law that gives the force from the gap; return the equations there.
 
         ``family_from`` makes the family of the same equations from a relative frequency to 1;
-        ``name`` is that of the first attempt; ``problem`` is given where its motion can be marched.
+        ``name`` is that of the first attempt; ``problem`` is given where its motion can be marched;
+        ``kept`` harmonics have been solved for at the start.
         Raises InputError where the contact is so stiff that rounding leaves nothing of its force.
         """
+        product = self._allow_rounding(system)
+        with self.newton(system) as newton:
+            found = self._from_near(newton, system, start, name, kept)
+            if not self.converged:
+                wide = WIDE if problem is None else replace(WIDE, most=FIRST)
+                found = self._stiffness_path(newton, system.linear, product, wide)
+            if not self.converged and problem is not None:
+                if problem.structure.damping is not None:
+                    found = self._damping_path(problem)
+                if not self.converged:
+                    found = self._from_marched(newton, problem, 0.0) or found
+        if not self.converged and family_from is not None:
+            found = self._frequency_path(family_from)
+        return found
+
+    def last_resort(
+        self, system: CondensedSystem, fewer: np.ndarray | None, kept: int
+    ) -> Linearisation:
+        """From a solution with fewer harmonics, if there is one; and along the path in the contact
+        stiffness once more, with as many steps as it may take."""
+        product = self._allow_rounding(system)
+        with self.newton(system) as newton:
+            if fewer is not None:
+                found = self._from_near(newton, system, fewer, f"from H = {kept}", kept)
+                if self.converged:
+                    return found
+            return self._stiffness_path(newton, system.linear, product, replace(WIDE, most=LAST))
+
+    def _from_near(
+        self,
+        newton: Newton | KernelNewton,
+        system: CondensedSystem,
+        start: np.ndarray,
+        name: str,
+        kept: int | None,
+    ) -> Linearisation:
+        """By full steps, shortened ones, and a path in the harmonics that are new."""
+        found = self._newton(newton, start, 0.0, 20, name)
+        if not self.converged and start is not system.linear:
+            found = self._shortened(newton, start, 0.0) or found
+        if not self.converged and kept is not None:
+            found = self._harmonics_path(newton, system, start, kept)
+        return found
+
+    def _allow_rounding(self, system: StiffnessSystem) -> float:
+        """Raise the tolerance to what rounding allows; return k R."""
         law = system.integrals.law
         check_stiffness(system.compliance, law)
         product = stiffness_times_compliance(system.compliance, law)
         self._rounding = max(self._rounding, least_residual(product))
         if self._rounding > ROUNDING:
             self.tolerance = max(self.tolerance, self._rounding)
-        with self.newton(system) as newton:
-            found = self._newton(newton, start, 0.0, 20, name)
-            if not self.converged:
-                found = self._stiffness_path(newton, system.linear, product)
-            if not self.converged and family_from is not None:
-                found = self._frequency_path(family_from)
-            if not self.converged and problem is not None:
-                found = self._from_marched(newton, problem, 0.0) or found
-        if not self.converged and problem is not None and problem.structure.damping is not None:
-            found = self._damping_path(problem)
-        return found
+        return product
+
+    def _harmonics_path(
+        self, newton: Newton | KernelNewton, system: CondensedSystem, start: np.ndarray, kept: int
+    ) -> Linearisation:
+        """From a solution with fewer harmonics along the compliance of the others."""
+        name = f"in the harmonics above {kept}"
+        with Newton(HigherHarmonics(system, kept)) as few:
+            found = self._newton(few, start, 0.0, 20)
+            if self.converged:
+                found = self._path(name, few, found, (0.0, 1.0), replace(NARROW, most=FEW))
+            else:
+                self._note(f"path {name}", "its start")
+        if self.converged:
+            return self._newton(newton, found.unknown, 0.0, 20)
+        return system.linearise(found.unknown)
 
     def constraint(self, system: ConstraintSystem, start: np.ndarray | None) -> Linearisation:
         """Solve without penetration; return the equations there."""
@@ -330,14 +394,14 @@ class Search:
         self.attempts.append(f"{attempt}: {outcome} ({details})")
 
     def _stiffness_path(
-        self, newton: Newton | KernelNewton, linear: np.ndarray, product: float
+        self, newton: Newton | KernelNewton, linear: np.ndarray, product: float, wide: Stepping
     ) -> Linearisation:
         """Along ln k from where contact is soft; ``product`` is k R."""
         name = "in the contact stiffness"
         soft = min(0.0, float(np.log(SOFT / product)))
         found = self._newton(newton, linear, soft, 20)
         if self.converged and soft < 0.0:
-            return self._path(name, newton, found, (soft, 0.0), WIDE)
+            return self._path(name, newton, found, (soft, 0.0), wide)
         self._note(f"path {name}", f"its start at {np.exp(soft):.2g} of the stiffness")
         return newton.system.linearise(found.unknown, 0.0)
 
@@ -355,8 +419,9 @@ class Search:
         for factor in DAMPED:
             family = DampingFamily(problem, factor, 1.0)
             start, name = family.system(factor).linear, f"from {factor:g} times the damping"
-            found = self._along(name, family, start, 400)
-            if self.converged:
+            tried = len(self.attempts)
+            found = self._along(name, family, start, 2 * FEW)
+            if self.converged or len(self.attempts) > tried:
                 return found
         self._note("path in the damping", "none to its end")
         return family.linearise(found.unknown, 1.0)

@@ -141,20 +141,32 @@ class Solver:
         self, search: Search, compliance: Compliance, initial: PeriodicSolution | None
     ) -> CondensedPoint:
         """Solve for a law that gives the force from the gap."""
-        start = None if initial is None else self.start(initial, "gap_coefficients")
-        return self._by_harmonics(search, compliance, self.problem, start)
+        start, kept = None, None
+        if initial is not None:
+            start = self.start(initial, "gap_coefficients")
+            alike = initial.omega == self.problem.omega and initial.contact is self.problem.contact
+            fewer = initial.harmonics * self.problem.subharmonic // initial.subharmonic
+            kept = fewer if alike and fewer < self.problem.harmonics else None
+        return self._by_harmonics(search, compliance, self.problem, start, kept)
 
     def _by_harmonics(
-        self, search: Search, compliance: Compliance, problem: Problem, start: np.ndarray | None
+        self,
+        search: Search,
+        compliance: Compliance,
+        problem: Problem,
+        start: np.ndarray | None,
+        kept: int | None = None,
     ) -> CondensedPoint:
         """The same; without a start, and with many unknowns, with half the harmonics first."""
         harmonics, name = problem.harmonics, "full Newton steps"
         system = CondensedSystem(narrowed(compliance, harmonics), problem.integrals())
-        half = harmonics // 2
-        if start is None and system.global_size > LADDER and half >= FEWEST * problem.subharmonic:
+        half, below = harmonics // 2, None
+        ladder = start is None and system.global_size > LADDER
+        if ladder and half >= FEWEST * problem.subharmonic:
             below = self._by_harmonics(search, compliance, problem.with_harmonics(half), None)
             if search.converged:
-                start, name = resized(below.gap, harmonics), f"from H = {half} to {harmonics}"
+                start, kept = resized(below.gap, harmonics), half
+                name = f"from H = {half} to {harmonics}"
 
         def family_from(factor: float) -> FrequencyFamily:
             return FrequencyFamily(problem, factor * problem.omega, problem.omega)
@@ -162,13 +174,16 @@ class Solver:
         small = is_small(problem.structure)
         marched = problem if small and is_piecewise_linear(problem.contact) else None
         ways = family_from if small else None
-        cold = start is None
         begin = system.linear if start is None else start
-        at = search.penalty(system, begin, ways, name, marched)
-        if not search.converged and cold and marched and half >= problem.subharmonic:
+        at = search.penalty(system, begin, ways, name, marched, kept)
+        if search.converged or not marched:
+            assert isinstance(at, CondensedPoint)
+            return at
+        fewer = None
+        if below is None and kept is None and half >= problem.subharmonic:
             below = self._by_harmonics(search, compliance, problem.with_harmonics(half), None)
-            if search.converged:
-                name = f"from H = {half} to {harmonics}"
-                at = search.penalty(system, resized(below.gap, harmonics), None, name)
+            fewer = resized(below.gap, harmonics) if search.converged else None
+        if fewer is not None or harmonics == self.problem.harmonics:
+            at = search.last_resort(system, fewer, half)
         assert isinstance(at, CondensedPoint)
         return at

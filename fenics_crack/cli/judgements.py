@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from fenics_crack.balance.error_report import LARGE_ERROR, ErrorReport
+from fenics_crack.balance.error_report import LARGE_ERROR, UNKNOWN, ErrorReport
 from fenics_crack.cli.tables import stability_changes
 from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.errors import MOST_HARMONICS
@@ -45,6 +45,10 @@ def of_error(scene: Scene, report: ErrorReport, harmonics: int, where: str = "")
         wanted = "more samples (harmonic_balance.samples)"
     else:
         wanted = "softer contact, or contact.law = 'unilateral': it is rounding"
+    if getattr(report, part) >= UNKNOWN:
+        unsettled = f"its estimate by {part} did not settle"
+        yield f"the error is unknown{where}, {unsettled}: it needs {wanted}"
+        return
     yield (
         f"the estimated error is {report.total:.2g} of the gap{where}, most of it by {part}: it "
         f"needs {wanted}"

@@ -27,7 +27,7 @@ from fenics_crack.balance.bordered import (
     step_along,
 )
 from fenics_crack.balance.compiled import Stretch
-from fenics_crack.balance.error_report import beyond_truncation, relative_size
+from fenics_crack.balance.error_report import beyond_truncation
 from fenics_crack.balance.family import FAMILIES, Family
 from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.harmonic_balance import check_initial
@@ -379,8 +379,8 @@ class Continuation:
 
     def _truncation(self, point: PathPoint) -> float:
         at = self._family.linearise(point.unknown, point.parameter)
-        structure = self._family.at(self._family.value(point.parameter)).structure
-        return relative_size(beyond_truncation(at).gap, at, structure.clearance)
+        problem = self._family.at(self._family.value(point.parameter))
+        return beyond_truncation(at, problem).relative_to(at, problem.structure.clearance)
 
     def _with_other_harmonics(self, point: PathPoint, truncation: float) -> PathPoint | None:
         """The point with H raised or lowered by the truncation's estimate, by less where that has

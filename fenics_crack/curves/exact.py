@@ -48,13 +48,13 @@ from fenics_crack.curves.judged_points import judge_points
 from fenics_crack.curves.nearness import NO_DOUBT, near_points
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import is_piecewise_linear, is_rigid
+from fenics_crack.model.exact_flow import MAX_PAIRS
 from fenics_crack.model.modal import all_modes, between_pairs
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.stability.piecewise_flow import doubling_test
 from fenics_crack.stability.refinement import bifurcation_between
 from fenics_crack.stability.shooting import ExactOrbits, orbits_near
 from fenics_crack.stages import begin
-from fenics_crack.time.events import MAX_PAIRS
 
 __all__ = ["judge_curve", "verified"]
 

@@ -9,6 +9,7 @@ from typing import Any, TypedDict, Unpack
 
 from tqdm import tqdm
 
+from fenics_crack.balance.orbits import FEW_PAIRS
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.continuation import LONGEST, Continuation
@@ -25,7 +26,6 @@ from fenics_crack.errors import (
 )
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.structure import Structure
-from fenics_crack.stability.floquet import FEW_PAIRS
 from fenics_crack.stages import begin
 from fenics_crack.table import RPM
 

@@ -9,7 +9,8 @@ Better than all of them is an orbit of the flow in time, found by shooting from 
 (:mod:`shooting`): exact with few pairs that have mass; marched with two lengths of step where pairs
 are many, or are seen through a static compliance. With few pairs no other verdict is given: where a
 pair grazes, or a stop lies just beyond the truncated wave, the three estimates agree and are wrong.
-An orbit judges a solution only if it lies no farther away than three times the estimated error.
+An orbit judges a solution only if it lies no farther away than three times the estimated error, and
+none is called stable of which a pair grazes within that.
 
 Sources: those of the modules named.
 """
@@ -25,6 +26,7 @@ from fenics_crack.balance.condensed import CondensedSystem
 from fenics_crack.balance.coupled import CoupledPoint
 from fenics_crack.balance.error_report import improved
 from fenics_crack.balance.fourier import resized
+from fenics_crack.balance.orbits import FEW_PAIRS
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Stability, solution_of
 from fenics_crack.balance.solver import Solver
@@ -42,10 +44,8 @@ from fenics_crack.stability.shooting import (
     shoot,
 )
 
-__all__ = ["FEW_PAIRS", "Stability", "floquet"]
+__all__ = ["Stability", "floquet"]
 
-FEW_PAIRS = 4
-"""Up to so many with mass at their lips are judged by exact orbits; many switch too often."""
 STEPS = (512, 1024, 2048, 4096)
 """Of marched orbits in a period of the load, until two after each other decide."""
 HILL = 1000
@@ -191,10 +191,34 @@ def _exact(
         off = distance(orbit, solution)
         found = Stability(orbit.multipliers, _verdict(orbit, 1e-7), 1e-7, True, off)
         if off <= allowed_distance(solution, EXACT):
+            error = allowed_distance(solution, off)
+            if found.verdict == "stable" and _grazes(orbit, structure, contact, error):
+                return replace(found, verdict="undecided")
             return found
         if farther is None or off < farther.distance:
             farther = replace(found, verdict="undecided")
     return farther
+
+
+def _grazes(orbit: PeriodicOrbit, structure: Structure, contact: ContactLaw, error: float) -> bool:
+    """Whether a pair comes to touch or to open, or just does not, within an error of the gap
+    relative to B^T u: multipliers jump there, and an orbit as near as that may have others.
+
+    What is compared are the extremes of the gap that a pair would have if the static compliance R_0
+    alone answered its force, g + R_0 lambda(g), so that stiff contact counts by its force.
+    """
+    gap = orbit.gap
+    size = float(np.sqrt(np.mean(np.sum((gap + structure.clearance) ** 2, axis=1))))
+    modes = all_modes(structure)
+    held = modes.squares > 0.0
+    static = np.sum(modes.pairs[held] ** 2 / modes.squares[held, None], axis=0)
+    before, after = np.roll(gap, 1, axis=0), np.roll(gap, -1, axis=0)
+    turns = (gap - before) * (after - gap) <= 0.0
+    bend = after - 2.0 * gap + before
+    peak = gap - np.divide(
+        (after - before) ** 2, 8.0 * bend, out=np.zeros_like(gap), where=turns & (bend != 0.0)
+    )
+    return bool(np.any(turns & (np.abs(peak + static * contact.force(peak)) <= error * size)))
 
 
 def _finer(

@@ -10,7 +10,6 @@ monodromy matrix M, dF/dp by central differences. Newton's method is that of :mo
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,16 +17,16 @@ import numpy as np
 
 from fenics_crack.balance.bordered import PathPoint, solve_in_plane
 from fenics_crack.balance.compiled import CompiledPaths
-from fenics_crack.balance.orbits import MarchedOrbits, OrbitPoint, Orbits
+from fenics_crack.balance.orbits import INSTANTS, EventOrbits, MarchedOrbits, OrbitPoint
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError, check_count
 from fenics_crack.kernel import Struct, doubles, kernel, owned
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
+from fenics_crack.model.exact_flow import LONGEST_SEARCH, MAX_EVENTS, EventFlow
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.table import Described, counted
-from fenics_crack.time.events import LONGEST_SEARCH, MAX_EVENTS, EventFlow
 from fenics_crack.time.march import initial_state
 
 __all__ = [
@@ -48,8 +47,6 @@ MOVING, STEPS = 60, 1024
 """Modes that are marched, and steps in a period of the load."""
 BELIEVED = 3.0
 """Times the estimated error, beyond which an orbit is another one."""
-INSTANTS = 512
-"""At which the gaps of an orbit are kept."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -96,7 +93,7 @@ class PeriodicOrbit(Described):
         )
 
 
-class ExactOrbits(Orbits):
+class ExactOrbits(EventOrbits):
     """F(x, p) of exact orbits next to a solution.
 
     Raises
@@ -108,27 +105,14 @@ class ExactOrbits(Orbits):
     def __init__(
         self, structure: Structure, contact: ContactLaw, solution: PeriodicSolution
     ) -> None:
-        self._turns = 2.0 * np.pi * solution.subharmonic
-        self._flow = EventFlow(structure, solution.omega, contact)
-        state = self._flow.state(*initial_state(structure, solution))
-        super().__init__(solution.omega, state)
+        flow = EventFlow(structure, solution.omega, contact)
+        state = flow.state(*initial_state(structure, solution))
+        super().__init__(flow, state, solution.subharmonic)
         self.compiled = _CompiledOrbits(self, self._flow.at(self.omega), self._size, self._turns)
 
     def unknown_of(self, displacement: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """x of another motion at phase zero, (n_dofs,) each."""
         return np.asarray(self._flow.state(displacement, velocity) / self._size)
-
-    def moved(
-        self, unknown: np.ndarray, parameter: float
-    ) -> tuple[np.ndarray, Callable[[], np.ndarray], int]:
-        """z(T) / |z_0|; what computes M; switching instants."""
-        omega = parameter * self.omega
-        if omega != self._flow.omega:
-            self._flow = self._flow.at(omega)
-        moved, _, monodromy, events = self._flow.advance(
-            self._size * unknown, 0.0, self._turns / omega
-        )
-        return moved / self._size, monodromy, events
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
         """The equations at (x, p)."""
@@ -137,14 +121,6 @@ class ExactOrbits(Orbits):
     def by_parameter(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
         """dF/dp at fixed x, by central differences."""
         return self.compiled.slope(unknown, parameter)
-
-    def gap(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
-        """Gaps [m] over the period of the motion from a state: (512, n_pairs)."""
-        flow = self._flow.at(parameter * self.omega)
-        period = self._turns / flow.omega
-        instants = np.arange(INSTANTS) * period / INSTANTS
-        gap = flow.advance(self._size * unknown, 0.0, period, instants=instants)[1]
-        return np.asarray(gap - flow.structure.clearance)
 
     def orbit(self, found: PathPoint) -> PeriodicOrbit:
         """The orbit of a solution of the equations."""

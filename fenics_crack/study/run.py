@@ -18,6 +18,7 @@ from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.files.results import Result, load, type_of
 from fenics_crack.files.store import read_scene
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
+from fenics_crack.model.exact_flow import MAX_PAIRS
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes, solve_modes
 from fenics_crack.model.reduced import massless
@@ -40,7 +41,7 @@ from fenics_crack.time.central_differences import (
     integrate_central_difference,
     stable_steps_per_period,
 )
-from fenics_crack.time.events import MAX_PAIRS, integrate_events
+from fenics_crack.time.events import integrate_events
 from fenics_crack.time.exponential import integrate_exponential
 from fenics_crack.time.implicit import integrate_implicit
 from fenics_crack.time.march import TimeHistory

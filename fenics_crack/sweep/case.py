@@ -14,6 +14,7 @@ from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.indicators import indicators_of
 from fenics_crack.balance.memory import check_memory
 from fenics_crack.balance.neighbours import Neighbours
+from fenics_crack.balance.orbits import FEW_PAIRS
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import InputError
@@ -28,7 +29,7 @@ from fenics_crack.model.reduced import MasslessStructure, ReducedStructure, mass
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
-from fenics_crack.stability.floquet import FEW_PAIRS, floquet
+from fenics_crack.stability.floquet import floquet
 from fenics_crack.stability.piecewise_flow import PiecewiseFlow
 from fenics_crack.study.prepare import Study, law_of, prepare
 from fenics_crack.study.run import REFUSALS

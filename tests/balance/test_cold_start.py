@@ -107,19 +107,21 @@ def test_lands_where_the_path_bends_at_its_end(harmonics: int) -> None:
 
 @pytest.mark.parametrize("omega", [0.54, 0.68, 1.03])
 def test_path_in_frequency(omega: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the path in the stiffness is blocked, one in the frequency reaches the same orbit."""
+    """Where paths in stiffness and damping are blocked, one in the frequency reaches the orbit."""
     structure = oscillator(force=0.1)
     law = fc.UnilateralPenalty(10.0)
     usual = fc.solve_harmonic_balance(structure, omega, law, harmonics=10)
     assert "path in the contact stiffness: converged" in usual.status
 
     def blocked(
-        search: Search, newton: Newton, linear: np.ndarray, product: float
+        search: Search, newton: Newton, linear: np.ndarray, product: float, wide: Stepping
     ) -> Linearisation:
         search.converged = False
         return newton.system.linearise(linear, 0.0)
 
     monkeypatch.setattr(Search, "_stiffness_path", blocked)
+    for other in ("_damping_path", "_from_marched"):
+        monkeypatch.setattr(Search, other, lambda *_: None)
     found = fc.solve_harmonic_balance(structure, omega, law, harmonics=10)
     assert "rad/s: converged" in found.status
     np.testing.assert_allclose(found.gap_coefficients, usual.gap_coefficients, atol=1e-8)

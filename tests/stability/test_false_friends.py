@@ -35,6 +35,39 @@ def test_grazing_is_judged_by_the_exact_orbit(share: float, stiffness: float) ->
     assert (found.verdict == "stable") == (abs(orbit.multipliers[0]) < 1.0)
 
 
+PRELOADED = (
+    (1, 531.0, 0.637, 0.012, 6e-5, 40), (2, 497.0, 0.535, 0.015, 1.1e-4, 40),
+    (2, 74.3, 0.51, 0.0011, 2.9e-4, 20),
+)  # fmt: skip
+"""Masses, contact stiffness, frequency, damping, by how much the load opens the contact, and with
+how many harmonics the other orbit is found."""
+
+
+@pytest.mark.parametrize("case", PRELOADED)
+def test_preloaded_contact_that_just_opens_is_undecided(case: tuple[int | float, ...]) -> None:
+    """H = 5 says an error below 1e-5, and the orbit next to it, which hardly opens, is stable; one
+    that opens lies a little farther away and is unstable by far. H = 5 cannot tell them apart."""
+    masses, stiffness, omega, damping, past, more = case
+    count = int(masses)
+    springs = np.array([[3.0, -1.0], [-1.0, 5.0]])[:count, :count]
+    place, load, rate = np.eye(count)[0], np.eye(count)[-1], damping * np.eye(count)
+    closed = springs + stiffness * np.outer(place, place)
+    moved = np.linalg.solve(closed - omega**2 * np.eye(count) + 1j * omega * rate, load + 0j)[0]
+    pressed = 1.0 - stiffness * np.linalg.solve(closed, place)[0]  # the gap at rest
+    structure = fc.Structure.from_matrices(
+        np.eye(count), springs, place, force_cos=(1.0 + past) * pressed / abs(moved) * load,
+        damping=rate, clearance=-1.0,
+    )  # fmt: skip
+    law = fc.UnilateralPenalty(stiffness)
+    solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=5)
+    assert solution.report.total < 1e-5
+    assert abs(fc.shoot(structure, solution).multipliers[0]) < 1.0
+    assert fc.floquet(structure, solution).verdict == "undecided"
+    finer = fc.solve_harmonic_balance(structure, omega, law, harmonics=int(more), initial=solution)
+    other = fc.shoot(structure, finer)
+    assert abs(other.multipliers[0]) > 3.0 and distance(other, solution) < 5e-3
+
+
 def test_stiff_curve_calls_no_orbit_what_it_is_not() -> None:
     """kc = 100, H = 10: a point is called stable or unstable only where the exact orbit next to it
     is; before, seven of 24 exactly stable points were called unstable."""

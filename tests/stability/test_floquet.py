@@ -16,10 +16,10 @@ from helpers import (
 from scipy.integrate import solve_ivp
 
 import fenics_crack as fc
+from fenics_crack.model.exact_flow import EventFlow
 from fenics_crack.model.modal import all_modes, flow_matrix
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.stability.piecewise_flow import PiecewiseFlow
-from fenics_crack.time.events import EventFlow
 
 
 @pytest.mark.verification

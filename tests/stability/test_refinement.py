@@ -7,8 +7,8 @@ import pytest
 from helpers import OMEGA_0, log_slope, oscillator, two_masses
 
 import fenics_crack as fc
+from fenics_crack.model.exact_flow import EventFlow
 from fenics_crack.stability.refinement import refine_bifurcation
-from fenics_crack.time.events import EventFlow
 
 CURVE = {"omega_start": 0.6, "omega_end": 0.9, "contact": fc.UnilateralPenalty(100.0)}
 EXACT = {

@@ -15,10 +15,10 @@ import fenics_crack as fc
 from fenics_crack.balance.bordered import Tangent, solve_in_plane
 from fenics_crack.balance.orbits import OrbitPoint
 from fenics_crack.model.complementarity import solve_complementarity
+from fenics_crack.model.exact_flow import KEPT, EventFlow
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.stability.shooting import ExactOrbits
 from fenics_crack.time import central_differences, implicit
-from fenics_crack.time.events import KEPT, EventFlow
 from fenics_crack.time.march import March, Scheme, march
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -6,8 +6,9 @@ from helpers import chain, dense_matrices, log_slope, oscillator, random_stiffne
 from scipy.linalg import expm
 
 import fenics_crack as fc
+from fenics_crack.model.exact_flow import EventFlow
 from fenics_crack.stability.floquet import floquet
-from fenics_crack.time.events import EventFlow, integrate_events
+from fenics_crack.time.events import integrate_events
 
 
 @pytest.mark.parametrize("damping", ["none", "modal", "matrix"])

@@ -9,7 +9,7 @@ from helpers import dense_matrices, free_bar, heavy_mass
 from scipy.integrate import simpson, solve_ivp
 
 import fenics_crack as fc
-from fenics_crack.time.events import EventFlow
+from fenics_crack.model.exact_flow import EventFlow
 
 STIFF = fc.UnilateralPenalty(1e6)
 
