@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.linalg
 import scipy.special
 from helpers import Cubic, chain, chain_stiffness, dense, log_slope, oscillator
 
@@ -149,6 +150,31 @@ def five_masses() -> fc.Structure:
     return fc.Structure.from_matrices(
         np.diag(rng.uniform(1.0, 2.0, 5)), stiffness, gap, clearance=[-0.3, 0.3]
     )
+
+
+@pytest.mark.parametrize("seed", [0, 2, 6, 10])
+def test_small_and_large_motions_of_random_chains(seed: int) -> None:
+    """Two to six masses: small motions are the modes with the pair open, or closed by preload.
+    Large ones see the clearance as a small change of its sign: to first order the frequencies lie
+    as far above as below that without clearance."""
+    rng = np.random.default_rng(seed)
+    n, springs = 2 + seed % 5, rng.uniform(1.0, 3.0, 2 + seed % 5 + 1)
+    mass, stiffness = np.diag(rng.uniform(1.0, 2.0, n)), chain_stiffness(springs)
+    gap, law = np.eye(n)[rng.integers(n)], fc.UnilateralPenalty(rng.uniform(0.3, 1.0))
+
+    def follow(clearance: float) -> fc.Backbone:
+        structure = fc.Structure.from_matrices(mass, stiffness, gap, clearance=clearance)
+        return fc.follow_backbone(structure, law, 1, 1e-6, 1e6, harmonics=15)
+
+    stop, preload, neither = follow(1.0), follow(-1.0), follow(0.0)
+    tied = stiffness + law.stiffness * np.outer(gap, gap)
+    for found, matrix in ((stop, stiffness), (preload, tied)):
+        square = scipy.linalg.eigh(matrix, mass, eigvals_only=True)[0]
+        assert found.omega[0] == pytest.approx(np.sqrt(square), rel=1e-9)
+    assert np.ptp(neither.omega) <= 1e-9 * neither.omega[0]
+    assert stop.omega[-1] < neither.omega[0] < preload.omega[-1]
+    assert stop.omega[-1] + preload.omega[-1] == pytest.approx(2.0 * neither.omega[0], rel=1e-5)
+    assert stop.solution(len(stop.omega) - 1).report.truncation < 1e-4
 
 
 def test_mixed_clearances_return() -> None:

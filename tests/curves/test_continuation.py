@@ -608,3 +608,17 @@ def test_load_does_not_pass_zero_without_clearance() -> None:
     )
     curve = fc.continue_parameter(open_, 1.2, law, "load", 1.0, -1.0)
     assert curve.complete and len(curve) < 500
+
+
+def test_an_end_that_cannot_be_landed_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was found until then is returned with its status, or comes with the error, judged."""
+    monkeypatch.setattr(fc.Continuation, "_land", lambda *_: None)
+    given: dict[str, Any] = {"harmonics": 5, "stability": True}
+    law = fc.UnilateralPenalty(1.0)
+    found = fc.continue_frequency(oscillator(), 1.0, 1.3, law, throw=False, **given)
+    assert not found.complete and found.status == "no solution at the very end"
+    assert len(found) > 3 and 1.25 < found.values.max() < 1.3
+    assert set(found.verdicts) <= {"stable", "unstable"}
+    with pytest.raises(fc.ConvergenceError, match="no solution at the very end at 1.2") as raised:
+        fc.continue_frequency(oscillator(), 1.0, 1.3, law, **given)
+    assert np.array_equal(raised.value.found.values, found.values)
