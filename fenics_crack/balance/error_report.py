@@ -70,7 +70,8 @@ LARGE_ERROR = 0.05
 """Estimated error beyond which a solution is not shown without a warning."""
 
 UNKNOWN = 1.0
-"""An estimate from which on the error is not known: the better equations have not been solved."""
+"""The estimate where the error is not known: the better equations have not been solved, or lead
+farther away than the solution is large."""
 NOTHING, CALM, SETTLED, MAX_STEPS = 1e-9, 0.25, 0.1, 6
 """Of Newton's method for an estimate: a first step, relative to the solution, that needs no second;
 the second relative to the first, and any later one relative to the distance gone, with which it
@@ -90,8 +91,8 @@ harmonics have more."""
 class ErrorReport(Described):
     """Estimated errors of the gap, relative to the root mean square of B^T u.
 
-    An estimate of 1 or more says that the error is not known: the better equations that it is
-    judged by were not solved, or lead to another motion.
+    An estimate of 1 says that the error is not known: the better equations that it is judged by
+    were not solved, or lead to another motion.
 
     Attributes
     ----------
@@ -176,9 +177,8 @@ class _Change:
     settled: bool = True
 
     def relative_to(self, at: CondensedPoint, clearance: np.ndarray) -> float:
-        """Of the gap; at least :data:`UNKNOWN` where that is not known."""
-        size = relative_size(self.gap, at, clearance)
-        return size if self.settled else max(size, UNKNOWN)
+        """Of the gap; :data:`UNKNOWN` where that is not known."""
+        return min(relative_size(self.gap, at, clearance), UNKNOWN) if self.settled else UNKNOWN
 
 
 def _of_displacement(
@@ -202,8 +202,8 @@ def _of_displacement(
             other, compliance = change.better
             moved = compliance.displacement(at.force + change.force) @ other.force.T - known
         found = float(np.sqrt(mean_square(moved) / size))
-        total += found if change.settled else max(found, UNKNOWN)
-    return total
+        total += found if change.settled else UNKNOWN
+    return min(total, UNKNOWN)
 
 
 def relative_size(change: np.ndarray, at: CondensedPoint, clearance: np.ndarray) -> float:
@@ -306,7 +306,6 @@ def _improvement(
     if np.linalg.norm(again) < CALM * length:
         step = step + again
         return _Change(first.gap_of(step), first.force_of(step)[:rows], better)
-    farthest = change_to(point, settled=False)
     for _ in range(MAX_STEPS):
         step = point.solve_roughly(known - point.residual)
         if not np.all(np.isfinite(step)):
@@ -314,8 +313,7 @@ def _improvement(
         point = system.linearise(point.unknown + step)
         if np.linalg.norm(step) < SETTLED * np.linalg.norm(point.unknown - start):
             return change_to(point)
-        farthest = max(farthest, change_to(point, False), key=lambda one: mean_square(one.gap))
-    return farthest
+    return change_to(point, settled=False)
 
 
 def _missed_by_samples(at: CondensedPoint) -> np.ndarray:

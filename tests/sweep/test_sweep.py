@@ -76,11 +76,11 @@ def assert_same(one: SweepResult, other: SweepResult, tolerance: float = 0.0) ->
             continue
         if tolerance and one[name].dtype.kind == "f":
             size = np.nanmax(np.abs(one[name]), initial=0.0)
-            # One is 21, found by some Newton steps, and as sensitive.
-            share = 100.0 if name == "truncation_error" else 1.0
-            np.testing.assert_allclose(
-                other[name], one[name], rtol=0.0, atol=share * tolerance * size, err_msg=name
-            )
+            # The truncation's is found by some Newton steps, and as sensitive; 1 is unknown.
+            share, most = (1e4, 0.9) if name == "truncation_error" else (1.0, np.inf)
+            found, wanted = np.minimum(other[name], most), np.minimum(one[name], most)
+            atol = share * tolerance * size
+            np.testing.assert_allclose(found, wanted, rtol=0.0, atol=atol, err_msg=name)
         else:
             np.testing.assert_array_equal(other[name], one[name], err_msg=name)
     for index in map(tuple, np.argwhere(one.converged)):
