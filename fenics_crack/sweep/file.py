@@ -37,6 +37,7 @@ __all__ = [
     "COLUMNS",
     "CONVERGED",
     "FAILED",
+    "ORDERS",
     "PENDING",
     "PHASES",
     "SweepFile",
@@ -66,8 +67,10 @@ NATURAL = {
 """Words and unit of the natural frequencies that are kept of each case."""
 AT_POINTS = {name: unit for name, (_, unit) in OF_POINTS.items() if name != "ratio_half_1"}
 """What is kept of each point and direction, and its unit: no case has a longer period."""
-PHASES = {f"{part}_{order}": "m" for order in (1, 2, 3) for part in ("cosine", "sine")}
-"""Likewise: the parts of the harmonics whose amplitudes are ``harmonic_1`` to ``harmonic_3``."""
+ORDERS = (1, 2, 3, 4, 5, 6)
+"""Harmonics of which the parts are kept."""
+PHASES = {f"{part}_{order}": "m" for order in ORDERS for part in ("cosine", "sine")}
+"""Likewise: the parts of the harmonics, of whose amplitudes ``harmonic_1`` to ``harmonic_3``."""
 COLUMNS: dict[str, tuple[str, str]] = {
     **{of_load(name): (unit, "f8") for name, unit in (AT_POINTS | PHASES).items()},
     **{name: (unit, "f8") for name, (_, unit) in (OF_LIPS | OF_FREQUENCIES).items()},

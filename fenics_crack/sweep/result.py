@@ -195,7 +195,7 @@ class SweepResult(Tabular):
     columns : dict of str to array
         Numbers and words by name, in the shape of the axes, nan where there is no value:
         ``response``, half the peak-to-peak displacement of the load's point in the load's direction
-        [m], ``mean`` to ``mean_shift`` there, and ``cosine_1`` to ``sine_3``, the parts of its
+        [m], ``mean`` to ``mean_shift`` there, and ``cosine_1`` to ``sine_6``, the parts of its
         harmonics [m], the same of each point of ``[output.points]`` by
         names like ``tip.ux.ratio_2_1``, and ``opening`` to ``closed_share``: as in
         :class:`Indicators`; ``omega_open`` to ``over_bilinear``: as in
