@@ -167,7 +167,7 @@ def _compute(given: argparse.Namespace, scene: Scene, folder: Path, console: Con
     if given.command == "campbell":
         return commands.campbell_diagram(scene, given.speeds, given.count, folder, console)
     if given.command == "identify":
-        return commands.identification(scene, given.measurements, folder, console)
+        return commands.identification(scene, given.measurements, given.arrivals, folder, console)
     if given.command == "timing":
         from fenics_crack.cli.timing import timing
 
@@ -222,8 +222,8 @@ COMMANDS = {
         "scene source --set --output",
     ),
     "identify": (
-        "a crack from measured frequencies and harmonics, by the table [identify]",
-        "scene measurements --set --output",
+        "a crack from measured frequencies, harmonics and arrivals, by the table [identify]",
+        "scene measurements --arrivals --set --output",
     ),
     "plot": (
         "pictures of a result, of several in one, or of a scene's mesh; files for ParaView",
@@ -239,8 +239,14 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "file": ("the file to write, for example plate.toml", {"type": Path, "metavar": "scene"}),
     "scene": ("the scene, a TOML file", {"type": Path}),
     "measurements": (
-        "a CSV file with the columns quantity, value, deviation, mode, frequency [Hz], point",
-        {"type": Path},
+        "a CSV file with the columns quantity, value, deviation, mode, frequency [Hz], point, "
+        "phase [rad]; may be left out with --arrivals",
+        {"type": Path, "nargs": "?"},
+    ),
+    "--arrivals": (
+        "arrival times at probes (docs/tip_timing.md), the radius of the tip [m], the engine "
+        "order, and the tip as a point of [output.points] in the direction of rotation, tip.ux",
+        {"nargs": 4, "metavar": ("FILE", "RADIUS", "ORDER", "POINT")},
     ),
     "source": (
         "what makes the arrivals: the .h5 file of a solution or a curve; or a CSV file of them, "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from mpi4py import MPI
@@ -29,6 +30,9 @@ from fenics_crack.sweep.file import KIND as SWEEP
 from fenics_crack.sweep.result import SweepResult, run_sweep
 from fenics_crack.table import RPM, Table, ranging
 from fenics_crack.time.march import TimeHistory
+
+if TYPE_CHECKING:
+    from fenics_crack.identification.measurements import Measurements
 
 __all__ = [
     "campbell_diagram",
@@ -195,14 +199,15 @@ def sweep(scene: Scene, folder: Path, console: Console) -> Exit:
     return Exit.NOT_CONVERGED if found.failed or not found.complete else Exit.DONE
 
 
-def identification(scene: Scene, measured: Path, folder: Path, console: Console) -> Exit:
+def identification(
+    scene: Scene, measured: Path | None, arrivals: list[str] | None, folder: Path, console: Console
+) -> Exit:
     """A crack from measurements: what it is, how sure, and where to measure next."""
     from fenics_crack.identification.identify import identify  # scipy.stats
 
+    rows = on_root(console.comm, lambda: _measurements(measured, arrivals))
     with console.timed("identification"):
-        found = identify(
-            scene, measured, folder=folder, comm=console.comm, progress=console.progress
-        )
+        found = identify(scene, rows, folder=folder, comm=console.comm, progress=console.progress)
     worth = found.where_to_measure()
 
     def write() -> None:
@@ -225,6 +230,26 @@ def identification(scene: Scene, measured: Path, folder: Path, console: Console)
     console.note(f"{folder / 'identify.h5'}, .json; posterior.png, fit.csv, where_to_measure.csv")
     console.warnings(found.warnings)
     return Exit.DONE
+
+
+def _measurements(path: Path | None, arrivals: list[str] | None) -> Measurements:
+    """What was measured, of a file of measurements, one of arrivals, or both."""
+    from fenics_crack.arrivals.arrival_times import ArrivalTimes
+    from fenics_crack.identification.measurements import Measurements
+
+    if path is None and arrivals is None:
+        raise InputError("measurements", None, "given: a CSV file, or --arrivals")
+    parts = [] if path is None else [Measurements.from_csv(path)]
+    if arrivals is not None:
+        file, radius, order, point = arrivals
+        try:
+            how = float(radius), int(order)
+        except ValueError:
+            allowed = "FILE RADIUS ORDER POINT: a number [m], and a whole number"
+            raise InputError("--arrivals", " ".join(arrivals), allowed) from None
+        times = ArrivalTimes.from_csv(file, tip_radius=how[0])
+        parts.append(Measurements.from_arrivals(times, how[1], point))
+    return parts[0] if len(parts) == 1 else parts[0] + parts[1]
 
 
 def verification(scene: Scene, folder: Path, console: Console) -> Exit:

@@ -11,8 +11,9 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError
-from fenics_crack.identification.forward import Forward, Model, solve_forward
+from fenics_crack.identification.forward import Forward, solve_forward
 from fenics_crack.identification.measurements import Measurements
+from fenics_crack.identification.model import Model
 from fenics_crack.identification.posterior import Likelihood, Posterior, explore
 from fenics_crack.identification.result import Identification
 from fenics_crack.parallel import on_root
@@ -146,7 +147,7 @@ def _calibration(
         raise InputError("measurements.quantity", "frequency_uncracked", allowed)
     model = next(iter(bare.values()))
     middle = 0.5 * (model.cube.low + model.cube.high)
-    predicted = model.quantities(rows)(middle[None])[0][0]
+    predicted = model.quantities(rows)(middle[None]).values[0]
     pairs = zip(rows, predicted, strict=True)
     return {row.mode: (value / row.value, row.deviation / row.value) for row, value in pairs}
 

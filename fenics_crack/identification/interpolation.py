@@ -1,38 +1,33 @@
 """Smooth interpolation of many quantities over a few unknowns, with its own error.
 
-A quantity known at n nodes x_i of the unit cube is interpolated by polyharmonic splines,
-
-    s(x) = sum_i c_i phi(|x - x_i|) + a polynomial,      phi = r^2 log r, r^3 or r^5
-
-(SciPy's ``RBFInterpolator``). What each node says about all the others is known without solving
-again: with the matrix A of the conditions, the error at a node left out is
-
-    e_i = c_i / (A^-1)_ii
-
-(S. Rippa, Advances in Computational Mathematics 11, 1999, 193). It chooses the kernel, the
-smoothing, and whether unknowns are taken by their logarithms, for each quantity; and its mean
-square around a place is the variance that a prediction there has.
+A quantity known on a grid of the unknowns is interpolated by the tensor product of cubic splines
+without knots next to the ends (C. de Boor, A Practical Guide to Splines, 1978, chapters 4 and 17),
+of an unknown or of its logarithm. What each node between the ends of an axis differs by from the
+spline through all others on its line tells the error, along each axis: it is that of twice the
+spacing, so too large where a quantity is smooth, and about right where meshes make it uneven. It
+chooses between unknown and logarithm, and the errors at the nodes around a place, of all quantities
+together, are the covariance that predictions have there.
 """
 
 from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import RBFInterpolator
+from scipy.interpolate import BSpline, RBFInterpolator, make_interp_spline
 from scipy.spatial.distance import cdist
 
 __all__ = ["Cube", "Interpolation", "left_out_errors"]
 
-KERNELS = {"thin_plate_spline": 1, "cubic": 1, "quintic": 2}
-"""The kernels, and the degrees of their polynomials."""
-SMOOTHINGS = (0.0, 1e-4)
-"""On the diagonal; the second one for meshes that make small jumps."""
+DEGREE = 3
 WIDE = 5.0
 """Ratio of the ends of an unknown from which its logarithm is tried."""
 NEAR = 1.25
 """Spacings of the nodes over which errors are averaged."""
+AROUND = 16
+"""Nodes over which errors are averaged, at most."""
 TINY = 1e-12
 
 
@@ -58,11 +53,16 @@ class Cube:
         """Upper bounds: (d,)."""
         return np.array([axis[-1] for axis in self.axes])
 
-    @property
+    @cached_property
     def nodes(self) -> np.ndarray:
         """All combinations, the last unknown fastest: (n, d)."""
         combinations = list(itertools.product(*self.axes))
         return np.array(combinations, dtype=float).reshape(len(combinations), len(self.axes))
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """How many values each axis has."""
+        return tuple(len(axis) for axis in self.axes)
 
     @property
     def wide(self) -> bool:
@@ -83,37 +83,69 @@ class Cube:
             low, high = of(self.low), of(self.high)
             return np.asarray((of(values) - low) / (high - low))
 
+    def lines(self, logs: bool) -> list[np.ndarray]:
+        """The values of each axis, scaled."""
+        grid = self.scaled(self.nodes, logs).reshape(*self.shape, len(self.axes))
+        return [
+            np.moveaxis(grid[..., k], k, 0).reshape(count, -1)[:, 0]
+            for k, count in enumerate(self.shape)
+        ]
+
+    def places(self, values: np.ndarray) -> np.ndarray:
+        """Where values (m, d) are among the nodes: whole numbers at these: (m, d)."""
+        columns = [
+            np.interp(column, axis, np.arange(len(axis)))
+            for column, axis in zip(values.T, self.axes, strict=True)
+        ]
+        return np.stack(columns, axis=1)
+
+
+def left_out_errors(line: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """What each value on a line (n,), but for the ends, differs by from the spline through all
+    others: (n, ...) for values (n, ...). The ends, which are never left out, have the errors of
+    their neighbours."""
+    found = np.zeros_like(values)
+    for place in range(1, len(line) - 1):
+        others = np.arange(len(line)) != place
+        degree = min(DEGREE, len(line) - 2)
+        spline = make_interp_spline(line[others], values[others], k=degree)
+        found[place] = values[place] - spline(line[place])
+    found[0], found[-1] = found[1], found[-2]
+    return found
+
 
 @dataclass(frozen=True)
-class Way:
-    """How a quantity is interpolated."""
+class Splines:
+    """Tensor products of splines: knots and degree along each axis, and coefficients (n, q)."""
 
-    kernel: str
-    smoothing: float
-    logs: bool
+    knots: tuple[np.ndarray, ...]
+    degrees: tuple[int, ...]
+    coefficients: np.ndarray
+
+    @classmethod
+    def through(cls, lines: list[np.ndarray], values: np.ndarray) -> Splines:
+        """Through values (n_1, ..., n_d, q) on a grid."""
+        knots, degrees = [], []
+        for k, line in enumerate(lines):
+            spline = make_interp_spline(line, np.moveaxis(values, k, 0), k=_degree(len(line)))
+            values = np.moveaxis(spline.c, 0, k)
+            knots.append(spline.t)
+            degrees.append(spline.k)
+        return cls(tuple(knots), tuple(degrees), values.reshape(-1, values.shape[-1]))
+
+    def __call__(self, at: np.ndarray) -> np.ndarray:
+        """At scaled places (m, d), those outside taken to the border: (m, q)."""
+        basis = np.ones((len(at), 1))
+        for column, knots, degree in zip(at.T, self.knots, self.degrees, strict=True):
+            within = np.clip(column, knots[0], knots[-1])
+            own = BSpline.design_matrix(within, knots, degree).toarray()
+            basis = (basis[:, :, None] * own[:, None, :]).reshape(len(at), -1)
+        return np.asarray(basis @ self.coefficients)
 
 
-def left_out_errors(nodes: np.ndarray, values: np.ndarray, way: Way) -> np.ndarray:
-    """What each node differs by from the interpolation of all others: (n, q) for values (n, q)."""
-    n = len(nodes)
-    distance = cdist(nodes, nodes)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        kernel = {
-            "thin_plate_spline": lambda r: np.where(r > 0.0, r**2 * np.log(r), 0.0),
-            "cubic": lambda r: r**3,
-            "quintic": lambda r: -(r**5),
-        }[way.kernel](distance)
-    degree = KERNELS[way.kernel]
-    powers = [
-        p for p in itertools.product(range(degree + 1), repeat=nodes.shape[1]) if sum(p) <= degree
-    ]
-    columns = np.stack([np.prod(nodes ** np.array(p), axis=1) for p in powers], axis=1)
-    size = columns.shape[1]
-    matrix = np.block(
-        [[kernel + way.smoothing * np.eye(n), columns], [columns.T, np.zeros((size, size))]]
-    )
-    inverse = np.linalg.inv(matrix)
-    return np.asarray((inverse[:n, :n] @ values) / np.diag(inverse)[:n, None])
+def _degree(count: int) -> int:
+    """The degree of a spline through so many values."""
+    return DEGREE if count > DEGREE else count - 1
 
 
 class Interpolation:
@@ -133,69 +165,77 @@ class Interpolation:
         self.error = np.zeros(self.count)
         """Root of the mean square of the errors at nodes left out: (q,); inf where too few nodes
         are known."""
-        self._groups: list[tuple[Way, np.ndarray, list[int], RBFInterpolator]] = []
+        self._groups: list[tuple[bool, np.ndarray, Splines]] = []
         self._constant = values[0] if not cube.axes else None
         if self._constant is not None:
+            self.error[~np.isfinite(self._constant)] = np.inf
             return
-        self._values, self._left = values, np.full_like(values, np.nan)
-        known = np.isfinite(values)
-        for pattern in np.unique(known, axis=1).T:
-            places = [q for q in range(self.count) if np.array_equal(known[:, q], pattern)]
-            self._choose(pattern, places)
-
-    def _choose(self, known: np.ndarray, places: list[int]) -> None:
-        """The best way for quantities that are known at the same nodes."""
-        d = len(self.cube.axes)
-        if known.sum() <= (d + 1) * (d + 2) // 2:
-            self.error[places] = np.inf
-            return
-        nodes, values = self.cube.nodes[known], self._values[known][:, places]
-        best: list[Way | None] = [None] * len(places)
-        sizes = np.full(len(places), np.inf)
-        for way in _ways(self.cube):
-            try:
-                errors = left_out_errors(self.cube.scaled(nodes, way.logs), values, way)
-            except np.linalg.LinAlgError:
-                continue
-            found = np.sqrt(np.mean(errors**2, axis=0))
-            for at in np.flatnonzero(found < sizes):
-                sizes[at], best[at] = found[at], way
-                self._left[known, places[at]] = errors[:, at]
-        self.error[places] = sizes
-        for chosen in dict.fromkeys(best):
-            if chosen is not None:
-                way, group = chosen, [at for at, own in enumerate(best) if own == chosen]
-                spline = RBFInterpolator(
-                    self.cube.scaled(nodes, way.logs), values[:, group], kernel=way.kernel,
-                    degree=KERNELS[way.kernel], smoothing=way.smoothing,
-                )  # fmt: skip
-                self._groups.append((way, known, [places[at] for at in group], spline))
+        d = len(cube.axes)
+        values, enough = _filled(cube, values)
+        self.error[~enough] = np.inf
+        self._left = np.zeros((d, *values.shape))
+        best = np.full(self.count, np.inf)
+        chosen = np.zeros(self.count, dtype=bool)
+        grid = values.reshape(*cube.shape, self.count)
+        for logs in (False, True) if cube.wide else (False,):
+            lines, errors = cube.lines(logs), []
+            for k, line in enumerate(lines):
+                own = left_out_errors(line, np.moveaxis(grid, k, 0))
+                errors.append(np.moveaxis(own, 0, k).reshape(values.shape))
+            found = np.sqrt(np.mean(np.sum(np.square(errors), axis=0), axis=0))
+            better = enough & (found < best)
+            best[better], chosen[better] = found[better], logs
+            self._left[..., better] = np.array(errors)[..., better]
+        self.error[enough] = best[enough]
+        for logs in np.unique(chosen[enough]):
+            group = np.flatnonzero(enough & (chosen == logs))
+            splines = Splines.through(cube.lines(bool(logs)), grid[..., group])
+            self._groups.append((bool(logs), group, splines))
 
     def __call__(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The quantities at values x (m, d) of the unknowns, and their standard deviations:
         (m, q) each, infinite where a quantity is not known."""
-        found, deviation = np.zeros((len(x), self.count)), np.full((len(x), self.count), np.inf)
+        found = self.at(x)
+        if self._constant is not None:
+            return found, np.broadcast_to(np.where(self.error > 0.0, np.inf, 0.0), found.shape)
+        deviation = np.sqrt(np.sum(self.scatter(x) ** 2, axis=1))
+        return found, np.where(np.isfinite(self.error), deviation, np.inf)
+
+    def at(self, x: np.ndarray) -> np.ndarray:
+        """The quantities alone: (m, q), 0 where one is not known."""
+        found = np.zeros((len(x), self.count))
         if self._constant is not None:
             known = np.isfinite(self._constant)
-            found[:, known], deviation[:, known] = self._constant[known], 0.0
-            return found, deviation
-        for way, known, group, spline in self._groups:
-            at = self.cube.scaled(x, way.logs)
-            found[:, group] = spline(at)
-            squares = self._left[known][:, group] ** 2
-            nodes = self.cube.scaled(self.cube.nodes[known], way.logs)
-            deviation[:, group] = np.sqrt(self._nearby(at, nodes) @ squares)
-        return found, deviation
+            found[:, known] = self._constant[known]
+        for logs, group, splines in self._groups:
+            found[:, group] = splines(self.cube.scaled(x, logs))
+        return found
 
-    def _nearby(self, x: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-        """Weights of the nodes around places: (m, n), rows of sum 1."""
-        spacing = NEAR / np.array([len(axis) - 1 for axis in self.cube.axes])
-        exponent = -0.5 * cdist(x / spacing, nodes / spacing, "sqeuclidean")
+    def scatter(self, x: np.ndarray) -> np.ndarray:
+        """Errors of all quantities together at the nodes around values x (m, d), along each axis,
+        weighted so that their covariance is the sum of the squares: (m, k, q)."""
+        if self._constant is not None:
+            return np.zeros((len(x), 0, self.count))
+        nodes = self.cube.places(self.cube.nodes)
+        exponent = -0.5 / NEAR**2 * cdist(self.cube.places(x), nodes, "sqeuclidean")
+        count = min(AROUND, len(nodes))
+        near = np.argpartition(-exponent, count - 1, axis=1)[:, :count]
+        exponent = np.take_along_axis(exponent, near, axis=1)
         weights = np.exp(exponent - exponent.max(axis=1, keepdims=True))
-        return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+        weights /= weights.sum(axis=1, keepdims=True)
+        errors = [np.sqrt(weights)[..., None] * left[near] for left in self._left]
+        return np.concatenate(errors, axis=1)
 
 
-def _ways(cube: Cube) -> list[Way]:
-    """What is tried."""
-    logs = (False, True) if cube.wide else (False,)
-    return [Way(*how) for how in itertools.product(KERNELS, SMOOTHINGS, logs)]
+def _filled(cube: Cube, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Values (n, q) with those that are not known taken from a thin plate through the others, and
+    whether there are enough of a quantity: (q,)."""
+    known, d = np.isfinite(values), len(cube.axes)
+    enough = known.sum(axis=0) > (d + 1) * (d + 2) // 2
+    found = np.where(known & enough, values, 0.0)
+    nodes = cube.scaled(cube.nodes, False)
+    for place in np.flatnonzero(enough & ~known.all(axis=0)):
+        own = known[:, place]
+        plate = RBFInterpolator(nodes[own], values[own, place], kernel="thin_plate_spline")
+        found[~own, place] = plate(nodes[~own])
+    return found, enough

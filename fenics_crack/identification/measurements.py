@@ -9,20 +9,33 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.arrivals.harmonics import TipFit
-from fenics_crack.errors import InputError, check_number
+from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.model.bilinear import FEW
 from fenics_crack.table import Tabular, counted
 
 __all__ = ["AT_A_LOAD", "FREQUENCIES", "Measurement", "Measurements"]
 
-FREQUENCIES = ("frequency_open", "frequency_tied", "frequency_bilinear", "frequency_uncracked")
-"""Natural frequencies [Hz]: with the crack held open, held closed, breathing; and of the plate
-before it had a crack."""
-AT_A_LOAD = ("harmonic_1", "harmonic_2", "harmonic_3", "ratio_2_1", "ratio_3_1")
-"""Quantities of a point under a harmonic load."""
+FREQUENCIES = (
+    "frequency_open",
+    "frequency_tied",
+    "frequency_bilinear",
+    "frequency_resonance",
+    "frequency_uncracked",
+)
+"""Natural frequencies [Hz]: with the crack held open, held closed, breathing, by the formula and
+measured as a resonance; and of the plate before it had a crack."""
+AT_A_LOAD = ("harmonic_1", "harmonic_2", "harmonic_3", "ratio_2_1", "ratio_3_1", "displacement")
+"""Quantities of a point under a harmonic load; displacements are those that probes see."""
 NEEDED = ("quantity", "value", "deviation")
-OPTIONAL = ("mode", "frequency", "point")
+OPTIONAL = ("mode", "frequency", "point", "phase")
+FEWEST = 4
+"""Probes of which displacements tell more than the size and phase of a load, and a constant."""
+STEADY = 1e-3
+"""Relative change of the speed up to which arrivals are those of one load frequency."""
 
 
 @dataclass(frozen=True)
@@ -33,10 +46,13 @@ class Measurement:
     ----------
     quantity : str
         A natural frequency of mode ``mode`` [Hz]: "frequency_open", "frequency_tied",
-        "frequency_bilinear" (the resonance of the breathing crack at light damping), or
+        "frequency_bilinear" by its formula, "frequency_resonance", at which the breathing crack
+        resonates, which is near that formula, or
         "frequency_uncracked" of the same plate before it had a crack, which calibrates the others
         of its mode. Or what :class:`Indicators` calls "harmonic_1" to "harmonic_3" [m],
-        "ratio_2_1" or "ratio_3_1", of a point under the scene's load at ``frequency``.
+        "ratio_2_1" or "ratio_3_1", of a point under the scene's load at ``frequency``. Or a
+        "displacement" [m] of the point at ``phase``, as probes see it: all those of a point at a
+        frequency are compared up to the load's size, its phase, and a constant.
     value, deviation : float
         The number, and its standard deviation > 0, in the same unit.
     mode : int
@@ -46,6 +62,8 @@ class Measurement:
     point : str
         A point and direction of ``[output.points]``, "tip.ux"; empty: the load's point in the
         load's direction.
+    phase : float [rad]
+        Of the load's period, 0 where it begins, 2 pi where it ends; nan where there is none.
 
     Raises
     ------
@@ -59,12 +77,14 @@ class Measurement:
     mode: int = 0
     frequency: float = math.nan
     point: str = ""
+    phase: float = math.nan
 
     def __post_init__(self) -> None:
         if self.quantity not in FREQUENCIES + AT_A_LOAD:
             allowed = f"one of {', '.join(FREQUENCIES + AT_A_LOAD)}"
             raise InputError("measurements.quantity", self.quantity, allowed)
-        check_number("measurements.value", self.value, 0.0)
+        at_probe = self.quantity == "displacement"
+        check_number("measurements.value", self.value, -math.inf if at_probe else 0.0)
         check_number("measurements.deviation", self.deviation, 0.0, above=True)
         if self.natural:
             whole = isinstance(self.mode, int) and 1 <= self.mode <= FEW
@@ -80,6 +100,11 @@ class Measurement:
             if self.mode:
                 allowed = f"left out with {self.quantity}"
                 raise InputError("measurements.mode", self.mode, allowed)
+        if at_probe:
+            check_number("measurements.phase", self.phase)
+        elif not math.isnan(self.phase):
+            allowed = f"left out with {self.quantity}"
+            raise InputError("measurements.phase", self.phase, allowed)
 
     @property
     def natural(self) -> bool:
@@ -92,7 +117,8 @@ class Measurement:
         if self.natural:
             return f"{self.quantity} of mode {self.mode}"
         where = f" of {self.point}" if self.point else ""
-        return f"{self.quantity} at {self.frequency:g} Hz{where}"
+        when = "" if math.isnan(self.phase) else f" and {self.phase:.3g} rad"
+        return f"{self.quantity} at {self.frequency:g} Hz{when}{where}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -161,9 +187,86 @@ class Measurements(Tabular):
         return cls(tuple(rows))
 
     @classmethod
+    def from_arrivals(
+        cls,
+        arrivals: ArrivalTimes,
+        order: int,
+        point: str = "",
+        *,
+        against: bool = False,
+        noise: float | None = None,
+        angle_deviation: float = 0.0,
+    ) -> Measurements:
+        """The mean displacement that each probe sees of a vibration of an engine order.
+
+        At the rotor's angle alpha of an arrival, where the tip is displaced by u
+        (:class:`ArrivalTimes`), the load is at the phase p alpha of its period. Nothing is fitted:
+        the harmonics are left to the model.
+
+        Parameters
+        ----------
+        arrivals : ArrivalTimes
+            Of steady vibration.
+        order : int
+            p, periods of the load in a revolution (:func:`fit_order` finds it).
+        point : str
+            The tip: as ``point`` of :class:`Measurement`.
+        against : bool
+            Whether the direction of the point is against the rotation.
+        noise : float [s]
+            Standard deviation of an arrival; default: from the scatter between revolutions.
+        angle_deviation : float [rad]
+            Standard deviation of the probes' angles, the same in every revolution.
+
+        Raises
+        ------
+        InputError
+            A value cannot be used, the speed is not constant, there are fewer than four probes, or
+            ``noise`` is left out where passages have no scatter, as in one revolution alone.
+        """
+        check_count("order", order, 1)
+        check_number("angle_deviation", angle_deviation, 0.0)
+        if noise is not None:
+            check_number("noise", noise, 0.0, above=True)
+        speed = float(np.mean(arrivals.speed))
+        if np.ptp(arrivals.speed) > STEADY * speed:
+            raise InputError("arrivals", repr(arrivals), "those of a constant speed")
+        seen = np.isfinite(arrivals.time)
+        count = seen.sum(axis=0)
+        used = count > 0
+        if used.sum() < FEWEST:
+            raise InputError("arrivals", repr(arrivals), f"those of {FEWEST} probes or more")
+        means = np.nansum(arrivals.displacement, axis=0)[used] / count[used]
+        if noise is None:
+            left = np.nansum((arrivals.displacement[:, used] - means) ** 2)
+            spare = int(count.sum() - used.sum())
+            scatter = math.sqrt(left / max(spare, 1))
+            rounding = 10.0 * np.spacing(np.nanmax(arrivals.time)) * arrivals.tip_radius * speed
+            if not spare or scatter <= rounding:
+                raise InputError("noise", None, "given where passages have no scatter")
+        else:
+            scatter = arrivals.tip_radius * speed * noise
+        deviations = np.hypot(scatter / np.sqrt(count[used]), arrivals.tip_radius * angle_deviation)
+        # Of the mean arrival, at the angle phi - u / R.
+        phases = order * (arrivals.probes[used] - means / arrivals.tip_radius)
+        found = zip(-means if against else means, deviations, phases, strict=True)
+        # Rounded, for one sweep to serve all arrivals at a speed.
+        frequency = float(f"{order * speed / (2.0 * math.pi):.9g}")
+        return cls(
+            tuple(
+                Measurement(
+                    "displacement", float(value), float(deviation), frequency=frequency,
+                    point=point, phase=float(phase % (2.0 * math.pi)),
+                )
+                for value, deviation, phase in found
+            )
+        )  # fmt: skip
+
+    @classmethod
     def from_csv(cls, path: str | Path) -> Measurements:
-        """Read a table with the columns quantity, value, deviation, mode, frequency [Hz] and point,
-        in any order; cells that do not apply are empty, and lines that begin with # are left out.
+        """Read a table with the columns quantity, value, deviation, mode, frequency [Hz], point
+        and phase [rad], in any order; cells that do not apply are empty, and lines that begin with
+        # are left out.
 
         Raises
         ------
@@ -204,11 +307,12 @@ class Measurements(Tabular):
         names = [item.name for item in fields(Measurement)]
         found = {name: [getattr(row, name) for row in self.rows] for name in names}
         found["mode"] = [mode or "" for mode in found["mode"]]
-        found["frequency"] = ["" if math.isnan(one) else one for one in found["frequency"]]
+        for name in ("frequency", "phase"):
+            found[name] = ["" if math.isnan(one) else one for one in found[name]]
         return found
 
     def _units(self) -> Mapping[str, str]:
-        return {"frequency": "Hz"}
+        return {"frequency": "Hz", "phase": "rad"}
 
     def _title(self) -> str:
         natural = sum(row.natural for row in self.rows)
@@ -228,7 +332,7 @@ def _counts(line: str) -> bool:
 def _row(cells: Mapping[str, str]) -> Measurement:
     """A line of the table; raises InputError or ValueError."""
     given: dict[str, Any] = {name: text for name, text in cells.items() if text}
-    for name in ("value", "deviation", "frequency"):
+    for name in ("value", "deviation", "frequency", "phase"):
         if name in given:
             given[name] = _number(name, given[name])
     if "mode" in given:

@@ -1,9 +1,9 @@
 """How likely each value of the unknowns is: least squares, and the posterior on a grid.
 
-Measured numbers m_i with standard deviations e_i are compared with predictions s_i(x), whose own
-standard deviations are t_i(x):
+Measured numbers m with standard deviations e are compared with predictions s(x), whose own errors
+have a covariance T(x):
 
-    log L(x) = - sum_i [ (m_i - s_i(x))^2 / (2 v_i(x)) + log(v_i(x)) / 2 ],    v_i = e_i^2 + t_i^2
+    log L(x) = - (m - s)^T V^-1 (m - s) / 2 - log(det V) / 2,    V(x) = diag(e^2) + T(x)
 
 The prior is uniform between the bounds. Regions hold a share of the posterior's mass, the densest
 parts first; the integral of L over the prior is a hypothesis' evidence (D. J. C. MacKay,
@@ -20,9 +20,17 @@ from scipy.ndimage import label, maximum_filter
 from scipy.optimize import least_squares, minimize
 from scipy.special import logsumexp
 
-from fenics_crack.identification.forward import Quantities
+from fenics_crack.identification.model import Prediction, Quantities
 
-__all__ = ["Branch", "Likelihood", "Optimum", "Posterior", "explore", "trapezoid"]
+__all__ = [
+    "Branch",
+    "Likelihood",
+    "Optimum",
+    "Posterior",
+    "explore",
+    "scaled_covariance",
+    "trapezoid",
+]
 
 LOOK = {0: 1, 1: 200, 2: 45, 3: 17}
 """Values of each unknown of the first grid, by the number of unknowns; of more, 9."""
@@ -34,6 +42,8 @@ WIDTHS = 5.0
 """Standard deviations around an optimum that are looked at closer."""
 WORSE = 8.0
 """Difference of log L beyond which an optimum is none."""
+AT_ONCE = 500
+"""Places at which a likelihood is computed together."""
 VAGUE = 10.0
 """Standard deviation, over the measured value, where the model knows nothing."""
 
@@ -46,18 +56,31 @@ class Likelihood:
     deviations: np.ndarray
     quantities: Quantities
 
-    def residuals(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(m - s) / sqrt(v), and sqrt(v), at values (m, d) of the unknowns: (m, q) each."""
-        predicted, spread = self.quantities(x)
-        known = np.isfinite(spread) & np.isfinite(predicted)
-        spread = np.where(known, spread, VAGUE * (np.abs(self.values) + self.deviations))
-        total = np.hypot(self.deviations, spread)
-        return np.where(known, (self.values - predicted) / total, 0.0), total
+    def whitened(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """L^-1 (m - s) / e, whose square is chi^2, at values (m, d) of the unknowns, and the sum of
+        the logarithms of the diagonal of L, V = diag(e) L L^T diag(e): (m, q), (m,)."""
+        predicted = self.quantities(x)
+        factor = np.linalg.cholesky(scaled_covariance(predicted, self.values, self.deviations))
+        differences = np.nan_to_num((self.values - predicted.values) / self.deviations)
+        found = np.linalg.solve(factor, differences[..., None])[..., 0]
+        return found, np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """log L at values (m, d) of the unknowns: (m,)."""
-        residuals, total = self.residuals(x)
-        return np.asarray(-np.sum(0.5 * residuals**2 + np.log(total / self.deviations), axis=1))
+        found, logs = self.whitened(x)
+        return np.asarray(-0.5 * np.sum(found**2, axis=1) - logs)
+
+
+def scaled_covariance(
+    predicted: Prediction, values: np.ndarray, deviations: np.ndarray
+) -> np.ndarray:
+    """V of measured values (q,) with standard deviations (q,), over these: (m, q, q). Where the
+    model knows nothing, a multiple of the value."""
+    both = np.outer(predicted.known, predicted.known)
+    own = predicted.covariance + predicted.free @ predicted.free.transpose(0, 2, 1)
+    vague = np.where(predicted.known, 0.0, VAGUE * (np.abs(values) + deviations))
+    own = np.where(both, own, 0.0) + np.diag(vague**2)
+    return np.asarray(np.eye(len(values)) + own / np.outer(deviations, deviations))
 
 
 @dataclass(frozen=True)
@@ -124,7 +147,7 @@ def explore(likelihood: Likelihood) -> Branch:
 
 def _on_grid(likelihood: Likelihood, axes: list[np.ndarray]) -> np.ndarray:
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
-    pieces = np.array_split(points, -(-len(points) // 20000))
+    pieces = np.array_split(points, -(-len(points) // AT_ONCE))
     found = np.concatenate([likelihood(piece) for piece in pieces])
     return found.reshape([len(axis) for axis in axes])
 
@@ -149,7 +172,7 @@ def _optima(
         start = np.array([axis[place] for axis, place in zip(axes, at, strict=True)])
 
         def scaled(unit: np.ndarray) -> np.ndarray:
-            return likelihood.residuals((low + span * unit)[None])[0][0]
+            return likelihood.whitened((low + span * unit)[None])[0][0]
 
         unit = np.clip((start - low) / span, 1e-6, 1.0 - 1e-6)
         fit = least_squares(scaled, unit, bounds=(0.0, 1.0), x_scale=0.1)

@@ -90,11 +90,12 @@ class Identification(Tabular):
 
     @property
     def misfit(self) -> tuple[float, float]:
-        """chi^2, the sum of the squared residuals at the estimate, and the probability of more, by
-        chance, with as many measurements."""
-        residuals = self._branch.likelihood.residuals(self.posterior.best[1][None])[0]
-        total = float(np.sum(residuals**2))
-        return total, float(chi2.sf(total, residuals.size))
+        """chi^2 at the estimate, and the probability of more, by chance, with as many measurements
+        (of displacements three fewer, for what is not known of the load)."""
+        likelihood, x = self._branch.likelihood, self.posterior.best[1][None]
+        total = float(np.sum(likelihood.whitened(x)[0] ** 2))
+        count = len(likelihood.values) - likelihood.quantities(x).free.shape[2]
+        return total, float(chi2.sf(total, max(count, 1)))
 
     @property
     def alternatives(self) -> list[tuple[dict[str, Any], float]]:
@@ -212,8 +213,9 @@ class Identification(Tabular):
         """Each measurement with what the estimate predicts, both standard deviations, and the
         difference in units of both together."""
         likelihood, x = self._branch.likelihood, self.posterior.best[1][None]
-        predicted, spread = (part[0] for part in likelihood.quantities(x))
-        residuals = likelihood.residuals(x)[0][0]
+        found = likelihood.quantities(x)
+        predicted, spread = found.values[0], found.deviations[0]
+        residuals = (likelihood.values - predicted) / np.hypot(likelihood.deviations, spread)
         columns = (likelihood.values, likelihood.deviations, predicted, spread, residuals)
         names = [row.name for row in likelihood.quantities.rows]
         rows = [list(row) for row in zip(names, *(c.tolist() for c in columns), strict=True)]

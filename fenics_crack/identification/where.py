@@ -1,12 +1,15 @@
 """Where to measure: what one more measurement would tell.
 
-With predictions s_i and variances v_i, the Fisher information of the unknowns x is
+With predictions s and the covariance V of measurements and predictions, the Fisher information of
+the unknowns x is
 
-    F = sum_i (ds_i / dx) (ds_i / dx)^T / v_i + P,
+    F = (ds / dx)^T V^-1 (ds / dx) + P,
 
-where P is that of the prior. One more measurement j adds a term of its own; in nats it tells
+where P is that of the prior. One more measurement j adds what is new in it, with a slope t_j and a
+variance v_j given the others; in nats it tells
 
-    log(1 + (ds_j / dx)^T F^-1 (ds_j / dx) / v_j) / 2
+    log(1 + t_j^T F^-1 t_j / v_j) / 2,
+    t_j = ds_j / dx - V_j V^-1 ds / dx,      v_j = V_jj - V_j V^-1 V_j^T
 
 (A. C. Atkinson, A. N. Donev and R. D. Tobias, Optimum Experimental Designs, 2007, chapter 11:
 D-optimality).
@@ -15,19 +18,22 @@ D-optimality).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from fenics_crack.errors import check_number
 from fenics_crack.identification.measurements import Measurement
-from fenics_crack.identification.posterior import Likelihood
+from fenics_crack.identification.model import Quantities
+from fenics_crack.identification.posterior import Likelihood, scaled_covariance
 from fenics_crack.scene.words import unit_of
 from fenics_crack.table import Tabular
 
 __all__ = ["Worth", "worth_of"]
 
+PROBES = 24
+"""Phases of the load's period at which one more probe is considered."""
 STEP = 1e-3
 """Of an unknown, over its range, for derivatives."""
 
@@ -90,33 +96,39 @@ def worth_of(
     names = ("frequency_deviation", "harmonic_deviation")
     for name, deviation in zip(names, deviations, strict=True):
         check_number(name, deviation, 0.0, above=True)
-    model = likelihood.quantities.model
-    rows = model.candidates() if measurements is None else tuple(measurements)
-    quantities = model.quantities(rows)
-    span = model.cube.high - model.cube.low
-    values, spread = (part[0] for part in quantities(x[None]))
+    model, made = likelihood.quantities.model, likelihood.quantities.rows
+    rows = tuple(measurements or ())
     if measurements is None:
-        shares = np.array([deviations[0] if row.natural else deviations[1] for row in rows])
-        noise = shares * values
-    else:
-        noise = np.array([row.deviation for row in rows])
-    slopes = _slopes(quantities, x, span, model.cube.low, model.cube.high)
-    variance = noise**2 + spread**2
-    known = np.isfinite(variance) & (variance > 0.0) & np.all(np.isfinite(slopes), axis=1)
-    mine = _slopes(likelihood.quantities, x, span, model.cube.low, model.cube.high)
-    total = likelihood.residuals(x[None])[1][0]
-    information = (mine / total[:, None]).T @ (mine / total[:, None]) + 12.0 * np.eye(len(x))
+        rows = (*model.candidates(), *_more_probes(made))
+    quantities, count = model.quantities(made, rows), len(made)
+    predicted = quantities(x[None])
+    values = predicted.values[0]
+    noise = np.array([row.deviation for row in rows])
+    if measurements is None:
+        of_row = {True: deviations[0], False: deviations[1]}
+        at_probe = np.array([row.quantity == "displacement" for row in rows])
+        shares = np.array([of_row[row.natural] for row in rows])
+        noise = np.where(at_probe, noise, shares * values[count:])
+    fit = np.isfinite(values[count:]) & (noise > 0.0)
+    every = np.concatenate([likelihood.deviations, np.where(fit, noise, 1.0)])
+    covariance = scaled_covariance(predicted, np.nan_to_num(values), every)[0]
+    span = model.cube.high - model.cube.low
+    slopes = _slopes(quantities, x, span, model.cube.low, model.cube.high) / every[:, None]
+    slopes[~np.isfinite(slopes).all(axis=1)] = 0.0
+    # What is new in one more measurement, given those that were made.
+    mine, mixed = covariance[:count, :count], covariance[:count, count:]
+    weights = np.linalg.solve(mine, np.hstack([slopes[:count], mixed]))
+    information = slopes[:count].T @ weights[:, : len(x)] + 12.0 * np.eye(len(x))
+    left = np.diag(covariance)[count:] - np.sum(mixed * weights[:, len(x) :], axis=0)
+    new = (slopes[count:] - mixed.T @ weights[:, : len(x)]) / np.sqrt(left)[:, None]
     before = np.linalg.inv(information)
     found = []
-    for place in np.flatnonzero(known):
-        slope = slopes[place] / np.sqrt(variance[place])
+    for row, value, deviation, slope in zip(
+        np.array(rows, dtype=object)[fit], values[count:][fit], noise[fit], new[fit], strict=True
+    ):
         gain = 0.5 * np.log1p(slope @ before @ slope)
         after = np.sqrt(np.diag(np.linalg.inv(information + np.outer(slope, slope)))) * span
-        row = rows[place]
-        told = Measurement(
-            row.quantity, float(values[place]), float(noise[place]), row.mode, row.frequency,
-            row.point,
-        )  # fmt: skip
+        told = replace(row, value=float(value), deviation=float(deviation))
         found.append((gain, told, after))
     found.sort(key=lambda item: -item[0])
     now = np.sqrt(np.diag(before)) * span
@@ -128,12 +140,29 @@ def worth_of(
     )
 
 
+def _more_probes(made: Sequence[Measurement]) -> list[Measurement]:
+    """One more probe anywhere in the period, beside those whose displacements were measured."""
+    groups: dict[tuple[float, str], list[float]] = {}
+    for row in made:
+        if row.quantity == "displacement":
+            groups.setdefault((row.frequency, row.point), []).append(row.deviation)
+    phases = 2.0 * np.pi * np.arange(PROBES) / PROBES
+    return [
+        Measurement(
+            "displacement", 0.0, float(np.median(own)), frequency=frequency, point=point,
+            phase=float(phase),
+        )
+        for (frequency, point), own in groups.items()
+        for phase in phases
+    ]  # fmt: skip
+
+
 def _slopes(
-    quantities: Any, x: np.ndarray, span: np.ndarray, low: np.ndarray, high: np.ndarray
+    quantities: Quantities, x: np.ndarray, span: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> np.ndarray:
     """Derivatives by the unknowns over their ranges: (q, d)."""
     steps = np.diag(STEP * span)
     above, below = np.minimum(x + steps, high), np.maximum(x - steps, low)
     distance = np.diag(above - below) / span
-    difference = quantities(above)[0] - quantities(below)[0]
+    difference = quantities(above).values - quantities(below).values
     return np.asarray((difference / distance[:, None]).T)

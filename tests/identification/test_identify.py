@@ -98,6 +98,113 @@ def test_cracks_are_found(scene: fc.Scene, folder: Path) -> None:
     assert held >= 2
 
 
+PROBES = np.radians([12.0, 47.0, 93.0, 131.0, 178.0, 224.0, 262.0, 307.0, 341.0])
+
+
+def arrivals_of(scene: fc.Scene, order: int, share: float, seed: int) -> fc.ArrivalTimes:
+    """Of 40 revolutions at 700 Hz, 14 harmonics, under a load 1.4 times as large that is a quarter
+    of a period late; noise is a share of the first harmonic."""
+    force = {"excitation.force_cos": (-140.0, -42.0), "excitation.force_sin": (0.0, 0.0)}
+    study = fc.prepare(scene.replace(FINER | force), MPI.COMM_SELF)
+    assert study.contact is not None
+    solution = fc.solve_harmonic_balance(
+        study.structure, 2.0 * np.pi * 700.0, study.contact, harmonics=14
+    )
+    tip = next(one.dof for one in study.watched if one.name == "tip.ux")
+    size, speed = float(solution.indicators(tip).harmonic_1), 2.0 * np.pi * 700.0 / order
+    return fc.tip_timing(
+        solution, tip, probes=PROBES, tip_radius=0.5, order=order, revolutions=40,
+        noise=share * size / (0.5 * speed), seed=seed,
+    )  # fmt: skip
+
+
+def test_arrivals_tell_the_crack(scene: fc.Scene, folder: Path) -> None:
+    """Displacements at nine probes beside one frequency, though neither size nor phase of the load
+    nor the harmonics are those of the scene: the truth is in the region, which is smaller than
+    without them."""
+    truth = {"crack.length": 0.026, "crack.height": 0.07}
+    few = fc.Measurements(measured(scene, dict(truth), 8).rows[:1])
+    arrivals = arrivals_of(scene.replace(truth), 5, 0.01, 3)
+    probes = fc.Measurements.from_arrivals(arrivals, 5, "tip.ux")
+    assert probes.rows[0].frequency == 700.0
+    both = fc.identify(scene, few + probes, folder=folder)
+    assert both.verdict == "crack" and both.contains(truth) and both.misfit[1] > 0.01
+    alone = fc.identify(scene.replace({"identify.frequencies": (700.0,)}), few, folder=folder)
+
+    def area(found: fc.Identification) -> float:
+        return found.posterior.spread(0) * found.posterior.spread(1)
+
+    assert area(both) < 0.7 * area(alone)
+    # Where one more probe would stand.
+    worth = both.where_to_measure()
+    more = [row for row in worth.measurements if row.quantity == "displacement"]
+    assert len(more) == 24 and all(row.deviation == more[0].deviation for row in more)
+    gains = [gain for row, gain in zip(worth.measurements, worth.information, strict=True)
+             if row.quantity == "displacement"]  # fmt: skip
+    assert gains[0] > 1.5 * gains[-1] >= 0.0
+    lone = alone.where_to_measure(more)  # one probe alone tells nothing of an unknown load
+    assert lone.information.max() < 0.02
+
+
+def test_damping_is_found_near_a_resonance(folder: Path, scene: fc.Scene) -> None:
+    """Length, height and damping from five frequencies and first harmonics (2 % of noise): the
+    ratio to 10 % at 1735 Hz, within half the width of a resonance at 1748 Hz; a load far below it
+    tells nothing of it."""
+    plain = scene.replace({"identify.finer": 1.0, "identify.harmonic_deviation": 0.05})
+    unknown = {
+        "crack.length": [0.018, 0.0205, 0.023, 0.026],
+        "crack.height": [0.08, 0.09, 0.1, 0.11],
+        "damping.ratio": [0.006, 0.009, 0.013, 0.02],
+    }
+    truth = {"crack.length": 0.022, "crack.height": 0.095, "damping.ratio": 0.011}
+    rng = np.random.default_rng(11)
+    study = fc.prepare(plain.replace(truth | {"identify": None}), MPI.COMM_SELF)
+    assert study.contact is not None
+    natural = fc.bilinear_frequencies(study.structure).omega_bilinear[:5] / (2.0 * np.pi)
+    rows = fc.Measurements.from_arrays(
+        "frequency_bilinear", natural * (1.0 + 1e-3 * rng.normal(size=5)), 1e-3 * natural,
+        mode=[1, 2, 3, 4, 5],
+    )  # fmt: skip
+    found, spread = {}, {}
+    loads = 700.0, 1735.0
+    for load in loads:
+        solution = fc.solve_harmonic_balance(
+            study.structure, 2.0 * np.pi * load, study.contact, harmonics=9
+        )
+        size = np.array([solution.indicators(one.dof).harmonic_1 for one in study.watched])
+        harmonics = fc.Measurements.from_arrays(
+            "harmonic_1", (size * (1.0 + 0.02 * rng.normal(size=2))).tolist(),
+            (0.02 * size).tolist(), frequency=[load, load],
+            point=[one.name for one in study.watched],
+        )  # fmt: skip
+        both = plain.replace({"identify.frequencies": loads})  # one sweep
+        found[load] = fc.identify(both, rows + harmonics, unknown, folder=folder)
+        spread[load] = found[load].posterior.spread(2)
+    near = found[1735.0]
+    assert near.estimate["damping.ratio"] == pytest.approx(0.011, rel=0.1)
+    assert near.contains(truth) and spread[1735.0] < 0.1 * 0.011
+    prior = (0.02 - 0.006) / np.sqrt(12.0)
+    assert spread[700.0] > 0.7 * prior
+
+
+@pytest.mark.parametrize(("mode", "share"), [(1, 0.05), (2, 0.9)])
+def test_resonances_are_near_bilinear_frequencies(scene: fc.Scene, mode: int, share: float) -> None:
+    """Of a breathing crack with little damping, on its response curve: as near as the model says,
+    over what lies between the frequencies with lips open and tied."""
+    changes = {"identify": None, "crack.length": 0.03, "damping.ratio": 0.004}
+    study = fc.prepare(scene.replace(changes), MPI.COMM_SELF)
+    assert study.contact is not None
+    natural = fc.bilinear_frequencies(study.structure)
+    low, high = natural.omega_open[mode - 1], natural.omega_tied[mode - 1]
+    curve = fc.continue_frequency(
+        study.structure, 0.99 * low, 1.01 * high, study.contact, harmonics=5
+    )
+    size = curve.indicators(study.watched[0].dof).harmonic_1
+    peak = curve.omega[int(np.argmax(size))]
+    assert abs(peak - natural.omega_bilinear[mode - 1]) < share * (high - low)
+    assert low < peak < high
+
+
 def test_no_crack_is_claimed(scene: fc.Scene, folder: Path) -> None:
     """On plates without one."""
     for seed in range(3):
@@ -155,6 +262,18 @@ def test_command(
     (tmp_path / "m.csv").write_text(wrong)
     assert main([*words, "--output", str(folder)]) == 2
     assert "measurements.point = 'top.ux': must be empty, or one of" in capsys.readouterr().err
+    assert main([*words[:2], "--output", str(folder)]) == 2
+    assert "measurements = None: must be given" in capsys.readouterr().err
+    given = ["--arrivals", str(tmp_path / "a.csv"), "half", "4", "tip.ux"]
+    assert main([*words[:2], *given, "--output", str(folder)]) == 2
+    assert "must be FILE RADIUS ORDER POINT: a number [m]" in capsys.readouterr().err
+    probes = np.radians([5.0, 100.0, 190.0, 250.0])
+    time_ = 0.06 * np.arange(3)[:, None] + 0.06 * probes / (2.0 * np.pi)
+    arrivals = fc.ArrivalTimes(time_, 0.06 * np.arange(4), probes, 0.5)
+    arrivals.to_csv(tmp_path / "a.csv")
+    given[2] = "0.5"
+    assert main([*words[:2], *given, "--output", str(folder)]) == 2
+    assert "noise = None: must be given where passages have no scatter" in capsys.readouterr().err
 
 
 KILLED = """

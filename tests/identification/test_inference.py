@@ -9,31 +9,48 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.interpolate import RBFInterpolator
+from scipy.interpolate import CubicSpline
 
 import fenics_crack as fc
-from fenics_crack.identification.interpolation import Cube, Interpolation, Way, left_out_errors
+from fenics_crack.identification.alignment import Passages
+from fenics_crack.identification.interpolation import Cube, Interpolation, left_out_errors
+from fenics_crack.identification.model import Prediction
 from fenics_crack.identification.posterior import Likelihood, Posterior, explore
 from fenics_crack.identification.where import worth_of
 
 SQUARE = Cube((np.linspace(0.0, 2.0, 6), np.linspace(1.0, 3.0, 7)))
 
 
-@pytest.mark.parametrize("kernel", ["thin_plate_spline", "cubic", "quintic"])
-@pytest.mark.parametrize("smoothing", [0.0, 1e-4])
-def test_errors_at_nodes_left_out(kernel: str, smoothing: float) -> None:
-    """Rippa's formula, against SciPy's interpolation of all other nodes."""
-    nodes = SQUARE.scaled(SQUARE.nodes, False)
-    values = np.column_stack([np.sin(3.0 * nodes[:, 0] + nodes[:, 1] ** 2), nodes.prod(axis=1)])
-    errors = left_out_errors(nodes, values, Way(kernel, smoothing, False))
-    degree = 2 if kernel == "quintic" else 1
-    for place in (0, 9, 24, 41):
-        others = np.arange(len(nodes)) != place
-        spline = RBFInterpolator(
-            nodes[others], values[others], kernel=kernel, degree=degree, smoothing=smoothing
+def test_errors_at_nodes_left_out() -> None:
+    """Of a fifth power between the ends; a cubic has none."""
+    line = np.linspace(0.0, 1.0, 8) ** 1.3
+    errors = left_out_errors(line, np.column_stack([line**3 - line, line**5]))
+    np.testing.assert_allclose(errors[:, 0], 0.0, atol=1e-13)
+    others = np.delete(line, 3)
+    expected = line[3] ** 5 - CubicSpline(others, others**5)(line[3])
+    assert errors[3, 1] == pytest.approx(expected, rel=1e-9) and abs(expected) > 1e-5
+    assert errors[0, 1] == errors[1, 1] and errors[-1, 1] == errors[-2, 1]
+
+
+def test_order_of_the_interpolation() -> None:
+    """Fourth, also next to the ends, in two unknowns of different scales; cubics are exact, of
+    fewer values than a cubic needs quadratics."""
+
+    def worst(count: int) -> float:
+        cube = Cube((np.linspace(0.0, 2.0, count), np.linspace(1.0, 3.0, count)))
+        x = np.stack(np.meshgrid(np.linspace(0, 2, 41), np.linspace(1, 3, 41)), -1).reshape(-1, 2)
+        wave = np.sin(2.0 * cube.nodes[:, :1] + cube.nodes[:, 1:])
+        return float(
+            np.abs(Interpolation(cube, wave).at(x) - np.sin(2.0 * x[:, :1] + x[:, 1:])).max()
         )
-        expected = values[place] - spline(nodes[[place]])[0]
-        np.testing.assert_allclose(errors[place], expected, rtol=1e-5, atol=1e-9)
+
+    order = np.log2(worst(9) / worst(17))
+    assert 3.5 < order < 5.0
+    for shape, power in (((4, 4), 3), ((5, 6), 3), ((4, 5, 3), 2)):
+        cube = Cube(tuple(np.linspace(0.0, k + 1.0, n) for k, n in enumerate(shape)))
+        x = cube.high * np.random.default_rng(0).random((9, len(shape)))
+        found = Interpolation(cube, (1.0 + cube.nodes**power).prod(axis=1, keepdims=True)).at(x)
+        np.testing.assert_allclose(found[:, 0], (1.0 + x**power).prod(axis=1), rtol=1e-12)
 
 
 def test_stated_error_of_the_interpolation() -> None:
@@ -65,12 +82,20 @@ class Linear:
     def model(self) -> Any:
         return self
 
-    def quantities(self, rows: Any) -> Any:
-        return Linear(self.matrix[: len(rows)], self.offset[: len(rows)], self.cube)
+    rows: tuple[Any, ...] = ()
 
-    def __call__(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        values = x @ self.matrix.T + self.offset
-        return values, np.zeros_like(values)
+    def quantities(self, rows: Any, more: Any = ()) -> Any:
+        places = [*range(len(self.matrix)), *range(len(more))]
+        return Linear(self.matrix[places], self.offset[places], self.cube)
+
+    def __call__(self, x: np.ndarray) -> Prediction:
+        return exact(x @ self.matrix.T + self.offset)
+
+
+def exact(values: np.ndarray) -> Prediction:
+    """Predictions (m, q) without an error."""
+    (m, q), known = values.shape, np.ones(values.shape[1], dtype=bool)
+    return Prediction(values, np.zeros((m, q, q)), np.zeros((m, q, 0)), known)
 
 
 def test_linear_model() -> None:
@@ -81,7 +106,7 @@ def test_linear_model() -> None:
     likelihood = Likelihood(
         matrix @ truth + 5.0,
         deviations,
-        Linear(matrix, np.full(3, 5.0), cube),  # type: ignore[arg-type]
+        Linear(matrix, np.full(3, 5.0), cube, rows=(None,) * 3),  # type: ignore[arg-type]
     )
     posterior = Posterior({"": explore(likelihood)})
     weights = matrix / deviations[:, None]
@@ -112,9 +137,8 @@ def test_linear_model() -> None:
 class Even(Linear):
     """s = (x - 5)^2, which does not tell 2 from 8."""
 
-    def __call__(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        values = np.column_stack([(x[:, 0] - 5.0) ** 2, x[:, 1]])
-        return values, np.zeros_like(values)
+    def __call__(self, x: np.ndarray) -> Prediction:
+        return exact(np.column_stack([(x[:, 0] - 5.0) ** 2, x[:, 1]]))
 
 
 def test_two_that_cannot_be_told_apart() -> None:
@@ -125,6 +149,86 @@ def test_two_that_cannot_be_told_apart() -> None:
     parts = Posterior({"": explore(likelihood)}).parts(0.95, 0.03)
     assert sorted(round(float(x[0]), 1) for _, x, _ in parts) == [2.0, 8.0]
     assert all(mass == pytest.approx(0.475, abs=0.02) for *_, mass in parts)
+
+
+# --- displacements at probes ----------------------------------------------------------------------
+
+
+def displaced(phases: np.ndarray, values: np.ndarray) -> list[fc.Measurement]:
+    """Displacements with a standard deviation of 1e-8 m."""
+    return [
+        fc.Measurement("displacement", value, 1e-8, frequency=100.0, phase=phase)
+        for phase, value in zip(phases.tolist(), values.tolist(), strict=True)
+    ]
+
+
+def test_displacements_whatever_the_load_is() -> None:
+    """A wave 1.7 times as large, 2.5 rad later and shifted by 3 um is that of the model; one with
+    another second harmonic is not. Slopes and free directions, by differences."""
+    rng = np.random.default_rng(2)
+    wave = 1e-5 * (rng.normal(size=6) + 1j * rng.normal(size=6)) / np.arange(1, 7) ** 2
+    wave[1] *= 6.0  # larger than the first one, as at a superharmonic resonance
+    phases = np.sort(rng.uniform(0.0, 2.0 * np.pi, 12))
+    orders = np.arange(1, 7)
+
+    def motion(waves: np.ndarray, size: float, shift: float) -> np.ndarray:
+        turns = np.exp(1j * np.multiply.outer(phases - shift, orders))
+        return np.asarray(size * (turns @ waves).real)
+
+    made = displaced(phases, motion(wave, 1.7, 2.5) + 3e-6)
+    found = Passages(range(12), made, []).aligned(np.stack([wave, wave * [1, 2, 1, 1, 1, 1]]))
+    left = np.abs(found.values - [row.value for row in made])
+    assert left[0].max() < 1e-9 and left[1].max() > 1e-6
+    more = 1.7 * 1e-3, 1e-3, 1e-8  # of size, phase and constant
+    expected = [motion(wave, 1.7 * 1.001, 2.5), motion(wave, 1.7, 2.501)]
+    for place, (step, after) in enumerate(zip(more, expected, strict=False)):
+        scale = (1.0 / 1.7, np.pi / np.sqrt(3.0))[place]
+        difference = (after - motion(wave, 1.7, 2.5)) / step
+        size = np.abs(difference).max()
+        np.testing.assert_allclose(
+            found.free[0, :, place] * (scale if place == 0 else 1.0 / scale), difference,
+            atol=2e-3 * size,
+        )  # fmt: skip
+    step = 1e-9 * (1.0 + 2.0j) * np.eye(6)[2]
+    np.testing.assert_allclose(
+        (found.turns[0] @ step).real, motion(wave + step, 1.7, 2.5) - motion(wave, 1.7, 2.5),
+        atol=1e-12,
+    )  # fmt: skip
+
+
+def test_arrivals_become_displacements(tmp_path: Path) -> None:
+    """At the phase of the arrival itself, with the standard error of the mean of each probe."""
+    probes, radius, speed, order = np.radians([10.0, 95.0, 200.0, 310.0]), 0.5, 100.0, 4
+    rng, marks = np.random.default_rng(4), 2.0 * np.pi / speed * np.arange(51)
+    angles = probes + np.zeros((50, 1))
+    for _ in range(60):  # u = 100 um cos(4 alpha) + 30 um sin(8 alpha)
+        u = 1e-4 * np.cos(order * angles) + 3e-5 * np.sin(2 * order * angles)
+        angles = probes - u / radius
+    time = marks[:-1, None] + angles / speed + 2e-8 * rng.normal(size=angles.shape)
+    arrivals = fc.ArrivalTimes(time, marks, probes, radius)
+    found = fc.Measurements.from_arrivals(arrivals, order, "tip.ux")
+    for row, angle, value in zip(found.rows, angles[0], u[0], strict=True):
+        assert row.deviation == pytest.approx(2e-8 * radius * speed / math.sqrt(50.0), rel=0.2)
+        assert abs(row.value - value) < 4.0 * row.deviation
+        assert row.phase == pytest.approx(order * angle % (2.0 * np.pi), abs=1e-5)
+        assert row.frequency == pytest.approx(400.0 / (2.0 * np.pi)) and row.point == "tip.ux"
+    found.to_csv(tmp_path / "m.csv")
+    assert str(fc.Measurements.from_csv(tmp_path / "m.csv").rows) == str(found.rows)
+    [other, *_] = fc.Measurements.from_arrivals(
+        arrivals, order, against=True, noise=1e-6, angle_deviation=1e-5
+    ).rows
+    assert other.value == -found.rows[0].value
+    expected = radius * math.hypot(1e-6 * speed / math.sqrt(50.0), 1e-5)
+    assert other.deviation == pytest.approx(expected)
+    with pytest.raises(fc.InputError, match="noise = None: must be given"):
+        fc.Measurements.from_arrivals(arrivals.between(3, 4), order)
+    with pytest.raises(fc.InputError, match="those of 4 probes or more"):
+        few = fc.ArrivalTimes(time[:, :3], marks, probes[:3], radius)
+        fc.Measurements.from_arrivals(few, order)
+    with pytest.raises(fc.InputError, match="those of a constant speed"):
+        fc.Measurements.from_arrivals(
+            fc.ArrivalTimes(time[:3], np.array([0.0, 0.06, 0.13, 0.19]), probes, radius), order
+        )
 
 
 # --- measurements ---------------------------------------------------------------------------------
@@ -162,6 +266,7 @@ def test_measurements_from_a_file(tmp_path: Path) -> None:
         ("ratio_2_1,x,1,,250,", "measurements.value = 'x': must be a finite number (line 3)"),
         ("ratio_2_1,0.1,0.1,,,tip.ux", "measurements.frequency = nan"),
         ("ratio_2_1,0.1,0.1", "measurements, line 3 = 'ratio_2_1,0.1,0.1': must be 6 cells"),
+        ("displacement,-1e-5,1e-7,,250,", "measurements.phase = nan: must be a finite number"),
     ],
 )
 def test_lines_that_cannot_be_used(tmp_path: Path, line: str, message: str) -> None:
