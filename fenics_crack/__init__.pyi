@@ -59,7 +59,7 @@ from fenics_crack.identification.identify import identify as identify
 from fenics_crack.identification.measurements import Measurement as Measurement
 from fenics_crack.identification.measurements import Measurements as Measurements
 from fenics_crack.identification.result import Identification as Identification
-from fenics_crack.identification.where import Worth as Worth
+from fenics_crack.identification.where_to_measure import Worth as Worth
 from fenics_crack.model.bilinear import BilinearFrequencies as BilinearFrequencies
 from fenics_crack.model.bilinear import bilinear_frequencies as bilinear_frequencies
 from fenics_crack.model.contact import ContactLaw as ContactLaw

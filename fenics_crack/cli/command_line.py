@@ -244,9 +244,9 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
         {"type": Path, "nargs": "?"},
     ),
     "--arrivals": (
-        "arrival times at probes (docs/tip_timing.md), the radius of the tip [m], the engine "
-        "order, and the tip as a point of [output.points] in the direction of rotation, tip.ux",
-        {"nargs": 4, "metavar": ("FILE", "RADIUS", "ORDER", "POINT")},
+        "what probes have seen: a CSV file of arrivals (docs/tip_timing.md) or the .h5 file of a "
+        "solution; [tip_timing] says how the tip moves past them",
+        {"type": Path, "metavar": "FILE"},
     ),
     "source": (
         "what makes the arrivals: the .h5 file of a solution or a curve; or a CSV file of them, "

@@ -25,6 +25,7 @@ from fenics_crack.scene.tables import Integration
 from fenics_crack.study.campbell import campbell
 from fenics_crack.study.key_figures import highest_omega
 from fenics_crack.study.run import Run, find_modes, follow_curve, integrate, load_run, solve
+from fenics_crack.study.timing import arrivals_of, engine_order
 from fenics_crack.study.verify import verify
 from fenics_crack.sweep.file import KIND as SWEEP
 from fenics_crack.sweep.result import SweepResult, run_sweep
@@ -200,12 +201,12 @@ def sweep(scene: Scene, folder: Path, console: Console) -> Exit:
 
 
 def identification(
-    scene: Scene, measured: Path | None, arrivals: list[str] | None, folder: Path, console: Console
+    scene: Scene, measured: Path | None, arrivals: Path | None, folder: Path, console: Console
 ) -> Exit:
     """A crack from measurements: what it is, how sure, and where to measure next."""
     from fenics_crack.identification.identify import identify  # scipy.stats
 
-    rows = on_root(console.comm, lambda: _measurements(measured, arrivals))
+    rows = _measurements(scene, measured, arrivals, console)
     with console.timed("identification"):
         found = identify(scene, rows, folder=folder, comm=console.comm, progress=console.progress)
     worth = found.where_to_measure()
@@ -232,23 +233,22 @@ def identification(
     return Exit.DONE
 
 
-def _measurements(path: Path | None, arrivals: list[str] | None) -> Measurements:
+def _measurements(
+    scene: Scene, path: Path | None, arrivals: Path | None, console: Console
+) -> Measurements:
     """What was measured, of a file of measurements, one of arrivals, or both."""
-    from fenics_crack.arrivals.arrival_times import ArrivalTimes
     from fenics_crack.identification.measurements import Measurements
 
     if path is None and arrivals is None:
         raise InputError("measurements", None, "given: a CSV file, or --arrivals")
     parts = [] if path is None else [Measurements.from_csv(path)]
     if arrivals is not None:
-        file, radius, order, point = arrivals
-        try:
-            how = float(radius), int(order)
-        except ValueError:
-            allowed = "FILE RADIUS ORDER POINT: a number [m], and a whole number"
-            raise InputError("--arrivals", " ".join(arrivals), allowed) from None
-        times = ArrivalTimes.from_csv(file, tip_radius=how[0])
-        parts.append(Measurements.from_arrivals(times, how[1], point))
+        times, table = arrivals_of(scene, arrivals, console.comm), scene.tip_timing
+        assert table is not None
+        points = () if scene.output is None else scene.output.points
+        tip, against = f"{points[0].key}.ux" if points else "", table.tangential < 0.0
+        order = engine_order(table, scene)
+        parts.append(Measurements.from_arrivals(times, order, tip, against=against))
     return parts[0] if len(parts) == 1 else parts[0] + parts[1]
 
 

@@ -83,7 +83,9 @@ def draw_posterior(
         for low, high in ((within.min(axis=0), within.max(axis=0)),):
             ends += [(right[low[0]], up[low[1]]), (right[high[0]], up[high[1]])]
     best = found.estimate
-    panel.plot(best[x], best[y], "+", color="black", ms=10, mew=1.5, label="estimate")
+    panel.plot(
+        best[x], best[y], "+", color="black", ms=10, mew=1.5, clip_on=False, label="estimate"
+    )
     _set_limits(panel, np.array([*ends, (best[x], best[y])]), found, (first, second))
     label_axis(panel.xaxis, key_in_words(x), unit_of(x))
     label_axis(panel.yaxis, key_in_words(y), unit_of(y))

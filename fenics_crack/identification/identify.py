@@ -11,17 +11,18 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError
-from fenics_crack.identification.forward import Forward, solve_forward
 from fenics_crack.identification.measurements import Measurements
 from fenics_crack.identification.model import Model
 from fenics_crack.identification.posterior import Likelihood, Posterior, explore
 from fenics_crack.identification.result import Identification
+from fenics_crack.identification.sweeps import Forward, solve_forward
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Identify
 from fenics_crack.stages import begin
+from fenics_crack.study.remarks import is_proportional
 
-__all__ = ["identify"]
+__all__ = ["identify", "remarks_on"]
 
 
 def identify(
@@ -106,7 +107,7 @@ def infer(forward: Forward, measurements: Measurements) -> Identification:
     if bare:
         plain = (_likelihood(model, bare, measurements) for model in bare.values())
         uncracked = Posterior({str(k): explore(one) for k, one in enumerate(plain)}).log_evidence
-    remarks = _remarks(forward.scene, measurements)
+    remarks = remarks_on(forward.scene, measurements)
     return Identification(forward.scene, measurements, Posterior(branches), uncracked, remarks)
 
 
@@ -152,7 +153,7 @@ def _calibration(
     return {row.mode: (value / row.value, row.deviation / row.value) for row, value in pairs}
 
 
-def _remarks(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
+def remarks_on(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
     """What cannot be told whatever the numbers are."""
     assert scene.identify is not None
     sides = any(axis.key == "crack.edge" for axis in scene.identify.unknown)
@@ -165,4 +166,10 @@ def _remarks(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
                 f"a crack from the {other} edge has the same natural frequencies: they do not tell "
                 "the edges apart"
             )
+    steady = scene.speed > 0.0 or any(scene.excitation.force_mean)
+    if any(row.shape for row in rows) and (steady or not is_proportional(scene)):
+        found.append(
+            "a clearance or a steady load lets the shape of the motion depend on the load's size: "
+            "that of the scene must be right"
+        )
     return tuple(found)

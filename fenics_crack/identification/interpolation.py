@@ -1,12 +1,11 @@
 """Smooth interpolation of many quantities over a few unknowns, with its own error.
 
 A quantity known on a grid of the unknowns is interpolated by the tensor product of cubic splines
-without knots next to the ends (C. de Boor, A Practical Guide to Splines, 1978, chapters 4 and 17),
-of an unknown or of its logarithm. What each node between the ends of an axis differs by from the
-spline through all others on its line tells the error, along each axis: it is that of twice the
-spacing, so too large where a quantity is smooth, and about right where meshes make it uneven. It
-chooses between unknown and logarithm, and the errors at the nodes around a place, of all quantities
-together, are the covariance that predictions have there.
+without knots next to the ends (C. de Boor, A Practical Guide to Splines, 1978, chapters 4 and 17).
+What each node between the ends of an axis differs by from the spline through all others on its line
+tells the error, along each axis: it is that of twice the spacing, so too large where a quantity is
+smooth, and about right where meshes make it uneven. The errors at the nodes around a place, of all
+quantities together, are the covariance that predictions have there.
 """
 
 from __future__ import annotations
@@ -22,18 +21,15 @@ from scipy.spatial.distance import cdist
 __all__ = ["Cube", "Interpolation", "left_out_errors"]
 
 DEGREE = 3
-WIDE = 5.0
-"""Ratio of the ends of an unknown from which its logarithm is tried."""
 NEAR = 1.25
 """Spacings of the nodes over which errors are averaged."""
 AROUND = 16
 """Nodes over which errors are averaged, at most."""
-TINY = 1e-12
 
 
 @dataclass(frozen=True)
 class Cube:
-    """The unknowns between their bounds, scaled to the unit cube.
+    """The unknowns between their bounds.
 
     Attributes
     ----------
@@ -63,33 +59,6 @@ class Cube:
     def shape(self) -> tuple[int, ...]:
         """How many values each axis has."""
         return tuple(len(axis) for axis in self.axes)
-
-    @property
-    def wide(self) -> bool:
-        """Whether a logarithm may be the better coordinate of any unknown."""
-        return bool(np.any(self._logs(True)))
-
-    def _logs(self, logs: bool) -> np.ndarray:
-        return (self.low > 0.0) & (self.high > WIDE * np.maximum(self.low, 0.0)) & logs
-
-    def scaled(self, values: np.ndarray, logs: bool) -> np.ndarray:
-        """Values (m, d) in the unit cube; with ``logs`` wide unknowns by their logarithms."""
-        chosen = self._logs(logs)
-
-        def of(x: np.ndarray) -> np.ndarray:
-            return np.where(chosen, np.log(np.maximum(x, TINY * self.high) if len(x) else x), x)
-
-        with np.errstate(invalid="ignore", divide="ignore"):
-            low, high = of(self.low), of(self.high)
-            return np.asarray((of(values) - low) / (high - low))
-
-    def lines(self, logs: bool) -> list[np.ndarray]:
-        """The values of each axis, scaled."""
-        grid = self.scaled(self.nodes, logs).reshape(*self.shape, len(self.axes))
-        return [
-            np.moveaxis(grid[..., k], k, 0).reshape(count, -1)[:, 0]
-            for k, count in enumerate(self.shape)
-        ]
 
     def places(self, values: np.ndarray) -> np.ndarray:
         """Where values (m, d) are among the nodes: whole numbers at these: (m, d)."""
@@ -123,7 +92,7 @@ class Splines:
     coefficients: np.ndarray
 
     @classmethod
-    def through(cls, lines: list[np.ndarray], values: np.ndarray) -> Splines:
+    def through(cls, lines: tuple[np.ndarray, ...], values: np.ndarray) -> Splines:
         """Through values (n_1, ..., n_d, q) on a grid."""
         knots, degrees = [], []
         for k, line in enumerate(lines):
@@ -134,7 +103,7 @@ class Splines:
         return cls(tuple(knots), tuple(degrees), values.reshape(-1, values.shape[-1]))
 
     def __call__(self, at: np.ndarray) -> np.ndarray:
-        """At scaled places (m, d), those outside taken to the border: (m, q)."""
+        """At some places (m, d), those outside taken to the border: (m, q)."""
         basis = np.ones((len(at), 1))
         for column, knots, degree in zip(at.T, self.knots, self.degrees, strict=True):
             within = np.clip(column, knots[0], knots[-1])
@@ -149,7 +118,7 @@ def _degree(count: int) -> int:
 
 
 class Interpolation:
-    """Interpolates some quantities over the unknowns; each in the way that suits it best.
+    """Interpolates some quantities over the unknowns.
 
     Parameters
     ----------
@@ -157,65 +126,38 @@ class Interpolation:
         The unknowns.
     values : (n, q)
         Of the quantities at the nodes of the cube; nan where one is not known.
+
+    Attributes
+    ----------
+    known : (q,) bool
+        Whether a quantity is known at enough of the nodes.
     """
 
     def __init__(self, cube: Cube, values: np.ndarray) -> None:
         self.cube = cube
-        self.count = values.shape[1]
-        self.error = np.zeros(self.count)
-        """Root of the mean square of the errors at nodes left out: (q,); inf where too few nodes
-        are known."""
-        self._groups: list[tuple[bool, np.ndarray, Splines]] = []
-        self._constant = values[0] if not cube.axes else None
-        if self._constant is not None:
-            self.error[~np.isfinite(self._constant)] = np.inf
-            return
-        d = len(cube.axes)
-        values, enough = _filled(cube, values)
-        self.error[~enough] = np.inf
-        self._left = np.zeros((d, *values.shape))
-        best = np.full(self.count, np.inf)
-        chosen = np.zeros(self.count, dtype=bool)
-        grid = values.reshape(*cube.shape, self.count)
-        for logs in (False, True) if cube.wide else (False,):
-            lines, errors = cube.lines(logs), []
-            for k, line in enumerate(lines):
-                own = left_out_errors(line, np.moveaxis(grid, k, 0))
-                errors.append(np.moveaxis(own, 0, k).reshape(values.shape))
-            found = np.sqrt(np.mean(np.sum(np.square(errors), axis=0), axis=0))
-            better = enough & (found < best)
-            best[better], chosen[better] = found[better], logs
-            self._left[..., better] = np.array(errors)[..., better]
-        self.error[enough] = best[enough]
-        for logs in np.unique(chosen[enough]):
-            group = np.flatnonzero(enough & (chosen == logs))
-            splines = Splines.through(cube.lines(bool(logs)), grid[..., group])
-            self._groups.append((bool(logs), group, splines))
-
-    def __call__(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The quantities at values x (m, d) of the unknowns, and their standard deviations:
-        (m, q) each, infinite where a quantity is not known."""
-        found = self.at(x)
-        if self._constant is not None:
-            return found, np.broadcast_to(np.where(self.error > 0.0, np.inf, 0.0), found.shape)
-        deviation = np.sqrt(np.sum(self.scatter(x) ** 2, axis=1))
-        return found, np.where(np.isfinite(self.error), deviation, np.inf)
+        values, self.known = _filled(cube, values)
+        self._constant = values
+        if cube.axes:
+            grid = values.reshape(*cube.shape, values.shape[1])
+            self._splines = Splines.through(cube.axes, grid)
+            self._left = [
+                np.moveaxis(left_out_errors(line, np.moveaxis(grid, k, 0)), 0, k).reshape(
+                    values.shape
+                )
+                for k, line in enumerate(cube.axes)
+            ]
 
     def at(self, x: np.ndarray) -> np.ndarray:
-        """The quantities alone: (m, q), 0 where one is not known."""
-        found = np.zeros((len(x), self.count))
-        if self._constant is not None:
-            known = np.isfinite(self._constant)
-            found[:, known] = self._constant[known]
-        for logs, group, splines in self._groups:
-            found[:, group] = splines(self.cube.scaled(x, logs))
-        return found
+        """The quantities at values x (m, d) of the unknowns: (m, q), 0 where one is not known."""
+        if not self.cube.axes:
+            return np.repeat(self._constant, len(x), axis=0)
+        return self._splines(x)
 
     def scatter(self, x: np.ndarray) -> np.ndarray:
         """Errors of all quantities together at the nodes around values x (m, d), along each axis,
         weighted so that their covariance is the sum of the squares: (m, k, q)."""
-        if self._constant is not None:
-            return np.zeros((len(x), 0, self.count))
+        if not self.cube.axes:
+            return np.zeros((len(x), 0, len(self.known)))
         nodes = self.cube.places(self.cube.nodes)
         exponent = -0.5 / NEAR**2 * cdist(self.cube.places(x), nodes, "sqeuclidean")
         count = min(AROUND, len(nodes))
@@ -229,13 +171,13 @@ class Interpolation:
 
 def _filled(cube: Cube, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Values (n, q) with those that are not known taken from a thin plate through the others, and
-    whether there are enough of a quantity: (q,)."""
+    whether enough of a quantity are known, (q,); 0 where not."""
     known, d = np.isfinite(values), len(cube.axes)
-    enough = known.sum(axis=0) > (d + 1) * (d + 2) // 2
+    enough = known.sum(axis=0) > (d + 1) * (d + 2) // 2 if d else known.all(axis=0)
     found = np.where(known & enough, values, 0.0)
-    nodes = cube.scaled(cube.nodes, False)
     for place in np.flatnonzero(enough & ~known.all(axis=0)):
         own = known[:, place]
+        nodes = (cube.nodes - cube.low) / (cube.high - cube.low)
         plate = RBFInterpolator(nodes[own], values[own, place], kernel="thin_plate_spline")
         found[~own, place] = plate(nodes[~own])
     return found, enough

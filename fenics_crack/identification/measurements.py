@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
-from fenics_crack.arrivals.harmonics import TipFit
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.model.bilinear import FEW
 from fenics_crack.table import Tabular, counted
@@ -34,8 +33,6 @@ NEEDED = ("quantity", "value", "deviation")
 OPTIONAL = ("mode", "frequency", "point", "phase")
 FEWEST = 4
 """Probes of which displacements tell more than the size and phase of a load, and a constant."""
-STEADY = 1e-3
-"""Relative change of the speed up to which arrivals are those of one load frequency."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +109,11 @@ class Measurement:
         return self.quantity in FREQUENCIES
 
     @property
+    def shape(self) -> bool:
+        """Whether it is that of a motion, whatever its size."""
+        return not self.natural and not self.quantity.startswith("harmonic")
+
+    @property
     def name(self) -> str:
         """In words: "frequency_open of mode 2", "ratio_2_1 at 250 Hz of tip.ux"."""
         if self.natural:
@@ -162,31 +164,6 @@ class Measurements(Tabular):
         return cls(tuple(Measurement(quantity, **row) for row in rows))
 
     @classmethod
-    def from_tip_fit(cls, fit: TipFit, point: str = "", *, ratios: bool = True) -> Measurements:
-        """The second and third harmonic over the first that were fitted to arrival times, as far as
-        the fit has them; with ``ratios = False`` the amplitudes, which need the load's size.
-
-        Raises
-        ------
-        InputError
-            The fit has a first harmonic alone, and ratios are asked for.
-        """
-        frequency = fit.omega / (2.0 * math.pi)
-        rows = []
-        pairs = zip(fit.multiples, fit.amplitudes, fit.amplitude_errors, strict=True)
-        for multiple, amplitude, error in pairs:
-            if multiple not in (1.0, 2.0, 3.0) or (ratios and multiple == 1.0):
-                continue
-            name, value, deviation = f"harmonic_{multiple:g}", float(amplitude), float(error)
-            if ratios:
-                name = f"ratio_{multiple:g}_1"
-                value, deviation = fit.ratio(float(multiple))
-            rows.append(Measurement(name, value, deviation, frequency=frequency, point=point))
-        if not rows:
-            raise InputError("fit", repr(fit), "one with two harmonics or more")
-        return cls(tuple(rows))
-
-    @classmethod
     def from_arrivals(
         cls,
         arrivals: ArrivalTimes,
@@ -229,7 +206,7 @@ class Measurements(Tabular):
         if noise is not None:
             check_number("noise", noise, 0.0, above=True)
         speed = float(np.mean(arrivals.speed))
-        if np.ptp(arrivals.speed) > STEADY * speed:
+        if not arrivals.steady:
             raise InputError("arrivals", repr(arrivals), "those of a constant speed")
         seen = np.isfinite(arrivals.time)
         count = seen.sum(axis=0)

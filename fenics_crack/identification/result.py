@@ -15,7 +15,7 @@ from fenics_crack.errors import InputError
 from fenics_crack.files.store import write
 from fenics_crack.identification.measurements import Measurement, Measurements
 from fenics_crack.identification.posterior import Branch, Posterior
-from fenics_crack.identification.where import Worth, worth_of
+from fenics_crack.identification.where_to_measure import Worth, worth_of
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import key_in_words, unit_of, value_in_words
 from fenics_crack.table import Table, Tabular

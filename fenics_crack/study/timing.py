@@ -21,7 +21,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
 from fenics_crack.study.run import Run, load_run, solve
 
-__all__ = ["arrivals_of", "vibration_in"]
+__all__ = ["arrivals_of", "engine_order", "vibration_in"]
 
 
 def arrivals_of(scene: Scene, source: Path | None, comm: MPI.Comm = MPI.COMM_WORLD) -> ArrivalTimes:
@@ -76,7 +76,7 @@ def vibration_in(scene: Scene, arrivals: ArrivalTimes) -> TipFit | TipTrack:
     if not arrivals.steady:
         return track_order(
             arrivals,
-            _order(table, scene),
+            engine_order(table, scene),
             harmonics=table.fitted_harmonics,
             subharmonic=table.subharmonic,
             revolutions=table.fitted_revolutions,
@@ -101,11 +101,17 @@ def _turning(table: TipTiming, run: Run) -> dict[str, Any]:
     if steady and run.scene.speed > 0.0:
         table.leave_out(("order",), "a rotor's speed, in [rotation]")
         return {"speed": run.scene.speed}
-    return {"order": _order(table, run.scene)}
+    return {"order": engine_order(table, run.scene)}
 
 
-def _order(table: TipTiming, scene: Scene) -> int:
-    """The engine order of a scene."""
+def engine_order(table: TipTiming, scene: Scene) -> int:
+    """Periods of the load in a revolution, by ``[excitation]`` of a scene or ``[tip_timing]``.
+
+    Raises
+    ------
+    InputError
+        Neither or both of them have it.
+    """
     if scene.excitation.order is not None:
         table.leave_out(("order",), "excitation.order")
         return scene.excitation.order

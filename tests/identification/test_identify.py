@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack.cli.command_line import main
+from fenics_crack.identification.identify import remarks_on
 from fenics_crack.sweep.result import SweepResult
 
 PLATE = """
@@ -212,6 +214,17 @@ def test_no_crack_is_claimed(scene: fc.Scene, folder: Path) -> None:
         assert fc.identify(scene, rows, folder=folder).verdict != "crack"
 
 
+def test_remark_on_the_size_of_the_load(scene: fc.Scene) -> None:
+    """With a clearance or a steady force the shape of a motion depends on it; amplitudes always."""
+    row = fc.Measurement("ratio_2_1", 0.1, 0.01, frequency=700.0)
+    assert remarks_on(scene, fc.Measurements((row,))) == ()
+    for key, value in {"crack.clearance": 1e-6, "excitation.force_mean": (0.0, 5.0)}.items():
+        changed = scene.replace({key: value})
+        [remark] = remarks_on(changed, fc.Measurements((row,)))
+        assert remark.startswith("a clearance or a steady load")
+        assert remarks_on(changed, fc.Measurements((replace(row, quantity="harmonic_1"),))) == ()
+
+
 def test_frequencies_do_not_tell_the_edge(scene: fc.Scene, folder: Path) -> None:
     """It is said; and with the edge unknown both cracks are reported."""
     rows = measured(scene, {"crack.length": 0.02, "crack.height": 0.08}, 5)
@@ -264,16 +277,33 @@ def test_command(
     assert "measurements.point = 'top.ux': must be empty, or one of" in capsys.readouterr().err
     assert main([*words[:2], "--output", str(folder)]) == 2
     assert "measurements = None: must be given" in capsys.readouterr().err
-    given = ["--arrivals", str(tmp_path / "a.csv"), "half", "4", "tip.ux"]
-    assert main([*words[:2], *given, "--output", str(folder)]) == 2
-    assert "must be FILE RADIUS ORDER POINT: a number [m]" in capsys.readouterr().err
-    probes = np.radians([5.0, 100.0, 190.0, 250.0])
-    time_ = 0.06 * np.arange(3)[:, None] + 0.06 * probes / (2.0 * np.pi)
-    arrivals = fc.ArrivalTimes(time_, 0.06 * np.arange(4), probes, 0.5)
+    (tmp_path / "a.csv").write_text("time\n")
+    given = ["--arrivals", str(tmp_path / "a.csv"), "--output", str(folder)]
+    assert main([*words[:2], *given]) == 2
+    assert "tip_timing = None: must be given for this command" in capsys.readouterr().err
+
+
+def test_arrivals_from_the_shell(
+    scene: fc.Scene, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Beside a file of frequencies, or alone; a tip that is watched against the rotation."""
+    truth = {"crack.length": 0.026, "crack.height": 0.07}
+    arrivals = arrivals_of(scene.replace(truth), 5, 0.01, 3)
     arrivals.to_csv(tmp_path / "a.csv")
-    given[2] = "0.5"
-    assert main([*words[:2], *given, "--output", str(folder)]) == 2
-    assert "noise = None: must be given where passages have no scatter" in capsys.readouterr().err
+    fc.Measurements(measured(scene, dict(truth), 8).rows[:1]).to_csv(tmp_path / "m.csv")
+    timing = "probes = [0.0]\ntip_radius = 0.5\norder = 5\n"
+    (tmp_path / "plate.toml").write_text(f"{PLATE}[tip_timing]\n{timing}")
+    words = ["identify", str(tmp_path / "plate.toml"), str(tmp_path / "m.csv")]
+    given = ["--arrivals", str(tmp_path / "a.csv"), "--output", str(folder)]
+    assert main([*words, *given]) == 0
+    assert "crack: log Bayes factor" in capsys.readouterr().err
+    table = (folder / "fit.csv").read_text().splitlines()
+    assert len(table) == 11 and table[2].startswith("displacement at 700 Hz and ")
+    value = float(table[2].split(",")[1])
+    (tmp_path / "plate.toml").write_text(f"{PLATE}[tip_timing]\n{timing}tangential = -0.5\n")
+    assert main([*words[:2], *given]) == 0
+    table = (folder / "fit.csv").read_text().splitlines()
+    assert len(table) == 10 and float(table[1].split(",")[1]) == -value
 
 
 KILLED = """

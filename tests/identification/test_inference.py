@@ -12,11 +12,11 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 import fenics_crack as fc
-from fenics_crack.identification.alignment import Passages
 from fenics_crack.identification.interpolation import Cube, Interpolation, left_out_errors
 from fenics_crack.identification.model import Prediction
 from fenics_crack.identification.posterior import Likelihood, Posterior, explore
-from fenics_crack.identification.where import worth_of
+from fenics_crack.identification.probes import Passages
+from fenics_crack.identification.where_to_measure import worth_of
 
 SQUARE = Cube((np.linspace(0.0, 2.0, 6), np.linspace(1.0, 3.0, 7)))
 
@@ -61,12 +61,12 @@ def test_stated_error_of_the_interpolation() -> None:
     values[5, 1] = np.nan
     found = Interpolation(SQUARE, values)
     x = SQUARE.low + (SQUARE.high - SQUARE.low) * np.random.default_rng(3).random((200, 2))
-    predicted, deviation = found(x)
+    predicted, deviation = found.at(x), np.sqrt(np.sum(found.scatter(x) ** 2, axis=1))
     exact = np.column_stack([np.sin(2.0 * x[:, 0]) * x[:, 1], x.sum(axis=1)])
     assert np.mean(np.abs(predicted - exact)[:, 0] < 3.0 * deviation[:, 0]) > 0.9
     np.testing.assert_allclose(predicted[:, 1], exact[:, 1], atol=1e-9)
     too_few = Interpolation(SQUARE, np.where(np.arange(42)[:, None] < 3, 1.0, np.nan))
-    assert np.all(np.isinf(too_few(x)[1]))
+    assert found.known.all() and not too_few.known.any()
 
 
 @dataclass
@@ -276,16 +276,3 @@ def test_lines_that_cannot_be_used(tmp_path: Path, line: str, message: str) -> N
     with pytest.raises(fc.InputError) as error:
         fc.Measurements.from_csv(path)
     assert message in str(error.value)
-
-
-def test_tip_fit_becomes_measurements() -> None:
-    """The ratio of the harmonics that a fit finds, at the load's frequency."""
-    fit = fc.TipFit(
-        order=4.0, order_error=0.0, speed=100.0, multiples=np.array([1.0, 2.0]),
-        coefficients=np.array([0.0, 3e-5, 4e-5, 1e-5, 0.0]), covariance=1e-14 * np.eye(5),
-        scatter=1e-7, misfit=0.5, candidates=None,  # type: ignore[arg-type]
-    )  # fmt: skip
-    [row] = fc.Measurements.from_tip_fit(fit, "tip.ux").rows
-    assert row.quantity == "ratio_2_1" and row.value == pytest.approx(0.2)
-    assert row.frequency == pytest.approx(400.0 / (2.0 * math.pi))
-    assert row.deviation == pytest.approx(1e-7 / 5e-5 * math.hypot(1.0, 0.2), rel=1e-6)

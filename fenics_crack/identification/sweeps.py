@@ -21,7 +21,8 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.files.store import scene_text
-from fenics_crack.identification.model import Model, Part
+from fenics_crack.identification.features import Part
+from fenics_crack.identification.model import Model
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Sweep

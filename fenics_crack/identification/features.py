@@ -1,0 +1,144 @@
+"""What is interpolated: natural frequencies and harmonics of a sweep, made smooth.
+
+Smooth in the unknowns are the logarithms of natural frequencies, and harmonics as complex numbers,
+a - i b of a cos + b sin. The amplitudes alone have kinks where they vanish, and both have poles,
+which move with the crack, where k times the load's frequency W meets a natural frequency w_j of the
+breathing crack with a damping ratio z. So of the k-th harmonic it is
+
+    U_k prod_j (1 - r^2 + 2 i z r) / s^n,      r = k W / w_j,
+
+with the bilinear frequencies w_j of the same nodes and the sum s over the modes of the relative
+differences between frequencies with lips tied and open. It is small for a short crack, whose lips
+close in half of each period: that makes even harmonics, n = 1, and odd ones of second order, n = 2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.errors import InputError
+from fenics_crack.identification.interpolation import Cube
+from fenics_crack.identification.measurements import Measurement
+from fenics_crack.model.bilinear import FEW
+from fenics_crack.sweep.file import CONVERGED, ORDERS
+from fenics_crack.sweep.result import SweepResult
+
+__all__ = ["Feature", "Part"]
+
+LIPS = {"uncracked": ("open",), "bilinear": ("open", "tied"), "resonance": ("open", "tied")}
+"""Of what natural frequencies are made."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """What a sweep knows, with its words chosen."""
+
+    sweep: SweepResult
+    keys: tuple[str, ...]
+    cube: Cube
+    index: tuple[Any, ...]
+
+    @classmethod
+    def of(cls, sweep: SweepResult, chosen: Sequence[int | None]) -> Part:
+        """Of a sweep, and the number of the word chosen on each axis, None on one of numbers."""
+        numbers = [a for a, at in zip(sweep.axes, chosen, strict=False) if at is None]
+        index = tuple(slice(None) if at is None else at for at in chosen)
+        cube = Cube(tuple(np.array(axis.values, dtype=float) for axis in numbers))
+        return cls(sweep, tuple(axis.key for axis in numbers), cube, index)
+
+    def column(self, name: str) -> np.ndarray:
+        """A column at all nodes and load frequencies: (n, n_loads)."""
+        values = self.sweep[name][self.index]
+        return np.asarray(values.reshape(-1, values.shape[-1]), dtype=float)
+
+    def natural(self, lips: str, mode: int) -> np.ndarray:
+        """A natural frequency at all nodes [Hz]: (n,); of an uncracked plate the same for all."""
+        column = self.column(f"omega_{lips}_{mode}") / (2.0 * np.pi)
+        known = np.isfinite(column)
+        best = np.max(np.where(known, column, -np.inf), axis=1)
+        return np.where(known.any(axis=1), best, np.nan)
+
+    def harmonic(self, point: str, frequency: float, order: int) -> np.ndarray:
+        """Complex amplitude of a harmonic at all nodes: (n,) [m]; 0 where a case has fewer."""
+        parts = []
+        for part in ("cosine", "sine"):
+            name = f"{point}.{part}_{order}" if point else f"{part}_{order}"
+            if name not in self.sweep.columns:
+                points = self.sweep.scene.output.points if self.sweep.scene.output else ()
+                known = [f"{one.key}.u{axis}" for one in points for axis in "xy"]
+                allowed = f"empty, or one of [output.points]: {', '.join(known) or 'none there'}"
+                raise InputError("measurements.point", point, allowed)
+            parts.append(self.column(name))
+        loads = self.sweep.axes[-1].values
+        if frequency not in loads:
+            solved = ", ".join(f"{load:.9g}" for load in loads)
+            allowed = f"one of those that are solved, {solved} Hz; identify.frequencies adds others"
+            raise InputError("measurements.frequency", frequency, allowed)
+        load = loads.index(frequency)
+        fewer = self.column("harmonics")[:, load] < order
+        value = np.where(fewer, 0.0, (parts[0] - 1j * parts[1])[:, load])
+        return np.where(self.column("state")[:, load] == CONVERGED, value, np.nan)
+
+    @cached_property
+    def basis(self) -> np.ndarray:
+        """Root of s, and the bilinear frequencies [Hz], which :meth:`Feature.scale` needs, at all
+        nodes: (n, 1 + modes); 1 for s without a crack, nan where there is no frequency."""
+        modes = range(1, FEW + 1)
+        tied, opened = (
+            np.stack([self.natural(lips, mode) for mode in modes], axis=1)
+            for lips in ("tied", "open")
+        )
+        with np.errstate(invalid="ignore", divide="ignore"):
+            split = np.nan_to_num((tied - opened) / tied, posinf=0.0, neginf=0.0).sum(axis=1)
+            found = 2.0 * tied * opened / (tied + opened)
+        return np.column_stack([np.where(split > 1e-9, np.sqrt(np.abs(split)), 1.0), found])
+
+
+@dataclass(frozen=True)
+class Feature:
+    """Something that is interpolated: a natural frequency, or a harmonic of a point at a load."""
+
+    lips: str = ""
+    mode: int = 0
+    point: str = ""
+    frequency: float = 0.0
+    order: int = 0
+
+    @classmethod
+    def of(cls, row: Measurement) -> tuple[Feature, ...]:
+        """Of a measurement; of a ratio both harmonics, the one above first."""
+        if row.natural:
+            lips = row.quantity.removeprefix("frequency_")
+            states = LIPS.get(lips, (lips,))
+            return tuple(cls(state, row.mode) for state in states)
+        orders: Sequence[int] = ORDERS
+        if row.quantity != "displacement":
+            orders = [int(part) for part in row.quantity.split("_")[1:]]
+        return tuple(cls("", 0, row.point, float(row.frequency), order) for order in orders)
+
+    @property
+    def together(self) -> tuple[float, float, float]:
+        """Features for which this is the same err alike: a mode's, and those of one contact."""
+        return (self.mode, self.frequency, self.order)
+
+    def values(self, part: Part) -> np.ndarray:
+        """At all nodes of a sweep: (n,), logarithms or complex numbers."""
+        if self.lips:
+            return np.log(part.natural(self.lips, self.mode)).astype(complex)
+        return part.harmonic(self.point, self.frequency, self.order)
+
+    def scale(self, damping: np.ndarray, basis: np.ndarray) -> np.ndarray:
+        """What multiplies the values to make them smooth, at m places: (m,); of ratios of damping
+        (m, 1) and what :attr:`Part.basis` has there (m, 1 + modes)."""
+        if self.lips:
+            return np.ones(len(basis))
+        r = self.order * self.frequency / basis[:, 1:]
+        power = 0 if self.order == 1 else 1 + self.order % 2
+        return np.asarray(
+            np.nanprod(1.0 - r**2 + 2j * damping * r, axis=1) / basis[:, 0] ** (2 * power)
+        )
