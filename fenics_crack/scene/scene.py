@@ -111,6 +111,9 @@ class Scene:
         if self.curve is not None and self.curve.followed[0] == "speed":
             allowed = "another one without an excitation.order, which needs a rotation"
             self.curve.require(self.excitation.order is not None, "parameter", allowed)
+        if self.curve is not None and self.curve.parameter == "load":
+            allowed = "another one with a rotation.speed > 0: the mean load is partly centrifugal"
+            self.curve.require(self.speed == 0.0, "parameter", allowed)
         if self.structure is not None:
             self._check_matrices(self.structure)
         elif self.mesh.layout == "file":

@@ -14,6 +14,7 @@ import numpy as np
 
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.key_figures import KeyFigures, span_of
+from fenics_crack.table import RPM
 
 __all__ = ["Remark", "is_proportional", "remarks_on", "remarks_on_scene"]
 
@@ -25,6 +26,8 @@ LARGEST_SIDE = 20.0
 """Of plates that somebody shakes [m]."""
 MOST_DAMPING = 0.05
 """Ratio of critical damping that structures hardly exceed; metals have 0.0001 to 0.01."""
+FASTEST = 1000.0
+"""Speed of a rotor's tip that none reaches [m/s]; the longest blades have 700."""
 LEAST_FREQUENCY = 0.02
 """Load frequency, relative to the first natural one, below which a scene is one of statics."""
 FORCES = ("force_mean", "force_cos", "force_sin")
@@ -50,10 +53,10 @@ class Remark:
 
 def remarks_on_scene(scene: Scene) -> list[Remark]:
     """What the scene alone shows; costs nothing."""
-    rules = (_material, _plate, _damping, _load, _settling, _proportional)
+    of_plates = (_material, _plate, _rotor, _damping, _load, _settling, _proportional)
     of_matrices = () if scene.damping is None else (_damping, _settling)
-    chosen = rules if scene.structure is None else of_matrices
-    return [remark for rule in chosen for remark in rule(scene)]
+    chosen = of_plates if scene.structure is None else of_matrices
+    return [remark for rule in (*chosen, _probes) for remark in rule(scene)]
 
 
 def remarks_on(scene: Scene, figures: KeyFigures) -> list[Remark]:
@@ -62,7 +65,7 @@ def remarks_on(scene: Scene, figures: KeyFigures) -> list[Remark]:
     of_matrices = (_frequency, _curve, _contact, _modes)
     chosen = rules if scene.structure is None else of_matrices
     own = remarks_on_scene(scene)
-    if any(remark.key.startswith(("material.", "geometry.")) for remark in own):
+    if any(remark.key.startswith(("material.", "geometry.", "rotation.")) for remark in own):
         return own  # all else may follow from these
     return own + [remark for rule in chosen for remark in rule(scene, figures)]
 
@@ -122,6 +125,42 @@ def _plate(scene: Scene) -> Remarks:
         yield Remark("mesh.size", size, text)
 
 
+def _rotor(scene: Scene) -> Remarks:
+    table = scene.rotation
+    if table is None:
+        return
+    hub, tip = table.hub_radius, table.hub_radius + (scene.geometry.height or 0.0)
+    if hub > LARGEST_SIDE:
+        text = f"a hub of {hub:g} m; in mm? then {hub / 1000.0:g}"
+        yield Remark("rotation.hub_radius", hub, text)
+    elif table.speed * tip > FASTEST:
+        key = "speed" if table.rpm is None else "rpm"
+        text = f"the tip moves at {table.speed * tip:.3g} m/s, where the fastest have 700"
+        if table.rpm is None and RPM * table.speed * tip <= FASTEST:
+            text += "; in revolutions per minute? then use rotation.rpm"
+        yield Remark(f"rotation.{key}", getattr(table, key), text)
+
+
+def _probes(scene: Scene) -> Remarks:
+    table, rotation = scene.tip_timing, scene.rotation
+    if table is None:
+        return
+    if len(table.probes) > 1 and table.probes[-1] < TURN:
+        text = f"all of them within {np.ptp(table.probes):.3g} degrees; in rad?"
+        yield Remark("tip_timing.probes", list(table.probes), text)
+    radius, height = table.tip_radius, None if scene.structure else scene.geometry.height
+    least, most = 0.0, LARGEST_SIDE
+    if rotation is not None and height is not None:
+        least, most = rotation.hub_radius, rotation.hub_radius + 2.0 * height
+    if not least <= radius <= most:
+        text = "farther from the axis than a blade's tip"
+        if rotation is not None and height is not None:
+            text = f"the plate is {least:g} to {least + height:g} m from the axis"
+        if least <= radius / 1000.0 <= most:
+            text += f"; in mm? then {radius / 1000.0:g}"
+        yield Remark("tip_timing.tip_radius", radius, text)
+
+
 def _damping(scene: Scene) -> Remarks:
     for key in ("ratio", "ratios"):
         given = getattr(scene.damping, key)
@@ -157,11 +196,13 @@ def _settling(scene: Scene) -> Remarks:
 
 
 def is_proportional(scene: Scene) -> bool:
-    """Whether the response is proportional to the load: no clearance, and no smoothing.
+    """Whether the response is proportional to the load: no clearance, no smoothing, no rotation.
 
     Where forces and gaps are multiplied by a positive number, the equations of lips that touch or
-    not, at g = 0, are multiplied by it as a whole.
+    not, at g = 0, are multiplied by it as a whole. The centrifugal load stays what it is.
     """
+    if scene.speed > 0.0:
+        return False
     rounded = scene.contact is not None and scene.contact.law == "smoothed"
     if scene.structure is not None:
         return not rounded and scene.structure.clearance == 0.0
@@ -316,6 +357,9 @@ def _closing(scene: Scene, figures: KeyFigures) -> Remarks:
     key, value = max(clearances.items(), key=lambda item: abs(item[1]), default=("", 0.0))
     if value == 0.0:
         key, value = "excitation.force_mean", list(scene.excitation.force_mean)  # type: ignore[assignment]
+        if scene.rotation is not None and scene.speed > 0.0 and not np.any(value):
+            key = "rotation.speed" if scene.rotation.rpm is None else "rotation.rpm"
+            value = scene.rotation.rpm or scene.speed
     motion = f"the load moves open lips by {figures.gap_motion:.2g} m"
     if not figures.breathes:
         what = "part" if figures.closed else "meet"

@@ -152,6 +152,8 @@ def test_response_proportional_to_the_load(scene: fc.Scene) -> None:
     assert not remarks_on_scene(scene.replace(directions))
     with_mean = sizes | {"excitation.force_mean": (1.0, 0.0)}
     assert not remarks_on_scene(scene.replace(with_mean))
+    rotating = sizes | {"rotation.rpm": 3000.0, "rotation.hub_radius": 0.2}
+    assert not remarks_on_scene(scene.replace(rotating))  # the centrifugal load keeps its size
 
 
 @pytest.mark.parametrize("frequency", [800.0, 832.3])

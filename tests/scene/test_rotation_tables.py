@@ -65,6 +65,7 @@ def test_frequencies_of_a_sweep_over_the_speed() -> None:
         ("excitation.order", GRADED | {"excitation.omega": GONE, "excitation.order": 3}),
         ("excitation.order", ORDERED | {"rotation.rpm": 0.0}),
         ("excitation.order", ORDERED | {"excitation.order": 2.5}),
+        ("curve.parameter", ROTATING | {"curve": {"parameter": "load", "start": 1.0, "stop": 2.0}}),
     ],
 )
 def test_what_cannot_be_is_refused(key: str, changes: dict[str, Any]) -> None:

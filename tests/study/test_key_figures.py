@@ -1,5 +1,7 @@
 """Key figures of a scene against dense algebra and solutions; remarks on what is unusual."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.linalg
@@ -7,7 +9,7 @@ from helpers import DEMOS
 
 import fenics_crack as fc
 from fenics_crack.study.key_figures import KeyFigures, find_key_figures, highest_omega, span_of
-from fenics_crack.study.remarks import is_proportional, remarks_on
+from fenics_crack.study.remarks import is_proportional, remarks_on, remarks_on_scene
 
 PAPER = fc.Scene.load(DEMOS / "paper_plate.toml").replace({"damping.ratio": 0.01})
 GRID = PAPER.replace({"mesh.columns": 6, "mesh.rows": 6})
@@ -126,6 +128,21 @@ def test_proportional_to_the_load() -> None:
     smoothed = {"contact.law": "smoothed", "contact.sharpness": 1e8}
     assert not is_proportional(PAPER.replace(smoothed))
     assert not is_proportional(fc.Scene.load(DEMOS / "chain.toml"))
+
+
+def test_a_tip_of_other_radii() -> None:
+    """[tip_timing] is judged by the plate's distance from the axis, where it is known."""
+    rotor = {"rotation.rpm": 100.0, "rotation.hub_radius": 0.2, "tip_timing.probes": [0.0, 90.0]}
+    for radius, words in ((0.3, ""), (300.0, "in mm? then 0.3"), (0.1, "0.2 to 0.3 m from")):
+        scene = PAPER.replace(rotor | {"tip_timing.tip_radius": radius})
+        told = " ".join(map(str, remarks_on_scene(scene)))
+        assert (words in told) if words else not told
+    figures = figures_of(PAPER.replace({"excitation.force_sin": (1.0, 0.0)}))
+    open_by_speed = replace(figures, breathes=False, closed=0)
+    [remark] = remarks_on(
+        PAPER.replace({"rotation.rpm": 100.0, "rotation.hub_radius": 0.2}), open_by_speed
+    )
+    assert remark.key == "rotation.rpm" and "never meet" in remark.text
 
 
 def test_elements_along_each_lip() -> None:
