@@ -127,7 +127,7 @@ def _compared(
     free = len(values) - 2 * len(multiples) - 2
     limit = ALIKE * max(float(sums.min()) / free, rounding(arrivals) ** 2)
     conditions = np.array([nominal_condition(nominal, one, multiples) for one in order])
-    hidden = np.isinf(conditions) | ~np.array([fit.forwards for fit in fits])
+    hidden = np.isinf(conditions) | ~np.array([fit.is_usable for fit in fits])
     alike = sums - sums.min() < limit
     best = smallest(fits, alike & ~hidden if np.any(alike & ~hidden) else alike)
     coefficients = fits[best].coefficients

@@ -84,7 +84,7 @@ def fit_order(
         fit_harmonics(nominal if dependent else angle, values, one, multiples, radius)
         for one, dependent in zip(tried, np.isinf(conditions), strict=True)
     ]
-    hidden = np.isinf(conditions) | ~np.array([fit.forwards for fit in fits])
+    hidden = np.isinf(conditions) | ~np.array([fit.is_usable for fit in fits])
     if np.all(hidden):
         refuse(arrivals, 2 * len(multiples) + 1)
     sums = np.array([fit.total for fit in fits])

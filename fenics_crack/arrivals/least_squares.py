@@ -71,6 +71,12 @@ class LinearFit:
         """Sum of squares [m^2]."""
         return float(self.left @ self.left)
 
+    @property
+    def is_usable(self) -> bool:
+        """Whether the tip moves forwards at all arrivals, and these tell all coefficients."""
+        columns = self.jacobian[:, :-1]
+        return self.forwards and bool(np.linalg.matrix_rank(columns) == columns.shape[1])
+
 
 def fit_harmonics(
     angle: np.ndarray, values: np.ndarray, order: float, multiples: np.ndarray, radius: float

@@ -70,9 +70,10 @@ def tip_timing(
     revolutions : int
         How many; of a run-up all together.
     noise : float [s]
-        Standard deviation of normal errors added to the arrivals, not to the marks of the shaft.
+        Standard deviation of normal errors added to the arrivals, not to the marks of the shaft;
+        shorter than a revolution.
     clock : float [s]
-        Resolution: arrivals are rounded to its multiples; 0: none.
+        Resolution, shorter than a revolution: arrivals are rounded to its multiples; 0: none.
     seed : int
         Of the noise.
 
@@ -95,11 +96,15 @@ def tip_timing(
 
     motion = _motion(result, shares, speed, order, revolutions)
     time = _arrivals(motion, angles, tip_radius)
+    marks = motion.rotor.time(2.0 * np.pi * np.arange(revolutions + 1))
+    turn = float(np.diff(marks).min())
+    for key, value in (("noise", noise), ("clock", clock)):
+        if value >= turn:
+            raise InputError(key, value, f"less than a revolution takes, {turn:.3g} s")
     if noise:
         time = time + noise * np.random.default_rng(seed).standard_normal(time.shape)
     if clock:
         time = clock * np.round(time / clock)
-    marks = motion.rotor.time(2.0 * np.pi * np.arange(revolutions + 1))
     return ArrivalTimes(time, marks, angles, float(tip_radius))
 
 

@@ -41,6 +41,8 @@ KEYS = {
     "high": "tip_timing.frequencies",
     "high - low": "tip_timing.frequencies",
     "low": "tip_timing.frequencies",
+    "clock": "tip_timing.clock",
+    "noise": "tip_timing.noise",
     "probes": "tip_timing.probes",
     "revolutions": "tip_timing.revolutions",
     "tip_radius": "tip_timing.tip_radius",

@@ -9,6 +9,8 @@ import numpy as np
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.arrivals.harmonics import TipFit
 from fenics_crack.arrivals.track_order import TipTrack
+from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.cli import judgements
 from fenics_crack.cli.console import Console
 from fenics_crack.cli.exit_codes import Exit
 from fenics_crack.cli.tables import in_one_unit
@@ -23,7 +25,7 @@ __all__ = ["timing"]
 def timing(scene: Scene, source: Path | None, folder: Path, console: Console) -> Exit:
     """Compute arrival times or read them, and fit a vibration to them."""
     with console.stage("arrival times"):
-        arrivals = arrivals_of(scene, source, console.comm)
+        arrivals, run = arrivals_of(scene, source, console.comm)
     on_root(console.comm, lambda: _write_arrivals(arrivals, scene, folder))
     size = f"{counted(len(arrivals), 'revolution')}, {counted(len(arrivals.probes), 'probe')}"
     pace, _, unit = speed_axis(scene.in_rpm)
@@ -40,6 +42,10 @@ def timing(scene: Scene, source: Path | None, folder: Path, console: Console) ->
         shown = in_one_unit(_largest(fit) if isinstance(fit, TipTrack) else table, scene)
     console.table(shown)
     console.note(f"{folder / 'timing.csv'}, .json, .png")
+    if run is not None and isinstance(run.result, PeriodicSolution):
+        found = run.result
+        console.warnings(judgements.of_error(run.scene, found.report, found.harmonics))
+        console.warnings(judgements.of_stability(run.scene, run, found.stability))
     if isinstance(fit, TipFit):
         _judge(fit, console)
     return Exit.DONE

@@ -17,6 +17,7 @@ from fenics_crack.arrivals.track_order import TipTrack, track_order
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
+from fenics_crack.files.results import Result
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import TipTiming
 from fenics_crack.study.run import Run, load_run, solve
@@ -24,8 +25,11 @@ from fenics_crack.study.run import Run, load_run, solve
 __all__ = ["arrivals_of", "engine_order", "vibration_in"]
 
 
-def arrivals_of(scene: Scene, source: Path | None, comm: MPI.Comm = MPI.COMM_WORLD) -> ArrivalTimes:
-    """Arrival times by the table ``[tip_timing]`` of a scene (collective).
+def arrivals_of(
+    scene: Scene, source: Path | None, comm: MPI.Comm = MPI.COMM_WORLD
+) -> tuple[ArrivalTimes, Run[Result] | None]:
+    """Arrival times by the table ``[tip_timing]`` of a scene, and the vibration that they are
+    computed from; None of measured ones (collective).
 
     Parameters
     ----------
@@ -42,14 +46,14 @@ def arrivals_of(scene: Scene, source: Path | None, comm: MPI.Comm = MPI.COMM_WOR
     """
     table = _table_of(scene)
     if source is not None and source.suffix.lower() != ".h5":
-        return ArrivalTimes.from_csv(source, tip_radius=table.tip_radius)
-    run = solve(scene, comm) if source is None else load_run(source, comm)
+        return ArrivalTimes.from_csv(source, tip_radius=table.tip_radius), None
+    run: Run[Result] = solve(scene, comm) if source is None else load_run(source, comm)
     result = run.result
     if not isinstance(result, PeriodicSolution | ResponseCurve):
         raise InputError("source", str(source), "a solution, a curve, or a CSV file of arrivals")
     if isinstance(result, PeriodicSolution) and not result.converged:
         raise InputError("source", str(source or "the scene"), f"converged: {result.status}")
-    return tip_timing(
+    arrivals = tip_timing(
         result,
         {run.watched_dof: table.tangential},
         probes=np.radians(table.probes),
@@ -60,6 +64,7 @@ def arrivals_of(scene: Scene, source: Path | None, comm: MPI.Comm = MPI.COMM_WOR
         clock=table.clock,
         seed=table.seed,
     )
+    return arrivals, run
 
 
 def vibration_in(scene: Scene, arrivals: ArrivalTimes) -> TipFit | TipTrack:

@@ -154,6 +154,15 @@ def test_as_many_arrivals_as_unknowns(sine: fc.PeriodicSolution) -> None:
     assert six.amplitudes[0] == pytest.approx(1e-3, rel=1e-9) and "nan" in repr(six)
 
 
+def test_arrivals_that_are_the_marks() -> None:
+    """All at one angle, as a clock as coarse as a revolution has them: they tell nothing, and that
+    is said."""
+    marks, probes = 0.005 * np.arange(4), np.radians([0.0, 20.0, 41.0, 63.0, 88.0, 117.0, 150.0])
+    arrivals = fc.ArrivalTimes(np.tile(marks[:-1, None], 7), marks, probes, 0.5)
+    with pytest.raises(ValueError, match="able to tell the 5 unknowns"):
+        fc.fit_order(arrivals, harmonics=2)
+
+
 def test_missing_arrivals(sine: fc.PeriodicSolution) -> None:
     """A third of them: the rest tell the same."""
     arrivals = measured(sine, order=6, revolutions=200)

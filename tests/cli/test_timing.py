@@ -71,7 +71,8 @@ def test_what_probes_cannot_tell(tmp_path: Path, capsys: pytest.CaptureFixture[s
     """The ratio of harmonics with its error; orders that fit as well, or are hidden; a misfit."""
     noise = {"tip_timing.noise": 1e-8, "tip_timing.orders": [5, 6, 7, 8]}
     scene = written(tmp_path, noise)
-    assert main(["timing", scene, "--output", str(tmp_path)]) == 0
+    exact = ["--set", "harmonic_balance.harmonics=9"]
+    assert main(["timing", scene, "--output", str(tmp_path), *exact]) == 0
     told = capsys.readouterr()
     assert "arrivals of 20 revolutions, 8 probes, 360 rad/s: " in told.err
     assert "second harmonic over first: 0." in told.err and "warning" not in told.err
@@ -84,6 +85,21 @@ def test_what_probes_cannot_tell(tmp_path: Path, capsys: pytest.CaptureFixture[s
     words = ["--set", "tip_timing.fitted_harmonics=1", "--set", "tip_timing.orders=[5]"]
     assert main(["timing", scene, "--output", str(tmp_path), *words]) == 0
     assert "harmonics are missing (tip_timing.fitted_harmonics)" in capsys.readouterr().err
+
+
+def test_doubts_of_the_vibration_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Arrivals of an orbit that is not stable, or not exact, are told to be: solved or read."""
+    resonance = {"excitation.omega": 5958.0, "harmonic_balance.harmonics": 8}  # twice the breathing
+    scene, out = written(tmp_path, resonance), ["--output", str(tmp_path)]
+    assert main(["solve", scene, *out, "--quiet"]) == 0
+    for source in ([], [str(tmp_path / "solution.h5")]):
+        capsys.readouterr()
+        assert main(["timing", scene, *source, *out]) == 0
+        assert "warning: the orbit is unstable" in capsys.readouterr().err
+    assert main(["timing", scene, str(tmp_path / "arrivals.csv"), *out]) == 0
+    assert "orbit" not in capsys.readouterr().err
+    assert main(["timing", written(tmp_path, {"harmonic_balance.harmonics": 1}), *out]) == 0
+    assert "warning: the estimated error is" in capsys.readouterr().err
 
 
 def test_a_run_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
