@@ -97,15 +97,18 @@ def tip_timing(
     motion = _motion(result, shares, speed, order, revolutions)
     time = _arrivals(motion, angles, tip_radius)
     marks = motion.rotor.time(2.0 * np.pi * np.arange(revolutions + 1))
-    turn = float(np.diff(marks).min())
-    for key, value in (("noise", noise), ("clock", clock)):
-        if value >= turn:
-            raise InputError(key, value, f"less than a revolution takes, {turn:.3g} s")
+    _check_shorter(float(np.diff(marks).min()), noise=noise, clock=clock)
     if noise:
         time = time + noise * np.random.default_rng(seed).standard_normal(time.shape)
     if clock:
         time = clock * np.round(time / clock)
     return ArrivalTimes(time, marks, angles, float(tip_radius))
+
+
+def _check_shorter(turn: float, **values: float) -> None:
+    for key, value in values.items():
+        if value >= turn:
+            raise InputError(key, value, f"less than a revolution takes, {turn:.3g} s")
 
 
 def _places(

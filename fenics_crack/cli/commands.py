@@ -243,7 +243,7 @@ def _measurements(
         raise InputError("measurements", None, "given: a CSV file, or --arrivals")
     parts = [] if path is None else [Measurements.from_csv(path)]
     if arrivals is not None:
-        times, table = arrivals_of(scene, arrivals, console.comm), scene.tip_timing
+        (times, _), table = arrivals_of(scene, arrivals, console.comm), scene.tip_timing
         assert table is not None
         points = () if scene.output is None else scene.output.points
         tip, against = f"{points[0].key}.ux" if points else "", table.tangential < 0.0
