@@ -207,7 +207,8 @@ def _columns(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
             names = [name.strip() for name in next(csv.reader(file), [])]
             for name in COLUMNS:
                 if name not in names:
-                    allowed = f"a file with the column '{name}'; it has {', '.join(names)}"
+                    has = f"it has {', '.join(names)}" if any(names) else "it is empty"
+                    allowed = f"a file with the column '{name}'; {has}"
                     raise InputError("path", str(path), allowed)
             wanted = [*COLUMNS, *([RADIUS] if RADIUS in names else [])]
             places = [names.index(name) for name in wanted]

@@ -97,18 +97,18 @@ def tip_timing(
     motion = _motion(result, shares, speed, order, revolutions)
     time = _arrivals(motion, angles, tip_radius)
     marks = motion.rotor.time(2.0 * np.pi * np.arange(revolutions + 1))
-    _check_shorter(float(np.diff(marks).min()), noise=noise, clock=clock)
-    if noise:
-        time = time + noise * np.random.default_rng(seed).standard_normal(time.shape)
-    if clock:
-        time = clock * np.round(time / clock)
-    return ArrivalTimes(time, marks, angles, float(tip_radius))
-
-
-def _check_shorter(turn: float, **values: float) -> None:
-    for key, value in values.items():
+    turn = float(np.diff(marks).min())
+    for key, value in (("noise", noise), ("clock", clock)):
         if value >= turn:
             raise InputError(key, value, f"less than a revolution takes, {turn:.3g} s")
+    return ArrivalTimes(_measured(time, noise, clock, seed), marks, angles, float(tip_radius))
+
+
+def _measured(time: np.ndarray, noise: float, clock: float, seed: int) -> np.ndarray:
+    """Times [s] with normal errors, rounded to multiples of the clock's period."""
+    if noise:
+        time = time + noise * np.random.default_rng(seed).standard_normal(time.shape)
+    return clock * np.round(time / clock) if clock else time
 
 
 def _places(

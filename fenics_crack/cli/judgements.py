@@ -44,7 +44,9 @@ def of_error(scene: Scene, report: ErrorReport, harmonics: int, where: str = "")
     elif part == "sampling":
         wanted = "more samples (harmonic_balance.samples)"
     else:
-        wanted = "softer contact, or contact.law = 'unilateral': it is rounding"
+        rigid = scene.contact is not None and scene.contact.law == "unilateral"
+        softer = "softer contact, or contact.law = 'unilateral'"
+        wanted = f"{'a load that moves the lips more' if rigid else softer}: it is rounding"
     if getattr(report, part) >= UNKNOWN:
         unsettled = f"its estimate by {part} did not settle"
         yield f"the error is unknown{where}, {unsettled}: it needs {wanted}"

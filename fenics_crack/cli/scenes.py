@@ -124,8 +124,9 @@ def _rotation(scene: Scene, figures: KeyFigures) -> dict[str, object]:
     if figures.elements is not None:
         rows["crack opened by rotation and mean load [m]"] = figures.mean_opening
     if scene.excitation.order is not None:
-        words = f"order {scene.excitation.order} meets it near [rad/s] of the rotor"
-        rows[words] = first / scene.excitation.order
+        met = figures.meeting_speed(scene.excitation.order, scene.speed)
+        words = f"order {scene.excitation.order} meets it near a rotor speed of"
+        rows[f"{words} [rad/s]"], rows[f"{words} [rpm]"] = met, met / RPM
     return rows
 
 

@@ -200,7 +200,8 @@ def opened(path: str | Path, kind: str | None = None) -> Iterator[h5py.File]:
     except FileNotFoundError:
         raise InputError("path", str(path), "a file that exists") from None
     except (OSError, KeyError, RuntimeError) as error:
-        raise InputError("path", str(path), f"a readable result file ({error})") from None
+        kinds = "one of the .h5 files that solve, curve and the other commands write"
+        raise InputError("path", str(path), f"a readable result file, {kinds}") from error
 
 
 def _value(item: h5py.Dataset) -> Any:

@@ -18,8 +18,9 @@ from fenics_crack.model.complementarity import solve_complementarity
 from fenics_crack.model.damping import DampingRule
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.structure import Structure
+from fenics_crack.table import RPM
 
-__all__ = ["Rotation", "static_state"]
+__all__ = ["Rotation", "static_state", "too_fast"]
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class Rotation:
         stiffness = weighted_sum(self.at_rest.stiffness, speed**2, self.stiffness)
         with Factor(stiffness, symmetric=True) as factor:
             if factor.negative_pivots or factor.null_pivots:
-                raise InputError("rotation.speed", speed, "lower: the plate is unstable there")
+                raise InputError("rotation.speed", speed, too_fast(speed))
         force = self.at_rest.force.copy()
         force[0] += speed**2 * self.force
         found = self.at_rest._changed(stiffness=stiffness, force=force)
@@ -103,6 +104,11 @@ def static_state(
             pairs = np.asarray(structure.comm.bcast(pairs))
             moved = moved - pairs @ pushed
     return moved, pairs
+
+
+def too_fast(speed: float) -> str:
+    """What is allowed instead of a speed [rad/s] at which the plate is unstable."""
+    return f"lower: the plate is unstable at {speed / RPM:.6g} rpm"
 
 
 ROUNDING = 1e-12

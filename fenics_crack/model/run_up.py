@@ -22,6 +22,7 @@ from fenics_crack.errors import InputError, check_number
 from fenics_crack.model.damping import DampingRule, ModalDamping
 from fenics_crack.model.matrices import distributed
 from fenics_crack.model.reduced import ReducedStructure, of_kept_modes
+from fenics_crack.model.rotation import too_fast
 from fenics_crack.model.structure import Structure
 
 __all__ = ["Ritz", "RunUpStructure"]
@@ -95,7 +96,7 @@ class RunUpStructure(ReducedStructure):
         try:
             factor = np.linalg.inv(np.linalg.cholesky(stiffness))
         except np.linalg.LinAlgError:
-            raise InputError("speed", speed, "lower: the plate is unstable there") from None
+            raise InputError("speed", speed, too_fast(speed)) from None
         # The largest eigenvalues, 1 / omega^2, are those that rounding leaves alone.
         inverse, turned = np.linalg.eigh((factor * ritz.squares_inverse) @ factor.T)
         inverse, turned = inverse[: -ritz.modes - 1 : -1], turned[:, : -ritz.modes - 1 : -1]

@@ -22,7 +22,7 @@ from fenics_crack.model.bilinear import BilinearFrequencies
 from fenics_crack.model.complementarity import solve_complementarity
 from fenics_crack.model.damping import ModalDamping, RayleighDamping
 from fenics_crack.model.factor import Factor, weighted_sum
-from fenics_crack.model.modes import check_damped_modes, modes_by, solve_modes
+from fenics_crack.model.modes import check_damped_modes, modes_by, solve_modes, times
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
@@ -48,6 +48,8 @@ class KeyFigures:
         Lowest natural frequencies, lips open and lips tied together.
     damping : (at most 4,)
         Ratios of critical damping of the open modes.
+    stiffening : float
+        S = d(w_1^2) / d(W^2) = phi_1^T K_1 phi_1 of the first open mode under rotation; 0 without.
     own_stiffness : (n_pairs,) [N/m]
         1 / (B^T K^-1 B)_jj: of the lips themselves, pair by pair.
     stiffness_ratio : (n_pairs,) or None
@@ -72,6 +74,7 @@ class KeyFigures:
     omega_open: np.ndarray
     omega_tied: np.ndarray
     damping: np.ndarray
+    stiffening: float
     own_stiffness: np.ndarray
     stiffness_ratio: np.ndarray | None
     mean_opening: float
@@ -88,6 +91,24 @@ class KeyFigures:
         """First resonance of a crack that opens for one half of a motion and closes for the other
         [rad/s]: 2 w_open w_tied / (w_open + w_tied)."""
         return float(BilinearFrequencies(self.omega_open, self.omega_tied).omega_bilinear[0])
+
+    def meeting_speed(self, order: int, speed: float) -> float:
+        """Rotor speed W [rad/s] at which an engine order n meets the first breathing frequency,
+
+            (n W)^2 = w_b^2 + S (W^2 - W_0^2);
+
+        nan where it never does. Exact where w^2 is linear in W^2 with the slope of open lips.
+
+        Parameters
+        ----------
+        order : int
+            n.
+        speed : float
+            W_0, of the structure [rad/s].
+        """
+        square = self.omega_breathing**2 - self.stiffening * speed**2
+        slope = order**2 - self.stiffening
+        return math.sqrt(square / slope) if square > 0.0 and slope > 0.0 else math.nan
 
 
 def find_key_figures(study: Study) -> KeyFigures:
@@ -133,6 +154,7 @@ def find_key_figures(study: Study) -> KeyFigures:
         omega_open=modes.omega,
         omega_tied=tied,
         damping=ratios,
+        stiffening=_stiffening(whole, modes.shapes[:, 0]),
         own_stiffness=own,
         stiffness_ratio=None if stiffness is None else stiffness / own,
         mean_opening=float(np.max(-resting, initial=0.0)) + 0.0,
@@ -144,6 +166,13 @@ def find_key_figures(study: Study) -> KeyFigures:
         modes_below=_count_below(whole, _highest(scene)) if crack else 0,
         modes_kept=kept,
     )
+
+
+def _stiffening(whole: Structure, shape: np.ndarray) -> float:
+    """phi^T K_1 phi of a mass-normalised mode (n_local,)."""
+    if whole.rotation is None:
+        return 0.0
+    return float(whole.sum_over_ranks(shape @ times(whole.rotation.stiffness, shape[:, None]))[0])
 
 
 def _elements(scene: Scene, whole: Structure) -> int | None:

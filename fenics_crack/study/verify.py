@@ -108,6 +108,9 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
         if len(levels) == 1:
             unknown[cause] = "no finer run has converged"
             continue
+        if len({level.size for level in levels}) < len(levels):
+            unknown[cause] = "finer ones have as many elements, as mesh.size is that of the plate"
+            continue
         counts[cause] = tuple(level.count for level in levels)
         parts[cause] = _convergence(levels, found)
     failures, verdicts = tuple(log.failures), log.verdicts

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -21,6 +22,7 @@ from fenics_crack.fem.assembly import assemble
 from fenics_crack.model.modes import times
 from fenics_crack.model.rotation import static_state
 from fenics_crack.study.run import solve
+from fenics_crack.table import RPM
 
 PUBLISHED = {
     (0, 0): (3.5160, 22.0345), (0, 1): (3.6816, 22.1810), (0, 2): (4.1373, 22.6149),
@@ -222,8 +224,12 @@ def test_check_tells_speed_and_opening(capsys: pytest.CaptureFixture[str], tmp_p
     path.write_text(scene.as_toml())
     assert main(["check", str(path)]) == 0
     printed = capsys.readouterr().out
-    for words in ("rotor speed [rpm]", "opened by rotation", "order 6 meets it near"):
-        assert words in printed
+    assert "rotor speed [rpm]" in printed and "opened by rotation" in printed
+    [told] = re.findall(r"order 6 meets it near a rotor speed of \[rpm\] +([\d.]+)\n", printed)
+    near = RPM * float(told)
+    [(mode, met)] = fc.campbell(scene, [0.9 * near, 1.1 * near], 1).crossings(6)
+    assert mode == 1 and near == pytest.approx(met, rel=2e-3)
+    assert met > 3.0 * scene.rotation.speed  # type: ignore[union-attr]
 
 
 @pytest.mark.mpi

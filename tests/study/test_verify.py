@@ -120,6 +120,9 @@ def test_what_cannot_be_varied() -> None:
         assert "mesh" not in found.parts and found.parts["harmonics"]
         assert any(text.startswith("mesh not varied") for text in found.statement)
     assert "reduced" in fc.verify(plate({"reduction.method": "off"})).absent["modes"]
+    large = {"crack": None, "contact": None, "mesh.lip_elements": None, "mesh.size": 1.0}
+    found = fc.verify(plate(large | {"reduction": None}))
+    assert "mesh" not in found.parts and "as many elements" in found.unknown["mesh"]
 
 
 def test_grids_and_odd_lips_take_whole_factors() -> None:
