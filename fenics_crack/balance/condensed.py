@@ -23,15 +23,15 @@ from functools import cached_property
 
 import numpy as np
 from mpi4py import MPI
-from scipy.linalg.lapack import dpstrf
 
 from fenics_crack.balance.compiled import CompiledSystem
 from fenics_crack.balance.compliance import Compliance, WidenedCompliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, ExactIntegrals, apply_to_pairs
 from fenics_crack.balance.fourier import from_complex, to_complex
-from fenics_crack.balance.linearisation import DenseLinearisation, solve_factored
+from fenics_crack.balance.linearisation import DenseLinearisation, factored, solve_factored
+from fenics_crack.balance.rounding import stiffness_times_compliance
 from fenics_crack.errors import InputError
-from fenics_crack.kernel import doubles, kernel
+from fenics_crack.kernel import doubles, ints, kernel
 from fenics_crack.model.contact import UnilateralPenalty
 
 __all__ = [
@@ -45,8 +45,11 @@ __all__ = [
     "respond_to_columns",
 ]
 
-LOW_RANK = 700
-"""Unknowns from which solutions go through the rank of the contact's tangent."""
+LOW_RANK, ROUGHLY = 400, 200
+"""Unknowns from which solutions go through the rank of the contact's tangent, and those to the
+accuracy of an error estimate."""
+ROUGH = 1e-4
+"""That accuracy."""
 IN_KERNEL = 2000
 """Unknowns up to which the kernel follows paths: their Jacobian is dense there, but many points
 share its factors."""
@@ -189,6 +192,14 @@ class HigherHarmonics(CondensedEquations):
         self._above = system.compliance.matrices.copy()
         self._above[: kept + 1] = 0.0
 
+    @cached_property
+    def compiled(self) -> CompiledSystem | None:
+        """The same in the kernel, where it has them."""
+        system, matrices = self._system, self.compliance.matrices
+        if not system.in_kernel:
+            return None
+        return CompiledSystem(system.stiffness, self.linear, matrices, above=self._kept + 1)
+
     def linearise(self, gap: np.ndarray, parameter: float) -> _GapPoint:
         """The equations at a gap and a share p."""
         compliance = copy(self.compliance)
@@ -208,7 +219,9 @@ class _GapPoint(CondensedPoint):
         by_parameter: Callable[[CondensedPoint], np.ndarray],
     ) -> None:
         self.system, self.gap, self._derivative = system, gap, by_parameter
+        self._law = integrals.law
         self._low_rank: _LowRank | None = None
+        self._rough: tuple[_LowRank, tuple[np.ndarray, np.ndarray]] | None = None
         self.force, self.tangent = integrals.linearise(gap)
         residual = gap - system.linear + respond(system.compliance.matrices, self.force)
         super().__init__(gap, residual)
@@ -233,6 +246,20 @@ class _GapPoint(CondensedPoint):
         matrices = self.system.compliance.matrices
         return self._low_rank.solve(right, matrices, lambda drive: solve_factored(factors, drive))
 
+    def solve_roughly(self, right: np.ndarray) -> np.ndarray:
+        """What is left out of T counts k R times."""
+        if self._lu is not None or self.unknown.size < ROUGHLY:
+            return self.solve(right)
+        matrices = self.system.compliance.matrices
+        if self._rough is None:
+            product = stiffness_times_compliance(self.system.compliance, self._law)
+            part = _LowRank(self.tangent, ROUGH * min(ROUGH, 1.0 / product))
+            if not part.complete:
+                return self.solve(right)
+            self._rough = part, factored(part.condense(matrices))
+        part, factors = self._rough
+        return part.solve(right, matrices, lambda drive: solve_factored(factors, drive))
+
     def differentiate(self) -> np.ndarray:
         return self._derivative(self)
 
@@ -255,7 +282,8 @@ class _LowRank:
         (I + R P Q)^-1 r = r - R P (I + Q R P)^-1 Q r,       det(I + R P Q) = det(I + Q R P).
 
     kappa >= 0 makes each pair's T symmetric and positive semidefinite where the mean counts
-    sqrt(2) times: E T E^-1 = C C^T, P = E^-1 C, Q = C^T E, C by Cholesky's method with pivots.
+    sqrt(2) times: E T E^-1 = C C^T, P = E^-1 C, Q = C^T E, C by Cholesky's method with pivots, of
+    which those below ``tolerance`` times the first are left out.
 
     Attributes
     ----------
@@ -263,41 +291,44 @@ class _LowRank:
         Whether P Q is all of T: not so for a law whose force falls where the gap grows.
     """
 
-    def __init__(self, tangent: np.ndarray) -> None:
-        pairs, rows, _ = tangent.shape
-        weight = np.where(np.arange(rows) == 0, np.sqrt(2.0), 1.0)
-        factors = np.zeros((pairs, rows, rows))
-        for pair, matrix in enumerate(weight[:, None] * tangent / weight):
-            upper, pivots, rank, _ = dpstrf(0.5 * (matrix + matrix.T))
-            factors[pair, pivots - 1, :rank] = np.triu(upper)[:rank].T
-        lost = np.trace(tangent, axis1=1, axis2=2) - np.sum(factors**2, axis=(1, 2))
-        self.complete = bool(np.all(np.abs(lost) <= 1e-10 * np.abs(tangent).max(axis=(1, 2))))
-        used = np.any(factors, axis=1)  # (n_pairs, rows)
-        used[0, 0] = True  # LAPACK takes no empty matrix: a column of zeros where all are open
-        most = int(used.sum(axis=1).max())
-        self._after = factors[:, :, :most] / weight[:, None]  # P
-        self._before = (factors[:, :, :most] * weight[:, None]).transpose(0, 2, 1)  # Q
-        self._places = np.flatnonzero(used[:, :most].T)  # of (column, pair)
+    def __init__(self, tangent: np.ndarray, tolerance: float = 0.0) -> None:
+        pairs, count, _ = tangent.shape
+        self._ranks, room = np.zeros(pairs, np.intc), np.empty((pairs + 1, count, count))
+        least = max(tolerance, count * float(np.finfo(float).eps))
+        rank = kernel.tangent_rows(
+            count // 2, pairs, doubles(np.ascontiguousarray(tangent)), least,
+            count * max(least, 1e-12), ints(self._ranks), doubles(room[:pairs]),
+            doubles(room[pairs]),
+        )  # fmt: skip
+        self.complete = rank >= 0
+        self._rows = room.reshape(-1, count)[: max(rank, 0)]  # C^T
+        self._pairs = np.repeat(np.arange(pairs), self._ranks if self.complete else 0)
 
     def condense(self, matrices: np.ndarray) -> np.ndarray:
-        """I + Q R P."""
-        pairs, most, rows = self._before.shape
-        moved = respond_to_columns(matrices, self._after).reshape(rows, pairs, most * pairs)
-        found = np.matmul(self._before, moved.transpose(1, 0, 2)).transpose(1, 0, 2)
-        found = found.reshape(most * pairs, most * pairs)[np.ix_(self._places, self._places)]
-        found.flat[:: len(found) + 1] += 1.0
+        """I + Q R P; 1 where all pairs are open, for LAPACK takes no empty matrix."""
+        if not len(self._rows):
+            return np.eye(1)
+        columns, found = np.ascontiguousarray(self._rows.T), np.empty((len(self._rows),) * 2)
+        kernel.small_matrix(
+            len(columns) // 2, len(self._ranks), ints(self._ranks), doubles(self._rows),
+            doubles(columns), doubles(np.ascontiguousarray(matrices)),
+            doubles(np.empty_like(columns)), doubles(found),
+        )  # fmt: skip
         return found
 
     def solve(
         self, right: np.ndarray, matrices: np.ndarray, solve: Callable[[np.ndarray], np.ndarray]
     ) -> np.ndarray:
         """J^-1 r of (2H+1, n_pairs), with solutions of the condensed matrix."""
-        pairs, most, _ = self._before.shape
-        drive = apply_to_pairs(self._before, right).ravel()[self._places]
-        answer = np.zeros(most * pairs)
-        answer[self._places] = solve(drive)
-        force = apply_to_pairs(self._after, answer.reshape(most, pairs))
-        return right - respond(matrices, force)
+        if not len(self._rows):
+            return right
+        weight = np.ones(len(right))
+        weight[0] = np.sqrt(2.0)
+        drive = np.einsum("ji,ji->j", self._rows, (weight * right.T)[self._pairs])
+        moved, used = solve(drive)[:, None] * self._rows, self._ranks > 0
+        force = np.zeros_like(right.T)
+        force[used] = np.add.reduceat(moved, (np.cumsum(self._ranks) - self._ranks)[used])
+        return right - respond(matrices, np.ascontiguousarray((force / weight).T))
 
 
 def default_weight(compliance: Compliance) -> float:

@@ -13,7 +13,14 @@ from typing import Protocol
 import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
 
-__all__ = ["DenseLinearisation", "Linearisation", "System", "determinant_sign", "solve_factored"]
+__all__ = [
+    "DenseLinearisation",
+    "Linearisation",
+    "System",
+    "determinant_sign",
+    "factored",
+    "solve_factored",
+]
 
 
 class Linearisation(ABC):
@@ -94,9 +101,7 @@ class DenseLinearisation(Linearisation):
     @property
     def _factors(self) -> tuple[np.ndarray, np.ndarray]:
         if self._lu is None:
-            # The transpose is in Fortran's order, which LAPACK takes without a transposing copy.
-            matrix, pivots, _ = dgetrf(self.condense().T)
-            self._lu = matrix, pivots
+            self._lu = factored(self.condense())
         return self._lu
 
     def apply(self, change: np.ndarray) -> np.ndarray:
@@ -109,6 +114,13 @@ class DenseLinearisation(Linearisation):
     @property
     def sign(self) -> float:
         return determinant_sign(self._factors)
+
+
+def factored(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """LU factors of A^T: the transpose is in Fortran's order, which LAPACK takes without a
+    transposing copy."""
+    factors, pivots, _ = dgetrf(matrix.T)
+    return factors, pivots
 
 
 def solve_factored(factors: tuple[np.ndarray, np.ndarray], right: np.ndarray) -> np.ndarray:

@@ -2,7 +2,8 @@
 
 All solutions but those along a path are found this way; PETSc options with the prefix
 ``crack_hb_`` reach it. One object serves a system for all attempts at its solution. The first
-solution of a curve takes the same steps in the kernel where this has the equations.
+solution of a curve, and those with fewer harmonics from which one with many unknowns starts, take
+the same steps in the kernel where this has the equations.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Attempts to converge, the cheapest first, each recorded.
 
 1. Full Newton steps from the given start, then shortened ones; without a start and with many
-   unknowns, from the solution with half the harmonics.
+   unknowns, from the solution with half the harmonics, which comes from that with half of those.
 2. From a start with fewer harmonics, a path in the compliance of the others
    (:class:`HigherHarmonics`).
 3. A path in the contact stiffness k. Where k R is small the solution is unique and close to the
@@ -73,6 +73,8 @@ NEARBY = (1.02, 0.98, 1.1, 0.9, 1.3, 0.75, 2.0, 0.5)
 """Where a path in the frequency may start, relative to the frequency wanted."""
 FEWEST = 5
 """Harmonics with which a solution is sought first where pairs are coupled, or unknowns many."""
+RUNG = 1e-5
+"""|F| / |x| of a solution with few harmonics that others start from."""
 SOFTNESS = (1.0, 10.0)
 """In series with coupled pairs where a path begins, in parts of what is enough."""
 MARCHED, MOVING, ROUGHLY = 40, 40, 1e-6
@@ -154,6 +156,25 @@ class Search:
         if not self.converged and family_from is not None:
             found = self._frequency_path(family_from)
         return found
+
+    def rung(
+        self, system: CondensedSystem, start: np.ndarray | None, kept: int | None
+    ) -> np.ndarray | None:
+        """The gap of a solution with few harmonics, from which others start: from one with still
+        fewer, ``kept``, or without a start also along the path in the contact stiffness. By the
+        loop of paths; None where it is not found."""
+        product, name = self._allow_rounding(system), "full Newton steps"
+        if kept is not None:
+            name = f"from H = {kept} to {system.integrals.harmonics}"
+        sharp, self.tolerance = self.tolerance, max(self.tolerance, RUNG)
+        with KernelNewton(system) as newton:
+            begun = system.linear if start is None else start
+            found = self._from_near(newton, system, begun, name, kept)
+            if not self.converged and start is None:
+                wide = replace(WIDE, most=FEW)
+                found = self._stiffness_path(newton, system.linear, product, wide)
+        self.tolerance = sharp
+        return found.unknown if self.converged else None
 
     def last_resort(
         self, system: CondensedSystem, fewer: np.ndarray | None, kept: int

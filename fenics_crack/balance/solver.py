@@ -21,7 +21,7 @@ from fenics_crack.balance.family import Family, FrequencyFamily
 from fenics_crack.balance.fourier import resized, stretched
 from fenics_crack.balance.newton import KernelNewton
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.search import FEWEST, Search
+from fenics_crack.balance.search import Search
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import is_piecewise_linear, is_rigid
@@ -29,8 +29,8 @@ from fenics_crack.model.modal import is_small
 
 __all__ = ["Solver"]
 
-LADDER = 300
-"""Unknowns from which a solution without a start is sought with half the harmonics first."""
+LADDER = 100
+"""Unknowns from which a solution without a start is sought with few harmonics first."""
 
 
 @dataclass(frozen=True)
@@ -78,11 +78,13 @@ class Solver:
         system = family.system(family.start)
         if not (isinstance(system, CondensedSystem) and system.in_kernel):
             return None
-        start = system.linear if initial is None else self.start(initial, "gap_coefficients")
-        if initial is None and system.global_size > LADDER:
-            return None
         search = Search(self.residual_tolerance, newton=KernelNewton)
-        found = search.penalty(system, start)
+        start, kept = None, None
+        if initial is not None:
+            start = self.start(initial, "gap_coefficients")
+        elif system.global_size > LADDER:
+            start, kept = self._climb(search, system.compliance, self.problem)
+        found = search.penalty(system, system.linear if start is None else start, kept=kept)
         return (found.unknown, search.iterations) if search.converged else None
 
     @contextmanager
@@ -157,16 +159,13 @@ class Solver:
         start: np.ndarray | None,
         kept: int | None = None,
     ) -> CondensedPoint:
-        """The same; without a start, and with many unknowns, with half the harmonics first."""
+        """The same; without a start, and with many unknowns, with few harmonics first."""
         harmonics, name = problem.harmonics, "full Newton steps"
         system = CondensedSystem(narrowed(compliance, harmonics), problem.integrals())
-        half, below = harmonics // 2, None
-        ladder = start is None and system.global_size > LADDER
-        if ladder and half >= FEWEST * problem.subharmonic:
-            below = self._by_harmonics(search, compliance, problem.with_harmonics(half), None)
-            if search.converged:
-                start, kept = resized(below.gap, harmonics), half
-                name = f"from H = {half} to {harmonics}"
+        if start is None and system.global_size > LADDER:
+            start, kept = self._climb(search, compliance, problem)
+            if kept is not None:
+                name = f"from H = {kept} to {harmonics}"
 
         def family_from(factor: float) -> FrequencyFamily:
             return FrequencyFamily(problem, factor * problem.omega, problem.omega)
@@ -179,11 +178,30 @@ class Solver:
         if search.converged or not marched:
             assert isinstance(at, CondensedPoint)
             return at
-        fewer = None
-        if below is None and kept is None and half >= problem.subharmonic:
+        fewer, half = None, harmonics // 2
+        if (kept is None or kept < half) and half >= problem.subharmonic:
             below = self._by_harmonics(search, compliance, problem.with_harmonics(half), None)
             fewer = resized(below.gap, harmonics) if search.converged else None
         if fewer is not None or harmonics == self.problem.harmonics:
             at = search.last_resort(system, fewer, half)
         assert isinstance(at, CondensedPoint)
         return at
+
+    @staticmethod
+    def _climb(
+        search: Search, compliance: Compliance, problem: Problem
+    ) -> tuple[np.ndarray | None, int | None]:
+        """The solution with half the harmonics, which comes from that with half of those, and so
+        on: its gap with all harmonics, and how many of them it has. Where one is not found, that
+        with the most harmonics that is; None where there is none."""
+        found, kept = None, None
+        rungs = [(problem.harmonics + 1) // 2]
+        while rungs[-1] > problem.subharmonic:
+            rungs.append(max((rungs[-1] + 1) // 2, problem.subharmonic))
+        for harmonics in reversed(rungs):
+            few = problem.with_harmonics(harmonics)
+            system = CondensedSystem(narrowed(compliance, harmonics), few.integrals())
+            there = search.rung(system, None if found is None else resized(found, harmonics), kept)
+            if there is not None:
+                found, kept = there, harmonics
+        return None if found is None else resized(found, problem.harmonics), kept

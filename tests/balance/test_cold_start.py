@@ -1,5 +1,6 @@
 """Solutions from a cold start, and the paths that lead to them."""
 
+import re
 from collections.abc import Callable
 from itertools import islice
 
@@ -9,7 +10,7 @@ from helpers import oscillator
 
 import fenics_crack as fc
 from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import PathPoint
+from fenics_crack.balance.bordered import PathPoint, solve_at
 from fenics_crack.balance.linearisation import DenseLinearisation, Linearisation
 from fenics_crack.balance.newton import Newton
 from fenics_crack.balance.search import Search
@@ -58,6 +59,30 @@ def test_breathing_plate(breathing_plate: fc.Structure) -> None:
                 t = np.linspace(0.0, solution.period, 400)
                 pressed |= solution.contact_force(t).max(axis=0) > 0.0
     assert np.all(pressed)
+
+
+def test_many_pairs_climb_from_few_harmonics() -> None:
+    """Twenty stops on a chain, 220 and 420 unknowns: full steps with more and more harmonics, each
+    time from the solution with about half of them, where steps from the linear solution fail."""
+    stiffness = np.diag(np.full(60, 2.0)) - np.eye(60, k=1) - np.eye(60, k=-1)
+    stiffness[-1, -1] = 1.0
+    stiffness /= np.linalg.eigvalsh(stiffness)[0]
+    load = np.zeros(60)
+    load[-1] = 0.1
+    structure = fc.Structure.from_matrices(
+        np.eye(60), stiffness, np.eye(60)[:, 40:], force_cos=load, damping=0.02 * stiffness
+    )
+    for omega in (1.1, 1.2):
+        problem = fc.Problem(structure, omega, fc.UnilateralPenalty(25.0), 5)
+        system = problem.system(problem.compliance())
+        assert solve_at(system, problem.compliance().linear_gap, 0.0, tolerance=1e-10) is None
+        for harmonics, steps in ((5, "1 2 3 5"), (10, "1 2 3 5 10")):
+            found = fc.solve_harmonic_balance(
+                structure, omega, problem.contact, harmonics=harmonics
+            )
+            climbed = re.findall(r"from H = \d+ to (\d+): converged", found.status)
+            assert climbed == steps.split()[1:], found.status
+            assert found.converged and found.iterations < 60
 
 
 @pytest.mark.parametrize("stiffness", [1e12, 1e14])

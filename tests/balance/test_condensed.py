@@ -55,6 +55,13 @@ def test_low_rank_is_dense(stiffness: float, monkeypatch: pytest.MonkeyPatch) ->
         assert len(point.condense()) < 0.8 * gap.size
         assert relative(point.solve(right).ravel(), expected) < 1e-9
         assert point.sign == np.linalg.slogdet(point.jacobian)[0]
+    monkeypatch.setattr(condensed, "ROUGHLY", 1)
+    for sign in (1.0, -1.0):
+        point = system.linearise(sign * gap)
+        expected = np.linalg.solve(point.jacobian, right.ravel())
+        error = relative(point.solve_roughly(right).ravel(), expected)
+        assert error < 1e-4
+        assert relative(point.solve(right).ravel(), expected) < 1e-9
 
 
 def test_nothing_is_closed() -> None:
@@ -379,7 +386,8 @@ def test_same_solution_on_one_and_two_ranks(
         assert relative(parallel[name][0], gap) < 1e-8
         assert relative(parallel[name][1], motion) < 1e-8
         if pairs == 8 or name == "reduced":  # else one rank knows R beyond H from all modes
-            assert relative(np.array(parallel[name][2]), np.array(errors)) < 1e-6
+            # Estimates above 1 magnify what rounding has changed.
+            assert relative(np.array(parallel[name][2]), np.array(errors)) < 1e-5
 
 
 # --- refusals -------------------------------------------------------------------------------------
