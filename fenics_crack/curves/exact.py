@@ -78,6 +78,9 @@ step allows, this is taken."""
 ROUNDING, IDENTICAL = 1e-5, 1e-6
 """Of the frequency, relative: folds that are not located and lie as near to each other are none;
 bifurcations found on a branch that do are the same one."""
+MISSED = 4
+"""Places one after the other without an orbit, behind which every fourth of those between points is
+tried."""
 HALVINGS = 5
 """Of a chord."""
 SHARP = 0.03
@@ -206,19 +209,24 @@ class _Orbits:
         return np.flatnonzero(wanted)
 
     def _next_to(self, starts: list[np.ndarray | None]) -> Iterator[_Found | None]:
-        """The orbits at all places; what has to be added to a start is extrapolated."""
+        """The orbits at all places; what has to be added to a start is extrapolated. Behind some
+        places without an orbit few of those between the curve's points are tried.
+        """
         added: list[np.ndarray] = []
+        missed = 0
         for place, start in enumerate(starts):
             point = None
+            if missed % MISSED and missed > MISSED and self.at[place] % 1.0:
+                start = None
             if start is not None and added:
                 point = self._solve(start + 2.0 * added[-1] - added[0], place)
             if start is not None and point is None:
                 point = self._solve(start, place)
             if start is None or point is None:
-                added = []
+                added, missed = [], missed + 1
                 yield None
             else:
-                added = [*added, point.unknown - start][-2:]
+                added, missed = [*added, point.unknown - start][-2:], 0
                 yield point.unknown, point.parameter, _orbit(point).monodromy
 
     def _solve(self, start: np.ndarray, place: int) -> PathPoint | None:
