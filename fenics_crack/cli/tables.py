@@ -10,7 +10,8 @@ from fenics_crack.balance.fourier import balanced
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, parameter_axis
-from fenics_crack.model.bilinear import bilinear_frequencies
+from fenics_crack.model.bilinear import BilinearFrequencies, bilinear_frequencies
+from fenics_crack.model.run_up import RunUpStructure
 from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.run import Run
@@ -41,6 +42,8 @@ WIDEST = 120
 """Columns of a terminal that a table of cases takes."""
 SHOWN_POINTS, SHOWN_CASES = 5, 12
 """Special points of a curve and cases of a sweep that are printed; files have all."""
+SPEEDS = 9
+"""Of a run-up, at which natural frequencies are computed."""
 SHARE = "of the lips' motion"
 OTHERS = {
     "periods": ("periods", "-"),
@@ -267,9 +270,27 @@ def _columns(run: Run[ResponseCurve], seen: Sequence[Indicators]) -> dict[str, n
             found[with_unit(watched.column(name), unit)] = getattr(indicators, name)
     for name, (_, unit) in OF_LIPS.items():
         found[with_unit(name, unit)] = getattr(seen[0], name)
-    near = bilinear_frequencies(run.structure).nearest(seen[0].omega)
+    near = _natural_along(run, np.asarray(seen[0].omega)).nearest(seen[0].omega)
     found |= {with_unit(name, unit): value for name, _, unit, value in _with_hertz(near)}
     return found
+
+
+def _natural_along(run: Run[ResponseCurve], omega: np.ndarray) -> BilinearFrequencies:
+    """Natural frequencies; of a run-up those at the speeds where the load has some frequencies
+    (...) [rad/s]: (..., n). Squares are linear in W^2 between :data:`SPEEDS` of them."""
+    structure, found = run.structure, run.result
+    if not isinstance(structure, RunUpStructure):
+        return bilinear_frequencies(structure)
+    speed = omega * (found.values[0] / found.omega[0])
+    known = np.linspace(speed.min(), speed.max(), min(speed.size, SPEEDS))
+    there = [bilinear_frequencies(structure.at_speed(float(one))) for one in known]
+
+    def at_speeds(rows: list[np.ndarray]) -> np.ndarray:
+        columns = [np.interp(speed**2, known**2, row**2) for row in np.transpose(rows)]
+        return np.sqrt(np.stack(columns, axis=-1))
+
+    is_open, tied = ([getattr(one, f"omega_{kind}") for one in there] for kind in ("open", "tied"))
+    return BilinearFrequencies(at_speeds(is_open), at_speeds(tied))
 
 
 def few_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table, int]:

@@ -32,8 +32,9 @@ class BilinearFrequencies(Tabular):
 
     Attributes
     ----------
-    omega_open, omega_tied : (n,) [rad/s]
-        Of the modes with the same number; tied ones are infinite where there are no more.
+    omega_open, omega_tied : (n,), or (..., n) [rad/s]
+        Of the modes with the same number, or at several speeds; tied ones are infinite where there
+        are no more.
     """
 
     omega_open: np.ndarray
@@ -43,7 +44,7 @@ class BilinearFrequencies(Tabular):
 
     @property
     def omega_bilinear(self) -> np.ndarray:
-        """2 w_o w_t / (w_o + w_t): (n,) [rad/s]."""
+        """2 w_o w_t / (w_o + w_t): (..., n) [rad/s]."""
         with np.errstate(divide="ignore"):
             return np.asarray(2.0 / (1.0 / self.omega_open + 1.0 / self.omega_tied))
 
@@ -52,13 +53,15 @@ class BilinearFrequencies(Tabular):
 
         ``mode``, its number; ``omega_open``, ``omega_tied`` and ``omega_bilinear`` of it [rad/s];
         ``over_open``, ``over_tied`` and ``over_bilinear``, the load frequency over these: one less
-        is the frequency shift. Of shape (...).
+        is the frequency shift. Of shape (...), that of the speeds if there are several.
         """
         omega, bilinear = np.asarray(omega, dtype=float), self.omega_bilinear
         place = np.abs(omega[..., None] - bilinear).argmin(axis=-1)
+        count = bilinear.shape[-1]
         found: dict[str, np.ndarray] = {"mode": place + 1}
         for name in ("open", "tied", "bilinear"):
-            natural = getattr(self, f"omega_{name}")[place]
+            natural = np.broadcast_to(getattr(self, f"omega_{name}"), (*place.shape, count))
+            natural = np.take_along_axis(natural, place[..., None], -1)[..., 0]
             found[f"omega_{name}"] = natural
             with np.errstate(divide="ignore", invalid="ignore"):
                 found[f"over_{name}"] = omega / natural

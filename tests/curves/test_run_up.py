@@ -95,6 +95,23 @@ def test_run_up_meets_structures_of_each_speed(run_up: Run[fc.ResponseCurve]) ->
         assert mine.amplitude(run_up.watched_dof) == pytest.approx(expected, rel=1e-4)
 
 
+def test_natural_frequencies_are_those_of_each_speed(run_up: Run[fc.ResponseCurve]) -> None:
+    """Columns of a run-up, and of its special points, against structures at their own speeds."""
+    rotation = run_up.structure.whole.rotation
+    points, special = tables.curve_points(run_up), tables.special_points(run_up)
+    for table, rows in ((points, points.rows[:: len(points.rows) // 5]), (special, special.rows)):
+        for row in rows:
+            told = dict(zip(table.columns, row, strict=True))
+            omega = told["omega [rad/s]"]
+            there = fc.bilinear_frequencies(rotation.at(omega / ORDER)).nearest(omega)
+            for name in ("over_open", "over_tied", "over_bilinear"):
+                assert told[name] == pytest.approx(float(there[name]), rel=2e-5)
+    [before, after] = (
+        row[points.columns.index("omega_open [rad/s]")] for row in (points.rows[0], points.rows[-1])
+    )
+    assert after > 1.001 * before
+
+
 def test_verdicts_are_those_of_single_solutions(run_up: Run[fc.ResponseCurve]) -> None:
     """At three speeds, each of a scene that is meshed, reduced and solved by itself."""
     curve = run_up.result
