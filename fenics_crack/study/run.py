@@ -218,6 +218,9 @@ def _prepare_curve(scene: Scene, comm: MPI.Comm) -> Study:
     parameter, start, stop = scene.curve.followed
     if parameter != "speed":
         return prepare(scene, comm)
+    if scene.reduction is not None:
+        allowed = "'massless', or left out, for a run-up: it has one basis for all speeds"
+        scene.reduction.require(scene.reduction.method in (None, "massless"), "method", allowed)
     study = prepare(scene, comm, whole=True)
     check_memory_of(scene, study.structure)
     table = reduction_of(study.scene, study.structure)

@@ -186,6 +186,9 @@ def test_bad_input() -> None:
     """A run-up needs an order, a structure that rotates, and one that knows all speeds."""
     with pytest.raises(InputError, match=r"curve.parameter"):
         cracked(600.0, curve=CURVE)
+    for method in ("off", "free_interface", "craig_bampton"):  # none of which it would take
+        with pytest.raises(InputError, match=rf"reduction.method = '{method}': must be 'massless'"):
+            follow_curve(blade(CURVE).replace({"reduction.method": method}), MPI.COMM_SELF)
     plate = fc.prepare(cracked(600.0), MPI.COMM_SELF)
     assert plate.contact is not None
     with pytest.raises(InputError, match="run_up_structure"):
