@@ -28,7 +28,8 @@ def draw_campbell(
     in_rpm: bool = True,
 ) -> Figure:
     """Draw natural frequencies over the speed: bilinear ones as lines, in bands from lips open to
-    lips tied; engine orders as grey lines with their numbers, and circles where they meet.
+    lips tied; engine orders as grey lines with their numbers, and circles where they meet. Modes
+    above the reach of all orders are left out, but for the first one.
 
     Parameters
     ----------
@@ -52,6 +53,8 @@ def draw_campbell(
     factor, _, unit = frequency_axis(in_hertz)
     pace, *name = speed_axis(in_rpm)
     speed, bilinear = pace * diagram.speed, factor * diagram.omega_bilinear
+    reach = max(orders, default=0) * factor / pace * speed[-1]
+    bilinear = bilinear[:, : max(1, int(np.sum(bilinear.min(axis=0) <= reach)))]
     colours = list(COLOURS.values())[:-1]
     for mode, line in enumerate(bilinear.T):
         colour = colours[mode % len(colours)]

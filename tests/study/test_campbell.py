@@ -59,6 +59,17 @@ def test_bad_input() -> None:
         assert caught.value.key == key
 
 
+def test_picture_reaches_as_far_as_the_orders() -> None:
+    """Orders up to 8 meet the first mode of a beam at 4 UNIT, up to 20 both; 1 meets none."""
+    found = fc.campbell(strip(0, 1.0), np.linspace(0.0, 4.0 * UNIT, 3), 2)
+    for orders, modes in ((range(1, 3), 1), (range(1, 9), 2), ([1], 1), ([], 1)):
+        [panel] = fc.draw_campbell(found, orders).axes
+        labels = panel.get_legend_handles_labels()[1]
+        assert labels == ["mode 1", "mode 2"][:modes]
+        highest = found.omega_open[:, :modes].max() / (2.0 * np.pi)
+        assert panel.get_ylim()[1] == pytest.approx(1.08 * highest)
+
+
 def test_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """Table, files and picture; speeds in the scene's unit; each crossing of the scene's order."""
     path = tmp_path / "blade.toml"
