@@ -40,7 +40,7 @@ tip = [{WIDTH}, {HEIGHT}]
 [identify]
 finer = 1.5
 [identify.unknown]
-"crack.length" = {{ start = 0.0025, stop = 0.043, count = 9, spacing = "logarithmic" }}
+"crack.length" = {{ start = 0.0025, stop = 0.043, count = 10 }}
 "crack.height" = {{ start = 0.02, stop = 0.28, count = 13 }}
 """
 FINER = {

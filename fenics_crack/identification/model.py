@@ -158,10 +158,15 @@ class Quantities:
         waves = (smooth[:, ::2] + 1j * smooth[:, 1::2]) / scales
         values, turns, rest = self._of_numbers(x, waves, scales)
         free = [np.zeros((*values.shape, 0))]
+        unsure = sum(np.sum(errors**2, axis=1) for errors in scatter)
+        unsure = (unsure[:, ::2] + unsure[:, 1::2]) / np.abs(scales) ** 2
         for passages in self._passages:
             at = self._places[passages.rows[0]]
             found = passages.aligned(waves[:, at])
-            values[:, passages.rows], rest[:, passages.rows] = found.values, found.rest**2
+            values[:, passages.rows] = found.values
+            # What harmonics above the last one may be: as much as that may be.
+            last = (np.abs(waves[:, at[-1]]) ** 2 + unsure[:, at[-1]]) * found.size**2
+            rest[:, passages.rows] = last[:, None]
             turns[:, np.array(passages.rows)[:, None], at] = found.turns / scales[:, None, at]
             moved = np.zeros((*values.shape, found.free.shape[2]))
             moved[:, passages.rows] = found.free

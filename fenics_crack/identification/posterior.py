@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import label, maximum_filter
 from scipy.optimize import least_squares, minimize
 from scipy.special import logsumexp
@@ -42,6 +43,8 @@ WIDTHS = 5.0
 """Standard deviations around an optimum that are looked at closer."""
 WORSE = 8.0
 """Difference of log L beyond which an optimum is none."""
+DEEP = 300.0
+"""Difference of log L beyond which places matter to no probability."""
 AT_ONCE = 500
 """Places at which a likelihood is computed together."""
 VAGUE = 10.0
@@ -129,7 +132,8 @@ def explore(likelihood: Likelihood) -> Branch:
         height = likelihood(np.zeros((1, 0)))
         return Branch(likelihood, [], (), height.reshape(()), np.ones(()))
     first = [np.linspace(axis[0], axis[-1], LOOK.get(d, 9)) for axis in cube.axes]
-    optima = _optima(likelihood, first, cube.low, cube.high)
+    height = _heights(likelihood, _points(first)).reshape([len(axis) for axis in first])
+    optima = _optima(likelihood, first, height, cube.low, cube.high)
     axes = []
     for place, (axis, low, high) in enumerate(zip(first, cube.low, cube.high, strict=True)):
         pieces = [axis]
@@ -142,14 +146,27 @@ def explore(likelihood: Likelihood) -> Branch:
     weight = np.ones(())
     for own in weights:
         weight = np.multiply.outer(weight, own)
-    return Branch(likelihood, optima, tuple(axes), _on_grid(likelihood, axes), weight)
+    points = _points(axes)
+    # Where all of the first grid around is far below the best, what it has is near enough.
+    around = maximum_filter(height, size=3, mode="nearest")
+    near = RegularGridInterpolator(first, around)(points) > optima[0].height - DEEP
+    for optimum in optima[:3]:
+        reach = WIDTHS * np.sqrt(np.diag(optimum.covariance))
+        near |= np.all(np.abs(points - optimum.x) < reach, axis=1)
+    closer = RegularGridInterpolator(first, height)(points)
+    closer[near] = _heights(likelihood, points[near])
+    return Branch(likelihood, optima, tuple(axes), closer.reshape(weight.shape), weight)
 
 
-def _on_grid(likelihood: Likelihood, axes: list[np.ndarray]) -> np.ndarray:
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+def _points(axes: list[np.ndarray]) -> np.ndarray:
+    """Those of a grid, the last unknown fastest: (n, d)."""
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+
+
+def _heights(likelihood: Likelihood, points: np.ndarray) -> np.ndarray:
+    """log L at many places (n, d): (n,)."""
     pieces = np.array_split(points, -(-len(points) // AT_ONCE))
-    found = np.concatenate([likelihood(piece) for piece in pieces])
-    return found.reshape([len(axis) for axis in axes])
+    return np.concatenate([likelihood(piece) for piece in pieces])
 
 
 def trapezoid(axis: np.ndarray) -> np.ndarray:
@@ -160,10 +177,13 @@ def trapezoid(axis: np.ndarray) -> np.ndarray:
 
 
 def _optima(
-    likelihood: Likelihood, axes: list[np.ndarray], low: np.ndarray, high: np.ndarray
+    likelihood: Likelihood,
+    axes: list[np.ndarray],
+    height: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
 ) -> list[Optimum]:
     """Least squares from the highest places of a grid; what is much worse or the same left out."""
-    height = _on_grid(likelihood, axes)
     summits = np.argwhere(height == maximum_filter(height, size=3, mode="nearest"))
     best = sorted(summits, key=lambda at: -height[tuple(at)])[:STARTS]
     found: list[Optimum] = []

@@ -44,14 +44,14 @@ class Aligned:
         Their slopes by the harmonics U_k: values = Re sum_k turns_k U_k + c.
     free : (m, n, 3) [m]
         Their changes by a standard deviation of A, psi and c.
-    rest : (m, n) [m]
-        What harmonics above K may be: as much as the K-th.
+    size : (m,)
+        A.
     """
 
     values: np.ndarray
     turns: np.ndarray
     free: np.ndarray
-    rest: np.ndarray
+    size: np.ndarray
 
 
 class Passages:
@@ -109,8 +109,7 @@ class Passages:
             ],
             axis=2,
         )
-        rest = np.broadcast_to((size * np.abs(waves[:, -1]))[:, None], motion.shape)
-        return Aligned(motion + constant[:, None], turned, free, rest)
+        return Aligned(motion + constant[:, None], turned, free, size)
 
     def _fitted(
         self, waves: np.ndarray, turns: np.ndarray, orders: np.ndarray
