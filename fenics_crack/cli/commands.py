@@ -245,8 +245,7 @@ def _measurements(
     if arrivals is not None:
         (times, _), table = arrivals_of(scene, arrivals, console.comm), scene.tip_timing
         assert table is not None
-        points = () if scene.output is None else scene.output.points
-        tip, against = f"{points[0].key}.ux" if points else "", table.tangential < 0.0
+        tip, against = [*scene.point_names, ""][0], table.tangential < 0.0
         order = engine_order(table, scene)
         parts.append(Measurements.from_arrivals(times, order, tip, against=against))
     return parts[0] if len(parts) == 1 else parts[0] + parts[1]

@@ -25,13 +25,22 @@ from fenics_crack.errors import InputError
 from fenics_crack.identification.interpolation import Cube
 from fenics_crack.identification.measurements import Measurement
 from fenics_crack.model.bilinear import FEW
+from fenics_crack.scene.scene import Scene
 from fenics_crack.sweep.file import CONVERGED, ORDERS
 from fenics_crack.sweep.result import SweepResult
 
-__all__ = ["Feature", "Part"]
+__all__ = ["Feature", "Part", "check_point"]
 
 LIPS = {"uncracked": ("open",), "bilinear": ("open", "tied"), "resonance": ("open", "tied")}
 """Of what natural frequencies are made."""
+
+
+def check_point(scene: Scene, point: str) -> None:
+    """Raise InputError if a point is not one of the scene."""
+    known = scene.point_names
+    if point and point not in known:
+        allowed = f"empty, or one of [output.points]: {', '.join(known) or 'there are none'}"
+        raise InputError("measurements.point", point, allowed)
 
 
 @dataclass(frozen=True)
@@ -65,14 +74,10 @@ class Part:
 
     def harmonic(self, point: str, frequency: float, order: int) -> np.ndarray:
         """Complex amplitude of a harmonic at all nodes: (n,) [m]; 0 where a case has fewer."""
+        check_point(self.sweep.scene, point)
         parts = []
         for part in ("cosine", "sine"):
             name = f"{point}.{part}_{order}" if point else f"{part}_{order}"
-            if name not in self.sweep.columns:
-                points = self.sweep.scene.output.points if self.sweep.scene.output else ()
-                known = [f"{one.key}.u{axis}" for one in points for axis in "xy"]
-                allowed = f"empty, or one of [output.points]: {', '.join(known) or 'none there'}"
-                raise InputError("measurements.point", point, allowed)
             parts.append(self.column(name))
         loads = self.sweep.axes[-1].values
         if frequency not in loads:

@@ -11,6 +11,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError
+from fenics_crack.identification.features import check_point
 from fenics_crack.identification.measurements import Measurements
 from fenics_crack.identification.model import Model
 from fenics_crack.identification.posterior import Likelihood, Posterior, explore
@@ -83,8 +84,9 @@ def identify(
     if not isinstance(measurements, Measurements):
         path = measurements
         measurements = on_root(comm, lambda: Measurements.from_csv(path))
-    check_points(scene, measurements)
     rows = measurements.rows
+    for row in rows:
+        check_point(scene, row.point)
     loads = [row.frequency for row in rows if not row.natural]
     forward = solve_forward(scene, loads, Path(folder), comm, progress=progress)
     begin("inference")
@@ -109,16 +111,6 @@ def infer(forward: Forward, measurements: Measurements) -> Identification:
         uncracked = Posterior({str(k): explore(one) for k, one in enumerate(plain)}).log_evidence
     remarks = remarks_on(forward.scene, measurements)
     return Identification(forward.scene, measurements, Posterior(branches), uncracked, remarks)
-
-
-def check_points(scene: Scene, measurements: Measurements) -> None:
-    """Raise InputError if a point is not one of the scene."""
-    points = scene.output.points if scene.output is not None else ()
-    known = [f"{point.key}.u{axis}" for point in points for axis in "xy"]
-    for row in measurements.rows:
-        if row.point and row.point not in known:
-            allowed = f"empty, or one of [output.points]: {', '.join(known) or 'there are none'}"
-            raise InputError("measurements.point", row.point, allowed)
 
 
 def _likelihood(model: Model, bare: Mapping[str, Model], measurements: Measurements) -> Likelihood:
@@ -166,8 +158,8 @@ def remarks_on(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
                 f"a crack from the {other} edge has the same natural frequencies: they do not tell "
                 "the edges apart"
             )
-    steady = scene.speed > 0.0 or any(scene.excitation.force_mean)
-    if any(row.shape for row in rows) and (steady or not is_proportional(scene)):
+    fixed = any(scene.excitation.force_mean) or not is_proportional(scene)
+    if any(row.shape for row in rows) and fixed:
         found.append(
             "a clearance or a steady load lets the shape of the motion depend on the load's size: "
             "that of the scene must be right"

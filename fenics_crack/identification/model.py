@@ -76,8 +76,7 @@ class Model:
         kinds = [f"frequency_{lips}" for lips in ("open", "tied", "resonance")]
         rows = [Measurement(k, 1.0, 1.0, mode=mode + 1) for k in kinds for mode in range(FEW)]
         sweep, ratios = self.coarse.sweep, ("ratio_2_1", "ratio_3_1")
-        points = sweep.scene.output.points if sweep.scene.output else ()
-        seen = ["", *(f"{point.key}.u{axis}" for point in points for axis in "xy")]
+        seen = ["", *sweep.scene.point_names]
         for load, point, ratio in itertools.product(sweep.axes[-1].values, seen, ratios):
             rows.append(Measurement(ratio, 1.0, 1.0, frequency=load, point=point))
         return tuple(rows)

@@ -271,6 +271,12 @@ class Scene:
         given = given or (self.curve is not None and self.curve.parameter == "rpm")
         return given or any(axis.key == "rotation.rpm" for axis in axes)
 
+    @property
+    def point_names(self) -> tuple[str, ...]:
+        """The points of ``[output.points]`` in each direction: "tip.ux", "tip.uy"."""
+        points = () if self.output is None else self.output.points
+        return tuple(f"{point.key}.u{axis}" for point in points for axis in "xy")
+
     def at_rest(self) -> Scene:
         """The scene without rotation, its load at the same frequency."""
         changes: dict[str, object] = {"rotation": None, "curve": None, "sweep": None}

@@ -99,11 +99,9 @@ BLANKS: dict[str, Any] = {"f": np.nan, "i": 0, "S": b""}
 
 def columns_of(scene: Scene) -> dict[str, tuple[str, str]]:
     """The :data:`COLUMNS` of a scene's sweep and those of its points, "tip.ux.ratio_2_1"."""
-    points = () if scene.output is None else scene.output.points
     return COLUMNS | {
-        f"{point.key}.u{axis}.{name}": (unit, "f8")
-        for point in points
-        for axis in "xy"
+        f"{point}.{name}": (unit, "f8")
+        for point in scene.point_names
         for name, unit in (AT_POINTS | PHASES).items()
     }
 
