@@ -147,7 +147,7 @@ TABLE = [
     ("solve scene.toml sweep.ranks=0", "sweep.over = None: must be given: a table of keys of the scene and the values that they take"),
     ("solve scene.toml excitation.point=none base.acceleration_sin=[1,0]", "excitation.force_sin = (1.0, 0.0): must be left out without excitation.point"),
     ("solve scene.toml base.acceleration_sin=[0,0]", "base.acceleration_sin = (0.0, 0.0): must be given, or another part of the motion, not zero"),
-    ("curve scene.toml base.displacement_cos=[1,0]", "base.displacement_cos = (1.0, 0.0): must be left out with a curve over the frequency, which takes base.acceleration_sin or _cos"),
+    ("curve scene.toml base.displacement_cos=[1,0]", "base.displacement_cos = (1.0, 0.0): must be left out with a curve over the frequency or speed, which takes base.acceleration_sin or _cos"),
     ("solve scene.toml structure.mass=a structure.stiffness=b", "structure.force_sin = None: must be given, or force_cos or force_mean: what moves it"),
     ("solve scene.toml structure.mass=a structure.stiffness=b structure.force_sin=c", "geometry = 'a table': must be left out with [structure]"),
     ("solve matrices.toml structure.damping=c", "damping = 'a table': must be left out with structure.damping"),

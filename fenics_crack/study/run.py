@@ -185,9 +185,10 @@ def follow_curve(
     if table is None:
         raise InputError("curve", None, "given for this command: a table with start and stop")
     parameter, start, stop = table.followed
-    if parameter == "omega" and scene.base is not None and scene.base.moves_by_displacement:
+    by_frequency = parameter in ("omega", "speed")
+    if by_frequency and scene.base is not None and scene.base.moves_by_displacement:
         keys = ("displacement_sin", "displacement_cos")
-        why = "a curve over the frequency, which takes base.acceleration_sin or _cos"
+        why = "a curve over the frequency or speed, which takes base.acceleration_sin or _cos"
         scene.base.leave_out(keys, why)
     study = _prepare_curve(scene, comm)
     law = _needed_law(study)
