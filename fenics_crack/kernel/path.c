@@ -250,7 +250,8 @@ static int advance(equations *at, int n, const stepping *how, path *points, shar
 {
     const int last = points->known - 1;
     const double step = points->step, weight = points->weights[last], reach = how->reach * step;
-    const double *here = points->unknowns + (size_t)last * n, old_slope = points->slopes[last];
+    const double *here = points->unknowns + (size_t)last * n;
+    double old_slope = points->slopes[last];
     const double *old = points->tangents + (size_t)last * n;
     double *x = points->unknowns + (size_t)points->known * n, p;
     double *tangent = points->tangents + (size_t)points->known * n, own, slope;
@@ -263,7 +264,7 @@ static int advance(equations *at, int n, const stepping *how, path *points, shar
         if (outcome != NOT_FOUND) break;
         shared = with->sure < last; /* the others are worn out */
         if (shared && (outcome = renew(at, n, points, with)) != FOUND) return outcome;
-        outcome = NOT_FOUND, work = 0;
+        old_slope = points->slopes[last], outcome = NOT_FOUND, work = 0;
     }
     if (!shared) {
         predict(n, points, x, &p, room);
