@@ -109,6 +109,11 @@ def solution(scene: Scene, folder: Path, console: Console) -> Exit:
         return Exit.NOT_CONVERGED
     console.warnings(judgements.of_error(scene, found.report, found.harmonics))
     console.warnings(judgements.of_stability(scene, run, found.stability))
+    if found.stability is None and run.structure.n_pairs:
+        console.note(
+            "the stability is not judged, as that would take long: it is for a reduced structure, "
+            "with contact.law = 'unilateral' for lips without mass (reduction.method)"
+        )
     return Exit.DONE
 
 

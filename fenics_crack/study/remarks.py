@@ -34,6 +34,8 @@ FORCES = ("force_mean", "force_cos", "force_sin")
 TURN = 2.0 * np.pi
 NEAR = 0.1
 """Relative distance at which a load frequency is taken to be meant for a natural one."""
+MANY_MODES = 2000
+"""Modes of a whole structure that take minutes."""
 SOFT, RIGID = 1.0, 1e6
 """Contact stiffness over that of the lips: as soft as these, and not to be told from rigid."""
 
@@ -384,6 +386,13 @@ def _resolution(scene: Scene, figures: KeyFigures) -> Remarks:
 
 
 def _modes(scene: Scene, figures: KeyFigures) -> Remarks:
+    every = scene.damping is not None and scene.damping.of_all_modes
+    if every and scene.damping.ratio is not None and figures.modes_kept > MANY_MODES:
+        text = (
+            f"all {figures.modes_kept} modes of the structure are computed for their damping, "
+            "which takes minutes and more; damping.modes = 50, or a reduction, does not"
+        )
+        yield Remark("damping.ratio", scene.damping.ratio, text)
     if figures.modes_below > figures.modes_kept:
         text = (
             f"harmonics up to H w reach {figures.modes_below} modes, and "

@@ -150,3 +150,19 @@ def test_motion_in_time_has_the_same_indicators(
         for point in ("tip.ux", "side.uy"):
             exact = found["integrate"][f"{point}.{quantity}"]
             assert found["solve"][f"{point}.{quantity}"] == pytest.approx(exact, rel=2e-3)
+
+
+def test_a_verdict_that_is_left_out_is_told(
+    scene: fc.Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of lips that have mass and may not overlap."""
+    rigid = {"contact.law": "unilateral", "contact.stiffness": None, "reduction.method": "off"}
+    small = {"mesh.columns": 2, "mesh.rows": 2, "output": None}
+    file = written(scene.replace(rigid | small), tmp_path)
+    words = ["solve", file, "--output", str(tmp_path)]
+    assert main(words) == 0
+    told = capsys.readouterr()
+    assert "the stability is not judged" in told.err and "verdict" not in told.out
+    assert main([*words, "--set", "reduction.method=massless", "--set", "reduction.modes=6"]) == 0
+    told = capsys.readouterr()
+    assert "not judged" not in told.err and "verdict" in told.out

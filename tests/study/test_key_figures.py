@@ -145,6 +145,16 @@ def test_a_tip_of_other_radii() -> None:
     assert remark.key == "rotation.rpm" and "never meet" in remark.text
 
 
+def test_all_modes_of_a_whole_structure() -> None:
+    """Damped one by one, they are computed one by one."""
+    whole = PAPER.replace({"reduction.method": "off", "damping.modes": "all"})
+    figures = replace(figures_of(GRID), modes_kept=5000, modes_below=1)
+    [remark] = remarks_on(whole, figures)
+    assert remark.key == "damping.ratio" and "all 5000 modes" in remark.text
+    assert not remarks_on(whole.replace({"damping.modes": 50}), figures)
+    assert not remarks_on(whole, replace(figures, modes_kept=500))
+
+
 def test_elements_along_each_lip() -> None:
     """As many as the scene asks for, also of a crack inside, whose tips are no pairs."""
     mesh = {"layout": "graded", "columns": None, "rows": None, "order": 2}
