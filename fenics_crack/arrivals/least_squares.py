@@ -114,8 +114,10 @@ def nominal_condition(angle: np.ndarray, order: float, multiples: np.ndarray) ->
 
 def refuse(arrivals: ArrivalTimes, unknowns: int) -> NoReturn:
     """Raise InputError: these probes cannot tell so many unknowns."""
-    found = f"{counted(len(arrivals.probes), 'probe')} at {arrivals.probes.tolist()} rad"
-    allowed = f"able to tell the {unknowns} unknowns of a fit: more probes, unequally spaced"
+    angles = ", ".join(f"{angle:g}" for angle in np.degrees(arrivals.probes))
+    found = f"{counted(len(arrivals.probes), 'probe')} at {angles} degrees"
+    allowed = f"able to tell the {unknowns} unknowns of a fit: more probes, unequally spaced, or "
+    allowed += "fewer harmonics"
     raise InputError("probes", found, allowed)
 
 

@@ -216,13 +216,12 @@ class Verification(Tabular):
         text = f"{name} = {self.values[name]:.5g} {self.units[name]}".rstrip()
         if not any(parts.values()):
             return f"{text}: nothing that was varied changes it"
-        share, bound = (
-            100.0 * self.relative(name, self.total(name, independent=way)) for way in (True, False)
-        )
+        shares = (self.relative(name, self.total(name, independent=way)) for way in (True, False))
+        share, bound = (f"{100.0 * s:.2g}" if s < 0.995 else f"{100.0 * s:.0f}" for s in shares)
         cause = max(parts, key=lambda one: parts[one])
         most = self.parts[cause][name]
         how = f"observed order {most.order:.2g}" if math.isfinite(most.order) else most.behaviour
         return (
-            f"{text} +- {share:.2g} % (sum of all: {bound:.2g} %), most of it by {cause}, {how}; "
+            f"{text} +- {share} % (sum of all: {bound} %), most of it by {cause}, {how}; "
             f"extrapolated {self.extrapolated(name):.5g}"
         )

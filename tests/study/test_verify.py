@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -65,6 +66,8 @@ def test_each_part_is_what_its_runs_say() -> None:
     parts = found.contributions("opening")
     assert found.total("opening") == pytest.approx(math.hypot(*parts.values()))
     assert found.total("opening", independent=False) == pytest.approx(sum(parts.values()))
+    tiny = replace(found, values={name: value / 1e3 for name, value in found.values.items()})
+    assert re.search(r"\+- \d{3,} % \(sum of all: \d{3,} %\)", tiny.statement[0])
     rows = [row for row in found.totals().rows if row[0] == "opening [m]"]
     assert rows[0][2] == pytest.approx(100.0 * parts["mesh"] / found.values["opening"], rel=1e-2)
 
