@@ -15,23 +15,27 @@ fractions and multiples, and elsewhere; H = 5 to 40. What is asked:
 
 The reference is an orbit of the exact flow from one switching instant to the next (`EventFlow`,
 `shoot`), which knows no harmonics: next to the answer; where there is none, next to solutions with
-two and four times the harmonics, and where the exact motion is after 3 and 30 periods. Of a
+two to eight times the harmonics, and where the exact motion is after 3 and 30 periods. Of a
 stability verdict: the modulus of the exact leading multiplier, and for "stable" the exact motion
 that begins with the answer over 100 periods. Of a bifurcation: that the number of exact multipliers
 outside the unit circle changes along the curve within 1 % of its frequency. Of a backbone's point:
-the nearest free motion of the same period.
+the nearest free motion, of any period; the larger of both differences.
 
-    right       the true error is at most three times the estimate (a tolerance: at most the
-                tolerance), or below 1e-6; a verdict is the exact one; a bifurcation is there
-    says so     not converged, refused, or an estimate above 10 %; a bifurcation marked unconfirmed
-    undecided   the verdict on stability is open
-    open        no exact orbit was found to compare with, or the exact flow cannot tell
-    WRONG       none of these: a wrong answer that passes for right
+    right        the true error is at most three times the estimate (a tolerance: at most the
+                 tolerance), or below 1e-6; a verdict is the exact one; a bifurcation is there
+    large        says so: an estimate above 10 %, or a tolerance that the given modes do not allow
+    unconverged  says so: no solution, a tolerance not reached, a curve not finished, no branch
+    too long     8 s of processor time were not enough to answer and to compare
+    unconfirmed  a bifurcation that is said to be so
+    undecided    the verdict on stability is open
+    open         no exact orbit was found to compare with, or the exact flow cannot tell
+    WRONG        none of these: a wrong answer that passes for right
 
 Printed for each kind: the counts, and the quantiles (5, 50, 95 %) of the true over the estimated
-error. The rows are added to ``campaign.csv`` as they are found; a run goes on where it was stopped.
+error. The rows are added to a file as they are found; a run goes on where it was stopped, and
+several folders are counted together by ``--also``.
 
-    OMP_NUM_THREADS=1 python benchmarks/campaign.py [--cases N] [--seed S] [--only KIND] [folder]
+    OMP_NUM_THREADS=1 python benchmarks/campaign.py [--cases N] [--seed S] [--kind KIND] [folder]
 """
 
 from __future__ import annotations
@@ -63,12 +67,16 @@ COLUMNS = (
     "seed", "case", "kind", "what", "masses", "pairs", "k R", "H", "omega", "estimate", "true",
     "verdict", "exact |mu|", "judgement", "remark", "s",
 )  # fmt: skip
-RIGHT, SAYS_SO, UNDECIDED, OPEN, WRONG = "right", "says so", "undecided", "open", "WRONG"
-JUDGEMENTS = (RIGHT, SAYS_SO, UNDECIDED, OPEN, WRONG)
+RIGHT, TOO_LARGE, UNCONVERGED, TOO_LONG = "right", "large", "unconverged", "too long"
+UNCONFIRMED, UNDECIDED, OPEN, WRONG = "unconfirmed", "undecided", "open", "WRONG"
+JUDGEMENTS = (RIGHT, TOO_LARGE, UNCONVERGED, TOO_LONG, UNCONFIRMED, UNDECIDED, OPEN, WRONG)
 KINDS = {"solution": 0.6, "tolerance": 0.2, "curve": 0.12, "branch": 0.04, "backbone": 0.04}
 """What is asked, and how often."""
 ROUNDING = 1e-6
 """Differences that count as none."""
+SURE = 1e-4
+"""Distance of a multiplier from the unit circle below which the exact flow does not tell: at the
+very end of a branch several orbits are as near."""
 LARGE = 0.1
 """Estimate above which an answer says itself that it is not to be trusted."""
 SECONDS = 8.0
@@ -104,7 +112,7 @@ class Finding:
     true: float = float("nan")
     verdict: str = "-"
     exact: float = float("nan")
-    judgement: str = SAYS_SO
+    judgement: str = UNCONVERGED
     remark: str = ""
 
 
@@ -212,9 +220,9 @@ def _starts(case: Case, found: fc.PeriodicSolution) -> Iterator[Callable[[], fc.
     """By shooting from the answer, from solutions with two and four times its harmonics next to it,
     and from where the exact motion is after some periods."""
     yield lambda: fc.shoot(case.structure, found)
-    for factor in (2, 4):
-        yield lambda factor=factor: fc.shoot(  # type: ignore[misc]
-            case.structure, finer(case, found, factor)
+    for factor, shortest in ((2, 0.05), (4, 0.05), (4, None), (8, None)):
+        yield lambda factor=factor, shortest=shortest: fc.shoot(  # type: ignore[misc]
+            case.structure, finer(case, found, factor, shortest)
         )
     for periods in (3, 30):
         yield lambda periods=periods: fc.shoot(  # type: ignore[misc]
@@ -222,8 +230,11 @@ def _starts(case: Case, found: fc.PeriodicSolution) -> Iterator[Callable[[], fc.
         )
 
 
-def finer(case: Case, found: fc.PeriodicSolution, factor: int) -> fc.PeriodicSolution:
-    """The solution with more harmonics to which Newton's method leads from an answer."""
+def finer(
+    case: Case, found: fc.PeriodicSolution, factor: int, shortest: float | None
+) -> fc.PeriodicSolution:
+    """The solution with more harmonics to which Newton's method leads from an answer, by full steps
+    or by shortened ones."""
     harmonics = min(factor * found.harmonics, 160)
     problem = Problem(
         case.structure, found.omega, case.law, harmonics, subharmonic=found.subharmonic
@@ -231,7 +242,7 @@ def finer(case: Case, found: fc.PeriodicSolution, factor: int) -> fc.PeriodicSol
     system = problem.system(problem.compliance())
     near = solve_in_plane(
         system, resized(found.gap_coefficients, harmonics), 0.0, None,
-        tolerance=1e-9, iterations=20, least_damping=0.05,
+        tolerance=1e-9, iterations=20, least_damping=shortest,
     )  # fmt: skip
     if near is None:
         raise ConvergenceError("no solution with more harmonics next to it")
@@ -252,15 +263,17 @@ def distance(found: fc.PeriodicSolution, orbit: fc.PeriodicOrbit) -> float:
 
 def leaves(case: Case, found: fc.PeriodicSolution, orbit: fc.PeriodicOrbit) -> bool:
     """Whether the exact motion that begins with an answer leaves its orbit: after 100 periods it is
-    farther away than at first, and than the estimate allows."""
+    farther away than at first, than the linearised motion, and than the estimate allows."""
     flow = EventFlow(case.structure, found.omega, case.law)
     state = flow.state(*initial_state(case.structure, found))
     size = float(np.linalg.norm(orbit.state))
-    first = float(np.linalg.norm(state - orbit.state)) / size
-    for index in range(PERIODS):
-        state = flow.advance(state, index * found.period, found.period)[0]
+    first = linear = (state - orbit.state) / size
+    monodromy = flow.advance(orbit.state, 0.0, found.period)[2]()
+    for _ in range(PERIODS):
+        state, linear = flow.advance(state, 0.0, found.period)[0], monodromy @ linear
     last = float(np.linalg.norm(state - orbit.state)) / size
-    return last > max(3.0 * first, 3.0 * estimate(found), 1e-4)
+    allowed = max(float(np.linalg.norm(first)), float(np.linalg.norm(linear)), estimate(found))
+    return last > max(3.0 * allowed, 1e-4)
 
 
 def outside(orbit: fc.PeriodicOrbit) -> tuple[int, int, int]:
@@ -284,15 +297,17 @@ def judge(
     row = Finding(what, found.harmonics, found.omega, estimate(found), verdict=verdict)
     if not found.converged:
         row.remark = found.status
+        if "that of the reduced structure given" in found.status:
+            row.judgement = TOO_LARGE
         return row
     if estimate(found) > LARGE and verdict != "stable":
-        row.remark = "estimate"
+        row.judgement = TOO_LARGE
         return row
     orbit, row.true = exact_orbit(case, found)
     if orbit is not None:
         row.exact = float(abs(orbit.multipliers[0]))
     if estimate(found) > LARGE:
-        row.remark = "estimate"
+        row.judgement = TOO_LARGE
         if orbit is not None and row.exact > 1.0 + ROUNDING:
             if row.true <= 3.0 * estimate(found):
                 row.judgement, row.remark = WRONG, "verdict in spite of its estimate"
@@ -307,7 +322,9 @@ def judge(
         row.judgement, row.remark = WRONG, "tolerance"
     elif verdict == "undecided":
         row.judgement = UNDECIDED
-    elif verdict != "-" and abs(row.exact - 1.0) > ROUNDING:
+    elif verdict != "-" and abs(row.exact - 1.0) <= SURE:
+        row.judgement, row.remark = OPEN, "at a bifurcation"
+    elif verdict != "-":
         right = verdict == ("stable" if row.exact < 1.0 else "unstable")
         row.judgement, row.remark = (RIGHT, "") if right else (WRONG, "verdict")
         if right and verdict == "stable" and leaves(case, found, orbit):
@@ -359,7 +376,7 @@ def bifurcation(case: Case, curve: fc.ResponseCurve, one: fc.Bifurcation) -> Fin
     """Whether the exact orbits next to a bifurcation have it."""
     row = Finding(one.kind, one.problem.harmonics, one.value, true=one.exact / one.value - 1.0)
     if not one.confirmed:
-        row.remark = "unconfirmed"
+        row.judgement = UNCONFIRMED
         return row
     near = np.abs(curve.omega / one.exact - 1.0)
     seen = []
@@ -417,24 +434,33 @@ def backbones(case: Case) -> Iterator[Finding]:
 
 
 def free_motion(case: Case, found: fc.PeriodicSolution) -> Finding:
-    """A point of a backbone against the nearest free motion of the same period in the exact flow,
-    by least squares: M - I is singular along the motion."""
+    """A point of a backbone against the nearest free motion in the exact flow, of any period: by
+    least squares, as M - I is singular along the motion, and motions come in families."""
     row = Finding("backbone", found.harmonics, found.omega, found.report.truncation)
     free = case.structure.varied(load=0.0)
     flow = EventFlow(free, found.omega, case.law)
-    state, instants = flow.state(*initial_state(free, found)), np.arange(512) * found.period / 512
-    for _ in range(12):
-        moved, gap, monodromy, _ = flow.advance(state, 0.0, found.period, instants=instants)
+    state, period = flow.state(*initial_state(free, found)), found.period
+    share = np.arange(512) / 512
+    wave = found.gap(share * period)
+    size = float(np.linalg.norm(state))
+    for _ in range(20):
+        moved, gap, monodromy, _ = flow.advance(state, 0.0, period, instants=share * period)
         left = moved - state
-        if np.linalg.norm(left) < 1e-9 * np.linalg.norm(state):
-            gap = gap - free.clearance
-            closing = np.linalg.norm(gap + free.clearance)
-            row.true = float(np.linalg.norm(found.gap(instants) - gap) / closing)
+        if np.linalg.norm(state) < 0.5 * size:
+            break
+        if np.linalg.norm(left) < 1e-9 * size:
+            apart = np.linalg.norm(wave - (gap - free.clearance)) / np.linalg.norm(gap)
+            row.true = max(float(apart), abs(period / found.period - 1.0))
             good = row.true <= max(3.0 * row.estimate, ROUNDING)
-            row.judgement = RIGHT if good else SAYS_SO if row.estimate > LARGE else WRONG
+            row.judgement = RIGHT if good else TOO_LARGE if row.estimate > LARGE else WRONG
             return row
-        state = state - np.linalg.lstsq(monodromy() - np.eye(len(state)), left, rcond=1e-7)[0]
-    row.judgement = SAYS_SO if row.estimate > LARGE else OPEN
+        later = (flow.advance(moved, 0.0, 1e-6 * period)[0] - moved) / (1e-6 * size)
+        slopes = np.column_stack([monodromy() - np.eye(len(state)), later])
+        step = np.linalg.lstsq(slopes, left / size, rcond=1e-7)[0]
+        if np.linalg.norm(step) > 0.5:  # to another motion, or to rest
+            break
+        state, period = state - size * step[:-1], period * (1.0 - step[-1])
+    row.judgement = TOO_LARGE if row.estimate > LARGE else OPEN
     row.remark = "no free motion"
     return row
 
@@ -458,6 +484,7 @@ def main() -> None:
         seed={"type": int, "default": 1, "help": "of the random numbers"},
         kind={"choices": list(KINDS), "help": "what is asked, instead of all"},
         minutes={"type": float, "default": np.inf, "help": "after which no case begins"},
+        also={"nargs": "*", "default": [], "help": "files whose rows are counted too"},
     )
 
 
@@ -481,7 +508,7 @@ def campaign(arguments: common.Arguments) -> None:
             writer.writerows(new)
             file.flush()
             rows += new
-    summarise(rows)
+    summarise(rows + [row for other in arguments.also for row in read(Path(other))])
 
 
 def read(path: Path) -> list[dict]:
@@ -501,7 +528,7 @@ def findings(seed: int, case: Case) -> list[dict]:
             for one in ASKED[case.kind](case):
                 found.append(one)
     except TimeoutError:
-        found.append(Finding("too long", case.harmonics, case.omega, judgement=OPEN))
+        found.append(Finding("too long", case.harmonics, case.omega, judgement=TOO_LONG))
     except (ConvergenceError, InputError) as error:
         found.append(Finding("refused", case.harmonics, case.omega, remark=str(error)))
     except Exception as error:  # a campaign has to say what broke, and go on

@@ -4,23 +4,59 @@ import campaign
 import pytest
 
 import fenics_crack as fc
+from fenics_crack.balance.error_report import UNKNOWN
 
 WERE_WRONG = {
     66: "estimate of 0.8 % where the exact orbit is 9.5 % away: Newton's second step in the wider "
     "equations is nine times the first",
     86: "a tolerance of 1 % missed by 12 % of it: the second step is twice the first",
+}
+NOT_KNOWN = {
     23: "a tolerance of 1 % missed by 8 % of it: the steps never end",
+    412: "estimate of 0.3 % by two steps, the second a tenth of the first, that lead nowhere",
+    553: "estimate of 7 %, the exact orbit is 40 % away: the second step a quarter of the first",
+}
+OF_NO_ORBIT = {
+    406: "called stable; the exact motion that begins there goes away at once",
+    554: "called stable by its harmonics, with an estimate of 10 %, where no orbit was marched",
 }
 
 
 @pytest.mark.parametrize("number", WERE_WRONG)
-def test_is_right_or_says_so(number: int) -> None:
+def test_is_right(number: int) -> None:
     """The estimate is within a factor 3 of the distance to the exact orbit, a tolerance is met."""
     case = campaign.draw(1, number)
     (row,) = campaign.findings(1, case)
     assert row["judgement"] == campaign.RIGHT, row
     assert row["true"] / 3.0 < row["estimate"] < 3.0 * row["true"]
     assert case.kind == "solution" or row["true"] <= case.tolerance
+
+
+@pytest.mark.parametrize("number", NOT_KNOWN)
+def test_error_is_said_to_be_unknown(number: int) -> None:
+    """Neither steps nor an exact orbit tell the error: it is not small, and no tolerance is met."""
+    (row,) = campaign.findings(1, campaign.draw(1, number))
+    assert row["judgement"] in (campaign.TOO_LARGE, campaign.UNCONVERGED), row
+    assert row["estimate"] >= UNKNOWN
+
+
+@pytest.mark.parametrize("number", OF_NO_ORBIT)
+def test_is_not_called_stable(number: int) -> None:
+    """No verdict where nothing confirms it."""
+    case = campaign.draw(1, number)
+    found = fc.solve_harmonic_balance(
+        case.structure, case.omega, case.law, harmonics=case.harmonics
+    )
+    assert fc.floquet(case.structure, found).verdict == "undecided"
+
+
+def test_backbone_is_held_against_free_motions_of_any_period() -> None:
+    """Without clearance all amplitudes have one frequency; with few harmonics a slightly other one,
+    at which there is no free motion."""
+    case = campaign.draw(1, 108)
+    rows = campaign.findings(1, case)
+    assert {row["judgement"] for row in rows} == {campaign.RIGHT}
+    assert all(row["true"] / 3.0 < row["estimate"] < 3.0 * row["true"] for row in rows)
 
 
 def test_cold_start_after_thousands_of_folds() -> None:

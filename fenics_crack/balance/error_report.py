@@ -47,7 +47,7 @@ from fenics_crack.balance.contact_integrals import (
 from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.balance.fourier import balanced, resized
-from fenics_crack.balance.orbits import exact_next_to
+from fenics_crack.balance.orbits import exact_next_to, judged_by_orbits
 from fenics_crack.balance.problem import Problem, is_regular
 from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear, is_rigid
 from fenics_crack.model.modal import all_modes
@@ -72,12 +72,12 @@ LARGE_ERROR = 0.05
 UNKNOWN = 1.0
 """The estimate where the error is not known: the better equations have not been solved, or lead
 farther away than the solution is large."""
-NOTHING, CALM, SETTLED, MAX_STEPS = 1e-9, 0.25, 0.1, 6
+NOTHING, CALM, SETTLED, MAX_STEPS = 1e-9, 0.05, 0.01, 10
 """Of Newton's method for an estimate: a first step, relative to the solution, that needs no second;
 the second relative to the first, and any later one relative to the distance gone, with which it
 ends; and how many follow the first."""
-SOLVED, SHORTENED, SHORTEST = 1e-7, 25, 0.02
-"""Of the steps shortened where those do not end: |F| / |x|, how many, and how short."""
+SOLVED, ITERATIONS, SHORTEST = 1e-7, 25, 0.02
+"""Of the wider equations where those steps do not end: |F| / |x|, how many more, and how short."""
 STIFF = 1e3
 """Stiffness of a penalty that stands for a constraint where the reference has mass at its lips,
 relative to the inverse of R_inf."""
@@ -215,46 +215,68 @@ def relative_size(change: np.ndarray, at: CondensedPoint, clearance: np.ndarray)
 
 
 def beyond_truncation(at: CondensedPoint, problem: Problem) -> _Change:
-    """What K > H harmonics change, K = :func:`_more_harmonics`; where their equations are not
-    solved, as where stiff pairs chatter, the orbit of the exact flow next to the solution.
+    """What K > H harmonics change, K = :func:`_more_harmonics`, where two steps show it; else the
+    orbit of the exact flow next to the solution, which stiff pairs that chatter may not have. Where
+    that is not known in closed form, further steps.
 
     Steps are found by elimination: iterative solutions of these equations do not converge where
     many pairs are stiff, unless these are seen through a static compliance.
     """
     rows, harmonics = len(at.unknown), _more_harmonics(at)
-    start = resized(at.unknown, harmonics)
+    start, wide = resized(at.unknown, harmonics), at.system.widened(harmonics)
+    exact = judged_by_orbits(problem)
     # The first H are solved; what samples leave there is another error.
-    found = _improvement(at.system.widened(harmonics), start, rows, solved=rows)
+    found = _improvement(wide, start, rows, solved=rows, most=0 if exact else MAX_STEPS)
     if found.settled:
         return found
-    return _to_exact_orbit(at, problem) or _by_shortened_steps(at, harmonics) or found
+    better = _to_exact_orbit(at, problem, wide) if exact else _by_shortened_steps(at, wide)
+    return better or found
 
 
-def _to_exact_orbit(at: CondensedPoint, problem: Problem) -> _Change | None:
-    """What the orbit of the exact flow next to a solution changes; None where it has none."""
+def _to_exact_orbit(
+    at: CondensedPoint, problem: Problem, wide: CondensedSystem | ConstraintSystem | CoupledSystem
+) -> _Change | None:
+    """What the orbit of the exact flow next to a solution changes, or next to where full steps with
+    more harmonics lead; None where it has none."""
     rows = len(at.gap)
     count = max(1024, 16 * rows)
     found = exact_next_to(problem, at.system.compliance.displacement(at.force), count)
+    if found is None and (near := _solved(at, wide, None)) is not None:
+        finer = problem.with_harmonics(len(near.gap) // 2)
+        found = exact_next_to(finer, finer.compliance().displacement(near.force), count)
     if found is None:
         return None
     gap, force = balanced(found, count // 2 - 1), problem.contact.force(found)
     return _Change(gap - resized(at.gap, len(gap) // 2), balanced(force, rows // 2) - at.force)
 
 
-def _by_shortened_steps(at: CondensedPoint, harmonics: int) -> _Change | None:
-    """The same by steps that are shortened where the residual would grow; None where they do not
+def _by_shortened_steps(
+    at: CondensedPoint, wide: CondensedSystem | ConstraintSystem | CoupledSystem
+) -> _Change | None:
+    """The change by steps that are shortened where the residual would grow; None where they do not
     arrive, or are many."""
-    wide = at.system.widened(harmonics)
     if wide.global_size > MANY or isinstance(wide, CoupledSystem):
         return None
-    found = solve_in_plane(
-        wide, resized(at.unknown, harmonics), float(isinstance(wide, ConstraintSystem)), None,
-        tolerance=SOLVED, iterations=SHORTENED, least_damping=SHORTEST,
-    )  # fmt: skip
-    if found is None:
+    there = _solved(at, wide, SHORTEST)
+    if there is None:
         return None
-    there = wide.linearise(found.unknown)
-    return _Change(there.gap - resized(at.gap, harmonics), there.force[: len(at.gap)] - at.force)
+    gap = there.gap - resized(at.gap, len(there.gap) // 2)
+    return _Change(gap, there.force[: len(at.gap)] - at.force)
+
+
+def _solved(
+    at: CondensedPoint,
+    wide: CondensedSystem | ConstraintSystem | CoupledSystem,
+    shortest: float | None,
+) -> CondensedPoint | None:
+    """The solution of the equations with more harmonics next to a solution; None where Newton's
+    method does not find it."""
+    found = solve_in_plane(
+        wide, resized(at.unknown, wide.integrals.harmonics),
+        float(isinstance(wide, ConstraintSystem)), None,
+        tolerance=SOLVED, iterations=ITERATIONS, least_damping=shortest,
+    )  # fmt: skip
+    return None if found is None else wide.linearise(found.unknown)
 
 
 def improved(at: CondensedPoint) -> np.ndarray:
@@ -282,6 +304,7 @@ def _improvement(
     better: tuple[Structure, Compliance] | None = None,
     *,
     solved: int = 0,
+    most: int = MAX_STEPS,
 ) -> _Change:
     """What better equations change: how far Newton's method goes until its steps are small against
     that, at least two of them. The first ``solved`` rows of the residual stay as they are.
@@ -306,7 +329,7 @@ def _improvement(
     if np.linalg.norm(again) < CALM * length:
         step = step + again
         return _Change(first.gap_of(step), first.force_of(step)[:rows], better)
-    for _ in range(MAX_STEPS):
+    for _ in range(most):
         step = point.solve_roughly(known - point.residual)
         if not np.all(np.isfinite(step)):
             break

@@ -186,7 +186,8 @@ def _solve_to_tolerance(
     while True:
         problem = solver.problem
         begin(f"H = {problem.harmonics}, {problem.structure.n_dofs} coordinates")
-        solution = solver.solve(initial) if last is None else solver.attempt(last)[1]
+        again = last is not None
+        solution = solver.attempt(last, patient=False)[1] if again else solver.solve(initial)
         if not solution.converged:
             if last is None:
                 return solution

@@ -38,6 +38,7 @@ __all__ = [
     "Orbits",
     "eigenvalues",
     "exact_next_to",
+    "judged_by_orbits",
 ]
 
 DIFFERENCE = 1e-6
@@ -204,16 +205,20 @@ class EventOrbits(Orbits):
         return np.asarray(gap - flow.structure.clearance)
 
 
+def judged_by_orbits(problem: Problem) -> bool:
+    """Whether the flow of a problem is known in closed form, from event to event, and its pairs are
+    few."""
+    structure = problem.structure
+    closed_form = is_small(structure) and is_piecewise_linear(problem.contact)
+    return closed_form and not structure.light_lips and structure.n_pairs <= FEW_PAIRS
+
+
 def exact_next_to(problem: Problem, displacement: np.ndarray, count: int) -> np.ndarray | None:
-    """The gap (count, n_pairs) [m] over a period of the orbit of the exact flow next to a solution,
-    given by the coefficients of its displacement (2H+1, n_dofs) [m]; None where there is none, or
-    the flow is not known in closed form."""
-    structure, law = problem.structure, problem.contact
-    closed_form = is_small(structure) and not structure.light_lips and is_piecewise_linear(law)
-    if not closed_form or structure.n_pairs > FEW_PAIRS:
-        return None
+    """The gap (count, n_pairs) [m] over a period of the orbit of the exact flow next to a solution
+    of a problem that is :func:`judged_by_orbits`, given by the coefficients of its displacement
+    (2H+1, n_dofs) [m]; None where there is none."""
     order = np.arange(1, problem.harmonics + 1)
-    flow = EventFlow(structure, problem.omega, law)
+    flow = EventFlow(problem.structure, problem.omega, problem.contact)
     rate = problem.base_omega * order @ displacement[2::2]
     state = flow.state(displacement[0] + displacement[1::2].sum(axis=0), rate)
     orbits = EventOrbits(flow, state, problem.subharmonic)

@@ -47,7 +47,7 @@ from fenics_crack.balance.family import DampingFamily, Family, FrequencyFamily
 from fenics_crack.balance.fourier import balanced, resized
 from fenics_crack.balance.linearisation import Linearisation
 from fenics_crack.balance.newton import DistributedSystem, KernelNewton, Newton
-from fenics_crack.balance.orbits import MarchedOrbits
+from fenics_crack.balance.orbits import INSTANTS, MarchedOrbits, exact_next_to, judged_by_orbits
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.rounding import (
     ROUNDING,
@@ -86,6 +86,8 @@ RECURRENCES = 4
 """Periods after which the motion came nearest to where it had been, from which an orbit is sought
 where the last one does not lead to any."""
 RAMP = Stepping(first=0.2, longest=0.5, shortest=1e-5, most=100)
+MANY = 150
+"""Unknowns with which paths take long."""
 FIRST, FEW, LAST = 600, 200, 8000
 """Steps of a path in the stiffness where other attempts are left, of those others, and of a path
 where there are none."""
@@ -118,6 +120,8 @@ class Search:
     """What was tried and how it ended."""
     newton: type[Newton | KernelNewton] = Newton
     """By which a penalty is solved for."""
+    patient: bool = True
+    """Whether every attempt is made; else those near the start, and paths of few unknowns."""
     _rounding: float = ROUNDING
     _last_coupled: Any = None
 
@@ -144,16 +148,16 @@ class Search:
         """
         product = self._allow_rounding(system)
         with self.newton(system) as newton:
-            found = self._from_near(newton, system, start, name, kept)
-            if not self.converged:
+            found = self._from_near(newton, system, start, name, kept, problem)
+            if not self.converged and self._affordable(system):
                 wide = WIDE if problem is None else replace(WIDE, most=FIRST)
                 found = self._stiffness_path(newton, system.linear, product, wide)
-            if not self.converged and problem is not None:
+            if not self.converged and problem is not None and self.patient:
                 if problem.structure.damping is not None:
                     found = self._damping_path(problem)
-                if not self.converged:
+                if not self.converged and kept is None:
                     found = self._from_marched(newton, problem, 0.0) or found
-        if not self.converged and family_from is not None:
+        if not self.converged and family_from is not None and self.patient:
             found = self._frequency_path(family_from)
         return found
 
@@ -177,14 +181,15 @@ class Search:
         return found.unknown if self.converged else None
 
     def last_resort(
-        self, system: CondensedSystem, fewer: np.ndarray | None, kept: int
+        self, system: CondensedSystem, fewer: np.ndarray | None, kept: int, problem: Problem
     ) -> Linearisation:
         """From a solution with fewer harmonics, if there is one; and along the path in the contact
         stiffness once more, with as many steps as it may take."""
         product = self._allow_rounding(system)
         with self.newton(system) as newton:
             if fewer is not None:
-                found = self._from_near(newton, system, fewer, f"from H = {kept}", kept)
+                name = f"from H = {kept}"
+                found = self._from_near(newton, system, fewer, name, kept, problem)
                 if self.converged:
                     return found
             return self._stiffness_path(newton, system.linear, product, replace(WIDE, most=LAST))
@@ -196,13 +201,46 @@ class Search:
         start: np.ndarray,
         name: str,
         kept: int | None,
+        problem: Problem | None = None,
     ) -> Linearisation:
-        """By full steps, shortened ones, and a path in the harmonics that are new."""
+        """By full steps and shortened ones; where some harmonics are new, from the exact orbit next
+        to the start, along a path in those, and from a marched orbit."""
         found = self._newton(newton, start, 0.0, 20, name)
         if not self.converged and start is not system.linear:
             found = self._shortened(newton, start, 0.0) or found
-        if not self.converged and kept is not None:
+        if not self.converged and kept and problem and judged_by_orbits(problem):
+            found = self._from_exact(newton, system, start, kept, problem) or found
+        if not self.converged and kept and self._affordable(system):
             found = self._harmonics_path(newton, system, start, kept)
+        if not self.converged and kept and problem:
+            found = self._from_marched(newton, problem, 0.0) or found
+        return found
+
+    def _affordable(self, system: CondensedSystem) -> bool:
+        """Whether paths are followed: one of many steps with many unknowns takes minutes."""
+        return self.patient or system.global_size <= MANY
+
+    def _from_exact(
+        self,
+        newton: Newton | KernelNewton,
+        system: CondensedSystem,
+        start: np.ndarray,
+        kept: int,
+        problem: Problem,
+    ) -> Linearisation | None:
+        """From the wave of the exact orbit next to a solution; None where it has none."""
+        name = "from the exact orbit next to it"
+        force = system.linearise(start).force
+        force[2 * kept + 1 :] = 0.0
+        displacement = problem.compliance().displacement(force)
+        gap = exact_next_to(problem, displacement, max(INSTANTS, 16 * problem.harmonics))
+        if gap is None:
+            self._note(name, "none found")
+            return None
+        guess = balanced(gap, problem.harmonics)
+        found = self._newton(newton, guess, 0.0, 12, name)
+        if not self.converged:
+            found = self._shortened(newton, guess, 0.0) or found
         return found
 
     def _allow_rounding(self, system: StiffnessSystem) -> float:

@@ -55,9 +55,11 @@ class Solver:
             )
         return solution
 
-    def attempt(self, initial: PeriodicSolution | None) -> tuple[Search, PeriodicSolution]:
+    def attempt(
+        self, initial: PeriodicSolution | None, *, patient: bool = True
+    ) -> tuple[Search, PeriodicSolution]:
         """The same, whether or not it converged, and the record of the search."""
-        search = Search(self.residual_tolerance)
+        search = Search(self.residual_tolerance, patient=patient)
         at: CondensedPoint
         with self.compliance() as compliance:
             if self.problem.residual is not None:
@@ -175,7 +177,7 @@ class Solver:
         ways = family_from if small else None
         begin = system.linear if start is None else start
         at = search.penalty(system, begin, ways, name, marched, kept)
-        if search.converged or not marched:
+        if search.converged or not marched or not search.patient:
             assert isinstance(at, CondensedPoint)
             return at
         fewer, half = None, harmonics // 2
@@ -183,7 +185,7 @@ class Solver:
             below = self._by_harmonics(search, compliance, problem.with_harmonics(half), None)
             fewer = resized(below.gap, harmonics) if search.converged else None
         if fewer is not None or harmonics == self.problem.harmonics:
-            at = search.last_resort(system, fewer, half)
+            at = search.last_resort(system, fewer, half, marched)
         assert isinstance(at, CondensedPoint)
         return at
 

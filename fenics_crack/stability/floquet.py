@@ -9,8 +9,9 @@ Better than all of them is an orbit of the flow in time, found by shooting from 
 (:mod:`shooting`): exact with few pairs that have mass; marched with two lengths of step where pairs
 are many, or are seen through a static compliance. With few pairs no other verdict is given: where a
 pair grazes, or a stop lies just beyond the truncated wave, the three estimates agree and are wrong.
-An orbit judges a solution only if it lies no farther away than three times the estimated error, and
-none is called stable of which a pair grazes within that.
+An orbit judges a solution only if it lies no farther away than three times the estimated error and
+10 %. None is called stable of which a pair grazes within that, or from which the exact motion goes
+away that begins with the solution.
 
 Sources: those of the modules named.
 """
@@ -24,7 +25,7 @@ import numpy as np
 from fenics_crack.balance.bordered import solve_in_plane
 from fenics_crack.balance.condensed import CondensedSystem
 from fenics_crack.balance.coupled import CoupledPoint
-from fenics_crack.balance.error_report import improved
+from fenics_crack.balance.error_report import LARGE_ERROR, improved
 from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.orbits import FEW_PAIRS
 from fenics_crack.balance.problem import Problem
@@ -32,6 +33,7 @@ from fenics_crack.balance.solution import PeriodicSolution, Stability, solution_
 from fenics_crack.balance.solver import Solver
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import ContactLaw, check_law, is_piecewise_linear, is_rigid
+from fenics_crack.model.exact_flow import EventFlow
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.stability.hill import hill_root
@@ -43,6 +45,7 @@ from fenics_crack.stability.shooting import (
     moving_below,
     shoot,
 )
+from fenics_crack.time.march import initial_state
 
 __all__ = ["Stability", "floquet"]
 
@@ -54,6 +57,14 @@ FINER = (1, 2, 4)
 """Times the harmonics, from whose solutions an exact orbit is sought in turn."""
 EXACT, MARCHED = 1e-6, 0.02
 """Distance of an orbit from the solution that it judges that may come from the orbit's errors."""
+FARTHEST, CLOSE = 0.1, 1e-3
+"""Distance from which on an exact orbit judges no solution, and to which the motion that begins
+with the solution need not be followed."""
+PEAK = 3.0
+"""How many times the root mean square of an error may be exceeded at an extremum of the gap."""
+FOLLOWED, AWAY = 8, 3.0
+"""Periods that it is followed else, and how many times farther away than the linearised motion it
+has then left its orbit."""
 SURE = 1e-6
 """Distance of a multiplier of a marched orbit from the unit circle that decides, at least."""
 
@@ -118,7 +129,10 @@ def floquet(
             return found
         judged = _by_harmonics(structure, solution, contact, flow)
         return replace(judged, verdict="undecided")
-    return _by_harmonics(structure, solution, contact, None if coupled else flow)
+    judged = _by_harmonics(structure, solution, contact, None if coupled else flow)
+    if refine and in_time and solution.report.total > LARGE_ERROR:
+        return replace(judged, verdict="undecided")
+    return judged
 
 
 def _by_harmonics(
@@ -190,9 +204,12 @@ def _exact(
             continue
         off = distance(orbit, solution)
         found = Stability(orbit.multipliers, _verdict(orbit, 1e-7), 1e-7, True, off)
-        if off <= allowed_distance(solution, EXACT):
-            error = allowed_distance(solution, off)
-            if found.verdict == "stable" and _grazes(orbit, structure, contact, error):
+        if off <= min(allowed_distance(solution, EXACT), FARTHEST):
+            error = PEAK * allowed_distance(solution, off)
+            if found.verdict == "stable" and (
+                _grazes(orbit, structure, contact, error)
+                or (off > CLOSE and _leaves(orbit, structure, contact, solution))
+            ):
                 return replace(found, verdict="undecided")
             return found
         if farther is None or off < farther.distance:
@@ -219,6 +236,21 @@ def _grazes(orbit: PeriodicOrbit, structure: Structure, contact: ContactLaw, err
         (after - before) ** 2, 8.0 * bend, out=np.zeros_like(gap), where=turns & (bend != 0.0)
     )
     return bool(np.any(turns & (np.abs(peak + static * contact.force(peak)) <= error * size)))
+
+
+def _leaves(
+    orbit: PeriodicOrbit, structure: Structure, contact: ContactLaw, solution: PeriodicSolution
+) -> bool:
+    """Whether the exact motion that begins with a solution leaves the stable orbit next to it,
+    which attracts only what is nearer."""
+    flow = EventFlow(structure, solution.omega, contact)
+    monodromy = flow.advance(orbit.state, 0.0, solution.period)[2]()
+    state = flow.state(*initial_state(structure, solution))
+    linear = off = state - orbit.state
+    for _ in range(FOLLOWED):
+        state, linear = flow.advance(state, 0.0, solution.period)[0], monodromy @ linear
+    near = max(np.linalg.norm(off), np.linalg.norm(linear))
+    return bool(np.linalg.norm(state - orbit.state) > AWAY * near)
 
 
 def _finer(

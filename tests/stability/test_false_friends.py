@@ -35,10 +35,7 @@ def test_grazing_is_judged_by_the_exact_orbit(share: float, stiffness: float) ->
     assert (found.verdict == "stable") == (abs(orbit.multipliers[0]) < 1.0)
 
 
-PRELOADED = (
-    (1, 531.0, 0.637, 0.012, 6e-5, 40), (2, 497.0, 0.535, 0.015, 1.1e-4, 40),
-    (2, 74.3, 0.51, 0.0011, 2.9e-4, 20),
-)  # fmt: skip
+PRELOADED = ((1, 531.0, 0.637, 0.012, 6e-5, 40), (2, 497.0, 0.535, 0.015, 1.1e-4, 40))
 """Masses, contact stiffness, frequency, damping, by how much the load opens the contact, and with
 how many harmonics the other orbit is found."""
 
@@ -66,6 +63,54 @@ def test_preloaded_contact_that_just_opens_is_undecided(case: tuple[int | float,
     finer = fc.solve_harmonic_balance(structure, omega, law, harmonics=int(more), initial=solution)
     other = fc.shoot(structure, finer)
     assert abs(other.multipliers[0]) > 3.0 and distance(other, solution) < 5e-3
+
+
+SECOND_STOPS = ((0.45, 3.0), (0.6, 3.0), (1.3, 10.0))
+"""Frequency, and stiffness of the first stop."""
+
+
+@pytest.mark.parametrize("case", SECOND_STOPS)
+def test_stiff_second_stop_just_beyond_the_truncated_wave(case: tuple[float, float]) -> None:
+    """H = 5 does not reach a second stop, and without that the orbit is stable; the exact motion
+    reaches it, and is unstable by far."""
+    omega, stiffness = case
+    alone = oscillator(0.0)
+    first = fc.solve_harmonic_balance(alone, omega, fc.UnilateralPenalty(stiffness), harmonics=5)
+    orbit = fc.shoot(alone, first)
+    assert abs(orbit.multipliers[0]) < 1.0
+    reached = first.gap(np.linspace(0.0, first.period, 4096)).max()
+    beyond = reached + 0.3 * (orbit.gap.max() - reached)
+    assert beyond > reached
+    structure = fc.Structure.from_matrices(
+        [[1.0]], [[1.0]], [[1.0, 1.0]], force_cos=[0.1], damping=[[0.02]], clearance=[0.0, beyond]
+    )
+    law = fc.UnilateralPenalty(np.array([stiffness, 1e4]))
+    solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=5)
+    times = np.linspace(0.0, solution.period, 4096)
+    assert not np.any(solution.contact_force(times)[:, 1])
+    exact = fc.shoot(structure, solution)
+    assert abs(exact.multipliers[0]) > 5.0
+    assert fc.floquet(structure, solution).verdict == "unstable"
+    error = distance(exact, solution)
+    assert error / 3.0 < solution.report.total < 3.0 * error
+
+
+def test_orbit_that_is_none() -> None:
+    """Two masses, the second mode at 11 times the load with hardly any damping: H = 5 was said to
+    be 2.6 % off and stable. The motion to which it leads is 108 % away."""
+    omega, above = 0.7954787921, 11.46120356 * 0.7954787921
+    structure = fc.Structure.from_matrices(
+        np.eye(2), np.diag([1.0, above**2]), [1.0, 1.06492542], force_cos=[1.0, 0.0],
+        damping=np.diag([2.0 * 0.02971492658, 2.0 * 0.00188151738 * above]),
+    )  # fmt: skip
+    law = fc.UnilateralPenalty(18.39356761)
+    solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=5)
+    assert solution.report.total > 0.3
+    assert fc.floquet(structure, solution).verdict == "undecided"
+    for tolerance in (1e-2, 1e-3):
+        met = fc.solve_harmonic_balance(structure, omega, law, tolerance=tolerance)
+        assert distance(fc.shoot(structure, met), met) <= tolerance
+        assert fc.floquet(structure, met).verdict == "stable"
 
 
 def test_stiff_curve_calls_no_orbit_what_it_is_not() -> None:
