@@ -60,8 +60,8 @@ EXACT, MARCHED = 1e-6, 0.02
 FARTHEST, CLOSE = 0.1, 1e-3
 """Distance from which on an exact orbit judges no solution, and to which the motion that begins
 with the solution need not be followed."""
-PEAK = 3.0
-"""How many times the root mean square of an error may be exceeded at an extremum of the gap."""
+PEAK = np.sqrt(2.0)
+"""How many times its root mean square an error is large at an extremum of the gap, as a wave is."""
 FOLLOWED, AWAY = 8, 3.0
 """Periods that it is followed else, and how many times farther away than the linearised motion it
 has then left its orbit."""
