@@ -78,6 +78,8 @@ the second relative to the first, and any later one relative to the distance gon
 ends; and how many follow the first."""
 SOLVED, ITERATIONS, SHORTEST = 1e-7, 25, 0.02
 """Of the wider equations where those steps do not end: |F| / |x|, how many more, and how short."""
+STILL = 1e-11
+"""Motion of lips, relative to that without contact, which is none but for rounding."""
 STIFF = 1e3
 """Stiffness of a penalty that stands for a constraint where the reference has mass at its lips,
 relative to the inverse of R_inf."""
@@ -207,11 +209,14 @@ def _of_displacement(
 
 
 def relative_size(change: np.ndarray, at: CondensedPoint, clearance: np.ndarray) -> float:
-    """Root mean square of a change of the gap relative to that of B^T u = g + g0."""
-    closing = at.gap.copy()
+    """Root mean square of a change of the gap relative to that of B^T u = g + g0; 0 where this is
+    rounding, beside what it would be without contact."""
+    closing, free = at.gap.copy(), at.system.compliance.linear_gap.copy()
     closing[0] += clearance
+    free[0] += clearance
     size = mean_square(closing)
-    return float(np.sqrt(mean_square(change) / size)) if size > 0.0 else 0.0
+    still = size <= STILL**2 * mean_square(free)  # lips that the load presses together
+    return 0.0 if still else float(np.sqrt(mean_square(change) / size))
 
 
 def beyond_truncation(at: CondensedPoint, problem: Problem) -> _Change:

@@ -222,6 +222,8 @@ def _confirmed(solution: PeriodicSolution, last: PeriodicSolution | None, tolera
     hardly differs from it. Where one estimate has failed, the next is not believed either."""
     if last is None:
         return False
+    if not max(solution.report.total, last.report.total):  # lips that stay where they are
+        return True
     change = solution.gap_coefficients - resized(last.gap_coefficients, solution.harmonics)
     closing = solution.gap_coefficients.copy()
     closing[0] += solution.structure.clearance

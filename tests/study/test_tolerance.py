@@ -80,3 +80,13 @@ def test_reduction_by_a_word(paper_scene: fc.Scene) -> None:
             change()
     with pytest.raises(fc.InputError, match=r"reduction = 1: must be changed key by key"):
         paper_scene.replace({"reduction": 1})
+
+
+def test_lips_that_the_load_presses_together(paper_scene: fc.Scene) -> None:
+    """They do not move but by rounding, which is no error of their motion: the tolerance is met at
+    once, by the vibration of the plate whose lips are tied."""
+    pressed = {"contact.law": "unilateral", "contact.stiffness": None, "damping.ratio": 0.01}
+    pressed |= {"excitation.force_mean": [-1e4, 0.0], "harmonic_balance.tolerance": 0.01}
+    run = solve(paper_scene.replace(SMALL | pressed), MPI.COMM_SELF)
+    assert run.result.converged and run.result.harmonics < 10
+    assert run.result.report.total == 0.0 < run.result.contact_force(np.zeros(1)).min()
