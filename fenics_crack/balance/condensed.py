@@ -253,7 +253,7 @@ class _GapPoint(CondensedPoint):
         matrices = self.system.compliance.matrices
         if self._rough is None:
             product = stiffness_times_compliance(self.system.compliance, self._law)
-            part = _LowRank(self.tangent, ROUGH * min(ROUGH, 1.0 / product))
+            part = _LowRank(self.tangent, ROUGH / max(1.0 / ROUGH, product))
             if not part.complete:
                 return self.solve(right)
             self._rough = part, factored(part.condense(matrices))

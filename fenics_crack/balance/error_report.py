@@ -80,6 +80,9 @@ SOLVED, ITERATIONS, SHORTEST = 1e-7, 25, 0.02
 """Of the wider equations where those steps do not end: |F| / |x|, how many more, and how short."""
 STILL = 1e-11
 """Motion of lips, relative to that without contact, which is none but for rounding."""
+SLOW = 10_000
+"""Unknowns from which on no steps follow a second one that is longer than the first: one of them
+may take 5 s."""
 STIFF = 1e3
 """Stiffness of a penalty that stands for a constraint where the reference has mass at its lips,
 relative to the inverse of R_inf."""
@@ -334,6 +337,8 @@ def _improvement(
     if np.linalg.norm(again) < CALM * length:
         step = step + again
         return _Change(first.gap_of(step), first.force_of(step)[:rows], better)
+    if start.size > SLOW and np.linalg.norm(again) > length:
+        return change_to(point, settled=False)
     for _ in range(most):
         step = point.solve_roughly(known - point.residual)
         if not np.all(np.isfinite(step)):

@@ -48,6 +48,8 @@ INSTANTS = 512
 FEW_PAIRS, CLOSED = 4, 1e-8
 """Up to so many with mass at their lips are judged by exact orbits: many switch too often; and how
 closely an orbit next to a solution repeats itself."""
+SETTLING = 10
+"""Periods that the motion is followed for where no orbit is found next to a solution itself."""
 QUICK = 100
 """Unknowns of a structure up to which its error is judged by an exact orbit: that takes 0.25 s with
 50, 0.8 s with 84, and 44 s with 336."""
@@ -226,11 +228,17 @@ def exact_next_to(problem: Problem, displacement: np.ndarray, count: int) -> np.
     rate = problem.base_omega * order @ displacement[2::2]
     state = flow.state(displacement[0] + displacement[1::2].sum(axis=0), rate)
     orbits = EventOrbits(flow, state, problem.subharmonic)
+    start = orbits.start
     try:
-        found = solve_in_plane(
-            orbits, orbits.start, 1.0, None,
-            tolerance=CLOSED, iterations=15, least_damping=0.01, patience=6,
-        )  # fmt: skip
-        return None if found is None else orbits.gap(found.unknown, 1.0, count)
+        for periods in (0, SETTLING):
+            for _ in range(periods):
+                start = orbits.moved(start, 1.0)[0]
+            found = solve_in_plane(
+                orbits, start, 1.0, None,
+                tolerance=CLOSED, iterations=15, least_damping=0.01, patience=6,
+            )  # fmt: skip
+            if found is not None:
+                return orbits.gap(found.unknown, 1.0, count)
     except ConvergenceError:  # pairs that chatter without end
-        return None
+        pass
+    return None
