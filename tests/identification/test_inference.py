@@ -250,7 +250,7 @@ def test_measurements_from_a_file(tmp_path: Path) -> None:
         "frequency_bilinear of mode 1", "ratio_2_1 at 250 Hz of tip.ux",
     ]  # fmt: skip
     found.to_csv(path)
-    assert fc.Measurements.from_csv(path).rows == fc.Measurements.from_csv(path).rows
+    assert repr(fc.Measurements.from_csv(path).rows) == repr(found.rows)  # nan differs from nan
     assert str(found.rows) == str(fc.Measurements.from_csv(path).rows)  # nan is not equal to nan
     arrays = fc.Measurements.from_arrays("frequency_bilinear", [841.1], 0.8, mode=[1])
     assert str(arrays.rows[0]) == str(found.rows[0])
