@@ -124,6 +124,13 @@ class Orbits(ABC):
         """Inner product."""
         return float(first @ second)
 
+    def followed(self, periods: int) -> np.ndarray:
+        """The start after some periods of the response, nearer to what attracts it: (2n,)."""
+        state = self.start
+        for _ in range(periods):
+            state = self.moved(state, 1.0)[0]
+        return state
+
     @abstractmethod
     def moved(
         self, unknown: np.ndarray, parameter: float
@@ -228,13 +235,10 @@ def exact_next_to(problem: Problem, displacement: np.ndarray, count: int) -> np.
     rate = problem.base_omega * order @ displacement[2::2]
     state = flow.state(displacement[0] + displacement[1::2].sum(axis=0), rate)
     orbits = EventOrbits(flow, state, problem.subharmonic)
-    start = orbits.start
     try:
         for periods in (0, SETTLING):
-            for _ in range(periods):
-                start = orbits.moved(start, 1.0)[0]
             found = solve_in_plane(
-                orbits, start, 1.0, None,
+                orbits, orbits.followed(periods), 1.0, None,
                 tolerance=CLOSED, iterations=15, least_damping=0.01, patience=6,
             )  # fmt: skip
             if found is not None:

@@ -299,12 +299,9 @@ def shoot(
         check_count("steps_per_period", steps_per_period, 1)
     check_count("settle", settle, 0)
     orbits = orbits_near(structure, law, solution, steps_per_period)
-    start = orbits.start
-    for _ in range(settle):
-        start = orbits.moved(start, 1.0)[0]
     sizes: list[float] = []
     found = solve_in_plane(
-        orbits, start, 1.0, None, tolerance=tolerance, iterations=MAX_STEPS,
+        orbits, orbits.followed(settle), 1.0, None, tolerance=tolerance, iterations=MAX_STEPS,
         least_damping=MIN_DAMPING, patience=PATIENCE, history=sizes,
     )  # fmt: skip
     if found is None:
