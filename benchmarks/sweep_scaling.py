@@ -27,7 +27,7 @@ from common import DEMOS, Arguments, run, save_table
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.balance.orbits import FEW_PAIRS
+from fenics_crack.balance.exact_orbits import FEW_PAIRS
 from fenics_crack.scene.tables import Sweep
 from fenics_crack.study.prepare import law_of, prepare
 from fenics_crack.sweep import case as sweep_case

@@ -46,8 +46,8 @@ from fenics_crack.balance.contact_integrals import (
 )
 from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
+from fenics_crack.balance.exact_orbits import exact_next_to, judged_by_orbits
 from fenics_crack.balance.fourier import balanced, resized
-from fenics_crack.balance.orbits import exact_next_to, judged_by_orbits
 from fenics_crack.balance.problem import Problem, is_regular
 from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear, is_rigid
 from fenics_crack.model.modal import all_modes
@@ -62,6 +62,7 @@ __all__ = [
     "beyond_truncation",
     "estimate_errors",
     "improved",
+    "lost_in_reduction",
     "mean_square",
     "relative_size",
 ]
@@ -149,7 +150,7 @@ def estimate_errors(at: CondensedPoint, displacement: np.ndarray, problem: Probl
     def relative(change: np.ndarray) -> float:
         return relative_size(change, at, structure.clearance)
 
-    truncation, reduction = beyond_truncation(at, problem), _lost_in_reduction(at, problem)
+    truncation, reduction = beyond_truncation(at, problem), lost_in_reduction(at, problem)
     missed = _missed_by_samples(at)
     sampling = at.gap_by_force(missed) if np.any(missed) else missed
     return ErrorReport(
@@ -369,7 +370,7 @@ def _missed_by_samples(at: CondensedPoint) -> np.ndarray:
     return contact_integrals(law, harmonics, samples).force(gap) - integrals.force(gap)
 
 
-def _lost_in_reduction(at: CondensedPoint, problem: Problem) -> _Change:
+def lost_in_reduction(at: CondensedPoint, problem: Problem) -> _Change:
     """What the compliance of the reduced structure's reference changes."""
     structure, rows = problem.structure, len(at.gap)
     reference = structure.reference if isinstance(structure, ReducedStructure) else None

@@ -6,9 +6,6 @@ In x = z / |z_0| and p = w / w_0, z_0 and w_0 those of a motion nearby, an orbit
 
 z the state at phase zero, m the periods of the load in the response's; dF/dx = M - I with the
 monodromy matrix M, dF/dp by central differences.
-
-Next to a harmonic-balance solution such an orbit tells its error where nothing that is balanced
-does: :func:`exact_next_to`.
 """
 
 from __future__ import annotations
@@ -20,39 +17,15 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg.lapack import dgeev
 
-from fenics_crack.balance.bordered import solve_in_plane
 from fenics_crack.balance.linearisation import DenseLinearisation
-from fenics_crack.balance.problem import Problem
-from fenics_crack.errors import ConvergenceError
-from fenics_crack.model.contact import is_piecewise_linear
-from fenics_crack.model.exact_flow import EventFlow
 from fenics_crack.model.flow import ExponentialFlow, Steps
-from fenics_crack.model.modal import is_small
 
-__all__ = [
-    "FEW_PAIRS",
-    "INSTANTS",
-    "EventOrbits",
-    "MarchedOrbits",
-    "OrbitPoint",
-    "Orbits",
-    "eigenvalues",
-    "exact_next_to",
-    "judged_by_orbits",
-]
+__all__ = ["INSTANTS", "MarchedOrbits", "OrbitPoint", "Orbits", "eigenvalues"]
 
 DIFFERENCE = 1e-6
 """Of p, for dF/dp."""
 INSTANTS = 512
 """At which the gaps of an orbit are kept."""
-FEW_PAIRS, CLOSED = 4, 1e-8
-"""Up to so many with mass at their lips are judged by exact orbits: many switch too often; and how
-closely an orbit next to a solution repeats itself."""
-SETTLING = 10
-"""Periods that the motion is followed for where no orbit is found next to a solution itself."""
-QUICK = 100
-"""Unknowns of a structure up to which its error is judged by an exact orbit: that takes 0.25 s with
-50, 0.8 s with 84, and 44 s with 336."""
 
 
 class OrbitPoint(DenseLinearisation):
@@ -185,64 +158,3 @@ class MarchedOrbits(Orbits):
             flow = here.at(other * self.omega)
             moved.append(flow.advance(self._size * unknown, self._periods).states[-1])
         return np.asarray((moved[0] - moved[1]) / (2.0 * DIFFERENCE * self._size))
-
-
-class EventOrbits(Orbits):
-    """Of the exact flow."""
-
-    def __init__(self, flow: EventFlow, state: np.ndarray, subharmonic: int = 1) -> None:
-        super().__init__(flow.omega, state)
-        self._flow, self._turns = flow, 2.0 * np.pi * subharmonic
-
-    def flow_at(self, parameter: float) -> EventFlow:
-        """The flow where the frequency has a value."""
-        omega = parameter * self.omega
-        if omega != self._flow.omega:
-            self._flow = self._flow.at(omega)
-        return self._flow
-
-    def moved(
-        self, unknown: np.ndarray, parameter: float
-    ) -> tuple[np.ndarray, Callable[[], np.ndarray], int]:
-        period = self._turns / (parameter * self.omega)
-        flow = self.flow_at(parameter)
-        moved, _, monodromy, events = flow.advance(self._size * unknown, 0.0, period)
-        return moved / self._size, monodromy, events
-
-    def gap(self, unknown: np.ndarray, parameter: float, count: int = INSTANTS) -> np.ndarray:
-        """Over a period, at equally spaced instants: (count, n_pairs) [m]."""
-        flow, period = self.flow_at(parameter), self._turns / (parameter * self.omega)
-        instants = np.arange(count) * period / count
-        gap = flow.advance(self._size * unknown, 0.0, period, instants=instants)[1]
-        return np.asarray(gap - flow.structure.clearance)
-
-
-def judged_by_orbits(problem: Problem) -> bool:
-    """Whether the flow of a problem is known in closed form, from event to event, and its pairs and
-    its unknowns are few."""
-    structure = problem.structure
-    closed_form = is_small(structure) and is_piecewise_linear(problem.contact)
-    few = structure.n_pairs <= FEW_PAIRS and structure.n_dofs <= QUICK
-    return closed_form and few and not structure.light_lips
-
-
-def exact_next_to(problem: Problem, displacement: np.ndarray, count: int) -> np.ndarray | None:
-    """The gap (count, n_pairs) [m] over a period of the orbit of the exact flow next to a solution
-    of a problem that is :func:`judged_by_orbits`, given by the coefficients of its displacement
-    (2H+1, n_dofs) [m]; None where there is none."""
-    order = np.arange(1, problem.harmonics + 1)
-    flow = EventFlow(problem.structure, problem.omega, problem.contact)
-    rate = problem.base_omega * order @ displacement[2::2]
-    state = flow.state(displacement[0] + displacement[1::2].sum(axis=0), rate)
-    orbits = EventOrbits(flow, state, problem.subharmonic)
-    try:
-        for periods in (0, SETTLING):
-            found = solve_in_plane(
-                orbits, orbits.followed(periods), 1.0, None,
-                tolerance=CLOSED, iterations=15, least_damping=0.01, patience=6,
-            )  # fmt: skip
-            if found is not None:
-                return orbits.gap(found.unknown, 1.0, count)
-    except ConvergenceError:  # pairs that chatter without end
-        pass
-    return None

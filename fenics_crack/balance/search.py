@@ -43,11 +43,12 @@ from fenics_crack.balance.condensed import (
 )
 from fenics_crack.balance.contact_integrals import ContactIntegrals, ExactIntegrals
 from fenics_crack.balance.coupled import CoupledSystem
+from fenics_crack.balance.exact_orbits import exact_next_to, judged_by_orbits
 from fenics_crack.balance.family import DampingFamily, Family, FrequencyFamily
 from fenics_crack.balance.fourier import balanced, resized
 from fenics_crack.balance.linearisation import Linearisation
 from fenics_crack.balance.newton import DistributedSystem, KernelNewton, Newton
-from fenics_crack.balance.orbits import INSTANTS, MarchedOrbits, exact_next_to, judged_by_orbits
+from fenics_crack.balance.orbits import INSTANTS, MarchedOrbits
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.rounding import (
     ROUNDING,

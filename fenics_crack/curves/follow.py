@@ -9,7 +9,7 @@ from typing import Any, TypedDict, Unpack
 
 from tqdm import tqdm
 
-from fenics_crack.balance.orbits import FEW_PAIRS
+from fenics_crack.balance.exact_orbits import FEW_PAIRS
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.continuation import LONGEST, Continuation

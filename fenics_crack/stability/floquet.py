@@ -26,8 +26,8 @@ from fenics_crack.balance.bordered import solve_in_plane
 from fenics_crack.balance.condensed import CondensedSystem
 from fenics_crack.balance.coupled import CoupledPoint
 from fenics_crack.balance.error_report import LARGE_ERROR, improved
+from fenics_crack.balance.exact_orbits import FEW_PAIRS
 from fenics_crack.balance.fourier import resized
-from fenics_crack.balance.orbits import FEW_PAIRS
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, Stability, solution_of
 from fenics_crack.balance.solver import Solver

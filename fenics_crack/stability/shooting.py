@@ -16,13 +16,12 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.bordered import PathPoint, solve_in_plane
-from fenics_crack.balance.compiled import CompiledPaths
-from fenics_crack.balance.orbits import INSTANTS, EventOrbits, MarchedOrbits, OrbitPoint
+from fenics_crack.balance.exact_orbits import EventOrbits
+from fenics_crack.balance.orbits import INSTANTS, MarchedOrbits, OrbitPoint
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError, check_count
-from fenics_crack.kernel import Struct, doubles, kernel, owned
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
-from fenics_crack.model.exact_flow import LONGEST_SEARCH, MAX_EVENTS, EventFlow
+from fenics_crack.model.exact_flow import EventFlow
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
@@ -108,19 +107,10 @@ class ExactOrbits(EventOrbits):
         flow = EventFlow(structure, solution.omega, contact)
         state = flow.state(*initial_state(structure, solution))
         super().__init__(flow, state, solution.subharmonic)
-        self.compiled = _CompiledOrbits(self, self._flow.at(self.omega), self._size, self._turns)
 
     def unknown_of(self, displacement: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """x of another motion at phase zero, (n_dofs,) each."""
         return np.asarray(self._flow.state(displacement, velocity) / self._size)
-
-    def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
-        """The equations at (x, p)."""
-        return self.compiled.linearise(unknown, parameter)
-
-    def by_parameter(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
-        """dF/dp at fixed x, by central differences."""
-        return self.compiled.slope(unknown, parameter)
 
     def orbit(self, found: PathPoint) -> PeriodicOrbit:
         """The orbit of a solution of the equations."""
@@ -134,55 +124,6 @@ class ExactOrbits(EventOrbits):
             found.iterations,
             found.at.events,
         )
-
-
-class _CompiledOrbits(CompiledPaths):
-    """The same in the kernel, with a flow of their own."""
-
-    def __init__(self, orbits: ExactOrbits, flow: EventFlow, size: float, turns: float) -> None:
-        self.shape = orbits.start.shape
-        self._orbits, self._flow = orbits, flow
-        given = Struct(
-            "orbit_equations", flow=flow.known.at, omega=orbits.omega, size=size, turns=turns,
-            longest=LONGEST_SEARCH, most=MAX_EVENTS,
-        )  # fmt: skip
-        self._point = owned(kernel.new_orbit_point(given.at), kernel.free_orbit_point)
-        self._equations = kernel.equations_of_orbit(self._point)
-
-    def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
-        """The equations at a point."""
-        self._evaluate(unknown, parameter)
-        return self._found(unknown, parameter)
-
-    def slope(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
-        """dF/dp."""
-        found = np.empty(self.shape)
-        self._evaluate(unknown, parameter)
-        self._equations.by_parameter(self._equations, doubles(found))
-        return found
-
-    def _evaluate(self, unknown: np.ndarray, parameter: float) -> None:
-        assert unknown.shape == self.shape
-        given, outcome = doubles(np.ascontiguousarray(unknown, dtype=float)), kernel.NEW_SET
-        while outcome == kernel.NEW_SET:
-            outcome = self._equations.evaluate(self._equations, given, parameter)
-            self._check(outcome)
-        if outcome == kernel.NOT_FOUND:
-            self._orbits.moved(unknown, parameter)  # says why
-            raise ConvergenceError("events: no motion over the period")
-
-    def _found(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
-        residual, monodromy = np.empty(self.shape), np.empty(2 * self.shape)
-        self._equations.residual(self._equations, doubles(residual))
-        kernel.monodromy_of(self._point, doubles(monodromy))
-        events = int(kernel.events_of(self._point))
-        return OrbitPoint(self._orbits, (unknown, parameter), residual, lambda: monodromy, events)
-
-    def _check(self, outcome: int) -> None:
-        if outcome == kernel.NO_MEMORY:
-            raise MemoryError("exact orbits")
-        if outcome == kernel.NEW_SET:
-            self._flow.make(kernel.new_set_of(self._point))
 
 
 class SteppedOrbits(MarchedOrbits):

@@ -10,11 +10,11 @@ import numpy as np
 import scipy.sparse as sparse
 from mpi4py import MPI
 
+from fenics_crack.balance.exact_orbits import FEW_PAIRS
 from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.indicators import indicators_of
 from fenics_crack.balance.memory import check_memory
 from fenics_crack.balance.neighbours import Neighbours
-from fenics_crack.balance.orbits import FEW_PAIRS
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import InputError

@@ -1,0 +1,106 @@
+"""Solutions to a tolerance where the truncated equations have none nearby: orbits of the exact
+flow, and the harmonics of these that the tolerance asks for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers import oscillator
+
+import fenics_crack as fc
+from fenics_crack.balance.exact_orbits import orbits_from, recurring
+from fenics_crack.balance.exact_solution import exact_solution
+from fenics_crack.balance.problem import Problem
+from fenics_crack.model.exact_flow import EventFlow
+
+OMEGA = {"one mass": 0.39681408867938706, "three masses": 2.165754283399089}
+
+
+def bouncing(name: str) -> tuple[fc.Structure, fc.UnilateralPenalty]:
+    """A mass that bounces off a stop six times in a period, k R_0 = 1800; three masses with two
+    pairs, k R_0 = 140, whose motion does not settle to any period."""
+    if name == "one mass":
+        mass, stiffness, damping = 1.6447776143, 2.4865193799, 0.0145369478
+        one = np.ones((1, 1))
+        structure = fc.Structure.from_matrices(
+            mass * one, stiffness * one, np.ones(1), force_cos=np.ones(1), damping=damping * one
+        )
+        return structure, fc.UnilateralPenalty(4453.8415474818)
+    stiffness = np.array([
+        [292.8451211053, 68.6585675602, -64.5645207776],
+        [68.6585675602, 51.8442050433, -2.1178901927],
+        [-64.5645207776, -2.1178901927, 20.2086185454],
+    ])  # fmt: skip
+    damping = np.array([
+        [0.1598260966, 0.0149447426, -0.0430966497],
+        [0.0149447426, 0.1601879117, 0.0547555275],
+        [-0.0430966497, 0.0547555275, 0.0365597523],
+    ])  # fmt: skip
+    structure = fc.Structure.from_matrices(
+        np.eye(3), stiffness, np.array([[0.0, 1.0], [0.0, 0.0], [-1.0, 0.0]]),
+        force_cos=np.array([0.0, 1.0, 1.598834433]),
+        force_sin=np.array([0.7596521291, 0.5743035972, -1.2578588327]),
+        clearance=np.array([0.0052751815, 0.0]), damping=damping,
+    )  # fmt: skip
+    return structure, fc.UnilateralPenalty(np.array([176.962024195, 1775.7576049751]))
+
+
+@pytest.mark.verification
+@pytest.mark.parametrize("name", OMEGA)
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-3])
+def test_error_is_what_was_asked_for(name: str, tolerance: float) -> None:
+    """The gap is as far from the orbit as the harmonics left out say, and the orbit repeats itself
+    when central differences march it, which know nothing of the exact flow."""
+    structure, law = bouncing(name)
+    omega = OMEGA[name]
+    found = fc.solve_harmonic_balance(structure, omega, law, tolerance=tolerance)
+    assert found.converged and found.status.startswith("exact orbit")
+    assert f"chosen for an error of {tolerance:g}: H = {found.harmonics}" in found.status
+    assert 0.0 < found.report.truncation <= found.report.total <= tolerance
+    orbit = fc.shoot(structure, found)
+    time = np.arange(len(orbit.gap)) * found.period / len(orbit.gap)
+    closing = np.linalg.norm(orbit.gap + structure.clearance)
+    off = np.linalg.norm(found.gap(time) - orbit.gap) / closing
+    assert off == pytest.approx(found.report.truncation, rel=0.3)
+    begun = EventFlow(structure, omega, law).motion(orbit.state)
+    history = fc.integrate_central_difference(
+        structure, omega, law, periods=1, steps_per_period=512 * 600, initial=begun
+    )
+    for first, last in zip(begun, history.final_state, strict=True):
+        assert np.linalg.norm(last - first) < 2e-3 * np.linalg.norm(first)
+    marched = history.gap[:-1] if len(history.gap) % 512 else history.gap
+    marched = marched[:: len(marched) // 512]
+    assert np.linalg.norm(marched - orbit.gap) < 1e-3 * closing
+
+
+@pytest.mark.parametrize("name", OMEGA)
+def test_stability_is_known(name: str) -> None:
+    """Enough harmonics are kept that who judges the solution finds the orbit again."""
+    structure, law = bouncing(name)
+    found = fc.solve_harmonic_balance(structure, OMEGA[name], law, tolerance=1e-2)
+    stability = fc.floquet(structure, found)
+    assert stability.refined and stability.verdict != "undecided"
+    assert stability.distance <= 3.0 * found.report.total
+
+
+def test_recurrences_find_what_attracts_the_motion() -> None:
+    """Of the bilinear oscillator: the orbit that harmonic balance with H = 200 solves for."""
+    law = fc.UnilateralPenalty(1.0)
+    problem = Problem(oscillator(), 1.0, law, 5)
+    begun = problem.compliance().displacement(np.zeros((11, 1)))
+    orbits = orbits_from(problem, begun)
+    orbit = recurring(orbits)
+    assert orbit is not None
+    exact = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=200)
+    gap = orbits.gap(orbit.unknown, 1.0, 512)
+    time = np.arange(512) * exact.period / 512
+    assert np.abs(gap - exact.gap(time)).max() < 1e-5 * np.abs(gap).max()
+
+
+def test_harmonics_out_of_reach(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the tolerance asks for more harmonics than are looked at, nothing is claimed."""
+    structure, law = bouncing("one mass")
+    problem = Problem(structure, OMEGA["one mass"], law, 5)
+    assert exact_solution(problem, None, 1e-3) is not None
+    monkeypatch.setattr("fenics_crack.balance.exact_solution.MOST", 20)
+    assert exact_solution(problem, None, 1e-3) is None
