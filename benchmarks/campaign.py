@@ -25,7 +25,7 @@ the nearest free motion, of any period; the larger of both differences.
                  tolerance), or below 1e-6; a verdict is the exact one; a bifurcation is there
     large        says so: an estimate above 10 %, or a tolerance that the given modes do not allow
     unconverged  says so: no solution, a tolerance not reached, a curve not finished, no branch
-    too long     8 s of processor time were not enough to answer and to compare
+    too long     60 s of processor time were not enough to answer and to compare
     unconfirmed  a bifurcation that is said to be so
     undecided    the verdict on stability is open
     open         no exact orbit was found to compare with, or the exact flow cannot tell
@@ -79,7 +79,7 @@ SURE = 1e-4
 very end of a branch several orbits are as near."""
 LARGE = 0.1
 """Estimate above which an answer says itself that it is not to be trusted."""
-SECONDS = 8.0
+SECONDS = 60.0
 """Of processor time that a case may take."""
 PERIODS = 100
 """Over which a motion called stable is followed."""

@@ -89,6 +89,8 @@ where the last one does not lead to any."""
 RAMP = Stepping(first=0.2, longest=0.5, shortest=1e-5, most=100)
 MANY = 150
 """Unknowns with which paths take long."""
+MOST_STEPS = 200
+"""Unknowns up to which the last path has as many steps as it may; beyond fewer, which take longer."""
 FIRST, FEW, LAST = 600, 200, 8000
 """Steps of a path in the stiffness where other attempts are left, of those others, and of a path
 where there are none."""
@@ -193,7 +195,8 @@ class Search:
                 found = self._from_near(newton, system, fewer, name, kept, problem)
                 if self.converged:
                     return found
-            return self._stiffness_path(newton, system.linear, product, replace(WIDE, most=LAST))
+            most = int(LAST * min(1.0, (MOST_STEPS / system.global_size) ** 2))
+            return self._stiffness_path(newton, system.linear, product, replace(WIDE, most=most))
 
     def _from_near(
         self,
