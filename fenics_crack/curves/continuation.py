@@ -46,6 +46,7 @@ from fenics_crack.curves.bifurcations import (
     turns_or_branches,
 )
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
+from fenics_crack.curves.doubled import DoubledStart
 from fenics_crack.curves.points import CurvePoint, Points
 from fenics_crack.curves.resume import check_resumed, directions, point_towards
 from fenics_crack.errors import InputError, check_count, check_number
@@ -93,11 +94,12 @@ class Continuation:
         added to that of every pair [m]; "speed": of the rotor [rad/s], which ``omega`` follows.
     start, end : float
         Its values; the end may be below the start.
-    initial : PeriodicSolution, ResponseCurve or Bifurcation, optional
+    initial : PeriodicSolution, ResponseCurve, Bifurcation or DoubledStart, optional
         Where to start. A solution: near the first point. A curve that did not reach its end: from
         its last point; ``start`` is then its own, or for a branch ``start`` and ``end`` bound the
         parameter. A bifurcation: on the branch that begins there; ``start`` and ``end`` bound the
-        parameter on either side (:func:`follow_branch`).
+        parameter on either side (:func:`follow_branch`). A start on a branch of twice the period:
+        likewise, with its ``problem``.
     tolerance : float, optional
         Without ``samples``. Raise and lower H along the curve so that the estimated truncation
         error, looked at every fourth point, stays near or below this, between the problem's
@@ -140,7 +142,7 @@ class Continuation:
         start: float,
         end: float,
         *,
-        initial: PeriodicSolution | ResponseCurve | Bifurcation | None = None,
+        initial: PeriodicSolution | ResponseCurve | Bifurcation | DoubledStart | None = None,
         tolerance: float | None = None,
         stability: bool = False,
         longest_step: float = LONGEST,
@@ -187,10 +189,13 @@ class Continuation:
             self._family = family_of(problem.with_harmonics(int(initial.harmonics[-1])))
             self._flow = flow_of(self._family.problem) if stability else None
             self._take_over(initial)
-        elif isinstance(initial, Bifurcation):
+        elif isinstance(initial, Bifurcation | DoubledStart):
             self._family, self._branch = family_of(problem), True
             self._flow = flow_of(self._family.problem) if stability else None
-            begun, self._towards = first_of_branch(self._family, initial, longest_step)
+            if isinstance(initial, Bifurcation):
+                begun, self._towards = first_of_branch(self._family, initial, longest_step)
+            else:
+                begun, self._towards = initial.point, initial.towards
             self._points.append(self._point(begun))
         else:
             found = _first_solution(problem, family_of, initial, tolerance)

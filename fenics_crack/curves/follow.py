@@ -14,6 +14,7 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.continuation import LONGEST, Continuation
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
+from fenics_crack.curves.doubled import next_to_doubled_orbits
 from fenics_crack.curves.exact import judge_curve, verified
 from fenics_crack.curves.points import CurvePoint
 from fenics_crack.curves.resume import same_problem
@@ -167,7 +168,9 @@ def follow_branch(
 
     The doubled branch has twice the period and twice as many harmonics. It is followed in one
     direction, until the parameter leaves the range or the branch joins the old one again; the
-    other direction of a doubled branch is the same orbits half a period later.
+    other direction of a doubled branch is the same orbits half a period later. Where the equations
+    have no doubled branch next to a confirmed period doubling, that of the exact orbits leads to a
+    first point farther on, with more harmonics where as many do not have it; the status says so.
 
     Parameters
     ----------
@@ -213,8 +216,18 @@ def follow_branch(
         samples=curve.samples and doubled * curve.samples,
         subharmonic=doubled * curve.subharmonic,
     )
-    given: dict[str, Any] = {**options, "initial": bifurcation}
-    return _run(Continuation(problem, curve.parameter, start, end, **given), progress, throw)
+    given: dict[str, Any] = {**options}
+    try:
+        growing = Continuation(problem, curve.parameter, start, end, **given, initial=bifurcation)
+    except ConvergenceError:
+        begun = next_to_doubled_orbits(curve, bifurcation, problem, (start, end))
+        if begun is None:
+            raise
+        growing = Continuation(begun.problem, curve.parameter, start, end, **given, initial=begun)
+        branch = _run(growing, progress, throw)
+        note = f", begun next to the exact orbit at {branch.omega[0]:.6g} rad/s"
+        return replace(branch, status=branch.status + note)
+    return _run(growing, progress, throw)
 
 
 def _between(

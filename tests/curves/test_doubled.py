@@ -1,0 +1,50 @@
+"""Branches of twice the period where harmonic balance has its own period doubling elsewhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers import oscillator
+
+import fenics_crack as fc
+
+
+def doubling_of_stiff_stop(
+    stiffness: float, harmonics: int
+) -> tuple[fc.ResponseCurve, fc.Bifurcation]:
+    """The oscillator on a stiff stop above its resonance, and its period doubling."""
+    curve = fc.continue_frequency(
+        oscillator(0.1, 1.0), 2.2, 3.0, fc.UnilateralPenalty(stiffness),
+        harmonics=harmonics, stability=True,
+    )  # fmt: skip
+    [one] = [b for b in curve.bifurcations if b.kind == "period_doubling" and b.confirmed]
+    return curve, one
+
+
+@pytest.mark.parametrize(("stiffness", "harmonics", "doubled"), [(300.0, 6, 12), (3000.0, 4, 16)])
+def test_branch_by_way_of_exact_orbits(stiffness: float, harmonics: int, doubled: int) -> None:
+    """The branch begins behind the exact doubling, if need be with more harmonics; its solutions
+    are next to exact orbits of twice the period, no farther than they say."""
+    curve, one = doubling_of_stiff_stop(stiffness, harmonics)
+    branch = fc.follow_branch(curve, one)
+    assert branch.complete and "begun next to the exact orbit" in branch.status
+    assert branch.subharmonic == 2 and branch.harmonics[0] == doubled
+    assert branch.omega[0] > one.exact and branch.omega[-1] == 3.0
+    for place in np.linspace(0, len(branch) - 1, 4).astype(int):
+        solution = branch.solution(int(place))
+        orbit = fc.shoot(curve.structure, solution)
+        halves = orbit.gap - np.roll(orbit.gap, len(orbit.gap) // 2, axis=0)
+        assert np.linalg.norm(halves) > 0.1 * np.linalg.norm(orbit.gap)
+        wave = solution.gap(np.arange(len(orbit.gap)) * solution.period / len(orbit.gap))
+        off = np.linalg.norm(wave - orbit.gap) / np.linalg.norm(orbit.gap)
+        assert off < 3.0 * solution.report.total < 0.5
+
+
+def test_unconfirmed_doubling_is_not_looked_for() -> None:
+    """Where no exact orbits have the doubling, none leads to a branch."""
+    structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(300.0)
+    curve = fc.continue_frequency(structure, 2.2, 3.0, law, harmonics=6)
+    known = "period_doubling", float(curve.values[3]), curve.unknown(3)
+    [one] = curve.expand_bifurcations([known])
+    with pytest.raises(fc.ConvergenceError, match="no point of another branch"):
+        fc.follow_branch(curve, one)
