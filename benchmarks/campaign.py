@@ -434,32 +434,36 @@ def backbones(case: Case) -> Iterator[Finding]:
 
 
 def free_motion(case: Case, found: fc.PeriodicSolution) -> Finding:
-    """A point of a backbone against the nearest free motion in the exact flow, of any period: by
-    least squares, as M - I is singular along the motion, and motions come in families."""
+    """A point of a backbone against the nearest free motion in the exact flow that is at rest at
+    t = 0, and so again after half a period, of any period and energy: by least squares, as motions
+    come in families."""
     row = Finding("backbone", found.harmonics, found.omega, found.report.truncation)
-    free = case.structure.varied(load=0.0)
+    factors = {"load": 0.0} if case.structure.damping is None else {"load": 0.0, "damping": 0.0}
+    free = case.structure.varied(**factors)
     flow = EventFlow(free, found.omega, case.law)
     state, period = flow.state(*initial_state(free, found)), found.period
-    share = np.arange(512) / 512
+    share, rest = np.arange(512) / 512, len(state) // 2
     wave = found.gap(share * period)
     size = float(np.linalg.norm(state))
     for _ in range(20):
-        moved, gap, monodromy, _ = flow.advance(state, 0.0, period, instants=share * period)
-        left = moved - state
+        moved, _, monodromy, _ = flow.advance(state, 0.0, 0.5 * period)
+        left = moved[rest:]
         if np.linalg.norm(state) < 0.5 * size:
             break
         if np.linalg.norm(left) < 1e-9 * size:
+            gap = flow.advance(state, 0.0, period, instants=share * period)[1]
             apart = np.linalg.norm(wave - (gap - free.clearance)) / np.linalg.norm(gap)
             row.true = max(float(apart), abs(period / found.period - 1.0))
             good = row.true <= max(3.0 * row.estimate, ROUNDING)
             row.judgement = RIGHT if good else TOO_LARGE if row.estimate > LARGE else WRONG
             return row
-        later = (flow.advance(moved, 0.0, 1e-6 * period)[0] - moved) / (1e-6 * size)
-        slopes = np.column_stack([monodromy() - np.eye(len(state)), later])
+        later = (flow.advance(moved, 0.0, 5e-7 * period)[0] - moved)[rest:] / (1e-6 * size)
+        slopes = np.column_stack([monodromy()[rest:, :rest], later])
         step = np.linalg.lstsq(slopes, left / size, rcond=1e-7)[0]
         if np.linalg.norm(step) > 0.5:  # to another motion, or to rest
             break
-        state, period = state - size * step[:-1], period * (1.0 - step[-1])
+        state[:rest] -= size * step[:-1]
+        period *= 1.0 - step[-1]
     row.judgement = TOO_LARGE if row.estimate > LARGE else OPEN
     row.remark = "no free motion"
     return row

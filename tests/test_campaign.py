@@ -60,6 +60,19 @@ def test_backbone_is_held_against_free_motions_of_any_period() -> None:
     assert all(row["true"] / 3.0 < row["estimate"] < 3.0 * row["true"] for row in rows)
 
 
+def test_backbone_past_internal_resonances() -> None:
+    """No path with all harmonics; from fewer, all others together, to free motions."""
+    rows = campaign.findings(1, campaign.draw(1, 974))
+    assert {row["judgement"] for row in rows} == {campaign.RIGHT}
+    assert all(row["true"] < 3.0 * row["estimate"] for row in rows)
+
+
+def test_backbone_of_a_damped_structure_is_held_against_undamped_motions() -> None:
+    """The plate's modes are damped, the motions of its backbone are not."""
+    rows = campaign.findings(1, campaign.draw(1, 459))
+    assert {row["judgement"] for row in rows} == {campaign.RIGHT}
+
+
 def test_cold_start_after_thousands_of_folds() -> None:
     """Eleven masses and three stiff pairs: no path of up to 1,000 steps led there."""
     case = campaign.draw(1, 38)

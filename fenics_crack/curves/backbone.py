@@ -25,7 +25,9 @@ them, most of them narrow. Newton's method at the next energy passes over a narr
 motion found there has the same shape but for the entry in resonance, whose sign is the opposite;
 det J changes its sign. Where no motion of the same shape is found beyond, the tongue is followed.
 Broad ones, with stiff contact, many modes and many harmonics, can end the path: fewer harmonics, or
-a structure reduced to fewer modes, have fewer of them. At the start, a motion whose first harmonic
+a structure reduced to fewer modes, have fewer of them. So where the path from the linear mode ends,
+it is gone with fewer harmonics, and the others are added at its end
+(:mod:`fenics_crack.curves.first_motion`). At the start, a motion whose first harmonic
 is small is taken for another mode's, and refused; on the way, :attr:`Backbone.fundamental` tells
 it. Next to a tongue, and where one was passed over, another motion of the same energy may exist.
 
@@ -40,27 +42,19 @@ Source: Kerschen, Peeters, Golinval, Vakakis, Mechanical Systems and Signal Proc
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, TypedDict, Unpack
 
 import numpy as np
 from tqdm import tqdm
 
-from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import PathPoint, land, solve_at
+from fenics_crack.balance.bordered import PathPoint
 from fenics_crack.balance.contact_integrals import contact_integrals
 from fenics_crack.balance.error_report import ErrorReport, mean_square
-from fenics_crack.balance.fourier import resized, to_complex
-from fenics_crack.balance.rounding import SOFT
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.free_motion import (
-    EnergyMotion,
-    Equilibrium,
-    FreeMotion,
-    StiffnessMotion,
-    cosine_rows,
-)
+from fenics_crack.curves.first_motion import ELSEWHERE, first_motion
+from fenics_crack.curves.free_motion import EnergyMotion, Equilibrium, cosine_rows
+from fenics_crack.curves.motion_path import follow_motions, land_motion
 from fenics_crack.errors import (
     ConvergenceError,
     InputError,
@@ -75,11 +69,6 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.table import Tabular, counted, with_frequency
 
 __all__ = ["Backbone", "BackboneOptions", "follow_backbone"]
-
-
-FAST = 0.5
-"""Rate of the parameter along a path at which arc-length is left again."""
-ELSEWHERE = "the path ended in the motion of another mode"
 
 
 @dataclass(frozen=True, repr=False)
@@ -260,8 +249,9 @@ def follow_backbone(
 
     The linear mode of the structure without contact is followed in ln k, the contact stiffness, at
     ``energy_start``, and from there in ln E: by steps in the parameter, and by arc-length, through
-    folds, where there is no motion of the same shape a step further. Internal resonances:
-    ``docs/theory.md``, "Backbones". Source: Kerschen and others, MSSP 23 (2009) 170-194.
+    folds, where there is no motion of the same shape a step further. Where internal resonances end
+    the path in ln k it is gone with fewer harmonics, to which the others are added (the status says
+    so): ``docs/theory.md``, "Backbones". Source: Kerschen and others, MSSP 23 (2009) 170-194.
 
     Parameters
     ----------
@@ -312,8 +302,8 @@ def follow_backbone(
     rest = Equilibrium(structure, contact)
     integrals = contact_integrals(contact, harmonics, samples)
     family = EnergyMotion(rest, integrals, float(rest.frequencies[mode - 1]))
-    first = _first_motion(family, mode, energy_start, given["initial"])
-    growing = _Growing(family, math.log(energy_end), [first])
+    first, note = first_motion(family, mode, energy_start, given["initial"])
+    growing = _Growing(family, math.log(energy_end), [first], note)
     growing.follow(given, progress and structure.whole.comm.rank == 0)
     backbone = growing.backbone(structure, mode, samples)
     if throw and not (backbone.complete or growing.interrupted):
@@ -346,6 +336,7 @@ class _Growing:
     family: EnergyMotion
     end: float
     found: list[PathPoint]
+    note: str
     complete: bool = False
     interrupted: bool = False
     status: str = "the steps became too short"
@@ -356,7 +347,7 @@ class _Growing:
         bar = tqdm(total=100.0, desc="backbone", unit="%", disable=not shown, bar_format=form)
         start, most = self.found[0].parameter, options["most_points"]
         pass_over = not options["internal_resonances"]
-        path = _follow(self.family, self.found[0], options["longest_step"], most, pass_over)
+        path = follow_motions(self.family, self.found[0], options["longest_step"], most, pass_over)
         try:
             for point in path:
                 if self._ends(point):
@@ -377,7 +368,7 @@ class _Growing:
         """Take a point; whether it was the last."""
         family = self.family
         if point.parameter >= self.end:
-            landed = _land(family, self.found[-1], point, self.end)
+            landed = land_motion(family, self.found[-1], point, self.end)
             self.status = "no motion at the very end"
             if landed is not None:
                 self.found.append(landed)
@@ -408,173 +399,7 @@ class _Growing:
             modal @ rest.modes.shapes.T,
             np.array([point.iterations for point in found]),
             self.complete,
-            self.status,
+            self.status + self.note,
             np.array([point.crosses_branch for point in found]),
             samples,
         )
-
-
-def _solve(family: FreeMotion, guess: np.ndarray, parameter: float) -> PathPoint | None:
-    """The motion near a guess at a parameter, or None."""
-    tolerance = max(1e-12, family.rounding)
-    return solve_at(family, guess, parameter, tolerance=tolerance, iterations=11)
-
-
-def _follow(
-    family: FreeMotion, here: PathPoint, longest_step: float, most_steps: int, pass_over: bool
-) -> Iterator[PathPoint]:
-    """Yield the points that follow a solution; ``crosses_branch`` where a tongue was passed over.
-
-    Steps in the parameter itself pass over tongues; where there is none to a motion of the same
-    shape, arc-length leads on.
-    """
-    count, step = 0, 0.2 * longest_step
-    while count < most_steps:
-        ahead = _step(family, here, step, longest_step) if pass_over else None
-        if ahead is not None:
-            count += 1
-            step = ahead.parameter - here.parameter
-            step = min(longest_step, (1.7 if ahead.iterations <= 4 else 1.0) * step)
-            here = ahead
-            yield here
-            continue
-        stepping = Stepping(
-            first=0.2 * longest_step,
-            longest=longest_step,
-            shortest=1e-10,
-            most=most_steps - count,
-            tolerance=1e-10,
-            least_cosine=0.85,
-            rounding=family.rounding,
-        )
-        for point in follow_path(family, here.unknown, here.parameter, stepping):
-            count += 1
-            yield point
-            outside = point.tangent.p > FAST and point.parameter > here.parameter
-            whole = family.fundamental(point.unknown) > family.least_fundamental
-            if pass_over and outside and whole:
-                here = point
-                break
-        else:
-            return
-
-
-def _step(
-    family: FreeMotion, here: PathPoint, step: float, longest_step: float
-) -> PathPoint | None:
-    """A motion of the same shape further on, about a step away; None where there is none.
-
-    The sign of det J changes where an odd number of tongues has been passed.
-    """
-    at = here.at or family.linearise(here.unknown, here.parameter)
-    slope = -at.solve(at.by_parameter)
-    near = family.near(here.unknown)
-    # What grows on this side of a resonance has the opposite sign on the other one.
-    across = np.where(near & (slope * here.unknown > 0.0), -here.unknown, here.unknown)
-    slope[near] = 0.0
-    steepness = math.sqrt(float(slope @ slope) / float(here.unknown @ here.unknown))
-    step = min(step, longest_step / math.hypot(1.0, steepness))
-    trials = (
-        *((here.unknown, factor, 0.99) for factor in (1.0, 0.5, 0.25)),
-        *((across, factor, 0.95) for factor in (0.25, 0.5, 1.0, 2.0, 4.0)),
-        *((here.unknown, factor, 0.99) for factor in (0.1, 0.03, 0.01)),
-    )
-    for base, factor, cosine in trials:
-        guess = base + factor * step * slope
-        found = _solve(family, guess, here.parameter + factor * step)
-        if found is None or family.fundamental(found.unknown) < family.least_fundamental:
-            continue
-        if _alike(found.unknown, guess, cosine):
-            assert found.at is not None
-            return replace(found, crosses_branch=found.at.sign != at.sign)
-    return None
-
-
-def _alike(unknown: np.ndarray, other: np.ndarray, cosine: float) -> bool:
-    """Whether two motions have the same shape."""
-    one, two = unknown[:-1], other[:-1]
-    return bool(one @ two > cosine * np.linalg.norm(one) * np.linalg.norm(two))
-
-
-def _land(family: FreeMotion, before: PathPoint, after: PathPoint, end: float) -> PathPoint | None:
-    """The motion at a parameter between those of two others; None if not found."""
-
-    def alike(nearby: np.ndarray) -> PathPoint | None:
-        found = _solve(family, nearby, end)
-        return found if found and _alike(found.unknown, nearby, 0.9) else None
-
-    landed = land(before, after, end, alike)
-    return landed and replace(
-        landed, iterations=after.iterations, crosses_branch=after.crosses_branch, at=None
-    )
-
-
-def _first_motion(
-    family: EnergyMotion, mode: int, energy: float, initial: PeriodicSolution | None
-) -> PathPoint:
-    """Where a backbone starts: next to a solution, or where the linear mode leads."""
-    if initial is None:
-        rest, integrals = family.rest, family.integrals
-        found = _from_linear_mode(StiffnessMotion(rest, integrals, family.reference, energy), mode)
-    else:
-        found = _next_to(family, initial, mode, energy)
-    return replace(found, parameter=math.log(energy), iterations=0, crosses_branch=False, at=None)
-
-
-def _next_to(
-    family: EnergyMotion, initial: PeriodicSolution, mode: int, energy: float
-) -> PathPoint:
-    """The motion next to a solution, whose mode is made a cosine in the first harmonic."""
-    rest, order = family.rest, np.arange(family.harmonics + 1)
-    if not isinstance(initial, PeriodicSolution):
-        raise InputError("initial", initial, "a PeriodicSolution or None")
-    rows, count = initial.displacement_coefficients, len(rest.frequencies)
-    if rows.shape[1:] != (count,):
-        raise InputError("initial", rows.shape[1:], f"of shape ({count},)")
-    modal = to_complex(resized(rows, family.harmonics)) @ np.linalg.inv(rest.modes.shapes).T
-    modal[0] -= rest.modal
-    phase = np.angle(modal[1, mode - 1]) + (0.0 if _opens(rest, mode) else np.pi)
-    z = (modal * np.exp(-1j * phase * order)[:, None]).real * rest.frequencies
-    start = math.log(energy)
-    guess = np.append(z.ravel() / math.sqrt(2.0 * energy), initial.base_omega / family.reference)
-    ratio = 1.0 + float(family.linearise(guess, start).residual[-1])
-    if ratio > 0.0:
-        guess[:-1] /= math.sqrt(ratio)
-        found = _solve(family, guess, start)
-        if found is not None and _alike(found.unknown, guess, 0.7):
-            return found
-    raise ConvergenceError(f"backbone of mode {mode}: no motion next to the initial solution")
-
-
-def _opens(rest: Equilibrium, mode: int) -> bool:
-    """Whether a mode opens the pairs where it is positive."""
-    return bool(rest.modes.pairs[mode - 1].sum() <= 0.0)
-
-
-def _from_linear_mode(family: StiffnessMotion, mode: int) -> PathPoint:
-    """From the linear mode without contact to the whole contact stiffness at one energy."""
-    rest, count = family.rest, len(family.rest.frequencies)
-    unknown = np.zeros((family.harmonics + 1) * count + 1)
-    unknown[count + mode - 1], unknown[-1] = (1.0 if _opens(rest, mode) else -1.0), 1.0
-    soft = min(0.0, math.log(SOFT / max(rest.stiffness, SOFT)))
-    first = _solve(family, unknown, soft)
-    if first is None:
-        raise ConvergenceError(f"backbone of mode {mode}: no motion with soft contact")
-    if soft == 0.0:
-        return first
-    last, furthest = first, soft
-    for motion in _follow(family, first, 1.0, 400, True):
-        if motion.parameter >= 0.0:
-            landed = _land(family, last, motion, 0.0)
-            if landed is not None:
-                if family.fundamental(landed.unknown) < family.least_fundamental:
-                    raise ConvergenceError(f"backbone of mode {mode}: {ELSEWHERE}")
-                return landed
-        if motion.parameter < soft - 5.0:
-            break
-        last, furthest = motion, max(furthest, motion.parameter)
-    raise ConvergenceError(
-        f"backbone of mode {mode}: the path in the contact stiffness came as far as "
-        f"{math.exp(furthest):.2g} of it; fewer harmonics have fewer internal resonances, "
-        "and a solution given as initial starts elsewhere"
-    )

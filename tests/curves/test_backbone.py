@@ -262,6 +262,21 @@ def test_both_pieces_of_the_paper_plate(paper_structure: fc.Structure) -> None:
     assert second[0] * second[1] < 0.0
 
 
+def test_start_past_internal_resonances(paper_structure: fc.Structure) -> None:
+    """H = 10: the path in the contact stiffness ends at a third of it; fewer harmonics lead to the
+    motion next to the peak of the response with little damping."""
+    law = fc.UnilateralPenalty(1e9)
+    curve = fc.follow_backbone(paper_structure, law, 1, 1e-4, 2e-4, harmonics=10)
+    assert curve.complete and curve.status.endswith("from the linear mode with 2 of its harmonics")
+    damped = paper_structure.damped(fc.ModalDamping(0.002))
+    response = fc.continue_frequency(damped, 2500.0, 2680.0, law, harmonics=10, throw=False)
+    peak = int(np.argmax(response.amplitude(damped.find_dof((0.1, 0.1), "x"))))
+    near = response.solution(peak)
+    other = fc.follow_backbone(damped, law, 1, 1e-4, 2e-4, harmonics=10, initial=near)
+    assert curve.omega[0] == pytest.approx(other.omega[0], rel=1e-9)
+    assert curve.omega[0] == pytest.approx(near.omega, rel=1e-3)
+
+
 def test_another_modes_motion_is_no_backbone(paper_structure: fc.Structure) -> None:
     """Tongues too broad to pass over: an error, although motions of other modes are found."""
     with pytest.raises(fc.ConvergenceError, match="mode 2"):
@@ -276,7 +291,7 @@ def test_another_modes_motion_is_no_backbone(paper_structure: fc.Structure) -> N
     [fc.UnilateralPenalty(3.0), Cubic(0.5), fc.SmoothedPenalty(3.0, 20.0)],
     ids=["penalty", "cubic", "smoothed"],
 )
-@pytest.mark.parametrize("parameter", ["stiffness", "energy"])
+@pytest.mark.parametrize("parameter", ["stiffness", "energy", "share"])
 def test_jacobian(law: fc.UnilateralPenalty, parameter: str) -> None:
     """Its inverse, the sign of its determinant and dF/dp against finite differences."""
     rest = free_motion.Equilibrium(chain("none"), law)
@@ -284,6 +299,8 @@ def test_jacobian(law: fc.UnilateralPenalty, parameter: str) -> None:
     system: System = free_motion.EnergyMotion(*given)
     if parameter == "stiffness":
         system = free_motion.StiffnessMotion(*given, energy=2.0)
+    if parameter == "share":
+        system = free_motion.FadedMotion(free_motion.StiffnessMotion(*given, energy=2.0), 2)
     rng = np.random.default_rng(0)
     unknown = 0.3 * rng.normal(size=51)
     unknown[-1] = 0.5 * rest.frequencies[4] / rest.frequencies[1] * (1.0 + 1e-6)  # in resonance
@@ -362,7 +379,7 @@ def test_bad_arguments_and_unfinished_backbones() -> None:
 
 def test_interrupted_backbone(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C returns what was found."""
-    follow = backbone._follow
+    follow = backbone.follow_motions
 
     def interrupted(*arguments: Any) -> Iterator[Any]:
         path = follow(*arguments)
@@ -371,6 +388,6 @@ def test_interrupted_backbone(monkeypatch: pytest.MonkeyPatch) -> None:
             raise KeyboardInterrupt
         yield from path
 
-    monkeypatch.setattr(backbone, "_follow", interrupted)
+    monkeypatch.setattr(backbone, "follow_motions", interrupted)
     curve = fc.follow_backbone(two_masses(), fc.UnilateralPenalty(10.0), 1, 0.02, 1.0)
     assert (curve.complete, curve.status, len(curve.omega)) == (False, "interrupted", 2)
