@@ -10,7 +10,8 @@ A step of length h
    at a point the right one keeps the sign of t_p det J, which changes only where another branch
    crosses. Where J is not formed its determinant is unknown: the tangent is taken that goes on at
    the smaller angle, the chord must agree with both tangents, lest a step across a narrow turn
-   leads back, and branches that cross go unnoticed.
+   leads back, and branches that cross go unnoticed. There a system may judge angles by an inner
+   product of its own (``turning``).
 
 Source: Keller, in Applications of Bifurcation Theory, 1977; Seydel, Practical Bifurcation and
 Stability Analysis, chapter 4.
@@ -18,6 +19,7 @@ Stability Analysis, chapter 4.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -125,7 +127,7 @@ def _advance(
             # The determinant of the bordered matrix keeps its sign along a path: it tells where
             # the path goes on, and the angle whether the step has left it.
             ahead = _oriented(system, found.unknown, found.at, orientation, here.tangent)
-            cosine = ahead.along(here.tangent, system)
+            cosine = _cosine(ahead, here.tangent, system)
             sure = not np.isnan(orientation)
             if cosine > stepping.least_cosine and (
                 sure or _straight(system, here, found, ahead, stepping.least_cosine)
@@ -161,7 +163,7 @@ def _oriented(
     assert at is not None
     tangent, sign = tangent_of(system, unknown, at), at.sign
     if np.isnan(sign):  # unknown: not back again
-        onwards = tangent.along(before, system) >= 0.0
+        onwards = _cosine(tangent, before, system) >= 0.0
     else:
         onwards = sign == orientation
     return tangent if onwards else tangent.reversed()
@@ -173,7 +175,19 @@ def _straight(
     """Whether the chord between two points agrees with the tangents at both."""
     change, rise = found.unknown - here.unknown, found.parameter - here.parameter
     chord = Tangent(change, rise, here.tangent.weight)
-    return all(chord.along(way, system) > least_cosine for way in (here.tangent, ahead))
+    return all(_cosine(chord, way, system) > least_cosine for way in (here.tangent, ahead))
+
+
+def _cosine(first: Tangent, second: Tangent, system: System) -> float:
+    """Of the angle between two directions, by the inner product by which a system judges turns: its
+    own, or its ``turning``."""
+    inner = getattr(system, "turning", system.inner)
+
+    def product(one: Tangent, other: Tangent) -> float:
+        return float(second.weight * inner(one.x, other.x) + one.p * other.p)
+
+    sizes = product(first, first) * product(second, second)
+    return product(first, second) / math.sqrt(sizes) if sizes > 0.0 else 0.0
 
 
 def _round_corner(
@@ -192,14 +206,14 @@ def _round_corner(
         at = system.linearise(behind, here.parameter + step * here.tangent.p)
         turned = _oriented(system, behind, at, orientation, here.tangent)
         ways = [turned]
-        if np.isnan(orientation) and turned.along(here.tangent, system) < BACK:
+        if np.isnan(orientation) and _cosine(turned, here.tangent, system) < BACK:
             ways.append(turned.reversed())
         sharp = max(stepping.rounding, 1e-4 * step)
         for way in ways:
             found = correct(system, here, step, sharp, tangent=way)
             if found is not None:
                 ahead = _oriented(system, found.unknown, found.at, orientation, way)
-                if ahead.along(way, system) > 0.5:
+                if _cosine(ahead, way, system) > 0.5:
                     length = distance(system, here, found)
                     return replace(found, tangent=ahead, length=length), step
     return None

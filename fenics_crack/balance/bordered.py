@@ -6,8 +6,9 @@ plane orthogonal to a tangent Newton's method solves
     [ J    F_p ] [dx]     [F]
     [ t_x  t_p ] [dp] = - [0],     by two solutions with J:
 
-    dx = a + dp b,    J a = -F,    J b = -F_p,    dp = - w <t_x, a> / (w <t_x, b> + t_p).
+    dx = a + dp b,    J a = -F,    J b = -F_p,    dp = - w <t_x, a> / (w <t_x, b> + t_p),
 
+or by one with the bordered matrix where J is not formed (GMRES needs two iterations more for it).
 At a fixed parameter the plane is p = const. (t_x = 0, t_p = 1), one solution is enough, and the
 method is Newton's own. Where the residual would grow, as where lips begin to touch and the Jacobian
 changes like a square root, the step is shortened.
@@ -37,6 +38,7 @@ from fenics_crack.balance.linearisation import Linearisation, System
 from fenics_crack.errors import ConvergenceError
 
 __all__ = [
+    "MIN_DAMPING",
     "Compiled",
     "PathPoint",
     "Tangent",
@@ -200,16 +202,30 @@ def solve_in_plane(
         stalls = patience is not None and 0.5 * min(history[:-patience], default=np.inf) < size
         if linearised == iterations or stalls:
             return None
-        change, shift = -at.solve(at.residual), 0.0
-        if plane is not None:
-            slope = -at.solve(at.by_parameter)
-            change, shift = step_in_plane(plane, change, slope, system.inner)
-            if not abs(parameter + shift - guess) <= reach:
-                return None  # another branch, or none
+        change, shift = _newton_step(system, at, plane)
+        if not abs(parameter + shift - guess) <= reach:
+            return None  # another branch, or none
         damping, before = 1.0, size
         linearised += 1
         unknown, parameter = unknown + change, parameter + shift
     return None
+
+
+def _newton_step(
+    system: System, at: Linearisation, plane: Tangent | None
+) -> tuple[np.ndarray, float]:
+    """Newton's step (dx, dp) in a plane, or at a given parameter."""
+    if plane is None:
+        return -at.solve(at.residual), 0.0
+
+    def row(change: np.ndarray) -> float:
+        return plane.weight * system.inner(plane.x, change)
+
+    found = at.solve_bordered(row, plane.p, 1.0 / float(np.sqrt(plane.weight)))
+    if found is not None:
+        return found
+    change, slope = -at.solve(at.residual), -at.solve(at.by_parameter)
+    return step_in_plane(plane, change, slope, system.inner)
 
 
 def step_in_plane(

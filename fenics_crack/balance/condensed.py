@@ -27,7 +27,6 @@ from mpi4py import MPI
 from fenics_crack.balance.compiled import CompiledSystem
 from fenics_crack.balance.compliance import Compliance, WidenedCompliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, ExactIntegrals, apply_to_pairs
-from fenics_crack.balance.fourier import from_complex, to_complex
 from fenics_crack.balance.linearisation import DenseLinearisation, factored, solve_factored
 from fenics_crack.balance.rounding import stiffness_times_compliance
 from fenics_crack.errors import InputError
@@ -57,7 +56,14 @@ share its factors."""
 
 def respond(matrices: np.ndarray, force: np.ndarray) -> np.ndarray:
     """R lambda of coefficients (2H+1, n_pairs)."""
-    return from_complex(np.matmul(matrices, to_complex(force)[:, :, None])[:, :, 0])
+    rows, pairs = force.shape
+    assert matrices.shape == (rows // 2 + 1, pairs, pairs)
+    found = np.empty((rows, pairs))
+    kernel.respond(
+        rows // 2, pairs, doubles(np.ascontiguousarray(matrices, dtype=complex)),
+        doubles(np.ascontiguousarray(force)), doubles(found),
+    )  # fmt: skip
+    return found
 
 
 def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:

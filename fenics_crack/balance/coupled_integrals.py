@@ -7,10 +7,10 @@ need no more of it than its means
     S_m = 1/(2 pi) int S(theta) exp(i m theta) d theta,        m = 0 .. 2H,
 
 which are exact sums over the intervals between the events (:mod:`active_sets`), or sums over
-samples. From the means follows S cut off after 2H harmonics, on 4H + 2 instants. There products are
-exact: s, and every change of it, to the instants, times S, and back, both by FFT. At each event one
-pair opens or closes, and S changes by a part of rank one. So T v costs (4H + 2) n_pairs^2, or twice
-n_events n_pairs where S is not formed; T as a matrix is needed for few unknowns only.
+samples. From the means follows S cut off after 2H harmonics, on N > 4H instants. There products are
+exact: s, and every change of it, to the instants, times S, and back. At each event one pair opens
+or closes, and S changes by a part of rank one. So T v costs N n_pairs^2, or twice n_events n_pairs
+where S is not formed; T as a matrix is needed for few unknowns only.
 
 Of laws that are not piecewise linear, S is the tangent at every sample.
 """
@@ -22,10 +22,12 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+import scipy.fft
 
 from fenics_crack.balance.active_sets import contact_intervals
 from fenics_crack.balance.contact_integrals import default_samples
-from fenics_crack.balance.fourier import balanced, sampled
+from fenics_crack.balance.fourier import balanced, instants, sampled
+from fenics_crack.kernel import doubles, kernel
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.coupled import ActiveSets, smooth_forces, unique_sets
 
@@ -87,10 +89,11 @@ class CoupledTangent:
     def apply(self, change: np.ndarray, *, once: bool = False) -> np.ndarray:
         """T v of coefficients (2H+1, n_pairs); S is not formed for one product alone."""
         values = sampled(change, len(self._weights))
-        if not (self._parts or once):
-            forces = np.matmul(self.stiffness, values[:, :, None])[:, :, 0]
+        if len(self._base) > 1 or not (self._parts or once):
+            forces = np.empty_like(values)
+            kernel.multiply_each(*values.shape, *map(doubles, (self.stiffness, values, forces)))
         else:
-            forces = np.matmul(self._base, values[:, :, None])[:, :, 0]
+            forces = values @ self._base[0]
             forces += ((values @ self._vectors.T) * self._weights) @ self._vectors
         return balanced(forces, self.harmonics)
 
@@ -217,12 +220,12 @@ class _PiecewiseForces(CoupledForces):
             changed = closed[begins]
             self._sets = lambda: changed
             behind = begins[:, None] <= np.arange(integrals.samples)
-            rests = np.fft.rfft(behind.astype(float), axis=1)[:, : highest + 1].conj()
+            rests = scipy.fft.rfft(behind.astype(float), axis=1)[:, : highest + 1].conj()
             rests /= integrals.samples
             step, vectors, gains = contact.changes(changed)
             base = contact.stack(changed[:1])
-        count = 2 * highest + 2
-        self._rests = np.fft.irfft(count * rests.conj(), n=count, axis=1).T  # (N, m)
+        count = instants(integrals.harmonics)
+        self._rests = scipy.fft.irfft(count * rests.conj(), n=count, axis=1).T  # (N, m)
         weights = np.ascontiguousarray(self._rests[:, step] * gains)
         self.tangent = CoupledTangent(integrals.harmonics, base, vectors, weights)
         self.force = self.tangent.apply(gap, once=True)
@@ -260,9 +263,9 @@ class _SmoothForces(CoupledForces):
         self._force, self._slope = smooth_forces(
             integrals.law, integrals.contact.compliance, values
         )
-        count = 4 * integrals.harmonics + 2
-        spectrum = np.fft.rfft(self._slope, axis=0)[: 2 * integrals.harmonics + 1]
-        cut_off = np.fft.irfft(spectrum * (count / samples), n=count, axis=0)
+        count = instants(integrals.harmonics)
+        spectrum = scipy.fft.rfft(self._slope, axis=0)[: 2 * integrals.harmonics + 1]
+        cut_off = scipy.fft.irfft(spectrum * (count / samples), n=count, axis=0)
         self.tangent = CoupledTangent(integrals.harmonics, cut_off)
         self.force = balanced(self._force, integrals.harmonics)
 

@@ -47,6 +47,10 @@ class Family(ABC):
         first = self.system(start)
         self.comm, self.shape, self.global_size = first.comm, first.shape, first.global_size
         self.matrix_free = first.matrix_free
+        self._counts: np.ndarray | None = None
+        if self.matrix_free:
+            order = (np.arange(self.shape[0]) + 1) // 2
+            self._counts = 1.0 / np.maximum(order, 1)[:, None] ** 2.0
         self._last = None
 
     @classmethod
@@ -133,6 +137,14 @@ class Family(ABC):
         return self.system(value).along(unknown, lambda at: rate * self._by_value(value, at))
 
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
+        return float(np.vdot(first, second))
+
+    def turning(self, first: np.ndarray, second: np.ndarray) -> float:
+        """Inner product by which turns of a path are judged. Of equations with so many harmonics
+        that J is not formed harmonic k counts 1 / k^2: where the phase of the motion turns, that of
+        harmonic k turns k times as far, and a tangent's high harmonics are not small."""
+        if self._counts is not None:
+            first = self._counts * first
         return float(np.vdot(first, second))
 
     def _with_modes(

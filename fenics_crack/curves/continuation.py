@@ -17,13 +17,14 @@ import numpy as np
 
 from fenics_crack.balance.arclength import Stepping, follow_stretches
 from fenics_crack.balance.bordered import (
+    MIN_DAMPING,
     PathPoint,
     Tangent,
-    correct,
     distance,
     find_between,
     land,
     solve_at,
+    solve_in_plane,
     step_along,
 )
 from fenics_crack.balance.compiled import Stretch
@@ -405,13 +406,21 @@ class Continuation:
         return None
 
     def _again(self, point: PathPoint) -> PathPoint | None:
-        """The point with other harmonics, in the plane across the path."""
+        """The point with other harmonics, in the plane across the path, no farther than a step.
+        Full steps first: the residual of the new harmonics may grow before it falls."""
         family = self._family
         count = family.problem.harmonics
         tangent = replace(point.tangent, x=resized(point.tangent.x, count))
         start = replace(point, unknown=resized(point.unknown, count), tangent=tangent)
         sharp = attainable(family, point.parameter, 1e-9)
-        return correct(family, start, 0.0, sharp, reach=self._longest)
+        for damping in (None, MIN_DAMPING):
+            found = solve_in_plane(
+                family, start.unknown, start.parameter, tangent,
+                tolerance=sharp, reach=self._longest, least_damping=damping,
+            )  # fmt: skip
+            if found is not None and distance(family, start, found) <= self._longest:
+                return found
+        return None
 
     # --- where it ends ----------------------------------------------------------------------------
 

@@ -129,8 +129,7 @@ static void scale(int harmonics, int modes, const double *factors, const double 
     }
 }
 
-/* R lambda of coefficients (2H+1, pairs). */
-static void respond(int harmonics, int pairs, const double *compliance, const double *force, double *gap)
+void respond(int harmonics, int pairs, const double *compliance, const double *force, double *gap)
 {
     for (int k = 0; k <= harmonics; k++) {
         const double *a = force + (k ? 2 * k - 1 : 0) * pairs, *b = a + pairs;

@@ -40,6 +40,8 @@ equations *equations_of(point *at);
 /* Largest sum of |R_k| over a row of it at a parameter; infinite where the structure is singular. */
 double largest_compliance(point *at, double parameter);
 
+/* R lambda of coefficients lambda (2H+1, pairs), from R (H+1, pairs, pairs), complex. */
+void respond(int harmonics, int pairs, const double *compliance, const double *force, double *gap);
 /* R T for unknowns ordered (row, pair), from R (H+1, pairs, pairs), complex, and
  * T (pairs, 2H+1, columns): (n, columns pairs), ordered (column, pair) too. */
 void respond_to_columns(int harmonics, int pairs, int columns, const double *compliance,

@@ -54,6 +54,12 @@ void multiply(int rows, int columns, const double *a, const double *x, double *y
     ((gemv_t *)bound[DGEMV])("T", &columns, &rows, &unit, a, &columns, x, &one, &zero, y, &one);
 }
 
+void multiply_each(int count, int n, const double *a, const double *x, double *y)
+{
+    for (int i = 0; i < count; i++, x += n)
+        for (int row = 0; row < n; row++, a += n) *y++ = dot(n, a, x);
+}
+
 void multiply_matrices(int rows, int inner, int columns, const double *a, const double *b,
                        double keep, double *c)
 {

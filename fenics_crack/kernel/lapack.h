@@ -11,6 +11,8 @@ void bind_lapack(void **functions);
 double dot(int n, const double *x, const double *y);
 /* y = A x with A (rows, columns) in C's order. */
 void multiply(int rows, int columns, const double *a, const double *x, double *y);
+/* y_i = A_i x_i with so many A_i (n, n). */
+void multiply_each(int count, int n, const double *a, const double *x, double *y);
 /* C = A B + keep C with A (rows, inner), B (inner, columns), all in C's order. */
 void multiply_matrices(int rows, int inner, int columns, const double *a, const double *b,
                        double keep, double *c);

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from fenics_crack.balance.contact_integrals import SampledIntegrals
-from fenics_crack.balance.fourier import evaluate, from_complex, resized, to_complex
+from fenics_crack.balance.fourier import (
+    balanced,
+    evaluate,
+    from_complex,
+    instants,
+    resized,
+    sampled,
+    to_complex,
+)
 from fenics_crack.model.contact import UnilateralPenalty
 
 HARMONICS = 6
@@ -33,6 +41,25 @@ def test_sampling_and_balancing_are_inverse(coefficients: np.ndarray) -> None:
     time = np.arange(32) * 2.0 * np.pi / 32
     assert np.allclose(values, evaluate(coefficients, 1.0, time), atol=1e-13)
     assert np.allclose(contact.balance(values), coefficients, atol=1e-13)
+
+
+@pytest.mark.parametrize("harmonics", [0, 1, 6, 70])
+def test_products_are_ffts(harmonics: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Values and coefficients are the same by matrices of waves and by FFTs; and as many instants
+    as `instants` says give means of products without aliasing."""
+    wave, other = np.random.default_rng(3).normal(size=(2, 2 * harmonics + 1, 4))
+    found = []
+    for limit in (10**6, 0):
+        monkeypatch.setattr("fenics_crack.balance.fourier.AS_MATRIX", limit)
+        count = instants(harmonics)
+        assert count > 4 * harmonics
+        values = sampled(wave, 300), sampled(other, count) * sampled(wave, count)
+        found.append([values[0], balanced(values[0], harmonics), balanced(values[1], harmonics)])
+    for one, same in zip(*found, strict=True):
+        np.testing.assert_allclose(one, same, atol=1e-12)
+    np.testing.assert_allclose(found[0][1], wave, atol=1e-12)
+    time = np.arange(300) * 2.0 * np.pi / 300
+    np.testing.assert_allclose(found[0][0], evaluate(wave, 1.0, time), atol=1e-11)
 
 
 def test_resized_cuts_and_pads(coefficients: np.ndarray) -> None:
