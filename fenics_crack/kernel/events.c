@@ -300,29 +300,54 @@ int follow_exactly(const exact_flow *f, motion *m, double longest)
     }
 }
 
+/* Rows of weights (size, size) move as weights do. */
+static void turn_rows(const regime *r, double length, double *weights, double *room)
+{
+    const int size = r->size, m = r->turning;
+    double *c = room, *s = c + m, *others = s + m;
+    factors(r, length, c, s, others);
+    for (int j = 0; j < m; j++) {
+        double *restrict one = weights + (size_t)j * size;
+        double *restrict two = one + (size_t)m * size;
+        for (int i = 0; i < size; i++) {
+            const double x = one[i], z = two[i];
+            one[i] = c[j] * x + s[j] * z;
+            two[i] = c[j] * z - s[j] * x;
+        }
+    }
+    for (int j = 2 * m; j < size; j++)
+        for (int i = 0; i < size; i++) weights[(size_t)j * size + i] *= others[j - 2 * m];
+}
+
+/* From the weights of one set to those of the next, which differs in one pair; NULL: not known. */
+static const double *between(const regime *r, int change)
+{
+    int pair = 0;
+    while (change >> pair > 1) pair++;
+    return change == 1 << pair ? r->into[pair] : NULL;
+}
+
 void derivative_of(const exact_flow *f, int intervals, const int *sets, const double *lengths,
                    double *product, double *work)
 {
     const int size = f->size;
-    double *weights = work, *c = weights + (size_t)size * size;
+    double *now = work, *next = product, *room = work + (size_t)size * size;
+    if (!intervals) return;
+    /* ... V exp(L t) V^-1 V_0 exp(L_0 t_0) V_0^-1 product. */
+    multiply_matrices(size, size, size, f->known[sets[0]]->inverse, product, 0.0, now);
     for (int k = 0; k < intervals; k++) {
         const regime *r = f->known[sets[k]];
-        const int m = r->turning;
-        double *s = c + m, *others = s + m;
-        /* V exp(L t) V^-1 product: rows of weights move as weights do. */
-        multiply_matrices(size, size, size, r->inverse, product, 0.0, weights);
-        factors(r, lengths[k], c, s, others);
-        for (int j = 0; j < m; j++) {
-            double *restrict one = weights + (size_t)j * size;
-            double *restrict two = one + (size_t)m * size;
-            for (int i = 0; i < size; i++) {
-                const double x = one[i], z = two[i];
-                one[i] = c[j] * x + s[j] * z;
-                two[i] = c[j] * z - s[j] * x;
-            }
+        const int last = k + 1 == intervals;
+        const double *change = last ? r->vectors : between(r, sets[k] ^ sets[k + 1]);
+        turn_rows(r, lengths[k], now, room);
+        if (change) {
+            multiply_matrices(size, size, size, change, now, 0.0, next);
+            double *other = now;
+            now = next, next = other;
+            continue;
         }
-        for (int j = 2 * m; j < size; j++)
-            for (int i = 0; i < size; i++) weights[(size_t)j * size + i] *= others[j - 2 * m];
-        multiply_matrices(size, size, size, r->vectors, weights, 0.0, product);
+        multiply_matrices(size, size, size, r->vectors, now, 0.0, next);
+        multiply_matrices(size, size, size, f->known[sets[k + 1]]->inverse, next, 0.0, now);
     }
+    if (now != product) memcpy(product, now, (size_t)size * size * sizeof(double));
 }

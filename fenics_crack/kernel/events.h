@@ -25,6 +25,7 @@ typedef struct {
     double *forced;          /* (p, 3): gaps of z_p: mean less clearance, cosine, sine */
     double step;             /* of the search: a twelfth of the fastest mode's period */
     double omega;            /* to which c and s belong; NAN: none */
+    double **into;           /* (p) V_s^-1 V with s the set that differs in that pair; or NULL */
 } regime;
 
 typedef struct {

@@ -30,6 +30,9 @@ MAX_EVENTS = 100_000
 """In one flow; more are a sign that pairs chatter without end."""
 LONGEST_SEARCH = 3e5
 """Twelfths of the period of the highest mode in one flow."""
+FEW = 4
+"""Pairs up to which the weights of one set of closed pairs are turned into those of the next by one
+matrix, which is kept for every two sets."""
 KEPT = 256
 """Intervals between events that are kept at a time."""
 
@@ -173,4 +176,8 @@ class EventFlow:
         if not np.isfinite(made.steady).all():
             raise ConvergenceError("events: the load meets an undamped resonance")
         self._regimes[closed] = made
+        for pair in range(len(self._stiffness) if len(self._stiffness) <= FEW else 0):
+            if (other := self._regimes.get(closed ^ 1 << pair)) is not None:
+                made.change_into(other, pair)
+                other.change_into(made, pair)
         self.known.at.known[closed] = made.known.at

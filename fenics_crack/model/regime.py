@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.kernel import Struct
+from fenics_crack.kernel import Struct, doubles, table
 from fenics_crack.model.modal import AllModes, flow_matrix
 from fenics_crack.model.structure import Structure
 
@@ -57,6 +57,8 @@ class FreeMotion:
         slopes = self._slopes(rows)
         self.gaps = np.array([rows, slopes, self._slopes(slopes)])
         """(3, n_pairs, 2n)"""
+        self.into: dict[int, np.ndarray] = {}
+        """V_s^-1 V by the pair in which the set s differs: (2n, 2n), where it is known."""
 
     def _slopes(self, rows: np.ndarray) -> np.ndarray:
         """Rows times L."""
@@ -87,8 +89,15 @@ class Regime:
             "regime", size=2 * count, turning=len(free.turn), decay=free.decay, turn=free.turn,
             vectors=free.vectors, inverse=free.inverse, steady=self.steady, free=free.gaps,
             load=np.ascontiguousarray((free.inverse @ load).T), forced=forced, step=free.step,
-            omega=np.nan,
+            omega=np.nan, into=table("double", structure.n_pairs),
         )  # fmt: skip
+
+    def change_into(self, other: Regime, pair: int) -> None:
+        """Keep what turns weights into those of another regime, which differs in one pair."""
+        known = self._free.into
+        if pair not in known:
+            known[pair] = other._free.inverse @ self._free.vectors
+        self.known.at.into[pair] = doubles(known[pair])
 
     def sampled(self, rows: np.ndarray, weights: np.ndarray, waves: np.ndarray) -> np.ndarray:
         """``rows @ z`` from weights (m, 2n) and waves 1, cos, sin of the load (m, 3)."""
