@@ -90,7 +90,7 @@ RAMP = Stepping(first=0.2, longest=0.5, shortest=1e-5, most=100)
 MANY = 150
 """Unknowns with which paths take long."""
 MOST_STEPS = 200
-"""Unknowns up to which the last path has as many steps as it may; beyond fewer, which take longer."""
+"""Unknowns up to which the last path has all its steps; beyond, fewer, as each takes longer."""
 FIRST, FEW, LAST = 600, 200, 8000
 """Steps of a path in the stiffness where other attempts are left, of those others, and of a path
 where there are none."""
