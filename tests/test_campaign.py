@@ -60,6 +60,16 @@ def test_backbone_is_held_against_free_motions_of_any_period() -> None:
     assert all(row["true"] / 3.0 < row["estimate"] < 3.0 * row["true"] for row in rows)
 
 
+def test_curve_from_between_its_ends() -> None:
+    """The first solutions at the start and at the end lie on curves that turn back; one between
+    them lies on a curve that reaches both."""
+    case = campaign.draw(1, 566)
+    span = 0.9 * case.omega, 1.1 * case.omega
+    curve = fc.continue_frequency(case.structure, *span, case.law, harmonics=case.harmonics)
+    assert curve.complete and (curve.omega[0], curve.omega[-1]) == pytest.approx(span, rel=1e-12)
+    assert curve.status == "reached the end, not by the first solution found at its start"
+
+
 def test_backbone_past_internal_resonances() -> None:
     """No path with all harmonics; from fewer, all others together, to free motions."""
     rows = campaign.findings(1, campaign.draw(1, 974))

@@ -34,7 +34,8 @@ __all__ = ["CurveOptions", "continue_frequency", "continue_parameter", "follow_b
 
 SHORTER = (1.0, 0.5, 0.25)
 """Longest steps with which a start is sought from the end, relative to those asked for."""
-
+BETWEEN = (0.5, 0.25, 0.75)
+"""Where between start and end it is sought from then."""
 
 BAR = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}{postfix}"
 """Of a curve; how long it is going to take cannot be told from how far it has come."""
@@ -78,8 +79,9 @@ def continue_frequency(
     """Follow the response from one load frequency to another, through resonances and folds.
 
     Where the first solution found lies on a closed loop, or on a curve that turns back past its
-    start, another one is looked for by following the curve from its end, which its status says;
-    what came back is the result only where that fails too, or where ``initial`` is given.
+    start, another one is looked for by following the curve from its end, or from between, which its
+    status says; what came back is the result only where that fails too, or where ``initial`` is
+    given.
 
     Parameters
     ----------
@@ -242,33 +244,48 @@ def _between(
 ) -> ResponseCurve:
     """The curve from the start to the end. Where the first solution found lies on another one,
     which comes back to the start, such as a closed loop of the truncated equations, the curve is
-    followed from the end to the start, and begins with the solution met there."""
+    followed from the end to the start, or from between them, and begins with the solution met
+    there."""
     growing = _continuation(structure, omega, contact, span, options)
     if options.get("initial") is not None or options.get("resume") is not None:
         return _run(growing, progress, throw)
+    parameter, start, end = span
+    longest = options.get("longest_step", LONGEST)
 
     def again() -> Continuation | None:
-        parameter, start, end = span
-        structure, longest = growing.curve.structure, options.get("longest_step", LONGEST)
-        for share in SHORTER:  # long steps may miss the turns that lead to the start
+        ways = [(1.0, share) for share in SHORTER]  # long steps may miss the turns to the start
+        for place, share in [*ways, *((place, 1.0) for place in BETWEEN)]:
             given: CurveOptions = {**options, "longest_step": share * longest}
+            begun = start + place * (end - start)
+            reduced = growing.curve.structure
             plain: CurveOptions = {**given, "stability": False}
-            try:
-                back = _continuation(structure, omega, contact, (parameter, end, start), plain)
-                back.run()
-                if not back.complete or back.returned:
-                    continue
-                given["initial"] = back.curve.solution(len(back.curve) - 1)
-                other = _continuation(structure, omega, contact, span, given)
-                other.run()
-            except ConvergenceError:
+            met = _followed(reduced, omega, contact, (parameter, begun, start), plain)
+            if met is None:
                 continue
-            if other.complete and not other.returned:
+            given["initial"] = met.curve.solution(len(met.curve) - 1)
+            other = _followed(reduced, omega, contact, span, given)
+            if other is not None:
                 other.status += ", not by the first solution found at its start"
                 return other
         return None
 
     return _run(growing, progress, throw, again)
+
+
+def _followed(
+    structure: Structure,
+    omega: float,
+    contact: ContactLaw,
+    span: tuple[str, float, float],
+    options: CurveOptions,
+) -> Continuation | None:
+    """A curve that reaches its end, else None."""
+    try:
+        growing = _continuation(structure, omega, contact, span, options)
+        growing.run()
+    except ConvergenceError:
+        return None
+    return growing if growing.complete and not growing.returned else None
 
 
 def _continuation(
