@@ -211,7 +211,7 @@ def _waves(
 
 def curve_points(run: Run[ResponseCurve]) -> Table:
     """Every point of a curve with its indicators."""
-    table, found = run.result.table(), _along(run)
+    table, found = run.result.table(), _along(run, run.result)
     values = zip(*(column.tolist() for column in found.values()), strict=True)
     rows = [[*row, *more] for row, more in zip(table.rows, values, strict=True)]
     return Table((*table.columns, *found), rows)
@@ -223,22 +223,22 @@ def special_points(run: Run[ResponseCurve]) -> Table:
     Of a curve over the load frequency both columns, rad/s and Hz; of a run-up also the speed, in
     rad/s and rpm.
     """
-    found, along = run.result, _along(run)
+    found, along = run.result, _along(run, run.result)
     factor, _, unit = parameter_axis(found.parameter, run.scene.in_hertz)
+    special = _along(run, found.at_bifurcations) if found.bifurcations else {}
 
-    def at(index: int) -> list[float]:
-        return [float(column[index]) for column in along.values()]
+    def at(index: int, columns: dict[str, np.ndarray] = along) -> list[float]:
+        return [float(column[index]) for column in columns.values()]
 
     largest = int(np.argmax(found.amplitude(run.watched_dof)))
     places = [("start", 0), ("end", -1), ("largest", largest)]
     rows = [(name, found.values[index], at(index)) for name, index in places]
-    for point in found.bifurcations:
+    for number, point in enumerate(found.bifurcations, 1):
         name = point.kind.replace("_", " ")
         if found.undecided is not None:
             exact = f", exact {factor * point.exact:.6g} {unit}".removesuffix(" -")
             name += exact if point.confirmed else ", unconfirmed"
-        seen = [point.solution.indicators(watched.dof) for watched in run.watched]
-        rows.append((name, point.value, list(map(float, _columns(run, seen).values()))))
+        rows.append((name, point.value, at(number, special)))
     for index in stability_changes(found):
         after = found.verdicts[index + 1]
         what = {"stable": "gained", "unstable": "lost", "undecided": "undecided"}[after]
@@ -257,9 +257,9 @@ def special_points(run: Run[ResponseCurve]) -> Table:
     return Table(("point", *headings, *along), both)
 
 
-def _along(run: Run[ResponseCurve]) -> dict[str, np.ndarray]:
-    """Columns of indicators, a value for every point."""
-    return _columns(run, run.result.measure([watched.dof for watched in run.watched]))
+def _along(run: Run[ResponseCurve], curve: ResponseCurve) -> dict[str, np.ndarray]:
+    """Columns of indicators, a value for every point of a curve of the run."""
+    return _columns(run, curve.measure([watched.dof for watched in run.watched]))
 
 
 def _columns(run: Run[ResponseCurve], seen: Sequence[Indicators]) -> dict[str, np.ndarray]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -14,7 +14,7 @@ from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem
 from fenics_crack.balance.coupled import CoupledPoint
 from fenics_crack.balance.family import FAMILIES
-from fenics_crack.balance.fourier import evaluate
+from fenics_crack.balance.fourier import evaluate, resized
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
@@ -259,6 +259,35 @@ class ResponseCurve(Tabular):
         """The solution at a point, with its displacement and error report."""
         unknown = self.unknown(index)
         return _expanded(self._problem_at(float(self.values[index]), unknown), unknown)
+
+    @cached_property
+    def at_bifurcations(self) -> ResponseCurve:
+        """The first point, the bifurcations and the last point, to be measured: a curve of their
+        own, for which no error is estimated."""
+        one, special, last = self.unknown(0), self.bifurcations, self.unknown(len(self) - 1)
+        unknowns = [one, *(point.unknown for point in special), last]
+        counts = np.array([len(unknown) // 2 for unknown in unknowns])
+        ends = (self.values, self.omega)
+        inner = [point.value for point in special], [point.omega for point in special]
+        values, omega = (np.array([a[0], *b, a[-1]]) for a, b in zip(ends, inner, strict=True))
+        return replace(
+            self,
+            values=values,
+            omega=omega,
+            unknowns=np.array([resized(unknown, int(counts.max())) for unknown in unknowns]),
+            harmonics=counts,
+            iterations=np.zeros(len(counts), dtype=int),
+            truncation=np.full(len(counts), np.nan),
+            bifurcations=(),
+            multipliers=None,
+            undecided=None,
+        )
+
+    @cached_property
+    def known_errors(self) -> dict[int, float]:
+        """Estimated errors of the displacement at the load at points where they are known, once
+        :func:`displacement_errors` has been asked."""
+        return {}
 
     @property
     def solutions(self) -> list[PeriodicSolution]:

@@ -26,17 +26,24 @@ def displacement_errors(curve: ResponseCurve) -> np.ndarray:
     Relative to the root mean square of that displacement, as ``displacement`` of
     :class:`fenics_crack.ErrorReport`.
     """
+    known = curve.known_errors
+    if not known:
+        _estimate(curve, known)
+    places = np.array(sorted(known))
+    logarithms = np.log([known[place] for place in places])
+    return np.asarray(np.exp(np.interp(np.arange(len(curve)), places, logarithms)))
+
+
+def _estimate(curve: ResponseCurve, known: dict[int, float]) -> None:
+    """Add the errors at points of the curve by their numbers."""
     places = np.unique(np.linspace(0, len(curve) - 1, SPREAD).astype(int))
-    known = {int(place): _error(curve, int(place)) for place in places}
+    known.update({int(place): _error(curve, int(place)) for place in places})
     for _ in range(BISECTIONS):
         places = np.array(sorted(known))
         large = np.array([known[place] > LARGE_ERROR for place in places])
         apart = (large[1:] != large[:-1]) & (np.diff(places) > 1)
         for place in (places[:-1][apart] + places[1:][apart]) // 2:
             known[int(place)] = _error(curve, int(place))
-    places = np.array(sorted(known))
-    logarithms = np.log([known[place] for place in places])
-    return np.asarray(np.exp(np.interp(np.arange(len(curve)), places, logarithms)))
 
 
 def _error(curve: ResponseCurve, index: int) -> float:

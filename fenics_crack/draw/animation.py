@@ -41,6 +41,8 @@ SECONDS = 3.0
 """Duration of the animation."""
 TINT = "#f5d6c1"
 """Background of the wave while the lips touch: light orange."""
+PLATE = (0.01, 0.275, 0.83, 0.60)
+"""Its place on the page: left, bottom, width, height."""
 INK = {"lips": "#000000", "contact": COLOURS["orange"], "load": COLOURS["pink"], "rest": "#8a8a8a"}
 
 
@@ -274,6 +276,7 @@ def _caption(solution: PeriodicSolution, fields: PeriodFields) -> str:
 def _write(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> None:
     """Draw all frames and write the GIF."""
     plotter = off_screen_plotter(window_size=(1200, 1040))
+    plotter.render_window.SetMultiSamples(0)  # the page shrinks what it draws, which smooths it
     plate = _Plate(plotter, fields)
     _look_at_all(plotter, fields)
     page = _Page(solution, fields, plate.colours)
@@ -340,25 +343,30 @@ class _Page:
         centred = {"ha": "center", "va": "center"}
         self.figure.text(0.5, 0.968, title, fontsize=16, weight="bold", **centred)
         self.caption = _caption(solution, fields)
-        self.text = self.figure.text(0.06, 0.932, "", va="center", fontsize=12)
-        self.plate = self.figure.add_axes((0.01, 0.275, 0.83, 0.60))
-        self.plate.axis("off")
-        self.image: Any = None
+        self.text = self.figure.text(0.06, 0.932, "", va="center", fontsize=12, animated=True)
         _draw_bar(self.figure, (0.845, 0.32, 0.03, 0.49), colours)
         self._legend(fields)
         self._wave(solution, fields)
+        self.canvas.draw()
+        self.still = self.canvas.copy_from_bbox(self.figure.bbox)
 
     def draw(self, frame: int, plate: np.ndarray) -> Image.Image:
-        """The page of a frame."""
-        if self.image is None:
-            self.image = self.plate.imshow(plate, interpolation="antialiased")
-        self.image.set_data(plate)
+        """The page of a frame: what moves is drawn over the rest, which is drawn once."""
+        self.canvas.restore_region(self.still)
         at = self.loads[frame]
         self.dot.set_data([at], [self.values[frame]])
         self.line.set_xdata([at, at])
         self.text.set_text(f"{self.caption}, phase {360.0 * at:.0f}°")
-        self.canvas.draw()
-        return Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3].copy())
+        for artist in (self.line, self.dot, self.text):
+            self.figure.draw_artist(artist)
+        page = Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3].copy())
+        left, bottom, wide, high = np.array(PLATE) * np.tile(page.size, 2)
+        share = min(wide / plate.shape[1], high / plate.shape[0])
+        size = round(share * plate.shape[1]), round(share * plate.shape[0])
+        small = Image.fromarray(plate).resize(size, Image.Resampling.HAMMING)
+        middle = left + 0.5 * wide, page.size[1] - bottom - 0.5 * high
+        page.paste(small, (round(middle[0] - 0.5 * size[0]), round(middle[1] - 0.5 * size[1])))
+        return page
 
     def _legend(self, fields: PeriodFields) -> None:
         lines = (
@@ -398,8 +406,10 @@ class _Page:
         self.values = factor * self.values
         axes.axhline(0.0, color=COLOURS["grey"], lw=0.8)
         axes.plot(loads, factor * wave, color=COLOURS["blue"], lw=2)
-        self.line = axes.axvline(0.0, color=COLOURS["grey"], lw=1)
-        (self.dot,) = axes.plot([0.0], [0.0], "o", color="black", ms=8, clip_on=False, zorder=5)
+        moves = {"animated": True}
+        self.line = axes.axvline(0.0, color=COLOURS["grey"], lw=1, **moves)
+        dot = {"color": "black", "ms": 8, "clip_on": False, **moves}
+        (self.dot,) = axes.plot([0.0], [0.0], "o", **dot)
         axes.set_xlim(0.0, loads[-1])
         axes.margins(y=0.12)
         axes.set_xlabel("time / load period", fontsize=12)

@@ -129,7 +129,7 @@ def _mark_bifurcations(axes: Axes, curve: ResponseCurve, dof: int, factor: float
         return
     judged = curve.undecided is not None
     x = np.array([factor * one.value for one in found])
-    y = np.array([one.solution.amplitude(dof) for one in found])
+    y = curve.at_bifurcations.amplitude(dof)[1:-1]
     solid = np.array([one.confirmed or not judged for one in found])
     shown = _apart(axes, x, y, ~solid)
     kinds = np.array([one.kind for one in found])

@@ -347,3 +347,20 @@ def test_what_is_refused(plate: fc.Structure) -> None:
     nothing = fc.reduce_structure(chain(n=6, pairs=1), modes=6, method="massless")
     with pytest.raises(fc.InputError, match=r"^contact"):
         fc.continue_frequency(nothing, 1.0, 2.0, RIGID)
+
+
+def test_bifurcations_are_measured_as_points(
+    curve: fc.ResponseCurve, bilinear: fc.ResponseCurve
+) -> None:
+    """The ends as on the curve, and between them what the solutions there say of themselves."""
+    for whole, dof in ((curve, 0), (bilinear, 0)):
+        special = whole.at_bifurcations
+        assert len(special) == len(whole.bifurcations) + 2 > 2
+        found = special.indicators(dof)
+        np.testing.assert_allclose(found.amplitude[[0, -1]], whole.amplitude(dof)[[0, -1]])
+        for number, one in enumerate(whole.bifurcations, 1):
+            expected = one.solution.indicators(dof)
+            assert special.values[number] == one.value and special.omega[number] == one.omega
+            assert found.amplitude[number] == pytest.approx(expected.amplitude, rel=1e-3)
+            assert found.harmonic_1[number] == pytest.approx(expected.harmonic_1, rel=1e-9)
+            assert found.opening[number] == pytest.approx(expected.opening, rel=1e-3)

@@ -457,7 +457,7 @@ def test_a_complete_sweep_is_not_computed_again(
 
 # --- ranks ----------------------------------------------------------------------------------------
 
-RANKS_OVER = {"excitation.omega": {"start": 1500.0, "stop": 2600.0, "count": 30},
+RANKS_OVER = {"excitation.omega": {"start": 1500.0, "stop": 2600.0, "count": 20},
               "crack.length": [0.05, 0.06], "contact.stiffness": [1e8, 1e9]}  # fmt: skip
 
 
