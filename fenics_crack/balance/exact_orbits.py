@@ -82,6 +82,10 @@ class EventOrbits(Orbits):
         """z of x: (2n,)."""
         return np.asarray(self._size * unknown)
 
+    def unknown(self, state: np.ndarray) -> np.ndarray:
+        """x of z: (2n,)."""
+        return np.asarray(state / self._size)
+
     def sampled(
         self, unknown: np.ndarray, parameter: float, count: int, rows: np.ndarray | None = None,
         later: float = 0.0,

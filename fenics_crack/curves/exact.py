@@ -53,7 +53,7 @@ from fenics_crack.model.modal import all_modes, between_pairs
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.stability.piecewise_flow import doubling_test
 from fenics_crack.stability.refinement import bifurcation_between
-from fenics_crack.stability.shooting import ExactOrbits, orbits_near
+from fenics_crack.stability.shooting import CLOSE, ExactOrbits, leaves, orbits_near
 from fenics_crack.stages import begin
 
 __all__ = ["judge_curve", "verified"]
@@ -193,6 +193,16 @@ class _Orbits:
         [other] = _judged([(found.unknown, found.parameter, _orbit(found).monodromy)])
         nearer = self._away(other, number) < self._away(own, number)
         return nearer and (abs(own.leading) < 1.0) != (other is None or abs(other.leading) < 1.0)
+
+    def left(self, place: int) -> bool:
+        """Whether the exact motion that begins with a point of the curve leaves the stable orbit
+        next to it."""
+        number = int(np.searchsorted(self.at, place))
+        orbit, motion = self.found[number], self._motions[number]
+        if not isinstance(self._system, ExactOrbits) or orbit is None or abs(orbit.leading) >= 1.0:
+            return False
+        off = self._away(orbit, number)
+        return off > CLOSE and leaves(self._system, motion, orbit.unknown, orbit.parameter)
 
     def _away(self, orbit: _Orbit | None, number: int) -> float:
         """Distance of an orbit from the motion of its place, relative to this."""
@@ -450,7 +460,8 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
         The same points, with multipliers and verdicts of the orbits next to them; over the load
         frequency "undecided" where
         there is none, or one at another frequency (by more than 0.02 %), or farther away than 1 %
-        and three times the estimated error, or where it does not tell ``|mu|`` from 1; if these are
+        and three times the estimated error, or where it does not tell ``|mu|`` from 1, or the exact
+        motion that begins with a point leaves it; if these are
         at most 40 points, where :func:`floquet` does not decide
         either. Its bifurcations are those of the orbits, at their frequencies ``exact``,
         each with the nearest one of the truncated equations of the same kind within 2 %, which it
@@ -493,7 +504,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     undecided[asked] = ~near_points(curve, asked, fine.gap)
     undecided |= fine.turned(curve)
     for place in asked[~undecided[asked]]:
-        undecided[place] = fine.disputed(int(place))
+        undecided[place] = fine.disputed(int(place)) or fine.left(int(place))
     special = _special(curve, fine.crossings, _known(fine.crossings, coarse.crossings), undecided)
     left = np.flatnonzero(undecided)
     if len(left) <= SINGLY:

@@ -33,19 +33,20 @@ from fenics_crack.balance.solution import PeriodicSolution, Stability, solution_
 from fenics_crack.balance.solver import Solver
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import ContactLaw, check_law, is_piecewise_linear, is_rigid
-from fenics_crack.model.exact_flow import EventFlow
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.stability.hill import hill_root
 from fenics_crack.stability.piecewise_flow import PiecewiseFlow
 from fenics_crack.stability.shooting import (
+    CLOSE,
+    ExactOrbits,
     PeriodicOrbit,
     allowed_distance,
     distance,
+    leaves,
     moving_below,
     shoot,
 )
-from fenics_crack.time.march import initial_state
 
 __all__ = ["Stability", "floquet"]
 
@@ -57,14 +58,10 @@ FINER = (1, 2, 4)
 """Times the harmonics, from whose solutions an exact orbit is sought in turn."""
 EXACT, MARCHED = 1e-6, 0.02
 """Distance of an orbit from the solution that it judges that may come from the orbit's errors."""
-FARTHEST, CLOSE = 0.1, 1e-3
-"""Distance from which on an exact orbit judges no solution, and to which the motion that begins
-with the solution need not be followed."""
+FARTHEST = 0.1
+"""Distance from which on an exact orbit judges no solution."""
 PEAK = np.sqrt(2.0)
 """How many times its root mean square an error is large at an extremum of the gap, as a wave is."""
-FOLLOWED, AWAY = 8, 3.0
-"""Periods that it is followed else, and how many times farther away than the linearised motion it
-has then left its orbit."""
 SURE = 1e-6
 """Distance of a multiplier of a marched orbit from the unit circle that decides, at least."""
 
@@ -208,7 +205,7 @@ def _exact(
             error = PEAK * allowed_distance(solution, off)
             if found.verdict == "stable" and (
                 _grazes(orbit, structure, contact, error)
-                or (off > CLOSE and _leaves(orbit, structure, contact, solution))
+                or (off > CLOSE and _leaves(structure, contact, solution, orbit))
             ):
                 return replace(found, verdict="undecided")
             return found
@@ -239,18 +236,12 @@ def _grazes(orbit: PeriodicOrbit, structure: Structure, contact: ContactLaw, err
 
 
 def _leaves(
-    orbit: PeriodicOrbit, structure: Structure, contact: ContactLaw, solution: PeriodicSolution
+    structure: Structure, contact: ContactLaw, solution: PeriodicSolution, orbit: PeriodicOrbit
 ) -> bool:
     """Whether the exact motion that begins with a solution leaves the stable orbit next to it,
     which attracts only what is nearer."""
-    flow = EventFlow(structure, solution.omega, contact)
-    monodromy = flow.advance(orbit.state, 0.0, solution.period)[2]()
-    state = flow.state(*initial_state(structure, solution))
-    linear = off = state - orbit.state
-    for _ in range(FOLLOWED):
-        state, linear = flow.advance(state, 0.0, solution.period)[0], monodromy @ linear
-    near = max(np.linalg.norm(off), np.linalg.norm(linear))
-    return bool(np.linalg.norm(state - orbit.state) > AWAY * near)
+    orbits = ExactOrbits(structure, contact, solution)
+    return leaves(orbits, orbits.start, orbits.unknown(orbit.state))
 
 
 def _finer(

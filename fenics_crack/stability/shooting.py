@@ -29,11 +29,13 @@ from fenics_crack.table import Described, counted
 from fenics_crack.time.march import initial_state
 
 __all__ = [
+    "CLOSE",
     "ExactOrbits",
     "PeriodicOrbit",
     "SteppedOrbits",
     "allowed_distance",
     "distance",
+    "leaves",
     "moving_below",
     "orbits_near",
     "shoot",
@@ -44,6 +46,10 @@ MAX_STEPS, MIN_DAMPING, PATIENCE = 20, 1e-3, 6
 the residual."""
 MOVING, STEPS = 60, 1024
 """Modes that are marched, and steps in a period of the load."""
+CLOSE, FOLLOWED, AWAY = 1e-3, 8, 3.0
+"""Distance of a solution from its stable orbit to which the motion that begins with the solution
+need not be followed; periods that it is followed else, and how many times farther away than the
+linearised motion it has then left its orbit."""
 BELIEVED = 3.0
 """Times the estimated error, beyond which an orbit is another one."""
 
@@ -110,7 +116,7 @@ class ExactOrbits(EventOrbits):
 
     def unknown_of(self, displacement: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """x of another motion at phase zero, (n_dofs,) each."""
-        return np.asarray(self._flow.state(displacement, velocity) / self._size)
+        return self.unknown(self._flow.state(displacement, velocity))
 
     def orbit(self, found: PathPoint) -> PeriodicOrbit:
         """The orbit of a solution of the equations."""
@@ -167,6 +173,18 @@ class SteppedOrbits(MarchedOrbits):
             found.iterations,
             found.at.events,
         )
+
+
+def leaves(
+    orbits: ExactOrbits, motion: np.ndarray, orbit: np.ndarray, parameter: float = 1.0
+) -> bool:
+    """Whether a motion, given by its x at phase zero, leaves a stable orbit given like that."""
+    monodromy = orbits.linearise(orbit, parameter).monodromy
+    linear = off = motion - orbit
+    for _ in range(FOLLOWED):
+        motion, linear = orbits.moved(motion, parameter)[0], monodromy @ linear
+    near = max(np.linalg.norm(off), np.linalg.norm(linear))
+    return bool(np.linalg.norm(motion - orbit) > AWAY * near)
 
 
 def distance(orbit: PeriodicOrbit, solution: PeriodicSolution) -> float:

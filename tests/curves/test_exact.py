@@ -10,7 +10,9 @@ from helpers import two_masses
 
 import fenics_crack as fc
 from fenics_crack.curves import exact
+from fenics_crack.model.exact_flow import EventFlow
 from fenics_crack.model.flow import ExponentialFlow
+from fenics_crack.time.march import initial_state
 
 RIGID = fc.UnilateralConstraint()
 
@@ -148,3 +150,36 @@ def test_a_curve_over_the_load_of_a_plate(light_lips: fc.Structure) -> None:
         assert load.verdicts[index] == found.verdict == "stable"
         assert abs(load.multipliers[index]) == pytest.approx(abs(found.multipliers[0]), rel=1e-5)
         assert growth(there, 1740.0) < 1.0
+
+
+def test_point_whose_motion_leaves_is_not_called_stable() -> None:
+    """A mass at a stop, k R = 130: next to a point of the branch of twice the period lies an orbit
+    with the multiplier 0.73, but the exact motion that begins with the point goes elsewhere."""
+    one = np.ones((1, 1))
+    structure = fc.Structure.from_matrices(
+        2.6084590876821245 * one, 0.9713896659877375 * one, np.ones(1), force_cos=np.ones(1),
+        force_sin=np.array([0.28811130687145525]), damping=0.042123779557305986 * one,
+        clearance=0.00835898808240626,
+    )  # fmt: skip
+    omega, law = 0.2929139239706235, fc.UnilateralPenalty(123.68667517484897)
+    curve = fc.continue_frequency(
+        structure, 0.9 * omega, 1.1 * omega, law, harmonics=10, stability=True
+    )
+    low, high = curve.values.min(), curve.values.max()
+    doublings = [one for one in curve.bifurcations if one.kind == "period_doubling"]
+    first = next(one for one in doublings if one.confirmed and low < one.value < high)
+    branch = fc.follow_branch(curve, first, throw=False, stability=True)
+    places = np.flatnonzero(branch.verdicts == "stable")[::2]
+    gone = 0
+    for place in np.union1d(places, np.flatnonzero(branch.verdicts == "undecided")):
+        solution = branch.solution(int(place))
+        orbit = fc.shoot(structure, solution)
+        flow = EventFlow(structure, solution.omega, law)
+        state = flow.state(*initial_state(structure, solution))
+        begun = np.linalg.norm(state - orbit.state)
+        for _ in range(60):
+            state = flow.advance(state, 0.0, solution.period)[0]
+        left = np.linalg.norm(state - orbit.state) > 3.0 * begun
+        assert not (left and branch.verdicts[place] == "stable")
+        gone += left and abs(orbit.multipliers[0]) < 1.0
+    assert len(places) > 5 and gone > 0
