@@ -66,8 +66,8 @@ ITERATIONS, PATIENCE = 6, 3
 """Newton steps to an orbit, and how many may together fail to halve the residual."""
 ALIKE = 0.25
 """Farthest orbit from the motion of its point, relative."""
-REACH, SHIFTED = 5e-3, 2e-4
-"""Farthest orbit from the frequency of its point, relative, and where it decides about it."""
+REACH = 5e-3
+"""Farthest orbit from the frequency of its point, relative."""
 SURE = 1e-6
 """Distance of the leading multiplier from the unit circle that decides, at least."""
 LONGEST, TURN = (1e-3, 1e-2), 0.05
@@ -76,8 +76,9 @@ turn in it: that of a mode w_j turns by 2 pi w_j / w times as much as the step, 
 ones that meet may leave the unit circle for no longer. Where the angle asks for more than the first
 step allows, this is taken."""
 ROUNDING, IDENTICAL = 1e-5, 1e-6
-"""Of the frequency, relative: folds that are not located and lie as near to each other are none;
-bifurcations found on a branch that do are the same one."""
+"""Of the frequency, relative: an orbit at another one judges no point, as next to a fold there may
+be one on either side; folds that are not located and lie as near to each other are none;
+bifurcations found on a branch that lie within the second are the same one."""
 MISSED = 4
 """Places one after the other without an orbit, behind which every fourth of those between points is
 tried."""
@@ -459,7 +460,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     ResponseCurve
         The same points, with multipliers and verdicts of the orbits next to them; over the load
         frequency "undecided" where
-        there is none, or one at another frequency (by more than 0.02 %), or farther away than 1 %
+        there is none, or one at another frequency (by more than 0.001 %), or farther away than 1 %
         and three times the estimated error, or where it does not tell ``|mu|`` from 1, or the exact
         motion that begins with a point leaves it; if these are
         at most 40 points, where :func:`floquet` does not decide
@@ -498,8 +499,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
             multipliers[place] = one.leading
             shift = abs(one.parameter * curve.omega[0] / curve.omega[place] - 1.0)
             sure = abs(size - 1.0) > max(SURE, abs(size - abs(other.leading)))
-            elsewhere = shift > SHIFTED or (shift > ROUNDING and fine.doubtful(place))
-            undecided[place] = elsewhere or not sure
+            undecided[place] = shift > ROUNDING or not sure
     asked = np.array([place for place in np.flatnonzero(~undecided) if fine.doubtful(place)], int)
     undecided[asked] = ~near_points(curve, asked, fine.gap)
     undecided |= fine.turned(curve)
