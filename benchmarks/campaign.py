@@ -19,7 +19,7 @@ two to eight times the harmonics, and where the exact motion is after 3 and 30 p
 stability verdict: the modulus of the exact leading multiplier, and for "stable" the exact motion
 that begins with the answer over 100 periods. Of a bifurcation: that the number of exact multipliers
 outside the unit circle changes along the curve within 1 % of its frequency. Of a backbone's point:
-the nearest free motion, of any period; the larger of both differences.
+the nearest free motion at rest at t = 0, of any period; the larger of both differences.
 
     right        the true error is at most three times the estimate (a tolerance: at most the
                  tolerance), or below 1e-6; a verdict is the exact one; a bifurcation is there

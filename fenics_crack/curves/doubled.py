@@ -122,13 +122,13 @@ def _ladder(problem: Problem) -> list[int]:
 
 
 def _located(curve: ResponseCurve, one: Bifurcation) -> tuple[float, PeriodicOrbit] | None:
-    """Frequency and exact orbit of a doubling, from its own solution or from the curve next to it;
-    None where another one is found instead."""
+    """Frequency and exact orbit of a doubling, from its own solution or from waves of the curve
+    next to it; None where another one is found instead."""
     near = np.argsort(np.abs(curve.omega - one.exact), kind="stable")[:NEAREST]
     for place in (None, *map(int, near)):
         start = one
         if place is not None:
-            known = one.kind, float(curve.values[place]), curve.unknown(place)
+            known = one.kind, float(one.exact), curve.unknown(place)
             [start] = curve.expand_bifurcations([known])
         try:
             found = refine_bifurcation(start, reach=REACH)
