@@ -50,7 +50,7 @@ from tqdm import tqdm
 
 from fenics_crack.balance.bordered import PathPoint
 from fenics_crack.balance.contact_integrals import contact_integrals
-from fenics_crack.balance.error_report import ErrorReport, mean_square
+from fenics_crack.balance.error_report import UNKNOWN, ErrorReport, mean_square
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.first_motion import ELSEWHERE, first_motion
 from fenics_crack.curves.free_motion import EnergyMotion, Equilibrium, cosine_rows
@@ -69,6 +69,10 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.table import Tabular, counted, with_frequency
 
 __all__ = ["Backbone", "BackboneOptions", "follow_backbone"]
+
+CALM, MOST = 0.05, 8
+"""Of the estimate of an error: the last of its steps, relative to the distance gone, and how many
+there are after the first two."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -158,7 +162,7 @@ class Backbone(Tabular):
         )
 
     def _report(self, index: int) -> ErrorReport:
-        """The first Newton step with more harmonics, at the same energy."""
+        """How far Newton's method goes with more harmonics, at the same energy."""
         rest = Equilibrium(self.structure, self.contact)
         kept, harmonics = self.harmonics + 1, max(4 * self.harmonics, self.harmonics + 8)
         integrals = contact_integrals(self.contact, self.harmonics, self.samples)
@@ -169,18 +173,16 @@ class Backbone(Tabular):
         start = np.append(np.zeros((harmonics + 1) * len(rest.modes.squares)), 1.0)
         z = start[:-1].reshape(harmonics + 1, -1)
         z[:kept] = modal * rest.frequencies / math.sqrt(2.0 * energy)
-        at = motion.linearise(start, math.log(energy))
+        known = motion.linearise(start, math.log(energy)).residual.copy()
+        known[:-1].reshape(z.shape)[kept:] = 0.0
+        change = _improvement(motion, start, math.log(energy), known)
         wave = np.zeros((2 * harmonics + 1, self.structure.n_pairs))
         wave[motion.rows] = z @ motion.gap_rows
-        size = mean_square(wave)
-        missing = at.residual.copy()
-        blocks = missing[:-1].reshape(harmonics + 1, -1)
-        known = np.append(blocks[:kept].ravel(), missing[-1])
-        blocks[:kept] = 0.0
-        missing[-1] = 0.0
-        step = at.solve(missing)[:-1].reshape(harmonics + 1, -1)
-        wave[motion.rows] = step @ motion.gap_rows
-        truncation = math.sqrt(mean_square(wave) / size) if size > 0.0 else 0.0
+        size, truncation = mean_square(wave), UNKNOWN
+        if change is not None:
+            wave[motion.rows] = change[:-1].reshape(z.shape) @ motion.gap_rows
+            moved = math.sqrt(mean_square(wave) / size) if size > 0.0 else 0.0
+            truncation = min(moved, UNKNOWN)
         residual = float(np.linalg.norm(known) / np.linalg.norm(start))
         return ErrorReport(residual, truncation, math.nan, math.nan, math.nan)
 
@@ -403,3 +405,28 @@ class _Growing:
             np.array([point.crosses_branch for point in found]),
             samples,
         )
+
+
+def _improvement(
+    motion: EnergyMotion, start: np.ndarray, parameter: float, known: np.ndarray
+) -> np.ndarray | None:
+    """How far Newton's method goes until its steps are small against that, at least two of them, by
+    the residual without what is ``known`` at the start; None where they do not get there.
+
+    The second step takes the first Jacobian; where it is not short, Newton's own steps follow.
+    """
+    at = motion.linearise(start, parameter)
+    step = at.solve(known - at.residual)
+    unknown = start + step
+    again = at.solve(known - motion.linearise(unknown, parameter).residual)
+    if np.linalg.norm(again) <= CALM * np.linalg.norm(step):
+        return np.asarray(step + again)
+    for _ in range(MOST):
+        at = motion.linearise(unknown, parameter)
+        step = at.solve(known - at.residual)
+        if not np.all(np.isfinite(step)):
+            break
+        unknown = unknown + step
+        if np.linalg.norm(step) < CALM * np.linalg.norm(unknown - start):
+            return unknown - start
+    return None
