@@ -14,7 +14,7 @@ WERE_WRONG = {
     "and 1.4 % away, so that the verdict is open",
 }
 NOT_KNOWN = {
-    553: "estimate of 7 %, the exact orbit is 40 % away: the second step a quarter of the first",
+    553: "estimate of 7 %, the exact orbit is 40 % away: the second step a quarter of the first"
 }
 BY_EXACT_ORBITS = {
     23: "a tolerance of 1 % missed by 8 % of it: the steps never end",
