@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import campaign
 import numpy as np
 import pytest
 from helpers import oscillator
@@ -48,3 +49,22 @@ def test_unconfirmed_doubling_is_not_looked_for() -> None:
     [one] = curve.expand_bifurcations([known])
     with pytest.raises(fc.ConvergenceError, match="no point of another branch"):
         fc.follow_branch(curve, one)
+
+
+def test_motion_that_leaves_its_orbit_is_not_called_stable() -> None:
+    """Next to grazing a stable orbit of twice the period attracts only what is nearer than the
+    truncated wave is: from there the exact motion goes to another one."""
+    case = campaign.draw(1, 504)
+    curve = campaign.followed(case)
+    [one] = [b for b in curve.bifurcations if b.kind == "period_doubling" and b.confirmed]
+    branch = fc.follow_branch(curve, one, throw=False, stability=True, most_points=200)
+    verdicts = {"stable": 0, "undecided": 0}
+    for place in range(0, len(branch), 3):
+        verdict, solution = branch.verdicts[place], branch.solution(place)
+        if verdict not in verdicts or solution.report.total < 0.01:
+            continue
+        orbit, _ = campaign.exact_orbit(case, solution)
+        if orbit is not None and abs(orbit.multipliers[0]) < 1.0:
+            verdicts[str(verdict)] += 1
+            assert verdict == "undecided" or not campaign.leaves(case, solution, orbit)
+    assert min(verdicts.values()) > 0
