@@ -40,7 +40,7 @@ SHOWN_ROWS, NOTEBOOK_ROWS = 40, 20
 RPM = 2.0 * math.pi / 60.0
 """Of revolutions per minute in rad/s."""
 UNITS = {"omega": "rad/s", "frequency": "Hz", "energy": "J", "contact_force": "N"}
-UNITS |= {"speed": "rad/s", "rpm": "1/min"}
+UNITS |= {"speed": "rad/s", "rpm": "rpm"}
 UNITS |= dict.fromkeys(("opening", "penetration", "clearance"), "m")
 """Units of the entries of ``to_dict``; all others have none."""
 
@@ -187,8 +187,8 @@ def quantity(value: float, unit: str) -> str:
 
 
 def with_unit(name: str, unit: str) -> str:
-    """A heading: "omega [rad/s]"."""
-    return f"{name} [{unit}]" if unit not in ("", "1") else name
+    """A heading: "omega [rad/s]"; "rotation.rpm" says its unit itself."""
+    return name if unit in ("", "1", name.rpartition(".")[2]) else f"{name} [{unit}]"
 
 
 def frequency_axis(in_hertz: bool) -> tuple[float, str, str]:

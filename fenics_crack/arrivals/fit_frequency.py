@@ -17,6 +17,7 @@ the best minima to the arrivals as they are.
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import chdtrc
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.arrivals.harmonics import Candidates, TipFit
@@ -40,6 +41,8 @@ MINIMA = 40
 """Minima of the scan that are refined."""
 APART = 2.0
 """Minima nearer to a lower one, in units of the resolution, are its side lobes."""
+CHANCE = 1e-5
+"""Probability of a vibration in the noise of one probe, above which there is none."""
 STEADY = 1e-6
 """Largest variation of the speed."""
 
@@ -68,7 +71,8 @@ def fit_frequency(arrivals: ArrivalTimes, low: float, high: float, *, harmonics:
     Raises
     ------
     InputError
-        A value cannot be used, the speed varies, or there are too few arrivals.
+        A value cannot be used, the speed varies, there are too few arrivals, or those of a probe
+        alone do not vary: a vibration of a whole order looks like none to it.
     """
     check_number("low", low, 0.0, above=True)
     check_number("high", high, low, above=True)
@@ -90,7 +94,10 @@ def fit_frequency(arrivals: ArrivalTimes, low: float, high: float, *, harmonics:
         allowed = f"between {1.0 / finest:.3g} and {MOST_ORDERS / finest:.3g} times the speed"
         raise InputError("high - low", high - low, allowed)
     grid = np.arange(begin, end)
-    starts = _minima(_scan(arrivals, grid.astype(int), finest, harmonics))
+    scanned = _scan(arrivals, grid.astype(int), finest, harmonics)
+    if len(arrivals.probes) == 1:
+        _check_varies(arrivals, values, float(scanned.min()), unknowns)
+    starts = _minima(scanned)
     multiples = np.arange(1.0, harmonics + 1.0)
     bounds = (low / speed, high / speed)
     radius = arrivals.tip_radius
@@ -113,6 +120,19 @@ def fit_frequency(arrivals: ArrivalTimes, low: float, high: float, *, harmonics:
         misfit=np.nan,
         candidates=tried,
     )
+
+
+def _check_varies(arrivals: ArrivalTimes, values: np.ndarray, least: float, unknowns: int) -> None:
+    """Raise InputError where the displacements at one probe (n,) vary no more than their scatter
+    does about the best fit of the scan, which leaves ``least``: chi-square of the harmonics, once
+    for each independent frequency (Scargle, Astrophysical Journal 263, 1982, 835)."""
+    variance = max(least / (len(values) - unknowns), rounding(arrivals) ** 2)
+    explained = float(((values - values.mean()) ** 2).sum()) - least
+    by_chance = 0.5 * len(values) * float(chdtrc(unknowns - 2, max(explained / variance, 0.0)))
+    if by_chance > CHANCE:
+        found = f"one at {np.degrees(arrivals.probes[0]):g} degrees, whose arrivals do not vary"
+        allowed = "two or more: to one a vibration of a whole order is no vibration"
+        raise InputError("probes", found, allowed)
 
 
 def _compared(

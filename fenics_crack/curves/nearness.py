@@ -1,9 +1,10 @@
 """Whether exact orbits lie near enough to the points of a curve to judge them.
 
 An orbit may be as far from its point as three times the point's estimated error allows
-(:func:`fenics_crack.stability.shooting.allowed_distance`). An estimate costs more than a point of
-the curve and the orbit together. So it is made at some of the points in question, and between two
-of these where the distance is not clearly on one side of what both allow.
+(:func:`fenics_crack.stability.shooting.allowed_distance`), and no farther than a tenth: an unknown
+estimate says nothing. An estimate costs more than a point of the curve and the orbit together. So
+it is made at some of the points in question, and between two of these where the distance is not
+clearly on one side of what both allow.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from functools import cache
 import numpy as np
 
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.stability.shooting import allowed_distance
+from fenics_crack.stability.shooting import FARTHEST, allowed_distance
 
 __all__ = ["NO_DOUBT", "near_points"]
 
@@ -47,7 +48,7 @@ def near_points(
         return allowed_distance(curve.solution(int(places[number])), NO_DOUBT)
 
     near = off <= NO_DOUBT
-    asked = np.flatnonzero(~near)
+    asked = np.flatnonzero(~near & (off <= FARTHEST))
     for part in np.split(asked, np.flatnonzero(np.diff(places[asked]) > EVERY) + 1):
         spread = np.unique([*part[::EVERY], *part[-1:]])
         for number in part:

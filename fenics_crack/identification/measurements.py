@@ -259,8 +259,11 @@ class Measurements(Tabular):
         names = [cell.split("[")[0].strip() for cell in table[0]] if table else []
         known = (*NEEDED, *OPTIONAL)
         if not set(NEEDED) <= set(names) <= set(known) or len(set(names)) != len(names):
-            allowed = f"columns {', '.join(known)}, the first three of them needed"
-            raise InputError("measurements", ", ".join(names), f"a CSV file with the {allowed}")
+            allowed = (
+                f"a CSV file with the columns {', '.join(known)}, the first three of them needed"
+            )
+            found = f"the columns {', '.join(names)}" if names else "nothing"
+            raise InputError("measurements", f"{path}: {found}", allowed)
         rows = []
         for (number, line), cells in zip(lines[1:], table[1:], strict=True):
             try:

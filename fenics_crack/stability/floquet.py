@@ -39,6 +39,7 @@ from fenics_crack.stability.hill import hill_root
 from fenics_crack.stability.piecewise_flow import PiecewiseFlow
 from fenics_crack.stability.shooting import (
     CLOSE,
+    FARTHEST,
     ExactOrbits,
     PeriodicOrbit,
     allowed_distance,
@@ -58,8 +59,6 @@ FINER = (1, 2, 4)
 """Times the harmonics, from whose solutions an exact orbit is sought in turn."""
 EXACT, MARCHED = 1e-6, 0.02
 """Distance of an orbit from the solution that it judges that may come from the orbit's errors."""
-FARTHEST = 0.1
-"""Distance from which on an exact orbit judges no solution."""
 PEAK = np.sqrt(2.0)
 """How many times its root mean square an error is large at an extremum of the gap, as a wave is."""
 SURE = 1e-6
@@ -282,7 +281,7 @@ def _marched(
         except ConvergenceError:
             return found
         off = distance(orbit, solution)
-        if off > allowed_distance(solution, MARCHED):
+        if off > min(allowed_distance(solution, MARCHED), FARTHEST):
             return found
         if coarse is not None:
             change = abs(abs(orbit.multipliers[0]) - abs(coarse.multipliers[0]))

@@ -30,6 +30,7 @@ from fenics_crack.time.march import initial_state
 
 __all__ = [
     "CLOSE",
+    "FARTHEST",
     "ExactOrbits",
     "PeriodicOrbit",
     "SteppedOrbits",
@@ -52,6 +53,8 @@ need not be followed; periods that it is followed else, and how many times farth
 linearised motion it has then left its orbit."""
 BELIEVED = 3.0
 """Times the estimated error, beyond which an orbit is another one."""
+FARTHEST = 0.1
+"""Distance from which on an orbit judges no solution, whatever the estimate: it may be unknown."""
 
 
 @dataclass(frozen=True, repr=False)

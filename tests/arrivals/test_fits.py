@@ -224,6 +224,21 @@ def test_aliases_of_a_frequency(
     assert len(found) == len(aliases) and np.allclose(found, sorted(aliases), atol=2e-3)
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-5])
+def test_one_probe_sees_no_whole_order(noise: float, sine: fc.PeriodicSolution) -> None:
+    """Its arrivals do not vary, so nothing is fitted to them, in ten tries; beside an order it
+    finds a vibration of twice the noise; and two probes see the order."""
+    refused = r"^probes = 'one at 22.9183 degrees, .* two or more"
+    for seed in range(10):
+        arrivals = measured(sine, noise, order=6, probes=[0.4], revolutions=100, seed=seed)
+        with pytest.raises(fc.InputError, match=refused):
+            fc.fit_frequency(arrivals, 900.0, 1090.0)
+        beside = measured(sine, 5e-4, speed=193.7, probes=[0.4], revolutions=100, seed=seed)
+        assert fc.fit_frequency(beside, 975.0, 1060.0).omega == pytest.approx(1000.0, rel=1e-3)
+    two = measured(sine, noise, order=6, probes=[0.4, 1.1], revolutions=100)
+    assert fc.fit_frequency(two, 900.0, 1090.0).order == pytest.approx(6.0, abs=0.02)
+
+
 def fit_speed(arrivals: fc.ArrivalTimes) -> float:
     """Speed of rotation [rad/s]."""
     return float(arrivals.speed.mean())
@@ -248,7 +263,7 @@ def test_tables(sine: fc.PeriodicSolution, tmp_path: Any) -> None:
     for result, rows, heading in (
         (fit, 2, "multiple,order,omega [rad/s],frequency [Hz],amplitude [m],amplitude_error [m]"),
         (fit.candidates, 24, "order,residual [m],condition,alike,hidden"),
-        (track, 10, "speed [rad/s],rpm [1/min],omega [rad/s],frequency [Hz],amplitude_1 [m]"),
+        (track, 10, "speed [rad/s],rpm,omega [rad/s],frequency [Hz],amplitude_1 [m]"),
         (arrivals, 200, "revolution,probe,angle [rad],mark [s],next_mark [s],arrival [s]"),
     ):
         result.to_csv(tmp_path / "table.csv")

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import stiff_curves
-from helpers import two_masses
+from helpers import oscillator, two_masses
 
 import fenics_crack as fc
-from fenics_crack.curves import exact
+from fenics_crack.curves import exact, nearness
+from fenics_crack.curves.nearness import near_points
 from fenics_crack.model.exact_flow import EventFlow
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.time.march import initial_state
@@ -183,3 +184,21 @@ def test_point_whose_motion_leaves_is_not_called_stable() -> None:
         assert not (left and branch.verdicts[place] == "stable")
         gone += left and abs(orbit.multipliers[0]) < 1.0
     assert len(places) > 5 and gone > 0
+
+
+@pytest.mark.parametrize(("estimate", "nearest"), [(1.0, 0.1), (0.02, 0.06), (1e-6, 0.01)])
+def test_orbits_near_enough(
+    estimate: float, nearest: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three times the estimate, 1 % at least, 10 % at most: also where the estimate is unknown."""
+    curve = fc.continue_frequency(oscillator(), 1.5, 1.6, fc.UnilateralPenalty(1.0), harmonics=5)
+    places = np.arange(len(curve))
+    monkeypatch.setattr(
+        nearness, "allowed_distance", lambda solution, least: max(least, 3.0 * estimate)
+    )
+
+    def found(off: float) -> np.ndarray:
+        waves = curve.gaps_in_time(places)
+        return near_points(curve, places, lambda place: waves[place] / (1.0 - off))
+
+    assert found(0.99 * nearest).all() and not found(1.01 * nearest).any()

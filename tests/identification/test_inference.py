@@ -256,6 +256,16 @@ def test_measurements_from_a_file(tmp_path: Path) -> None:
     assert str(arrays.rows[0]) == str(found.rows[0])
 
 
+def test_files_that_are_no_tables(tmp_path: Path) -> None:
+    """An empty file, and one of other columns, by their names."""
+    for text, found in (("", "nothing"), ("# none\n", "nothing"), ("a,b\n", "the columns a, b")):
+        path = tmp_path / "measured.csv"
+        path.write_text(text)
+        with pytest.raises(fc.InputError) as error:
+            fc.Measurements.from_csv(path)
+        assert f"measurements = '{path}: {found}': must be a CSV file with" in str(error.value)
+
+
 @pytest.mark.parametrize(
     ("line", "message"),
     [

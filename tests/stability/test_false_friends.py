@@ -114,22 +114,23 @@ def test_orbit_that_is_none() -> None:
 
 
 def test_stiff_curve_calls_no_orbit_what_it_is_not() -> None:
-    """kc = 100, H = 10: a point is called stable or unstable only where the exact orbit next to it
-    is; before, seven of 24 exactly stable points were called unstable."""
+    """kc = 100, H = 10: most estimates are unknown. A point is called stable or unstable only where
+    an exact orbit within 10 % is; once, seven of 24 exactly stable points were called unstable."""
     structure, law = oscillator(0.0), fc.UnilateralPenalty(100.0)
     curve = fc.continue_frequency(
         structure, 0.3, 0.6, law, harmonics=10, stability=True, throw=False
     )
-    decided = 0
-    for place in np.linspace(0, len(curve) - 1, 12).astype(int):
-        verdict, solution = curve.verdicts[place], curve.solution(int(place))
-        if verdict == "undecided":
+    assert np.mean(curve.verdicts == "undecided") > 0.9
+    for place in range(0, len(curve), 3):
+        solution, verdict = curve.solution(place), curve.verdicts[place]
+        try:
+            orbit = fc.shoot(structure, solution)
+        except fc.ConvergenceError:
             continue
-        orbit = fc.shoot(structure, solution)
-        if distance(orbit, solution) <= max(3.0 * solution.report.total, 0.01):
-            decided += 1
+        if distance(orbit, solution) > 0.2:  # another orbit than the curve's may be nearer
+            assert verdict == "undecided"
+        elif verdict != "undecided":
             assert (verdict == "stable") == (abs(orbit.multipliers[0]) < 1.0)
-    assert decided > 0
     assert not any(one.confirmed and abs(one.exact / one.value - 1.0) > 0.02
                    for one in curve.bifurcations)  # fmt: skip
 
