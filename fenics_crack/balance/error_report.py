@@ -77,6 +77,8 @@ NOTHING, CALM, SETTLED, MAX_STEPS = 1e-9, 0.05, 0.01, 10
 """Of Newton's method for an estimate: a first step, relative to the solution, that needs no second;
 the second relative to the first, and any later one relative to the distance gone, with which it
 ends; and how many follow the first."""
+SURE = 1e-3
+"""Of the second step relative to the first, below which there is no third."""
 SOLVED, ITERATIONS, SHORTEST = 1e-7, 25, 0.02
 """Of the wider equations where those steps do not end: |F| / |x|, how many more, and how short."""
 STILL = 1e-11
@@ -259,6 +261,18 @@ def _to_exact_orbit(
     return _Change(gap - resized(at.gap, len(gap) // 2), balanced(force, rows // 2) - at.force)
 
 
+def _goes_on(
+    first: CondensedPoint, step: np.ndarray, again: np.ndarray, known: np.ndarray
+) -> bool:
+    """Whether a third step with the first Jacobian is shorter than the second, if that is not very
+    short: next to grazing two steps may lead to where there is no solution at all."""
+    if np.linalg.norm(again) < SURE * np.linalg.norm(step):
+        return True
+    there = first.system.linearise(first.unknown + step + again)
+    third = first.solve_roughly(known - there.residual)
+    return bool(np.linalg.norm(third) < 0.5 * np.linalg.norm(again))
+
+
 def _by_shortened_steps(
     at: CondensedPoint, wide: CondensedSystem | ConstraintSystem | CoupledSystem
 ) -> _Change | None:
@@ -335,7 +349,7 @@ def _improvement(
         return _Change(first.gap_of(step), first.force_of(step)[:rows], better)
     point = system.linearise(start + step)
     again = first.solve_roughly(known - point.residual)
-    if np.linalg.norm(again) < CALM * length:
+    if np.linalg.norm(again) < CALM * length and _goes_on(first, step, again, known):
         step = step + again
         return _Change(first.gap_of(step), first.force_of(step)[:rows], better)
     if start.size > SLOW and np.linalg.norm(again) > length:

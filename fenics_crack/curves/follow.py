@@ -36,6 +36,8 @@ SHORTER = (1.0, 0.5, 0.25)
 """Longest steps with which a start is sought from the end, relative to those asked for."""
 BETWEEN = (0.5, 0.25, 0.75)
 """Where between start and end it is sought from then."""
+MANY_POINTS, TIMES = 2000, 3
+"""Points of such an attempt at most, or so many times those of the curve that came back."""
 
 BAR = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}{postfix}"
 """Of a curve; how long it is going to take cannot be told from how far it has come."""
@@ -254,10 +256,12 @@ def _between(
 
     def again() -> Continuation | None:
         ways = [(1.0, share) for share in SHORTER]  # long steps may miss the turns to the start
+        points = max(MANY_POINTS, TIMES * len(growing.curve))
         for place, share in [*ways, *((place, 1.0) for place in BETWEEN)]:
             given: CurveOptions = {**options, "longest_step": share * longest}
             begun = start + place * (end - start)
             reduced = growing.curve.structure
+            given["most_points"] = min(points, options.get("most_points", points))
             plain: CurveOptions = {**given, "stability": False}
             met = _followed(reduced, omega, contact, (parameter, begun, start), plain)
             if met is None:
