@@ -261,9 +261,7 @@ def _to_exact_orbit(
     return _Change(gap - resized(at.gap, len(gap) // 2), balanced(force, rows // 2) - at.force)
 
 
-def _goes_on(
-    first: CondensedPoint, step: np.ndarray, again: np.ndarray, known: np.ndarray
-) -> bool:
+def _goes_on(first: CondensedPoint, step: np.ndarray, again: np.ndarray, known: np.ndarray) -> bool:
     """Whether a third step with the first Jacobian is shorter than the second, if that is not very
     short: next to grazing two steps may lead to where there is no solution at all."""
     if np.linalg.norm(again) < SURE * np.linalg.norm(step):

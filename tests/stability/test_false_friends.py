@@ -118,7 +118,7 @@ def test_stiff_curve_calls_no_orbit_what_it_is_not() -> None:
     an exact orbit within 10 % is; once, seven of 24 exactly stable points were called unstable."""
     structure, law = oscillator(0.0), fc.UnilateralPenalty(100.0)
     curve = fc.continue_frequency(
-        structure, 0.3, 0.6, law, harmonics=10, stability=True, throw=False
+        structure, 0.3, 0.6, law, harmonics=10, stability=True, throw=False, most_points=600
     )
     assert np.mean(curve.verdicts == "undecided") > 0.9
     for place in range(0, len(curve), 3):
