@@ -18,7 +18,7 @@ from fenics_crack.balance.bordered import PathPoint
 from fenics_crack.balance.condensed import respond
 from fenics_crack.balance.error_report import ErrorReport, lost_in_reduction, mean_square
 from fenics_crack.balance.exact_orbits import EventOrbits, next_to, orbits_from, recurring
-from fenics_crack.balance.fourier import balanced, stretched
+from fenics_crack.balance.fourier import balanced, sampled, stretched
 from fenics_crack.balance.orbits import OrbitPoint
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
@@ -31,6 +31,9 @@ times as many for the contact force, which has kinks where the gap has none."""
 SHARE, MORE = 0.8, 1.5
 """Of a tolerance, that the harmonics left out may take; how many times as many are kept next where
 those do not lead back to the orbit."""
+PRESSED = 0.05
+"""Error of the contact force of the gap kept, of its root mean square: short impacts are lost in a
+gap that is good to a tolerance."""
 JUDGED = 40
 """Harmonics with which the error of a reduction is estimated at most."""
 SAME = 1e-5
@@ -59,13 +62,15 @@ def exact_solution(
         if orbit is not None:
             found = _kept(problem, _Waves(problem, orbits, orbit), tolerance)
             if found is not None:
-                return replace(found, status=f"exact orbit, found {way}")
+                status = f"exact orbit, found {way}"
+                return replace(found, status=status, iterations=orbit.iterations)
     return None
 
 
 def _kept(problem: Problem, waves: _Waves, tolerance: float) -> PeriodicSolution | None:
-    """The fewest harmonics that meet a tolerance and from which Newton's method finds the orbit
-    again, as whoever judges the solution will; or but the first. None where none meets it."""
+    """The fewest harmonics that meet a tolerance, of which the gap still presses as the orbit's
+    does, and from which Newton's method finds the orbit again, as whoever judges the solution will;
+    where no number is enough for that, the fewest that press. None where there are none."""
     best = None
     fewest = int(np.argmax(waves.tail < SHARE * tolerance)) - 1
     if fewest < 0:
@@ -75,7 +80,7 @@ def _kept(problem: Problem, waves: _Waves, tolerance: float) -> PeriodicSolution
     while reduction < tolerance and harmonics + 1 < len(waves.tail):
         kept = problem.with_harmonics(harmonics)
         found = waves.kept(kept, reduction)
-        if found.report.total <= tolerance:
+        if found.report.total <= tolerance and waves.force_error(harmonics) < PRESSED:
             best = best or found
             if _leads_back(kept, found, waves.state):
                 return found
@@ -119,6 +124,7 @@ class _Waves:
         for place in range(INTERLEAVED):
             inside[:, place] = orbits.gap(unknown, 1.0, count, place / INTERLEAVED)
         inside = np.maximum(inside.reshape(-1, structure.n_pairs), 0.0)
+        self._law, self._pressed = problem.contact, problem.contact.force(inside[::INTERLEAVED])
         self.displacement = balanced(moved, most)
         self.gap = structure.apply_bt(self.displacement)
         squares = _squares(self.gap)
@@ -132,6 +138,12 @@ class _Waves:
         assert isinstance(orbit.at, OrbitPoint)
         self.state = orbits.state(unknown)
         self.closed = float(np.linalg.norm(orbit.at.residual) / np.linalg.norm(unknown))
+
+    def force_error(self, harmonics: int) -> float:
+        """Of lambda(g) of the gap with so many harmonics, relative to the force's own size."""
+        force = self._law.force(sampled(self.gap[: 2 * harmonics + 1], len(self._pressed)))
+        off, size = np.linalg.norm(force - self._pressed), np.linalg.norm(self._pressed)
+        return float(off / size) if size > 0.0 else 0.0
 
     def kept(self, problem: Problem, reduction: float) -> PeriodicSolution:
         """The solution with the harmonics of a problem."""

@@ -62,6 +62,8 @@ def test_error_is_what_was_asked_for(name: str, tolerance: float) -> None:
     closing = np.linalg.norm(orbit.gap + structure.clearance)
     off = np.linalg.norm(found.gap(time) - orbit.gap) / closing
     assert off == pytest.approx(found.report.truncation, rel=0.3)
+    force = law.force(orbit.gap)
+    assert np.linalg.norm(found.contact_force(time) - force) < 0.06 * np.linalg.norm(force)
     begun = EventFlow(structure, omega, law).motion(orbit.state)
     history = fc.integrate_central_difference(
         structure, omega, law, periods=1, steps_per_period=512 * 600, initial=begun
