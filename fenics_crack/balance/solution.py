@@ -189,11 +189,11 @@ class PeriodicSolution(Described):
         return found
 
     def amplitude(self, dof: int) -> float:
-        """Half the peak-to-peak displacement of a dof [m], of 1024 instants (collective)."""
+        """Half the peak-to-peak displacement of a dof [m], of 1024 instants, or 8 H (collective)."""
         return float(np.ptp(self.displacement(self._instants(), [dof])) / 2.0)
 
     def indicators(self, dof: int) -> Indicators:
-        """What a dof and the lips show of a breathing crack, of 1024 instants (collective)."""
+        """What a dof and the lips show of a breathing crack, of as many instants (collective)."""
         time = self._instants()
         return indicators_of(
             self.omega,
@@ -216,7 +216,8 @@ class PeriodicSolution(Described):
         return evaluate(rows, self.base_omega, time)
 
     def _instants(self) -> np.ndarray:
-        return np.linspace(0.0, self.period, 1024, endpoint=False)
+        count = max(1024, 8 * self.harmonics)
+        return np.linspace(0.0, self.period, count, endpoint=False)
 
     # --- shown ------------------------------------------------------------------------------------
 

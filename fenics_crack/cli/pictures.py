@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
+from fenics_crack.balance.error_report import UNKNOWN
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw.animation import animate_period, show_period
@@ -81,7 +82,8 @@ def _modes(run: Run, found: Modes, folder: Path) -> list[Path]:
 def _solution(run: Run, found: PeriodicSolution, folder: Path) -> list[Path]:
     title = f"{_frequency(run, found.omega)}, H = {found.harmonics}"
     if found.gap_coefficients.size:
-        title += f", estimated error {found.report.total:.1%}"
+        error = found.report.total
+        title += ", error unknown" if error >= UNKNOWN else f", estimated error {100 * error:.2g} %"
     if found.stability is not None:
         title += f", {found.stability.verdict}"
     if not found.converged:

@@ -26,6 +26,8 @@ __all__ = ["draw_orbits", "draw_spectra", "draw_spectrum"]
 
 DECADES = 9
 """Range of a spectrum below its largest amplitude; what is smaller is rounding."""
+MANY_STEMS = 150
+"""Harmonics beyond which a spectrum is points."""
 
 
 def draw_spectrum(
@@ -145,21 +147,24 @@ def _amplitudes(column: np.ndarray) -> np.ndarray:
 def _stems(
     axes: Axes, series: Mapping[str, tuple[np.ndarray, int]], quantity: str, unit: str
 ) -> None:
-    """Draw amplitudes, each with the loads in its period, as stems, several series side by side."""
+    """Draw amplitudes, each with the loads in its period, as stems, or as points where
+    they are many, several series side by side."""
     seen = np.concatenate([values for values, _ in series.values()])
     top = float(seen.max()) or 1.0
     lowest = np.min(seen, where=seen > 10.0**-DECADES * top, initial=0.1 * top)
     bottom = 10.0 ** np.floor(np.log10(0.5 * lowest))
     highest = max((len(values) - 1) / loads for values, loads in series.values())
     most = max(len(values) for values, _ in series.values()) - 1
-    size, step = 4.5 if most < 25 else 3.0, 0.5 / max(2, len(series))
+    size = 4.5 if most < 25 else 3.0 if most <= MANY_STEMS else 1.5
+    step = 0.5 / max(2, len(series))
     styles = zip(series.items(), distinct_colours(len(series)), 3 * "osD^", strict=False)
     for number, ((label, (values, loads)), colour, marker) in enumerate(styles):
         shift = step * (number - 0.5 * (len(series) - 1)) / loads
         kept = np.flatnonzero(values >= bottom)
         order, shown = kept / loads + shift, values[kept]
         ink = COLOURS.get(colour, colour)
-        axes.vlines(order, bottom, shown, color=ink, lw=1.2)
+        if most <= MANY_STEMS:
+            axes.vlines(order, bottom, shown, color=ink, lw=1.2)
         axes.plot(order, shown, marker, color=ink, ms=size, label=label)
     axes.set_xlim(-0.5, highest + 0.5)
     axes.set_yscale("log")
