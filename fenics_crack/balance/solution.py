@@ -189,12 +189,12 @@ class PeriodicSolution(Described):
         return found
 
     def amplitude(self, dof: int) -> float:
-        """Half the peak-to-peak displacement of a dof [m], of 1024 instants, or 8 H (collective)."""
-        return float(np.ptp(self.displacement(self._instants(), [dof])) / 2.0)
+        """Half the peak-to-peak displacement of a dof [m] (collective)."""
+        return float(np.ptp(self.displacement(self.instants(), [dof])) / 2.0)
 
     def indicators(self, dof: int) -> Indicators:
-        """What a dof and the lips show of a breathing crack, of as many instants (collective)."""
-        time = self._instants()
+        """What a dof and the lips show of a breathing crack (collective)."""
+        time = self.instants()
         return indicators_of(
             self.omega,
             self.coefficients_at([dof])[:, 0],
@@ -215,7 +215,9 @@ class PeriodicSolution(Described):
         rows = self.structure.expand(self.displacement_coefficients)
         return evaluate(rows, self.base_omega, time)
 
-    def _instants(self) -> np.ndarray:
+    def instants(self) -> np.ndarray:
+        """Equally spaced times [s] over the period, at which extremes are looked for: 1024, or 8 H
+        where that is more."""
         count = max(1024, 8 * self.harmonics)
         return np.linspace(0.0, self.period, count, endpoint=False)
 
@@ -229,7 +231,7 @@ class PeriodicSolution(Described):
             "subharmonic": self.subharmonic,
             "pairs": self.gap_coefficients.shape[1],
         }
-        time = self._instants()
+        time = self.instants()
         found |= contact_extremes(self.gap(time), self.contact_force(time))
         found |= {f"{name}_error": value for name, value in self.report.to_dict().items()}
         found["penetration_share"] = found.pop("penetration_error")

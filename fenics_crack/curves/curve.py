@@ -286,7 +286,7 @@ class ResponseCurve(Tabular):
     @cached_property
     def known_errors(self) -> dict[int, float]:
         """Estimated errors of the displacement at the load at points where they are known, once
-        :func:`displacement_errors` has been asked."""
+        ``displacement_errors`` has been asked."""
         return {}
 
     @property

@@ -310,8 +310,7 @@ def _numbered(natural: BilinearFrequencies) -> Found:
 
 def _seen(solution: PeriodicSolution, case: Scene, known: Known) -> Found:
     """What is seen at the load and at the watched points."""
-    instants = np.linspace(0.0, solution.period, 1024, endpoint=False)
-    motion = solution.coordinates(instants)
+    motion = solution.coordinates(solution.instants())
 
     def at(row: np.ndarray) -> Found:
         coefficients = solution.displacement_coefficients @ row
