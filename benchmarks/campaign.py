@@ -15,7 +15,7 @@ fractions and multiples, and elsewhere; H = 5 to 40. What is asked:
 
 The reference is an orbit of the exact flow from one switching instant to the next (`EventFlow`,
 `shoot`), which knows no harmonics: next to the answer; where there is none, next to solutions with
-two to eight times the harmonics, and where the exact motion is after 3 and 30 periods. Of a
+two to eight times the harmonics, and where the exact motion is after 3, 10 and 30 periods. Of a
 stability verdict: the modulus of the exact leading multiplier, and for "stable" the exact motion
 that begins with the answer over 100 periods. Of a bifurcation: that the number of exact multipliers
 outside the unit circle changes along the curve within 1 % of its frequency. Of a backbone's point:
@@ -224,7 +224,7 @@ def _starts(case: Case, found: fc.PeriodicSolution) -> Iterator[Callable[[], fc.
         yield lambda factor=factor, shortest=shortest: fc.shoot(  # type: ignore[misc]
             case.structure, finer(case, found, factor, shortest)
         )
-    for periods in (3, 30):
+    for periods in (3, 10, 30):
         yield lambda periods=periods: fc.shoot(  # type: ignore[misc]
             case.structure, found, settle=periods
         )

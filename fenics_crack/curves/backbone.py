@@ -70,6 +70,9 @@ from fenics_crack.table import Tabular, counted, with_frequency
 
 __all__ = ["Backbone", "BackboneOptions", "follow_backbone"]
 
+FAR, PAST, MANY = 60, 1.25, 1200
+"""Harmonics with which errors are estimated at least, and those that reach past the highest mode,
+as far as there are not more unknowns than that."""
 CALM, MOST = 0.05, 8
 """Of the estimate of an error: the last of its steps, relative to the distance gone, and how many
 there are after the first two."""
@@ -164,7 +167,7 @@ class Backbone(Tabular):
     def _report(self, index: int) -> ErrorReport:
         """How far Newton's method goes with more harmonics, at the same energy."""
         rest = Equilibrium(self.structure, self.contact)
-        kept, harmonics = self.harmonics + 1, max(4 * self.harmonics, self.harmonics + 8)
+        kept, harmonics = self.harmonics + 1, self._more_harmonics(float(self.omega[index]))
         integrals = contact_integrals(self.contact, self.harmonics, self.samples)
         motion = EnergyMotion(rest, integrals.widened(harmonics), float(self.omega[index]))
         energy = float(self.energy[index]) - self.rest_energy
@@ -185,6 +188,14 @@ class Backbone(Tabular):
             truncation = min(moved, UNKNOWN)
         residual = float(np.linalg.norm(known) / np.linalg.norm(start))
         return ErrorReport(residual, truncation, math.nan, math.nan, math.nan)
+
+    def _more_harmonics(self, omega: float) -> int:
+        """With how many the truncation is judged: four times as many, and enough for modes that
+        they do not reach."""
+        squares = all_modes(self.structure).squares
+        reaching = int(PAST * math.sqrt(max(float(squares.max()), 0.0)) / omega) + 1
+        fits = MANY // len(squares)
+        return max(4 * self.harmonics, self.harmonics + 8, min(max(FAR, reaching), fits))
 
     def amplitude(self, dof: int) -> np.ndarray:
         """Half the peak-to-peak displacement of a dof at every point: (n,) [m], of 256 instants."""
