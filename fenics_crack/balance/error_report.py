@@ -56,7 +56,10 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.table import Described
 
 __all__ = [
+    "CALM",
+    "FAR",
     "LARGE_ERROR",
+    "PAST",
     "UNKNOWN",
     "ErrorReport",
     "beyond_truncation",

@@ -16,7 +16,7 @@ import numpy as np
 
 from fenics_crack.balance.bordered import PathPoint, solve_in_plane
 from fenics_crack.balance.compiled import CompiledPaths
-from fenics_crack.balance.orbits import INSTANTS, OrbitPoint, Orbits
+from fenics_crack.balance.orbits import INSTANTS, OrbitPoint, Orbits, recurrences
 from fenics_crack.balance.problem import Problem
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import Struct, doubles, kernel, owned
@@ -209,9 +209,7 @@ def recurring(orbits: EventOrbits) -> PathPoint | None:
                 passed.append(orbits.moved(passed[-1], 1.0)[0])
         except ConvergenceError:  # pairs that chatter without end
             pass
-        apart = np.linalg.norm(np.diff(passed, axis=0), axis=1)
-        nearest = np.argsort(apart, kind="stable")[: int(np.ceil(share * starts))]
-        for place in (-1, *nearest):
+        for place in recurrences(passed, int(np.ceil(share * starts))):
             try:
                 found = solve_in_plane(
                     orbits, passed[place], 1.0, None, tolerance=CLOSED,

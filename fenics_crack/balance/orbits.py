@@ -11,7 +11,7 @@ monodromy matrix M, dF/dp by central differences.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -20,7 +20,7 @@ from scipy.linalg.lapack import dgeev
 from fenics_crack.balance.linearisation import DenseLinearisation
 from fenics_crack.model.flow import ExponentialFlow, Steps
 
-__all__ = ["INSTANTS", "MarchedOrbits", "OrbitPoint", "Orbits", "eigenvalues"]
+__all__ = ["INSTANTS", "MarchedOrbits", "OrbitPoint", "Orbits", "eigenvalues", "recurrences"]
 
 DIFFERENCE = 1e-6
 """Of p, for dF/dp."""
@@ -114,6 +114,13 @@ class Orbits(ABC):
         """dF/dp at fixed x, by central differences."""
         after, before = (self.moved(unknown, parameter + h)[0] for h in (DIFFERENCE, -DIFFERENCE))
         return (after - before) / (2.0 * DIFFERENCE)
+
+
+def recurrences(passed: Sequence[np.ndarray] | np.ndarray, count: int) -> list[int]:
+    """Where orbits are sought in a motion, of states (n, ...) a period apart: the last of them, and
+    those from which the motion came nearest to where it had been, the nearest first."""
+    apart = np.linalg.norm(np.diff(passed, axis=0), axis=1)
+    return [-1, *map(int, np.argsort(apart, kind="stable")[:count])]
 
 
 def eigenvalues(matrix: np.ndarray) -> np.ndarray:

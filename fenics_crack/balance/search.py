@@ -48,7 +48,7 @@ from fenics_crack.balance.family import DampingFamily, Family, FrequencyFamily
 from fenics_crack.balance.fourier import balanced, resized
 from fenics_crack.balance.linearisation import Linearisation
 from fenics_crack.balance.newton import DistributedSystem, KernelNewton, Newton
-from fenics_crack.balance.orbits import INSTANTS, MarchedOrbits
+from fenics_crack.balance.orbits import INSTANTS, MarchedOrbits, recurrences
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.rounding import (
     ROUNDING,
@@ -89,7 +89,7 @@ where the last one does not lead to any."""
 RAMP = Stepping(first=0.2, longest=0.5, shortest=1e-5, most=100)
 MANY = 150
 """Unknowns with which paths take long."""
-MOST_STEPS = 200
+UNHURRIED = 200
 """Unknowns up to which the last path has all its steps; beyond, fewer, as each takes longer."""
 FIRST, FEW, LAST = 600, 200, 8000
 """Steps of a path in the stiffness where other attempts are left, of those others, and of a path
@@ -195,7 +195,7 @@ class Search:
                 found = self._from_near(newton, system, fewer, name, kept, problem)
                 if self.converged:
                     return found
-            most = int(LAST * min(1.0, (MOST_STEPS / system.global_size) ** 2))
+            most = int(LAST * min(1.0, (UNHURRIED / system.global_size) ** 2))
             return self._stiffness_path(newton, system.linear, product, replace(WIDE, most=most))
 
     def _from_near(
@@ -391,9 +391,8 @@ class Search:
         """What is transformed: the gap of an orbit of a flow, or of its last period."""
         steps = flow.steps
         passed = flow.advance(flow.steady[0], MARCHED * periods).states[:: steps * periods]
-        apart = np.linalg.norm(np.diff(passed, axis=0), axis=1)
         orbit = None
-        for place in (-1, *np.argsort(apart, kind="stable")[:RECURRENCES]):
+        for place in recurrences(passed, RECURRENCES):
             orbits = MarchedOrbits(flow, passed[place], periods)
             orbit = solve_in_plane(
                 orbits, orbits.start, 1.0, None,

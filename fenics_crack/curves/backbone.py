@@ -50,7 +50,7 @@ from tqdm import tqdm
 
 from fenics_crack.balance.bordered import PathPoint
 from fenics_crack.balance.contact_integrals import contact_integrals
-from fenics_crack.balance.error_report import UNKNOWN, ErrorReport, mean_square
+from fenics_crack.balance.error_report import CALM, FAR, PAST, UNKNOWN, ErrorReport, mean_square
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.first_motion import ELSEWHERE, first_motion
 from fenics_crack.curves.free_motion import EnergyMotion, Equilibrium, cosine_rows
@@ -70,12 +70,9 @@ from fenics_crack.table import Tabular, counted, with_frequency
 
 __all__ = ["Backbone", "BackboneOptions", "follow_backbone"]
 
-FAR, PAST, MANY = 60, 1.25, 1200
-"""Harmonics with which errors are estimated at least, and those that reach past the highest mode,
-as far as there are not more unknowns than that."""
-CALM, MOST = 0.05, 8
-"""Of the estimate of an error: the last of its steps, relative to the distance gone, and how many
-there are after the first two."""
+MANY, MOST = 1200, 8
+"""Of the estimate of an error: unknowns to which harmonics may reach past the highest mode, and
+steps after the first two."""
 
 
 @dataclass(frozen=True, repr=False)
