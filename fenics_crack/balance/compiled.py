@@ -310,7 +310,7 @@ class CompiledPoint(Linearisation):
         self.system, self.unknown, self.parameter = system, unknown, parameter
 
     @property
-    def residual(self) -> np.ndarray:  # type: ignore[override]
+    def residual(self) -> np.ndarray:
         found = np.empty_like(self.unknown)
         at = self.system.evaluated(self)
         at.residual(at, doubles(found))

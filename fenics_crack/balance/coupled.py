@@ -133,7 +133,7 @@ class CoupledPoint(CondensedPoint):
     ) -> None:
         self.system, self._derivative = system, by_parameter
         self.forces = integrals.linearise(unknown)
-        self.force, self.tangent = self.forces.force, self.forces.tangent  # type: ignore[assignment]
+        self.force, self.tangent = self.forces.force, self.forces.tangent
         self.gap = unknown - self.force @ system.residual
         super().__init__(unknown, unknown - system.linear + respond(system.moving, self.force))
 

@@ -112,7 +112,7 @@ def refine_curve(curve: ResponseCurve, between: int | None = None) -> ResponseCu
             guess, slope = (
                 _split(spline(wanted[some], order), size, pairs, rows) for order in (0, 1)
             )
-            plane = Tangent(*slope, size**-2)  # type: ignore[arg-type]  # of many points
+            plane = Tangent(*slope, size**-2)  # of many points
             found = system.correct(*guess, plane)
             unknowns[:rows, some], omegas[some], iterations[some] = found
     new = unknowns.transpose(1, 0, 2)

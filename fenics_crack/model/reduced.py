@@ -327,7 +327,7 @@ class MasslessStructure(ReducedStructure):
         return f"{self.n_modes} modes of {self.whole.n_dofs} dofs, lips without mass"
 
     @property
-    def basis(self) -> np.ndarray:  # type: ignore[override]
+    def basis(self) -> np.ndarray:
         """Phi: (whole.n_local, n_modes)."""
         return np.eye(self.n_dofs, self.n_modes) if self._static is None else self._static.shapes
 

@@ -105,7 +105,7 @@ def floquet(
     chapter 7; Lazarus and Thomas, Comptes Rendus Mecanique 338 (2010) 510-517.
     """
     if contact is None:
-        contact = solution.contact  # type: ignore[assignment]
+        contact = solution.contact
     coupled = solution.static_above is not None
     check_law(structure, contact, rigid=structure.light_lips)
     assert contact is not None
