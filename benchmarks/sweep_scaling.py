@@ -27,7 +27,6 @@ from common import DEMOS, Arguments, run, save_table
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.balance.exact_orbits import FEW_PAIRS
 from fenics_crack.scene.tables import Sweep
 from fenics_crack.study.prepare import law_of, prepare
 from fenics_crack.sweep import case as sweep_case
@@ -226,8 +225,7 @@ def by_itself(geometry: sweep_case.Geometry, chunk: Chunk) -> list[sweep_case.Fo
             last = fc.solve_harmonic_balance(structure, omega, law, harmonics=10, initial=last)
         except fc.ConvergenceError:
             last = fc.solve_harmonic_balance(structure, omega, law, harmonics=10)
-        few = structure.n_pairs <= FEW_PAIRS and last.static_above is None
-        fc.floquet(structure, last, refine=not few)
+        fc.floquet(structure, last)
         found.append(last.to_dict() | {"gap": last.gap_coefficients})
     return found
 

@@ -71,7 +71,6 @@ def floquet(
     contact: ContactLaw | None = None,
     *,
     refine: bool = True,
-    flow: PiecewiseFlow | None = None,
 ) -> Stability:
     """Floquet multipliers of a solution, and whether it is stable.
 
@@ -90,9 +89,6 @@ def floquet(
     refine : bool
         Judge by the multipliers of an orbit of the flow in time next to the solution, where that is
         better than those of its harmonics.
-    flow : PiecewiseFlow, optional
-        Of the structure and the law, where many solutions are judged by their harmonics: what they
-        share is computed once, and only the leading multiplier of each.
 
     Raises
     ------
@@ -123,19 +119,16 @@ def floquet(
         found = _exact(structure, solution, contact)
         if found is not None:
             return found
-        judged = _by_harmonics(structure, solution, contact, flow)
+        judged = _by_harmonics(structure, solution, contact)
         return replace(judged, verdict="undecided")
-    judged = _by_harmonics(structure, solution, contact, None if coupled else flow)
+    judged = _by_harmonics(structure, solution, contact)
     if refine and in_time and solution.report.total > LARGE_ERROR:
         return replace(judged, verdict="undecided")
     return judged
 
 
 def _by_harmonics(
-    structure: Structure,
-    solution: PeriodicSolution,
-    contact: ContactLaw,
-    shared: PiecewiseFlow | None,
+    structure: Structure, solution: PeriodicSolution, contact: ContactLaw
 ) -> Stability:
     """The three estimates of the leading multiplier, and whether they agree."""
     problem = Problem(
@@ -145,7 +138,7 @@ def _by_harmonics(
     above = None
     if solution.static_above is not None:
         above = moving_below(structure, solution.static_above)
-    flow, omega = shared or PiecewiseFlow(structure, contact, above), solution.base_omega
+    flow, omega = PiecewiseFlow(structure, contact, above), solution.base_omega
     compliance = problem.compliance()
     at = problem.system(compliance).linearise(solution.slow_gap_coefficients)
     better = improved(at)
@@ -158,10 +151,7 @@ def _by_harmonics(
     else:
         waves = [at.unknown, better]
     compliance.destroy()
-    if shared is None:
-        multipliers, other = (flow.multipliers(wave, omega) for wave in waves)
-    else:
-        multipliers, other = (np.array([flow.leading(wave, omega).value]) for wave in waves)
+    multipliers, other = (flow.multipliers(wave, omega) for wave in waves)
     largest = float(np.abs(multipliers[0]))
     estimates = [multipliers[0], other[0]]
     if (2 * solution.harmonics + 1) * structure.n_pairs <= HILL:

@@ -10,7 +10,6 @@ import numpy as np
 import scipy.sparse as sparse
 from mpi4py import MPI
 
-from fenics_crack.balance.exact_orbits import FEW_PAIRS
 from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.indicators import indicators_of
 from fenics_crack.balance.memory import check_memory
@@ -30,7 +29,6 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stability.floquet import floquet
-from fenics_crack.stability.piecewise_flow import PiecewiseFlow
 from fenics_crack.study.prepare import Study, law_of, prepare
 from fenics_crack.study.run import REFUSALS
 from fenics_crack.sweep.file import AT_POINTS, COLUMNS, PHASES, of_load
@@ -256,7 +254,7 @@ def solve_chunk(geometry: Geometry, chunk: Chunk, verdicts: bool) -> list[Found]
 class Cases:
     """Cases of a geometry, each solved from the one before.
 
-    Those that differ in the frequency alone share structure, law, equations and flow.
+    Those that differ in the frequency alone share structure, law and equations.
     """
 
     def __init__(self, geometry: Geometry) -> None:
@@ -272,7 +270,6 @@ class Cases:
             self._last = at_omega
             self._structure = self._geometry.of_case(case)
             self._law = law_of(case, self._structure)
-            self._flow: PiecewiseFlow | None = None
         structure, law = self._structure, self._law
         if law is None:
             return solve_linear(structure, omega, harmonics=table.harmonics)
@@ -287,12 +284,8 @@ class Cases:
         structure, law = solution.structure, solution.contact
         if law is None or (is_rigid(law) and not structure.light_lips):
             return {}
-        few = structure.n_pairs <= FEW_PAIRS and solution.static_above is None
-        if few and self._flow is None:
-            self._flow = PiecewiseFlow(structure, law)
-        flow = self._flow if few else None
         try:
-            found = floquet(structure, solution, refine=not few, flow=flow)
+            found = floquet(structure, solution)
         except REFUSALS:
             return {"verdict": "undecided"}
         return {"verdict": found.verdict, "multiplier": abs(found.multipliers[0])}

@@ -121,7 +121,7 @@ def test_table_is_the_product_of_the_axes(paper_scene: fc.Scene, tmp_path: Path)
         assert result["truncation_error"][index] == pytest.approx(
             solution.report.truncation, rel=1e-6
         )
-        stability = fc.floquet(plate, solution, refine=False)
+        stability = fc.floquet(plate, solution)
         assert result["verdict"][index] == stability.verdict
         largest = abs(stability.multipliers[0])
         assert result["multiplier"][index] == pytest.approx(largest, abs=1e-6)
