@@ -113,8 +113,6 @@ def _be_silent() -> None:
 
 def _run(given: argparse.Namespace) -> Exit:
     """Import what a command needs, and call it."""
-    import logging
-
     from mpi4py import MPI
 
     from fenics_crack.cli import scenes
@@ -126,7 +124,6 @@ def _run(given: argparse.Namespace) -> Exit:
     comm = MPI.COMM_WORLD
     if comm.rank > 0:
         _be_silent()
-    logging.disable(logging.INFO)  # of FFCx and UFL
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # else PETSc ends the program if a reader leaves
     console = Console(comm, given.format, given.quiet, given.verbose)
     if given.command == "new":

@@ -7,6 +7,7 @@ No other module looks at a version.
 
 from __future__ import annotations
 
+import logging
 import signal
 import threading
 from collections.abc import Iterator
@@ -74,6 +75,25 @@ def model_to_mesh(model: Any, comm: MPI.Comm) -> tuple[Any, Any, Any]:
     return found.mesh, found.cell_tags, found.facet_tags
 
 
+@contextmanager
+def _quiet_compiler() -> Iterator[None]:
+    """Hold back what distutils tells of each form that is compiled, on the root logger itself.
+
+    FFCx gives that logger a handler, and cffi sets its level to INFO meanwhile. What other loggers
+    tell is heard, and so are warnings.
+    """
+
+    def important(record: logging.LogRecord) -> bool:
+        return record.levelno > logging.INFO
+
+    logging.root.addFilter(important)
+    try:
+        yield
+    finally:
+        logging.root.removeFilter(important)
+
+
+@_quiet_compiler()
 def function_space(mesh: Any, order: int) -> Any:
     """Continuous piecewise polynomials of the given order with two components."""
     if _NEW:
@@ -83,6 +103,7 @@ def function_space(mesh: Any, order: int) -> Any:
     return dolfinx.fem.FunctionSpace(mesh, element, **_JIT)
 
 
+@_quiet_compiler()
 def assembled_matrix(form: ufl.Form) -> Any:
     """Assemble a bilinear form without boundary conditions into a PETSc matrix (collective)."""
     matrix = dolfinx.fem.petsc.assemble_matrix(dolfinx.fem.form(form, **_JIT))
@@ -90,6 +111,7 @@ def assembled_matrix(form: ufl.Form) -> Any:
     return matrix
 
 
+@_quiet_compiler()
 def assembled_vector(form: ufl.Form) -> np.ndarray:
     """Assemble a linear form; return the entries of the dofs that this rank owns (collective)."""
     vector = dolfinx.fem.petsc.assemble_vector(dolfinx.fem.form(form, **_JIT))
