@@ -30,7 +30,7 @@ from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.curves.estimates import displacement_errors
 from fenics_crack.draw import html
 from fenics_crack.errors import InputError
-from fenics_crack.files.store import kind_of, opened, read_scene, versions
+from fenics_crack.files.store import header, kind_of, read_scene, versions
 from fenics_crack.model.modes import Modes
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Crack, Geometry, Integration, Material
@@ -362,8 +362,8 @@ def _versions_part(files: Sequence[Path], command: Sequence[str]) -> str:
     """What made the results, and what made the page."""
     rows = []
     for path in files:
-        with opened(path) as file:
-            made = f"fenics_crack {file.attrs.get('version')}, {file.attrs.get('versions')}"
+        attributes = header(path).attributes
+        made = f"fenics_crack {attributes['version']}, {attributes['versions']}"
         rows.append((str(path), made))
     drawn = f"Python {platform.python_version()}, {versions()}, h5py {h5py.__version__}"
     rows.append(("this page", f"fenics_crack {VERSION}, {drawn}"))

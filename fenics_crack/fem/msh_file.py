@@ -1,23 +1,26 @@
 """Mesh files: gmsh reads them in a process of its own, and they are checked before use.
 
+gmsh runs what it does not know as a script, decides by the name of a file what it is, and runs
+``NAME.opt`` beside it. So it is given a copy under a name of its own, alone in a folder, and only
+if the file begins as a mesh does.
+
 Every cell, edge and point is put into gmsh's current model once. Edges in several named curves are
 in a physical group for each combination of these.
 """
 
 from __future__ import annotations
 
-import pickle
 import re
-import subprocess
-import sys
+import shutil
+import tempfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from fenics_crack.errors import InputError
 from fenics_crack.fem.compat import gmsh
 from fenics_crack.fem.lips import boundary_edges, check_mouths, split_crack
+from fenics_crack.outside import bytes_of, run_reader
 
 __all__ = ["Names", "Point", "read_file"]
 
@@ -32,8 +35,8 @@ LONGEST_READING = 300
 _POINT, _TRIANGLES = 15, (2, 9, 21)
 _EDGES = {2: 1, 3: 1, 9: 8, 10: 8, 21: 26, 36: 26}
 """gmsh's kinds of cells that DOLFINx reads, and of their edges, order by order; and of points."""
-
-
+_BEGINNING = re.compile(rb"\$MeshFormat[ \t]*\r?\n[ \t]*(2|2\.[0-2]|4|4\.[01])[ \t]+[01][ \t]+8\s")
+"""Of a mesh file in gmsh's format 2 or 4, as text or in binary."""
 _CRACK = re.compile(r"crack([ _.-]?\d+)?$", re.IGNORECASE)
 """Names of curves along which the nodes exist twice."""
 
@@ -201,11 +204,25 @@ def _fill(numbers: np.ndarray, positions: np.ndarray, groups: list[_Group]) -> N
 
 
 def _read_by_child(path: Path) -> tuple[np.ndarray, np.ndarray, list[_Group]] | str:
-    """Numbers and positions of a file's nodes and its groups, or gmsh's error message."""
-    reader = [sys.executable, "-I", str(Path(__file__).with_name("msh_reader.py")), str(path)]
-    try:
-        done = subprocess.run(reader, capture_output=True, timeout=LONGEST_READING)
-    except subprocess.TimeoutExpired:
-        return "it does not end"
-    found: Any = pickle.loads(done.stdout) if done.returncode == 0 else "it crashes"
-    return found  # type: ignore[no-any-return]
+    """Numbers and positions of a file's nodes and its groups, or why it cannot be read."""
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "mesh.msh"
+        try:
+            bytes_of(path)
+            shutil.copyfile(path, copy)
+            with copy.open("rb") as file:
+                if not _BEGINNING.match(file.read(100)):
+                    return "it does not begin with $MeshFormat and version 2.2 or 4.1"
+        except OSError as error:
+            return error.strerror or str(error)
+        found = run_reader(Path(__file__).with_name("msh_reader.py"), copy, LONGEST_READING)
+    if isinstance(found, str):
+        return found.replace(str(copy), str(path))
+    parts = np.split(found["nodes"], np.cumsum(found["heads"][:, 3])[:-1])
+    groups = [
+        (dimension, tag, name, kind, nodes)
+        for (dimension, tag, kind, _), name, nodes in zip(
+            found["heads"].tolist(), found["names"].tolist(), parts, strict=False
+        )
+    ]
+    return found["numbers"], found["positions"], groups

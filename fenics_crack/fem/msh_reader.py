@@ -1,41 +1,51 @@
-"""A program of its own that reads a mesh file with gmsh: ``python -I msh_reader.py FILE``.
+"""A program of its own that reads a mesh file with gmsh: ``msh_reader.py FILE HANDED MEMORY MOST``.
 
-A damaged file may crash gmsh or corrupt its memory. The result goes to standard output, pickled:
-numbers and positions of the nodes, and the physical groups; or gmsh's error message.
+A damaged file may crash gmsh or corrupt its memory. The numbers and positions of the nodes and the
+physical groups go to the open file of number HANDED, as .npz; or gmsh's error message. MEMORY is
+limited, and with it what it holds.
 """
 
-import pickle
+import os
+import resource
 import sys
 
 import gmsh
+import numpy as np
 
 
-def main(path: str) -> None:
-    """Read a file and write what it holds."""
+def main(path: str, handed: int, memory: int, most: int) -> None:
+    """Read a file and hand over what it holds."""
+    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
     gmsh.initialize(readConfigFiles=False)
     gmsh.option.setNumber("General.Terminal", 0)
     gmsh.option.setNumber("General.ExpertMode", 1)  # it must not ask
     try:
         gmsh.merge(path)
         numbers, positions, _ = gmsh.model.mesh.getNodes()
-        found: object = (numbers, positions.reshape(-1, 3), groups())
+        found = {"numbers": numbers, "positions": positions.reshape(-1, 3), **groups()}
     except Exception as error:  # gmsh raises nothing more specific
-        found = str(error) or "no reason given"
-    sys.stdout.buffer.write(pickle.dumps(found))
+        found = {"error": np.array(str(error) or "no reason given")}
+    with os.fdopen(handed, "wb") as file:
+        np.savez(file, **found)
 
 
-def groups() -> list:
-    """Dimension, tag and name of each group, and elements of one kind: its number and the nodes."""
-    found = []
+def groups() -> dict[str, np.ndarray]:
+    """Of each group and kind of its elements: dimension, tag, kind and number of nodes; its name;
+    and the nodes, one after the other."""
+    heads, names, nodes = [], [], [np.zeros(0, dtype=np.uint64)]
     for dimension, tag in gmsh.model.getPhysicalGroups():
         name = gmsh.model.getPhysicalName(dimension, tag)
         for entity in gmsh.model.getEntitiesForPhysicalGroup(dimension, tag):
-            kinds, _, nodes = gmsh.model.mesh.getElements(dimension, entity)
-            found += [
-                (dimension, tag, name, int(k), own) for k, own in zip(kinds, nodes, strict=True)
-            ]
-    return found
+            kinds, _, own = gmsh.model.mesh.getElements(dimension, entity)
+            heads += [(dimension, tag, k, len(o)) for k, o in zip(kinds, own, strict=True)]
+            names += [name] * len(kinds)
+            nodes += own
+    return {
+        "heads": np.array(heads, dtype=np.int64).reshape(-1, 4),
+        "names": np.array(names, dtype=str),
+        "nodes": np.concatenate(nodes),
+    }
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(sys.argv[1], *map(int, sys.argv[2:]))

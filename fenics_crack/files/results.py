@@ -17,7 +17,7 @@ from fenics_crack.curves.backbone import Backbone
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
 from fenics_crack.files.modes_file import pack_modes, unpack_modes
-from fenics_crack.files.store import kind_of, reading, write
+from fenics_crack.files.store import Stored, read, write
 from fenics_crack.model.contact import ContactLaw, UnilateralConstraint, is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes
@@ -26,7 +26,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
 from fenics_crack.time.march import TimeHistory
 
-__all__ = ["Result", "check_gap", "check_pairs", "load", "save", "type_of"]
+__all__ = ["Result", "check_gap", "check_pairs", "load", "save", "type_of", "unpack"]
 
 Result = Modes | PeriodicSolution | ResponseCurve | Backbone | TimeHistory
 Law = ContactLaw | None
@@ -90,14 +90,19 @@ def load(path: str | Path, structure: Structure, contact: Law = None) -> Result:
     InputError
         The file is not one of :func:`save`, or the structure or the law is another.
     """
-    kind = type_of(path)
-    with reading(path, kind.KIND) as parts:
+    return unpack(read(path, structure.comm), structure, contact)
+
+
+def unpack(stored: Stored, structure: Structure, contact: Law = None) -> Result:
+    """The same of a file that is read (collective)."""
+    kind = type_of(stored)
+    with stored.taken() as parts:
         for name in [name for name in parts if name.startswith("watched")]:
             del parts[name]
         return _FORMS[kind][1](parts, structure, contact)
 
 
-def type_of(path: str | Path) -> type[Result]:
+def type_of(stored: Stored) -> type[Result]:
     """Class of the result in a file written by :func:`save`.
 
     Raises
@@ -105,12 +110,11 @@ def type_of(path: str | Path) -> type[Result]:
     InputError
         The file holds something else.
     """
-    found = kind_of(path)
     for kind in _FORMS:
-        if kind.KIND == found:
+        if kind.KIND == stored.kind:
             return kind
-    allowed = f"a result written by save; this is a {found} (SweepResult.load reads sweeps)"
-    raise InputError("path", str(path), allowed)
+    allowed = f"a result written by save; this is a {stored.kind} (SweepResult.load reads sweeps)"
+    raise InputError("path", str(stored.path), allowed)
 
 
 def _fields(result: Result, *apart: str) -> Parts:

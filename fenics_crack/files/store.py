@@ -3,16 +3,21 @@
 A file has the attributes ``kind`` (what is in it), ``program`` and ``version``, ``versions`` of
 what it was computed with, and, where there is one, the ``scene`` as TOML text; its datasets are
 numbers and words, with the attributes ``unit`` and ``about``. Nothing in it is pickled, and nothing
-of it is ever executed.
+of it is ever executed. The attribute ``digest`` is verified when it is read, ``meshes`` holds those
+of the files of the scene.
 """
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
+import json
+import math
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,24 +29,32 @@ from slepc4py import SLEPc
 
 from fenics_crack.errors import InputError
 from fenics_crack.files.units import about
+from fenics_crack.outside import bytes_of, run_reader, sha256
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.version import VERSION
 
 __all__ = [
-    "check_meshes",
+    "Column",
+    "Stored",
+    "column_text",
+    "digest",
+    "header",
     "kind_of",
     "make_folder",
-    "opened",
+    "read",
     "read_scene",
-    "reading",
     "scene_text",
+    "texts",
     "versions",
     "write",
     "write_header",
 ]
 
 PROGRAM = "fenics_crack"
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+QUICK, SLOWEST = 30.0, 1e7
+"""Time to read a small file [s], and to read a large one [bytes/s]."""
 
 
 def write(
@@ -82,6 +95,7 @@ def write(
                         packed = {"compression": "gzip"} if np.size(value) > 1000 else {}
                         dataset = file.create_dataset(name, data=value, **packed)
                         dataset.attrs.update(about(name, parts))
+                file.attrs["digest"] = digest(texts(file), parts)
             partial.replace(target)
         except OSError as error:
             raise InputError("path", str(path), f"a file that can be written ({error})") from None
@@ -100,7 +114,7 @@ def write_header(file: h5py.File, kind: str, scene: Scene | None) -> None:
     file.attrs["versions"] = versions()
     if scene is not None:
         file.attrs["scene"] = scene_text(scene)
-        file.attrs["meshes"] = "\n".join(_digest(path) for _, path in scene.files)
+        file.attrs["meshes"] = "\n".join(_file_digest(path) for _, path in scene.files)
 
 
 def versions() -> str:
@@ -120,96 +134,240 @@ def scene_text(scene: Scene) -> str:
     return scene.with_files(lambda path: str(Path(path).absolute())).as_toml()
 
 
-def check_meshes(file: h5py.File, scene: Scene) -> None:
-    """Raise InputError if a file of the scene, of its mesh or matrices, has changed."""
-    digests = str(file.attrs.get("meshes", "")).split()
-    for (key, path), digest in zip(scene.files, digests, strict=False):
-        if _digest(path) != digest:
-            allowed = f"the file with which {file.filename} was computed; it has changed or gone"
-            raise InputError(key, path, allowed)
+def texts(file: h5py.File) -> dict[str, str]:
+    """Attributes of a file, and of its datasets by names like "omega/unit"."""
+    found = {name: str(value) for name, value in file.attrs.items()}
+    for name, item in file.items():
+        found |= {f"{name}/{key}": str(value) for key, value in item.attrs.items()}
+    return found
 
 
-def _digest(path: str) -> str:
-    """SHA-256 of a file, or "missing"."""
-    try:
-        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
-    except OSError:
-        return "missing"
+def digest(attributes: Mapping[str, str], parts: Mapping[str, Any]) -> str:
+    """SHA-256 of attributes, but for the digest, and of datasets: names, types, shapes and bytes.
+
+    Parameters
+    ----------
+    attributes : mapping of str to str
+        As :func:`texts` names them.
+    parts : mapping
+        Datasets by their names: arrays, numbers, words; None is left out. Of a sweep, which is
+        filled in later, their types, shapes and places as words.
+    """
+    total = hashlib.sha256()
+    for name, text in sorted(attributes.items()):
+        if name != "digest":
+            total.update(json.dumps([name, text]).encode())
+    for name, value in sorted(parts.items()):
+        if value is None:
+            continue
+        array = np.asarray(value)
+        if array.dtype.kind in "UO":
+            total.update(json.dumps([name, array.tolist()]).encode())
+        else:
+            total.update(json.dumps([name, array.dtype.str, array.shape]).encode())
+            total.update(array.tobytes())
+    return total.hexdigest()
 
 
-@contextlib.contextmanager
-def reading(path: str | Path, kind: str) -> Iterator[dict[str, Any]]:
-    """Datasets of a file by their names: arrays, numbers and words.
+# --- reading --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Column:
+    """Type, shape and place of a dataset that is filled in while the file is there."""
+
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+    offset: int
+
+    @property
+    def size(self) -> int:
+        """Bytes."""
+        return math.prod(self.shape) * self.dtype.itemsize
+
+    def of(self, path: Path, first: int = 0, count: int | None = None) -> np.ndarray:
+        """Its numbers, or ``count`` of them from the ``first`` on (count,); OSError, ValueError."""
+        start = self.offset + first * self.dtype.itemsize
+        wanted = math.prod(self.shape) if count is None else count
+        values = np.fromfile(path, self.dtype, wanted, offset=start)
+        if len(values) < wanted:
+            raise ValueError("it ends too early")
+        return values.reshape(self.shape) if count is None else values
+
+
+@dataclass(frozen=True)
+class Stored:
+    """What a file holds; its digest has been verified.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    attributes : dict of str to str
+        As :func:`texts` names them.
+    parts : dict
+        Datasets by their names: arrays, numbers and words. Of a sweep there are none.
+    columns : dict of str to Column
+        Of a sweep: where its datasets are.
+    """
+
+    path: Path
+    attributes: dict[str, str]
+    parts: dict[str, Any]
+    columns: dict[str, Column]
+
+    @property
+    def kind(self) -> str:
+        """What is in it, for example "response curve"."""
+        return self.attributes["kind"]
+
+    def scene(self) -> Scene | None:
+        """Its scene, or None; no file that the scene names is opened.
+
+        Raises
+        ------
+        InputError
+            The scene cannot be used, or its mesh or matrices have no digests.
+        """
+        if "scene" not in self.attributes:
+            return None
+        scene = Scene.from_text(self.attributes["scene"], str(self.path))
+        if len(self._digests) != len(scene.files):
+            raise self._older("it has no digests of its mesh or matrices")
+        return scene
+
+    def check_files(self, scene: Scene) -> None:
+        """Raise InputError if a file of the scene, of its mesh or matrices, has changed."""
+        for (key, path), known in zip(scene.files, self._digests, strict=True):
+            if _file_digest(path) != known:
+                allowed = f"the file with which {self.path} was computed; it has changed or gone"
+                raise InputError(key, path, allowed)
+
+    def check_kind(self, kind: str) -> None:
+        """Raise InputError if something else is in the file."""
+        if self.kind != kind:
+            allowed = f"a file with a {kind}; in this one is a {self.kind}"
+            raise InputError("path", str(self.path), allowed)
+
+    @contextlib.contextmanager
+    def taken(self) -> Iterator[dict[str, Any]]:
+        """Its datasets, to be taken apart; InputError if they are not as expected."""
+        try:
+            yield dict(self.parts)
+        except InputError:
+            raise
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+            allowed = f"a {self.kind} written by save ({error})"
+            raise InputError("path", str(self.path), allowed) from None
+
+    @property
+    def _digests(self) -> list[str]:
+        return self.attributes.get("meshes", "").split()
+
+    def check_digest(self) -> None:
+        """Raise InputError unless the file is what was written."""
+        known = self.attributes.get("digest")
+        if known is None:
+            raise self._older("it has no digest")
+        table = {name: column_text(*astuple(column)) for name, column in self.columns.items()}
+        if digest(self.attributes, self.parts or table) != known:
+            raise InputError("path", str(self.path), "a whole file; this one is damaged")
+
+    def _older(self, why: str) -> InputError:
+        version = self.attributes.get("version", "of unknown number")
+        allowed = (
+            f"a file of this version; {why}, as those of older ones: it was made by {version}, "
+            "make it again with the command that wrote it, in a new folder"
+        )
+        return InputError("path", str(self.path), allowed)
+
+
+def column_text(dtype: np.dtype[Any], shape: Sequence[int], offset: int) -> str:
+    """Type, shape and place of a dataset in words, for :func:`digest`."""
+    return f"{dtype.str} {tuple(shape)} {offset}"
+
+
+def read(path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> Stored:
+    """Read a file and verify its digest (collective); rank 0 lets a program of its own read it.
 
     Raises
     ------
     InputError
-        As :func:`opened`, or a dataset is missing or not of the kind expected in the ``with``
-        block.
+        The file cannot be read, is damaged, of an older version, or not one of this program.
     """
-    with opened(path, kind) as file:
-        parts = {n: _value(item) for n, item in file.items() if isinstance(item, h5py.Dataset)}
+    return on_root(comm, lambda: _read(Path(path)))
+
+
+def _read(path: Path) -> Stored:
+    def refusal(why: str) -> InputError:
+        kinds = "one of the .h5 files that solve, curve and the other commands write"
+        return InputError("path", str(path), f"a readable result file, {kinds} ({why})")
+
     try:
-        yield parts
-    except InputError:
-        raise
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise InputError("path", str(path), f"a {kind} written by save ({error})") from None
+        size = bytes_of(path, None)
+        with path.open("rb") as file:
+            if file.read(len(SIGNATURE)) != SIGNATURE:  # where it may also begin later
+                raise refusal("it does not begin as HDF5 files do")
+        found = run_reader(Path(__file__).with_name("h5_reader.py"), path, QUICK + size / SLOWEST)
+    except FileNotFoundError:
+        raise InputError("path", str(path), "a file that exists") from None
+    except OSError as error:
+        raise refusal(error.strerror or str(error)) from None
+    if isinstance(found, str):
+        raise refusal(found)
+    head = json.loads(str(found["head"]))
+    attributes, words = head["attributes"], head["words"]
+    if attributes.get("program") != PROGRAM or "kind" not in attributes:
+        raise InputError("path", str(path), f"a result file of {PROGRAM}")
+    arrays = {name: found[f"arr_{number}"] for number, name in enumerate(head["arrays"])}
+    numbers = {name: one if one.ndim else one.item() for name, one in arrays.items()}
+    columns = {
+        name: Column(np.dtype(kind), tuple(shape), offset)
+        for name, (kind, shape, offset) in head["columns"].items()
+    }
+    stored = Stored(path, attributes, words | numbers, columns)
+    stored.check_digest()
+    return stored
+
+
+def header(path: str | Path) -> Stored:
+    """A file without its numbers, which are verified too; raises as :func:`read`.
+
+    It is read again when it has changed.
+    """
+    with contextlib.suppress(OSError, ValueError):
+        now = os.stat(path)
+        return _header(Path(path), (now.st_dev, now.st_ino, now.st_size, now.st_mtime_ns))
+    return replace(read(path), parts={})
+
+
+@functools.lru_cache(maxsize=32)
+def _header(path: Path, state: tuple[int, ...]) -> Stored:
+    return replace(_read(path), parts={})
 
 
 def kind_of(path: str | Path) -> str:
-    """Kind of result in a file; raises as :func:`opened`."""
-    with opened(path) as file:
-        return str(file.attrs["kind"])
+    """Kind of result in a file; raises as :func:`read`."""
+    return header(path).kind
 
 
 def read_scene(path: str | Path) -> Scene | None:
-    """The scene in a file, or None.
+    """The scene in a file, or None; no file that the scene names is opened.
 
     Raises
     ------
     InputError
-        As :func:`opened`, its scene cannot be used, or a file of its mesh or matrices has changed.
+        As :func:`read`, or its scene cannot be used.
     """
-    with opened(path) as file:
-        if "scene" not in file.attrs:
-            return None
-        scene = Scene.from_text(str(file.attrs["scene"]), str(path))
-        check_meshes(file, scene)
-    return scene
+    return header(path).scene()
 
 
-@contextlib.contextmanager
-def opened(path: str | Path, kind: str | None = None) -> Iterator[h5py.File]:
-    """Open a result file for reading, without a lock: a sweep may be writing it.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, is not one of this program, or is of another kind.
-    """
+def _file_digest(path: str) -> str:
+    """SHA-256 of a file, or "missing"."""
     try:
-        with h5py.File(path, "r", locking=False) as file:
-            if file.attrs.get("program") != PROGRAM or "kind" not in file.attrs:
-                raise InputError("path", str(path), f"a result file of {PROGRAM}")
-            found = file.attrs["kind"]
-            if kind not in (None, found):
-                allowed = f"a file with a {kind}; in this one is a {found}"
-                raise InputError("path", str(path), allowed)
-            yield file
-    except FileNotFoundError:
-        raise InputError("path", str(path), "a file that exists") from None
-    except (OSError, KeyError, RuntimeError) as error:
-        kinds = "one of the .h5 files that solve, curve and the other commands write"
-        raise InputError("path", str(path), f"a readable result file, {kinds}") from error
-
-
-def _value(item: h5py.Dataset) -> Any:
-    if h5py.check_string_dtype(item.dtype) is None:
-        value = item[()]
-        return value if np.ndim(value) else value.item()
-    words = item.asstr()[()]
-    return words if isinstance(words, str) else [str(word) for word in words]
+        return sha256(path)
+    except OSError:
+        return "missing"
 
 
 def make_folder(path: str | Path) -> None:

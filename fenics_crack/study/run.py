@@ -15,8 +15,8 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.follow import continue_frequency, continue_parameter
 from fenics_crack.errors import ConvergenceError, InputError
-from fenics_crack.files.results import Result, load, type_of
-from fenics_crack.files.store import read_scene
+from fenics_crack.files.results import Result, type_of, unpack
+from fenics_crack.files.store import read
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.exact_flow import MAX_PAIRS
 from fenics_crack.model.modal import is_small
@@ -25,6 +25,7 @@ from fenics_crack.model.reduced import massless
 from fenics_crack.model.reduction import MODES
 from fenics_crack.model.run_up_basis import run_up_structure
 from fenics_crack.model.structure import Structure
+from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
 from fenics_crack.stability.floquet import floquet
@@ -296,9 +297,10 @@ def _needed_law(study: Study) -> ContactLaw:
 def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
     """Read the result of a command with its scene, structure and law (collective).
 
-    The structure is built anew from the scene in the file; the result is only read. With a
-    structure at hand, :func:`fenics_crack.load` reads the same files; sweeps are read by
-    ``SweepResult.load``.
+    The structure is built anew from the scene in the file; the result is only read. Files of the
+    mesh or of matrices that the scene names are opened if they are still those of the result, by
+    their SHA-256. With a structure at hand, :func:`fenics_crack.load` reads the same files; sweeps
+    are read by ``SweepResult.load``.
 
     Parameters
     ----------
@@ -310,13 +312,16 @@ def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
     Raises
     ------
     InputError
-        The file is not a result with a scene, or is a sweep.
+        The file is not a result with a scene, is a sweep, damaged or of an older version; or a file
+        that its scene names has changed.
     """
-    kind, scene = type_of(path), read_scene(path)
+    stored = read(path, comm)
+    kind, scene = type_of(stored), stored.scene()
     if scene is None:
         raise InputError("path", str(path), f"a {kind.KIND} saved with its scene")
+    on_root(comm, lambda: stored.check_files(scene))
     if kind is ResponseCurve and scene.curve is not None:
         study = _prepare_curve(scene, comm)
     else:
         study = prepare(scene, comm, whole=kind is Modes)
-    return Run(**vars(study), result=load(path, study.structure, study.contact))
+    return Run(**vars(study), result=unpack(stored, study.structure, study.contact))

@@ -8,7 +8,9 @@ leaves a file that cannot be opened. So no metadata changes once the file has it
   (early allocation), in the oldest file format, which does not mark a file as open;
 - a finished case overwrites its own bytes: first all its numbers, which are handed to the operating
   system (flush), and only then its ``state``. A case with a state is complete; one that a kill left
-  half written has none and is computed again.
+  half written has none and is computed again;
+- a case has a checksum of its numbers and its state, and it is what this confirms. A damaged case
+  is not read, and computed again if the sweep is continued.
 
 Unwritten parts take no space if the file system supports sparse files. The file can be read while
 it is being written. A lock keeps other sweeps from writing to it.
@@ -17,6 +19,7 @@ it is being written. A lock keeps other sweeps from writing to it.
 from __future__ import annotations
 
 import os
+import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -28,6 +31,7 @@ from fenics_crack.errors import InputError
 from fenics_crack.files import store
 from fenics_crack.files.units import about
 from fenics_crack.model.bilinear import FEW
+from fenics_crack.outside import LARGEST
 from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES
 from fenics_crack.scene.scene import Scene
 from fenics_crack.version import VERSION
@@ -93,6 +97,10 @@ COLUMNS: dict[str, tuple[str, str]] = {
 """Unit and type of what is kept of each case beside its state and what is seen at points."""
 WAVES = {"gap": "m", "force": "N"}
 """Coefficients kept of a case that converged, and their units."""
+WAVES_CHECKSUM, CHECKSUM = "waves_checksum", "checksum"
+"""Columns: CRC-32 of the waves of a case; and of all its columns and its state, never 0."""
+BLOCK = 4096
+"""Cases whose checksums are found at once."""
 BLANKS: dict[str, Any] = {"f": np.nan, "i": 0, "S": b""}
 """Of a case without a value, by the kind of the type."""
 
@@ -131,11 +139,11 @@ class SweepFile:
             if not self.made:
                 _check(path, scene)
             self._file = h5py.File(path, "r+", libver="earliest")
+            self.state: np.ndarray = _whole_cases(path, scene)
+            """In the shape of the axes; of damaged cases PENDING."""
         except OSError as error:
             allowed = f"a file that can be written, by one sweep at a time ({error})"
             raise InputError("path", str(path), allowed) from None
-        self.state: np.ndarray = self._file["state"][()]
-        """PENDING, CONVERGED or FAILED, in the shape of the axes."""
 
     def record(self, index: tuple[Any, ...], cases: Sequence[Mapping[str, Any]]) -> None:
         """Write some cases: some of its columns each, and its waves if it converged."""
@@ -145,6 +153,10 @@ class SweepFile:
         }
         waves = {name: [case.get(name, np.zeros((0, 0))) for case in cases] for name in WAVES}
         state = np.array([CONVERGED if "gap" in case else FAILED for case in cases])
+        columns[WAVES_CHECKSUM] = np.array(
+            [_of_waves(*both) for both in zip(*waves.values(), strict=True)], "u4"
+        )
+        columns[CHECKSUM] = _of_cases(columns, list(columns), state)
         self.write(index, state, columns, waves)
 
     def write(
@@ -192,6 +204,7 @@ def _make(path: Path, scene: Scene, harmonics: int, pairs: int) -> None:
     shape = shape_of(scene)
     sizes = {"state": ("", "u1", shape)}
     sizes |= {name: (unit, kind, shape) for name, (unit, kind) in columns_of(scene).items()}
+    sizes |= {name: ("", "u4", shape) for name in (WAVES_CHECKSUM, CHECKSUM)}
     if pairs:
         wave = (*shape, 2 * harmonics + 1, pairs)
         sizes |= {name: (unit, "f8", wave) for name, unit in WAVES.items()}
@@ -211,6 +224,11 @@ def _make(path: Path, scene: Scene, harmonics: int, pairs: int) -> None:
                 file[name].attrs["unit"] = unit
                 if words := _words(name):
                     file[name].attrs["about"] = words
+            places = {
+                name: store.column_text(item.dtype, item.shape, item.id.get_offset())
+                for name, item in file.items()
+            }
+            file.attrs["digest"] = store.digest(store.texts(file), places)
         os.link(partial, path)  # fails where another program has been quicker
     finally:
         partial.unlink(missing_ok=True)
@@ -225,20 +243,103 @@ def _words(name: str) -> str:
     return known[quantity][0] if quantity in known else ""
 
 
+def _of_waves(gap: np.ndarray, force: np.ndarray) -> int:
+    """Checksum of the waves of a case."""
+    return zlib.crc32(force.tobytes(), zlib.crc32(gap.tobytes()))
+
+
+def _of_cases(
+    columns: Mapping[str, np.ndarray], names: Sequence[str], state: np.ndarray
+) -> np.ndarray:
+    """Checksums of cases (n,), of some columns of theirs and a state each."""
+    found = np.zeros(len(state), dtype="u4")
+    for start in range(0, len(state), BLOCK):
+        block = slice(start, start + BLOCK)
+        parts = [columns[name][block] for name in names] + [state[block].astype("u1")]
+        rows = np.hstack([part.view("u1").reshape(len(part), -1) for part in parts])
+        found[block] = [zlib.crc32(row) or 1 for row in rows]
+    return found
+
+
 def _check(path: Path, scene: Scene) -> None:
     """Raise InputError unless a file is the sweep of a scene, by this version of the program."""
-    with store.opened(path, KIND) as file:
-        lost = [name for name in columns_of(scene) if name not in file]
-        same = file.attrs.get("scene") == store.scene_text(scene)
-        version = str(file.attrs.get("version"))
-        store.check_meshes(file, scene)
-    if not same:
+    stored = store.header(path)
+    stored.check_kind(KIND)
+    if stored.attributes.get("scene") != store.scene_text(scene):
         allowed = "the file of the same scene; for another one choose a new folder"
         raise InputError("path", str(path), allowed)
+    version = str(stored.attributes.get("version"))
+    lost = [name for name in _kinds(scene) if name not in stored.columns]
     if version != VERSION or lost:
         why = f" and has no column {lost[0]!r}" if lost else ""
         allowed = f"a new name: it was begun by version {version}{why}, this is {VERSION}"
         raise InputError("path", str(path), allowed)
+    same = stored.scene()
+    assert same is not None
+    stored.check_files(same)
+
+
+# --- reading --------------------------------------------------------------------------------------
+
+
+def _kinds(scene: Scene) -> dict[str, str]:
+    """Types of all that is kept of each case beside its waves."""
+    kinds = {name: kind for name, (_, kind) in columns_of(scene).items()}
+    return {"state": "u1"} | kinds | {WAVES_CHECKSUM: "u4", CHECKSUM: "u4"}
+
+
+def _opened(path: Path) -> tuple[store.Stored, Scene]:
+    """The header of a sweep's file, all of whose columns are as they should be, and its scene."""
+    stored = store.header(path)
+    stored.check_kind(KIND)
+    scene = stored.scene()
+    if scene is None or scene.sweep is None:
+        raise InputError("path", str(path), "a sweep with its scene")
+    total = 0
+    for name, kind in _kinds(scene).items():
+        column = stored.columns.get(name)
+        if column is None:
+            allowed = f"a sweep with a column {name!r}: this one is of an older version"
+            raise InputError("path", str(path), f"{allowed}; solve it anew in another folder")
+        if column.shape != shape_of(scene) or column.dtype != np.dtype(kind):
+            raise InputError("path", str(path), "a whole sweep")
+        total += column.size
+    if total > LARGEST:
+        raise InputError("path", str(path), f"a sweep with at most {LARGEST} bytes of columns")
+    return stored, scene
+
+
+def _cases(stored: store.Stored, scene: Scene) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """``state`` and the columns (n,) of all cases, and which of them are damaged.
+
+    The state is the one that the checksum confirms: with another one, or none, a case is pending.
+    """
+    found: dict[str, np.ndarray] = {}
+    try:
+        for name in _kinds(scene):  # the state first: what is written later counts as pending
+            found[name] = stored.columns[name].of(stored.path).ravel()
+    except (OSError, ValueError) as error:
+        raise InputError("path", str(stored.path), f"a whole sweep ({error})") from None
+    stated, known = found["state"], found.pop(CHECKSUM)
+    names = [name for name in found if name != "state"]
+    found["state"] = np.full(len(stated), PENDING, stated.dtype)
+    begun = np.flatnonzero(known)
+    own = {name: found[name][begun] for name in names}
+    for state in (CONVERGED, FAILED):
+        same = _of_cases(own, names, np.full(len(begun), state)) == known[begun]
+        found["state"][begun[same]] = state
+    del found[WAVES_CHECKSUM]
+    return found, (found["state"] == PENDING) & (stated != PENDING)
+
+
+def _whole_cases(path: Path, scene: Scene) -> np.ndarray:
+    """The state of each case, in the shape of the axes; of damaged ones PENDING."""
+    stored, _ = _opened(path)
+    state: np.ndarray = _cases(stored, scene)[0]["state"].reshape(shape_of(scene))
+    for index in np.argwhere(state == CONVERGED):
+        if _waves(stored, tuple(map(int, index))) is None:
+            state[tuple(index)] = PENDING
+    return state
 
 
 def read_columns(path: Path) -> tuple[Scene, dict[str, np.ndarray]]:
@@ -246,31 +347,51 @@ def read_columns(path: Path) -> tuple[Scene, dict[str, np.ndarray]]:
 
     Pending cases have nan, 0 in columns of whole numbers, and empty words.
     """
-    with store.opened(path, KIND) as file:
-        scene = Scene.from_text(str(file.attrs["scene"]), str(path))
-        columns = columns_of(scene)
-        for name in ("state", *columns):
-            if name not in file:
-                allowed = f"a sweep with a column {name!r}: this one is of an older version"
-                raise InputError("path", str(path), f"{allowed}; solve it anew in another folder")
-            if file[name].shape != shape_of(scene):
-                raise InputError("path", str(path), "a whole sweep")
-        found = {"state": file["state"][()]}  # first: what is written later counts as pending
-        for name in columns:
-            values = file[name][()]
-            values[found["state"] == PENDING] = BLANKS[values.dtype.kind]
-            words = values.dtype.kind == "S"
-            found[name] = np.char.decode(values, "utf-8", "replace") if words else values
+    stored, scene = _opened(path)
+    columns, damaged = _cases(stored, scene)
+    shape, found = shape_of(scene), {}
+    if damaged.any():
+        first = tuple(map(int, np.unravel_index(int(np.argmax(damaged)), shape)))
+        allowed = (
+            f"a whole sweep: {damaged.sum()} of its cases are damaged, the first at {first}; the "
+            "command sweep computes them again"
+        )
+        raise InputError("path", str(path), allowed)
+    for name in ("state", *columns_of(scene)):
+        values = columns[name]
+        if name != "state":
+            values[columns["state"] == PENDING] = BLANKS[values.dtype.kind]
+        words = values.dtype.kind == "S"
+        found[name] = np.char.decode(values, "utf-8", "replace") if words else values
+        found[name] = found[name].reshape(shape)
     return scene, found
 
 
 def read_waves(path: Path, index: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Gap [m] and force [N] coefficients of a case that converged: (2H+1, n_pairs) each."""
-    with store.opened(path, KIND) as file:
-        rows = 2 * int(file["harmonics"][index]) + 1
-        if "gap" not in file:
-            empty = np.zeros((rows, 0))
-            return empty, empty
-        gap, force = (file[name][(*index, slice(rows))] for name in WAVES)
-    pairs = np.isfinite(gap[0])
-    return gap[:, pairs], force[:, pairs]
+    stored = store.header(path)
+    stored.check_kind(KIND)
+    found = _waves(stored, index)
+    if found is None:
+        allowed = f"a whole sweep: its case {index} is damaged; the command sweep computes it again"
+        raise InputError("path", str(path), allowed)
+    return found
+
+
+def _waves(stored: store.Stored, index: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray] | None:
+    """The same, or None if they are damaged."""
+    columns, path, found = stored.columns, stored.path, []
+    try:
+        case = int(np.ravel_multi_index(index, columns["state"].shape))
+        rows = 2 * int(columns["harmonics"].of(path, case, 1)[0]) + 1
+        known = columns[WAVES_CHECKSUM].of(path, case, 1)[0]
+        for name in WAVES:
+            most, pairs = columns[name].shape[-2:] if name in columns else (rows, 0)
+            first = case * most * pairs
+            wave = columns[name].of(path, first, rows * pairs) if pairs else np.zeros(0)
+            found.append(wave.reshape(rows, pairs))
+    except (OSError, ValueError, KeyError):
+        return None
+    own = np.isfinite(found[0][0])
+    gap, force = (np.ascontiguousarray(wave[:, own]) for wave in found)
+    return (gap, force) if rows <= most and _of_waves(gap, force) == known else None

@@ -40,7 +40,7 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import InputError
 from fenics_crack.files.results import check_gap, check_pairs
-from fenics_crack.files.store import read_scene
+from fenics_crack.files.store import header
 from fenics_crack.model.contact import UnilateralConstraint, is_rigid
 from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.fields import Axis
@@ -220,7 +220,7 @@ class SweepResult(Tabular):
         Raises
         ------
         InputError
-            The file cannot be read, or is not one of a sweep.
+            The file cannot be read, is damaged, or is not one of a sweep.
         """
         scene, columns = read_columns(Path(path))
         return cls(Path(path), scene, columns)
@@ -289,7 +289,7 @@ class SweepResult(Tabular):
             As :meth:`gap`; or a mesh file has changed.
         """
         place = self._place(index)
-        read_scene(self.path)  # checks the mesh files
+        header(self.path).check_files(self.scene)
         plan = Plan(self.scene)
         case = plan.case(place)
         assert isinstance(case, Scene)

@@ -1,0 +1,125 @@
+"""Files that may come from strangers: what is read of them is limited before it is read.
+
+A library that parses a damaged file may crash, ask for all memory or not end, and a script language
+may hide in what looks like data. So what gmsh and HDF5 parse is parsed by a small program of its
+own, :func:`run_reader`, with limited memory and time; it hands over plain arrays.
+"""
+
+from __future__ import annotations
+
+import codecs
+import hashlib
+import os
+import stat
+import subprocess
+import sys
+import tempfile
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+__all__ = ["LARGEST", "allowance", "bytes_of", "run_reader", "sha256", "text_of"]
+
+LARGEST = 2**31
+"""Bytes of a file of a mesh, a matrix or a result, and of the numbers in it."""
+EXPANSION = 50
+"""Bytes of numbers for each byte of a file; ours have 1 to 10."""
+ALWAYS = 2**26
+"""Bytes that any file may expand to: 64 MiB take no second."""
+MEMORY = 2**30
+"""Memory of a reader beside that for numbers [bytes]: gmsh and h5py need a quarter of it."""
+FOREIGN = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "HDF5_")
+"""Variables that a reader does not see: it is no rank, and loads no plug-ins."""
+SURROUNDINGS = {
+    "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "HDF5_PLUGIN_PRELOAD": "::",
+}  # fmt: skip
+MARKS = {
+    codecs.BOM_UTF32_LE: "UTF-32", codecs.BOM_UTF32_BE: "UTF-32", codecs.BOM_UTF16_LE: "UTF-16",
+    codecs.BOM_UTF16_BE: "UTF-16",
+}  # fmt: skip
+"""Byte order marks, the longer ones first."""
+
+
+def bytes_of(path: str | Path, most: int | None = LARGEST) -> int:
+    """Size of a regular file: neither a device nor a pipe, which need not end.
+
+    Raises
+    ------
+    OSError
+        There is no such file, or it is larger than ``most``.
+    """
+    try:
+        found = os.stat(path)
+    except ValueError as error:  # no name of a file
+        raise OSError(str(error)) from None
+    if not stat.S_ISREG(found.st_mode):
+        raise OSError("it is not a regular file")
+    if most is not None and found.st_size > most:
+        raise OSError(f"it has more than {most} bytes")
+    return found.st_size
+
+
+def allowance(size: int) -> int:
+    """Bytes that the content of a compressed file of ``size`` bytes may take."""
+    return min(max(ALWAYS, EXPANSION * size), LARGEST)
+
+
+def sha256(path: str | Path) -> str:
+    """SHA-256 of a regular file; OSError as :func:`bytes_of`."""
+    left, total = bytes_of(path), hashlib.sha256()
+    with open(path, "rb") as file:
+        while left > 0 and (block := file.read(min(left, 2**20))):
+            total.update(block)
+            left -= len(block)
+    return total.hexdigest()
+
+
+def text_of(path: str | Path) -> str:
+    """Text of a file in UTF-8, with or without a byte order mark.
+
+    Raises
+    ------
+    OSError, ValueError
+        The file cannot be read; or its text is in another encoding.
+    """
+    content = Path(path).read_bytes()
+    for mark, name in MARKS.items():
+        if content.startswith(mark):
+            raise ValueError(
+                f"it begins with the byte order mark (BOM) of {name}; save it as UTF-8"
+            )
+    return content.decode("utf-8-sig")
+
+
+def run_reader(program: Path, path: Path, seconds: float) -> dict[str, np.ndarray] | str:
+    """Let a program of its own read a file; return its arrays, or why there are none.
+
+    It is called with the file, the number of an open file for its .npz, the bytes of memory that it
+    may use, and those of numbers that it may hand over. An array ``error`` is its reason.
+    """
+    inner = {name: value for name, value in os.environ.items() if not name.startswith(FOREIGN)}
+    most = allowance(bytes_of(path, None))
+    with tempfile.TemporaryFile() as handed:
+        words = [str(path), *map(str, (handed.fileno(), MEMORY + 4 * most, most))]
+        try:
+            done = subprocess.run(
+                [sys.executable, "-I", str(program), *words],
+                env=inner | SURROUNDINGS,
+                pass_fds=[handed.fileno()],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                timeout=seconds,
+            )
+        except subprocess.TimeoutExpired:
+            return f"it is not read in {seconds:.0f} s"
+        if done.returncode:
+            return "it crashes its reader"
+        handed.seek(0)
+        try:
+            with np.load(handed, allow_pickle=False) as arrays:
+                found = dict(arrays)
+        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
+            return "its reader has handed over nothing"
+    return str(found["error"]) if "error" in found else found
