@@ -15,11 +15,13 @@ import subprocess
 import sys
 import tempfile
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
-__all__ = ["LARGEST", "allowance", "bytes_of", "run_reader", "sha256", "text_of"]
+__all__ = ["LARGEST", "allowance", "bytes_of", "lines_of", "run_reader", "sha256", "text_of"]
 
 LARGEST = 2**31
 """Bytes of a file of a mesh, a matrix or a result, and of the numbers in it."""
@@ -90,6 +92,15 @@ def text_of(path: str | Path) -> str:
                 f"it begins with the byte order mark (BOM) of {name}; save it as UTF-8"
             )
     return content.decode("utf-8-sig")
+
+
+def lines_of(file: TextIO, most: int) -> Iterator[str]:
+    """Lines of a file that is unpacked while it is read; ValueError where there are too many."""
+    while line := file.readline(most + 1):
+        most -= len(line)
+        if most < 0:
+            raise ValueError("unpacked it is too large for its size")
+        yield line
 
 
 def run_reader(program: Path, path: Path, seconds: float) -> dict[str, np.ndarray] | str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,6 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from fenics_crack.errors import InputError, check_count, check_number
+from fenics_crack.outside import text_of
 from fenics_crack.table import Tabular, counted
 
 __all__ = ["ArrivalTimes", "check_probes"]
@@ -203,7 +205,7 @@ def _one_radius(path: str | Path, of_file: np.ndarray | None, given: float | Non
 def _columns(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
     """The columns of a file that are needed: (5, rows), and the radii (rows,) if it has them."""
     try:
-        with open(path, encoding="utf-8") as file:
+        with io.StringIO(text_of(path)) as file:
             names = [name.strip() for name in next(csv.reader(file), [])]
             for name in COLUMNS:
                 if name not in names:

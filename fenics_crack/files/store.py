@@ -16,8 +16,8 @@ import json
 import math
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import astuple, dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,11 +37,11 @@ from fenics_crack.version import VERSION
 __all__ = [
     "Column",
     "Stored",
-    "column_text",
     "digest",
     "header",
     "kind_of",
     "make_folder",
+    "places",
     "read",
     "read_scene",
     "scene_text",
@@ -142,6 +142,14 @@ def texts(file: h5py.File) -> dict[str, str]:
     return found
 
 
+def places(file: h5py.File) -> dict[str, str]:
+    """Types, shapes and places of the datasets of a file that is filled in later, in words."""
+    found = {
+        name: Column(item.dtype, item.shape, item.id.get_offset()) for name, item in file.items()
+    }
+    return {name: str(column) for name, column in found.items()}
+
+
 def digest(attributes: Mapping[str, str], parts: Mapping[str, Any]) -> str:
     """SHA-256 of attributes, but for the digest, and of datasets: names, types, shapes and bytes.
 
@@ -150,8 +158,8 @@ def digest(attributes: Mapping[str, str], parts: Mapping[str, Any]) -> str:
     attributes : mapping of str to str
         As :func:`texts` names them.
     parts : mapping
-        Datasets by their names: arrays, numbers, words; None is left out. Of a sweep, which is
-        filled in later, their types, shapes and places as words.
+        Datasets by their names: arrays, numbers, words; None is left out. Of a sweep its
+        :func:`places`.
     """
     total = hashlib.sha256()
     for name, text in sorted(attributes.items()):
@@ -179,6 +187,9 @@ class Column:
     dtype: np.dtype[Any]
     shape: tuple[int, ...]
     offset: int
+
+    def __str__(self) -> str:
+        return f"{self.dtype.str} {self.shape} {self.offset}"
 
     @property
     def size(self) -> int:
@@ -269,7 +280,7 @@ class Stored:
         known = self.attributes.get("digest")
         if known is None:
             raise self._older("it has no digest")
-        table = {name: column_text(*astuple(column)) for name, column in self.columns.items()}
+        table = {name: str(column) for name, column in self.columns.items()}
         if digest(self.attributes, self.parts or table) != known:
             raise InputError("path", str(self.path), "a whole file; this one is damaged")
 
@@ -280,11 +291,6 @@ class Stored:
             "make it again with the command that wrote it, in a new folder"
         )
         return InputError("path", str(self.path), allowed)
-
-
-def column_text(dtype: np.dtype[Any], shape: Sequence[int], offset: int) -> str:
-    """Type, shape and place of a dataset in words, for :func:`digest`."""
-    return f"{dtype.str} {tuple(shape)} {offset}"
 
 
 def read(path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> Stored:

@@ -14,6 +14,7 @@ import numpy as np
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.model.bilinear import FEW
+from fenics_crack.outside import text_of
 from fenics_crack.table import Tabular, counted
 
 __all__ = ["AT_A_LOAD", "FREQUENCIES", "Measurement", "Measurements"]
@@ -251,7 +252,7 @@ class Measurements(Tabular):
             The file cannot be read, or a line cannot be used.
         """
         try:
-            text = Path(path).read_text(encoding="utf-8")
+            text = text_of(path)
         except (OSError, ValueError) as error:
             raise InputError("measurements", str(path), f"a readable file ({error})") from None
         lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if _counts(line)]

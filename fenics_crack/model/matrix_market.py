@@ -1,7 +1,8 @@
 """Matrix Market files, read strictly.
 
 SciPy's reader believes what a file announces: depending on its version it does not end, asks for
-all memory, or crashes where the file is damaged.
+all memory, or crashes where the file is damaged. Here no file has more entries than it has bytes
+for, and a packed one is unpacked up to a limit that follows from its own size.
 
 Source: Boisvert, Pozo and Remington, The Matrix Market exchange formats, NISTIR 5935, 1996.
 """
@@ -11,14 +12,20 @@ from __future__ import annotations
 import bz2
 import gzip
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
 
+from fenics_crack.outside import allowance, bytes_of, lines_of
+
 __all__ = ["matrix_market_shape", "read_matrix_market"]
 
+SHORTEST = {"coordinate": 4, "array": 2}
+"""Bytes of an entry and the end of its line."""
 LAYOUTS, FIELDS = ("coordinate", "array"), ("real", "integer", "pattern")
 SYMMETRIES = ("general", "symmetric", "skew-symmetric")
 
@@ -31,8 +38,8 @@ def read_matrix_market(path: Path, rows: int | None = None) -> np.ndarray | spar
     OSError, ValueError
         The file cannot be read, or contradicts itself.
     """
-    with _opened(path) as file:
-        (layout, field, symmetry), sizes = _announced(file)
+    with _opened(path) as (lines, most):
+        (layout, field, symmetry), sizes = _announced(lines, most)
         shape = sizes[0], sizes[1]
         if rows is not None and shape[0] != rows:
             raise ValueError(f"it has {shape[0]} rows instead of {rows}")
@@ -40,7 +47,7 @@ def read_matrix_market(path: Path, rows: int | None = None) -> np.ndarray | spar
             raise ValueError(f"{symmetry}, but of shape {shape}")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of an empty body
-            body = np.loadtxt(file, comments="%", ndmin=2)
+            body = np.loadtxt(lines, comments="%", ndmin=2)
     if layout == "array":
         return _dense(body.ravel(), shape, symmetry)
     if len(body) != sizes[2]:
@@ -51,30 +58,42 @@ def read_matrix_market(path: Path, rows: int | None = None) -> np.ndarray | spar
 
 
 def matrix_market_shape(path: Path) -> tuple[int, int]:
-    """Rows and columns that a file announces.
+    """Rows and columns that a file announces; sparse columns have an entry each.
 
     Raises
     ------
     OSError, ValueError
         As :func:`read_matrix_market`.
     """
-    with _opened(path) as file:
-        _, sizes = _announced(file)
+    with _opened(path) as (lines, most):
+        _, sizes = _announced(lines, most)
+    if len(sizes) == 3 and sizes[1] > sizes[2]:
+        raise ValueError(f"{sizes[1]} columns, but only {sizes[2]} entries")
     return sizes[0], sizes[1]
 
 
-def _opened(path: Path) -> Any:
-    opened: Any = {".gz": gzip.open, ".bz2": bz2.open}.get(path.suffix, open)
-    return opened(path, "rt", encoding="utf-8")
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[Iterator[str], int]]:
+    """The lines of a file, and how many bytes they may have."""
+    size = bytes_of(path)
+    unpack: Any = {".gz": gzip.open, ".bz2": bz2.open}.get(path.suffix)
+    most = size if unpack is None else allowance(size)
+    with (unpack or open)(path, "rt", encoding="utf-8") as file:
+        yield lines_of(file, most), most
 
 
-def _announced(file: Any) -> tuple[tuple[str, str, str], list[int]]:
+def _announced(lines: Iterator[str], most: int) -> tuple[tuple[str, str, str], list[int]]:
     """Layout, field and symmetry, and the numbers of the line with the size."""
-    header = _header(file.readline())
-    line = next((line for line in file if line.strip() and not line.startswith("%")), "")
+    header = _header(next(lines, ""))
+    line = next((line for line in lines if line.strip() and not line.startswith("%")), "")
     sizes = [int(word) for word in line.split()]
     if len(sizes) != (3 if header[0] == "coordinate" else 2) or min(sizes) < 0:
         raise ValueError("the line with its size is missing or wrong")
+    entries = sizes[2] if len(sizes) == 3 else sizes[0] * sizes[1]
+    if len(sizes) == 2 and header[2] != "general":
+        entries = sizes[0] * (sizes[1] - 1) // 2
+    if entries * SHORTEST[header[0]] > most:
+        raise ValueError(f"it announces {entries} entries, more than it can hold")
     return header, sizes
 
 

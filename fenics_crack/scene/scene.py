@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
 from fenics_crack.errors import InputError
+from fenics_crack.outside import text_of
 from fenics_crack.scene.cracks import OF_PLATES, check_cracks
 from fenics_crack.scene.fields import Axis, Table, meant, named, near, radians
 from fenics_crack.scene.tables import (
@@ -237,7 +238,7 @@ class Scene:
             The file cannot be read, is not TOML, or holds a value that cannot be used.
         """
         try:
-            text = Path(path).read_text(encoding="utf-8")
+            text = text_of(path)
         except OSError as error:
             raise InputError("scene", str(path), f"a readable file ({error.strerror})") from None
         except ValueError as error:

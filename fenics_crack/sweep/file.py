@@ -7,8 +7,8 @@ leaves a file that cannot be opened. So no metadata changes once the file has it
 - every dataset has its full size from the start, in one contiguous piece whose place is fixed
   (early allocation), in the oldest file format, which does not mark a file as open;
 - a finished case overwrites its own bytes: first all its numbers, which are handed to the operating
-  system (flush), and only then its ``state``. A case with a state is complete; one that a kill left
-  half written has none and is computed again;
+  system (flush), and only then its ``state``. A case with a state is complete, and not written
+  again; one that a kill left half written has none and is computed again;
 - a case has a checksum of its numbers and its state, and it is what this confirms. A damaged case
   is not read, and computed again if the sweep is continued.
 
@@ -18,6 +18,7 @@ it is being written. A lock keeps other sweeps from writing to it.
 
 from __future__ import annotations
 
+import fcntl
 import os
 import zlib
 from collections.abc import Mapping, Sequence
@@ -138,7 +139,9 @@ class SweepFile:
                     self.made = False
             if not self.made:
                 _check(path, scene)
-            self._file = h5py.File(path, "r+", libver="earliest")
+            self._lock = path.open("r+b")
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self._file = h5py.File(path, "r+", libver="earliest", locking=False)
             self.state: np.ndarray = _whole_cases(path, scene)
             """In the shape of the axes; of damaged cases PENDING."""
         except OSError as error:
@@ -146,7 +149,14 @@ class SweepFile:
             raise InputError("path", str(path), allowed) from None
 
     def record(self, index: tuple[Any, ...], cases: Sequence[Mapping[str, Any]]) -> None:
-        """Write some cases: some of its columns each, and its waves if it converged."""
+        """Write those of some cases that are not complete: some of its columns each, and its waves
+        if it converged."""
+        left = np.flatnonzero(self.state[index] == PENDING)
+        for run in np.split(left, np.flatnonzero(np.diff(left) > 1) + 1):
+            if len(run):
+                self._record(_within(index, run), [cases[number] for number in run])
+
+    def _record(self, index: tuple[Any, ...], cases: Sequence[Mapping[str, Any]]) -> None:
         columns = {
             name: np.array([_stored(case.get(name, BLANKS[kind[0]])) for case in cases], kind)
             for name, (_, kind) in self._columns.items()
@@ -170,6 +180,7 @@ class SweepFile:
 
         ``index`` has one slice; ``waves`` are n arrays (2H+1, n_pairs), empty where a case failed.
         """
+        self._file["state"][index] = PENDING
         for name, values in columns.items():
             self._file[name][index] = values
         for name, arrays in waves.items():
@@ -188,8 +199,19 @@ class SweepFile:
     def close(self, *, remove: bool = False) -> None:
         """Close the file, or remove it."""
         self._file.close()
+        self._lock.close()
         if remove:
             self._path.unlink(missing_ok=True)
+
+
+def _within(index: tuple[Any, ...], run: np.ndarray) -> tuple[Any, ...]:
+    """The index of a run of the cases that an index with one slice names."""
+    return tuple(
+        slice(part.start + int(run[0]), part.start + int(run[-1]) + 1)
+        if isinstance(part, slice)
+        else part
+        for part in index
+    )
 
 
 def _stored(value: Any) -> Any:
@@ -224,11 +246,7 @@ def _make(path: Path, scene: Scene, harmonics: int, pairs: int) -> None:
                 file[name].attrs["unit"] = unit
                 if words := _words(name):
                     file[name].attrs["about"] = words
-            places = {
-                name: store.column_text(item.dtype, item.shape, item.id.get_offset())
-                for name, item in file.items()
-            }
-            file.attrs["digest"] = store.digest(store.texts(file), places)
+            file.attrs["digest"] = store.digest(store.texts(file), store.places(file))
         os.link(partial, path)  # fails where another program has been quicker
     finally:
         partial.unlink(missing_ok=True)
@@ -314,22 +332,33 @@ def _cases(stored: store.Stored, scene: Scene) -> tuple[dict[str, np.ndarray], n
 
     The state is the one that the checksum confirms: with another one, or none, a case is pending.
     """
-    found: dict[str, np.ndarray] = {}
+    columns, damaged = _confirmed(_numbers(stored, scene))
+    if damaged.any():  # or is being written at this moment
+        columns, again = _confirmed(_numbers(stored, scene))
+        damaged &= again
+    return columns, damaged
+
+
+def _numbers(stored: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
+    """All that is kept of each case (n,), beside its waves."""
+    found = {}
     try:
         for name in _kinds(scene):  # the state first: what is written later counts as pending
             found[name] = stored.columns[name].of(stored.path).ravel()
     except (OSError, ValueError) as error:
         raise InputError("path", str(stored.path), f"a whole sweep ({error})") from None
-    stated, known = found["state"], found.pop(CHECKSUM)
-    names = [name for name in found if name != "state"]
-    found["state"] = np.full(len(stated), PENDING, stated.dtype)
-    begun = np.flatnonzero(known)
-    own = {name: found[name][begun] for name in names}
-    for state in (CONVERGED, FAILED):
-        same = _of_cases(own, names, np.full(len(begun), state)) == known[begun]
-        found["state"][begun[same]] = state
-    del found[WAVES_CHECKSUM]
-    return found, (found["state"] == PENDING) & (stated != PENDING)
+    return found
+
+
+def _confirmed(found: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """The columns of all cases with the state that the checksum confirms, and which it does not."""
+    stated, known = found.pop("state"), found.pop(CHECKSUM)
+    begun, state = np.flatnonzero(known), np.full(len(stated), PENDING, stated.dtype)
+    own = {name: values[begun] for name, values in found.items()}
+    for one in (CONVERGED, FAILED):
+        same = _of_cases(own, list(own), np.full(len(begun), one)) == known[begun]
+        state[begun[same]] = one
+    return {"state": state} | found, (state == PENDING) & (stated != PENDING)
 
 
 def _whole_cases(path: Path, scene: Scene) -> np.ndarray:

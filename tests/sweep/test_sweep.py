@@ -17,6 +17,7 @@ import h5py
 import numpy as np
 import pytest
 from conftest import MPI_ENVIRONMENT
+from helpers import changed
 from mpi4py import MPI
 from rotating import cracked
 
@@ -382,11 +383,11 @@ def test_files_that_cannot_be_used(paper_scene: fc.Scene, tmp_path: Path) -> Non
         file.attrs["kind"] = "response curve"
     with pytest.raises(fc.InputError, match="result file"):
         SweepResult.load(other)
-    with h5py.File(path, "r+") as file:
+    with changed(path) as file:
         file.attrs["version"] = "0.0.1"
     with pytest.raises(fc.InputError, match=r"begun by version 0\.0\.1"):
         run_sweep(scene, path)
-    with h5py.File(path, "r+") as file:
+    with changed(path) as file:
         del file["status"]
     with pytest.raises(fc.InputError, match="path"):
         SweepResult.load(path)
@@ -397,10 +398,11 @@ def test_two_programs_that_begin_at_once(
 ) -> None:
     """The file of the quicker one stays, and the other is refused by its lock."""
     scene, path = swept(paper_scene, FAST), tmp_path / "sweep.h5"
-    with SweepFile(path, scene, 5, 1)._file:
-        monkeypatch.setattr(Path, "exists", lambda self: False)  # as it was a moment before
-        with pytest.raises(fc.InputError, match="path"):
-            SweepFile(path, scene, 5, 1)
+    quicker = SweepFile(path, scene, 5, 1)
+    monkeypatch.setattr(Path, "exists", lambda self: False)  # as it was a moment before
+    with pytest.raises(fc.InputError, match="path"):
+        SweepFile(path, scene, 5, 1)
+    quicker.close()
     assert [file.name for file in tmp_path.iterdir()] == ["sweep.h5"]
 
 
@@ -418,7 +420,7 @@ def test_file_holds_numbers_and_words_only(paper_scene: fc.Scene, tmp_path: Path
     path = tmp_path / "sweep.h5"
     result = run_sweep(swept(paper_scene, FAST), path)
     with h5py.File(path, "r") as file:
-        assert set(file) == {"state", "gap", "force", *COLUMNS}
+        assert set(file) == {"state", "gap", "force", "checksum", "waves_checksum", *COLUMNS}
         for item in file.values():
             assert item.dtype.kind in "fiuS" and item.chunks is item.compression is None
             assert item.id.get_offset() is not None
@@ -450,7 +452,7 @@ def test_a_complete_sweep_is_not_computed_again(
         sweep.SweepFile, "write", lambda *given: written.append(given[1]) or write(*given)
     )
     assert_same(run_sweep(scene, path), first)
-    assert len(chunks) == 1 and written == [(slice(0, 2), 1)]
+    assert len(chunks) == 1 and written == [(slice(1, 2), 1)]
     monkeypatch.setattr(sweep_case, "prepare", None)
     assert_same(run_sweep(scene, path, progress=True), first)
 
@@ -676,22 +678,17 @@ def test_killed_while_the_file_is_made_and_written(paper_scene: fc.Scene, tmp_pa
 
 WRITER = """
 import numpy as np
-from fenics_crack.sweep.file import COLUMNS, SweepFile, shape_of
+from fenics_crack.sweep.file import SweepFile
 scene = fc.Scene.load({path!r}.replace(".h5", ".toml"))
 file = SweepFile(Path({path!r}), scene, 5, 1)
 random = np.random.default_rng()
 print("x", end="", flush=True)
 while True:
     for column in (0, 1):
-        state = np.zeros(2)
+        index, waves = (slice(0, 2), column), {{n: np.ones((11, 1)) for n in ("gap", "force")}}
         same = random.uniform(size=2)
-        columns = {{n: np.zeros(2, COLUMNS[n][1]) for n in COLUMNS}}
-        columns |= {{"response": same, "opening": same}}
-        waves = {{n: [np.ones((11, 1))] * 2 for n in ("gap", "force")}}
-        index = (slice(0, 2), column)
-        file._file["state"][index] = 0
-        file._file.flush()
-        file.write(index, np.ones(2), columns, waves)
+        file.state[index] = 0  # as if they were new
+        file.record(index, [waves | {{"harmonics": 5, "response": x, "opening": x}} for x in same])
 """
 
 

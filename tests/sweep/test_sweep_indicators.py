@@ -8,6 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from helpers import changed
 from mpi4py import MPI
 
 import fenics_crack as fc
@@ -123,7 +124,7 @@ def test_file_of_an_older_version(scene: fc.Scene, tmp_path: Path) -> None:
     """A file without a column is neither read nor continued; it says which column and why."""
     path = tmp_path / "sweep.h5"
     run_sweep(scene, path, MPI.COMM_SELF)
-    with h5py.File(path, "r+") as file:
+    with changed(path) as file:
         del file["ratio_2_1"]
     with pytest.raises(fc.InputError, match=r"a column 'ratio_2_1': this one is of an older"):
         SweepResult.load(path)
