@@ -10,6 +10,7 @@ from __future__ import annotations
 import codecs
 import hashlib
 import os
+import signal
 import stat
 import subprocess
 import sys
@@ -27,10 +28,12 @@ LARGEST = 2**31
 """Bytes of a file of a mesh, a matrix or a result, and of the numbers in it."""
 EXPANSION = 50
 """Bytes of numbers for each byte of a file; ours have 1 to 10."""
-ALWAYS = 2**26
-"""Bytes that any file may expand to: 64 MiB take no second."""
+ALWAYS = 2**24
+"""Bytes that any file may expand to: 16 MiB of text take seconds, of numbers less."""
 MEMORY = 2**30
 """Memory of a reader beside that for numbers [bytes]: gmsh and h5py need a quarter of it."""
+WAITING = 4
+"""Times the processor time: how long a reader is waited for."""
 FOREIGN = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "HDF5_")
 """Variables that a reader does not see: it is no rank, and loads no plug-ins."""
 SURROUNDINGS = {
@@ -103,29 +106,32 @@ def lines_of(file: TextIO, most: int) -> Iterator[str]:
         yield line
 
 
-def run_reader(program: Path, path: Path, seconds: float) -> dict[str, np.ndarray] | str:
+def run_reader(program: Path, path: Path, seconds: int) -> dict[str, np.ndarray] | str:
     """Let a program of its own read a file; return its arrays, or why there are none.
 
-    It is called with the file, the number of an open file for its .npz, the bytes of memory that it
-    may use, and those of numbers that it may hand over. An array ``error`` is its reason.
+    It is called with the file, the number of an open file for its .npz, the bytes of memory and the
+    processor time that it may use, and the bytes of numbers that it may hand over. An array
+    ``error`` is its reason.
     """
     inner = {name: value for name, value in os.environ.items() if not name.startswith(FOREIGN)}
     most = allowance(bytes_of(path, None))
     with tempfile.TemporaryFile() as handed:
-        words = [str(path), *map(str, (handed.fileno(), MEMORY + 4 * most, most))]
+        words = [str(path), *map(str, (handed.fileno(), MEMORY + 4 * most, seconds, most))]
         try:
-            done = subprocess.run(
+            ended = subprocess.run(
                 [sys.executable, "-I", str(program), *words],
                 env=inner | SURROUNDINGS,
                 pass_fds=[handed.fileno()],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
-                timeout=seconds,
-            )
+                timeout=WAITING * seconds,
+            ).returncode
         except subprocess.TimeoutExpired:
-            return f"it is not read in {seconds:.0f} s"
-        if done.returncode:
+            ended = -signal.SIGXCPU
+        if ended == -signal.SIGXCPU:
+            return f"it is not read in {seconds} s"
+        if ended:
             return "it crashes its reader"
         handed.seek(0)
         try:

@@ -40,10 +40,11 @@ def changed(path: Path) -> Iterator[h5py.File]:
     """A result's file to be changed by hand; its digest is made anew, as a forger would."""
     with h5py.File(path, "r+") as file:
         yield file
-        words = {name: h5py.check_string_dtype(item.dtype) for name, item in file.items()}
-        parts = {n: item.asstr()[()] if words[n] else item[()] for n, item in file.items()}
-        of_sweep = file.attrs["kind"] == "sweep"
-        file.attrs["digest"] = digest(texts(file), places(file) if of_sweep else parts)
+        parts = places(file) if file.attrs["kind"] == "sweep" else {}
+        for name, item in file.items() if not parts else ():
+            words = h5py.check_string_dtype(item.dtype) is not None
+            parts[name] = item.asstr()[()] if words else item[()]
+        file.attrs["digest"] = digest(texts(file), parts)
 
 
 # --- structures -----------------------------------------------------------------------------------

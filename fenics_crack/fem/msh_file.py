@@ -31,7 +31,7 @@ Names = tuple[dict[str, tuple[int, ...]], dict[str, Point]]
 FARTHEST = 1e6
 """Largest coordinate of a node [m]."""
 LONGEST_READING = 300
-"""Time allowed for reading a file [s]."""
+"""Processor time allowed for reading a file [s]."""
 _POINT, _TRIANGLES = 15, (2, 9, 21)
 _EDGES = {2: 1, 3: 1, 9: 8, 10: 8, 21: 26, 36: 26}
 """gmsh's kinds of cells that DOLFINx reads, and of their edges, order by order; and of points."""

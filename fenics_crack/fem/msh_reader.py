@@ -1,8 +1,8 @@
-"""A program of its own that reads a mesh file with gmsh: ``msh_reader.py FILE HANDED MEMORY MOST``.
+"""A program of its own that reads a mesh file: ``msh_reader.py FILE HANDED MEMORY SECONDS MOST``.
 
-A damaged file may crash gmsh or corrupt its memory. The numbers and positions of the nodes and the
-physical groups go to the open file of number HANDED, as .npz; or gmsh's error message. MEMORY is
-limited, and with it what it holds.
+A damaged file may crash gmsh or corrupt its memory, so MEMORY and SECONDS are limited, and with
+them what it holds. The numbers and positions of the nodes and the physical groups go to the open
+file of number HANDED, as .npz; or gmsh's error message.
 """
 
 import os
@@ -13,9 +13,10 @@ import gmsh
 import numpy as np
 
 
-def main(path: str, handed: int, memory: int, most: int) -> None:
+def main(path: str, handed: int, memory: int, seconds: int, most: int) -> None:
     """Read a file and hand over what it holds."""
     resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
     gmsh.initialize(readConfigFiles=False)
     gmsh.option.setNumber("General.Terminal", 0)
     gmsh.option.setNumber("General.ExpertMode", 1)  # it must not ask

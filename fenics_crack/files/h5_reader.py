@@ -1,4 +1,4 @@
-"""A program of its own that reads an HDF5 file: ``h5_reader.py FILE HANDED MEMORY MOST``.
+"""A program of its own that reads an HDF5 file: ``h5_reader.py FILE HANDED MEMORY SECONDS MOST``.
 
 A damaged file may crash HDF5, and a made one may point to other files or announce any size. Read
 are texts as attributes, and words and up to MOST bytes of numbers that are in the file itself. They
@@ -23,9 +23,10 @@ FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLE
 LAYOUTS = {h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS, h5py.h5d.CHUNKED}
 
 
-def main(path: str, handed: int, memory: int, most: int) -> None:
+def main(path: str, handed: int, memory: int, seconds: int, most: int) -> None:
     """Read a file and hand over what it holds."""
     resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
     try:
         with h5py.File(path, "r", locking=False) as file:
             head, arrays = content(file, os.path.getsize(path), most)

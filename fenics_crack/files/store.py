@@ -53,8 +53,8 @@ __all__ = [
 
 PROGRAM = "fenics_crack"
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
-QUICK, SLOWEST = 30.0, 1e7
-"""Time to read a small file [s], and to read a large one [bytes/s]."""
+QUICK, SLOWEST = 5, 10**7
+"""Processor time to read a small file [s], and bytes of a large one in a second."""
 
 
 def write(
@@ -244,7 +244,7 @@ class Stored:
             return None
         scene = Scene.from_text(self.attributes["scene"], str(self.path))
         if len(self._digests) != len(scene.files):
-            raise self._older("it has no digests of its mesh or matrices")
+            raise self._older("digests of its mesh or matrices")
         return scene
 
     def check_files(self, scene: Scene) -> None:
@@ -279,16 +279,16 @@ class Stored:
         """Raise InputError unless the file is what was written."""
         known = self.attributes.get("digest")
         if known is None:
-            raise self._older("it has no digest")
+            raise self._older("a digest")
         table = {name: str(column) for name, column in self.columns.items()}
         if digest(self.attributes, self.parts or table) != known:
             raise InputError("path", str(self.path), "a whole file; this one is damaged")
 
-    def _older(self, why: str) -> InputError:
-        version = self.attributes.get("version", "of unknown number")
+    def _older(self, what: str) -> InputError:
         allowed = (
-            f"a file of this version; {why}, as those of older ones: it was made by {version}, "
-            "make it again with the command that wrote it, in a new folder"
+            f"a file with {what}, which older versions did not write (this one: "
+            f"{self.attributes.get('version', 'unknown')}); make it again with the command that "
+            "wrote it, a sweep in a new folder"
         )
         return InputError("path", str(self.path), allowed)
 
@@ -314,26 +314,33 @@ def _read(path: Path) -> Stored:
         with path.open("rb") as file:
             if file.read(len(SIGNATURE)) != SIGNATURE:  # where it may also begin later
                 raise refusal("it does not begin as HDF5 files do")
-        found = run_reader(Path(__file__).with_name("h5_reader.py"), path, QUICK + size / SLOWEST)
+        found = run_reader(Path(__file__).with_name("h5_reader.py"), path, QUICK + size // SLOWEST)
     except FileNotFoundError:
         raise InputError("path", str(path), "a file that exists") from None
     except OSError as error:
         raise refusal(error.strerror or str(error)) from None
     if isinstance(found, str):
         raise refusal(found)
-    head = json.loads(str(found["head"]))
-    attributes, words = head["attributes"], head["words"]
-    if attributes.get("program") != PROGRAM or "kind" not in attributes:
+    try:
+        stored = _taken_over(path, found)
+    except (KeyError, TypeError, ValueError) as error:  # its reader has been led astray
+        raise refusal(str(error)) from None
+    if stored.attributes.get("program") != PROGRAM or "kind" not in stored.attributes:
         raise InputError("path", str(path), f"a result file of {PROGRAM}")
+    stored.check_digest()
+    return stored
+
+
+def _taken_over(path: Path, found: Mapping[str, np.ndarray]) -> Stored:
+    """What the reader hands over."""
+    head = json.loads(str(found["head"]))
     arrays = {name: found[f"arr_{number}"] for number, name in enumerate(head["arrays"])}
     numbers = {name: one if one.ndim else one.item() for name, one in arrays.items()}
     columns = {
         name: Column(np.dtype(kind), tuple(shape), offset)
         for name, (kind, shape, offset) in head["columns"].items()
     }
-    stored = Stored(path, attributes, words | numbers, columns)
-    stored.check_digest()
-    return stored
+    return Stored(path, head["attributes"], head["words"] | numbers, columns)
 
 
 def header(path: str | Path) -> Stored:
@@ -341,10 +348,11 @@ def header(path: str | Path) -> Stored:
 
     It is read again when it has changed.
     """
-    with contextlib.suppress(OSError, ValueError):
+    try:
         now = os.stat(path)
-        return _header(Path(path), (now.st_dev, now.st_ino, now.st_size, now.st_mtime_ns))
-    return replace(read(path), parts={})
+    except (OSError, ValueError):
+        return read(path)  # which says why it cannot be
+    return _header(Path(path), (now.st_dev, now.st_ino, now.st_size, now.st_mtime_ns))
 
 
 @functools.lru_cache(maxsize=32)
@@ -358,14 +366,18 @@ def kind_of(path: str | Path) -> str:
 
 
 def read_scene(path: str | Path) -> Scene | None:
-    """The scene in a file, or None; no file that the scene names is opened.
+    """The scene in a file, or None.
 
     Raises
     ------
     InputError
-        As :func:`read`, or its scene cannot be used.
+        As :func:`read`, its scene cannot be used, or a file of its mesh or matrices has changed.
     """
-    return header(path).scene()
+    stored = header(path)
+    scene = stored.scene()
+    if scene is not None:
+        stored.check_files(scene)
+    return scene
 
 
 def _file_digest(path: str) -> str:

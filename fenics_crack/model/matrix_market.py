@@ -39,7 +39,7 @@ def read_matrix_market(path: Path, rows: int | None = None) -> np.ndarray | spar
         The file cannot be read, or contradicts itself.
     """
     with _opened(path) as (lines, most):
-        (layout, field, symmetry), sizes = _announced(lines, most)
+        (layout, field, symmetry), sizes, entries = _announced(lines, most)
         shape = sizes[0], sizes[1]
         if rows is not None and shape[0] != rows:
             raise ValueError(f"it has {shape[0]} rows instead of {rows}")
@@ -47,11 +47,11 @@ def read_matrix_market(path: Path, rows: int | None = None) -> np.ndarray | spar
             raise ValueError(f"{symmetry}, but of shape {shape}")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of an empty body
-            body = np.loadtxt(lines, comments="%", ndmin=2)
+            body = np.loadtxt(lines, comments="%", ndmin=2, max_rows=entries + 1)
     if layout == "array":
         return _dense(body.ravel(), shape, symmetry)
-    if len(body) != sizes[2]:
-        raise ValueError(f"it has {len(body)} entries instead of {sizes[2]}")
+    if len(body) != entries:
+        raise ValueError(f"it has {_count(body, entries)} entries instead of {entries}")
     if max(shape) > max(len(body), rows or 1):
         raise ValueError(f"of shape {shape}, it has only {len(body)} entries")
     return _sparse(body, shape, symmetry, field)
@@ -66,7 +66,7 @@ def matrix_market_shape(path: Path) -> tuple[int, int]:
         As :func:`read_matrix_market`.
     """
     with _opened(path) as (lines, most):
-        _, sizes = _announced(lines, most)
+        _, sizes, _ = _announced(lines, most)
     if len(sizes) == 3 and sizes[1] > sizes[2]:
         raise ValueError(f"{sizes[1]} columns, but only {sizes[2]} entries")
     return sizes[0], sizes[1]
@@ -82,19 +82,20 @@ def _opened(path: Path) -> Iterator[tuple[Iterator[str], int]]:
         yield lines_of(file, most), most
 
 
-def _announced(lines: Iterator[str], most: int) -> tuple[tuple[str, str, str], list[int]]:
-    """Layout, field and symmetry, and the numbers of the line with the size."""
+def _announced(lines: Iterator[str], most: int) -> tuple[tuple[str, str, str], list[int], int]:
+    """Layout, field and symmetry, the numbers of the line with the size, and those of entries."""
     header = _header(next(lines, ""))
     line = next((line for line in lines if line.strip() and not line.startswith("%")), "")
     sizes = [int(word) for word in line.split()]
     if len(sizes) != (3 if header[0] == "coordinate" else 2) or min(sizes) < 0:
         raise ValueError("the line with its size is missing or wrong")
-    entries = sizes[2] if len(sizes) == 3 else sizes[0] * sizes[1]
-    if len(sizes) == 2 and header[2] != "general":
-        entries = sizes[0] * (sizes[1] - 1) // 2
+    if len(sizes) == 3:
+        entries = sizes[2]
+    else:
+        entries = _entries(sizes[0], sizes[1], header[2])
     if entries * SHORTEST[header[0]] > most:
         raise ValueError(f"it announces {entries} entries, more than it can hold")
-    return header, sizes
+    return header, sizes, entries
 
 
 def _header(line: str) -> tuple[str, str, str]:
@@ -110,14 +111,25 @@ def _header(line: str) -> tuple[str, str, str]:
     return layout, field, symmetry
 
 
+def _entries(rows: int, columns: int, symmetry: str) -> int:
+    """How many entries a dense file has: of a symmetric matrix from the diagonal down."""
+    sign = {"symmetric": 1, "skew-symmetric": -1}.get(symmetry)
+    return rows * columns if sign is None else rows * (rows + sign) // 2
+
+
+def _count(found: np.ndarray, expected: int) -> str:
+    """How many entries were found; no more are read than one too many."""
+    return "more" if len(found) > expected else str(len(found))
+
+
 def _dense(values: np.ndarray, shape: tuple[int, int], symmetry: str) -> np.ndarray:
     """Columns one after the other; of a symmetric matrix their part from the diagonal down."""
-    general, sign = symmetry == "general", -1 if symmetry == "skew-symmetric" else 1
-    expected = shape[0] * shape[1] if general else shape[0] * (shape[0] + sign) // 2
+    expected = _entries(*shape, symmetry)
     if len(values) != expected:
-        raise ValueError(f"it has {len(values)} entries instead of {expected}")
-    if general:
+        raise ValueError(f"it has {_count(values, expected)} entries instead of {expected}")
+    if symmetry == "general":
         return values.reshape(shape, order="F")
+    sign = -1 if symmetry == "skew-symmetric" else 1
     matrix = np.zeros(shape)
     columns, rows = np.triu_indices(shape[0], 1 if sign < 0 else 0)
     matrix[columns, rows] = sign * values

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import bz2
 import gzip
+import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +13,7 @@ import pytest
 import scipy.io
 import scipy.sparse as sparse
 
-from fenics_crack.model.matrix_market import read_matrix_market
+from fenics_crack.model.matrix_market import matrix_market_shape, read_matrix_market
 
 RANDOM = sparse.random(30, 30, 0.1, random_state=1).tocsr()
 KINDS = {"general": RANDOM, "symmetric": RANDOM + RANDOM.T, "skew-symmetric": RANDOM - RANDOM.T}
@@ -47,14 +50,17 @@ def test_integers_and_patterns(tmp_path: Path) -> None:
         ("matrix array complex general\n1 1\n1 0\n", "'complex' instead of"),
         ("matrix array pattern general\n1 1\n", "without values"),
         ("matrix array real general\n", "size is missing"),
-        ("matrix array real general\n2 1\n1\n2\n3\n", "3 entries instead of 2"),
+        ("matrix array real general\n2 1\n1\n2\n3\n", "more entries instead of 2"),
         ("matrix array real symmetric\n2 1\n1\n2\n", "symmetric, but of shape"),
-        ("matrix coordinate real general\n2 2 1\n1 1 1\n2 2 1\n", "2 entries instead of 1"),
+        ("matrix coordinate real general\n2 2 1\n1 1 1\n2 2 1\n", "more entries instead of 1"),
         ("matrix coordinate real general\n2 2 2\n1 1 1\n3 2 1\n", "outside of the matrix"),
         ("matrix coordinate real general\n2 2 2\n1 1 1\n1.5 2 1\n", "outside of the matrix"),
         ("matrix coordinate real symmetric\n2 2 2\n1 1 1\n1 2 1\n", "above the diagonal"),
         ("matrix coordinate real general\n9 9 1\n1 1 1\n", "has only 1 entries"),
         ("matrix coordinate real general\n2 2 2\n1 1\n2 2\n", "2 numbers instead of 3"),
+        ("matrix coordinate real general\n9 9 1000000000000\n1 1 1\n", "more than it can hold"),
+        ("matrix array real general\n1000000 1000000\n1\n", "more than it can hold"),
+        ("matrix array real symmetric\n1000000 1000000\n1\n", "more than it can hold"),
     ],
 )
 def test_what_a_file_does_not_keep(tmp_path: Path, text: str, reason: str) -> None:
@@ -63,3 +69,39 @@ def test_what_a_file_does_not_keep(tmp_path: Path, text: str, reason: str) -> No
     path.write_text(text and f"%%MatrixMarket {text}")
     with pytest.raises(ValueError, match=reason):
         read_matrix_market(path)
+
+
+@pytest.mark.parametrize(
+    ("packed", "kind"),
+    [(gzip.compress, kind) for kind in ("lines", "one line", "comments", "announced")]
+    + [(bz2.compress, "one line"), (bz2.compress, "announced")],
+)
+def test_bombs(tmp_path: Path, packed: Callable[[bytes], bytes], kind: str) -> None:
+    """What is unpacked is limited by the size of the file."""
+    path = tmp_path / ("matrix.mtx" + (".gz" if packed is gzip.compress else ".bz2"))
+    size, most = b"100000000 1" if kind == "announced" else b"2 1", 2**24 + 1
+    body = {"lines": b"0\n" * (most // 2 + 1), "comments": (b"%" * 999 + b"\n") * (most // 999)}
+    body |= {"one line": b"0" * most, "announced": b""}
+    path.write_bytes(
+        packed(b"%%MatrixMarket matrix array real general\n" + size + b"\n" + body[kind])
+    )
+    assert path.stat().st_size < 200_000
+    reason = {"lines": "more entries", "announced": "more than it can hold"}
+    with pytest.raises(ValueError, match=reason.get(kind, "too large for its size")):
+        read_matrix_market(path)
+
+
+def test_columns_without_an_entry(tmp_path: Path) -> None:
+    """They are not counted: a file of a line announces no million pairs."""
+    path = tmp_path / "gap.mtx"
+    path.write_text("%%MatrixMarket matrix coordinate real general\n3 1000000 1\n1 1 1.0\n")
+    with pytest.raises(ValueError, match="columns, but only 1 entries"):
+        matrix_market_shape(path)
+
+
+def test_neither_devices_nor_pipes(tmp_path: Path) -> None:
+    """They need not end."""
+    os.mkfifo(tmp_path / "pipe.mtx")
+    for path in (Path("/dev/zero"), tmp_path / "pipe.mtx", tmp_path):
+        with pytest.raises(OSError, match="not a regular file"):
+            read_matrix_market(path)

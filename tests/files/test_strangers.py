@@ -1,0 +1,400 @@
+"""Files from strangers: what they can do is to be read or to be refused, by one line."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import random
+import shutil
+import time
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from helpers import DEMOS, ROOT, chain, changed
+from mpi4py import MPI
+
+import fenics_crack as fc
+from fenics_crack.cli.command_line import main
+from fenics_crack.files.store import header, read
+from fenics_crack.outside import run_reader, sha256
+from fenics_crack.scene.tables import Sweep
+from fenics_crack.sweep.result import SweepResult, run_sweep
+
+SCRIPT = 'SystemCall "touch PWNED";\n'
+"""What gmsh runs where it takes a file for a script, in the folder of the program."""
+MESH = (ROOT / "meshes" / "inclined_crack.msh").read_text()
+FROM_FILE = fc.Scene.load(DEMOS / "inclined_crack.toml")
+
+
+@pytest.fixture
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder in which the program runs."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def structure() -> fc.Structure:
+    """A small one."""
+    return chain()
+
+
+@pytest.fixture
+def result(structure: fc.Structure, home: Path) -> Path:
+    """A result without a scene."""
+    fc.save(fc.solve_linear(structure, 1.3), home / "result.h5")
+    return home / "result.h5"
+
+
+def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
+    """The one line with which a command refuses its input; nothing was run."""
+    capsys.readouterr()
+    assert main([str(word) for word in words]) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert not Path("PWNED").exists()
+    return line
+
+
+# --- meshes ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "reason"),
+    [
+        ("evil.msh", SCRIPT, "$MeshFormat"),
+        ("evil.geo", SCRIPT, "$MeshFormat"),
+        ("late.msh", f"\n{SCRIPT}{MESH}", "$MeshFormat"),
+        ("headed.msh", f"$MeshFormat\n{SCRIPT}", "$MeshFormat"),
+        ("future.msh", f"$MeshFormat\n5.0 0 8\n$EndMeshFormat\n{SCRIPT}", "$MeshFormat"),
+        ("bare.msh", f"$MeshFormat\n4.1 0 8\n$EndMeshFormat\n{SCRIPT}", "a plane mesh"),
+        ("first.geo", f"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n{SCRIPT}{MESH[33:]}", "mesh.file"),
+    ],
+)
+def test_a_script_is_no_mesh(
+    home: Path, capsys: pytest.CaptureFixture[str], name: str, text: str, reason: str
+) -> None:
+    """Whatever it is called, and wherever the script stands; gmsh ran the first of these."""
+    (home / name).write_text(text)
+    (home / "scene.toml").write_text(FROM_FILE.replace({"mesh.file": name}).as_toml())
+    line = refused(capsys, "check", "scene.toml")
+    assert "mesh.file" in line and reason in line
+
+
+def test_nothing_beside_a_mesh_is_run(home: Path) -> None:
+    """gmsh runs mesh.msh.opt, and what follows the elements of a mesh is left alone."""
+    (home / "mesh.msh").write_text(MESH + SCRIPT)
+    for beside in ("mesh.msh.opt", "mesh.opt", "mesh.geo"):
+        (home / beside).write_text(SCRIPT)
+    fc.prepare(FROM_FILE.replace({"mesh.file": "mesh.msh"}), MPI.COMM_SELF)
+    assert not Path("PWNED").exists()
+
+
+@pytest.mark.parametrize("how", ["polyglot", "no digest", "any digest", "script with its digest"])
+def test_a_result_runs_nothing(
+    home: Path, structure: fc.Structure, capsys: pytest.CaptureFixture[str], how: str
+) -> None:
+    """Its scene names a script as mesh, or itself, with the script before its own beginning."""
+    path, evil = home / "result.h5", home / "evil.msh"
+    evil.write_text(SCRIPT)
+    named = path if how == "polyglot" else evil
+    scene = FROM_FILE.replace({"mesh.file": str(named)})
+    fc.save(fc.solve_linear(structure, 1.3), path, scene)
+    with changed(path) as file:
+        if how in ("polyglot", "no digest"):
+            del file.attrs["meshes"]
+        else:
+            file.attrs["meshes"] = sha256(evil) if "script" in how else "0" * 64
+    if how == "polyglot":
+        with h5py.File(path) as old, h5py.File(home / "new", "w", userblock_size=512) as new:
+            new.attrs.update(old.attrs)
+            for name in old:
+                old.copy(name, new)
+        content = (home / "new").read_bytes()
+        path.write_bytes(SCRIPT.encode() + content[len(SCRIPT) :])
+    reasons = {
+        "polyglot": "begin as HDF5", "no digest": "older versions", "any digest": "has changed",
+        "script with its digest": "$MeshFormat",
+    }  # fmt: skip
+    for words in (["plot", path], ["report", path], ["plot", path, path, "--label", "a"]):
+        if "--label" not in words or how != "script with its digest":
+            assert refused(capsys, *words) and not Path("PWNED").exists()
+    with pytest.raises(fc.InputError) as caught:
+        fc.load_run(path)
+    assert reasons[how] in str(caught.value) and not Path("PWNED").exists()
+
+
+@pytest.mark.parametrize("kind", ["device", "pipe", "folder", "missing"])
+def test_what_a_result_names_is_a_regular_file(
+    home: Path, structure: fc.Structure, kind: str
+) -> None:
+    """Neither a device nor a pipe is opened: they would not end."""
+    os.mkfifo(home / "pipe")
+    named = {"device": "/dev/zero", "folder": str(home)}.get(kind, str(home / kind))
+    scene = FROM_FILE.replace({"mesh.file": named})
+    began = time.perf_counter()
+    fc.save(fc.solve_linear(structure, 1.3), home / "result.h5", scene)
+    with changed(home / "result.h5") as file:
+        file.attrs["meshes"] = "0" * 64
+    with pytest.raises(fc.InputError, match="has changed or gone"):
+        fc.load_run(home / "result.h5")
+    with pytest.raises(fc.InputError, match=r"mesh\.file"):
+        fc.prepare(scene)
+    assert time.perf_counter() - began < 20.0
+
+
+# --- results --------------------------------------------------------------------------------------
+
+
+def soft_link(file: h5py.File) -> None:
+    file["new"] = h5py.SoftLink("/omega")
+
+
+def external_link(file: h5py.File) -> None:
+    file["new"] = h5py.ExternalLink("/etc/passwd", "/")
+
+
+def external_storage(file: h5py.File) -> None:
+    file.create_dataset("new", (100,), "u1", external=[("/etc/passwd", 0, 100)])
+
+
+def virtual(file: h5py.File) -> None:
+    layout = h5py.VirtualLayout((3,), "f8")
+    layout[:] = h5py.VirtualSource(file.filename, "other", (3,))
+    file.create_virtual_dataset("new", layout)
+
+
+def long(file: h5py.File) -> None:
+    file.create_dataset("new", (10**12,), "f8", chunks=(1000,))
+
+
+def rather_long(file: h5py.File) -> None:
+    file.create_dataset("new", (10**9,), "f8", chunks=(1000,), compression="gzip")
+
+
+def bomb(file: h5py.File) -> None:
+    new = file.create_dataset("new", (2**25,), "u1", chunks=(2**23,), compression=9)
+    piece = zlib.compress(bytes(2**23))
+    for start in range(0, 2**25, 2**23):
+        new.id.write_direct_chunk((start,), piece)
+
+
+def large_pieces(file: h5py.File) -> None:
+    file.create_dataset("new", (1,), "f8", chunks=(10**8,), maxshape=(None,))
+
+
+def unknown_filter(file: h5py.File) -> None:
+    file.create_dataset("new", (1000,), "f8", compression="lzf")
+
+
+def group(file: h5py.File) -> None:
+    file.create_group("new")
+
+
+def pairs(file: h5py.File) -> None:
+    file["new"] = np.zeros(3, dtype=[("a", "f8"), ("b", "i4")])
+
+
+def number(file: h5py.File) -> None:
+    file.attrs["new"] = np.zeros(3)
+
+
+def many(file: h5py.File) -> None:
+    for name in range(10_001):
+        file.create_group(str(name))
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (soft_link, "is a link"), (external_link, "is a link"),
+        (external_storage, "another file"), (virtual, "another file"),
+        (long, "would take more"), (rather_long, "would take more"), (bomb, "would take more"),
+        (large_pieces, "pieces"), (unknown_filter, "packed"), (group, "no dataset"),
+        (pairs, "neither numbers nor words"), (number, "no text"), (many, "parts"),
+    ],
+)  # fmt: skip
+def test_made_results(
+    result: Path, structure: fc.Structure, change: Callable[[h5py.File], None], reason: str
+) -> None:
+    """What points out of a file, or is larger than it can be, is not read."""
+    with h5py.File(result, "r+") as file:
+        change(file)
+    began = time.perf_counter()
+    with pytest.raises(fc.InputError, match=reason):
+        fc.load(result, structure)
+    assert time.perf_counter() - began < 20.0
+
+
+@pytest.mark.parametrize("attribute", ["digest", "version"])
+def test_a_result_of_an_older_version(
+    result: Path, structure: fc.Structure, capsys: pytest.CaptureFixture[str], attribute: str
+) -> None:
+    """It has no digest; without another attribute it is not what was written."""
+    with h5py.File(result, "r+") as file:
+        del file.attrs[attribute]
+    reason = "older versions did not write" if attribute == "digest" else "damaged"
+    with pytest.raises(fc.InputError, match=reason):
+        fc.load(result, structure)
+    assert reason in refused(capsys, "plot", result)
+
+
+def test_words_for_numbers(result: Path, structure: fc.Structure) -> None:
+    """A forger's digest is right; what is not as save writes it is refused all the same."""
+    for name, value in {"omega": "fast", "gap_coefficients": 1.0, "new": [1, 2]}.items():
+        forged = result.with_name(f"{name}.h5")
+        shutil.copy(result, forged)
+        with changed(forged) as file:
+            if name in file:
+                del file[name]
+            file[name] = value
+        with pytest.raises(fc.InputError, match="path"):
+            fc.load(forged, structure)
+
+
+def flipped(content: bytes, rng: random.Random) -> bytes:
+    """With one to three bits turned, half of them where HDF5 keeps its own."""
+    changed = bytearray(content)
+    for _ in range(rng.choice([1, 1, 3])):
+        last = len(changed) if rng.random() < 0.5 else 3000
+        changed[rng.randrange(last)] ^= 1 << rng.randrange(8)
+    return bytes(changed)
+
+
+def same(one: dict, other: dict) -> bool:
+    """Whether two sets of arrays and words are the same, nan included."""
+    return one.keys() == other.keys() and all(
+        np.asarray(one[name]).tobytes() == np.asarray(other[name]).tobytes() for name in one
+    )
+
+
+def test_flipped_bits_of_a_result(result: Path) -> None:
+    """Found, or of no meaning: nothing else is read than was written."""
+    whole, content, rng = read(result), result.read_bytes(), random.Random(3)
+    found = 0
+    for _ in range(14):
+        result.write_bytes(flipped(content, rng))
+        try:
+            again = read(result)
+        except fc.InputError as error:
+            assert "\n" not in str(error)
+            found += 1
+        else:
+            assert same(again.parts, whole.parts) and again.attributes == whole.attributes
+    assert 3 <= found < 14
+
+
+def test_readers_know_no_rank_and_end(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their environment, their time and their memory are limited."""
+    monkeypatch.setenv("OMPI_COMM_WORLD_RANK", "1")
+    program = home / "reader.py"
+    start = "import os, resource, sys, numpy as np\nout = os.fdopen(int(sys.argv[2]), 'wb')\n"
+    program.write_text(f"{start}np.savez(out, names=np.array(list(os.environ)))")
+    names = run_reader(program, program, 20)
+    assert isinstance(names, dict) and "HOME" in names["names"].tolist()
+    assert not any(name.startswith(("OMPI_", "PMI")) for name in names["names"].tolist())
+    limits = "resource.setrlimit(resource.RLIMIT_CPU, (1, 2))\n"
+    program.write_text(f"{start}{limits}while True: pass")
+    assert run_reader(program, program, 1) == "it is not read in 1 s"
+    program.write_text(start)
+    assert run_reader(program, program, 20) == "its reader has handed over nothing"
+
+
+# --- sweeps ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def swept(paper_scene: fc.Scene, tmp_path_factory: pytest.TempPathFactory) -> SweepResult:
+    """Four cases."""
+    over = {"excitation.omega": [1900.0, 2000.0], "crack.clearance": [0.0, 1e-7]}
+    scene = paper_scene.replace({"contact.stiffness": 1e9, "damping.ratio": 0.02})
+    scene = dataclasses.replace(scene, sweep=Sweep.from_mapping({"over": over}))
+    return run_sweep(scene, tmp_path_factory.mktemp("swept") / "sweep.h5", MPI.COMM_SELF)
+
+
+def test_flipped_bits_of_a_sweep(swept: SweepResult, home: Path) -> None:
+    """In its header, its columns, or the waves of a case."""
+    content, path, rng = swept.path.read_bytes(), home / "sweep.h5", random.Random(2)
+    found = 0
+    for _ in range(14):
+        path.write_bytes(flipped(content, rng))
+        try:
+            again = SweepResult.load(path)
+            assert same(again.columns, swept.columns)
+            for case in range(4):
+                np.testing.assert_array_equal(again.gap(case), swept.gap(case))
+        except fc.InputError as error:
+            assert "\n" not in str(error)
+            found += 1
+    assert 3 <= found < 14
+
+
+@pytest.mark.parametrize("name", ["response", "gap", "state", "checksum", "seconds"])
+def test_a_damaged_case_is_computed_again(swept: SweepResult, home: Path, name: str) -> None:
+    """It is not read, and the others stay; the state alone is known from the checksum."""
+    path = home / "sweep.h5"
+    shutil.copy(swept.path, path)
+    column = header(path).columns[name]
+    content = bytearray(path.read_bytes())
+    content[column.offset + column.size // 4] ^= 1  # the first byte of the second case
+    path.write_bytes(content)
+    if name == "state":
+        assert same(SweepResult.load(path).columns, swept.columns)
+        return
+    with pytest.raises(fc.InputError, match="again"):
+        SweepResult.load(path).gap(1)
+    again = run_sweep(swept.scene, path, MPI.COMM_SELF)
+    assert again.complete and np.array_equal(again["response"], swept["response"])
+    assert np.array_equal(again.gap(1), swept.gap(1))
+    kept = again["seconds"].ravel() == swept["seconds"].ravel()
+    assert kept[[0, 2, 3]].all() and not kept[1]
+
+
+@pytest.mark.parametrize("change", ["no digest", "kind", "shape", "place", "long"])
+def test_made_sweeps(swept: SweepResult, home: Path, change: str) -> None:
+    """Neither read nor continued."""
+    path = home / "sweep.h5"
+    shutil.copy(swept.path, path)
+    with changed(path) as file:
+        if change != "no digest":
+            del file["response"]
+        if change == "kind":
+            file["response"] = np.zeros((2, 2), "f4")
+        elif change == "shape":
+            file["response"] = np.zeros((2, 3))
+        elif change == "place":
+            file.create_dataset("response", (2, 2), "f8", external=[("/etc/passwd", 0, 32)])
+        elif change == "long":
+            file.create_dataset("response", (10**6, 10**6), "f8", chunks=(1, 1))
+    if change == "no digest":
+        with h5py.File(path, "r+") as file:
+            del file.attrs["digest"]
+    before = path.read_bytes()
+    with pytest.raises(fc.InputError, match="path"):
+        SweepResult.load(path)
+    with pytest.raises(fc.InputError, match="path"):
+        run_sweep(swept.scene, path, MPI.COMM_SELF)
+    assert path.read_bytes() == before
+
+
+# --- text -----------------------------------------------------------------------------------------
+
+
+def test_byte_order_marks(home: Path) -> None:
+    """That of UTF-8, which spreadsheets write, is left out; the others are named."""
+    rows = "quantity,value,deviation,mode\nfrequency_bilinear,841.1,0.8,1\n"
+    texts = {"scene.toml": FROM_FILE.as_toml(), "rows.csv": rows, "times.csv": "revolution,probe\n"}
+    readers = [fc.Scene.load, fc.Measurements.from_csv, fc.ArrivalTimes.from_csv]
+    for name, text in texts.items():
+        (home / name).write_text(text, encoding="utf-8-sig")
+    assert fc.Scene.load("scene.toml").material == FROM_FILE.material
+    assert len(fc.Measurements.from_csv("rows.csv")) == 1
+    with pytest.raises(fc.InputError, match="angle"):  # the first column is found
+        fc.ArrivalTimes.from_csv("times.csv")
+    for (name, text), reader in zip(texts.items(), readers, strict=True):
+        (home / name).write_text(text, encoding="utf-16")
+        with pytest.raises(fc.InputError, match=r"byte order mark \(BOM\) of UTF-16"):
+            reader(name)
