@@ -41,6 +41,7 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
 
     Parameters and errors are those of :func:`fenics_crack.build_structure`.
     """
+    collect_garbage(comm)  # of structures made before
     if scene.structure is not None:
         rule = None if scene.damping is None else _damping(scene.damping)
         return read_structure(scene.structure, rule, comm)
@@ -51,7 +52,7 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
         allowed = "a mesh with curves named 'lower_lip' and 'upper_lip', as the scene has contact"
         raise InputError("mesh.file", scene.mesh.file, allowed)
     space = compat.function_space(plate.mesh, scene.mesh.order)
-    dofs = Dofs(plate, space)
+    dofs = Dofs(plate, space, comm)
     stiffness, mass = _matrices(scene, space)
     if not all(np.isfinite(matrix.norm()) for matrix in (stiffness, mass)):
         raise InputError("mesh", "cells of no area", "one whose cells all have an area")
@@ -71,7 +72,6 @@ def assemble(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     if scene.speed > 0.0:
         begin("rotation")
         structure = rotation_of(scene, space, dofs, structure).at(scene.speed)
-    collect_garbage(comm)
     return structure
 
 

@@ -168,7 +168,10 @@ def _inertia(mass: Any, dofs: Dofs, acceleration: Vector) -> np.ndarray:
     moved, found = mass.createVecs()
     moved.array[:] = np.tile(acceleration, dofs.n_nodes)
     mass.mult(moved, found)
-    return np.array(found.array_r[dofs.free])
+    inertia = np.array(found.array_r[dofs.free])
+    moved.destroy()
+    found.destroy()
+    return inertia
 
 
 def _farthest(plate: PlateMesh, dofs: Dofs, direction: Vector) -> np.ndarray:

@@ -19,8 +19,8 @@ __all__ = ["Dofs", "nodes_on"]
 class Dofs:
     """Which dofs of the function space are free, and their numbers in the structure."""
 
-    def __init__(self, plate: PlateMesh, space: Any) -> None:
-        self.comm: MPI.Comm = plate.mesh.comm
+    def __init__(self, plate: PlateMesh, space: Any, comm: MPI.Comm) -> None:
+        self.comm = comm
         self.space = space
         self.n_nodes = space.dofmap.index_map.size_local
         self.first_node = space.dofmap.index_map.local_range[0]
@@ -35,13 +35,18 @@ class Dofs:
         self.numbers[self.free] = first + np.arange(len(self.free))
 
     def free_block(self, matrix: Any) -> Any:
-        """Leave the clamped rows and columns out of a matrix, which is destroyed."""
+        """Leave the clamped rows and columns out of a matrix, which is destroyed.
+
+        What is left belongs to the caller's communicator: PETSc keeps what Python has let go for
+        each communicator, and nobody could free it on that of a mesh which is gone.
+        """
         free = (2 * self.first_node + self.free).astype(PETSc.IntType)
-        rows = PETSc.IS().createGeneral(free, comm=self.comm)
+        rows = PETSc.IS().createGeneral(free, comm=matrix.comm)
         block = matrix.createSubMatrix(rows, rows)
-        rows.destroy()
-        matrix.destroy()
-        return block
+        found = PETSc.Mat().createAIJ(block.sizes, csr=block.getValuesCSR(), comm=self.comm)
+        for used in (rows, block, matrix):
+            used.destroy()
+        return found
 
     def nodes(self) -> Nodes:
         """Positions, numbers and cells for look-ups and pictures."""

@@ -248,7 +248,8 @@ def _krylov(
         solver.getEigenvector(int(index), vector)
         structure.mass.mult(vector, moved)
         row[:] = vector.array_r / np.sqrt(max(vector.dot(moved), 1e-300))
-    for used in (vector, moved, solver):
+    # Left to Python, the context would hold K until PETSc frees its garbage, and be lost there.
+    for used in (vector, moved, solver, transformation, inner):
         used.destroy()
     return squares[order], shapes.T
 
