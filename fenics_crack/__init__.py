@@ -5,13 +5,16 @@ Start with ``docs/recipes.md`` or ``demos/paper_plate.py``; equations and conven
 
 The names are those that ``__init__.pyi`` imports. Each is imported here when it is first used: who
 brings matrices needs neither DOLFINx nor gmsh, and who draws nothing neither VTK nor matplotlib.
+Functions called by these names run one at a time (:mod:`fenics_crack.one_thread`).
 """
 
 import ast
 from importlib import import_module
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
+from fenics_crack.one_thread import alone
 from fenics_crack.version import VERSION
 
 _MODULES = {
@@ -28,7 +31,12 @@ __version__ = VERSION
 def __getattr__(name: str) -> Any:
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = globals()[name] = getattr(import_module(_MODULES[name]), name)
+    with alone():
+        value = getattr(import_module(_MODULES[name]), name)
+    if isinstance(value, FunctionType):
+        value = alone()(value)
+        value.__module__ = __name__  # where pickle finds this one
+    globals()[name] = value
     return value
 
 

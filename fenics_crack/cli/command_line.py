@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from fenics_crack.cli.exit_codes import Exit
 from fenics_crack.errors import ConvergenceError, InputError, check_count
+from fenics_crack.one_thread import alone
 from fenics_crack.version import VERSION
 
 if TYPE_CHECKING:
@@ -112,20 +113,28 @@ def _be_silent() -> None:
 
 
 def _run(given: argparse.Namespace) -> Exit:
-    """Import what a command needs, and call it."""
+    """Prepare this process for a command, and call it."""
     from mpi4py import MPI
 
-    from fenics_crack.cli import scenes
-    from fenics_crack.cli.console import Console, make_writable
-    from fenics_crack.parallel import on_root
-    from fenics_crack.scene.scene import Scene
-    from fenics_crack.study.remarks import remarks_on_scene
+    from fenics_crack.cli.console import Console
 
     comm = MPI.COMM_WORLD
     if comm.rank > 0:
         _be_silent()
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # else PETSc ends the program if a reader leaves
-    console = Console(comm, given.format, given.quiet, given.verbose)
+    with alone():
+        return _command(given, Console(comm, given.format, given.quiet, given.verbose))
+
+
+def _command(given: argparse.Namespace, console: Console) -> Exit:
+    """Call a command."""
+    from fenics_crack.cli import scenes
+    from fenics_crack.cli.console import make_writable
+    from fenics_crack.parallel import on_root
+    from fenics_crack.scene.scene import Scene
+    from fenics_crack.study.remarks import remarks_on_scene
+
+    comm = console.comm
     if given.command == "new":
         return scenes.new(given.file, console)
     if given.command == "plot":

@@ -28,13 +28,23 @@ from petsc4py import PETSc
 
 @contextmanager
 def kept_interrupts() -> Iterator[None]:
-    """Restore the handler of Ctrl-C afterwards: gmsh 4.8 replaces it and leaves it so."""
-    handler = signal.getsignal(signal.SIGINT)
+    """Restore the handler of Ctrl-C afterwards: gmsh 4.8 replaces it and leaves it so.
+
+    gmsh also sets it where Python forbids that, in threads other than the main one: left out there.
+    """
+    handler, set_handler = signal.getsignal(signal.SIGINT), signal.signal
+
+    def set_in_main_thread(number: int, handler: Any) -> Any:
+        if threading.current_thread() is threading.main_thread():
+            return set_handler(number, handler)
+        return signal.getsignal(number)
+
+    signal.signal = set_in_main_thread  # type: ignore[assignment]
     try:
         yield
     finally:
-        if threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGINT, handler)
+        signal.signal(signal.SIGINT, handler)
+        signal.signal = set_handler
 
 
 with kept_interrupts():

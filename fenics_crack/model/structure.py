@@ -36,6 +36,7 @@ from fenics_crack.model.matrices import (
     whole_rows,
 )
 from fenics_crack.model.nodes import Nodes, Pairs
+from fenics_crack.one_thread import alone
 from fenics_crack.parallel import gather_rows
 
 __all__ = ["Structure"]
@@ -424,6 +425,7 @@ class Structure:
         return Structure(**({name: getattr(self, name) for name in kept} | changes))
 
     @classmethod
+    @alone()
     def from_matrices(
         cls,
         mass: Any,

@@ -1,0 +1,85 @@
+"""The functions of the package run one at a time, and with one thread of OpenBLAS.
+
+gmsh, PETSc and MUMPS keep their state in global variables: two threads of Python in them end the
+process. And their dense algebra is small, as ours is: OpenBLAS's threads wait for each other
+longer than they work, and do so by spinning.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+__all__ = ["alone"]
+
+SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "GOTO_NUM_THREADS")
+"""Variables by which a user tells OpenBLAS how many threads to use."""
+_lock = threading.RLock()
+
+
+@contextmanager
+def alone() -> Iterator[None]:
+    """Keep other threads of Python out, and OpenBLAS to one thread; its number is restored.
+
+    A number that the user has chosen stays: by one of :data:`SETTINGS`, or in the process (by
+    threadpoolctl), where it differs from that with which OpenBLAS begins.
+    """
+    with _lock:
+        pools = [] if any(map(os.environ.get, SETTINGS)) else _pools(len(sys.modules))
+        limited = [(pool, begin) for pool, begin in pools if pool("get_num_threads") == begin > 1]
+        for pool, _ in limited:
+            pool("set_num_threads", 1)
+        try:
+            yield
+        finally:
+            for pool, begin in limited:
+                pool("set_num_threads", begin)
+
+
+class _Pool:
+    """A loaded OpenBLAS; the names of its functions differ between Debian's and those of wheels."""
+
+    def __init__(self, path: str) -> None:
+        self._library = ctypes.CDLL(path)
+        forms = [
+            (before, after)
+            for before in ("openblas_", "scipy_openblas_")
+            for after in ("", "64_", "_64")
+            if hasattr(self._library, f"{before}set_num_threads{after}")
+        ]
+        self._form = forms[0] if forms else None
+
+    def __bool__(self) -> bool:
+        return self._form is not None
+
+    def __call__(self, name: str, *values: int) -> int:
+        assert self._form is not None
+        return int(getattr(self._library, name.join(self._form))(*values) or 0)
+
+    def begins_with(self) -> int:
+        """How many threads it has unless somebody says otherwise."""
+        assert self._form is not None
+        config: Any = getattr(self._library, "get_config".join(self._form))
+        config.restype = ctypes.c_char_p
+        most = re.search(rb"MAX_THREADS=(\d+)", config())
+        processors = self("get_num_procs")
+        return min(processors, int(most[1])) if most else processors
+
+
+@lru_cache(maxsize=1)
+def _pools(modules: int) -> list[tuple[_Pool, int]]:
+    """Each OpenBLAS of this process and the threads it begins with; found anew after imports."""
+    try:
+        files = Path("/proc/self/maps").read_text()
+    except OSError:
+        return []
+    paths = re.findall(r"/\S*/[^/\s]*openblas[^/\s]*\.so[.\d]*$", files, re.MULTILINE)
+    return [(pool, pool.begins_with()) for path in sorted({*paths}) if (pool := _Pool(path))]
