@@ -20,6 +20,7 @@ import numpy as np
 from fenics_crack.errors import InputError
 from fenics_crack.fem.compat import gmsh
 from fenics_crack.fem.lips import boundary_edges, check_mouths, split_crack
+from fenics_crack.fem.mesh_checks import check_mesh
 from fenics_crack.outside import bytes_of, run_reader
 
 __all__ = ["Names", "Point", "read_file"]
@@ -98,6 +99,14 @@ def read_file(path: Path) -> Names:
     require(
         ("lower_lip" in curves) == ("upper_lip" in curves),
         "a mesh with both 'lower_lip' and 'upper_lip', or none",
+    )
+    lips = [curves[name][:, :2] for name in ("lower_lip", "upper_lip") if name in curves]
+    check_mesh(
+        kind,
+        np.searchsorted(numbers, cells),
+        positions[:, :2],
+        np.searchsorted(numbers, np.unique(curves["clamp"])),
+        np.searchsorted(numbers, np.concatenate([*lips, np.zeros((0, 2), dtype=numbers.dtype)])),
     )
     points: dict[str, Point] = {}
     for dimension, _, name, _, nodes in parts:

@@ -386,12 +386,22 @@ def test_load_point_of_the_file(msh: Callable[..., Path]) -> None:
     assert moved.force[2, moved.find_dof((2.0, 0.5), 0)] == pytest.approx(3.0, rel=1e-9)
 
 
-def test_file_without_lips_is_an_uncracked_plate(msh: Callable[..., Path]) -> None:
+def test_file_without_lips_is_an_uncracked_plate(tmp_path: Path) -> None:
     """A mesh without lips has no pairs; where the scene has contact, a name is misspelt."""
-    scene = file_plate(msh(names=("clamp", "load")))
+    path = tmp_path / "plate.msh"
+    write_msh(plate("grid", "triangle", 1).replace({"crack": None, "contact": None}), path)
+    scene = file_plate(path)
     assert build_structure(scene.replace({"contact": None, "crack": None})).n_pairs == 0
     with pytest.raises(InputError, match="lower_lip"):
         build_structure(scene)
+
+
+def test_a_crack_that_stays_open_has_a_name(msh: Callable[..., Path]) -> None:
+    """Lips without contact are open; edges in one place without a name are refused."""
+    open_crack: dict[str, Any] = {"contact": None, "crack": None}
+    assert build_structure(file_plate(msh(), **open_crack)).n_pairs == 4
+    with pytest.raises(InputError, match=r"doubled nodes at \(.*'crack', or 'lower_lip'"):
+        build_structure(file_plate(msh(names=("clamp", "load")), **open_crack))
 
 
 @pytest.mark.parametrize(
