@@ -19,7 +19,8 @@ from fenics_crack.fem.compat import gmsh
 __all__ = ["check_mesh"]
 
 ROUNDING = 1e-9
-"""Of a determinant relative to the largest one of its cell, and of an angle relative to 2 pi."""
+"""Of a determinant relative to its largest value or to the square of the cell's size, and of an
+angle relative to 2 pi."""
 SAME = 1e-6
 """Distance within which two places are one, relative to the size of the mesh: text files have six
 digits and more, and so are lips paired."""
@@ -81,10 +82,15 @@ def _signs(kind: int, cells: np.ndarray, places: np.ndarray) -> np.ndarray:
         determinant = x_u * y_v - x_v * y_u
         np.minimum(least, determinant, out=least)
         np.maximum(most, determinant, out=most)
-    folded = np.minimum(-least, most) > ROUNDING * np.maximum(-least, most)
-    if np.any(folded):
-        place = places[cells[np.argmax(folded)]].mean(axis=0)
-        raise _refusal("a folded cell", place, "one of cells that are convex")
+    largest = np.maximum(-least, most)
+    size = np.maximum(np.ptp(x, axis=1), np.ptp(y, axis=1))
+    for found, wrong in (
+        ("a cell without area", largest <= ROUNDING * size**2),
+        ("a folded cell", np.minimum(-least, most) > ROUNDING * largest),
+    ):
+        if np.any(wrong):
+            place = places[cells[np.argmax(wrong)]].mean(axis=0)
+            raise _refusal(found, place, "one of cells that are convex and have an area")
     return np.where(most > -least, 1, -1)
 
 
@@ -99,6 +105,10 @@ def _unfolded_boundary(
     keys = low * len(places) + high
     order = np.argsort(keys, kind="stable")
     shared = keys[order[1:]] == keys[order[:-1]]
+    if np.any(third := shared[1:] & shared[:-1]):
+        edge = order[np.argmax(third)]
+        place = (places[low[edge]] + places[high[edge]]) / 2.0
+        raise _refusal("an edge of three cells", place, "one of at most two cells at an edge")
     folded = shared & (upwards[order[1:]] == upwards[order[:-1]])
     if np.any(folded):
         edge = order[np.argmax(folded)]

@@ -75,8 +75,8 @@ def read_file(path: Path) -> Names:
     kind = kinds.pop()
     cells = _cells(kind, [nodes for dimension, *_, nodes in groups if dimension == 2])
     require(
-        _is_sound(kind, cells) and np.isin(cells, numbers).all(),
-        "a mesh whose cells have different corners, and at most two of them an edge",
+        _have_different_nodes(cells) and np.isin(cells, numbers).all(),
+        "a mesh whose cells have different nodes",
     )
     expected = {0: _POINT, 1: _EDGES[kind]}
     parts = [group for group in groups if group[0] != 2]
@@ -101,13 +101,16 @@ def read_file(path: Path) -> Names:
         "a mesh with both 'lower_lip' and 'upper_lip', or none",
     )
     lips = [curves[name][:, :2] for name in ("lower_lip", "upper_lip") if name in curves]
-    check_mesh(
-        kind,
-        np.searchsorted(numbers, cells),
-        positions[:, :2],
-        np.searchsorted(numbers, np.unique(curves["clamp"])),
-        np.searchsorted(numbers, np.concatenate([*lips, np.zeros((0, 2), dtype=numbers.dtype)])),
-    )
+    try:
+        check_mesh(
+            kind,
+            np.searchsorted(numbers, cells),
+            positions[:, :2],
+            np.searchsorted(numbers, np.unique(curves["clamp"])),
+            np.searchsorted(numbers, np.concatenate([*lips, np.empty((0, 2), numbers.dtype)])),
+        )
+    except InputError as error:
+        raise InputError("mesh.file", f"{path} ({error.value})", error.allowed) from None
     points: dict[str, Point] = {}
     for dimension, _, name, _, nodes in parts:
         if dimension == 0 and name:
@@ -181,14 +184,10 @@ def _cells(kind: int, nodes: list[np.ndarray]) -> np.ndarray:
     return cells[np.sort(np.unique(np.sort(cells, axis=1), axis=0, return_index=True)[1])]
 
 
-def _is_sound(kind: int, cells: np.ndarray) -> bool:
-    """Whether no cell has a node twice, and no edge belongs to three cells."""
+def _have_different_nodes(cells: np.ndarray) -> bool:
+    """Whether no cell has a node twice."""
     ordered = np.sort(cells, axis=1)
-    if np.any(ordered[:, 1:] == ordered[:, :-1]):
-        return False
-    corners = cells[:, : 3 if kind in _TRIANGLES else 4]
-    edges = np.stack([corners, np.roll(corners, 1, axis=1)], axis=2).reshape(-1, 2)
-    return int(np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)[1].max()) <= 2
+    return not np.any(ordered[:, 1:] == ordered[:, :-1])
 
 
 _Group = tuple[int, int, str, int, np.ndarray]

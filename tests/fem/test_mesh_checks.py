@@ -65,7 +65,7 @@ def test_a_file_is_checked(tmp_path: Path) -> None:
     read(cells, places, clamp)
     thrown = places.copy()
     thrown[node(3, 3)] = 4.4, 3.2
-    with pytest.raises(InputError, match="cells that overlap at "):
+    with pytest.raises(InputError, match=r"^mesh.file = '.*cells.msh \(cells that overlap at "):
         read(cells, thrown, clamp)
     more, there, _ = grid(2, 2, (8.0, 1.0))
     with pytest.raises(InputError, match=r"a part without a clamp at \(9, 2\)"):
@@ -184,6 +184,16 @@ def test_two_cells_on_one_side_of_their_edge() -> None:
     """One within the other: neither their boundary nor the angles at a node show it."""
     places = np.array([(0.0, 0.0), (1.0, 0.0), (0.5, 1.0), (0.4, 0.3)])
     place = refused("cells that overlap", [(0, 1, 2), (1, 0, 3)], places, clamp=[(0, 2)])
+    assert tuple(place) == (0.5, 0.0)
+
+
+def test_three_cells_at_an_edge_and_cells_without_area() -> None:
+    """What no plane has."""
+    places = np.array([(0.0, 0.0), (1.0, 0.0), (0.5, 1.0), (0.5, -1.0), (0.4, 2.0)])
+    three = [(0, 1, 2), (0, 1, 3), (0, 1, 4)]
+    assert tuple(refused("an edge of three cells", three, places, clamp=[(0, 2)])) == (0.5, 0.0)
+    places[3] = 0.5, 0.0
+    place = refused("a cell without area", three[:2], places, clamp=[(0, 2)])
     assert tuple(place) == (0.5, 0.0)
 
 
