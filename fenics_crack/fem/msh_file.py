@@ -100,15 +100,8 @@ def read_file(path: Path) -> Names:
         ("lower_lip" in curves) == ("upper_lip" in curves),
         "a mesh with both 'lower_lip' and 'upper_lip', or none",
     )
-    lips = [curves[name][:, :2] for name in ("lower_lip", "upper_lip") if name in curves]
     try:
-        check_mesh(
-            kind,
-            np.searchsorted(numbers, cells),
-            positions[:, :2],
-            np.searchsorted(numbers, np.unique(curves["clamp"])),
-            np.searchsorted(numbers, np.concatenate([*lips, np.empty((0, 2), numbers.dtype)])),
-        )
+        _check(kind, cells, curves, numbers, positions[:, :2])
     except InputError as error:
         raise InputError("mesh.file", f"{path} ({error.value})", error.allowed) from None
     points: dict[str, Point] = {}
@@ -127,6 +120,20 @@ def read_file(path: Path) -> Names:
         + [group for group in parts if group[0] == 0],
     )
     return tags, points
+
+
+def _check(
+    kind: int,
+    cells: np.ndarray,
+    curves: dict[str, np.ndarray],
+    numbers: np.ndarray,
+    positions: np.ndarray,
+) -> None:
+    """As :func:`check_mesh`, for nodes by gmsh's numbers."""
+    lips = [curves[name][:, :2] for name in ("lower_lip", "upper_lip") if name in curves]
+    parts = cells, np.unique(curves["clamp"]), np.concatenate([*lips, cells[:0, :2]])
+    own, clamp, edges = (np.searchsorted(numbers, nodes) for nodes in parts)
+    check_mesh(kind, own, positions, clamp, edges)
 
 
 def _with_lips(
