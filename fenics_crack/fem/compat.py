@@ -68,7 +68,12 @@ def model_to_mesh(model: Any, comm: MPI.Comm) -> tuple[Any, Any, Any]:
         from dolfinx.io import gmshio
     except ImportError:  # 0.10
         from dolfinx.io import gmsh as gmshio
-    found = gmshio.model_to_mesh(model, comm, 0, gdim=2)
+    try:
+        found = gmshio.model_to_mesh(model, comm, 0, gdim=2)
+    except RuntimeError as error:  # a mesh in order fails for no other reason
+        if "SCOTCH" in str(error):
+            raise MemoryError from error
+        raise
     if isinstance(found, tuple) and len(found) == 3:
         return found
     return found.mesh, found.cell_tags, found.facet_tags

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -27,11 +26,11 @@ from fenics_crack.files.units import about
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.version import VERSION
+from fenics_crack.whole import write_whole
 
 __all__ = [
     "check_meshes",
     "kind_of",
-    "make_folder",
     "opened",
     "read_scene",
     "reading",
@@ -71,23 +70,17 @@ def write(
     """
 
     def work() -> None:
-        target = Path(path)
-        partial = target.with_name(f".{target.name}.{os.getpid()}")
-        try:
-            make_folder(target)
-            with h5py.File(partial, "w") as file:
-                write_header(file, kind, scene)
-                for name, value in parts.items():
-                    if value is not None:
-                        packed = {"compression": "gzip"} if np.size(value) > 1000 else {}
-                        dataset = file.create_dataset(name, data=value, **packed)
-                        dataset.attrs.update(about(name, parts))
-            partial.replace(target)
-        except OSError as error:
-            raise InputError("path", str(path), f"a file that can be written ({error})") from None
-        finally:
-            with contextlib.suppress(OSError):
-                partial.unlink()
+        # In memory: HDF5 itself cannot be trusted with a disk that may be full.
+        with h5py.File(path, "w", driver="core", backing_store=False, block_size=2**20) as file:
+            write_header(file, kind, scene)
+            for name, value in parts.items():
+                if value is not None:
+                    packed = {"compression": "gzip"} if np.size(value) > 1000 else {}
+                    dataset = file.create_dataset(name, data=value, **packed)
+                    dataset.attrs.update(about(name, parts))
+            file.flush()
+            image = file.id.get_file_image()
+        write_whole(path, image)
 
     on_root(comm, work)
 
@@ -210,8 +203,3 @@ def _value(item: h5py.Dataset) -> Any:
         return value if np.ndim(value) else value.item()
     words = item.asstr()[()]
     return words if isinstance(words, str) else [str(word) for word in words]
-
-
-def make_folder(path: str | Path) -> None:
-    """Make the folder in which a file is to be written."""
-    Path(path).parent.mkdir(parents=True, exist_ok=True)

@@ -1,36 +1,39 @@
 """The file of a sweep: filled in while the sweep runs, and valid whenever the program is killed.
 
 HDF5 keeps metadata in memory and writes it at times of its own choice. A program killed in between
-leaves a file that cannot be opened. So no metadata changes once the file has its name:
+leaves a file that cannot be opened, and a full disk ends HDF5 itself. So no metadata changes once
+the file has its name, and HDF5 writes to memory alone:
 
-- it is made under another name, closed, and renamed;
+- the file is made under another name, closed, and renamed;
 - every dataset has its full size from the start, in one contiguous piece whose place is fixed
   (early allocation), in the oldest file format, which does not mark a file as open;
 - a finished case overwrites its own bytes: first all its numbers, which are handed to the operating
-  system (flush), and only then its ``state``. A case with a state is complete; one that a kill left
-  half written has none and is computed again.
+  system, and only then its ``state``. A case with a state is complete; one that a kill or a full
+  disk left half written has none and is computed again.
 
 Unwritten parts take no space if the file system supports sparse files. The file can be read while
-it is being written. A lock keeps other sweeps from writing to it.
+it is being written. A lock, the one that HDF5 takes too, keeps other sweeps from writing to it.
 """
 
 from __future__ import annotations
 
+import fcntl
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
 
-from fenics_crack.errors import InputError
+from fenics_crack.errors import InputError, WriteError
 from fenics_crack.files import store
 from fenics_crack.files.units import about
 from fenics_crack.model.bilinear import FEW
 from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES
 from fenics_crack.scene.scene import Scene
 from fenics_crack.version import VERSION
+from fenics_crack.whole import not_written, put, whole_file
 
 __all__ = [
     "AT_POINTS",
@@ -112,6 +115,14 @@ def shape_of(scene: Scene) -> tuple[int, ...]:
     return tuple(len(axis.values) for axis in scene.sweep.over)
 
 
+class Place(NamedTuple):
+    """Where the values of a column or a wave are in the file."""
+
+    offset: int
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]  # the axes of the sweep first
+
+
 class SweepFile:
     """A sweep's file, open for writing; continued if it exists, else made.
 
@@ -130,12 +141,19 @@ class SweepFile:
                     self.made = False
             if not self.made:
                 _check(path, scene)
-            self._file = h5py.File(path, "r+", libver="earliest")
+            self._file = os.open(path, os.O_RDWR)
+            try:
+                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                self._places, state = _read_places(path)
+            except BaseException:
+                os.close(self._file)
+                raise
         except OSError as error:
-            allowed = f"a file that can be written, by one sweep at a time ({error})"
-            raise InputError("path", str(path), allowed) from None
-        self.state: np.ndarray = self._file["state"][()]
+            allowed = "a file that can be written, by one sweep at a time"
+            raise not_written("path", path, error, allowed) from None
+        self.state = state
         """PENDING, CONVERGED or FAILED, in the shape of the axes."""
+        self._numbers = np.arange(state.size).reshape(state.shape)
 
     def record(self, index: tuple[Any, ...], cases: Sequence[Mapping[str, Any]]) -> None:
         """Write some cases: some of its columns each, and its waves if it converged."""
@@ -157,27 +175,95 @@ class SweepFile:
         """Write some cases: all of their numbers, then their states, (n,) each.
 
         ``index`` has one slice; ``waves`` are n arrays (2H+1, n_pairs), empty where a case failed.
+
+        Raises
+        ------
+        InputError
+            The disk is full, or the file is no longer where it was; what was written before stays.
         """
-        for name, values in columns.items():
-            self._file[name][index] = values
-        for name, arrays in waves.items():
-            if name in self._file:
-                wave, rows = self._file[name], max(map(len, arrays))
-                padded = np.full((len(arrays), rows, wave.shape[-1]), np.nan)
-                for row, array in zip(padded, arrays, strict=True):
-                    row[: array.shape[0], : array.shape[1]] = array
-                if rows:
-                    wave[(*index, slice(rows))] = padded
-        self._file.flush()
-        self._file["state"][index] = state
-        self._file.flush()
+        if not self._is_there():
+            allowed = "left alone while the sweep runs; it has been removed or replaced"
+            raise WriteError("path", str(self._path), allowed)
+        try:
+            for name, values in columns.items():
+                self._put(name, index, values)
+            for name, arrays in waves.items():
+                if name in self._places:
+                    rows, pairs = max(map(len, arrays)), self._places[name].shape[-1]
+                    padded = np.full((len(arrays), rows, pairs), np.nan)
+                    for row, array in zip(padded, arrays, strict=True):
+                        row[: array.shape[0], : array.shape[1]] = array
+                    self._put(name, index, padded)
+            self._put("state", index, state)
+        except OSError as error:
+            raise not_written("path", self._path, error) from None
         self.state[index] = state
 
     def close(self, *, remove: bool = False) -> None:
-        """Close the file, or remove it."""
-        self._file.close()
-        if remove:
-            self._path.unlink(missing_ok=True)
+        """Close the file, or remove it; raises InputError where that tells of an error."""
+        try:
+            if remove and self._is_there():
+                self._path.unlink()
+            os.close(self._file)
+        except OSError as error:
+            raise not_written("path", self._path, error) from None
+
+    def _put(self, name: str, index: tuple[Any, ...], values: np.ndarray) -> None:
+        """Write the first values of some cases in a column or a wave."""
+        offset, dtype, shape = self._places[name]
+        size = dtype.itemsize * int(np.prod(shape[self.state.ndim :], dtype=int))
+        for number, row in zip(self._numbers[index], values.astype(dtype), strict=True):
+            put(self._file, row.tobytes(), offset + int(number) * size)
+
+    def _is_there(self) -> bool:
+        """Whether the name still leads to the file."""
+        try:
+            return os.path.samestat(os.fstat(self._file), os.stat(self._path))
+        except OSError:
+            return False
+
+
+class _Pieces:
+    """A file for HDF5 in memory: pieces, and zeros between them."""
+
+    def __init__(self) -> None:
+        self.pieces: list[tuple[int, bytes]] = []
+        self.size = self._at = 0
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        """As of any file, and so the others."""
+        self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self.size}[whence]
+        return self._at
+
+    def tell(self) -> int:
+        """Where the next piece is read or written."""
+        return self._at
+
+    def read(self, count: int) -> bytes:
+        """The last piece written at a place is what is there."""
+        found = bytearray(count)
+        for place, piece in self.pieces:
+            first, last = max(place, self._at), min(place + len(piece), self._at + count)
+            if first < last:
+                found[first - self._at : last - self._at] = piece[first - place : last - place]
+        self._at += count
+        return bytes(found)
+
+    def write(self, content: Any) -> int:
+        """Another piece."""
+        piece = bytes(content)
+        self.pieces.append((self._at, piece))
+        self._at += len(piece)
+        self.size = max(self.size, self._at)
+        return len(piece)
+
+    def truncate(self, size: int) -> int:
+        """What HDF5 says at the end."""
+        self.size = size
+        return size
+
+    def flush(self) -> None:
+        """Nothing to be done."""
 
 
 def _stored(value: Any) -> Any:
@@ -188,32 +274,41 @@ def _stored(value: Any) -> Any:
 
 
 def _make(path: Path, scene: Scene, harmonics: int, pairs: int) -> None:
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
     shape = shape_of(scene)
     sizes = {"state": ("", "u1", shape)}
     sizes |= {name: (unit, kind, shape) for name, (unit, kind) in columns_of(scene).items()}
     if pairs:
         wave = (*shape, 2 * harmonics + 1, pairs)
         sizes |= {name: (unit, "f8", wave) for name, unit in WAVES.items()}
-    store.make_folder(path)
-    try:
-        with h5py.File(partial, "w", libver="earliest") as file:
-            store.write_header(file, KIND, scene)
-            for name, (unit, kind, size) in sizes.items():
-                plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-                plan.set_layout(h5py.h5d.CONTIGUOUS)
-                plan.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
-                plan.set_fill_time(h5py.h5d.FILL_TIME_NEVER)  # a new file is zero: pending
-                plan.set_obj_track_times(False)
-                space = h5py.h5s.create_simple(size)
-                kept = h5py.h5t.py_create(np.dtype(kind))
-                h5py.h5d.create(file.id, name.encode(), kept, space, plan)
-                file[name].attrs["unit"] = unit
-                if words := _words(name):
-                    file[name].attrs["about"] = words
-        os.link(partial, path)  # fails where another program has been quicker
-    finally:
-        partial.unlink(missing_ok=True)
+    image = _Pieces()
+    with h5py.File(image, "w", libver="earliest") as file:
+        store.write_header(file, KIND, scene)
+        for name, (unit, kind, size) in sizes.items():
+            plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+            plan.set_layout(h5py.h5d.CONTIGUOUS)
+            plan.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+            plan.set_fill_time(h5py.h5d.FILL_TIME_NEVER)  # a new file is zero: pending
+            plan.set_obj_track_times(False)
+            space = h5py.h5s.create_simple(size)
+            kept = h5py.h5t.py_create(np.dtype(kind))
+            h5py.h5d.create(file.id, name.encode(), kept, space, plan)
+            file[name].attrs["unit"] = unit
+            if words := _words(name):
+                file[name].attrs["about"] = words
+    # Fails where another program has been quicker.
+    with whole_file(path, new=True) as partial, open(partial, "wb", buffering=0) as raw:
+        raw.truncate(image.size)
+        for place, piece in image.pieces:
+            put(raw.fileno(), piece, place)
+
+
+def _read_places(path: Path) -> tuple[dict[str, Place], np.ndarray]:
+    """Where everything is in a file, and the states of its cases."""
+    with store.opened(path, KIND) as file:
+        places = {
+            name: Place(item.id.get_offset(), item.dtype, item.shape) for name, item in file.items()
+        }
+        return places, file["state"][()]
 
 
 def _words(name: str) -> str:

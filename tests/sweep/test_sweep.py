@@ -397,10 +397,11 @@ def test_two_programs_that_begin_at_once(
 ) -> None:
     """The file of the quicker one stays, and the other is refused by its lock."""
     scene, path = swept(paper_scene, FAST), tmp_path / "sweep.h5"
-    with SweepFile(path, scene, 5, 1)._file:
-        monkeypatch.setattr(Path, "exists", lambda self: False)  # as it was a moment before
-        with pytest.raises(fc.InputError, match="path"):
-            SweepFile(path, scene, 5, 1)
+    quicker = SweepFile(path, scene, 5, 1)
+    monkeypatch.setattr(Path, "exists", lambda self: False)  # as it was a moment before
+    with pytest.raises(fc.InputError, match="path"):
+        SweepFile(path, scene, 5, 1)
+    quicker.close()
     assert [file.name for file in tmp_path.iterdir()] == ["sweep.h5"]
 
 
@@ -689,8 +690,7 @@ while True:
         columns |= {{"response": same, "opening": same}}
         waves = {{n: [np.ones((11, 1))] * 2 for n in ("gap", "force")}}
         index = (slice(0, 2), column)
-        file._file["state"][index] = 0
-        file._file.flush()
+        file._put("state", index, np.zeros(2))
         file.write(index, np.ones(2), columns, waves)
 """
 
