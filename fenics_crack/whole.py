@@ -124,7 +124,7 @@ def not_written(key: str, path: str | Path, error: OSError, allowed: str = "") -
 def _told(path: str | Path, key: str) -> Iterator[None]:
     try:
         yield
-    except FileExistsError:
-        raise
     except OSError as error:
+        if isinstance(error, FileExistsError) and error.filename2:  # of the link to a new name
+            raise
         raise not_written(key, path, error) from None

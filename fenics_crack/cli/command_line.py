@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import resource
 import signal
 import sys
 import tomllib
@@ -26,8 +27,8 @@ __all__ = ["main", "parser"]
 
 LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
 """Variables by which mpirun tells a process its rank, before MPI is started."""
-OUT_OF_MEMORY = 55
-"""PETSc's code."""
+OUT_OF_MEMORY = ("PetscMalloc", "failed to map segment")
+"""In what PETSc says, and the system of a library that it cannot load."""
 KEYS = {
     "contact stiffness": "contact.stiffness",
     "count": "--count",
@@ -70,8 +71,8 @@ Any key can be changed for one run: --set harmonic_balance.harmonics=30 --set cr
 On several processors: mpirun -n 4 fenics-crack sweep plate.toml
 
 Exit code: 0 done; 2 bad input; 3 something did not converge, or Ctrl-C has ended it early (what was
-found, if anything, is in the files); 130 stopped by Ctrl-C; 1 a file that could not be
-written, too little memory, or a fault of the program.
+found, if anything, is in the files); 130 stopped by Ctrl-C; 1 a full disk, too little memory, or a
+fault of the program.
 """
 
 
@@ -142,12 +143,20 @@ def _discard_output() -> None:
 
 def _shortage(error: Exception) -> str:
     """What an error says if the machine had too little of something, else an empty text."""
-    code = getattr(error, "ierr", None)  # of PETSc
-    if isinstance(error, MemoryError) or code == OUT_OF_MEMORY:
+    said = any(words in str(error) for words in OUT_OF_MEMORY)
+    if isinstance(error, MemoryError) or said or _near_limit():
         return "memory was not enough"
     if isinstance(error, OSError) and error.errno in FULL:
         return f"{error.filename or 'standard output'} cannot be written ({error.strerror})"
     return ""
+
+
+def _near_limit() -> bool:
+    """Whether nearly all the memory of ``ulimit -v`` was used; few libraries name their need."""
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    status = Path("/proc/self/status").read_text()
+    peak = 1024 * int(status.partition("VmPeak:")[2].split()[0])
+    return limit != resource.RLIM_INFINITY and peak > 0.9 * limit
 
 
 def _run(given: argparse.Namespace) -> Exit:

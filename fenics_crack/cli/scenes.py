@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 from importlib import resources
 from pathlib import Path
 
@@ -37,7 +36,7 @@ def new(path: Path, console: Console) -> Exit:
 
     def write() -> None:
         text = resources.files("fenics_crack.cli").joinpath("new_scene.toml").read_text("utf-8")
-        if os.path.lexists(path):
+        if path.exists():
             raise InputError("scene", str(path), "a new file; there is one already")
         write_whole(path, text.replace("SCENE", path.name), "scene")
 
