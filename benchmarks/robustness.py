@@ -44,8 +44,8 @@ SHARES = tuple(share / 10 for share in range(10))
 KIB = 1024
 KILLS = {1: 8, 2: 6, 4: 6}
 """By the number of ranks."""
-LONG = ('sweep.over."excitation.frequency"={start=6.0,stop=13.0,count=300}',)
-LONG += ('sweep.over."structure.clearance"=[1e-3,2e-3]', "harmonic_balance.harmonics=40")
+OVER = '{"excitation.frequency"={start=6.0,stop=13.0,count=150},"structure.clearance"=[1e-3,2e-3]}'
+LONG = (f"sweep.over={OVER}", "harmonic_balance.harmonics=40")
 MPI = {
     "OMPI_ALLOW_RUN_AS_ROOT": "1",
     "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
@@ -116,12 +116,12 @@ class Disk:
         return ended(["mount", *words]).returncode == 0
 
     def resize(self, size: int | None) -> None:
-        """Make room for some bytes more than there are now, or enough."""
+        """Make a disk of a size, or of what is on it, if that is more; or with room enough."""
         if self.mounted:
             used = shutil.disk_usage(self.folder).used
-            pages = 2**20 if size is None else max(1, (used + size) // 4096)
+            pages = 2**20 if size is None else max(1, used // 4096, size // 4096)
             assert self._mount("-o", f"remount,size={4 * pages}k", str(self.folder))
-            if size is not None and used + size < 4096:  # there is no smaller tmpfs
+            if size is not None and max(used, size) < 4096:  # there is no smaller tmpfs
                 (self.folder / "filler").write_bytes(bytes(4096))
         else:
             self._limit = resource.RLIM_INFINITY if size is None else size
@@ -158,8 +158,9 @@ def full_disks(arguments: common.Arguments) -> list[str]:
         for name, words in commands.items():
             done = ended(program(*words))
             assert done.returncode == 0, done.stderr
-            sizes = [f.stat().st_size for f in out.rglob("*") if f.is_file()]
-            need = sum(-(-size // 4096) * 4096 for size in sizes) if disk.mounted else max(sizes)
+            files = [file.stat() for file in out.rglob("*") if file.is_file()]
+            largest = max(file.st_size for file in files)
+            need = 512 * sum(file.st_blocks for file in files) if disk.mounted else largest
             shutil.copytree(out, results / name)
             shutil.rmtree(out)
             told, before = [], len(wrong)
