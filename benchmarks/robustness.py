@@ -3,8 +3,9 @@
 *disk.* Five commands, each on ten disks of a fraction of what it needs, from none on, a tmpfs that
 only this process sees. Where none can be mounted (it takes root), files are limited instead
 (RLIMIT_FSIZE). A run is right if it ends with exit code 1 and one line that names a file, if every
-file is the one that was there before or a whole new one, if nothing else is left behind, and if the
-same command then succeeds once there is room: of a sweep with the same bits as without all this.
+file is the one that was there before or a whole new one, and if nothing else is left behind. After
+one run in ten, and after every sweep, the same command must succeed where there is room: a sweep
+with the same bits as without all this.
 
 *kill.* Sweeps on 1, 2 and 4 ranks are ended by kill -9, every fourth at any time from the start on,
 the others once a case has been stored. A run is right if the file opens, the next run keeps the
@@ -166,6 +167,9 @@ def full_disks(arguments: common.Arguments) -> list[str]:
             told, before = [], len(wrong)
             for share in SHARES[:: 5 if arguments.quick else 1]:
                 line, faults = on_full_disk(disk, words, results / name, int(share * need))
+                if name == "sweep" or share == SHARES[5]:
+                    faults += harmed(disk, words, results / name)
+                shutil.rmtree(out, ignore_errors=True)
                 told.append(line)
                 wrong += [f"{name} with {share * need / KIB:.0f} KiB: {text}" for text in faults]
             rows.append([name, len(told), need // KIB, len(wrong) - before])
@@ -180,7 +184,7 @@ def full_disks(arguments: common.Arguments) -> list[str]:
 def on_full_disk(
     disk: Disk, words: Sequence[object], whole: Path, room: int
 ) -> tuple[str, list[str]]:
-    """Run a command where there is too little room, then with enough: its line, what was wrong."""
+    """Run a command where there is too little room: its line, and what was wrong."""
     out, old = disk.folder / "new", {}
     for file in whole.rglob("*"):
         if file.is_file() and file.name != "sweep.h5":  # which would be continued
@@ -201,14 +205,18 @@ def on_full_disk(
             elif file.read_bytes() != old.get(file) and not is_whole(file, known):
                 faults.append(f"cut {file.name}")
     disk.resize(None)
+    return lines[-1] if lines else "", faults
+
+
+def harmed(disk: Disk, words: Sequence[object], whole: Path) -> list[str]:
+    """Run a command again where there is room now: what was wrong."""
     again = ended(program(*words))
     if again.returncode:
-        faults.append(f"the next command ended with {again.returncode}: {again.stderr[-300:]}")
-    elif words[0] == "sweep":
-        both = (fc.SweepResult.load(folder / "sweep.h5") for folder in (out, whole))
-        faults += differences(*both)
-    shutil.rmtree(out, ignore_errors=True)
-    return lines[-1] if lines else "", faults
+        return [f"the next run ended with {again.returncode}: {again.stderr[-300:]}"]
+    if words[0] != "sweep":
+        return []
+    both = (fc.SweepResult.load(folder / "sweep.h5") for folder in (disk.folder / "new", whole))
+    return differences(*both)
 
 
 def is_whole(file: Path, known: Path) -> bool:

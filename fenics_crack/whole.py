@@ -78,12 +78,10 @@ def whole_file(path: str | Path, key: str = "path", *, new: bool = False) -> Ite
     InputError
         As of :func:`not_written`.
     """
-    target = Path(path)
-    partial = target.with_name(f".{threading.get_native_id()}.{target.name}")
+    target = Path(os.path.realpath(path))  # of a link the file that it leads to
+    partial = target.parent / f".{threading.get_native_id()}.{target.name}"
     with _told(path, key):
         try:
-            target = target.resolve()  # of a link the file that it leads to
-            partial = target.with_name(partial.name)
             target.parent.mkdir(parents=True, exist_ok=True)
             yield partial
             if new:
