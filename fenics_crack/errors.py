@@ -12,6 +12,7 @@ __all__ = [
     "MOST_HARMONICS",
     "ConvergenceError",
     "InputError",
+    "WriteError",
     "check_count",
     "check_number",
     "check_omega",
@@ -57,6 +58,10 @@ class InputError(ValueError):
             value = f"{value[:LONGEST_VALUE]}..."
         text = f"{key} = {value}: must be {self.allowed}"
         return text if text.isprintable() else " ".join(text.split())
+
+
+class WriteError(InputError):
+    """A file that cannot be written though its name can be used, mostly for a full disk."""
 
 
 class ConvergenceError(RuntimeError):

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.errors import InputError
+from fenics_crack.whole import write_whole
 
 __all__ = [
     "RPM",
@@ -91,11 +91,7 @@ class Table:
             The file cannot be written.
         """
         text = self._json() if Path(path).suffix == ".json" else self._csv()
-        try:
-            Path(path).parent.mkdir(parents=True, exist_ok=True)
-            Path(path).write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise InputError("path", str(path), f"a file that can be written ({error})") from None
+        write_whole(path, text)
 
     def _text(self) -> str:
         shown = self.rows[:SHOWN_ROWS]

@@ -37,7 +37,7 @@ TABLE = [
     ("check flat.toml", "mesh = 1: must be a table with the keys layout, cells, order, columns, rows, size, lip_elements, grading, file"),
     ("check less.toml", "material.young = None: must be given: a finite number > 0 (1e-30 to 1e+30)"),
     ("new scene.toml", "scene = 'scene.toml': must be a new file; there is one already"),
-    ("new scene.toml/x.toml", "scene = 'scene.toml/x.toml': must be a new file; there is one already"),
+    ("new scene.toml/x.toml", "scene = 'scene.toml/x.toml': must be a file that can be written ("),
     ("modes scene.toml --count 0", "--count = 0: must be a whole number >= 1"),
     ("modes scene.toml --count 1000", "--count = 1000: must be a whole number from 1 to n_dofs = 14"),
     ("modes scene.toml --count 9999999999", "--count = 9999999999: must be at most 1e+09"),

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
+import resource
 import signal
 import sys
 import tomllib
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from fenics_crack.cli.exit_codes import Exit
-from fenics_crack.errors import ConvergenceError, InputError, check_count
+from fenics_crack.errors import ConvergenceError, InputError, WriteError, check_count
 from fenics_crack.one_thread import alone
 from fenics_crack.version import VERSION
+from fenics_crack.whole import FULL
 
 if TYPE_CHECKING:
     from fenics_crack.cli.console import Console
@@ -25,6 +28,8 @@ __all__ = ["main", "parser"]
 
 LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
 """Variables by which mpirun tells a process its rank, before MPI is started."""
+OUT_OF_MEMORY = ("PetscMalloc", "failed to map segment")
+"""In what PETSc says, and the system of a library that it cannot load."""
 KEYS = {
     "contact stiffness": "contact.stiffness",
     "count": "--count",
@@ -67,7 +72,8 @@ Any key can be changed for one run: --set harmonic_balance.harmonics=30 --set cr
 On several processors: mpirun -n 4 fenics-crack sweep plate.toml
 
 Exit code: 0 done; 2 bad input; 3 something did not converge, or Ctrl-C has ended it early (what was
-found, if anything, is in the files); 130 stopped by Ctrl-C; 1 a fault of the program.
+found, if anything, is in the files); 130 stopped by Ctrl-C; 1 a full disk, too little memory, or a
+fault of the program.
 """
 
 
@@ -75,31 +81,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return the exit code; the same on every rank."""
     if any(os.environ.get(name, "0") != "0" for name in LAUNCHERS):
         _be_silent()
+    if sys.stdout is None:
+        _say("standard output is closed")
+        return Exit.FAULT
     try:
-        given = parser().parse_args(arguments)
-        given.words = [*(sys.argv[1:] if arguments is None else arguments)]
-        return _run(given)
-    except SystemExit:  # --help, or words that the parser refuses
-        if any(name in os.environ for name in LAUNCHERS):
-            from mpi4py import MPI
-
-            MPI.COMM_WORLD.Barrier()  # a rank that fails earlier would silence the one that prints
-        raise
+        return _run(_read(arguments))
     except InputError as error:
-        named = InputError(KEYS.get(error.key, error.key), error.value, error.allowed)
-        print(f"fenics-crack: {named}", file=sys.stderr)
-        return Exit.BAD_INPUT
+        _say(str(type(error)(KEYS.get(error.key, error.key), error.value, error.allowed)))
+        return Exit.FAULT if isinstance(error, WriteError) else Exit.BAD_INPUT
     except ConvergenceError as error:
-        print(f"fenics-crack: did not converge: {error}", file=sys.stderr)
+        _say(f"did not converge: {error}")
         return Exit.NOT_CONVERGED
     except KeyboardInterrupt:
-        print("fenics-crack: stopped", file=sys.stderr)
+        _say("stopped")
         return Exit.STOPPED
     except BrokenPipeError:  # the reader of our output has gone
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _discard_output()
         return Exit.READER_GONE
-    except Exception:
-        traceback.print_exc(file=sys.__stderr__)
+    except Exception as error:
+        if shortage := _shortage(error):
+            _say(shortage, sys.__stderr__)
+            _discard_output()
+        else:
+            traceback.print_exc(file=sys.__stderr__)
         from mpi4py import MPI
 
         if MPI.COMM_WORLD.size > 1:  # the other ranks may wait for this one
@@ -107,9 +111,53 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return Exit.FAULT
 
 
+def _read(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Read the arguments; SystemExit after --help, and for words that the parser refuses."""
+    try:
+        given = parser().parse_args(arguments)
+    except SystemExit:
+        sys.stdout.flush()
+        if any(name in os.environ for name in LAUNCHERS):
+            from mpi4py import MPI
+
+            MPI.COMM_WORLD.Barrier()  # a rank that fails earlier would silence the one that prints
+        raise
+    given.words = [*(sys.argv[1:] if arguments is None else arguments)]
+    return given
+
+
 def _be_silent() -> None:
     """Discard what this rank prints; faults of the program go to the true standard error."""
     sys.stdout = sys.stderr = open(os.devnull, "w")
+
+
+def _say(text: str, stream: TextIO | None = None) -> None:
+    """Print the last line, if that is possible."""
+    with contextlib.suppress(OSError):
+        print(f"fenics-crack: {text}", file=stream or sys.stderr or sys.__stderr__, flush=True)
+
+
+def _discard_output() -> None:
+    """Spare Python the attempt to write at its end what could not be written before."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _shortage(error: Exception) -> str:
+    """What an error says if the machine had too little of something, else an empty text."""
+    said = any(words in str(error) for words in OUT_OF_MEMORY)
+    if isinstance(error, MemoryError) or said or _near_limit():
+        return "memory was not enough"
+    if isinstance(error, OSError) and error.errno in FULL:
+        return f"{error.filename or 'standard output'} cannot be written ({error.strerror})"
+    return ""
+
+
+def _near_limit() -> bool:
+    """Whether nearly all the memory of ``ulimit -v`` was used; few libraries name their need."""
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    status = Path("/proc/self/status").read_text()
+    peak = 1024 * int(status.partition("VmPeak:")[2].split()[0])
+    return limit != resource.RLIM_INFINITY and peak > 0.9 * limit
 
 
 def _run(given: argparse.Namespace) -> Exit:

@@ -12,11 +12,11 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from fenics_crack.errors import InputError
 from fenics_crack.parallel import on_root
 from fenics_crack.stages import StageLines, listening
 from fenics_crack.study.remarks import Remark
 from fenics_crack.table import Table
+from fenics_crack.whole import not_written
 
 __all__ = ["Console", "make_writable"]
 
@@ -94,7 +94,6 @@ def make_writable(folder: Path, comm: MPI.Comm) -> None:
             with tempfile.TemporaryFile(dir=folder):
                 pass
         except OSError as error:
-            allowed = f"a folder that can be written ({error.strerror})"
-            raise InputError("--output", str(folder), allowed) from None
+            raise not_written("--output", folder, error, "a folder that can be written") from None
 
     on_root(comm, work)

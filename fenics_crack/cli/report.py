@@ -41,6 +41,7 @@ from fenics_crack.sweep.result import SweepResult
 from fenics_crack.table import Table, frequency_axis, quantity
 from fenics_crack.time.march import TimeHistory
 from fenics_crack.version import VERSION
+from fenics_crack.whole import write_whole
 
 __all__ = ["write_report"]
 
@@ -123,12 +124,7 @@ def write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) ->
     stem = files[0].resolve().parent.name
     under = f"{datetime.now(UTC).astimezone():%d %B %Y, %H:%M %Z}, fenics_crack {VERSION}"
     text = html.page(f"Breathing crack: {stem}", under, [html.contents(titles), *blocks])
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(text, encoding="utf-8")
-    except OSError as error:
-        allowed = f"a file that can be written ({error.strerror})"
-        raise InputError("--output", str(target), allowed) from None
+    write_whole(target, text, "--output")
 
 
 def _scene_of(path: Path) -> Scene:

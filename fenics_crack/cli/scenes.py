@@ -13,7 +13,6 @@ from fenics_crack.cli.console import Console
 from fenics_crack.cli.exit_codes import Exit
 from fenics_crack.cli.undamped import remark_on_whole
 from fenics_crack.errors import InputError
-from fenics_crack.files.store import make_folder
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import on_root
@@ -23,6 +22,7 @@ from fenics_crack.study.prepare import Study, check_memory_of, prepare, reductio
 from fenics_crack.study.remarks import is_proportional, remarks_on
 from fenics_crack.sweep.plan import Plan
 from fenics_crack.table import RPM, Table, counted
+from fenics_crack.whole import write_whole
 
 __all__ = ["check", "harmonics_in_words", "new"]
 
@@ -36,15 +36,9 @@ def new(path: Path, console: Console) -> Exit:
 
     def write() -> None:
         text = resources.files("fenics_crack.cli").joinpath("new_scene.toml").read_text("utf-8")
-        try:
-            make_folder(path)
-            with open(path, "x", encoding="utf-8") as file:
-                file.write(text.replace("SCENE", path.name))
-        except FileExistsError:
-            raise InputError("scene", str(path), "a new file; there is one already") from None
-        except OSError as error:
-            allowed = f"a file that can be written ({error.strerror})"
-            raise InputError("scene", str(path), allowed) from None
+        if path.exists():
+            raise InputError("scene", str(path), "a new file; there is one already")
+        write_whole(path, text.replace("SCENE", path.name), "scene")
 
     on_root(console.comm, write)
     console.note(f"{path}: a scene to start from; now: fenics-crack check {path}")

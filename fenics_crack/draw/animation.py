@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from functools import partial
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -29,11 +30,11 @@ from fenics_crack.draw.figure import COLOURS
 from fenics_crack.draw.nodal import edge_lines, moved_grid, off_screen_plotter
 from fenics_crack.draw.paraview import PeriodFields
 from fenics_crack.errors import InputError
-from fenics_crack.files.store import make_folder
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.tables import Material
 from fenics_crack.stages import begin
 from fenics_crack.table import readable
+from fenics_crack.whole import write_whole
 
 __all__ = ["animate_period", "show_period"]
 
@@ -288,10 +289,13 @@ def _write(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> None
     plotter.close()
     palette = _palette(plate.colours)
     shown = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
-    make_folder(path)
     duration = max(20, 10 * round(100.0 * SECONDS / len(shown)))  # [ms], in steps of 10
     timing = {"duration": duration, "loop": 0, "comment": page.caption.encode("latin-1")}
-    shown[0].save(path, save_all=True, append_images=shown[1:], optimize=False, **timing)
+    animation = BytesIO()
+    shown[0].save(
+        animation, "GIF", save_all=True, append_images=shown[1:], optimize=False, **timing
+    )
+    write_whole(path, animation.getvalue())
 
 
 def _palette(colours: _Colours) -> Image.Image:

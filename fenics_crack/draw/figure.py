@@ -7,6 +7,7 @@ in SI units, whatever prefix their axes show, so that more can be drawn onto the
 
 from __future__ import annotations
 
+from io import BytesIO
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -23,10 +24,10 @@ from matplotlib.ticker import Formatter, FuncFormatter, LogFormatter
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError
-from fenics_crack.files.store import make_folder
 from fenics_crack.parallel import on_root
 from fenics_crack.stages import begin
 from fenics_crack.table import readable, with_unit
+from fenics_crack.whole import write_whole
 
 __all__ = [
     "ABOVE",
@@ -196,8 +197,9 @@ def figure_of(
 
     def save() -> None:
         if path is not None:
-            make_folder(path)
-            axes.figure.savefig(str(path))
+            file, picture = Path(path), BytesIO()
+            axes.figure.savefig(picture, format=file.suffix.removeprefix(".") or None)
+            write_whole(file, picture.getvalue())
 
     on_root(comm, save)
     return axes.figure

@@ -7,6 +7,7 @@ own, so nothing is averaged across the crack.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,18 +15,19 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pyvista
+from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
 from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.draw.nodal import moved_grid
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.fem.nodal_mesh import NodalMesh
-from fenics_crack.files.store import make_folder
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows, on_root
 from fenics_crack.scene.tables import Material
 from fenics_crack.stages import begin
+from fenics_crack.whole import write_together, write_whole
 
 __all__ = ["PeriodFields", "nodal_stress", "von_mises", "write_modes", "write_period"]
 
@@ -58,8 +60,7 @@ def write_modes(modes: Modes, path: str | Path) -> None:
             factor = _tenth(shape, mesh.size)
             grid[f"mode {number}: {omega:.1f} rad/s"] = np.pad(factor * shape, ((0, 0), (0, 1)))
             grid.field_data[f"magnification of mode {number}"] = [factor]
-        make_folder(path)
-        grid.save(str(path))
+        write_whole(path, _vtu(grid))
 
     on_root(mesh.structure.comm, write)
 
@@ -224,21 +225,21 @@ def write_period(
     target = Path(path)
 
     def write() -> None:
-        folder = target.with_suffix("")
-        folder.mkdir(parents=True, exist_ok=True)
-        entries = []
-        for frame, instant in enumerate(fields.time):
-            name = f"{folder.name}/frame_{frame:04d}.vtu"
-            fields.grid(frame).save(str(target.parent / name))
-            entries.append(f'    <DataSet timestep="{instant:.12g}" file={quoteattr(name)}/>')
+        names = [f"{target.stem}/frame_{frame:04d}.vtu" for frame in range(len(fields.time))]
+        entries = [
+            f'    <DataSet timestep="{instant:.12g}" file={quoteattr(name)}/>'
+            for instant, name in zip(fields.time, names, strict=True)
+        ]
         lines = ['<VTKFile type="Collection" version="0.1">', "  <Collection>", *entries]
-        target.write_text("\n".join([*lines, "  </Collection>", "</VTKFile>", ""]))
+        series = "\n".join([*lines, "  </Collection>", "</VTKFile>", ""])
         field, unit = fields.colour
         script = target.with_name(f"{target.stem}_paraview.py")
-        names = {"script": script.name, "folder": str(target.parent.resolve()), "pvd": target.name}
+        words = {"script": script.name, "folder": str(target.parent.resolve()), "pvd": target.name}
         colours = {"field": field, "title": f"{field} [{unit}]", "end": fields.colour_end}
         colours["caption"] = f"displacement x {fields.magnification:.3g}"
-        script.write_text(STATE.format(**names, **colours))
+        about = [(target, series), (script, STATE.format(**words, **colours))]
+        frames = ((target.parent / name, _vtu(fields.grid(n))) for n, name in enumerate(names))
+        write_together(itertools.chain(about, frames))
 
     on_root(fields.mesh.structure.comm, write)
     return fields.magnification
@@ -285,6 +286,16 @@ Render(view)
 scene.Play()
 scene.Loop = 1  # from now on; the play button starts it again
 """
+
+
+def _vtu(grid: pyvista.UnstructuredGrid) -> str:
+    """The text of a .vtu file; VTK itself says nothing of a file that it cannot finish."""
+    writer = vtkXMLUnstructuredGridWriter()
+    writer.SetInputData(grid)
+    writer.SetDataModeToBinary()
+    writer.WriteToOutputStringOn()
+    writer.Write()
+    return str(writer.GetOutputString())
 
 
 def _nodes_of_pairs(structure: Structure) -> np.ndarray:

@@ -25,6 +25,8 @@ import ufl
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from fenics_crack.model.memory import addresses_left
+
 
 @contextmanager
 def kept_interrupts() -> Iterator[None]:
@@ -66,6 +68,11 @@ __all__ = [
 _NEW = hasattr(dolfinx.fem, "functionspace")
 _JIT = {"jit_options" if _NEW else "jit_params": {"timeout": 300}}
 """[s] while another process compiles the same form."""
+THREAD = 150 * 2**20
+"""Addresses of a thread of SCOTCH, 8 MiB of stack and 128 MiB of heap, and some more [byte].
+
+Without them it ends with words of its own, or DOLFINx loops for ever.
+"""
 
 
 def gmsh_is_running() -> bool:
@@ -79,6 +86,8 @@ def model_to_mesh(model: Any, comm: MPI.Comm) -> tuple[Any, Any, Any]:
         from dolfinx.io import gmshio
     except ImportError:  # 0.10
         from dolfinx.io import gmsh as gmshio
+    if comm.allreduce(addresses_left() < THREAD, MPI.LOR):
+        raise MemoryError("no room for a thread")
     found = gmshio.model_to_mesh(model, comm, 0, gdim=2)
     if isinstance(found, tuple) and len(found) == 3:
         return found

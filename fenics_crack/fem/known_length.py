@@ -11,13 +11,14 @@ import contextlib
 import hashlib
 import json
 import os
-import tempfile
 from pathlib import Path
 
 from mpi4py import MPI
 
+from fenics_crack.errors import InputError
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
+from fenics_crack.whole import write_whole
 
 __all__ = ["cache_folder", "keep_length", "kept_length"]
 
@@ -44,13 +45,8 @@ def keep_length(scene: Scene, comm: MPI.Comm, length: float, excess: float) -> N
     """Keep what was found, where that is possible (collective)."""
 
     def write() -> None:
-        with contextlib.suppress(OSError, RuntimeError):
-            file = _file(scene)
-            file.parent.mkdir(parents=True, exist_ok=True)
-            handle, name = tempfile.mkstemp(dir=file.parent)
-            with os.fdopen(handle, "w", encoding="utf-8") as new:
-                json.dump((length, excess), new)
-            os.replace(name, file)
+        with contextlib.suppress(InputError, RuntimeError):
+            write_whole(_file(scene), json.dumps((length, excess)))
 
     on_root(comm, write)
 

@@ -18,7 +18,9 @@ and makes the uniform grid of the paper a special case. gmsh runs on rank 0 only
 
 from __future__ import annotations
 
+import errno
 import math
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -37,6 +39,7 @@ from fenics_crack.fem.msh_file import Point, read_file
 from fenics_crack.model.memory import machine_memory
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
+from fenics_crack.whole import whole_file
 
 __all__ = ["PlateMesh", "build_mesh", "write_msh"]
 
@@ -96,10 +99,19 @@ def build_mesh(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> PlateMesh:
 
 
 def write_msh(scene: Scene, path: str | Path) -> None:
-    """Write the scene's mesh, with its named groups, to a gmsh file (format 4.1)."""
+    """Write the scene's mesh, with its named groups, to a gmsh file (format 4.1).
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+    """
     with _gmsh_on_root(MPI.COMM_SELF):
         _model(scene)
-        gmsh.write(str(path))
+        with whole_file(path) as partial:
+            gmsh.write(str(partial))
+            if not partial.read_bytes().endswith(b"$EndElements\n"):  # gmsh does not ask
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 @contextmanager

@@ -33,6 +33,7 @@ from fenics_crack.outside import bytes_of, run_reader, sha256
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.version import VERSION
+from fenics_crack.whole import write_whole
 
 __all__ = [
     "Column",
@@ -40,7 +41,6 @@ __all__ = [
     "digest",
     "header",
     "kind_of",
-    "make_folder",
     "places",
     "read",
     "read_scene",
@@ -84,24 +84,18 @@ def write(
     """
 
     def work() -> None:
-        target = Path(path)
-        partial = target.with_name(f".{target.name}.{os.getpid()}")
-        try:
-            make_folder(target)
-            with h5py.File(partial, "w") as file:
-                write_header(file, kind, scene)
-                for name, value in parts.items():
-                    if value is not None:
-                        packed = {"compression": "gzip"} if np.size(value) > 1000 else {}
-                        dataset = file.create_dataset(name, data=value, **packed)
-                        dataset.attrs.update(about(name, parts))
-                file.attrs["digest"] = digest(texts(file), parts)
-            partial.replace(target)
-        except OSError as error:
-            raise InputError("path", str(path), f"a file that can be written ({error})") from None
-        finally:
-            with contextlib.suppress(OSError):
-                partial.unlink()
+        # In memory: HDF5 itself cannot be trusted with a disk that may be full.
+        with h5py.File(path, "w", driver="core", backing_store=False, block_size=2**20) as file:
+            write_header(file, kind, scene)
+            for name, value in parts.items():
+                if value is not None:
+                    packed = {"compression": "gzip"} if np.size(value) > 1000 else {}
+                    dataset = file.create_dataset(name, data=value, **packed)
+                    dataset.attrs.update(about(name, parts))
+            file.attrs["digest"] = digest(texts(file), parts)
+            file.flush()
+            image = file.id.get_file_image()
+        write_whole(path, image)
 
     on_root(comm, work)
 
@@ -386,8 +380,3 @@ def _file_digest(path: str) -> str:
         return sha256(path)
     except OSError:
         return "missing"
-
-
-def make_folder(path: str | Path) -> None:
-    """Make the folder in which a file is to be written."""
-    Path(path).parent.mkdir(parents=True, exist_ok=True)

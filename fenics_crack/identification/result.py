@@ -19,6 +19,7 @@ from fenics_crack.identification.where_to_measure import Worth, worth_of
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import key_in_words, unit_of, value_in_words
 from fenics_crack.table import Table, Tabular
+from fenics_crack.whole import write_whole
 
 __all__ = ["SHARE", "Identification"]
 
@@ -171,7 +172,7 @@ class Identification(Tabular):
                 parts[f"{key}_{number}"] = axis
         write(parts, Path(folder) / "identify.h5", "identification", self.scene)
         text = json.dumps(self.summary(), indent=1, ensure_ascii=False)
-        (Path(folder) / "identify.json").write_text(text + "\n", encoding="utf-8")
+        write_whole(Path(folder) / "identify.json", text + "\n")
 
     @property
     def _branch(self) -> Branch:

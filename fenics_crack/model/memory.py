@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import resource
+from pathlib import Path
 
 import numpy as np
 from petsc4py import PETSc
@@ -18,7 +19,7 @@ from fenics_crack.model.modes import krylov_vectors
 from fenics_crack.model.reduced import BLOCK
 from fenics_crack.model.structure import Structure
 
-__all__ = ["machine_memory", "reduction_memory", "whole_memory"]
+__all__ = ["addresses_left", "machine_memory", "reduction_memory", "whole_memory"]
 
 FACTOR = 60.0
 """Bytes of a factor over n log2 n."""
@@ -29,6 +30,15 @@ ENTRY = 12
 def machine_memory() -> float:
     """Memory of this machine [byte]."""
     return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+
+
+def addresses_left() -> float:
+    """Memory that this process may still ask for under ``ulimit -v`` [byte]; inf without one."""
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit == resource.RLIM_INFINITY:
+        return float("inf")
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    return float(limit - pages * os.sysconf("SC_PAGE_SIZE"))
 
 
 def reduction_memory(structure: Structure, modes: int, method: str) -> float:

@@ -1,19 +1,20 @@
 """The file of a sweep: filled in while the sweep runs, and valid whenever the program is killed.
 
 HDF5 keeps metadata in memory and writes it at times of its own choice. A program killed in between
-leaves a file that cannot be opened. So no metadata changes once the file has its name:
+leaves a file that cannot be opened, and a full disk ends HDF5 itself. So no metadata changes once
+the file has its name, and HDF5 writes to memory alone:
 
-- it is made under another name, closed, and renamed;
+- the file is made under another name, closed, and renamed;
 - every dataset has its full size from the start, in one contiguous piece whose place is fixed
   (early allocation), in the oldest file format, which does not mark a file as open;
 - a finished case overwrites its own bytes: first all its numbers, which are handed to the operating
-  system (flush), and only then its ``state``. A case with a state is complete, and not written
-  again; one that a kill left half written has none and is computed again;
+  system, and only then its ``state``. A case with a state is complete, and not written again; one
+  that a kill or a full disk left half written has none and is computed again;
 - a case has a checksum of its numbers and its state, and it is what this confirms. A damaged case
   is not read, and computed again if the sweep is continued.
 
 Unwritten parts take no space if the file system supports sparse files. The file can be read while
-it is being written. A lock keeps other sweeps from writing to it.
+it is being written. A lock, the one that HDF5 takes too, keeps other sweeps from writing to it.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from fenics_crack.errors import InputError
+from fenics_crack.errors import InputError, WriteError
 from fenics_crack.files import store
 from fenics_crack.files.units import about
 from fenics_crack.model.bilinear import FEW
@@ -36,6 +37,7 @@ from fenics_crack.outside import LARGEST
 from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES
 from fenics_crack.scene.scene import Scene
 from fenics_crack.version import VERSION
+from fenics_crack.whole import not_written, put, whole_file
 
 __all__ = [
     "AT_POINTS",
@@ -139,14 +141,19 @@ class SweepFile:
                     self.made = False
             if not self.made:
                 _check(path, scene)
-            self._lock = path.open("r+b")
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            self._file = h5py.File(path, "r+", libver="earliest", locking=False)
-            self.state: np.ndarray = _whole_cases(path, scene)
-            """In the shape of the axes; of damaged cases PENDING."""
+            self._file = os.open(path, os.O_RDWR)
+            try:
+                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                self._places, state = _whole_cases(path)
+            except BaseException:
+                os.close(self._file)
+                raise
         except OSError as error:
-            allowed = f"a file that can be written, by one sweep at a time ({error})"
-            raise InputError("path", str(path), allowed) from None
+            allowed = "a file that can be written, by one sweep at a time"
+            raise not_written("path", path, error, allowed) from None
+        self.state = state
+        """In the shape of the axes; of damaged cases PENDING."""
+        self._numbers = np.arange(state.size).reshape(state.shape)
 
     def record(self, index: tuple[Any, ...], cases: Sequence[Mapping[str, Any]]) -> None:
         """Write those of some cases that are not complete: some of its columns each, and its waves
@@ -179,29 +186,96 @@ class SweepFile:
         """Write some cases: all of their numbers, then their states, (n,) each.
 
         ``index`` has one slice; ``waves`` are n arrays (2H+1, n_pairs), empty where a case failed.
+
+        Raises
+        ------
+        InputError
+            The disk is full, or the file is no longer where it was; what was written before stays.
         """
-        self._file["state"][index] = PENDING
-        for name, values in columns.items():
-            self._file[name][index] = values
-        for name, arrays in waves.items():
-            if name in self._file:
-                wave, rows = self._file[name], max(map(len, arrays))
-                padded = np.full((len(arrays), rows, wave.shape[-1]), np.nan)
-                for row, array in zip(padded, arrays, strict=True):
-                    row[: array.shape[0], : array.shape[1]] = array
-                if rows:
-                    wave[(*index, slice(rows))] = padded
-        self._file.flush()
-        self._file["state"][index] = state
-        self._file.flush()
+        if not self._is_there():
+            allowed = "left alone while the sweep runs; it has been removed or replaced"
+            raise WriteError("path", str(self._path), allowed)
+        try:
+            self._put("state", index, np.full(len(state), PENDING))
+            for name, values in columns.items():
+                self._put(name, index, values)
+            for name, arrays in waves.items():
+                if name in self._places:
+                    rows, pairs = max(map(len, arrays)), self._places[name].shape[-1]
+                    padded = np.full((len(arrays), rows, pairs), np.nan)
+                    for row, array in zip(padded, arrays, strict=True):
+                        row[: array.shape[0], : array.shape[1]] = array
+                    self._put(name, index, padded)
+            self._put("state", index, state)
+        except OSError as error:
+            raise not_written("path", self._path, error) from None
         self.state[index] = state
 
     def close(self, *, remove: bool = False) -> None:
-        """Close the file, or remove it."""
-        self._file.close()
-        self._lock.close()
-        if remove:
-            self._path.unlink(missing_ok=True)
+        """Close the file, or remove it; raises InputError where that tells of an error."""
+        try:
+            if remove and self._is_there():
+                self._path.unlink()
+            os.close(self._file)
+        except OSError as error:
+            raise not_written("path", self._path, error) from None
+
+    def _put(self, name: str, index: tuple[Any, ...], values: np.ndarray) -> None:
+        """Write the first values of some cases in a column or a wave."""
+        place = self._places[name]
+        size = place.size // self.state.size
+        for number, row in zip(self._numbers[index], values.astype(place.dtype), strict=True):
+            put(self._file, row.tobytes(), place.offset + int(number) * size)
+
+    def _is_there(self) -> bool:
+        """Whether the name still leads to the file."""
+        try:
+            return os.path.samestat(os.fstat(self._file), os.stat(self._path))
+        except OSError:
+            return False
+
+
+class _Pieces:
+    """A file for HDF5 in memory: pieces, and zeros between them."""
+
+    def __init__(self) -> None:
+        self.pieces: list[tuple[int, bytes]] = []
+        self.size = self._at = 0
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        """As of any file, and so the others."""
+        self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self.size}[whence]
+        return self._at
+
+    def tell(self) -> int:
+        """Where the next piece is read or written."""
+        return self._at
+
+    def read(self, count: int) -> bytes:
+        """The last piece written at a place is what is there."""
+        found = bytearray(count)
+        for place, piece in self.pieces:
+            first, last = max(place, self._at), min(place + len(piece), self._at + count)
+            if first < last:
+                found[first - self._at : last - self._at] = piece[first - place : last - place]
+        self._at += count
+        return bytes(found)
+
+    def write(self, content: Any) -> int:
+        """Another piece."""
+        piece = bytes(content)
+        self.pieces.append((self._at, piece))
+        self._at += len(piece)
+        self.size = max(self.size, self._at)
+        return len(piece)
+
+    def truncate(self, size: int) -> int:
+        """What HDF5 says at the end."""
+        self.size = size
+        return size
+
+    def flush(self) -> None:
+        """Nothing to be done."""
 
 
 def _within(index: tuple[Any, ...], run: np.ndarray) -> tuple[Any, ...]:
@@ -222,7 +296,6 @@ def _stored(value: Any) -> Any:
 
 
 def _make(path: Path, scene: Scene, harmonics: int, pairs: int) -> None:
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
     shape = shape_of(scene)
     sizes = {"state": ("", "u1", shape)}
     sizes |= {name: (unit, kind, shape) for name, (unit, kind) in columns_of(scene).items()}
@@ -230,26 +303,27 @@ def _make(path: Path, scene: Scene, harmonics: int, pairs: int) -> None:
     if pairs:
         wave = (*shape, 2 * harmonics + 1, pairs)
         sizes |= {name: (unit, "f8", wave) for name, unit in WAVES.items()}
-    store.make_folder(path)
-    try:
-        with h5py.File(partial, "w", libver="earliest") as file:
-            store.write_header(file, KIND, scene)
-            for name, (unit, kind, size) in sizes.items():
-                plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-                plan.set_layout(h5py.h5d.CONTIGUOUS)
-                plan.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
-                plan.set_fill_time(h5py.h5d.FILL_TIME_NEVER)  # a new file is zero: pending
-                plan.set_obj_track_times(False)
-                space = h5py.h5s.create_simple(size)
-                kept = h5py.h5t.py_create(np.dtype(kind))
-                h5py.h5d.create(file.id, name.encode(), kept, space, plan)
-                file[name].attrs["unit"] = unit
-                if words := _words(name):
-                    file[name].attrs["about"] = words
-            file.attrs["digest"] = store.digest(store.texts(file), store.places(file))
-        os.link(partial, path)  # fails where another program has been quicker
-    finally:
-        partial.unlink(missing_ok=True)
+    image = _Pieces()
+    with h5py.File(image, "w", libver="earliest") as file:
+        store.write_header(file, KIND, scene)
+        for name, (unit, kind, size) in sizes.items():
+            plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+            plan.set_layout(h5py.h5d.CONTIGUOUS)
+            plan.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+            plan.set_fill_time(h5py.h5d.FILL_TIME_NEVER)  # a new file is zero: pending
+            plan.set_obj_track_times(False)
+            space = h5py.h5s.create_simple(size)
+            kept = h5py.h5t.py_create(np.dtype(kind))
+            h5py.h5d.create(file.id, name.encode(), kept, space, plan)
+            file[name].attrs["unit"] = unit
+            if words := _words(name):
+                file[name].attrs["about"] = words
+        file.attrs["digest"] = store.digest(store.texts(file), store.places(file))
+    # Fails where another program has been quicker.
+    with whole_file(path, new=True) as partial, open(partial, "wb", buffering=0) as raw:
+        raw.truncate(image.size)
+        for place, piece in image.pieces:
+            put(raw.fileno(), piece, place)
 
 
 def _words(name: str) -> str:
@@ -361,14 +435,15 @@ def _confirmed(found: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], np.
     return {"state": state} | found, (state == PENDING) & (stated != PENDING)
 
 
-def _whole_cases(path: Path, scene: Scene) -> np.ndarray:
-    """The state of each case, in the shape of the axes; of damaged ones PENDING."""
-    stored, _ = _opened(path)
+def _whole_cases(path: Path) -> tuple[dict[str, store.Column], np.ndarray]:
+    """Where everything is in a file, and the state of each case in the shape of the axes; of
+    damaged ones PENDING."""
+    stored, scene = _opened(path)
     state: np.ndarray = _cases(stored, scene)[0]["state"].reshape(shape_of(scene))
     for index in np.argwhere(state == CONVERGED):
         if _waves(stored, tuple(map(int, index))) is None:
             state[tuple(index)] = PENDING
-    return state
+    return stored.columns, state
 
 
 def read_columns(path: Path) -> tuple[Scene, dict[str, np.ndarray]]:

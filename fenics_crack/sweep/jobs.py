@@ -200,7 +200,10 @@ class Manager:
         """Close the file; after an error remove it if it is new and empty."""
         self._bar.close()
         useless = self._file.made and self._recorded == 0 and self.error is not None
-        self._file.close(remove=useless)
+        try:
+            self._file.close(remove=useless)
+        except InputError as error:
+            self.fail(error)
 
     def _submit(self) -> None:
         """Keep one more job at the executor than it has workers."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import os
 import shutil
 import signal
@@ -23,11 +24,13 @@ from rotating import cracked
 
 import fenics_crack as fc
 import fenics_crack.study.prepare
+from fenics_crack.errors import WriteError
 from fenics_crack.fem.assembly import assemble
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Sweep
 from fenics_crack.study.prepare import prepare
 from fenics_crack.sweep import case as sweep_case
+from fenics_crack.sweep import file as sweep_file
 from fenics_crack.sweep import jobs as sweep_jobs
 from fenics_crack.sweep import result as sweep
 from fenics_crack.sweep.file import COLUMNS, SweepFile
@@ -406,6 +409,72 @@ def test_two_programs_that_begin_at_once(
     assert [file.name for file in tmp_path.iterdir()] == ["sweep.h5"]
 
 
+def test_pieces_are_a_file() -> None:
+    """What HDF5 has written to them it can read; what lies between them takes no memory."""
+    image = sweep_file._Pieces()
+    with h5py.File(image, "w") as file:
+        numbers = file.create_dataset("numbers", 10**6, "f8")
+        numbers[-3:] = [1.0, 2.0, 3.0]
+        numbers[-2] = 4.0
+        file.attrs["words"] = "of the file"
+    assert image.size > 8e6 and sum(len(piece) for _, piece in image.pieces) < 1e5
+    with h5py.File(image, "r") as file:
+        assert file["numbers"][-4:].tolist() == [0.0, 1.0, 4.0, 3.0]
+        assert file.attrs["words"] == "of the file"
+
+
+EACH = len(COLUMNS) + 3
+"""What is written of each chunk: columns, waves, states."""
+
+
+@pytest.mark.parametrize("limit", [5, EACH - 1, EACH + 5, 2 * EACH - 1])
+def test_full_disk(
+    paper_scene: fc.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: int
+) -> None:
+    """At any number of a chunk: the file stays valid with what was in it, and the rest follows."""
+    scene, path = swept(paper_scene, FAST), tmp_path / "sweep.h5"
+    put, calls = SweepFile._put, list[str]()
+
+    def full(self: SweepFile, name: str, *given: Any) -> None:
+        calls.append(name)
+        if len(calls) > limit:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        put(self, name, *given)
+
+    monkeypatch.setattr(SweepFile, "_put", full)
+    with pytest.raises(WriteError, match=r"sweep\.h5.*No space left"):
+        run_sweep(scene, path)
+    assert len(calls) == limit + 1
+    if limit < EACH:
+        assert not path.exists()  # nothing was in it
+    else:
+        assert np.count_nonzero(SweepResult.load(path)["state"]) == 2
+    monkeypatch.undo()
+    assert_same(run_sweep(scene, tmp_path / "whole.h5"), run_sweep(scene, path))
+
+
+@pytest.mark.parametrize("replaced", [False, True])
+def test_removed_while_it_runs(
+    paper_scene: fc.Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, replaced: bool
+) -> None:
+    """Told at the next write; what has taken its place is left alone."""
+    path, write = tmp_path / "sweep.h5", SweepFile.write
+    written = []
+
+    def removing(self: SweepFile, *given: Any) -> None:
+        write(self, *given)
+        written.append(given)
+        path.unlink()
+        if replaced:
+            path.write_text("another")
+
+    monkeypatch.setattr(SweepFile, "write", removing)
+    with pytest.raises(WriteError, match=r"sweep\.h5.*removed or replaced"):
+        run_sweep(swept(paper_scene, FAST), path)
+    assert len(written) == 1
+    assert [file.read_text() for file in tmp_path.iterdir()] == replaced * ["another"]
+
+
 def test_cases_are_named_by_whole_numbers(paper_scene: fc.Scene, tmp_path: Path) -> None:
     """Nothing is cut off, and nothing is counted from the end."""
     result = run_sweep(swept(paper_scene, FAST), tmp_path / "sweep.h5")
@@ -522,6 +591,7 @@ def test_errors_reach_every_rank(paper_scene: fc.Scene, tmp_path: Path, mpirun: 
     (tmp_path / "b.toml").write_text(swept(paper_scene, RANKS_OVER, ranks=3).as_toml())
     output = mpirun(
         f"""
+import errno
 import sys
 import time
 import fenics_crack as fc
@@ -545,10 +615,23 @@ try:
 except RuntimeError as error:
     foreseen = "KeyError: 'unforeseen'" not in str(error)
     sys.stdout.write(f"ended {{not foreseen}}\\n")
+sweep_case.Cases.solve = whole
+put, written = sweep.SweepFile._put, []
+def full(self, name, *given):
+    written.append(name)
+    if written.count("state") > 1:
+        raise OSError(errno.ENOSPC, "full")
+    put(self, name, *given)
+sweep.SweepFile._put = full
+try:
+    sweep.run_sweep(fc.Scene.load({str(tmp_path / "a.toml")!r}), {str(tmp_path / "full.h5")!r})
+except fc.InputError as error:
+    sys.stdout.write(f"told {{type(error).__name__}} {{error}}\\n")
 """,
         2,
     )
     assert output.count("refused sweep.ranks") == 2 and output.count("ended True") == 2
+    assert output.count("told WriteError") == 2 and output.count("(full)") == 2
     left = SweepResult.load(path)
     assert 0 < np.count_nonzero(left["state"]) < left["state"].size
 
