@@ -173,7 +173,11 @@ def full_disks(arguments: common.Arguments) -> list[str]:
                 told.append(line)
                 wrong += [f"{name} with {share * need / KIB:.0f} KiB: {text}" for text in faults]
             rows.append([name, len(told), need // KIB, len(wrong) - before])
-            print(f"{name}: {'; '.join(sorted(set(told)))}", flush=True)
+            print(
+                f"{name}: {len(wrong) - before} wrong of {len(told)}",
+                *sorted(set(told)),
+                sep="\n  ",
+            )
         disk.close()
     title = "Commands on full disks"
     columns = ["command", "runs", "it needs [KiB]", "wrong"]
