@@ -187,6 +187,30 @@ def test_changed_scene_bytes(tmp_path_factory: pytest.TempPathFactory, seed: int
         check_error(error)
 
 
+@pytest.mark.parametrize("where", ["", "structure.", "sweep.over."])
+def test_a_key_of_many_parts(where: str, tmp_path: Path) -> None:
+    """A nest that can be neither shown nor sent to other ranks is refused in one line."""
+    (tmp_path / "deep.toml").write_text(f"{where}{'.'.join('a' * 5000)} = 1\n")
+    assert check_call(["check", str(tmp_path / "deep.toml")]) == 2
+    nest = f"{{{'.'.join('a' * 5000)} = 1}}"
+    assert check_call(["check", str(DEMOS / "chain.toml"), "--set", f"curve.start={nest}"]) == 2
+
+
+def test_what_nobody_foresaw(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An error of a library that reads a file is one line, and its traceback if it is asked for."""
+
+    def fail(*_: Any) -> None:
+        raise IndexError("of a library\nin two lines")
+
+    monkeypatch.setattr("tomllib.loads", fail)
+    path = str(DEMOS / "chain.toml")
+    code, errors = called(["check", path])
+    assert (code, errors.count("\n")) == (2, 1)
+    assert errors == f"fenics-crack: scene = {path!r}: must be a TOML file (of a library)\n"
+    code, told = called(["check", path, "--verbose"])
+    assert code == 2 and told.startswith("Traceback") and told.endswith(errors)
+
+
 def test_a_path_that_cannot_be() -> None:
     """A name that no file can have is refused like a missing file."""
     with pytest.raises(InputError, match="scene"):

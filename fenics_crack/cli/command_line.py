@@ -86,6 +86,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise
     except InputError as error:
         named = InputError(KEYS.get(error.key, error.key), error.value, error.allowed)
+        if error.__cause__ is not None and given.verbose:
+            traceback.print_exception(error.__cause__)
         print(f"fenics-crack: {named}", file=sys.stderr)
         return Exit.BAD_INPUT
     except ConvergenceError as error:
@@ -164,10 +166,12 @@ def _compute(given: argparse.Namespace, scene: Scene, folder: Path, console: Con
     from fenics_crack.cli import commands  # takes a while to import
 
     if given.command == "modes":
-        check_count("--count", given.count, 1)
+        if given.count is not None:
+            check_count("--count", given.count, 1)
         return commands.modes(scene, given.count, folder, console)
     if given.command == "campbell":
-        return commands.campbell_diagram(scene, given.speeds, given.count, folder, console)
+        count = 6 if given.count is None else given.count
+        return commands.campbell_diagram(scene, given.speeds, count, folder, console)
     if given.command == "identify":
         return commands.identification(scene, given.measurements, given.arrivals, folder, console)
     if given.command == "timing":
@@ -272,7 +276,7 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
         "for the results (default: output/NAME of the scene; for plot, beside the result)",
         {"type": Path, "metavar": "FOLDER"},
     ),
-    "--count": ("how many modes (default: 6)", {"type": int, "default": 6}),
+    "--count": ("how many modes (default: 6, or all of fewer)", {"type": int}),
     "--speeds": (
         "first and last speed, and how many, in rpm where the scene gives rpm, else in rad/s "
         "(default: from 0 to 1.5 times the scene's, 13)",
