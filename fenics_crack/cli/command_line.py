@@ -205,6 +205,14 @@ def _changes(given: Sequence[str]) -> dict[str, Any]:
 
 # --- arguments ------------------------------------------------------------------------------------
 
+
+def path(text: str) -> Path:
+    """A path that can be opened, and written in the files of results; argparse refuses others."""
+    if b"\0" in text.encode("utf-8"):
+        raise ValueError
+    return Path(text)
+
+
 SOLVED = "scene --set --output"
 COMMANDS = {
     "new": ("write a commented scene to start from", "file"),
@@ -242,27 +250,27 @@ COMMANDS = {
 }
 """What each command does, and its own arguments."""
 ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
-    "file": ("the file to write, for example plate.toml", {"type": Path, "metavar": "scene"}),
-    "scene": ("the scene, a TOML file", {"type": Path}),
+    "file": ("the file to write, for example plate.toml", {"type": path, "metavar": "scene"}),
+    "scene": ("the scene, a TOML file", {"type": path}),
     "measurements": (
         "a CSV file with the columns quantity, value, deviation, mode, frequency [Hz], point, "
         "phase [rad]; may be left out with --arrivals",
-        {"type": Path, "nargs": "?"},
+        {"type": path, "nargs": "?"},
     ),
     "--arrivals": (
         "what probes have seen: a CSV file of arrivals (docs/tip_timing.md) or the .h5 file of a "
         "solution; [tip_timing] says how the tip moves past them",
-        {"type": Path, "metavar": "FILE"},
+        {"type": path, "metavar": "FILE"},
     ),
     "source": (
         "what makes the arrivals: the .h5 file of a solution or a curve; or a CSV file of them, "
         "measured or computed (default: the scene, solved)",
-        {"type": Path, "nargs": "?"},
+        {"type": path, "nargs": "?"},
     ),
     "results": (
         "a .h5 file that another command has written, several of one kind to be drawn in one "
         "picture, or a scene",
-        {"type": Path, "nargs": "+", "metavar": "result"},
+        {"type": path, "nargs": "+", "metavar": "result"},
     ),
     "--label": (
         "name of a result among several (default: what differs between their scenes)",
@@ -274,7 +282,7 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "--output": (
         "for the results (default: output/NAME of the scene; for plot, beside the result)",
-        {"type": Path, "metavar": "FOLDER"},
+        {"type": path, "metavar": "FOLDER"},
     ),
     "--count": ("how many modes (default: 6, or all of fewer)", {"type": int}),
     "--speeds": (
@@ -284,7 +292,7 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "--output=FILE": (
         "the .html file (default: report.html beside the first result)",
-        {"type": Path, "metavar": "FILE.html"},
+        {"type": path, "metavar": "FILE.html"},
     ),
     "--show": ("also in a window (a solution; needs a screen)", {"action": "store_true"}),
     "--format": (

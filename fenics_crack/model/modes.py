@@ -27,6 +27,7 @@ from fenics_crack.stages import begin
 from fenics_crack.table import Tabular, counted
 
 __all__ = [
+    "ROUNDING",
     "DampedModes",
     "Modes",
     "by_columns",
