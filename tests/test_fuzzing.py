@@ -23,13 +23,13 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize(("part", "count"), [("inputs", 100), ("structures", 80)])
+@pytest.mark.parametrize(("part", "count"), [("inputs", 44), ("structures", 40)])
 def test_every_input_ends_well(part: str, count: int, base: Path, tmp_path: Path) -> None:
     """With a result, a line about the input, or what did not converge."""
     found = [*fuzzing.attempts(part, range(count), 1, base, tmp_path)]
     assert not [one for one in found if one.wrong]
     counts = Counter(one.outcome for one in found)
-    assert len(found) == count and min(counts["done"], counts["refused"]) > 10
+    assert len(found) == count and min(counts["done"], counts["refused"]) > 4
 
 
 def test_a_case_is_always_the_same(base: Path, tmp_path: Path) -> None:
