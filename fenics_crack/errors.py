@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+import pickle
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from numbers import Integral, Real
+from typing import Any
 
 __all__ = [
     "MAX_SAMPLES",
@@ -18,6 +20,7 @@ __all__ = [
     "check_omega",
     "check_options",
     "check_two_ratios",
+    "reading",
 ]
 
 LONGEST_VALUE = 1000
@@ -48,14 +51,24 @@ class InputError(ValueError):
         self.value = value
         self.allowed = allowed
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For other ranks: what cannot be sent, such as a nest too deep, goes as words."""
+        try:
+            pickle.dumps(value := self.value)
+        except Exception:
+            value = f"({type(self.value).__name__} that cannot be shown)"
+        return InputError, (self.key, value, self.allowed)
+
     def __str__(self) -> str:
         key = self.key if self.key.isprintable() else repr(self.key)
         try:
             value = repr(self.value)
         except (ValueError, RecursionError):  # a number of thousands of digits, or such a nest
             value = f"({type(self.value).__name__} too long to be shown)"
-        if len(value) > LONGEST_VALUE:
-            value = f"{value[:LONGEST_VALUE]}..."
+        key, value = (
+            text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}..."
+            for text in (key, value)
+        )
         text = f"{key} = {value}: must be {self.allowed}"
         return text if text.isprintable() else " ".join(text.split())
 
@@ -79,6 +92,21 @@ class ConvergenceError(RuntimeError):
         super().__init__(message)
         self.history = tuple(history)
         self.found = found
+
+
+@contextlib.contextmanager
+def reading(key: str, path: object, allowed: str) -> Iterator[None]:
+    """Read a file; whatever goes wrong with it is an InputError, which the cause stays with."""
+    try:
+        yield
+    except InputError:
+        raise
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise InputError(key, str(path), f"a readable file ({reason})") from error
+    except Exception as error:  # of whatever reads it
+        reason = next(iter(str(error).splitlines()), "") or type(error).__name__
+        raise InputError(key, str(path), f"{allowed} ({reason})") from error
 
 
 def check_number(key: str, value: object, least: float = -math.inf, *, above: bool = False) -> None:

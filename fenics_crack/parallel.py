@@ -38,9 +38,9 @@ def on_root(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
             result = function()
         except Exception as caught:
             error = caught
-    error = comm.bcast(error)
-    if error is not None:
-        raise error
+    met = comm.bcast(error)
+    if met is not None:
+        raise error or met  # rank 0's own, with its cause
     return comm.bcast(result)
 
 

@@ -6,7 +6,6 @@ The mutations follow from the seeds that hypothesis draws, the same in every run
 from __future__ import annotations
 
 import contextlib
-import io
 import os
 import random
 import signal
@@ -20,13 +19,13 @@ import h5py
 import numpy as np
 import pytest
 import scipy.sparse as sparse
+from fuzzing import MARKET_WORDS, SETTINGS, call, changed_file, changed_text
 from helpers import DEMOS, ROOT
 from hypothesis import HealthCheck, Phase, example, given, settings
 from hypothesis import strategies as st
 
 import fenics_crack as fc
 from fenics_crack import ConvergenceError, InputError, Scene
-from fenics_crack.cli.command_line import main
 from fenics_crack.fem.plate import write_msh
 from fenics_crack.study.run import Run, find_modes, solve
 
@@ -82,55 +81,6 @@ TEXTS = [
     path.read_text(encoding="utf-8")
     for path in [*sorted(DEMOS.glob("*.toml")), ROOT / "fenics_crack" / "cli" / "new_scene.toml"]
 ]
-VALUES = [
-    "0", "-1", "1", "2", "1e300", "-1e300", "1e-300", "1e30", "1e-30", "nan", "-nan", "inf",
-    "-inf", "1e400", str(10**400), "9" * 5000, "0x" + "f" * 5000, str(2**31), str(-(2**31) - 1),
-    str(2**63), '"x"', "''", '"\\u0000"', '"\\U0001F600"', '"\\u007f"', '"\\n"', '"all"', '"file"',
-    "[]", "[1, 2]", "[nan, 1]", "[1e400, 1]", "[true, 1]", "[['a', 1]]", "[[[1]]]",
-    "[" * 3000 + "]" * 3000, "{}", "{a = 1}", "[{a = 1}]", "true", "false", "1979-05-27",
-    "1979-05-27T07:32:00Z", "07:32:00", "24:00:00", "99999-01-01", "2000-13-01", "0x", "1_000_",
-    "{start = 1, stop = 2, count = 3}", "{start = 1, stop = 1e308, count = 3}",
-    "{start = 1e-30, stop = 1e30, count = 3, spacing = 'logarithmic'}",
-    "{start = 1, stop = 2, count = 1000000000000}", "{start = 1, stop = 2, count = [1]}",
-    "{start = 1, stop = 2, count = 3, spacing = []}", "[1, 1.0]",
-]  # fmt: skip
-NAMES = [
-    "a", "crack", "length", "young", "over", "file", "a.b", "''", '"a\\nb"', '"\\u0000"',
-    '"\\u007f"', '"excitation.omega"', "'mesh.file'", "'crack.edge'", "[mesh]", "[[crack]]",
-]  # fmt: skip
-LETTERS = [*"[]{}=\"'\\#.,\n\r\t\0 0-+e_\x7f\x80\u2028", "\U0001f600", '"""']
-
-
-def changed_text(text: str, rng: random.Random) -> str:
-    """Text with a few mutations of its letters, lines, keys and values."""
-    for _ in range(rng.choice([1, 1, 1, 2, 3, 8])):
-        lines, at = text.split("\n"), rng.randrange(len(text) + 1)
-        given_keys = [i for i, line in enumerate(lines) if "=" in line and line[0] != "#"]
-        remarks = [i for i, line in enumerate(lines) if line[:2] == "# " and "=" in line]
-        kind = rng.randrange(8)
-        if kind == 0:
-            text = text[:at] + text[at + rng.randint(1, 3) :]
-        elif kind == 1:
-            text = text[:at] + rng.choice(LETTERS) + text[at:]
-        elif kind == 2:
-            text = text[:at] + text[at : at + 2][::-1] + text[at + 2 :]
-        elif kind == 3:
-            lines.pop(rng.randrange(len(lines)))
-            text = "\n".join(lines)
-        elif kind == 4:
-            lines.insert(rng.randrange(len(lines)), rng.choice(lines))
-            text = "\n".join(lines)
-        elif kind == 5 and remarks:
-            line = rng.choice(remarks)
-            lines[line] = lines[line][2:]
-            text = "\n".join(lines)
-        elif kind > 5 and given_keys:
-            line = rng.choice(given_keys)
-            key, _, value = lines[line].partition("=")
-            pair = (rng.choice(NAMES), value) if kind == 6 else (key, rng.choice(VALUES))
-            lines[line] = " = ".join(pair)
-            text = "\n".join(lines)
-    return text
 
 
 def loads_or_refuses(text: str) -> None:
@@ -185,6 +135,30 @@ def test_changed_scene_bytes(tmp_path_factory: pytest.TempPathFactory, seed: int
         assert isinstance(Scene.load(path), Scene)
     except InputError as error:
         check_error(error)
+
+
+@pytest.mark.parametrize("where", ["", "structure.", "sweep.over."])
+def test_a_key_of_many_parts(where: str, tmp_path: Path) -> None:
+    """A nest that can be neither shown nor sent to other ranks is refused in one line."""
+    (tmp_path / "deep.toml").write_text(f"{where}{'.'.join('a' * 5000)} = 1\n")
+    assert check_call(["check", str(tmp_path / "deep.toml")]) == 2
+    nest = f"{{{'.'.join('a' * 5000)} = 1}}"
+    assert check_call(["check", str(DEMOS / "chain.toml"), "--set", f"curve.start={nest}"]) == 2
+
+
+def test_what_nobody_foresaw(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An error of a library that reads a file is one line, and its traceback if it is asked for."""
+
+    def fail(*_: Any) -> None:
+        raise IndexError("of a library\nin two lines")
+
+    monkeypatch.setattr("tomllib.loads", fail)
+    path = str(DEMOS / "chain.toml")
+    code, errors = call(["check", path])
+    assert (code, errors.count("\n")) == (2, 1)
+    assert errors == f"fenics-crack: scene = {path!r}: must be a TOML file (of a library)\n"
+    code, told = call(["check", path, "--verbose"])
+    assert code == 2 and told.startswith("Traceback") and told.endswith(errors)
 
 
 def test_a_path_that_cannot_be() -> None:
@@ -336,35 +310,6 @@ def test_a_crack_tip_too_fine() -> None:
 
 # --- mesh files -----------------------------------------------------------------------------------
 
-WORDS = [
-    b"0", b"-1", b"1", b"2", b"3", b"7", b"99", b"-5", b"15", b"16", b"100", b"1000000000000",
-    b"2147483648", b"nan", b"inf", b"1e300", b"x", b'"load"', b'"clamp"', b"$EndNodes",
-]  # fmt: skip
-
-
-def changed_file(content: bytes, rng: random.Random) -> bytes:
-    """A file with a few mutations of its bytes, lines and words."""
-    for _ in range(rng.choice([1, 1, 1, 2, 4])):
-        lines, at = content.split(b"\n"), rng.randrange(len(content) + 1)
-        line, kind = rng.randrange(len(lines)), rng.randrange(7)
-        if kind == 0:
-            content = content[:at] + content[at + rng.randint(1, 4) :]
-        elif kind == 1:
-            content = content[:at] + bytes([rng.randrange(256)]) + content[at + rng.randrange(2) :]
-        elif kind == 2 and rng.random() < 0.2:
-            content = content[:at]
-        else:
-            words = lines[line].split()
-            if kind == 3:
-                lines.pop(line)
-            elif kind == 4:
-                lines.insert(rng.randrange(len(lines)), lines[line])
-            elif words:
-                words[rng.randrange(len(words))] = rng.choice(WORDS)
-                lines[line] = b" ".join(words)
-            content = b"\n".join(lines)
-    return content
-
 
 def scene_of_file(path: Path) -> Scene:
     """The tiny plate with its mesh from a file."""
@@ -433,12 +378,6 @@ MATRICES = {
     "damping": "array real symmetric\n3 3\n0.1\n0\n0\n0.1\n0\n0.1\n",
     "force_sin": "array real general\n3 1\n1.0\n0.0\n0.0\n",
 }
-MARKET_WORDS = [
-    b"0", b"-1", b"1", b"2", b"4", b"1000000000000", b"9223372036854775808", b"9" * 23, b"nan",
-    b"inf", b"-inf", b"1e400", b"1e300", b"1e-300", b"x", b"1.5", b"complex", b"pattern",
-    b"hermitian", b"skew-symmetric", b"integer", b"array", b"coordinate", b"vector", b"symmetric",
-    b"general", b"%%MatrixMarket", b"unsigned-integer",
-]  # fmt: skip
 
 
 def balance_or_refuse(arguments: dict[str, Any], options: dict[str, Any]) -> None:
@@ -556,21 +495,10 @@ def test_odd_arguments(seed: int) -> None:
 # --- the program ----------------------------------------------------------------------------------
 
 
-def called(arguments: list[str]) -> tuple[int, str]:
-    """Exit code and standard error of the program."""
-    errors = io.StringIO()
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(errors):
-        try:
-            code = main(arguments)
-        except SystemExit as ending:  # argparse
-            code = int(ending.code or 0)
-    return code, errors.getvalue()
-
-
 def check_call(arguments: list[str]) -> int:
     """Call the program; it ends with 0, 2 or 3, and with one line about an error."""
     with time_limit(), np.errstate(all="ignore"):
-        code, errors = called(arguments)
+        code, errors = call(arguments)
     assert code in (0, 2, 3), f"{code}: {errors}"
     assert "Traceback" not in errors
     if code == 2 and "usage: " not in errors:
@@ -615,35 +543,6 @@ def test_wild_scenes_through_the_program(folder: Path, seed: int) -> None:
     check_call(
         [command, str(path), "--output", str(folder / "wild")][: 2 if command == "check" else 4]
     )
-
-
-SETTINGS = [
-    "", "=", "a", "a=", "=1", "a=1", "crack=none", "contact=none", "crack=1", "mesh.columns=4",
-    "mesh.columns=1e9", "mesh.rows=3", "mesh.rows=[", "crack.length=0.03", "crack.length=nan",
-    "crack.length='", "crack.edge=right", "crack.edge=top", "material.young=" + "9" * 5000,
-    "material.young=" + "[" * 2000, "material.poisson=0.4999999", "damping.ratio=[0.1,0.2]",
-    "damping.ratio=0", "damping.modes=2", "damping.modes=1000", "damping.ratio=none",
-    "damping.mass=10", "damping.stiffness=1e-6", "damping.stiffness=1", "excitation.omega=-1",
-    "excitation.omega=3000", "excitation.point=[0,0]", "excitation.force_sin=[0,0]",
-    "contact.law=unilateral", "contact.stiffness=none", "contact.stiffness=1e30",
-    "contact.stiffness_per_area=1e9", "contact.sharpness=1e6", "contact.law=smoothed",
-    "contact.pairs=mouth", "harmonic_balance.harmonics=1", "harmonic_balance.harmonics=100000000",
-    "harmonic_balance.samples=13", "harmonic_balance.samples=2000000000", "reduction.modes=2",
-    "reduction.modes=100", "reduction.method=off", "reduction.method=craig_bampton", "curve=none",
-    "curve.parameter=load", "curve.parameter=clearance", "curve.parameter=damping",
-    "curve.start=0", "curve.stop=0", "curve.stop=2000", "curve.stability=false",
-    "integration.method=events", "integration.method=implicit", "integration.method=euler",
-    "integration.method=exponential", "reduction.method=massless",
-    "integration.steps_per_period=1", "integration.steps_per_period=100", "integration.settle=none",
-    "sweep.over={}", "sweep.over={'crack.length'=[1]}", "mesh.file=a.msh", "mesh.layout=file",
-    "crack.first_omega=2000", "crack.clearance=1e-6", "crack.clearance=-1e-6", "\ud800=1",
-    "excitation.frequency=300", "curve.parameter=frequency", "loads.1.edge=top",
-    "loads.1.pressure_sin=1", "loads.1.point=[0.05,0.1]", "loads.2.force_cos=[1,0]", "loads=none",
-    "base.acceleration_sin=[1,0]", "base.displacement_cos=[1e-6,0]", "structure.mass=a",
-    "structure.stiffness=b", "structure.force_sin=c", "reduction=off",
-    "harmonic_balance.tolerance=0.1", "excitation.point=none",
-    "mesh.file=\udcff", "crack.edge=a\nb", "geometry.width=1e-7", "geometry.thickness=none",
-]  # fmt: skip
 
 
 @pytest.mark.slow

@@ -231,7 +231,7 @@ TABLE = [
     ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1] tip_timing.order=2 tip_timing.revolutions=100000000", "tip_timing.revolutions = 100000000: must be fewer: 1e+07 passages at most"),
     ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1] tip_timing.order=2 tip_timing.clock=1", "tip_timing.clock = 1.0: must be less than a revolution takes, "),
     ("timing scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1] tip_timing.order=2 tip_timing.noise=20", "tip_timing.noise = 20.0: must be less than a revolution takes, "),
-    ("timing scene.toml missing.csv tip_timing.tip_radius=1 tip_timing.probes=[1]", "path = 'missing.csv': must be a file that can be read ("),
+    ("timing scene.toml missing.csv tip_timing.tip_radius=1 tip_timing.probes=[1]", "path = 'missing.csv': must be a readable file (No such file or directory)"),
     ("timing scene.toml missing.h5 tip_timing.tip_radius=1 tip_timing.probes=[1]", "path = 'missing.h5': must be a file that exists"),
     ("timing scene.toml scene.toml tip_timing.tip_radius=1 tip_timing.probes=[1]", "path = 'scene.toml': must be a file with the column 'revolution'"),
     ("integrate scene.toml integration.steps_per_period=1", "integration.steps_per_period = 1: must be >= "),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,14 @@ from helpers import ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fenics_crack.balance.active_sets import contact_intervals
+from fenics_crack.balance.compiled import CompiledSystem
+from fenics_crack.balance.condensed import respond, respond_to_columns
+from fenics_crack.balance.contact_integrals import ExactIntegrals, closed_means
+from fenics_crack.kernel import doubles, ints, shaped, signs
 from fenics_crack.model.complementarity import solve_complementarity
+from fenics_crack.model.contact import UnilateralPenalty
+from fenics_crack.model.coupled import ActiveSets
 
 CHECKED = "CHECKED_KERNEL"
 """Environment variable, set in a run with a kernel that checks its addresses."""
@@ -50,6 +58,59 @@ def test_complementarity(pairs: int, seed: int, guessed: bool) -> None:
     assert force.min() >= 0.0
     assert opening.min() >= -1e-9 * np.abs(gap).max()
     assert np.abs(force * opening).max() <= 1e-9 * np.abs(gap).max() * max(1.0, force.max())
+
+
+TWO = ActiveSets(np.eye(2))
+SYSTEM = CompiledSystem(np.ones(2), np.zeros((3, 2)), np.zeros((2, 2, 2), complex))
+WRONG = {
+    "complementarity, a matrix too small": lambda: solve_complementarity(np.eye(2), np.ones(3)),
+    "complementarity, a guess too short": lambda: solve_complementarity(
+        np.eye(3), np.ones(3), np.ones(2, bool)
+    ),
+    "complementarity, gaps in rows": lambda: solve_complementarity(np.eye(3), np.ones((3, 2))),
+    "closed means, an even number of rows": lambda: closed_means(np.ones((4, 2)), 3),
+    "contact integrals, too few rows": lambda: ExactIntegrals(UnilateralPenalty(1.0), 3).force(
+        np.ones((5, 2))
+    ),
+    "intervals, an even number of rows": lambda: contact_intervals(np.ones((4, 2)), TWO),
+    "intervals, other pairs": lambda: contact_intervals(np.ones((3, 5)), TWO),
+    "sets, a compliance not square": lambda: ActiveSets(np.ones((3, 2))),
+    "sets, other pairs": lambda: TWO.solve(np.ones((4, 3))),
+    "sets, a guess too short": lambda: TWO.solve(np.ones((4, 2)), np.ones((3, 2), bool)),
+    "inverses, other pairs": lambda: TWO.stack(np.ones((4, 3), bool)),
+    "changes, other pairs": lambda: TWO.changes(np.ones((4, 1), bool)),
+    "responses, other pairs": lambda: respond(np.ones((2, 3, 3)), np.ones((3, 2))),
+    "responses, an even number of rows": lambda: respond(np.ones((3, 2, 2)), np.ones((4, 2))),
+    "columns, an even number of rows": lambda: respond_to_columns(
+        np.ones((3, 2, 2)), np.ones((2, 4, 5))
+    ),
+    "system, fewer stiffnesses": lambda: CompiledSystem(
+        np.ones(1), np.zeros((3, 2)), np.zeros((2, 2, 2), complex)
+    ),
+    "system, another point": lambda: SYSTEM.linearise(np.ones((5, 2)), 1.0),
+    "system, another right side": lambda: SYSTEM.linearise(np.ones((3, 2)), 1.0).solve(np.ones(4)),
+    "doubles of whole numbers": lambda: doubles(np.ones(3, int)),
+    "doubles with gaps": lambda: doubles(np.ones((4, 4))[:, 1]),
+    "doubles of the other order of bytes": lambda: doubles(np.ones(3, ">f8")),
+    "ints of long ones": lambda: ints(np.ones(3, np.int64)),
+    "signs of doubles": lambda: signs(np.ones(3)),
+    "another shape": lambda: shaped(np.ones((3, 2)), 3, 3),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("call", WRONG.values(), ids=WRONG.keys())
+def test_wrong_shapes_are_refused(call: Callable[[], object]) -> None:
+    """Nothing is read beyond an array; also where Python leaves out what is asserted (-O)."""
+    with pytest.raises(ValueError, match=r"instead of|contiguous"):
+        call()
+
+
+def test_shapes_that_fit_are_not_copied() -> None:
+    """But where the kind or the order is another."""
+    array = np.ones((3, 2))
+    assert shaped(array, 3, 2) is array
+    assert shaped(array.T, 2, 3).flags.c_contiguous
+    assert shaped(array, 3, 2, kind=complex).dtype == complex
 
 
 def test_with_checks_of_addresses(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from typing import Any, Self
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from fenics_crack.errors import InputError, check_count, check_number
+from fenics_crack.errors import InputError, check_count, check_number, reading
 from fenics_crack.outside import text_of
 from fenics_crack.table import Tabular, counted
 
@@ -204,7 +204,7 @@ def _one_radius(path: str | Path, of_file: np.ndarray | None, given: float | Non
 
 def _columns(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
     """The columns of a file that are needed: (5, rows), and the radii (rows,) if it has them."""
-    try:
+    with reading("path", path, "a table of numbers"):
         with io.StringIO(text_of(path)) as file:
             names = [name.strip() for name in next(csv.reader(file), [])]
             for name in COLUMNS:
@@ -214,15 +214,8 @@ def _columns(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
                     raise InputError("path", str(path), allowed)
             wanted = [*COLUMNS, *([RADIUS] if RADIUS in names else [])]
             places = [names.index(name) for name in wanted]
-            lines = file.readlines()
+            lines = [line for line in file if line.strip()]
         rows = np.genfromtxt(lines, delimiter=",", usecols=places, ndmin=2) if lines else None
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError("path", str(path), f"a file that can be read ({error})") from None
-    except ValueError as error:
-        if isinstance(error, InputError):
-            raise
-        allowed = f"a table of numbers ({str(error).splitlines()[0]})"
-        raise InputError("path", str(path), allowed) from None
     if rows is None or not np.all(np.isfinite(rows[:, :4])) or np.any(rows[:, 0] % 1.0):
         allowed = "a file whose rows have finite numbers but for the arrival, and whole revolutions"
         raise InputError("path", str(path), allowed)

@@ -18,7 +18,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.kernel import Struct, kernel
+from fenics_crack.kernel import Struct, kernel, shaped
 from fenics_crack.model.coupled import ROUNDING, ActiveSets
 
 __all__ = ["Intervals", "contact_intervals"]
@@ -78,10 +78,10 @@ def contact_intervals(gap: np.ndarray, contact: ActiveSets) -> Intervals:
 
     Raises ConvergenceError where an instant has no forces.
     """
-    columns, pairs = gap.shape
+    columns, pairs = len(gap), len(contact.compliance)
+    gap = shaped(gap, 2 * (columns // 2) + 1, pairs)
     most = max(CELLS * (columns // 2 + 1), CELLS_OF_PAIR * pairs)
     count = 1 << (most - 1).bit_length()
-    gap = np.ascontiguousarray(gap, dtype=float)
     first, stiffness = np.empty(pairs, dtype=bool), np.empty((pairs, pairs))
     table = Struct(
         "pivot_table", pairs=pairs, columns=columns, d=contact.compliance, gaps=gap,

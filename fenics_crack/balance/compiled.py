@@ -33,7 +33,7 @@ from fenics_crack.balance.bordered import (
 )
 from fenics_crack.balance.linearisation import Linearisation
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.kernel import NULL, Struct, doubles, ints, kernel, owned
+from fenics_crack.kernel import NULL, Struct, doubles, ints, kernel, owned, shaped
 
 __all__ = ["CompiledPaths", "CompiledSystem", "ModalPart", "Stretch"]
 
@@ -91,8 +91,7 @@ class CompiledPaths(ABC):
         """As :func:`fenics_crack.balance.bordered.solve_in_plane`."""
         found, place, taken = np.empty(self.shape), np.empty(1), np.zeros(1, np.intc)
         flat = plane or Tangent(np.zeros(self.shape), 1.0, 0.0)
-        assert unknown.shape == flat.x.shape == self.shape
-        across = doubles(np.ascontiguousarray(flat.x))
+        across = doubles(shaped(flat.x, *self.shape))
         self._last = None
         outcome = kernel.NEW_SET
         while outcome == kernel.NEW_SET:
@@ -198,17 +197,18 @@ class CompiledSystem(CompiledPaths):
             "compliance": (rows // 2 + 1, pairs, pairs), "load": (rows // 2 + 1, modes),
             "squares": (modes,), "rates": (modes,), "linear": (rows, pairs),
         }  # fmt: skip
-        for name, array in reals.items():
-            assert array.shape == shapes[name], name
-        self._kept = {name: np.ascontiguousarray(array) for name, array in reals.items()}
+        complexes = ("compliance", "load")
+        self._kept = {
+            name: shaped(array, *shapes[name], kind=complex if name in complexes else float)
+            for name, array in reals.items()
+        }
         equations = Struct("condensed", harmonics=rows // 2, pairs=pairs, **numbers, **self._kept)
         self._point = owned(kernel.new_point(equations.at), kernel.free_point)
         self._equations = kernel.equations_of(self._point)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
         """The equations at a point."""
-        assert unknown.shape == self.shape
-        return CompiledPoint(self, np.ascontiguousarray(unknown, dtype=float), parameter)
+        return CompiledPoint(self, shaped(unknown, *self.shape), parameter)
 
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
         """Inner product."""
@@ -317,8 +317,9 @@ class CompiledPoint(Linearisation):
         return found
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        found = np.array(right, dtype=float)
-        assert found.size == self.unknown.size
+        found = np.array(right, dtype=float, order="C")
+        if found.size != self.unknown.size:
+            raise ValueError(f"{found.size} numbers instead of {self.unknown.size}")
         at = self.system.evaluated(self)
         at.solve(at, doubles(found))
         return found

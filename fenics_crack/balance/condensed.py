@@ -30,7 +30,7 @@ from fenics_crack.balance.contact_integrals import ContactIntegrals, ExactIntegr
 from fenics_crack.balance.linearisation import DenseLinearisation, factored, solve_factored
 from fenics_crack.balance.rounding import stiffness_times_compliance
 from fenics_crack.errors import InputError
-from fenics_crack.kernel import doubles, ints, kernel
+from fenics_crack.kernel import doubles, ints, kernel, shaped
 from fenics_crack.model.contact import UnilateralPenalty
 
 __all__ = [
@@ -57,12 +57,9 @@ share its factors."""
 def respond(matrices: np.ndarray, force: np.ndarray) -> np.ndarray:
     """R lambda of coefficients (2H+1, n_pairs)."""
     rows, pairs = force.shape
-    assert matrices.shape == (rows // 2 + 1, pairs, pairs)
-    found = np.empty((rows, pairs))
-    kernel.respond(
-        rows // 2, pairs, doubles(np.ascontiguousarray(matrices, dtype=complex)),
-        doubles(np.ascontiguousarray(force)), doubles(found),
-    )  # fmt: skip
+    matrices = shaped(matrices, rows // 2 + 1, pairs, pairs, kind=complex)
+    force, found = shaped(force, 2 * (rows // 2) + 1, pairs), np.empty((rows, pairs))
+    kernel.respond(rows // 2, pairs, doubles(matrices), doubles(force), doubles(found))
     return found
 
 
@@ -74,9 +71,9 @@ def respond_to_columns(matrices: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     [[Re R_k, Im R_k], [-Im R_k, Re R_k]] on (a, b).
     """
     *points, pairs, rows, columns = tangent.shape
-    assert matrices.shape[-3:] == (rows // 2 + 1, pairs, pairs)
-    matrices = np.ascontiguousarray(np.broadcast_to(matrices, (*points, *matrices.shape[-3:])))
-    tangent = np.ascontiguousarray(tangent)
+    of_each = (*points, rows // 2 + 1, pairs, pairs)
+    matrices = shaped(np.broadcast_to(matrices, of_each), *of_each, kind=complex)
+    tangent = shaped(tangent, *points, pairs, 2 * (rows // 2) + 1, columns)
     product = np.empty((*points, rows * pairs, columns * pairs))
     for at in np.ndindex(*points):
         kernel.respond_to_columns(
@@ -299,10 +296,11 @@ class _LowRank:
 
     def __init__(self, tangent: np.ndarray, tolerance: float = 0.0) -> None:
         pairs, count, _ = tangent.shape
+        tangent = shaped(tangent, pairs, 2 * (count // 2) + 1, count)
         self._ranks, room = np.zeros(pairs, np.intc), np.empty((pairs + 1, count, count))
         least = max(tolerance, count * float(np.finfo(float).eps))
         rank = kernel.tangent_rows(
-            count // 2, pairs, doubles(np.ascontiguousarray(tangent)), least,
+            count // 2, pairs, doubles(tangent), least,
             count * max(least, 1e-12), ints(self._ranks), doubles(room[:pairs]),
             doubles(room[pairs]),
         )  # fmt: skip
@@ -315,9 +313,10 @@ class _LowRank:
         if not len(self._rows):
             return np.eye(1)
         columns, found = np.ascontiguousarray(self._rows.T), np.empty((len(self._rows),) * 2)
+        of_each = (len(columns) // 2 + 1, len(self._ranks), len(self._ranks))
         kernel.small_matrix(
             len(columns) // 2, len(self._ranks), ints(self._ranks), doubles(self._rows),
-            doubles(columns), doubles(np.ascontiguousarray(matrices)),
+            doubles(columns), doubles(shaped(matrices, *of_each, kind=complex)),
             doubles(np.empty_like(columns)), doubles(found),
         )  # fmt: skip
         return found

@@ -28,7 +28,7 @@ import numpy as np
 
 from fenics_crack.balance.fourier import balanced, sampled
 from fenics_crack.balance.switching import grid_waves
-from fenics_crack.kernel import doubles, kernel
+from fenics_crack.kernel import doubles, kernel, shaped
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear
 
 __all__ = [
@@ -140,8 +140,7 @@ class ExactIntegrals(ContactIntegrals):
 
     def linearise(self, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         rows, pairs = gap.shape
-        assert rows == 2 * self.harmonics + 1
-        gap = np.ascontiguousarray(gap, dtype=float)
+        gap = shaped(gap, 2 * self.harmonics + 1, pairs)
         stiffness = np.empty(pairs)
         stiffness[:] = self.law.stiffness
         force, tangent = np.empty((rows, pairs)), np.empty((pairs, rows, rows))
@@ -161,8 +160,8 @@ class ExactIntegrals(ContactIntegrals):
 def closed_means(gap: np.ndarray, highest: int) -> np.ndarray:
     """Means of exp(i m theta) over the closed part of the period, of gaps (2H+1, n_pairs):
     (n_pairs, highest + 1)."""
-    gap = np.ascontiguousarray(gap, dtype=float)
     harmonics, pairs = len(gap) // 2, gap.shape[1]
+    gap = shaped(gap, 2 * harmonics + 1, pairs)
     means = np.empty((pairs, highest + 1), dtype=complex)
     waves = doubles(grid_waves(harmonics))
     if kernel.closed_means(harmonics, pairs, doubles(gap), waves, highest, doubles(means)):

@@ -19,7 +19,7 @@ from fenics_crack.balance.compiled import CompiledPaths
 from fenics_crack.balance.orbits import INSTANTS, OrbitPoint, Orbits, recurrences
 from fenics_crack.balance.problem import Problem
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.kernel import Struct, doubles, kernel, owned
+from fenics_crack.kernel import Struct, doubles, kernel, owned, shaped
 from fenics_crack.model.contact import is_piecewise_linear
 from fenics_crack.model.exact_flow import LONGEST_SEARCH, MAX_EVENTS, EventFlow
 from fenics_crack.model.modal import is_small
@@ -130,8 +130,7 @@ class _CompiledOrbits(CompiledPaths):
         return found
 
     def _evaluate(self, unknown: np.ndarray, parameter: float) -> None:
-        assert unknown.shape == self.shape
-        given, outcome = doubles(np.ascontiguousarray(unknown, dtype=float)), kernel.NEW_SET
+        given, outcome = doubles(shaped(unknown, *self.shape)), kernel.NEW_SET
         while outcome == kernel.NEW_SET:
             outcome = self._equations.evaluate(self._equations, given, parameter)
             self._check(outcome)

@@ -85,8 +85,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _say("standard output is closed")
         return Exit.FAULT
     try:
-        return _run(_read(arguments))
+        given = _read(arguments)
+        return _run(given)
     except InputError as error:
+        if error.__cause__ is not None and given.verbose:
+            traceback.print_exception(error.__cause__)
         _say(str(type(error)(KEYS.get(error.key, error.key), error.value, error.allowed)))
         return Exit.FAULT if isinstance(error, WriteError) else Exit.BAD_INPUT
     except ConvergenceError as error:
@@ -218,10 +221,12 @@ def _compute(given: argparse.Namespace, scene: Scene, folder: Path, console: Con
     from fenics_crack.cli import commands  # takes a while to import
 
     if given.command == "modes":
-        check_count("--count", given.count, 1)
+        if given.count is not None:
+            check_count("--count", given.count, 1)
         return commands.modes(scene, given.count, folder, console)
     if given.command == "campbell":
-        return commands.campbell_diagram(scene, given.speeds, given.count, folder, console)
+        count = 6 if given.count is None else given.count
+        return commands.campbell_diagram(scene, given.speeds, count, folder, console)
     if given.command == "identify":
         return commands.identification(scene, given.measurements, given.arrivals, folder, console)
     if given.command == "timing":
@@ -254,6 +259,14 @@ def _changes(given: Sequence[str]) -> dict[str, Any]:
 
 
 # --- arguments ------------------------------------------------------------------------------------
+
+
+def path(text: str) -> Path:
+    """A path that can be opened, and written in the files of results; argparse refuses others."""
+    if b"\0" in text.encode("utf-8"):
+        raise ValueError
+    return Path(text)
+
 
 SOLVED = "scene --set --output"
 COMMANDS = {
@@ -292,27 +305,27 @@ COMMANDS = {
 }
 """What each command does, and its own arguments."""
 ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
-    "file": ("the file to write, for example plate.toml", {"type": Path, "metavar": "scene"}),
-    "scene": ("the scene, a TOML file", {"type": Path}),
+    "file": ("the file to write, for example plate.toml", {"type": path, "metavar": "scene"}),
+    "scene": ("the scene, a TOML file", {"type": path}),
     "measurements": (
         "a CSV file with the columns quantity, value, deviation, mode, frequency [Hz], point, "
         "phase [rad]; may be left out with --arrivals",
-        {"type": Path, "nargs": "?"},
+        {"type": path, "nargs": "?"},
     ),
     "--arrivals": (
         "what probes have seen: a CSV file of arrivals (docs/tip_timing.md) or the .h5 file of a "
         "solution; [tip_timing] says how the tip moves past them",
-        {"type": Path, "metavar": "FILE"},
+        {"type": path, "metavar": "FILE"},
     ),
     "source": (
         "what makes the arrivals: the .h5 file of a solution or a curve; or a CSV file of them, "
         "measured or computed (default: the scene, solved)",
-        {"type": Path, "nargs": "?"},
+        {"type": path, "nargs": "?"},
     ),
     "results": (
         "a .h5 file that another command has written, several of one kind to be drawn in one "
         "picture, or a scene",
-        {"type": Path, "nargs": "+", "metavar": "result"},
+        {"type": path, "nargs": "+", "metavar": "result"},
     ),
     "--label": (
         "name of a result among several (default: what differs between their scenes)",
@@ -324,9 +337,9 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "--output": (
         "for the results (default: output/NAME of the scene; for plot, beside the result)",
-        {"type": Path, "metavar": "FOLDER"},
+        {"type": path, "metavar": "FOLDER"},
     ),
-    "--count": ("how many modes (default: 6)", {"type": int, "default": 6}),
+    "--count": ("how many modes (default: 6, or all of fewer)", {"type": int}),
     "--speeds": (
         "first and last speed, and how many, in rpm where the scene gives rpm, else in rad/s "
         "(default: from 0 to 1.5 times the scene's, 13)",
@@ -334,7 +347,7 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "--output=FILE": (
         "the .html file (default: report.html beside the first result)",
-        {"type": Path, "metavar": "FILE.html"},
+        {"type": path, "metavar": "FILE.html"},
     ),
     "--show": ("also in a window (a solution; needs a screen)", {"action": "store_true"}),
     "--format": (

@@ -51,7 +51,7 @@ __all__ = [
 MOST_SPEEDS = 10_000
 
 
-def modes(scene: Scene, count: int, folder: Path, console: Console) -> Exit:
+def modes(scene: Scene, count: int | None, folder: Path, console: Console) -> Exit:
     """Natural frequencies and mode shapes with the crack open."""
     with console.stage("modes"):
         run = find_modes(scene, count, console.comm)

@@ -79,7 +79,8 @@ def of_stability(scene: Scene, run: Run, stability: Stability | None) -> Iterato
     if stability.verdict == "undecided":
         if scene.harmonic_balance.tolerance is None:
             hints.append("more harmonics")
-        if not (scene.damping.of_all_modes or damped_range(run.structure) is None):
+        table = scene.damping  # None: a matrix, which damps all modes or not
+        if table and not (table.of_all_modes or damped_range(run.structure) is None):
             hints.append("damping of all modes (damping.modes = 'all')")
     yield text + (f"; {' or '.join(hints)} may decide it" if hints else "")
 

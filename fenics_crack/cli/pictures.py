@@ -19,6 +19,8 @@ from fenics_crack.draw.plot import Wave, draw_contact_map, draw_waves
 from fenics_crack.draw.plot_curve import draw_content, draw_curve, draw_multipliers
 from fenics_crack.draw.plot_mesh import draw_mesh, draw_modes
 from fenics_crack.draw.plot_motion import draw_orbits, draw_spectrum
+from fenics_crack.errors import InputError
+from fenics_crack.files.results import Result
 from fenics_crack.model.modes import Modes
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import prepare
@@ -38,12 +40,15 @@ def draw_run(run: Run, folder: Path, *, show: bool = False, paraview: bool = Tru
     found = run.result
     if show:
         show_period(found, material=run.scene.material)
-    draw: dict[type, Callable[..., list[Path]]] = {
+    draw: dict[type[Result], Callable[..., list[Path]]] = {
         Modes: _modes,
         PeriodicSolution: _solution,
         ResponseCurve: _curve,
         TimeHistory: _history,
     }
+    if type(found) not in draw:
+        allowed = f"a result that is drawn: {', '.join(kind.KIND for kind in draw)}"
+        raise InputError("result", found.KIND, allowed)
     files = draw[type(found)](run, found, folder)
     return files + _for_paraview(run, folder) if paraview else files
 

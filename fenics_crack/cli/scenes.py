@@ -89,6 +89,8 @@ def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:
     lips = {", lips open": figures.omega_open, ", lips tied": figures.omega_tied}
     if figures.elements is None:
         lips = {"": figures.omega_open}
+    lips = {words: natural[np.isfinite(natural)] for words, natural in lips.items()}
+    lips = {words: natural for words, natural in lips.items() if len(natural)}
     rows: dict[str, object] = {}
     for words, natural in lips.items():
         rows[f"first natural frequency{words} [Hz]"] = float(natural[0]) / TURN
@@ -101,7 +103,8 @@ def _frequencies(scene: Scene, figures: KeyFigures) -> dict[str, object]:
     rows["load's frequency [Hz]"] = omega / TURN
     rows["load's frequency [rad/s]"] = omega
     for words, natural in lips.items():
-        rows[f"load's frequency / the first{words}"] = omega / max(float(natural[0]), 1e-300)
+        if natural[0] > 0.0:
+            rows[f"load's frequency / the first{words}"] = omega / float(natural[0])
     return rows
 
 

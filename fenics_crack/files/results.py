@@ -186,7 +186,7 @@ def check_gap(
     closing = structure.apply_bt(displacement)
     size = np.linalg.norm(closing)
     closing[0] -= structure.clearance
-    if np.linalg.norm(closing - gap) > tolerance * size:
+    if not np.linalg.norm(closing - gap) <= tolerance * size:  # nan neither
         raise InputError("structure", "another load, mesh or material", "that of the file")
 
 
@@ -298,10 +298,31 @@ def _take_law(parts: Parts, contact: Law) -> None:
 
 Pack = Callable[[Any], Parts]
 Unpack = Callable[[Parts, Structure, Law], Result]
+
+
+def _checked(kind: type[Result], unpack: Unpack) -> Unpack:
+    """What unpacks datasets, once each is an array, or none, as the result's field says, and of
+    complex numbers only multipliers; raises ValueError."""
+    kinds = {field.name: str(field.type) for field in fields(kind)}
+
+    def checked(parts: Parts, structure: Structure, contact: Law) -> Result:
+        for name, value in parts.items():
+            if name not in kinds or name == "final_state":
+                continue
+            several = isinstance(value, np.ndarray)
+            allowed = "bifuc" if name == "multipliers" else "bifu"
+            numbers = not several or value.dtype.kind in allowed
+            if several != ("np.ndarray" in kinds[name]) or not numbers:
+                raise ValueError(f"its {name} does not fit")
+        return unpack(parts, structure, contact)
+
+    return checked
+
+
 _FORMS: dict[type[Result], tuple[Pack, Unpack]] = {
-    Modes: (pack_modes, unpack_modes),
-    PeriodicSolution: (_pack_solution, _unpack_solution),
-    ResponseCurve: (_pack_curve, _unpack_curve),
-    Backbone: (_pack_backbone, _unpack_backbone),
-    TimeHistory: (_pack_history, _unpack_history),
+    Modes: (pack_modes, _checked(Modes, unpack_modes)),
+    PeriodicSolution: (_pack_solution, _checked(PeriodicSolution, _unpack_solution)),
+    ResponseCurve: (_pack_curve, _checked(ResponseCurve, _unpack_curve)),
+    Backbone: (_pack_backbone, _checked(Backbone, _unpack_backbone)),
+    TimeHistory: (_pack_history, _checked(TimeHistory, _unpack_history)),
 }

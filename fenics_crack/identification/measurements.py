@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
-from fenics_crack.errors import InputError, check_count, check_number
+from fenics_crack.errors import InputError, check_count, check_number, reading
 from fenics_crack.model.bilinear import FEW
 from fenics_crack.outside import text_of
+from fenics_crack.scene.fields import LARGEST, OR_ZERO, SMALLEST
 from fenics_crack.table import Tabular, counted
 
 __all__ = ["AT_A_LOAD", "FREQUENCIES", "Measurement", "Measurements"]
@@ -103,6 +104,10 @@ class Measurement:
         elif not math.isnan(self.phase):
             allowed = f"left out with {self.quantity}"
             raise InputError("measurements.phase", self.phase, allowed)
+        for key in ("value", "deviation", "frequency", "phase"):
+            number = getattr(self, key)
+            if not (math.isnan(number) or number == 0.0 or SMALLEST <= abs(number) <= LARGEST):
+                raise InputError(f"measurements.{key}", number, f"a number {OR_ZERO}")
 
     @property
     def natural(self) -> bool:
@@ -251,12 +256,10 @@ class Measurements(Tabular):
         InputError
             The file cannot be read, or a line cannot be used.
         """
-        try:
+        with reading("measurements", path, "a CSV file"):
             text = text_of(path)
-        except (OSError, ValueError) as error:
-            raise InputError("measurements", str(path), f"a readable file ({error})") from None
-        lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if _counts(line)]
-        table = list(csv.reader(line for _, line in lines))
+            lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if _counts(line)]
+            table = list(csv.reader(line for _, line in lines))
         names = [cell.split("[")[0].strip() for cell in table[0]] if table else []
         known = (*NEEDED, *OPTIONAL)
         if not set(NEEDED) <= set(names) <= set(known) or len(set(names)) != len(names):

@@ -1,8 +1,8 @@
 """The compiled kernel: what is called for every point, every instant or every step.
 
 The C files beside this one hold the equations next to the loops; cffi compiles them when the
-package is installed (``build.py``). LAPACK is SciPy's, handed over as addresses. Those who call
-check the shapes: a kernel reads what it is told to.
+package is installed (``build.py``). LAPACK is SciPy's, handed over as addresses. A kernel reads
+what it is told to: those who call check the shapes of what they are given (:func:`shaped`).
 """
 
 from __future__ import annotations
@@ -20,12 +20,14 @@ except ImportError as error:  # pragma: no cover
         "the compiled kernel of fenics_crack is missing or broken: run 'sh install.sh'"
     ) from error
 
-__all__ = ["NULL", "Struct", "doubles", "ints", "kernel", "owned", "signs", "table"]
+__all__ = ["NULL", "Struct", "doubles", "ints", "kernel", "owned", "shaped", "signs", "table"]
 
 kernel: Any = lib
 """The functions of the C files, by their names."""
 NULL: Any = ffi.NULL
 """The null pointer."""
+DOUBLES = (np.dtype(float), np.dtype(complex))
+INT = np.dtype(np.intc)
 
 
 def _bind() -> None:
@@ -42,21 +44,38 @@ def _bind() -> None:
     lib.bind_lapack(table)
 
 
+def shaped(array: Any, *shape: int, kind: type = float) -> np.ndarray:
+    """An array of a kind, C-contiguous, if it has this shape; a copy only where it must be one.
+
+    Raises
+    ------
+    ValueError
+        It has another shape.
+    """
+    found: np.ndarray = np.ascontiguousarray(array, dtype=kind)
+    if np.shape(array) != shape:
+        raise ValueError(f"an array of shape {np.shape(array)} instead of {shape}")
+    return found
+
+
 def doubles(array: np.ndarray) -> Any:
     """Numbers of a C-contiguous array of doubles, or of complex numbers."""
-    assert array.dtype in (np.float64, np.complex128)
+    if array.dtype not in DOUBLES:
+        raise ValueError(f"numbers of type {array.dtype} instead of double")
     return ffi.from_buffer("double[]", array)
 
 
 def ints(array: np.ndarray) -> Any:
     """Numbers of a C-contiguous array of C's int."""
-    assert array.dtype == np.intc
+    if array.dtype != INT:
+        raise ValueError(f"numbers of type {array.dtype} instead of int")
     return ffi.from_buffer("int[]", array)
 
 
 def signs(array: np.ndarray) -> Any:
     """Numbers of a C-contiguous array of bytes or truth values."""
-    assert array.dtype.itemsize == 1
+    if array.dtype.itemsize != 1:
+        raise ValueError(f"numbers of type {array.dtype} instead of bytes")
     return ffi.from_buffer("signed char[]", array)
 
 
@@ -97,7 +116,7 @@ def _as_member(value: Any) -> Any:
         return value
     if value.dtype.itemsize == 1:
         return signs(value)
-    return ints(value) if value.dtype == np.intc else doubles(value)
+    return ints(value) if value.dtype == INT else doubles(value)
 
 
 _bind()

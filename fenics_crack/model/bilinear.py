@@ -20,7 +20,7 @@ from fenics_crack.model.modes import n_tied_modes, solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.table import Tabular, counted
 
-__all__ = ["FEW", "BilinearFrequencies", "bilinear_frequencies"]
+__all__ = ["FEW", "BilinearFrequencies", "bilinear_frequencies", "tied_frequencies"]
 
 FEW = 6
 """Lowest modes that are looked at."""
@@ -106,8 +106,15 @@ def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
 
 def _bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
     count = min(FEW, structure.n_modes)
-    is_open = solve_modes(structure, count).omega
-    tied = np.full(count, np.inf)
+    return BilinearFrequencies(
+        solve_modes(structure, count).omega, tied_frequencies(structure, count)
+    )
+
+
+def tied_frequencies(structure: Structure, count: int) -> np.ndarray:
+    """The lowest natural frequencies with lips tied, infinite where there are no more: (count,)
+    [rad/s] (collective)."""
+    found = np.full(count, np.inf)
     if most := min(count, n_tied_modes(structure)):
-        tied[:most] = solve_modes(structure, most, lips="tied").omega
-    return BilinearFrequencies(is_open, tied)
+        found[:most] = solve_modes(structure, most, lips="tied").omega
+    return found

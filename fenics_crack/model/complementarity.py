@@ -27,7 +27,7 @@ from collections.abc import Callable
 import numpy as np
 
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.kernel import NULL, doubles, kernel, owned, signs
+from fenics_crack.kernel import NULL, doubles, kernel, owned, shaped, signs
 
 __all__ = ["by_least_squares", "solve_complementarity", "solve_forces"]
 
@@ -47,10 +47,9 @@ def solve_complementarity(
     lambda > 0. Raises ConvergenceError where there is no solution, or it was not found.
     """
     count = len(gap)
-    matrix, gap = (np.ascontiguousarray(array, dtype=float) for array in (matrix, gap))
-    assert matrix.shape == (count, count)
+    matrix, gap = shaped(matrix, count, count), shaped(gap, count)
     contact = owned(kernel.new_sets(count, doubles(matrix), MAX_SETS), kernel.free_sets)
-    guess = np.array(gap > 0.0 if closed is None else closed, dtype=bool)
+    guess = shaped(gap > 0.0 if closed is None else np.array(closed), count, kind=bool)
     force = np.empty(count)
     if not kernel.forces_at(contact, doubles(gap), ROUNDING, NULL, signs(guess), doubles(force)):
         return force

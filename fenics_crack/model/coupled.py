@@ -29,7 +29,7 @@ from __future__ import annotations
 import numpy as np
 
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.kernel import doubles, ints, kernel, owned, signs
+from fenics_crack.kernel import doubles, ints, kernel, owned, shaped, signs
 from fenics_crack.model.complementarity import by_least_squares
 from fenics_crack.model.contact import ContactLaw
 
@@ -66,7 +66,7 @@ class ActiveSets:
     """
 
     def __init__(self, compliance: np.ndarray) -> None:
-        self.compliance = compliance = np.ascontiguousarray(compliance, dtype=float)
+        self.compliance = compliance = shaped(compliance, len(compliance), len(compliance))
         self.scale = float(np.mean(np.diag(compliance))) if compliance.size else 0.0
         most = MAX_KEPT // max(compliance.nbytes, 8)
         count = len(compliance)
@@ -75,7 +75,7 @@ class ActiveSets:
 
     def stack(self, sets: np.ndarray) -> np.ndarray:
         """(D_AA)^-1 with zeros outside A, of sets (m, n_pairs): (m, n_pairs, n_pairs) [N/m]."""
-        closed = np.ascontiguousarray(sets, dtype=bool)
+        closed = shaped(sets, len(sets), len(self.compliance), kind=bool)
         found = np.empty((*closed.shape, closed.shape[1]))
         if kernel.inverses_of(self.handle, len(closed), signs(closed), doubles(found)):
             raise ConvergenceError("contact: the compliance of the closed pairs is singular")
@@ -85,7 +85,7 @@ class ActiveSets:
         """How (D_AA)^-1, with zeros outside A, changes from each of some sets (m, n_pairs) to the
         next, pair by pair, by gain v v^T: to which set each change leads, v (n, n_pairs) and gains
         (n,) [N/m]."""
-        closed = np.ascontiguousarray(sets, dtype=bool)
+        closed = shaped(sets, len(sets), len(self.compliance), kind=bool)
         count, pairs = closed.shape
         most = int(np.count_nonzero(closed[1:] != closed[:-1]))
         step, gain = np.empty(most, dtype=np.intc), np.empty(most)
@@ -101,8 +101,9 @@ class ActiveSets:
         self, gap: np.ndarray, closed: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Forces [N] and sets of closed pairs of gaps s (n, n_pairs) [m], from a guess of these."""
-        gap = np.ascontiguousarray(gap)
-        closed = np.array(gap > 0.0 if closed is None else closed, dtype=bool, order="C")
+        gap = shaped(gap, len(gap), len(self.compliance))
+        guess = gap > 0.0 if closed is None else np.array(closed)
+        closed = shaped(guess, *gap.shape, kind=bool)
         force, failed = np.zeros_like(gap), np.empty(len(gap), dtype=bool)
         kernel.forces_of(
             self.handle, len(gap), doubles(gap), ROUNDING, signs(closed), doubles(force),

@@ -167,6 +167,8 @@ class EventFlow:
 
     def make(self, closed: int) -> None:
         """The regime of a set of closed pairs, by its bits."""
+        if not 0 <= closed < 2 ** len(self._stiffness):
+            raise ValueError(f"a set {closed} of {len(self._stiffness)} pairs")
         own = self.structure, self._modes
         if closed not in self._free:
             springs = (closed >> np.arange(len(self._stiffness)) & 1) * self._stiffness

@@ -69,10 +69,12 @@ class Factor:
 
         MUMPS passes by the parts of the factor that their zeros do not reach. It takes them all
         from rank 0."""
-        comm = self._matrix.comm.tompi4py()
-        parts = comm.gather(sparse.csc_matrix(columns).T)
         local, total = self._matrix.local_size[0], self._matrix.size[0]
         count = columns.shape[1]
+        if count == 0:  # MUMPS refuses to solve nothing
+            return np.zeros((0, local))
+        comm = self._matrix.comm.tompi4py()
+        parts = comm.gather(sparse.csc_matrix(columns).T)
         rows = sparse.csr_matrix((0, total)) if parts is None else sparse.hstack(parts, "csr")
         sizes = ((rows.shape[0], count), (total if comm.rank == 0 else 0, total))
         given = PETSc.Mat().createAIJ(
@@ -99,7 +101,7 @@ class Factor:
         """Solve for real right-hand sides (m, n_local), one a row (collective)."""
         rows = np.atleast_2d(rhs)
         count, local = rows.shape
-        if count == 0:  # MUMPS refuses to solve nothing
+        if count == 0:
             return np.zeros(np.shape(rhs))
         if count == 1:
             right, solution = self._matrix.createVecs()

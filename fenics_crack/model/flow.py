@@ -42,7 +42,7 @@ import numpy as np
 import scipy.linalg
 
 from fenics_crack.errors import ConvergenceError, InputError
-from fenics_crack.kernel import Struct, doubles, kernel, signs
+from fenics_crack.kernel import Struct, doubles, kernel, shaped, signs
 from fenics_crack.model.contact import ContactLaw, check_law, is_piecewise_linear, is_rigid
 from fenics_crack.model.coupled import ActiveSets
 from fenics_crack.model.modal import AllModes, all_modes, is_small
@@ -165,7 +165,8 @@ class ExponentialFlow:
 
         Raises ConvergenceError where the contact forces of a step are not found.
         """
-        count, pairs = len(state), self.structure.n_pairs
+        state, pairs = shaped(state, 2 * len(self.modes.squares)), self.structure.n_pairs
+        count = len(state)
         total = periods * self.steps
         states, forces = np.empty((total + 1, count)), np.empty((total + 1, pairs))
         closed = np.empty((total + 1, pairs), dtype=bool)
@@ -185,7 +186,7 @@ class ExponentialFlow:
         """dz_N / dz_0 of N steps with the sets of closed pairs (N + 1, n_pairs) at their ends."""
         count, pairs = self.modes.pairs.shape
         wide = 2 * count
-        product, closed = np.eye(wide), np.ascontiguousarray(closed, dtype=bool)
+        product, closed = np.eye(wide), shaped(closed, len(closed), pairs, kind=bool)
         work = np.empty(2 * wide**2 + 3 * pairs * wide + pairs**2)
         failed = kernel.tangent_of_steps(
             self._known.at, len(closed) - 1, signs(closed), doubles(product), doubles(work)

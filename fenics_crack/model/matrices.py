@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +10,15 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenics_crack.errors import InputError
-from fenics_crack.model.factor import Factor
+from fenics_crack.errors import InputError, reading
+from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.matrix_market import read_matrix_market
 from fenics_crack.parallel import gather_rows, raise_together
+from fenics_crack.table import counted
 
 __all__ = [
     "check_positive_definite",
+    "check_semidefinite",
     "check_symmetric",
     "distributed",
     "numbers",
@@ -28,6 +29,10 @@ __all__ = [
 ]
 
 SYMMETRY_TOLERANCE = 1e-10
+ROUNDING = 1e-10
+"""Eigenvalues, relative to the largest K_ii / M_ii, that may be negative."""
+LARGEST = 1e60
+"""Of entries: numbers of scenes are up to 1e30, and those of their matrices products of two."""
 
 
 def distributed(rows: Any, comm: MPI.Comm, columns: int | None = None) -> Any:
@@ -74,23 +79,34 @@ def petsc_matrix(name: str, given: Any, comm: MPI.Comm, n: int | None = None) ->
         allowed = "of shape (n, n)" if n is None else f"of shape ({n}, {n})"
         raise InputError(name, (rows, columns), allowed)
     if not made:
-        _check_finite(name, whole.data)
+        _check_sizes(name, whole.data)
         start, stop = (rows * comm.rank) // comm.size, (rows * (comm.rank + 1)) // comm.size
-        return distributed(whole[start:stop], comm)
-    matrix = given.convert("aij", PETSc.Mat())
-    finite = np.all(np.isfinite(matrix.getValuesCSR()[2]))
-    error = None if finite else InputError(name, "nan or inf", "finite in every entry")
-    raise_together(given.comm.tompi4py(), error)
-    return matrix
+        return distributed(_with_diagonal(whole[start:stop], start), comm)
+    comm = given.comm.tompi4py()
+    starts, places, values = given.convert("aij", PETSc.Mat()).getValuesCSR()
+    error = None
+    try:
+        _check_sizes(name, values)
+    except InputError as found:
+        error = found
+    raise_together(comm, error)
+    own = sparse.csr_matrix((values, places, starts), (given.local_size[0], columns))
+    return distributed(_with_diagonal(own, given.owner_range[0]), comm)
+
+
+def _with_diagonal(rows: sparse.csr_matrix, first: int) -> sparse.csr_matrix:
+    """Rows of a matrix, the first of them with this number, with an entry on the diagonal, even
+    zero: MUMPS finds no null pivot where there is none."""
+    entries, place = sparse.coo_matrix(rows), np.arange(rows.shape[0])
+    at = np.append(entries.row, place), np.append(entries.col, first + place)
+    return sparse.csr_matrix((np.append(entries.data, 0.0 * place), at), rows.shape)
 
 
 def _read_matrix(name: str, given: Any, rows: int | None) -> Any:
     """Read a Matrix Market file, or pass on what is a matrix already."""
     if isinstance(given, str | Path):
-        try:
+        with reading(name, given, "a Matrix Market file"):
             given = read_matrix_market(Path(given), rows)
-        except (OSError, EOFError, ValueError, OverflowError, zlib.error) as error:
-            raise InputError(name, str(given), f"a Matrix Market file ({error})") from None
     try:
         matrix = given if sparse.issparse(given) else np.asarray(given)
         if np.iscomplexobj(matrix):
@@ -115,20 +131,24 @@ def whole_rows(name: str, given: Any, n: int) -> sparse.csr_matrix:
     if matrix.ndim == 0 or matrix.shape[0] != n:
         raise InputError(name, matrix.shape, f"with {n} rows")
     matrix = sparse.csr_matrix(matrix.reshape(n, -1))
-    _check_finite(name, matrix.data)
+    _check_sizes(name, matrix.data)
     return matrix
 
 
-def _check_finite(name: str, values: np.ndarray) -> None:
-    if not np.all(np.isfinite(values)):
-        bad = values[~np.isfinite(values)]
+def _check_sizes(name: str, values: np.ndarray) -> None:
+    """Entries are finite, and the largest is 0 or of a size whose powers are numbers too."""
+    sizes = np.abs(values)
+    if not np.all(np.isfinite(sizes)):
+        bad = values[~np.isfinite(sizes)]
         raise InputError(name, float(bad.ravel()[0]), "finite in every entry")
+    largest = float(sizes.max(initial=0.0))
+    if largest and not 1.0 / LARGEST <= largest <= LARGEST:
+        allowed = f"0 or from {1.0 / LARGEST:g} to {LARGEST:g} in size"
+        raise InputError(name, f"{largest:g}, the largest entry", allowed)
 
 
 def check_symmetric(name: str, matrix: Any) -> None:
     size = matrix.norm(PETSc.NormType.INFINITY)
-    if not np.isfinite(size):
-        raise InputError(name, size, "finite in every entry")
     difference = matrix.transpose(PETSc.Mat())
     difference.axpy(-1.0, matrix, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
     asymmetry = difference.norm(PETSc.NormType.INFINITY)
@@ -138,11 +158,23 @@ def check_symmetric(name: str, matrix: Any) -> None:
 
 
 def check_positive_definite(name: str, matrix: Any) -> None:
-    smallest = matrix.getDiagonal().min()[1]
-    if smallest <= 0.0:  # MUMPS finds no null pivot in a matrix without entries
-        raise InputError(name, f"{smallest:.3g} on the diagonal", "positive definite")
     with Factor(matrix, symmetric=True) as factor:
         negative, null = factor.negative_pivots, factor.null_pivots
     if negative or null:
         found = f"{negative} negative and {null} zero eigenvalues"
         raise InputError(name, found, "positive definite")
+
+
+def check_semidefinite(name: str, matrix: Any, mass: Any) -> None:
+    """Raise InputError if a symmetric matrix has an eigenvalue that is negative beyond rounding;
+    it has none for motions as a rigid body (collective)."""
+    quotients = matrix.getDiagonal()
+    quotients.pointwiseDivide(quotients, mass.getDiagonal())
+    sizes = quotients.copy()
+    sizes.abs()
+    shifted = weighted_sum(matrix, ROUNDING * sizes.max()[1], mass)
+    with Factor(shifted, symmetric=True) as factor:
+        negative = factor.negative_pivots
+    shifted.destroy()
+    if negative:
+        raise InputError(name, counted(negative, "negative eigenvalue"), "positive semidefinite")

@@ -27,6 +27,7 @@ from fenics_crack.stages import begin
 from fenics_crack.table import Tabular, counted
 
 __all__ = [
+    "ROUNDING",
     "DampedModes",
     "Modes",
     "by_columns",
@@ -46,6 +47,8 @@ __all__ = [
 LIPS = ("open", "tied")
 SINGULAR = 1e-10
 """Squares of frequencies, relative to the smallest K_ii / M_ii, that are null pivots missed."""
+ROUNDING = 1e-14
+"""The same, relative to the largest K_ii / M_ii, of motions as a rigid body."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -150,8 +153,9 @@ def modes_by(
     """The same of a structure with mass everywhere, by the factor of its stiffness; ``ties`` are
     the independent columns of B where lips are tied."""
     quotients = structure.stiffness.getDiagonal().array_r / structure.mass.getDiagonal().array_r
-    smallest = float(np.min(gather_rows(structure.comm, quotients)))
-    scale = smallest if smallest > 0.0 else 1.0  # [rad^2/s^2]
+    quotients = gather_rows(structure.comm, quotients)  # [rad^2/s^2]
+    scale = float(np.min(quotients[quotients > 0.0], initial=np.inf))
+    scale = scale if np.isfinite(scale) else 1.0
     begin(counted(count, "natural mode"))
     asked, most = count, _space(structure, ties)
     while True:
@@ -165,7 +169,8 @@ def modes_by(
         if asked == most or _count_below(structure, bound, ties) <= np.sum(squares < bound):
             break
         asked = min(2 * asked + 2, most)
-    omega, shapes = np.sqrt(np.maximum(squares[:count], 0.0)), shapes[:, :count]
+    squares[squares <= ROUNDING * max(np.max(quotients), scale)] = 0.0
+    omega, shapes = np.sqrt(squares[:count]), shapes[:, :count]
     shapes *= _signs(structure, shapes)
     return Modes(omega, shapes, structure)
 

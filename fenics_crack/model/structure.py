@@ -27,6 +27,7 @@ from fenics_crack.model.damping import DampingRule, RayleighDamping
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.matrices import (
     check_positive_definite,
+    check_semidefinite,
     check_symmetric,
     distributed,
     numbers,
@@ -445,7 +446,7 @@ class Structure:
         ----------
         mass, stiffness : (n, n)
             NumPy, SciPy sparse, PETSc, or the path of a Matrix Market file; symmetric, the mass
-            positive definite; [kg], [N/m].
+            positive definite, the stiffness semidefinite; [kg], [N/m].
         gap : (n, n_pairs) or (n,)
             B; None: no pairs.
         force_sin, force_cos, force_mean : (n,) [N] or None
@@ -460,8 +461,8 @@ class Structure:
         Raises
         ------
         InputError
-            A shape does not fit, an entry is not finite, a matrix is not symmetric, or the mass is
-            not positive definite.
+            A shape does not fit, an entry is not finite or larger than 1e60, a matrix is not
+            symmetric, the mass is not positive definite, or the stiffness not semidefinite.
         """
         mass = petsc_matrix("mass", mass, comm)
         comm, n, own = mass.comm.tompi4py(), mass.size[0], slice(*mass.owner_range)
@@ -471,6 +472,7 @@ class Structure:
         check_symmetric("mass", mass)
         check_symmetric("stiffness", stiffness)
         check_positive_definite("mass", mass)
+        check_semidefinite("stiffness", stiffness, mass)
 
         gap = sparse.csr_matrix((n, 0)) if gap is None else whole_rows("gap", gap, n)
         force = np.zeros((3, n))

@@ -20,7 +20,9 @@ import numpy as np
 from fenics_crack.errors import InputError
 
 __all__ = [
+    "LARGEST",
     "OR_ZERO",
+    "SMALLEST",
     "Axis",
     "Table",
     "Vector",

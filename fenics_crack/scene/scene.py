@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
-from fenics_crack.errors import InputError
+from fenics_crack.errors import InputError, reading
 from fenics_crack.outside import text_of
 from fenics_crack.scene.cracks import OF_PLATES, check_cracks
 from fenics_crack.scene.fields import Axis, Table, meant, named, near, radians
@@ -237,21 +237,14 @@ class Scene:
         InputError
             The file cannot be read, is not TOML, or holds a value that cannot be used.
         """
-        try:
-            text = text_of(path)
-        except OSError as error:
-            raise InputError("scene", str(path), f"a readable file ({error.strerror})") from None
-        except ValueError as error:
-            raise InputError("scene", str(path), f"a TOML file ({error})") from None
-        return cls.from_text(text, str(path), Path(path).parent)
+        with reading("scene", path, "a TOML file"):
+            return cls.from_text(text_of(path), str(path), Path(path).parent)
 
     @classmethod
     def from_text(cls, text: str, name: str = "given as text", folder: Path = Path()) -> Scene:
         """Make a scene from the text of a TOML file, which errors call ``name``."""
-        try:
+        with reading("scene", name, "a TOML file"):
             tables = tomllib.loads(text)
-        except (ValueError, RecursionError) as error:  # a nest too deep, a number too long
-            raise InputError("scene", name, f"a TOML file ({error})") from None
         return cls.from_mapping(tables, folder)
 
     @property

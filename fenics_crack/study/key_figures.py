@@ -15,14 +15,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from fenics_crack.model.bilinear import BilinearFrequencies
+from fenics_crack.model.bilinear import BilinearFrequencies, tied_frequencies
 from fenics_crack.model.complementarity import solve_complementarity
 from fenics_crack.model.damping import ModalDamping, RayleighDamping
 from fenics_crack.model.factor import Factor, weighted_sum
-from fenics_crack.model.modes import check_damped_modes, modes_by, solve_modes, times
+from fenics_crack.model.modes import Modes, check_damped_modes, modes_by, times
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
@@ -45,7 +46,8 @@ class KeyFigures:
     elements : int or None
         Along each lip of the crack that has the fewest; None without a crack.
     omega_open, omega_tied : (at most 4,) [rad/s]
-        Lowest natural frequencies, lips open and lips tied together.
+        Lowest natural frequencies, lips open and lips tied together; these are infinite where there
+        are no more.
     damping : (at most 4,)
         Ratios of critical damping of the open modes.
     stiffening : float
@@ -117,12 +119,10 @@ def find_key_figures(study: Study) -> KeyFigures:
     count = min(FEW, whole.n_dofs)
     with Factor(whole.stiffness, symmetric=True) as factor:
         modes = modes_by(factor, whole, count)
-        static = factor.solve(whole.force)
-        lips = whole.apply_bt(factor.solve_sparse(whole.gap)) if whole.n_pairs else np.zeros((0, 0))
+        static = _static(factor, modes, whole.force)
+        lips = whole.apply_bt(_static(factor, modes, whole.gap.T))
     ratios = _ratios(whole, modes.omega)
-    tied = modes.omega
-    if whole.n_pairs:
-        tied = solve_modes(whole, min(count, whole.n_dofs - whole.n_pairs), lips="tied").omega
+    tied = tied_frequencies(whole, count) if whole.n_pairs else modes.omega
     gaps, psi = whole.apply_bt(static), whole.apply_bt(modes.shapes.T)
     loads = whole.sum_over_ranks(modes.shapes.T @ whole.force.T)
     resting = gaps[0] - whole.clearance  # of open lips
@@ -168,6 +168,19 @@ def find_key_figures(study: Study) -> KeyFigures:
     )
 
 
+def _static(factor: Factor, modes: Modes, forces: Any) -> np.ndarray:
+    """Static responses to forces (m, n_local), dense or sparse; of a structure that can move as a
+    rigid body the deformation alone, as it accelerates."""
+    free = modes.shapes[:, modes.omega == 0.0]
+    dense = isinstance(forces, np.ndarray)
+    if not free.size:
+        return factor.solve(forces) if dense else factor.solve_sparse(forces.T)
+    whole, rows = modes.structure, forces if dense else forces.toarray()
+    inertia = times(whole.mass, free)
+    found = factor.solve(rows - whole.sum_over_ranks(rows @ free) @ inertia.T)
+    return np.asarray(found - whole.sum_over_ranks(found @ inertia) @ free.T)
+
+
 def _stiffening(whole: Structure, shape: np.ndarray) -> float:
     """phi^T K_1 phi of a mass-normalised mode (n_local,)."""
     if whole.rotation is None:
@@ -197,7 +210,8 @@ def _ratios(whole: Structure, omega: np.ndarray) -> np.ndarray:
     """Ratios of critical damping of the lowest modes."""
     rule = whole.damping
     if isinstance(rule, RayleighDamping):
-        return rule.rate(omega**2) / (2.0 * omega)
+        twice = 2.0 * omega
+        return np.divide(rule.rate(omega**2), twice, out=np.zeros_like(omega), where=omega > 0.0)
     found = np.zeros(len(omega))
     if isinstance(rule, ModalDamping):
         damped = min(check_damped_modes(whole), len(omega))
@@ -207,9 +221,11 @@ def _ratios(whole: Structure, omega: np.ndarray) -> np.ndarray:
 
 
 def _dynamic_part(natural: np.ndarray, ratios: np.ndarray, omega: float) -> np.ndarray:
-    """d_j(w) - 1 / w_j^2 of the modes."""
-    below = natural**2 - omega**2 + 2j * ratios * natural * omega
-    return 1.0 / np.where(below == 0.0, 1e-12 * natural**2, below) - 1.0 / natural**2
+    """d_j(w) - 1 / w_j^2 of the modes; d_j(w) of rigid-body ones, which no static part holds."""
+    squares = natural**2
+    below = squares - omega**2 + 2j * ratios * natural * omega
+    static = np.divide(1.0, squares, out=np.zeros_like(squares), where=squares > 0.0)
+    return 1.0 / np.where(below == 0.0, 1e-12 * squares, below) - static
 
 
 def _largest(whole: Structure, motion: np.ndarray) -> float:

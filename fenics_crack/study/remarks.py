@@ -267,7 +267,7 @@ def _frequency(scene: Scene, figures: KeyFigures) -> Remarks:
 
 
 def _is_near(omega: float, natural: np.ndarray) -> bool:
-    return bool(np.any(np.abs(natural - omega) <= NEAR * natural))
+    return bool(np.any(np.abs(natural - omega) < NEAR * natural))
 
 
 def _curve(scene: Scene, figures: KeyFigures) -> Remarks:

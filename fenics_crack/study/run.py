@@ -105,10 +105,13 @@ class Run(Study, Generic[Found]):
 # --- the commands ---------------------------------------------------------------------------------
 
 
-def find_modes(scene: Scene, count: int, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Modes]:
-    """Lowest modes with the crack open (collective)."""
+def find_modes(
+    scene: Scene, count: int | None = None, comm: MPI.Comm = MPI.COMM_WORLD
+) -> Run[Modes]:
+    """Lowest modes with the crack open; None: 6, or all of fewer (collective)."""
     study = prepare(scene, comm, whole=True)
-    return Run(**vars(study), result=solve_modes(study.structure, count))
+    wanted = min(6, study.structure.n_modes) if count is None else count
+    return Run(**vars(study), result=solve_modes(study.structure, wanted))
 
 
 def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution]:
@@ -290,6 +293,9 @@ def _method(table: Integration, structure: Structure) -> str:
 
 def _needed_law(study: Study) -> ContactLaw:
     if study.contact is None:
+        if study.scene.structure is not None:
+            allowed = "given for this command: the path of a Matrix Market file"
+            raise InputError("structure.gap", None, allowed)
         raise InputError("crack", None, "given for this command: a table")
     return study.contact
 

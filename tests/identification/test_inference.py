@@ -272,6 +272,11 @@ def test_files_that_are_no_tables(tmp_path: Path) -> None:
         ("frequency_bilinear,841,0.8,7,,", "measurements.mode = 7: must be a whole number"),
         ("frequency_bilinear,841,0.8,,250,", "measurements.mode = 0"),
         ("frequency_bilinear,841,0,1,,", "measurements.deviation = 0.0"),
+        (
+            "frequency_bilinear,841,1e-200,1,,",
+            "measurements.deviation = 1e-200: must be a number (0, or of",
+        ),
+        ("frequency_bilinear,1e300,1,1,,", "measurements.value = 1e+300: must be a number"),
         ("frequency,841,1,1,,", "measurements.quantity = 'frequency': must be one of"),
         ("ratio_2_1,x,1,,250,", "measurements.value = 'x': must be a finite number (line 3)"),
         ("ratio_2_1,0.1,0.1,,,tip.ux", "measurements.frequency = nan"),

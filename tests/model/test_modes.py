@@ -22,6 +22,7 @@ from fenics_crack import (
     reduce_structure,
     solve_modes,
 )
+from fenics_crack.model.matrices import distributed
 from fenics_crack.model.modes import damped_modes, damped_range, largest_frequency, times
 from fenics_crack.parallel import gather_rows
 
@@ -139,13 +140,35 @@ def test_largest_frequency() -> None:
 
 
 def test_a_diverging_structure_is_refused() -> None:
-    """A negative eigenvalue is no frequency; it is found even where it is not near zero."""
+    """A negative eigenvalue is no frequency; it is found even where it is not near zero, and where
+    a structure was not made from matrices."""
+    whole = Structure.from_matrices(np.eye(39), np.eye(39), None)
     for lowest in (-1.0, -100.0):
         stiffness = np.diag([lowest, 2.0, 3.0, 4.0, *np.arange(5.0, 40.0)])
-        structure = Structure.from_matrices(np.eye(39), stiffness, None)
+        with pytest.raises(InputError, match="1 negative eigenvalue"):
+            Structure.from_matrices(np.eye(39), stiffness, None)
+        diverging = whole._changed(stiffness=distributed(stiffness, whole.comm))
         with pytest.raises(InputError, match="positive semidefinite") as caught:
-            solve_modes(structure, 2)
+            solve_modes(diverging, 2)
         assert caught.value.key == "stiffness"
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 10])
+@pytest.mark.parametrize("free", [False, True])
+def test_equal_frequencies_of_a_few_masses(n: int, free: bool) -> None:
+    """All modes of equal oscillators are found, and of masses without springs."""
+    stiffness = 0.0 if free else 4.0
+    modes = solve_modes(Structure.from_matrices(np.eye(n), stiffness * np.eye(n), None), n)
+    np.testing.assert_allclose(modes.omega, np.sqrt(stiffness), rtol=1e-12)
+    np.testing.assert_allclose(modes.shapes.T @ modes.shapes, np.eye(n), atol=1e-12)
+
+
+def test_motions_as_a_rigid_body_have_no_frequency() -> None:
+    """Of two chains that nothing holds, two; their frequency is zero, not that of rounding."""
+    one = chain_stiffness(np.array([0.0, 1.0, 2.0, 0.0]))
+    stiffness = 1e7 * np.block([[one, np.zeros((3, 3))], [np.zeros((3, 3)), one]])
+    omega = solve_modes(Structure.from_matrices(np.eye(6), stiffness, None), 6).omega
+    assert list(omega[:2]) == [0.0, 0.0] and omega[2] > 1e3
 
 
 @pytest.mark.parametrize("count", [0, -1, 31, 2.0, True, None, "all"])

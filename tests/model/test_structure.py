@@ -25,6 +25,7 @@ from fenics_crack import (
     build_structure,
     reduce_structure,
 )
+from fenics_crack.model.factor import Factor
 
 N, PAIRS = 5, 2
 
@@ -180,6 +181,14 @@ SKEW = np.triu(np.ones((N, N)), 1)
         ("stiffness", with_entry("stiffness", -np.inf)),
         ("stiffness", petsc(with_entry("stiffness", np.nan))),
         ("stiffness", good()["stiffness"] * 1j),
+        ("stiffness", -good()["stiffness"]),
+        ("stiffness", petsc(-good()["stiffness"])),
+        ("stiffness", good()["stiffness"] - 4.0 * np.eye(N)),
+        ("stiffness", 1e297 * good()["stiffness"]),
+        ("stiffness", 1e-297 * good()["stiffness"]),
+        ("mass", petsc(1e297 * good()["mass"])),
+        ("damping", 1e100 * good()["damping"]),
+        ("force_sin", np.full(N, 1e61)),
         ("gap", np.ones((N + 1, PAIRS))),
         ("gap", np.ones((PAIRS, N))),
         ("gap", np.ones((N, PAIRS, 1))),
@@ -431,6 +440,17 @@ def test_lumped_refuses_six_node_triangles(paper_scene: Scene, columns: int, row
     with pytest.raises(InputError, match="row sum") as caught:
         structure.lumped()
     assert caught.value.key == "mass"
+
+
+@pytest.mark.parametrize("free", [(), (0,), (0, 1), tuple(range(N))])
+@pytest.mark.parametrize("convert", [np.asarray, sparse.csr_matrix, petsc])
+def test_what_nothing_holds_is_met(free: tuple[int, ...], convert: Any) -> None:
+    """A dof without stiffness is a null pivot, in rows without an entry too."""
+    springs = np.ones(N)
+    springs[[*free]] = 0.0
+    structure = Structure.from_matrices(np.eye(N), convert(np.diag(springs)), None)
+    with Factor(structure.stiffness, symmetric=True) as factor:
+        assert (factor.null_pivots, factor.negative_pivots) == (len(free), 0)
 
 
 def test_duplicate_entries_are_added() -> None:

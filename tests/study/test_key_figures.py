@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.linalg
-from helpers import DEMOS
+from helpers import DEMOS, chain_stiffness
 
 import fenics_crack as fc
 from fenics_crack.study.key_figures import KeyFigures, find_key_figures, highest_omega, span_of
@@ -18,6 +18,51 @@ GRID = PAPER.replace({"mesh.columns": 6, "mesh.rows": 6})
 def figures_of(scene: fc.Scene) -> KeyFigures:
     """Of the whole structure."""
     return find_key_figures(fc.prepare(scene, whole=True))
+
+
+def study_of(structure: fc.Structure) -> fc.Study:
+    """A study of a structure from matrices, with a law."""
+    names = ("mass", "stiffness", "gap", "force_sin")
+    text = "".join(f"{name} = '{name}.mtx'\n" for name in names)
+    text = f"[structure]\n{text}[damping]\nratio = 0.1\n[excitation]\nomega = 1.1\n"
+    scene = fc.Scene.from_text(f"{text}[contact]\nstiffness = 10.0\n")
+    return fc.Study(scene, structure, fc.UnilateralPenalty(10.0), ())
+
+
+def test_of_what_nothing_holds() -> None:
+    """Static figures are those of the deformation, as the structure accelerates; the motion at a
+    frequency is that of the whole equations."""
+    free = chain_stiffness(np.array([0.0, 1.0, 2.0, 0.0]))
+    zero = np.zeros((3, 3))
+    stiffness, mass = np.block([[free, zero], [zero, free]]), np.diag(np.arange(1.0, 7.0))
+    gap, force = np.array([0.0, 0.0, 1.0, -1.0, 0.0, 0.0]), np.arange(6.0)
+    structure = fc.Structure.from_matrices(
+        mass, stiffness, gap, force_sin=force, damping=fc.ModalDamping(0.1)
+    )
+    figures = find_key_figures(study_of(structure))
+    squares, shapes = scipy.linalg.eigh(stiffness, mass)
+    elastic = shapes[:, 2:]
+    compliance = (elastic / squares[2:]) @ elastic.T
+    assert list(figures.omega_open[:2]) == [0.0, 0.0]
+    assert figures.own_stiffness[0] == pytest.approx(1.0 / (gap @ compliance @ gap), rel=1e-9)
+    assert figures.static_motion == pytest.approx(abs(gap @ compliance @ force), rel=1e-9)
+    omega = np.sqrt(np.abs(squares))
+    omega[:2] = 0.0
+    at = 1.0 / (omega**2 - 1.1**2 + 0.2j * omega * 1.1)
+    at[4:] = 1.0 / omega[4:] ** 2  # only four modes move, the others follow
+    moved = gap @ (shapes * at) @ shapes.T @ force
+    assert figures.gap_motion == pytest.approx(abs(moved), rel=1e-7)
+
+
+def test_all_motions_are_tied() -> None:
+    """As many pairs as dofs: there is no tied motion, and a closed half takes no time."""
+    structure = fc.Structure.from_matrices(
+        np.eye(2), np.diag([1.0, 4.0]), np.eye(2), force_sin=[1.0, 0.0]
+    )
+    figures = find_key_figures(study_of(structure))
+    np.testing.assert_allclose(figures.omega_open, [1.0, 2.0], rtol=1e-12)
+    assert list(figures.omega_tied) == [np.inf, np.inf]
+    assert figures.omega_breathing == pytest.approx(2.0, rel=1e-12)
 
 
 def test_against_dense_algebra() -> None:

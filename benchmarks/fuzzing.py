@@ -1,0 +1,916 @@
+"""Damaged inputs of every kind, and small structures of every form, through every command.
+
+Whatever a file holds, the program ends with a result, with one line about the input (exit code 2)
+or with what did not converge (3). Each case is drawn from the seed and its own number alone, so
+that any of them can be repeated by itself (``--first N --cases 1``).
+
+    inputs       scenes (letters, lines, keys and values of their text), gmsh meshes (text and
+                 binary), Matrix Market files (.mtx, .gz, .bz2), tables of measurements and of
+                 arrivals, results of every kind (bytes changed, left out, cut off; or datasets and
+                 attributes changed and the digest made anew), and words on the command line; each
+                 through one of the commands that read it
+    structures   matrices of 1 to 10 dofs with 0 to as many pairs, every form of damping, fixed and
+                 free, both laws, through every command; nothing is damaged
+
+The program runs in a process that is started again where it dies. What is counted as wrong:
+
+    RAW          a traceback, an exit code of 1, more than one line about an input, or a library
+                 that speaks for itself on standard error; a structure that is refused
+    DEATH        the process ended
+    TOO LONG     more than 60 s of processor time
+    TOO LARGE    more than 2 GiB of memory beside what the process has at rest
+
+The rows are added to fuzzing.csv in the folder as they are found; a run goes on where it was
+stopped. The damaged files of what is wrong are kept beside it.
+
+    OMP_NUM_THREADS=1 python benchmarks/fuzzing.py [--only inputs] [--cases 10000] [--seed S]
+        [--first N] [folder]
+"""
+
+from __future__ import annotations
+
+import bz2
+import contextlib
+import csv
+import gzip
+import io
+import itertools
+import multiprocessing
+import os
+import random
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import common
+import gmsh
+import h5py
+import numpy as np
+
+import fenics_crack as fc
+from fenics_crack.cli.command_line import main
+from fenics_crack.fem.plate import write_msh
+from fenics_crack.files import store
+
+SECONDS, BYTES = 60.0, 2 * 2**30
+WRONG = ("RAW", "DEATH", "TOO LONG", "TOO LARGE")
+CODES = {0: "done", 2: "refused", 3: "not converged"}
+COLUMNS = ("part", "case", "what", "outcome", "seconds", "MiB", "message")
+SHOWN = 300
+"""Characters of a message that are written."""
+
+
+# --- damage ---------------------------------------------------------------------------------------
+
+VALUES = [
+    "0", "-1", "1", "2", "1e300", "-1e300", "1e-300", "1e30", "1e-30", "nan", "-nan", "inf",
+    "-inf", "1e400", str(10**400), "9" * 5000, "0x" + "f" * 5000, str(2**31), str(-(2**31) - 1),
+    str(2**63), '"x"', "''", '"\\u0000"', '"\\U0001F600"', '"\\u007f"', '"\\n"', '"all"', '"file"',
+    "[]", "[1, 2]", "[nan, 1]", "[1e400, 1]", "[true, 1]", "[['a', 1]]", "[[[1]]]",
+    "[" * 3000 + "]" * 3000, "{}", "{a = 1}", "[{a = 1}]", "true", "false", "1979-05-27",
+    "1979-05-27T07:32:00Z", "07:32:00", "24:00:00", "99999-01-01", "2000-13-01", "0x", "1_000_",
+    "{start = 1, stop = 2, count = 3}", "{start = 1, stop = 1e308, count = 3}",
+    "{start = 1e-30, stop = 1e30, count = 3, spacing = 'logarithmic'}",
+    "{start = 1, stop = 2, count = 1000000000000}", "{start = 1, stop = 2, count = [1]}",
+    "{start = 1, stop = 2, count = 3, spacing = []}", "[1, 1.0]",
+]  # fmt: skip
+NAMES = [
+    "a", "crack", "length", "young", "over", "file", "a.b", "''", '"a\\nb"', '"\\u0000"',
+    '"\\u007f"', '"excitation.omega"', "'mesh.file'", "'crack.edge'", "[mesh]", "[[crack]]",
+]  # fmt: skip
+LETTERS = [*"[]{}=\"'\\#.,\n\r\t\0 0-+e_\x7f\x80\u2028\ufeff", "\U0001f600", '"""']
+WORDS = [
+    b"0", b"-1", b"1", b"2", b"3", b"7", b"99", b"-5", b"15", b"16", b"100", b"1000000000000",
+    b"2147483648", b"nan", b"inf", b"1e300", b"x", b'"load"', b'"clamp"', b"$EndNodes",
+]  # fmt: skip
+MARKET_WORDS = [
+    b"0", b"-1", b"1", b"2", b"4", b"1000000000000", b"9223372036854775808", b"9" * 23, b"nan",
+    b"inf", b"-inf", b"1e400", b"1e300", b"1e-300", b"x", b"1.5", b"complex", b"pattern",
+    b"hermitian", b"skew-symmetric", b"integer", b"array", b"coordinate", b"vector", b"symmetric",
+    b"general", b"%%MatrixMarket", b"unsigned-integer",
+]  # fmt: skip
+CELLS = [
+    "", "nan", "inf", "-1", "0", "1e300", "1e-300", "-1e300", "1e30", "1.5", "2", "7", "x", '"',
+    '"a,b"', "frequency_open", "frequency_tied", "ratio_2_1", "harmonic_1", "displacement",
+    "tip.ux", "1e400", "0x1", "1_0", "\0", "\U0001f600", "100000000", "9" * 400,
+]  # fmt: skip
+NUMBERS = [0.0, -1.0, 1.0, 2.0, 1e300, -1e300, 1e-300, 1e30, 1e9, np.nan, np.inf, 0.5]
+
+
+def changed_text(text: str, rng: random.Random) -> str:
+    """Text with a few mutations of its letters, lines, keys and values."""
+    for _ in range(rng.choice([1, 1, 1, 2, 3, 8])):
+        lines, at = text.split("\n"), rng.randrange(len(text) + 1)
+        given_keys = [i for i, line in enumerate(lines) if "=" in line and line[0] != "#"]
+        remarks = [i for i, line in enumerate(lines) if line[:2] == "# " and "=" in line]
+        kind = rng.randrange(8)
+        if kind == 0:
+            text = text[:at] + text[at + rng.randint(1, 3) :]
+        elif kind == 1:
+            text = text[:at] + rng.choice(LETTERS) + text[at:]
+        elif kind == 2:
+            text = text[:at] + text[at : at + 2][::-1] + text[at + 2 :]
+        elif kind == 3:
+            lines.pop(rng.randrange(len(lines)))
+            text = "\n".join(lines)
+        elif kind == 4:
+            lines.insert(rng.randrange(len(lines)), rng.choice(lines))
+            text = "\n".join(lines)
+        elif kind == 5 and remarks:
+            line = rng.choice(remarks)
+            lines[line] = lines[line][2:]
+            text = "\n".join(lines)
+        elif kind > 5 and given_keys:
+            line = rng.choice(given_keys)
+            key, _, value = lines[line].partition("=")
+            pair = (rng.choice(NAMES), value) if kind == 6 else (key, rng.choice(VALUES))
+            lines[line] = " = ".join(pair)
+            text = "\n".join(lines)
+    return text
+
+
+def changed_file(content: bytes, rng: random.Random, words: Sequence[bytes] = WORDS) -> bytes:
+    """A file with a few mutations of its bytes, lines and words."""
+    for _ in range(rng.choice([1, 1, 1, 2, 4])):
+        lines, at = content.split(b"\n"), rng.randrange(len(content) + 1)
+        line, kind = rng.randrange(len(lines)), rng.randrange(7)
+        if kind == 0:
+            content = content[:at] + content[at + rng.randint(1, 4) :]
+        elif kind == 1:
+            content = content[:at] + bytes([rng.randrange(256)]) + content[at + rng.randrange(2) :]
+        elif kind == 2 and rng.random() < 0.2:
+            content = content[:at]
+        else:
+            cells = lines[line].split()
+            if kind == 3:
+                lines.pop(line)
+            elif kind == 4:
+                lines.insert(rng.randrange(len(lines)), lines[line])
+            elif cells:
+                cells[rng.randrange(len(cells))] = rng.choice(words)
+                lines[line] = b" ".join(cells)
+            content = b"\n".join(lines)
+    return content
+
+
+def changed_table(text: str, rng: random.Random) -> str:
+    """A CSV file with a few mutations of its cells and lines, or of its letters."""
+    if rng.random() < 0.3:
+        return changed_text(text, rng)
+    for _ in range(rng.choice([1, 1, 2, 4])):
+        lines = text.split("\n")
+        line, kind = rng.randrange(len(lines)), rng.randrange(5)
+        cells = lines[line].split(",")
+        if kind == 0:
+            lines[line:] = [] if rng.random() < 0.3 else [""]
+        elif kind == 1:
+            lines.insert(rng.randrange(len(lines)), lines[line])
+        elif kind == 2:
+            cells.insert(rng.randrange(len(cells) + 1), rng.choice(CELLS))
+            lines[line] = ",".join(cells)
+        else:
+            cells[rng.randrange(len(cells))] = rng.choice(CELLS)
+            lines[line] = ",".join(cells)
+        text = "\n".join(lines) or "\n"
+    return text
+
+
+def changed_bytes(content: bytes, rng: random.Random) -> bytes:
+    """Bytes changed, put in, left out, or all from somewhere on."""
+    data = bytearray(content)
+    for _ in range(rng.choice([1, 1, 2, 8, 64])):
+        at = rng.randrange(len(data)) if rng.random() < 0.5 else rng.randrange(min(2048, len(data)))
+        kind = rng.randrange(8)
+        if kind == 0 and rng.random() < 0.3:
+            del data[at + 1 :]
+        elif kind == 1:
+            del data[at : at + rng.randint(1, 16)]
+        elif kind == 2:
+            data[at:at] = rng.randbytes(rng.randint(1, 16))
+        elif kind == 3:
+            data[at : at + 8] = rng.choice([b"\xff", b"\0", b"\x7f"]) * len(data[at : at + 8])
+        else:
+            data[at] ^= 1 << rng.randrange(8)
+        data = data or bytearray(b"\0")
+    return bytes(data)
+
+
+@contextlib.contextmanager
+def forged(path: Path) -> Iterator[h5py.File]:
+    """A result's file to be changed by hand; its digest is made anew, as a forger would."""
+    with h5py.File(path, "r+") as file:
+        yield file
+        digest: Any = getattr(store, "digest", None)
+        if digest is None or "digest" not in file.attrs:
+            return
+        with contextlib.suppress(Exception):  # what cannot be read has no digest
+            texts, places = (getattr(store, name) for name in ("texts", "places"))
+            words = {name: h5py.check_string_dtype(item.dtype) for name, item in file.items()}
+            parts = {n: item.asstr()[()] if words[n] else item[()] for n, item in file.items()}
+            of_sweep = file.attrs.get("kind") == "sweep"
+            file.attrs["digest"] = digest(texts(file), places(file) if of_sweep else parts)
+
+
+def change_result(path: Path, rng: random.Random) -> None:
+    """Change datasets and attributes of a result."""
+    with forged(path) as file:
+        for _ in range(rng.choice([1, 1, 2, 4])):
+            names = [name for name in file if isinstance(file[name], h5py.Dataset)]
+            if rng.random() < 0.25 or not names:
+                _change_attribute(file, rng)
+            else:
+                _change_dataset(file, rng.choice(sorted(names)), rng)
+
+
+def _change_attribute(file: h5py.File, rng: random.Random) -> None:
+    name = rng.choice([*sorted(file.attrs), "digest"])
+    text = str(file.attrs.get(name, ""))
+    kind = rng.randrange(4)
+    if kind == 0:
+        file.attrs.pop(name, None)
+    elif kind == 1:
+        file.attrs[name] = rng.choice([0, 1.5, np.nan, "", "x", np.arange(3.0), b"\xff\xfe"])
+    else:
+        with contextlib.suppress(ValueError):  # HDF5 holds no null characters
+            file.attrs[name] = changed_text(text, rng) if text else "a"
+
+
+def _change_dataset(file: h5py.File, name: str, rng: random.Random) -> None:
+    """Its numbers, its shape, its kind, or whether it is there."""
+    old, kind = file[name], rng.randrange(8)
+    value = old.asstr()[()] if h5py.check_string_dtype(old.dtype) else old[()]
+    del file[name]
+    array = np.array(value)
+    numeric = array.dtype.kind in "iufcb"
+    if kind == 0:
+        return
+    if kind == 1:
+        file[name] = rng.choice([0.0, -1, "x", np.zeros(0), np.zeros((2, 3)), np.arange(5)])
+    elif kind == 2:
+        file.create_dataset(name, (10 ** rng.choice([3, 9, 12]),), float, chunks=(1000,))
+    elif kind == 3 and array.ndim:
+        file[name] = value[: len(value) // 2] if rng.random() < 0.5 else array[..., :1].tolist()
+    elif kind == 4 and numeric:
+        file[name] = array.astype(rng.choice(["f4", "i4", "i1", "c16", "u8"]))
+    elif kind == 5 and numeric and array.ndim > 1:
+        file[name] = np.ascontiguousarray(array.T)
+    elif numeric and array.size and array.dtype.kind != "b":
+        flat = array.astype(complex if array.dtype.kind == "c" else float).reshape(-1)
+        places = [rng.randrange(flat.size) for _ in range(rng.choice([1, 1, flat.size]))]
+        flat[places] = rng.choice(NUMBERS)
+        with np.errstate(all="ignore"):
+            file[name] = flat.reshape(array.shape).astype(array.dtype)
+    else:
+        file[f"{name}_"] = value
+
+
+# --- what is damaged ------------------------------------------------------------------------------
+
+PLATE = """\
+[geometry]
+width = 0.1
+height = 0.1
+thickness = 0.01
+[crack]
+edge = "left"
+height = 0.05
+length = 0.05
+# clearance = 1e-6
+[material]
+young = 2e9
+poisson = 0.3
+density = 7800.0
+[damping]
+ratio = 0.02
+# modes = 3
+[excitation]
+omega = 2000.0
+point = [0.1, 0.1]
+force_sin = [1.0, 0.0]
+# force_mean = [0.1, 0.0]
+[contact]
+stiffness = 1e7
+# sharpness = 1e6
+[mesh]
+layout = "grid"
+columns = 2
+rows = 2
+# order = 2
+[harmonic_balance]
+harmonics = 3
+# tolerance = 0.1
+[curve]
+start = 2000.0
+stop = 2100.0
+# parameter = "load"
+[integration]
+periods = 2
+# method = "events"
+[sweep.over]
+"excitation.omega" = [1900.0, 2000.0]
+# [reduction]
+# modes = 5
+# method = "massless"
+[output.points]
+tip = [0.1, 0.1]
+[identify]
+finer = 1.0
+[identify.unknown]
+"material.young" = { start = 1.8e9, stop = 2.2e9, count = 4 }
+[tip_timing]
+probes = [0.0, 20.0, 41.0, 63.0, 88.0]
+tip_radius = 0.45
+revolutions = 4
+"""
+ORDER = "order = 2\n"
+ROTOR = "\n[rotation]\nspeed = 100.0\nhub_radius = 0.1\n"
+MEASURED = """\
+quantity,value,deviation,mode,frequency [Hz],point,phase [rad]
+frequency_bilinear,400.0,4.0,1,,,
+frequency_open,1500.0,15.0,2,,,
+ratio_2_1,0.01,0.005,,318,tip.ux,
+"""
+CHAIN = """\
+[structure]
+mass = "mass.mtx"
+stiffness = "stiffness.mtx"
+gap = "gap.mtx.gz"
+force_sin = "force.mtx"
+clearance = "clearance.mtx.bz2"
+# damping = "damping.mtx"
+"""
+OF_CHAIN = """\
+[damping]
+ratio = 0.02
+[excitation]
+omega = 0.9
+[contact]
+stiffness = 10.0
+[harmonic_balance]
+harmonics = 3
+[curve]
+start = 0.8
+stop = 0.9
+[integration]
+periods = 2
+[sweep.over]
+"excitation.omega" = [0.8, 0.9]
+"""
+COMPLETE = "complete"
+"""A file that is written when all others are."""
+SCENES = ("plate.toml", "rotor.toml", "file.toml", "chain.toml")
+MESHES = ("plate.msh", "plate_22.msh", "plate_binary.msh")
+OF_SCENES = ("check", "modes", "solve", "verify", "curve", "integrate", "sweep")
+SETTINGS = [
+    "", "=", "a", "a=", "=1", "a=1", "crack=none", "contact=none", "crack=1", "mesh.columns=4",
+    "mesh.columns=1e9", "mesh.rows=3", "mesh.rows=[", "crack.length=0.03", "crack.length=nan",
+    "crack.length='", "crack.edge=right", "crack.edge=top", "material.young=" + "9" * 5000,
+    "material.young=" + "[" * 2000, "material.poisson=0.4999999", "damping.ratio=[0.1,0.2]",
+    "damping.ratio=0", "damping.modes=2", "damping.modes=1000", "damping.ratio=none",
+    "damping.mass=10", "damping.stiffness=1e-6", "damping.stiffness=1", "excitation.omega=-1",
+    "excitation.omega=3000", "excitation.point=[0,0]", "excitation.force_sin=[0,0]",
+    "contact.law=unilateral", "contact.stiffness=none", "contact.stiffness=1e30",
+    "contact.stiffness_per_area=1e9", "contact.sharpness=1e6", "contact.law=smoothed",
+    "contact.pairs=mouth", "harmonic_balance.harmonics=1", "harmonic_balance.harmonics=100000000",
+    "harmonic_balance.samples=13", "harmonic_balance.samples=2000000000", "reduction.modes=2",
+    "reduction.modes=100", "reduction.method=off", "reduction.method=craig_bampton", "curve=none",
+    "curve.parameter=load", "curve.parameter=clearance", "curve.parameter=damping",
+    "curve.start=0", "curve.stop=0", "curve.stop=2000", "curve.stability=false",
+    "integration.method=events", "integration.method=implicit", "integration.method=euler",
+    "integration.method=exponential", "reduction.method=massless",
+    "integration.steps_per_period=1", "integration.steps_per_period=100", "integration.settle=none",
+    "sweep.over={}", "sweep.over={'crack.length'=[1]}", "mesh.file=a.msh", "mesh.layout=file",
+    "crack.first_omega=2000", "crack.clearance=1e-6", "crack.clearance=-1e-6", "\ud800=1",
+    "excitation.frequency=300", "curve.parameter=frequency", "loads.1.edge=top",
+    "loads.1.pressure_sin=1", "loads.1.point=[0.05,0.1]", "loads.2.force_cos=[1,0]", "loads=none",
+    "base.acceleration_sin=[1,0]", "base.displacement_cos=[1e-6,0]", "structure.mass=a",
+    "structure.stiffness=b", "structure.force_sin=c", "reduction=off",
+    "harmonic_balance.tolerance=0.1", "excitation.point=none",
+    "mesh.file=\udcff", "crack.edge=a\nb", "geometry.width=1e-7", "geometry.thickness=none",
+]  # fmt: skip
+
+
+def market(array: Any) -> bytes:
+    """A Matrix Market file of an array."""
+    columns = np.atleast_2d(np.asarray(array, dtype=float).T).T
+    sizes = " ".join(map(str, columns.shape))
+    numbers = "\n".join(repr(float(value)) for value in columns.T.ravel())
+    return f"%%MatrixMarket matrix array real general\n{sizes}\n{numbers}\n".encode()
+
+
+def make_base(folder: Path) -> None:
+    """Scenes, meshes, matrices, tables and results that are right."""
+    folder.mkdir(parents=True)
+    loads = PLATE.index("[material]")
+    of_file = "[geometry]\nthickness = 0.01\n[crack]\n# clearance = 1e-6\n" + PLATE[loads:]
+    grid = of_file.index("[mesh]"), of_file.index("[harmonic_balance]")
+    of_file = (
+        of_file[: grid[0]] + '[mesh]\nlayout = "file"\nfile = "plate.msh"\n' + of_file[grid[1] :]
+    )
+    of_file = of_file.replace("point = [0.1, 0.1]\n", "")
+    texts = {
+        "plate.toml": PLATE + ORDER, "rotor.toml": PLATE.replace("omega = 2000.0", "order = 20")
+        + ROTOR, "file.toml": of_file + ORDER, "chain.toml": CHAIN + OF_CHAIN,
+        "measured.csv": MEASURED,
+    }  # fmt: skip
+    for name, text in texts.items():
+        (folder / name).write_text(text)
+    write_msh(fc.Scene.load(folder / "plate.toml"), folder / "plate.msh")
+    with_gmsh(folder)
+    ring = 2.0 * np.eye(3) - np.eye(3, k=1) - np.eye(3, k=-1)
+    parts = {
+        "mass": np.diag([1.0, 2.0, 1.0]), "stiffness": ring, "force": [1.0, 0.0, 0.0],
+        "gap": np.eye(3)[:, :2], "clearance": [0.1, 0.0], "damping": 0.1 * ring,
+    }  # fmt: skip
+    for name, part in parts.items():
+        content = market(part)
+        (folder / f"{name}.mtx").write_bytes(content)
+        (folder / f"{name}.mtx.gz").write_bytes(gzip.compress(content, mtime=0))
+        (folder / f"{name}.mtx.bz2").write_bytes(bz2.compress(content))
+    for name, command in itertools.product(("plate", "chain"), ("modes", *OF_SCENES[2:])):
+        if command != "verify":
+            code, errors = call(
+                [command, str(folder / f"{name}.toml"), "--output", str(folder / name)]
+            )
+            if code not in (0, 3):
+                raise RuntimeError(errors)
+    scene = fc.Scene.load(folder / "plate.toml")
+    solution = folder / "plate" / "solution.h5"
+    assert (
+        call(["timing", str(folder / "plate.toml"), str(solution), "--output", str(folder)])[0] == 0
+    )
+    study = fc.prepare(scene.replace({"damping.ratio": 0.0}))
+    backbone = fc.follow_backbone(study.structure, study.contact, 1, 1e-6, 1e-5, harmonics=3)
+    fc.save(backbone, folder / "plate" / "backbone.h5", scene)
+    (folder / COMPLETE).touch()
+
+
+def with_gmsh(folder: Path) -> None:
+    """The mesh in an older format, and in binary."""
+    gmsh.initialize(readConfigFiles=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.open(str(folder / "plate.msh"))
+        gmsh.option.setNumber("Mesh.Binary", 1)
+        gmsh.write(str(folder / "plate_binary.msh"))
+        gmsh.option.setNumber("Mesh.Binary", 0)
+        gmsh.option.setNumber("Mesh.MshFileVersion", 2.2)
+        gmsh.write(str(folder / "plate_22.msh"))
+    finally:
+        gmsh.finalize()
+
+
+# --- inputs ---------------------------------------------------------------------------------------
+
+
+def damaged_input(rng: random.Random, folder: Path) -> tuple[str, list[str]]:
+    """Damage one file in a folder with copies of all; what has been done, and the words of a
+    command that reads it."""
+    kind = rng.choices(*zip(*KINDS.items(), strict=True))[0]
+    what, words = kind(rng, folder)
+    if words[0] not in ("check", "new", "report"):
+        words = [*words, "--output", str(folder / "out")]
+    if rng.random() < 0.1:
+        words.append(rng.choice(["--quiet", "--verbose", "--format=json", "--format=csv"]))
+    return what, words
+
+
+def _run_scene(name: str, rng: random.Random, folder: Path) -> list[str]:
+    """A command on a scene."""
+    path = str(folder / name)
+    commands = [*OF_SCENES, "identify", "timing", "campbell", "plot"]
+    command = rng.choice(["check", "modes", "solve", *commands])
+    more = {
+        "modes": ["--count", "3"],
+        "campbell": ["--count", "2", "--speeds", "0", "100", "3"],
+        "identify": [str(folder / "measured.csv")],
+        "timing": rng.choice([[], [str(folder / "plate" / "solution.h5")]]),
+    }
+    return [command, path, *more.get(command, [])]
+
+
+def _scene(rng: random.Random, folder: Path) -> tuple[str, list[str]]:
+    name = rng.choice(SCENES)
+    path = folder / name
+    if rng.random() < 0.1:
+        path.write_bytes(changed_bytes(path.read_bytes(), rng))
+    else:
+        text = changed_text(path.read_text(encoding="utf-8"), rng)
+        path.write_text(text, encoding="utf-8", errors="surrogatepass")
+    return name, _run_scene(name, rng, folder)
+
+
+def _mesh(rng: random.Random, folder: Path) -> tuple[str, list[str]]:
+    name = rng.choice(MESHES)
+    content = (folder / name).read_bytes()
+    changed = changed_bytes if "binary" in name and rng.random() < 0.8 else changed_file
+    (folder / "plate.msh").write_bytes(changed(content, rng))
+    command = rng.choice(["check", "check", "modes", "solve", "plot"])
+    return name, [command, str(folder / "file.toml")]
+
+
+def _matrix(rng: random.Random, folder: Path) -> tuple[str, list[str]]:
+    name = rng.choice(["mass", "stiffness", "gap", "force", "clearance", "damping"])
+    scene = folder / "chain.toml"
+    text = scene.read_text()
+    if name == "damping":
+        text = text.replace("# damping", "damping").replace("[damping]\nratio = 0.02\n", "")
+    packing = rng.choice(["", ".gz", ".bz2"])
+    for ending in ("", ".gz", ".bz2"):
+        text = text.replace(f'"{name}.mtx{ending}"', f'"{name}.mtx{packing}"')
+    scene.write_text(text)
+    path = folder / f"{name}.mtx{packing}"
+    if packing and rng.random() < 0.5:
+        path.write_bytes(changed_bytes(path.read_bytes(), rng))
+    else:
+        content = changed_file((folder / f"{name}.mtx").read_bytes(), rng, MARKET_WORDS)
+        path.write_bytes({".gz": gzip.compress, ".bz2": bz2.compress}.get(packing, bytes)(content))
+    return path.name, [rng.choice(["check", *OF_SCENES]), str(scene)]
+
+
+def _measurements(rng: random.Random, folder: Path) -> tuple[str, list[str]]:
+    path = folder / "measured.csv"
+    path.write_text(changed_table(MEASURED, rng), errors="surrogatepass")
+    return path.name, ["identify", str(folder / "plate.toml"), str(path)]
+
+
+def _arrivals(rng: random.Random, folder: Path) -> tuple[str, list[str]]:
+    path, scene = folder / "arrivals.csv", str(folder / "plate.toml")
+    path.write_text(changed_table(path.read_text(), rng), errors="surrogatepass")
+    words = ["timing", scene, str(path)]
+    if rng.random() < 0.2:
+        words = ["identify", scene, "--arrivals", str(path)]
+    return path.name, words
+
+
+def _result(rng: random.Random, folder: Path) -> tuple[str, list[str]]:
+    path = rng.choice(sorted(folder.glob("*/*.h5")))
+    forging = rng.random() < 0.6
+    if forging:
+        change_result(path, rng)
+    else:
+        path.write_bytes(changed_bytes(path.read_bytes(), rng))
+    scene, command = (
+        str(folder / f"{path.parent.name}.toml"),
+        rng.choice(["plot", "plot", "report"]),
+    )
+    words = [command, str(path)]
+    if command == "report":
+        words += ["--output", str(folder / "report.html")]
+    if path.stem in ("solution", "curve") and rng.random() < 0.2:
+        words = ["timing", scene, str(path)]
+    if path.stem == "solution" and rng.random() < 0.1:
+        words = ["identify", scene, "--arrivals", str(path)]
+    if path.stem == "sweep" and rng.random() < 0.3:  # it goes on with it
+        (folder / "out").mkdir()
+        shutil.copy(path, folder / "out")
+        words = ["sweep", scene]
+    return f"{path.name} {'forged' if forging else 'damaged'}", words
+
+
+def _words(rng: random.Random, folder: Path) -> tuple[str, list[str]]:
+    if rng.random() < 0.1:
+        places = ["new.toml", "plate.toml", "plate", "a\0b", "\udcff.toml", "x/y/z.toml", "a" * 300]
+        return "words", ["new", str(folder / rng.choice(places))]
+    words = _run_scene(rng.choice(SCENES), rng, folder)
+    for _ in range(rng.choice([1, 1, 2, 3])):
+        words += ["--set", rng.choice(SETTINGS)]
+    others = ["--count=0", "--count=1e3", "--count=1000", "--format=xml", "--wrong", "", "--help"]
+    if rng.random() < 0.1:
+        words.insert(rng.randrange(len(words)), rng.choice(others))
+    return "words", words
+
+
+KINDS: dict[Callable[[random.Random, Path], tuple[str, list[str]]], int] = {
+    _scene: 30, _mesh: 10, _matrix: 12, _measurements: 6, _arrivals: 6, _result: 26, _words: 10,
+}  # fmt: skip
+"""Ways to damage an input, and how often each is taken."""
+
+
+# --- structures -----------------------------------------------------------------------------------
+
+DAMPINGS = {
+    "all modes": "ratio = 0.02",
+    "the first mode": "ratio = 0.02\nmodes = 1",
+    "mode by mode": "ratio = {ratios}",
+    "none": "ratio = 0.0",
+    "mass": "mass = 0.05",
+    "stiffness": "stiffness = 0.02",
+    "mass and stiffness": "mass = 0.05\nstiffness = 0.02",
+    "two ratios": "ratios = [0.02, 0.03]\nomegas = [0.5, 1.0]",
+    "a matrix": "",
+}
+LAWS = {"penalty": "stiffness = 10.0", "unilateral": "law = 'unilateral'"}
+EVERY_COMMAND = (*OF_SCENES, "campbell", "timing", "identify")
+REFUSED = {"campbell": "rotation", "timing": "tip_timing", "identify": "measurements"}
+"""Commands that need what a structure does not have, and what they ask for."""
+FORMS = [
+    (dofs, pairs, damping, law, free, command)
+    for dofs in range(1, 11)
+    for pairs in range(dofs + 1)
+    for damping, law, free in itertools.product(
+        DAMPINGS, LAWS if pairs else ["none"], (False, True)
+    )
+    for command in EVERY_COMMAND
+]
+"""All that are tried: in the order of the case numbers, mixed, so that the first are a sample."""
+random.Random(0).shuffle(FORMS)
+
+
+def small_structure(form: tuple[Any, ...], folder: Path) -> tuple[str, list[str]]:
+    """Write a structure's files; what it is, and the words of the command."""
+    dofs, pairs, damping, law, free, command = form
+    rng = np.random.default_rng(dofs)
+    springs = rng.uniform(1.0, 3.0, dofs + 1)
+    if free:
+        springs[[0, -1]] = 0.0
+    stiffness = np.diag(springs[:-1] + springs[1:])
+    stiffness -= np.diag(springs[1:-1], 1) + np.diag(springs[1:-1], -1)
+    gap = np.eye(dofs)[:, :pairs]  # to the ground, and every other one between two masses
+    gap[np.arange(0, pairs - 1, 2), np.arange(1, pairs, 2)] = -1.0
+    parts = {
+        "mass": np.diag(rng.uniform(1.0, 2.0, dofs)), "stiffness": stiffness,
+        "force": rng.normal(size=dofs), "gap": gap, "damping": 0.02 * stiffness,
+    }  # fmt: skip
+    for name, part in parts.items():
+        (folder / f"{name}.mtx").write_bytes(market(part))
+    lines = ["[structure]", "mass = 'mass.mtx'", "stiffness = 'stiffness.mtx'"]
+    lines += ["force_sin = 'force.mtx'"]
+    if pairs:
+        lines += ["gap = 'gap.mtx'", "[contact]", LAWS[law]]
+    if damping == "a matrix":
+        lines.insert(1, "damping = 'damping.mtx'")
+    else:
+        ratios = [0.01 * (place + 1) for place in range(dofs)]
+        lines += ["[damping]", DAMPINGS[damping].format(ratios=ratios)]
+    of_chain = OF_CHAIN[OF_CHAIN.index("[harmonic_balance]") :]
+    text = "\n".join([*lines, "[excitation]", "omega = 0.9", of_chain])
+    if damping == "none":  # curves of what nothing damps are long
+        text = text.replace("stop = 0.9", "stop = 0.82\nstability = false")
+    (folder / "small.toml").write_text(text)
+    words = [command, str(folder / "small.toml")]
+    if command != "check":
+        words += ["--output", str(folder / "out")]
+    fixed = "free" if free else "fixed"
+    return f"{dofs} dofs, {pairs} pairs, {damping}, {law}, {fixed}, {command}", words
+
+
+def expected(form: tuple[Any, ...]) -> str:
+    """The key that a command refuses a structure by; empty where it does not."""
+    _, pairs, _, law, _, command = form
+    if command in ("curve", "integrate") and not pairs:
+        return "structure.gap"
+    if command == "curve" and law == "unilateral":
+        return "contact.law"
+    return REFUSED.get(command, "")
+
+
+# --- the program, in a process of its own ---------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a case ended."""
+
+    part: str
+    case: int
+    what: str
+    outcome: str
+    seconds: float
+    mebibytes: float
+    message: str
+
+    @property
+    def wrong(self) -> bool:
+        """Whether this is what the program never does."""
+        return self.outcome in WRONG
+
+
+def call(words: list[str]) -> tuple[int, str]:
+    """Exit code and standard error of the program."""
+    errors, before = io.StringIO(), sys.__stderr__
+    sys.__stderr__ = errors  # type: ignore[misc]
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(errors):
+            try:
+                code = int(main(words))
+            except SystemExit as ending:  # argparse
+                code = int(ending.code or 0)
+    finally:
+        sys.__stderr__ = before  # type: ignore[misc]
+    return code, errors.getvalue()
+
+
+def judged(code: int, errors: str, noise: str) -> tuple[str, str]:
+    """The outcome of a call, and what was said."""
+    lines = errors.strip().splitlines()
+    last = lines[-1] if lines else ""
+    if code not in CODES or ("Traceback" in errors and code != 2):
+        return "RAW", f"exit code {code}: {last}"
+    if noise.strip():
+        return "RAW", f"a library says: {noise.strip().splitlines()[0]}"
+    told = [line for line in lines if line.startswith("fenics-crack: ")]
+    if code == 2 and "usage: " not in errors and told != [last]:
+        return "RAW", f"{len(lines)} lines: {' | '.join(lines)}"
+    return CODES[code], last if code else ""
+
+
+def draw(part: str, case: int, seed: int, folder: Path) -> tuple[str, list[str]]:
+    """The files of a case in a folder, and the command."""
+    if part == "structures":
+        return small_structure(FORMS[case % len(FORMS)], folder)
+    return damaged_input(random.Random(f"{seed} {case}"), folder)
+
+
+def work(connection: Connection, base: Path, folder: Path) -> None:
+    """The process that tries cases until it is told to end."""
+    os.setsid()
+    folder.mkdir(parents=True, exist_ok=True)
+    log = os.open(folder.with_suffix(".log"), os.O_RDWR | os.O_CREAT | os.O_TRUNC)
+    os.dup2(log, 2)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    np.seterr(all="ignore")
+    at_rest = _memory("VmRSS:")
+    used = int(_memory("VmSize:") + 2 * BYTES)
+    resource.setrlimit(resource.RLIMIT_AS, (used, used))
+    while (given := connection.recv()) is not None:
+        part, case, seed = given
+        shutil.rmtree(folder, ignore_errors=True)
+        shutil.copytree(base, folder)
+        what, words = draw(part, case, seed, folder)
+        connection.send(f"{what}: {' '.join(words)}")
+        os.ftruncate(log, 0)
+        os.lseek(log, 0, os.SEEK_SET)
+        Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
+        begun = _processor_time()
+        code, errors = call(words)
+        seconds, peak = _processor_time() - begun, _memory("VmHWM:") - at_rest
+        noise = os.pread(log, 10_000, 0).decode(errors="replace")
+        outcome, message = judged(code, errors, noise)
+        if outcome == "refused" and part == "structures":
+            key = expected(FORMS[case % len(FORMS)])
+            if not (key and message.startswith(f"fenics-crack: {key}")):
+                outcome = "RAW"
+        if outcome not in WRONG and peak > BYTES:
+            outcome = "TOO LARGE"
+        if outcome not in WRONG and seconds > SECONDS:
+            outcome = "TOO LONG"
+        connection.send(Outcome(part, case, what, outcome, seconds, peak / 2**20, message[:SHOWN]))
+
+
+def _memory(name: str) -> float:
+    """Of this process [bytes]."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return 1024.0 * next(int(line.split()[1]) for line in lines if line.startswith(name))
+
+
+def _processor_time() -> float:
+    """Of this process and of those that it has started and that have ended [s]."""
+    found = os.times()
+    return found.user + found.system + found.children_user + found.children_system
+
+
+class Trial:
+    """Tries cases in another process, which is started again where it ends."""
+
+    def __init__(self, base: Path, folder: Path) -> None:
+        self._base, self.folder = base, folder
+        self._process: Any = None
+        self._before = 0.0
+
+    def __enter__(self) -> Trial:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        if self._process is not None:
+            self._connection.send(None)
+            self._process.join()
+
+    def _start(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._connection, other = context.Pipe()
+        self._process = context.Process(target=work, args=(other, self._base, self.folder))
+        self._process.start()
+        other.close()
+
+    def _end(self) -> None:
+        """End the process and those it has started."""
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.join()
+        self._process = None
+
+    def attempt(self, part: str, case: int, seed: int) -> Outcome:
+        """One case."""
+        if self._process is None:
+            self._start()
+        self._before = 0.0
+        self._before = self._used()
+        self._connection.send((part, case, seed))
+        what, begun = "", time.monotonic()
+        try:
+            what = self._connection.recv()
+            # Where other work slows the machine down, the clock says little.
+            while not self._connection.poll(SECONDS):
+                if time.monotonic() - begun > 5 * SECONDS or self._used() > 1.5 * SECONDS:
+                    self._end()
+                    seconds = time.monotonic() - begun
+                    return Outcome(part, case, what, "TOO LONG", seconds, np.nan, what)
+            found = self._connection.recv()
+        except (EOFError, ConnectionResetError):
+            self._process.join()
+            code, self._process = self._process.exitcode, None
+            log = self.folder.with_suffix(".log").read_text(errors="replace")[-SHOWN:]
+            message = f"exit code {code}: {what} {' '.join(log.split())}"
+            return Outcome(part, case, what, "DEATH", time.monotonic() - begun, np.nan, message)
+        assert isinstance(found, Outcome)
+        return found
+
+    def _used(self) -> float:
+        """Processor time of the process since it began [s]."""
+        cells = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
+        return sum(map(int, cells[11:15])) / os.sysconf("SC_CLK_TCK") - self._before
+
+
+def attempts(
+    part: str, cases: Iterable[int], seed: int, base: Path, keep: Path | None = None
+) -> Iterator[Outcome]:
+    """Try cases; the files of those that go wrong are kept in a folder."""
+    with tempfile.TemporaryDirectory() as place, Trial(base, Path(place) / "case") as trial:
+        for case in cases:
+            found = trial.attempt(part, case, seed)
+            if found.wrong and keep is not None:
+                kept = keep / f"{part}_{seed}_{case}"
+                shutil.rmtree(kept, ignore_errors=True)
+                shutil.copytree(trial.folder, kept, dirs_exist_ok=True)
+            yield found
+
+
+# --- the command ----------------------------------------------------------------------------------
+
+
+def try_part(part: str, arguments: common.Arguments) -> None:
+    """Try the cases of a part that the file does not have yet; print what they came to."""
+    folder, path = arguments.folder / "fuzzing", arguments.folder / "fuzzing.csv"
+    base = (folder / "base").absolute()
+    if not (base / COMPLETE).exists():
+        shutil.rmtree(base, ignore_errors=True)
+        make_base(base)
+    count = arguments.cases or (300 if arguments.quick else 10_000)
+    if part == "structures":
+        count = min(count, len(FORMS))
+    cases = range(arguments.first, arguments.first + count)
+    rows = _rows(path, part, cases)
+    done = {int(row[1]) for row in rows}
+    new = not path.exists()
+    with open(path, "a", newline="") as file:
+        writer = csv.writer(file)
+        if new:
+            writer.writerow(COLUMNS)
+        left = [case for case in cases if case not in done]
+        for found in attempts(part, left, arguments.seed, base, folder):
+            rows.append([str(cell) for cell in vars(found).values()])
+            writer.writerow(rows[-1])
+            file.flush()
+            if found.wrong:
+                print(
+                    f"{part} {found.case}: {found.outcome}: {found.what}: {found.message}",
+                    flush=True,
+                )
+    counts = Counter(row[3] for row in rows)
+    told = ", ".join(f"{number} {name}" for name, number in counts.most_common())
+    slowest, largest = (max((float(row[at]) for row in rows), default=0.0) for at in (4, 5))
+    print(f"{part}, seed {arguments.seed}: {len(rows)} cases: {told}")
+    print(f"the slowest {slowest:.1f} s of processor time, the largest {largest:.0f} MiB")
+
+
+def _rows(path: Path, part: str, cases: range) -> list[list[str]]:
+    """Rows of a file that is there."""
+    if not path.exists():
+        return []
+    with open(path, newline="") as file:
+        rows = [row for row in csv.reader(file) if len(row) == len(COLUMNS)]
+    return [row for row in rows[1:] if row[0] == part and int(row[1]) in cases]
+
+
+if __name__ == "__main__":
+    common.run(
+        __doc__,
+        {
+            "inputs": lambda arguments: try_part("inputs", arguments),
+            "structures": lambda arguments: try_part("structures", arguments),
+        },
+        cases={"type": int, "help": "how many of each part (default: 10000)"},
+        seed={"type": int, "default": 1},
+        first={"type": int, "default": 0, "help": "number of the first case"},
+    )

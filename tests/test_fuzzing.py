@@ -1,0 +1,95 @@
+"""Damaged inputs and small structures through every command: a part of benchmarks/fuzzing.py."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections import Counter
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import fuzzing
+import pytest
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Inputs that are right."""
+    folder = tmp_path_factory.mktemp("fuzzing") / "base"
+    fuzzing.make_base(folder)
+    return folder
+
+
+@pytest.mark.parametrize(("part", "count"), [("inputs", 44), ("structures", 40)])
+def test_every_input_ends_well(part: str, count: int, base: Path, tmp_path: Path) -> None:
+    """With a result, a line about the input, or what did not converge."""
+    found = [*fuzzing.attempts(part, range(count), 1, base, tmp_path)]
+    assert not [one for one in found if one.wrong]
+    counts = Counter(one.outcome for one in found)
+    assert len(found) == count and min(counts["done"], counts["refused"]) > 4
+
+
+def test_a_case_is_always_the_same(base: Path, tmp_path: Path) -> None:
+    """It follows from the seed and its own number."""
+
+    def drawn(case: int) -> tuple[Any, dict[str, bytes]]:
+        folder = tmp_path / "case"
+        fuzzing.shutil.rmtree(folder, ignore_errors=True)
+        fuzzing.shutil.copytree(base, folder)
+        words = fuzzing.draw("inputs", case, 1, folder)
+        files = (path for path in sorted(folder.rglob("*.toml")) if path.is_file())
+        return words, {path.name: path.read_bytes() for path in files}
+
+    first = [drawn(case) for case in range(5)]
+    assert [drawn(case) for case in reversed(range(5))] == first[::-1]
+
+
+def _dies(*_: Any) -> None:
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def _hangs(*_: Any) -> None:
+    time.sleep(60.0)
+
+
+ENDS = {"DEATH": _dies, "TOO LONG": _hangs}
+
+
+def _work(connection: Connection, base: Path, folder: Path) -> None:
+    """What :func:`fuzzing.work` does, of a program that dies or hangs."""
+    os.setsid()
+    folder.mkdir(parents=True, exist_ok=True)
+    folder.with_suffix(".log").touch()
+    while (given := connection.recv()) is not None:
+        connection.send("what")
+        ENDS[given[0]]()
+
+
+@pytest.mark.parametrize("end", ENDS)
+def test_what_the_process_does_is_seen(
+    end: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It dies, or does not end; another one takes the next case."""
+    monkeypatch.setattr(fuzzing, "work", _work)
+    monkeypatch.setattr(fuzzing, "SECONDS", 0.5)
+    found = [*fuzzing.attempts(end, range(2), 1, tmp_path)]
+    assert [(one.case, one.outcome, one.wrong) for one in found] == [(n, end, True) for n in (0, 1)]
+
+
+JUDGED: dict[str, tuple[Callable[[], tuple[str, str]], str]] = {
+    "a result": (lambda: fuzzing.judged(0, "remark: a\nremark: b\n", ""), "done"),
+    "one line": (lambda: fuzzing.judged(2, "fenics-crack: a = 1\n", ""), "refused"),
+    "no word": (lambda: fuzzing.judged(2, "", ""), "RAW"),
+    "two lines": (lambda: fuzzing.judged(2, "fenics-crack: a\nfenics-crack: b\n", ""), "RAW"),
+    "a fault": (lambda: fuzzing.judged(1, "Traceback\nValueError: x\n", ""), "RAW"),
+    "a library": (lambda: fuzzing.judged(0, "", "HDF5-DIAG: error\n"), "RAW"),
+}
+
+
+@pytest.mark.parametrize(("judge", "outcome"), JUDGED.values(), ids=JUDGED.keys())
+def test_judgements(judge: Callable[[], tuple[str, str]], outcome: str) -> None:
+    """What counts as right and as raw."""
+    assert judge()[0] == outcome
