@@ -866,9 +866,8 @@ def try_part(part: str, arguments: common.Arguments) -> None:
     if not (base / COMPLETE).exists():
         shutil.rmtree(base, ignore_errors=True)
         make_base(base)
-    count = arguments.cases or (300 if arguments.quick else 10_000)
-    if part == "structures":
-        count = min(count, len(FORMS))
+    most = {"inputs": 10_000, "structures": len(FORMS)}[part]
+    count = arguments.cases or (300 if arguments.quick else most)
     cases = range(arguments.first, arguments.first + count)
     rows = _rows(path, part, cases)
     done = {int(row[1]) for row in rows}
@@ -910,7 +909,10 @@ if __name__ == "__main__":
             "inputs": lambda arguments: try_part("inputs", arguments),
             "structures": lambda arguments: try_part("structures", arguments),
         },
-        cases={"type": int, "help": "how many of each part (default: 10000)"},
+        cases={
+            "type": int,
+            "help": "how many of each part (default: 10000 inputs, all structures)",
+        },
         seed={"type": int, "default": 1},
         first={"type": int, "default": 0, "help": "number of the first case"},
     )

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mpi4py import MPI
 
-from fenics_crack.errors import InputError
+from fenics_crack.errors import InputError, reading
 from fenics_crack.model.damping import DampingRule
 from fenics_crack.model.matrices import whole_rows
 from fenics_crack.model.matrix_market import matrix_market_shape
@@ -58,6 +58,7 @@ def count_pairs(table: Table) -> int:
     if table.gap is None:
         return 0
     try:
-        return matrix_market_shape(Path(table.gap))[1]
-    except (OSError, EOFError, ValueError, OverflowError):
+        with reading("structure.gap", table.gap, "a Matrix Market file"):
+            return matrix_market_shape(Path(table.gap))[1]
+    except InputError:  # who reads it will say why
         return 0

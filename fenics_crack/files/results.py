@@ -251,6 +251,13 @@ def _pack_history(history: TimeHistory) -> Parts:
 
 
 def _unpack_history(parts: Parts, structure: Structure, contact: Law) -> TimeHistory:
+    count, dofs = parts["time"].size, parts["recorded_dofs"]
+    shapes = {name: (count, structure.n_pairs) for name in ("gap", "contact_force")}
+    shapes |= {"time": (count,), "recorded": (count, dofs.size), "recorded_dofs": (dofs.size,)}
+    if any(parts[name].shape != shape for name, shape in shapes.items()):
+        raise ValueError("its parts do not fit")
+    if parts["steps_per_period"] < 1 or count % parts["steps_per_period"]:
+        raise ValueError("it does not hold whole periods")
     signs = _signs(structure, parts.pop("couplings"))
     parts["final_state"] = tuple(signs * parts["final_state"])
     parts["recorded"] = signs[parts["recorded_dofs"] - structure.first_dof] * parts["recorded"]
