@@ -208,7 +208,8 @@ def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseC
         structure = reduce_structure(structure, method="massless")
     _take_law(parts, contact)
     unknowns = parts["unknowns"]
-    sizes = {len(part) for part in (parts["values"], parts["omega"], unknowns, parts["harmonics"])}
+    along = (f.name for f in fields(ResponseCurve) if "np.ndarray" in str(f.type))
+    sizes = {len(parts[name]) for name in along if name in parts}
     if parts["parameter"] not in FAMILIES or unknowns.ndim != 3 or len(sizes) != 1:
         raise ValueError("its parts do not fit")
     check_pairs(structure, unknowns)
