@@ -4,7 +4,7 @@ Each case is drawn from the seed and its own number alone (:mod:`campaign_cases`
 any of them can be repeated by itself (``--family plate --first N --cases 1``). What is asked:
 
     solution    solve_harmonic_balance with H given, and floquet
-    tolerance   the same with tolerance=1e-2, 1e-3 or 1e-4, of the reduced structure given
+    tolerance   the same with tolerance=1e-2, 1e-3 or 1e-4, of a reduced structure
     whole       the same of the whole structure, whose modes are chosen, too
     peak        the largest point of a curve over a resonance, and floquet
     curve       continue_frequency(stability=True), up to 8 of its points, and its bifurcations
@@ -76,6 +76,8 @@ SECONDS = 60.0
 """Of processor time that a case may take."""
 PERIODS = {4: 100, 200: 20}
 """Over which a motion called stable is followed, with up to so many pairs."""
+PEAK = 0.015
+"""Of the bilinear frequency, to both sides, where a peak is looked for."""
 NEXT_TO = 0.01
 """Of the frequency: where a bifurcation is looked for in the exact flow."""
 
@@ -347,7 +349,7 @@ def followed(case: Case, reach: float = 0.1, stability: bool = True) -> fc.Respo
 
 def peaks(case: Case) -> Iterator[Finding]:
     """The point of a curve where lips move most."""
-    curve = followed(case, 0.03, stability=False)
+    curve = followed(case, PEAK, stability=False)
     sizes = [np.linalg.norm(curve.solution(i).gap_coefficients[1:]) for i in range(len(curve))]
     begun = time.process_time()
     found = curve.solution(int(np.argmax(sizes)))

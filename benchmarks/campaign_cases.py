@@ -211,8 +211,11 @@ def _of_plates(rng: np.random.Generator, number: int, kind: str, family: str) ->
         law = fc.UnilateralPenalty(product / compliance)
     sign = float(rng.choice([0.0, -1.0, 1.0], p=[0.5, 0.25, 0.25]))
     clearance = sign * size * 10.0 ** rng.uniform(-2.0, 0.0)
-    harmonics = int(rng.choice([5, 10, 20, 40]))
+    harmonics = int(rng.choice([5, 10, 20, 40] if kind != "reduction" else [20, 40]))
     tolerance = float(rng.choice([1e-2, 1e-3, 1e-4]))
+    if kind == "tolerance":  # of harmonics alone: one with more modes, whose reduction has no say
+        assert isinstance(structure, fc.MasslessStructure) and structure.reference is not None
+        structure = structure.reference
     if kind == "whole":
         structure = fc.prepare(fc.Scene.from_mapping(table), whole=True).structure
     return Case(
