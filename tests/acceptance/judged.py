@@ -1,0 +1,96 @@
+"""Systems, and the exact motion that answers are held against; of the package the public names."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+from reference_flow import Orbit, ReferenceFlow
+
+import fenics_crack as fc
+
+OMEGA_0 = 2.0 * np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
+"""Bilinear frequency of the oscillator with a contact as stiff as its spring."""
+START = np.zeros(1)
+
+
+def oscillator(
+    damping: float | None = 0.1, force: float = 1.0, clearance: float = 0.0
+) -> fc.Structure:
+    """x'' + c x' + x (+ contact beyond the clearance) = f cos W t."""
+    one = np.ones((1, 1))
+    return fc.Structure.from_matrices(
+        one, one, one, force_cos=[force], clearance=clearance,
+        damping=None if damping is None else damping * one,
+    )  # fmt: skip
+
+
+def two_masses(force: float = 0.1) -> fc.Structure:
+    """A stop at mass 1 beyond a clearance of 1, the load on mass 2."""
+    stiffness = np.array([[1.0, -1.0], [-1.0, 2.0]])
+    return fc.Structure.from_matrices(
+        np.eye(2), stiffness, [1.0, 0.0], force_cos=[0.0, force], clearance=1.0,
+        damping=0.03 * stiffness,
+    )  # fmt: skip
+
+
+def chain(pairs: int = 3, count: int = 10, seed: int = 1) -> fc.Structure:
+    """Random masses and springs between two walls, pairs between neighbours, loads in both phases
+    and in the mean, clearances of both signs, a damping matrix."""
+    rng = np.random.default_rng(seed)
+    springs = rng.uniform(1.0, 3.0, count + 1)
+    stiffness = np.diag(springs[:-1] + springs[1:])
+    stiffness -= np.diag(springs[1:-1], 1) + np.diag(springs[1:-1], -1)
+    gap = np.zeros((count, pairs))
+    for pair in range(pairs):
+        gap[3 * pair : 3 * pair + 2, pair] = -1.0, 1.0
+    return fc.Structure.from_matrices(
+        np.diag(rng.uniform(1.0, 2.0, count)), stiffness, gap,
+        force_cos=rng.normal(size=count), force_sin=rng.normal(size=count),
+        force_mean=0.3 * rng.normal(size=count), clearance=np.linspace(-0.3, 0.3, pairs),
+        damping=0.03 * stiffness,
+    )  # fmt: skip
+
+
+@cache
+def plate() -> fc.Structure:
+    """Eight pairs without mass on 15 modes of the paper's plate, 1 %."""
+    return fc.prepare(
+        fc.Scene.from_mapping(
+            {
+                "geometry": {"width": 0.1, "height": 0.1, "thickness": 1.0},
+                "crack": {"edge": "left", "height": 0.05, "length": 0.05},
+                "material": {"young": 2e9, "poisson": 0.3, "density": 7800.0},
+                "damping": {"ratio": 0.01},
+                "excitation": {"omega": 2000.0, "point": [0.1, 0.1], "force_sin": [100.0, 0.0]},
+                "contact": {"law": "unilateral"},
+                "mesh": {"layout": "grid", "order": 2, "columns": 8, "rows": 8},
+                "reduction": {"modes": 15, "method": "massless"},
+            }
+        )
+    ).structure
+
+
+@cache
+def flow_of(structure: fc.Structure, law: Any) -> ReferenceFlow:
+    """The exact flow of a structure under a law; sets of closed pairs are kept."""
+    return ReferenceFlow(structure, law)
+
+
+def orbit_of(found: fc.PeriodicSolution) -> Orbit:
+    """The exact orbit next to a solution."""
+    flow = ReferenceFlow(found.structure, found.contact)
+    return flow.orbit(flow.states_of(found, START)[0], found.omega, found.period)
+
+
+def apart(found: fc.PeriodicSolution, orbit: Orbit) -> float:
+    """Root mean square of the gaps' difference over the period, relative to that of B^T u."""
+    times = np.arange(len(orbit.gap)) * found.period / len(orbit.gap)
+    size = np.linalg.norm(orbit.gap + found.structure.clearance)
+    return float(np.linalg.norm(found.gap(times) - orbit.gap) / size)
+
+
+def true_error(found: fc.PeriodicSolution) -> float:
+    """The distance of a solution from its orbit."""
+    return apart(found, orbit_of(found))

@@ -1,0 +1,62 @@
+"""What the program promises of solutions and curves: its words, files and exit codes."""
+
+import json
+from pathlib import Path
+
+import judged
+import numpy as np
+import pytest
+from conftest import NEW
+
+import fenics_crack as fc
+from fenics_crack.cli.command_line import main
+
+
+def test_solution(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Solved to the tolerance of the scene; what is printed, written and read again is one answer,
+    and next to its exact orbit."""
+    assert main(["solve", str(NEW), "--output", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    written = json.loads((tmp_path / "solution.json").read_text())
+    run = fc.load_run(tmp_path / "solution.h5")
+    found = run.result
+    assert isinstance(found, fc.PeriodicSolution) and found.converged
+    assert found.report.total < 1e-2 and judged.true_error(found) < 1e-2
+    assert found.stability is not None and found.stability.verdict in printed
+    exact = np.abs(judged.orbit_of(found).multipliers[0])
+    assert found.stability.verdict == ("stable" if exact < 1.0 else "unstable")
+    text = json.dumps(written)
+    assert found.stability.verdict in text and f"{found.harmonics}" in text
+
+
+def test_curve(tmp_path: Path) -> None:
+    """Of a plate with four pairs: from start to stop, with verdicts; read again the same."""
+    words = ["reduction.modes=8", "harmonic_balance.harmonics=8", "mesh.lip_elements=2"]
+    words += ["harmonic_balance.tolerance=none", "curve.start=820.0", "curve.stop=850.0"]
+    given = [part for word in words for part in ("--set", word)]
+    assert main(["curve", str(NEW), "--output", str(tmp_path), "--quiet", *given]) == 0
+    curve = fc.load_run(tmp_path / "curve.h5").result
+    assert isinstance(curve, fc.ResponseCurve) and curve.complete
+    assert curve.omega[[0, -1]] / (2.0 * np.pi) == pytest.approx([820.0, 850.0])
+    assert set(curve.verdicts.tolist()) <= {"stable", "unstable", "undecided"}
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "words"),
+    [
+        ("harmonic_balance.tolerance=-1", 2, "harmonic_balance.tolerance"),
+        ("harmonic_balance.harmonics=0", 2, "harmonic_balance.harmonics"),
+        ("contact.law=glue", 2, "contact.law"),
+        ("harmonic_balance.tolerance=1e-12", 3, "tolerance"),
+    ],
+)
+def test_exit_codes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: str, code: int, words: str
+) -> None:
+    """2 with the key that is wrong, 3 where the tolerance was not reached."""
+    given = ["--set", change, "--set", "mesh.lip_elements=2", "--set", "reduction.modes=5"]
+    if "harmonics" in change.split("=")[0].split(".")[1]:
+        given += ["--set", "harmonic_balance.tolerance=none"]
+    assert main(["solve", str(NEW), "--output", str(tmp_path), *given]) == code
+    captured = capsys.readouterr()
+    assert words in captured.err + captured.out

@@ -1,0 +1,158 @@
+"""What ``floquet``, ``shoot`` and their verdicts promise."""
+
+import judged
+import numpy as np
+import pytest
+import scipy.integrate
+
+import fenics_crack as fc
+
+SOFT = fc.UnilateralPenalty(1.0)
+CASES = {
+    "one mass": (judged.oscillator(), SOFT, 1.0, "stable"),
+    "between its doublings": (judged.oscillator(), SOFT, 2.0 * judged.OMEGA_0, "unstable"),
+    "two masses and a stop": (judged.two_masses(0.3), fc.UnilateralPenalty(100.0), 0.66, "stable"),
+    "past a doubling": (judged.two_masses(0.3), fc.UnilateralPenalty(100.0), 0.7, "unstable"),
+    "three pairs": (judged.chain(), fc.UnilateralPenalty([3.0, 10.0, 30.0]), 1.3, "stable"),
+}
+
+
+def solved(name: str) -> fc.PeriodicSolution:
+    """A case with 30 harmonics."""
+    structure, law, omega, _ = CASES[name]
+    return fc.solve_harmonic_balance(structure, omega, law, harmonics=30)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_multipliers_are_those_of_the_exact_orbit(name: str) -> None:
+    """And the verdict; the distance found is the true error."""
+    found = solved(name)
+    stability, orbit = fc.floquet(found.structure, found), judged.orbit_of(found)
+    assert stability.verdict == CASES[name][3]
+    largest = np.abs(stability.multipliers[0])
+    assert stability.refined and largest == pytest.approx(np.abs(orbit.multipliers[0]), rel=1e-7)
+    assert stability.distance == pytest.approx(judged.apart(found, orbit), rel=1e-3)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_orbit_by_shooting(name: str) -> None:
+    """That of the eigenbasis, in gap, multipliers and events."""
+    found = solved(name)
+    mine, orbit = fc.shoot(found.structure, found), judged.orbit_of(found)
+    size = np.linalg.norm(orbit.gap)
+    assert np.linalg.norm(mine.gap - orbit.gap) < 1e-8 * size
+    assert mine.events == orbit.events and mine.residual < 1e-9
+    assert np.abs(mine.multipliers[0]) == pytest.approx(np.abs(orbit.multipliers[0]), rel=1e-8)
+
+
+@pytest.mark.parametrize("name", ["one mass", "three pairs"])
+def test_volumes_shrink_as_the_damping_says(name: str) -> None:
+    """Liouville: the product of all multipliers is exp(-T tr M^-1 C)."""
+    found = solved(name)
+    mass, damping = (np.asarray(m[:, :]) for m in (found.structure.mass, found.structure.damping))
+    rate = np.trace(np.linalg.solve(mass, damping))
+    product = np.prod(fc.shoot(found.structure, found).multipliers)
+    assert product == pytest.approx(np.exp(-found.period * rate), rel=1e-8)
+
+
+@pytest.mark.parametrize("name", ["one mass", "between its doublings", "past a doubling"])
+def test_disturbed_motion_does_what_the_verdict_says(name: str) -> None:
+    """A march in time from the orbit, a little off along the leading direction: after n periods it
+    is |mu|^n as far away."""
+    found = solved(name)
+    structure, law, omega, verdict = CASES[name]
+    orbit = judged.orbit_of(found)
+    flow = judged.flow_of(structure, law)
+    values, vectors = np.linalg.eig(orbit.monodromy)
+    lead = int(np.argmax(np.abs(values)))
+    off = 1e-7 * np.linalg.norm(orbit.state) * vectors[:, lead].real
+    begin = np.linalg.solve(flow.system.rows, (orbit.state + off)[: structure.n_dofs] / flow.scale)
+    speed = np.linalg.solve(flow.system.rows, (orbit.state + off)[structure.n_dofs :])
+    periods = 8
+    history = fc.integrate_events(structure, omega, law, periods=periods, initial=(begin, speed))
+    end = flow.state(*history.final_state)
+    expected = np.linalg.matrix_power(orbit.monodromy, periods) @ off
+    assert np.linalg.norm(end - orbit.state - expected) < 0.02 * np.linalg.norm(expected)
+    grows = np.linalg.norm(expected) > np.linalg.norm(off)
+    assert grows == (verdict == "unstable")
+
+
+def test_without_contact_multipliers_are_those_of_the_modes() -> None:
+    """exp(mu T) with the eigenvalues mu of the damped oscillator."""
+    structure = judged.oscillator(0.1, clearance=10.0)
+    found = fc.solve_harmonic_balance(structure, 1.3, SOFT, harmonics=5)
+    stability = fc.floquet(structure, found)
+    exact = np.exp(found.period * (-0.05 + 1j * np.sqrt(1.0 - 0.05**2)))
+    assert stability.verdict == "stable"
+    assert np.sort_complex(stability.multipliers) == pytest.approx(
+        np.sort_complex([exact, exact.conj()]), abs=1e-9
+    )
+
+
+def test_smooth_law_against_the_variational_equation() -> None:
+    """An integrator of general purpose gives orbit and monodromy matrix of a smoothed contact."""
+    structure, law, omega = judged.oscillator(), fc.SmoothedPenalty(2.0, 20.0), 1.2
+    found = fc.solve_harmonic_balance(structure, omega, law, harmonics=40)
+
+    def rate(time: float, state: np.ndarray) -> np.ndarray:
+        x, v, frame = state[0], state[1], state[2:].reshape(2, 2)
+        slope = float(law.tangent(np.array([x]))[0])
+        push = float(law.force(np.array([x]))[0])
+        matrix = np.array([[0.0, 1.0], [-1.0 - slope, -0.1]])
+        return np.concatenate(
+            [[v, np.cos(omega * time) - 0.1 * v - x - push], (matrix @ frame).ravel()]
+        )
+
+    k = np.arange(1, 41) * omega
+    rows = found.displacement_coefficients[:, 0]
+    state = np.array([rows[0] + rows[1::2].sum(), (k * rows[2::2]).sum()])
+    for _ in range(4):
+        whole = np.concatenate([state, np.eye(2).ravel()])
+        end = scipy.integrate.solve_ivp(
+            rate, (0.0, found.period), whole, "DOP853", rtol=1e-10, atol=1e-12
+        ).y[:, -1]
+        monodromy = end[2:].reshape(2, 2)
+        state = state + np.linalg.solve(np.eye(2) - monodromy, end[:2] - state)
+    stability = fc.floquet(structure, found)
+    exact = np.linalg.eigvals(monodromy)
+    assert stability.verdict == "stable" and np.abs(exact).max() < 1.0
+    assert np.abs(stability.multipliers[0]) == pytest.approx(np.abs(exact).max(), rel=1e-4)
+
+
+def test_plate_without_mass() -> None:
+    """Eight rigid pairs: the verdict is that of the exact orbit, the multiplier to the steps that
+    were marched."""
+    structure, law = judged.plate(), fc.UnilateralConstraint()
+    found = fc.solve_harmonic_balance(structure, 2000.0, law, harmonics=30)
+    stability, orbit = fc.floquet(structure, found), judged.orbit_of(found)
+    exact = np.abs(orbit.multipliers[0])
+    assert stability.verdict == "stable" and exact < 1.0
+    assert np.abs(stability.multipliers[0]) == pytest.approx(exact, abs=0.02)
+
+
+def test_rigid_contact_of_pairs_with_mass_has_no_verdict() -> None:
+    """Its motion jumps: said in one line."""
+    structure, law = judged.oscillator(), fc.UnilateralConstraint()
+    found = fc.solve_harmonic_balance(structure, 1.0, law, harmonics=10)
+    with pytest.raises(fc.InputError):
+        fc.floquet(structure, found)
+
+
+@pytest.mark.xfail(strict=True, reason="orbits of fixed steps call it stable")
+def test_plate_that_only_looks_stable(plate_of_new: fc.Study) -> None:
+    """20 pairs: the exact multiplier is 1.0089331506."""
+    study = fc.prepare(
+        plate_of_new.scene.replace(
+            {
+                "crack.length": 0.03938896112631299,
+                "mesh.lip_elements": 10,
+                "damping.ratio": 0.0014945465368931062,
+                "reduction.modes": 32,
+                "excitation.frequency": None,
+                "excitation.omega": 2479.0759527239284,
+            }
+        )
+    )
+    omega = study.scene.excitation.omega
+    found = fc.solve_harmonic_balance(study.structure, omega, study.contact, harmonics=20)
+    assert fc.floquet(study.structure, found).verdict == "unstable"
