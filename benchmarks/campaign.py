@@ -72,6 +72,9 @@ LARGE, UNKNOWN = 0.1, 1.0
 know its error."""
 TIMES = 3.0
 """The estimate, and pred, beyond which an error is too large."""
+NEAR = 1e-5
+"""Distance of an answer from its stable orbit up to which the motion that begins with it need not
+be followed."""
 SECONDS = 60.0
 """Of processor time that a case may take."""
 PERIODS = {4: 100, 200: 20}
@@ -254,7 +257,7 @@ def _judgement(
         return OPEN, "at a bifurcation"
     if row.verdict != ("stable" if row.exact < 1.0 else "unstable"):
         return WRONG, "verdict"
-    if row.verdict == "stable" and leaves(case, found, orbit):
+    if row.verdict == "stable" and row.true > NEAR and leaves(case, found, orbit):
         return WRONG, "leaves"
     return RIGHT, ""
 
@@ -433,10 +436,9 @@ def ends(case: Case) -> Iterator[Finding]:
 
 def backbones(case: Case) -> Iterator[Finding]:
     """Points of a backbone of the undamped structure, from where contact begins."""
-    system = case.flow(case.structure).system
-    linear = fc.solve_linear(case.structure, case.omega)
-    modal = linear.displacement_coefficients[1:3] @ system.rows.T
-    energy = 0.5 * float(np.sum(modal**2 * system.squares)) or 1.0
+    motion = fc.solve_linear(case.structure, case.omega).displacement_coefficients[1:3]
+    squares = case.flow(case.structure).system.squares
+    energy = 0.5 * float(np.sum(motion**2 * squares)) or 1.0  # or so
     backbone = fc.follow_backbone(
         case.structure, case.law, 1, 1e-2 * energy, 10.0 * energy, harmonics=case.harmonics,
         throw=False,

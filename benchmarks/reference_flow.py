@@ -293,7 +293,11 @@ def _wave(omega: float, times: Any) -> np.ndarray:
 
 
 def _brent(function: Callable[[float], float], low: float, high: float) -> float:
-    return float(scipy.optimize.brentq(function, low, high, xtol=1e-300, rtol=1e-15))
+    """A root between two times, to rounding."""
+    try:
+        return float(scipy.optimize.brentq(function, low, high, xtol=1e-15 * high, maxiter=500))
+    except RuntimeError as error:
+        raise NoOrbit("an instant that is not found") from error
 
 
 # --- the flow -------------------------------------------------------------------------------------

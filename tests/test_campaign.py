@@ -1,5 +1,8 @@
 """Cases of benchmarks/campaign.py whose answers were wrong and passed for right."""
 
+import json
+from pathlib import Path
+
 import campaign
 import numpy as np
 import pytest
@@ -134,3 +137,32 @@ def test_cold_start_after_thousands_of_folds() -> None:
         case.structure, case.omega, case.law, harmonics=20, residual_tolerance=1e-9
     )
     assert found.converged
+
+
+@pytest.mark.parametrize(("family", "pairs"), [("mass", (5, 10)), ("plate", (8, 61))])
+def test_case_follows_from_its_seed_and_number(family: str, pairs: tuple[int, int]) -> None:
+    """Drawn twice it is the same, with as many pairs as its family has."""
+    one, two = (campaign.draw(1, 1, family=family) for _ in range(2))
+    assert (one.omega, one.kind, one.harmonics) == (two.omega, two.kind, two.harmonics)
+    assert pairs[0] <= one.structure.n_pairs <= pairs[1]
+    assert one.structure.light_lips == (family == "plate")
+
+
+def test_run_goes_on_and_is_added_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A case is a line; one that was not finished is asked again. Of a wrong answer, a tolerance
+    that is met and a verdict far from its orbit the table says so."""
+    kept = campaign.asked(1, 9)
+    assert kept["rows"][0]["judgement"] == campaign.RIGHT
+    path = tmp_path / "campaign_few_1.jsonl"
+    path.write_text(json.dumps(kept) + "\n" + json.dumps(kept)[:50])
+    assert campaign.read(path) == [json.loads(json.dumps(kept))]
+    row = kept["rows"][0] | {"true": 1e-3, "estimate": 1e-3, "pred": 1e-4, "verdict": "stable"}
+    met = row | {"asked": 1e-2, "verdict": "-"}
+    wrong = row | {"true": 1e-2, "judgement": campaign.WRONG}
+    rows = [one | {"of": kept} for one in (row, met, wrong)]
+    table = dict(zip(campaign.COLUMNS, campaign.line("few", rows), strict=True))
+    assert (table["answers"], table["WRONG"], table["stable > 3 pred"]) == (3, 1, 2)
+    assert table["tolerances met"] == "1 of 1" and table["undecided %"] == "0.0"
+    campaign.summarise([kept | {"rows": [row, wrong]}])
+    printed = capsys.readouterr().out
+    assert "few" in printed and "Wrong" in printed

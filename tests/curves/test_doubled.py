@@ -59,7 +59,7 @@ def test_motion_that_leaves_its_orbit_is_not_called_stable() -> None:
     [one] = [b for b in curve.bifurcations if b.kind == "period_doubling" and b.confirmed]
     branch = fc.follow_branch(curve, one, throw=False, stability=True, most_points=200)
     verdicts = {"stable": 0, "undecided": 0}
-    for place in range(0, len(branch), 3):
+    for place in range(0, len(branch), 4):
         verdict, solution = branch.verdicts[place], branch.solution(place)
         if verdict not in verdicts or solution.report.total < 0.01:
             continue
