@@ -156,7 +156,8 @@ def test_run_goes_on_and_is_added_up(tmp_path: Path, capsys: pytest.CaptureFixtu
     path = tmp_path / "campaign_few_1.jsonl"
     path.write_text(json.dumps(kept) + "\n" + json.dumps(kept)[:50])
     assert campaign.read(path) == [json.loads(json.dumps(kept))]
-    row = kept["rows"][0] | {"true": 1e-3, "estimate": 1e-3, "pred": 1e-4, "verdict": "stable"}
+    row = kept["rows"][0] | {"true": 1e-3, "estimate": 1e-3, "pred": 1e-4}
+    row |= {"verdict": "stable", "asked": float("nan")}
     met = row | {"asked": 1e-2, "verdict": "-"}
     wrong = row | {"true": 1e-2, "judgement": campaign.WRONG}
     rows = [one | {"of": kept} for one in (row, met, wrong)]
