@@ -1,12 +1,9 @@
 """The plate that a newcomer begins with."""
 
-from pathlib import Path
-
 import pytest
+from judged import NEW
 
 import fenics_crack as fc
-
-NEW = Path(__file__).parents[2] / "benchmarks" / "plate.toml"
 
 
 @pytest.fixture(scope="session")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,8 @@ from reference_flow import Orbit, ReferenceFlow
 
 import fenics_crack as fc
 
+NEW = Path(__file__).parents[2] / "benchmarks" / "plate.toml"
+"""The plate of `new`."""
 OMEGA_0 = 2.0 * np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
 """Bilinear frequency of the oscillator with a contact as stiff as its spring."""
 START = np.zeros(1)
