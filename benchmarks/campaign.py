@@ -313,8 +313,7 @@ def reductions(case: Case) -> Iterator[Finding]:
     )
     row = Finding("reduction", found.harmonics, found.omega, found.report.reduction)
     if found.converged:
-        assert isinstance(case.structure, fc.MasslessStructure)
-        off = _with_more_modes(case, found, case.structure._whole)
+        off = _with_more_modes(case, found, case.structure.whole)
         row.judgement = OPEN
         if off is not None:
             row.true = off[0]
