@@ -547,7 +547,7 @@ def asked(seed: int, number: int, kind: str | None = None, family: str = "few") 
     begun = time.process_time()
     rows = findings(seed, case)
     return {
-        "seed": seed, "case": number, "family": case.family, "kind": case.kind,
+        "seed": seed, "case": number, "only": kind, "family": case.family, "kind": case.kind,
         "dofs": case.structure.n_dofs, "pairs": case.structure.n_pairs, "k R": case.product,
         "s": time.process_time() - begun, "rows": rows,
     }  # fmt: skip
@@ -599,7 +599,8 @@ COLUMNS = (
 
 def summarise(cases: list[dict]) -> None:
     """A line for every family, for the reduction, the peaks and for all; every wrong answer."""
-    rows = [row | {"of": one} for one in cases for row in one["rows"]]
+    once = {key(one): one for one in cases}  # a case may be in several files
+    rows = [row | {"of": one} for one in once.values() for row in one["rows"]]
     groups = {name: lambda row, name=name: row["of"]["family"] == name for name in FAMILIES}
     plain = [row for row in rows if row["what"] != "reduction"]
     table = [line(name, list(filter(chosen, plain))) for name, chosen in groups.items()]
@@ -619,6 +620,11 @@ def summarise(cases: list[dict]) -> None:
                 for row in wrong
             ],
         )
+
+
+def key(case: dict) -> tuple:
+    """What a case follows from."""
+    return case["seed"], case["family"], case["case"], case["only"]
 
 
 def line(name: str, rows: list[dict]) -> list[object]:
@@ -643,7 +649,7 @@ def line(name: str, rows: list[dict]) -> list[object]:
     low, middle, high = np.quantile(ratios, (0.05, 0.5, 0.95)) if ratios else (np.nan,) * 3
     times = [row["seconds"] for row in rows if not np.isnan(row["seconds"])]
     return [
-        name, len({(row["of"]["seed"], row["of"]["family"], row["of"]["case"]) for row in rows}),
+        name, len({key(row["of"]) for row in rows}),
         len(rows), count(WRONG, rows), f"{low:.2f}", f"{middle:.2f}", f"{high:.2f}",
         share(sum(row["estimate"] >= UNKNOWN for row in given), given),
         share(sum(LARGE < row["estimate"] < UNKNOWN for row in given), given),
