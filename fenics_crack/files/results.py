@@ -253,8 +253,9 @@ def _pack_history(history: TimeHistory) -> Parts:
 
 def _unpack_history(parts: Parts, structure: Structure, contact: Law) -> TimeHistory:
     count, dofs = parts["time"].size, parts["recorded_dofs"]
-    shapes = {name: (count, structure.n_pairs) for name in ("gap", "contact_force")}
-    shapes |= {"time": (count,), "recorded": (count, dofs.size), "recorded_dofs": (dofs.size,)}
+    shapes: dict[str, tuple[int, ...]] = {"time": (count,), "recorded_dofs": (dofs.size,)}
+    shapes |= {name: (count, structure.n_pairs) for name in ("gap", "contact_force")}
+    shapes["recorded"] = count, dofs.size
     if any(parts[name].shape != shape for name, shape in shapes.items()):
         raise ValueError("its parts do not fit")
     if parts["steps_per_period"] < 1 or count % parts["steps_per_period"]:
