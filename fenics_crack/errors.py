@@ -57,7 +57,7 @@ class InputError(ValueError):
             pickle.dumps(value := self.value)
         except Exception:
             value = f"({type(self.value).__name__} that cannot be shown)"
-        return InputError, (self.key, value, self.allowed)
+        return type(self), (self.key, value, self.allowed)
 
     def __str__(self) -> str:
         key = self.key if self.key.isprintable() else repr(self.key)

@@ -142,7 +142,8 @@ def _say(text: str, stream: TextIO | None = None) -> None:
 
 def _discard_output() -> None:
     """Spare Python the attempt to write at its end what could not be written before."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    with contextlib.suppress(OSError):  # it may be no file
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _shortage(error: Exception) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 from importlib import resources
 from pathlib import Path
 
@@ -36,7 +37,7 @@ def new(path: Path, console: Console) -> Exit:
 
     def write() -> None:
         text = resources.files("fenics_crack.cli").joinpath("new_scene.toml").read_text("utf-8")
-        if path.exists():
+        if os.path.exists(path):  # False for a name too long, which writing will say
             raise InputError("scene", str(path), "a new file; there is one already")
         write_whole(path, text.replace("SCENE", path.name), "scene")
 

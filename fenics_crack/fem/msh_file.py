@@ -10,6 +10,7 @@ in a physical group for each combination of these.
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import tempfile
@@ -56,7 +57,7 @@ def read_file(path: Path) -> Names:
         if not condition:
             raise InputError("mesh.file", str(path), allowed)
 
-    require(path.is_file(), "an existing gmsh mesh file")
+    require(os.path.isfile(path), "an existing gmsh mesh file")
     found = _read_by_child(path)
     if isinstance(found, str):
         raise InputError("mesh.file", str(path), f"readable by gmsh ({found})")

@@ -607,7 +607,7 @@ def broken(*given):
     calls.append(given)
     if comm.rank == 1 and len(calls) > 10:  # after its first chunk
         raise KeyError("unforeseen")
-    time.sleep(0.02 if comm.rank == 0 else 0.0)  # the other rank gets a second chunk
+    time.sleep(0.2 if comm.rank == 0 else 0.0)  # the other rank gets a second chunk
     return whole(*given)
 sweep_case.Cases.solve = broken
 try:
