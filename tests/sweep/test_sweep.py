@@ -734,13 +734,15 @@ def test_killed_at_any_moment(
 
 @pytest.mark.slow
 def test_killed_while_the_file_is_made_and_written(paper_scene: fc.Scene, tmp_path: Path) -> None:
-    """A short sweep whose program does nothing but write, killed at many moments."""
-    scene, path = swept(paper_scene, FAST), tmp_path / "sweep.h5"
+    """A sweep whose program does nothing but write, read meanwhile and killed."""
+    many = {"start": 1000.0, "stop": 4000.0, "count": 10_000}
+    over = {"excitation.omega": many, "harmonic_balance.harmonics": [4, 5]}
+    scene, path = swept(paper_scene, over), tmp_path / "sweep.h5"
     source = tmp_path / "writer.py"
     source.write_text(program(scene, path).split("result =")[0] + WRITER.format(path=str(path)))
     package = Path(fc.__file__).parents[1]
     search = os.pathsep.join(filter(None, [str(package), os.environ.get("PYTHONPATH", "")]))
-    random = np.random.default_rng(3)
+    random, done = np.random.default_rng(3), 0
     for _ in range(3):
         writer = subprocess.Popen(
             [sys.executable, str(source)],
@@ -749,13 +751,17 @@ def test_killed_while_the_file_is_made_and_written(paper_scene: fc.Scene, tmp_pa
         )
         assert writer.stdout is not None
         writer.stdout.read(1)  # has begun
-        for _ in range(20):
-            SweepResult.load(path)
-            time.sleep(random.uniform(0.0, 0.02))
-        writer.kill()
-        writer.wait()
-        writer.stdout.close()
+        try:
+            for _ in range(5):
+                SweepResult.load(path)
+                time.sleep(random.uniform(0.0, 0.02))
+        finally:
+            writer.kill()
+            writer.wait()
+            writer.stdout.close()
         found = SweepResult.load(path)
+        assert done < np.count_nonzero(found.converged) < found.converged.size
+        done = np.count_nonzero(found.converged)
         assert np.all(found["response"][found.converged] == found["opening"][found.converged])
 
 
@@ -766,12 +772,12 @@ scene = fc.Scene.load({path!r}.replace(".h5", ".toml"))
 file = SweepFile(Path({path!r}), scene, 5, 1)
 random = np.random.default_rng()
 print("x", end="", flush=True)
-while True:
+waves = {{n: np.ones((11, 1)) for n in ("gap", "force")}}
+for row in range(0, len(file.state), 2):
     for column in (0, 1):
-        index, waves = (slice(0, 2), column), {{n: np.ones((11, 1)) for n in ("gap", "force")}}
         same = random.uniform(size=2)
-        file.state[index] = 0  # as if they were new
-        file.record(index, [waves | {{"harmonics": 5, "response": x, "opening": x}} for x in same])
+        cases = [waves | {{"harmonics": 5, "response": x, "opening": x}} for x in same]
+        file.record((slice(row, row + 2), column), cases)
 """
 
 
