@@ -17,7 +17,7 @@ import numpy as np
 from fenics_crack.balance.bordered import PathPoint
 from fenics_crack.balance.condensed import respond
 from fenics_crack.balance.error_report import ErrorReport, lost_in_reduction, mean_square
-from fenics_crack.balance.exact_orbits import EventOrbits, next_to, orbits_from, recurring
+from fenics_crack.balance.exact_orbits import FlowOrbits, next_to, orbits_from, recurring
 from fenics_crack.balance.fourier import balanced, sampled, stretched
 from fenics_crack.balance.orbits import OrbitPoint
 from fenics_crack.balance.problem import Problem
@@ -115,11 +115,10 @@ class _Waves:
         Of all harmonics from one on, relative to B^T u; of the displacement at the load, likewise.
     """
 
-    def __init__(self, problem: Problem, orbits: EventOrbits, orbit: PathPoint) -> None:
+    def __init__(self, problem: Problem, orbits: FlowOrbits, orbit: PathPoint) -> None:
         structure, most = problem.structure, MOST * problem.subharmonic
         unknown, count = orbit.unknown, OVERSAMPLED * most
-        rows = orbits.flow_at(1.0).displacement_rows()
-        moved = orbits.sampled(unknown, 1.0, count, rows)
+        moved = orbits.displacement(unknown, count)
         inside = np.empty((count, INTERLEAVED, structure.n_pairs))
         for place in range(INTERLEAVED):
             inside[:, place] = orbits.gap(unknown, 1.0, count, place / INTERLEAVED)

@@ -5,7 +5,7 @@ In x = z / |z_0| and p = w / w_0, z_0 and w_0 those of a motion nearby, an orbit
     F(x, p) = z(T; x, p) / |z_0| - x = 0,        T = 2 pi m / w,
 
 z the state at phase zero, m the periods of the load in the response's; dF/dx = M - I with the
-monodromy matrix M, dF/dp by central differences.
+monodromy matrix M.
 """
 
 from __future__ import annotations
@@ -15,21 +15,19 @@ from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg.lapack import dgeev
 
 from fenics_crack.balance.linearisation import DenseLinearisation
 from fenics_crack.model.flow import ExponentialFlow, Steps
+from fenics_crack.motion.orbit import eigenvalues
 
-__all__ = ["INSTANTS", "MarchedOrbits", "OrbitPoint", "Orbits", "eigenvalues", "recurrences"]
+__all__ = ["MarchedOrbits", "OrbitPoint", "Orbits", "recurrences"]
 
 DIFFERENCE = 1e-6
 """Of p, for dF/dp."""
-INSTANTS = 512
-"""At which the gaps of an orbit are kept."""
 
 
 class OrbitPoint(DenseLinearisation):
-    """The equations of exact orbits at a state and a frequency.
+    """The equations of periodic orbits at a state and a frequency.
 
     Attributes
     ----------
@@ -39,16 +37,14 @@ class OrbitPoint(DenseLinearisation):
 
     def __init__(
         self,
-        system: Orbits,
-        at: tuple[np.ndarray, float],
+        unknown: np.ndarray,
         residual: np.ndarray,
         monodromy: Callable[[], np.ndarray],
+        by_parameter: Callable[[], np.ndarray],
         events: int,
     ) -> None:
-        self._system, self._parameter, self._monodromy, self.events = (
-            system, at[1], monodromy, events,
-        )  # fmt: skip
-        super().__init__(at[0], residual)
+        self._monodromy, self._by_parameter, self.events = monodromy, by_parameter, events
+        super().__init__(unknown, residual)
 
     @cached_property
     def monodromy(self) -> np.ndarray:
@@ -61,7 +57,7 @@ class OrbitPoint(DenseLinearisation):
 
     def differentiate(self) -> np.ndarray:
         """dF/dp."""
-        return self._system.by_parameter(self.unknown, self._parameter)
+        return self._by_parameter()
 
     @cached_property
     def multipliers(self) -> np.ndarray:
@@ -88,11 +84,6 @@ class Orbits(ABC):
         self._size = float(np.linalg.norm(state)) or 1.0
         self.start = state / self._size
 
-    def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
-        """The equations at (x, p)."""
-        moved, monodromy, events = self.moved(unknown, parameter)
-        return OrbitPoint(self, (unknown, parameter), moved - unknown, monodromy, events)
-
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
         """Inner product."""
         return float(first @ second)
@@ -101,19 +92,16 @@ class Orbits(ABC):
         """The start after some periods of the response, nearer to what attracts it: (2n,)."""
         state = self.start
         for _ in range(periods):
-            state = self.moved(state, 1.0)[0]
+            state = self.moved(state, 1.0)
         return state
 
     @abstractmethod
-    def moved(
-        self, unknown: np.ndarray, parameter: float
-    ) -> tuple[np.ndarray, Callable[[], np.ndarray], int]:
-        """z(T) / |z_0|; what computes M; switching instants."""
+    def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
+        """The equations at (x, p)."""
 
-    def by_parameter(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
-        """dF/dp at fixed x, by central differences."""
-        after, before = (self.moved(unknown, parameter + h)[0] for h in (DIFFERENCE, -DIFFERENCE))
-        return (after - before) / (2.0 * DIFFERENCE)
+    @abstractmethod
+    def moved(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
+        """x after a period."""
 
 
 def recurrences(passed: Sequence[np.ndarray] | np.ndarray, count: int) -> list[int]:
@@ -121,18 +109,6 @@ def recurrences(passed: Sequence[np.ndarray] | np.ndarray, count: int) -> list[i
     those from which the motion came nearest to where it had been, the nearest first."""
     apart = np.linalg.norm(np.diff(passed, axis=0), axis=1)
     return [-1, *map(int, np.argsort(apart, kind="stable")[:count])]
-
-
-def eigenvalues(matrix: np.ndarray) -> np.ndarray:
-    """All of a monodromy matrix; straight from LAPACK, for small matrices a tenth of NumPy's
-    time."""
-    if not np.isfinite(matrix).all():
-        raise np.linalg.LinAlgError("the monodromy matrix is not finite")
-    real, imaginary, _, _, info = dgeev(matrix, compute_vl=0, compute_vr=0)
-    if info:
-        raise np.linalg.LinAlgError("eigenvalues of the monodromy matrix do not converge")
-    found: np.ndarray = real + 1j * imaginary
-    return found
 
 
 class MarchedOrbits(Orbits):
@@ -153,15 +129,16 @@ class MarchedOrbits(Orbits):
         """A period from a state."""
         return self.flow_at(parameter).advance(self._size * unknown, self._periods)
 
-    def moved(
-        self, unknown: np.ndarray, parameter: float
-    ) -> tuple[np.ndarray, Callable[[], np.ndarray], int]:
-        steps = self.steps(unknown, parameter)
-        return steps.states[-1] / self._size, steps.monodromy, steps.switches
+    def moved(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
+        return np.asarray(self.steps(unknown, parameter).states[-1] / self._size)
 
-    def by_parameter(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
-        here, moved = self.flow_at(parameter), []
-        for other in (parameter + DIFFERENCE, parameter - DIFFERENCE):
-            flow = here.at(other * self.omega)
-            moved.append(flow.advance(self._size * unknown, self._periods).states[-1])
-        return np.asarray((moved[0] - moved[1]) / (2.0 * DIFFERENCE * self._size))
+    def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
+        steps = self.steps(unknown, parameter)
+        residual = steps.states[-1] / self._size - unknown
+
+        def by_parameter() -> np.ndarray:
+            h = DIFFERENCE
+            after, before = self.moved(unknown, parameter + h), self.moved(unknown, parameter - h)
+            return np.asarray((after - before) / (2.0 * h))
+
+        return OrbitPoint(unknown, residual, steps.monodromy, by_parameter, steps.switches)

@@ -61,7 +61,7 @@ def _expanded(problem: Problem, unknown: np.ndarray) -> PeriodicSolution:
     """The solution that belongs to an unknown."""
     compliance = problem.compliance()
     at = problem.system(compliance).linearise(unknown)
-    found = solution_of(problem, at, status="point of a curve")
+    found = solution_of(problem, at, status="point of a curve", search=False)
     compliance.destroy()
     return found
 

@@ -24,14 +24,14 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.errors import ConvergenceError
+from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.kernel import Struct, doubles, kernel, owned
 from fenics_crack.model.contact import ContactLaw, check_law, is_piecewise_linear, is_rigid
 from fenics_crack.model.coupled import is_regular
 from fenics_crack.model.modal import AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
 
-__all__ = ["Budget", "ContactFlow", "Motion", "Samples", "flow_of"]
+__all__ = ["Budget", "ContactFlow", "Motion", "Samples", "exact_flow", "flow_of"]
 
 MAX_KEPT = 2**23
 """Numbers of the sets of closed pairs that are kept: 64 MB."""
@@ -64,6 +64,25 @@ def flow_of(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
     if is_rigid(contact) and not is_regular(residual):
         return None
     return ContactFlow(structure, contact, modes, residual)
+
+
+def exact_flow(structure: Structure, contact: ContactLaw) -> ContactFlow:
+    """The exact flow, where it must be there.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    flow = flow_of(structure, contact)
+    if flow is not None:
+        return flow
+    if not (is_piecewise_linear(contact) or is_rigid(contact)):
+        raise InputError("contact", contact, "UnilateralPenalty or UnilateralConstraint")
+    if not is_small(structure):
+        raise InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
+    allowed = "one whose lips have no mass: reduce_structure(structure, method='massless')"
+    raise InputError("structure", repr(structure), allowed)
 
 
 class ContactFlow:
@@ -122,6 +141,12 @@ class ContactFlow:
         """State of a displacement and a velocity (..., n_dofs)."""
         inverse = self.modes.inverse.T
         return np.concatenate([displacement @ inverse, velocity @ inverse], axis=-1)
+
+    def rate(self, state: np.ndarray, contact_force: np.ndarray) -> np.ndarray:
+        """z' at phase zero of the load, (2 n_modes,), of a state with its contact forces."""
+        modes, (shape, speed) = self.modes, np.split(state, 2)
+        pull = modes.squares * shape + modes.damped(speed) + modes.pairs @ contact_force
+        return np.concatenate([speed, self.force[0] + self.force[1] - pull])
 
     def advance(
         self,

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -29,8 +30,9 @@ from scipy.linalg.lapack import dgeev
 
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples
+from fenics_crack.table import Described, counted
 
-__all__ = ["PeriodicOrbit", "Prediction", "eigenvalues", "find_orbit", "predict"]
+__all__ = ["INSTANTS", "PeriodicOrbit", "Prediction", "eigenvalues", "find_orbit", "predict"]
 
 FLOWS, SHORTEST = 40, 1e-3
 """Periods followed before an orbit is given up, and how short a step may become."""
@@ -38,6 +40,8 @@ CLOSED = 1e-11
 """Relative length of a step behind which an orbit is found."""
 CHEAP = 2.0
 """Simplified steps that cost as much as a derivative."""
+INSTANTS = 512
+"""At which the gaps of an orbit are kept."""
 NODES = 20
 """Of Gauss's rule on an interval in which nothing turns by more than TURN."""
 TURN = 12.0
@@ -62,8 +66,8 @@ class Prediction:
     monodromy: np.ndarray
 
 
-@dataclass(frozen=True)
-class PeriodicOrbit:
+@dataclass(frozen=True, repr=False)
+class PeriodicOrbit(Described):
     """A periodic orbit of the exact flow.
 
     Attributes
@@ -97,6 +101,11 @@ class PeriodicOrbit:
         return 2.0 * np.pi * self.subharmonic / self.omega
 
     @property
+    def iterations(self) -> int:
+        """Steps of Newton's method, tried ones with them."""
+        return self.flows - 1
+
+    @property
     def events(self) -> int:
         """Pairs that open or close in a period."""
         return self.motion.events
@@ -120,11 +129,7 @@ class PeriodicOrbit:
     @cached_property
     def rate(self) -> np.ndarray:
         """z'(0): (2 n_modes,)."""
-        flow, modes = self.flow, self.flow.modes
-        shape, speed = np.split(self.state, 2)
-        force = self.samples(np.zeros(1)).force[0]
-        pull = modes.squares * shape + modes.damped(speed) + modes.pairs @ force
-        return np.concatenate([speed, flow.force[0] + flow.force[1] - pull])
+        return self.flow.rate(self.state, self.samples(np.zeros(1)).force[0])
 
     def samples(self, time: np.ndarray) -> Samples:
         """The motion at ascending times of the period [s]."""
@@ -136,15 +141,20 @@ class PeriodicOrbit:
         found: np.ndarray = getattr(self.samples(phase), values)[place.ravel()]
         return found
 
-    def gap(self, time: np.ndarray) -> np.ndarray:
+    @cached_property
+    def gap(self) -> np.ndarray:
+        """g at equally spaced times of the period: (512, n_pairs) [m]."""
+        return self.samples(np.arange(INSTANTS) * self.period / INSTANTS).gap
+
+    def gap_at(self, time: np.ndarray) -> np.ndarray:
         """g at times [s]: (len(time), n_pairs) [m]."""
         return self._at(time, "gap")
 
-    def contact_force(self, time: np.ndarray) -> np.ndarray:
+    def force_at(self, time: np.ndarray) -> np.ndarray:
         """Contact force at times [s]: (len(time), n_pairs) [N]."""
         return self._at(time, "force")
 
-    def displacement(self, time: np.ndarray) -> np.ndarray:
+    def displacement_at(self, time: np.ndarray) -> np.ndarray:
         """Displacement of the structure's own dofs at times [s]: (len(time), n_dofs) [m]."""
         return self._at(time, "displacement")
 
@@ -166,6 +176,25 @@ class PeriodicOrbit:
         means[1::2], means[2::2] = 2.0 * share * np.cos(phase), 2.0 * share * np.sin(phase)
         return OrbitCoefficients(
             means @ samples.gap, means @ samples.force, means @ samples.displacement
+        )
+
+    # --- shown ------------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, Any]:
+        """Largest multiplier, extremes of the gap [m] of all pairs, and how it was found."""
+        return {
+            "multiplier": float(abs(self.multipliers[0])),
+            "opening": float(max(0.0, -self.gap.min(initial=0.0))),
+            "penetration": float(self.gap.max(initial=0.0)),
+            "events": self.events,
+            "residual": float(self.residual),
+            "iterations": self.iterations,
+        }
+
+    def _title(self) -> str:
+        return (
+            f"largest multiplier {abs(self.multipliers[0]):.6g} of {len(self.multipliers)}, "
+            f"{counted(self.events, 'event')}, residual {self.residual:.2g}"
         )
 
 
