@@ -110,7 +110,7 @@ def one(structure: fc.Structure, omega: float, harmonics: int, *, compared: bool
     spent.append(1e3 * (time.process_time() - second))
     instants = np.arange(512) * solution.period / 512
     size = np.linalg.norm(evaluate(solution.slow_gap_coefficients, omega, instants))
-    away = np.linalg.norm(solution.gap(instants) - orbit.gap(instants)) / size
+    away = np.linalg.norm(solution.gap(instants) - orbit.gap_at(instants)) / size
     errors = compare(flow, orbit, instants) if compared else (np.nan, np.nan)
     return (
         harmonics, error, float(away), float(multiplier), orbit.events, orbit.flows, orbit.residual,

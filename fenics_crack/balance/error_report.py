@@ -29,6 +29,7 @@ from typing import Any
 
 import numpy as np
 
+from fenics_crack.balance.bordered import solve_in_plane
 from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.condensed import (
     CondensedPoint,
@@ -82,6 +83,8 @@ may take 5 s."""
 STIFF = 1e3
 """Stiffness of a penalty that stands for a constraint where the reference has mass at its lips,
 relative to the inverse of R_inf."""
+SOLVED, ITERATIONS, SHORTEST = 1e-7, 25, 0.02
+"""Of the wider equations where those steps do not end: |F| / |x|, how many more, and how short."""
 MANY = 600
 """Unknowns with which the truncation is judged at most, unless twice the harmonics have more."""
 
@@ -237,7 +240,27 @@ def beyond_truncation(at: CondensedPoint) -> _Change:
     rows, harmonics = len(at.unknown), _more_harmonics(at)
     start, wide = resized(at.unknown, harmonics), at.system.widened(harmonics)
     # The first H are solved; what samples leave there is another error.
-    return _improvement(wide, start, rows, solved=rows)
+    found = _improvement(wide, start, rows, solved=rows)
+    return found if found.settled else _by_shortened_steps(at, wide) or found
+
+
+def _by_shortened_steps(
+    at: CondensedPoint, wide: CondensedSystem | ConstraintSystem | CoupledSystem
+) -> _Change | None:
+    """The change by steps that are shortened where the residual would grow; None where they do not
+    arrive, or are many."""
+    if wide.global_size > MANY or isinstance(wide, CoupledSystem):
+        return None
+    found = solve_in_plane(
+        wide, resized(at.unknown, wide.integrals.harmonics),
+        float(isinstance(wide, ConstraintSystem)), None,
+        tolerance=SOLVED, iterations=ITERATIONS, least_damping=SHORTEST,
+    )  # fmt: skip
+    if found is None:
+        return None
+    there = wide.linearise(found.unknown)
+    gap = there.gap - resized(at.gap, len(there.gap) // 2)
+    return _Change(gap, there.force[: len(at.gap)] - at.force)
 
 
 def _goes_on(first: CondensedPoint, step: np.ndarray, again: np.ndarray, known: np.ndarray) -> bool:

@@ -13,16 +13,16 @@ from functools import cached_property
 
 import numpy as np
 
-from fenics_crack.balance.nearby import orbit_next_to, predicted, wave_states
+from fenics_crack.balance.nearby import orbit_by_steps, orbit_next_to, predicted, wave_states
 from fenics_crack.balance.wave import Wave
 from fenics_crack.motion.flow import ContactFlow, Samples, flow_of
 from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit, Prediction
 
 __all__ = ["STILL", "UNKNOWN", "Judgement"]
 
-BELIEVED, FAR = 3.0, 0.1
-"""Times the error predicted, beyond which an orbit is another one; and the prediction from which on
-nothing is known."""
+BELIEVED, FARTHEST, FAR = 3.0, 0.1, 0.3
+"""Times the error predicted, beyond which an orbit is another one; the distance beyond which it is
+in any case; and the prediction from which on nothing is known."""
 UNKNOWN = 1.0
 """An error that is not known."""
 AFFORDABLE = 240
@@ -78,7 +78,9 @@ class Judgement:
         if self.predicted is None or not self.prediction < FAR:
             return None
         assert self.flow is not None
-        return orbit_next_to(self.flow, self.wave.omega, self.predicted, self.wave.subharmonic)
+        omega, periods = self.wave.omega, self.wave.subharmonic
+        found = orbit_next_to(self.flow, omega, self.predicted, periods)
+        return found or orbit_by_steps(self.flow, omega, self.predicted.states[0], periods)
 
     @cached_property
     def distance(self) -> float:
@@ -97,7 +99,7 @@ class Judgement:
     @property
     def accepted(self) -> bool:
         """Whether the orbit is the wave's own."""
-        return self.distance <= max(BELIEVED * self.prediction, CLOSE)
+        return self.distance <= max(min(BELIEVED * self.prediction, FARTHEST), CLOSE)
 
     @property
     def affordable(self) -> bool:

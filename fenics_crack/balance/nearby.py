@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from fenics_crack.balance.bordered import solve_in_plane
 from fenics_crack.balance.fourier import evaluate
+from fenics_crack.balance.orbits import MarchedOrbits
 from fenics_crack.errors import ConvergenceError
+from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.motion.flow import ContactFlow
 from fenics_crack.motion.orbit import PeriodicOrbit, Prediction, find_orbit, predict
 
-__all__ = ["orbit_next_to", "predicted", "wave_states"]
+__all__ = ["orbit_by_steps", "orbit_next_to", "predicted", "wave_states"]
 
+STEPS = (2048, 4096, 8192, 16384)
+"""In a period of the load, of orbits on the way to one that is not found at once."""
 PARTS = 32
 """Of the period, whose starts' states are corrected together."""
 
@@ -45,3 +50,27 @@ def orbit_next_to(
         flow, omega, found.states[0], subharmonic=subharmonic, monodromy=found.monodromy,
         farthest=1.0,
     )  # fmt: skip
+
+
+def orbit_by_steps(
+    flow: ContactFlow, omega: float, state: np.ndarray, subharmonic: int = 1
+) -> PeriodicOrbit | None:
+    """The orbit next to a state by way of orbits of exponential steps, ever shorter ones: they
+    smooth what is short, so that Newton's method finds them from farther away."""
+    try:
+        for steps in STEPS:
+            marched = ExponentialFlow(flow.structure, omega, flow.contact, steps)
+            orbits = MarchedOrbits(marched, state, subharmonic)
+            found = solve_in_plane(
+                orbits, orbits.start, 1.0, None,
+                tolerance=1e-8, iterations=20, least_damping=1e-3, patience=6,
+            )  # fmt: skip
+            if found is None:
+                return None
+            state = orbits.state(found.unknown)
+            exact = find_orbit(flow, omega, state, subharmonic=subharmonic, farthest=1.0)
+            if exact is not None:
+                return exact
+    except ConvergenceError:
+        pass
+    return None

@@ -43,7 +43,7 @@ class OrbitPoint(DenseLinearisation):
         by_parameter: Callable[[], np.ndarray],
         events: int,
     ) -> None:
-        self._monodromy, self._by_parameter, self.events = monodromy, by_parameter, events
+        self._monodromy, self._slope, self.events = monodromy, by_parameter, events
         super().__init__(unknown, residual)
 
     @cached_property
@@ -57,7 +57,7 @@ class OrbitPoint(DenseLinearisation):
 
     def differentiate(self) -> np.ndarray:
         """dF/dp."""
-        return self._by_parameter()
+        return self._slope()
 
     @cached_property
     def multipliers(self) -> np.ndarray:
@@ -113,6 +113,10 @@ def recurrences(passed: Sequence[np.ndarray] | np.ndarray, count: int) -> list[i
 
 class MarchedOrbits(Orbits):
     """Of the flow by exponential steps."""
+
+    def state(self, unknown: np.ndarray) -> np.ndarray:
+        """z of x: (2n,)."""
+        return np.asarray(self._size * unknown)
 
     def __init__(self, flow: ExponentialFlow, state: np.ndarray, subharmonic: int = 1) -> None:
         super().__init__(flow.omega, state)

@@ -34,7 +34,7 @@ def distance(solution: fc.PeriodicSolution, orbit: PeriodicOrbit) -> float:
     time = np.arange(512) * solution.period / 512
     slow = evaluate(solution.slow_gap_coefficients, solution.base_omega, time)
     size = np.linalg.norm(slow + solution.structure.clearance)
-    return float(np.linalg.norm(solution.gap(time) - orbit.gap(time)) / size)
+    return float(np.linalg.norm(solution.gap(time) - orbit.gap_at(time)) / size)
 
 
 def light_chain(seed: int, damping: str = "modal") -> fc.Structure:
@@ -89,7 +89,7 @@ def test_multipliers_of_the_paper_plate(paper_structure: fc.Structure, omega: fl
     _, orbit = next_to(solution)
     other = fc.shoot(structure, solution)
     assert abs(orbit.multipliers[0]) == pytest.approx(abs(other.multipliers[0]), rel=1e-9)
-    assert orbit.gap(np.arange(512) * orbit.period / 512) == pytest.approx(
+    assert orbit.gap_at(np.arange(512) * orbit.period / 512) == pytest.approx(
         other.gap, abs=1e-9 * np.ptp(other.gap)
     )
 
@@ -100,9 +100,9 @@ def test_twice_the_period() -> None:
     _, orbit = next_to(solution)
     assert orbit.period == pytest.approx(solution.period)
     assert distance(solution, orbit) < 1e-4
-    once, later = orbit.gap(np.array([0.3, 0.3 + 0.5 * orbit.period]))
+    once, later = orbit.gap_at(np.array([0.3, 0.3 + 0.5 * orbit.period]))
     assert abs(once[0] - later[0]) > 0.1
-    assert orbit.gap(np.array([0.3 + orbit.period]))[0] == pytest.approx(once)
+    assert orbit.gap_at(np.array([0.3 + orbit.period]))[0] == pytest.approx(once)
 
 
 def test_by_omega() -> None:
@@ -125,12 +125,12 @@ def test_coefficients(light: bool) -> None:
     orbit = find_orbit(flow, 0.6, settled)
     assert orbit is not None and orbit.events > 0
     found, time = orbit.coefficients(6), np.arange(2**15) * orbit.period / 2**15
-    assert relative(found.gap, balanced(orbit.gap(time), 6)) < 1e-6
-    assert relative(found.force, balanced(orbit.contact_force(time), 6)) < 1e-6
-    assert relative(found.displacement, balanced(orbit.displacement(time), 6)) < 1e-6
+    assert relative(found.gap, balanced(orbit.gap_at(time), 6)) < 1e-6
+    assert relative(found.force, balanced(orbit.force_at(time), 6)) < 1e-6
+    assert relative(found.displacement, balanced(orbit.displacement_at(time), 6)) < 1e-6
     many = orbit.coefficients(400)
     assert relative(found.displacement, many.displacement[:13]) < 1e-12
-    assert relative(orbit.gap(time[::64]), evaluate(many.gap, 0.6, time[::64])) < 1e-3
+    assert relative(orbit.gap_at(time[::64]), evaluate(many.gap, 0.6, time[::64])) < 1e-3
 
 
 def test_open_crack() -> None:

@@ -16,8 +16,8 @@ from helpers import (
 from scipy.integrate import solve_ivp
 
 import fenics_crack as fc
-from fenics_crack.model.exact_flow import EventFlow
 from fenics_crack.model.modal import all_modes, flow_matrix
+from fenics_crack.motion.flow import flow_of
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.stability.piecewise_flow import PiecewiseFlow
 
@@ -134,11 +134,11 @@ def test_verdict_agrees_with_exact_motion(paper_scene: fc.Scene, ratio: float) -
         found = floquet(plate, solution)
         assert found.verdict != "undecided"
         verdicts.append(found.verdict)
-        orbit, flow = fc.shoot(plate, solution), EventFlow(plate, omega, law)
+        orbit, flow = fc.shoot(plate, solution), flow_of(plate, law)
         assert np.abs(orbit.multipliers[0]) == pytest.approx(np.abs(found.multipliers[0]), rel=0.02)
         state, distance = orbit.state * (1.0 + 1e-6 * random), [1e-6]
         while 1e-8 < distance[-1] < 1e-4 and len(distance) < 120:
-            state = flow.advance(state, len(distance) * solution.period, solution.period)[0]
+            state = flow.advance(state, omega, solution.period).state
             distance.append(relative(state, orbit.state))
         late = np.arange(len(distance) // 2, len(distance))
         rate = np.exp(np.polyfit(late, np.log(np.array(distance)[late]), 1)[0])
