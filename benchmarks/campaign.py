@@ -52,6 +52,7 @@ from pathlib import Path
 import common
 import numpy as np
 import scipy.linalg
+from fenics_crack.model.exact_flow import EventFlow
 
 import fenics_crack as fc
 from fenics_crack.balance.bordered import solve_in_plane
@@ -59,7 +60,6 @@ from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import solution_of
 from fenics_crack.errors import ConvergenceError, InputError
-from fenics_crack.model.exact_flow import EventFlow
 from fenics_crack.model.modal import all_modes
 from fenics_crack.time.march import initial_state
 

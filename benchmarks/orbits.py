@@ -24,7 +24,7 @@ import numpy as np
 
 import fenics_crack as fc
 from fenics_crack.balance.fourier import evaluate
-from fenics_crack.balance.nearby import orbit_next_to, predicted
+from fenics_crack.balance.nearby import orbit_next_to, predicted, wave_states
 from fenics_crack.motion.flow import ContactFlow, flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit
 
@@ -97,9 +97,10 @@ def one(structure: fc.Structure, omega: float, harmonics: int, *, compared: bool
     assert flow is not None
     solution = fc.solve_harmonic_balance(structure, omega, law, harmonics=harmonics, throw=False)
     start = time.process_time()
-    guess = predicted(flow, omega, solution.displacement_coefficients)
+    states = wave_states(flow, solution.displacement_coefficients, omega)
+    guess = predicted(flow, omega, states)
     first = time.process_time()
-    orbit = None if guess is None else orbit_next_to(flow, omega, guess)
+    orbit = None if guess is None else orbit_next_to(flow, omega, guess, states[0])
     second = time.process_time()
     error = np.nan if guess is None else guess.error
     spent = [1e3 * (first - start), 1e3 * (second - first)]

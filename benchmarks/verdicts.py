@@ -30,10 +30,10 @@ from __future__ import annotations
 
 import common
 import numpy as np
+from fenics_crack.model.exact_flow import EventFlow
 
 import fenics_crack as fc
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.model.exact_flow import EventFlow
 from fenics_crack.stability.piecewise_flow import PiecewiseFlow
 from fenics_crack.time.march import initial_state
 

@@ -40,13 +40,13 @@ from typing import Any
 
 import common
 import numpy as np
+from fenics_crack.model.exact_flow import EventFlow
 from laboratory import solve_form
 from scipy.integrate import solve_ivp
 
 import fenics_crack as fc
 from fenics_crack.balance.problem import Problem
 from fenics_crack.draw.figure import COLOURS
-from fenics_crack.model.exact_flow import EventFlow
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import damped_modes
 

@@ -82,19 +82,18 @@ def _kept(problem: Problem, waves: _Waves, tolerance: float) -> PeriodicSolution
         found = waves.kept(kept, reduction)
         if found.report.total <= tolerance and waves.force_error(harmonics) < PRESSED:
             best = best or found
-            if _leads_back(kept, found, waves.state):
+            if _leads_back(found, waves.state):
                 return found
         harmonics = int(MORE * harmonics) + 1
     return best
 
 
-def _leads_back(problem: Problem, solution: PeriodicSolution, state: np.ndarray) -> bool:
-    """Whether Newton's method from a solution finds the orbit again, as who judges it will."""
-    orbits = orbits_from(problem, solution.displacement_coefficients)
-    found = next_to(orbits, (0,))
-    if found is None:
+def _leads_back(solution: PeriodicSolution, state: np.ndarray) -> bool:
+    """Whether who judges a solution finds the orbit again."""
+    judged = solution.judged
+    if judged.orbit is None or not judged.accepted:
         return False
-    off = np.linalg.norm(orbits.state(found.unknown) - state)
+    off = np.linalg.norm(judged.orbit.state - state)
     return bool(off <= SAME * np.linalg.norm(state))
 
 

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fenics_crack.balance.nearby import orbit_by_steps, orbit_next_to, predicted, wave_states
+from fenics_crack.balance.nearby import orbit_next_to, predicted, wave_states
 from fenics_crack.balance.wave import Wave
 from fenics_crack.motion.flow import ContactFlow, Samples, flow_of
 from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit, Prediction
@@ -22,7 +22,7 @@ __all__ = ["STILL", "UNKNOWN", "Judgement"]
 
 BELIEVED, FARTHEST, FAR = 3.0, 0.1, 0.3
 """Times the error predicted, beyond which an orbit is another one; the distance beyond which it is
-in any case; and the prediction from which on nothing is known."""
+in any case, and a prediction no estimate; and the prediction from which on no orbit is sought."""
 UNKNOWN = 1.0
 """An error that is not known."""
 AFFORDABLE = 240
@@ -64,8 +64,7 @@ class Judgement:
         """One step of Newton's method of the whole wave; None where its motion is not followed."""
         wave = self.wave
         assert self.flow is not None
-        displacement = wave.displacement_coefficients
-        return predicted(self.flow, wave.omega, displacement, wave.subharmonic)
+        return predicted(self.flow, wave.omega, self._states, wave.subharmonic)
 
     @property
     def prediction(self) -> float:
@@ -79,8 +78,13 @@ class Judgement:
             return None
         assert self.flow is not None
         omega, periods = self.wave.omega, self.wave.subharmonic
-        found = orbit_next_to(self.flow, omega, self.predicted, periods)
-        return found or orbit_by_steps(self.flow, omega, self.predicted.states[0], periods)
+        return orbit_next_to(self.flow, omega, self.predicted, self._states[0], periods)
+
+    @cached_property
+    def _states(self) -> np.ndarray:
+        assert self.flow is not None
+        displacement = self.wave.displacement_coefficients
+        return wave_states(self.flow, displacement, self.wave.base_omega)
 
     @cached_property
     def distance(self) -> float:
@@ -111,21 +115,17 @@ class Judgement:
         """Of the gap, and of the displacement at the load in the direction of each of its parts:
         the distance to the wave's own orbit, where one is looked for and found; what is predicted
         where none is; :data:`UNKNOWN` where the orbit is another one, or the prediction large."""
-        if not self.prediction < FAR:
-            return UNKNOWN, UNKNOWN
-        if not search or self.orbit is None:
+        if search and self.accepted:
+            return self.distance, self._away_at_load
+        if self.prediction < FARTHEST and not (search and self.orbit):
             return self.prediction, self._predicted_at_load
-        if not self.accepted:
-            return UNKNOWN, UNKNOWN
-        return min(self.distance, UNKNOWN), self._away_at_load
+        return UNKNOWN, UNKNOWN
 
     @property
     def _predicted_at_load(self) -> float:
         assert self.flow is not None and self.predicted is not None
         wave, flow, count = self.wave, self.flow, self.flow.size // 2
-        displacement = wave.displacement_coefficients
-        states = wave_states(flow, displacement, wave.base_omega)
-        change = (self.predicted.states - states)[:, :count] @ flow.modes.shapes.T
+        change = (self.predicted.states - self._states)[:, :count] @ flow.modes.shapes.T
         time = np.arange(len(change)) * wave.period / len(change)
         force = wave.structure.force.T
         return _relative(change @ force, wave.coordinates(time) @ force)

@@ -12,7 +12,7 @@ from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.motion.flow import ContactFlow
 from fenics_crack.motion.orbit import PeriodicOrbit, Prediction, find_orbit, predict
 
-__all__ = ["orbit_by_steps", "orbit_next_to", "predicted", "wave_states"]
+__all__ = ["orbit_next_to", "predicted", "wave_states"]
 
 STEPS = (2048, 4096, 8192, 16384)
 """In a period of the load, of orbits on the way to one that is not found at once."""
@@ -31,11 +31,10 @@ def wave_states(flow: ContactFlow, displacement: np.ndarray, base_omega: float) 
 
 
 def predicted(
-    flow: ContactFlow, omega: float, displacement: np.ndarray, subharmonic: int = 1
+    flow: ContactFlow, omega: float, states: np.ndarray, subharmonic: int = 1
 ) -> Prediction | None:
-    """The error of such a wave under a load of a frequency; None where the motion cannot be
-    followed."""
-    states = wave_states(flow, displacement, omega / subharmonic)
+    """The error of a wave of such states under a load of a frequency; None where the motion cannot
+    be followed."""
     try:
         return predict(flow, omega, states, subharmonic=subharmonic)
     except (ConvergenceError, np.linalg.LinAlgError):
@@ -43,27 +42,29 @@ def predicted(
 
 
 def orbit_next_to(
-    flow: ContactFlow, omega: float, found: Prediction, subharmonic: int = 1
+    flow: ContactFlow, omega: float, found: Prediction, start: np.ndarray, subharmonic: int = 1
 ) -> PeriodicOrbit | None:
-    """The orbit that Newton's method leads to from where it has led a wave with its first step."""
-    return find_orbit(
-        flow, omega, found.states[0], subharmonic=subharmonic, monodromy=found.monodromy,
-        farthest=1.0,
-    )  # fmt: skip
+    """The orbit that Newton's method leads to from where it has led a wave with its first step, or
+    from the wave's own ``start``; or by way of orbits of exponential steps, ever shorter ones."""
+    for state, monodromy in ((found.states[0], found.monodromy), (start, None)):
+        orbit = find_orbit(
+            flow, omega, state, subharmonic=subharmonic, monodromy=monodromy, farthest=1.0
+        )
+        if orbit is not None:
+            return orbit
+    return _by_steps(flow, omega, found.states[0], subharmonic)
 
 
-def orbit_by_steps(
-    flow: ContactFlow, omega: float, state: np.ndarray, subharmonic: int = 1
+def _by_steps(
+    flow: ContactFlow, omega: float, state: np.ndarray, subharmonic: int
 ) -> PeriodicOrbit | None:
-    """The orbit next to a state by way of orbits of exponential steps, ever shorter ones: they
-    smooth what is short, so that Newton's method finds them from farther away."""
     try:
         for steps in STEPS:
             marched = ExponentialFlow(flow.structure, omega, flow.contact, steps)
             orbits = MarchedOrbits(marched, state, subharmonic)
             found = solve_in_plane(
                 orbits, orbits.start, 1.0, None,
-                tolerance=1e-8, iterations=20, least_damping=1e-3, patience=6,
+                tolerance=1e-8, iterations=20, least_damping=1e-2, patience=6,
             )  # fmt: skip
             if found is None:
                 return None

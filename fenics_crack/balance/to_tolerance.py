@@ -38,6 +38,8 @@ on: estimates are known to a factor of about two."""
 DISPROVED = 3.0
 """Change from one solution to a finer one, relative to the error estimated of the first, beyond
 which estimates are not believed."""
+ENOUGH = 20
+"""Harmonics with which the error is known, or an orbit is sought that tells it."""
 FIRST_MODES, COVER = 10, 1.5
 """Modes with which a large structure is tried first; H times the frequency relative to that of the
 highest mode kept, from which on it is covered."""
@@ -71,7 +73,8 @@ def solve_to_tolerance(
         else:
             more_modes = reducible and modes < whole.n_dofs
             finer, obstacle = _finer(problem, report, tolerance, more_modes)
-        lost = bool(obstacle) or report.truncation >= UNKNOWN
+        unknown = report.truncation >= UNKNOWN and problem.harmonics >= ENOUGH
+        lost = bool(obstacle) or unknown
         if exact and lost and (report.reduction <= tolerance or not solution.converged):
             near = solution if solution.converged else last
             found = exact_solution(fewest, near or initial, tolerance)

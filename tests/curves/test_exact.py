@@ -11,7 +11,6 @@ from helpers import oscillator, two_masses
 import fenics_crack as fc
 from fenics_crack.curves import exact, nearness
 from fenics_crack.curves.nearness import near_points
-from fenics_crack.model.exact_flow import EventFlow
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.time.march import initial_state
 

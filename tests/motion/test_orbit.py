@@ -9,7 +9,7 @@ from motion.reference import ReferenceFlow
 
 import fenics_crack as fc
 from fenics_crack.balance.fourier import balanced, evaluate
-from fenics_crack.balance.nearby import orbit_next_to, predicted
+from fenics_crack.balance.nearby import orbit_next_to, predicted, wave_states
 from fenics_crack.motion.flow import ContactFlow, flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit, Prediction, find_orbit
 
@@ -21,10 +21,10 @@ def next_to(solution: fc.PeriodicSolution) -> tuple[Prediction, PeriodicOrbit]:
     assert solution.contact is not None
     flow = flow_of(solution.structure, solution.contact)
     assert flow is not None
-    at = solution.omega, solution.displacement_coefficients, solution.subharmonic
-    found = predicted(flow, *at)
+    states = wave_states(flow, solution.displacement_coefficients, solution.base_omega)
+    found = predicted(flow, solution.omega, states, solution.subharmonic)
     assert found is not None
-    orbit = orbit_next_to(flow, solution.omega, found, solution.subharmonic)
+    orbit = orbit_next_to(flow, solution.omega, found, states[0], solution.subharmonic)
     assert orbit is not None and orbit.residual < 1e-10
     return found, orbit
 

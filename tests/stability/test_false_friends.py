@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 import fenics_crack as fc
-from fenics_crack.stability.shooting import distance
+
+
+def distance(orbit: fc.PeriodicOrbit, solution: fc.PeriodicSolution) -> float:
+    """Of the gaps over the period, relative to B^T u."""
+    gap = solution.gap(np.arange(len(orbit.gap)) * solution.period / len(orbit.gap))
+    size = np.linalg.norm(orbit.gap + solution.structure.clearance)
+    return float(np.linalg.norm(orbit.gap - gap) / size)
 
 
 def oscillator(clearance: float, *, force: float = 0.1, damping: float = 0.02) -> fc.Structure:
