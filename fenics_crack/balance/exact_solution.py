@@ -17,9 +17,9 @@ import numpy as np
 from fenics_crack.balance.bordered import PathPoint
 from fenics_crack.balance.condensed import respond
 from fenics_crack.balance.error_report import ErrorReport, lost_in_reduction, mean_square
-from fenics_crack.balance.exact_orbits import FlowOrbits, next_to, orbits_from, recurring
+from fenics_crack.balance.exact_orbits import next_to, orbits_from, recurring
 from fenics_crack.balance.fourier import balanced, sampled, stretched
-from fenics_crack.balance.orbits import OrbitPoint
+from fenics_crack.balance.orbits import FlowOrbits, OrbitPoint
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 

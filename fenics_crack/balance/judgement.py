@@ -18,7 +18,7 @@ from fenics_crack.balance.wave import Wave
 from fenics_crack.motion.flow import ContactFlow, Samples, flow_of
 from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit, Prediction
 
-__all__ = ["STILL", "UNKNOWN", "Judgement"]
+__all__ = ["BELIEVED", "STILL", "UNKNOWN", "Judgement"]
 
 BELIEVED, FARTHEST, FAR = 3.0, 0.1, 0.3
 """Times the error predicted, beyond which an orbit is another one; the distance beyond which it is

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenics_crack.balance.bordered import solve_in_plane
+from fenics_crack.balance.bordered import PathPoint, solve_in_plane
 from fenics_crack.balance.fourier import evaluate
-from fenics_crack.balance.orbits import MarchedOrbits
+from fenics_crack.balance.orbits import FlowOrbits, MarchedOrbits, Orbits
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.motion.flow import ContactFlow
 from fenics_crack.motion.orbit import PeriodicOrbit, Prediction, find_orbit, predict
 
-__all__ = ["orbit_next_to", "predicted", "wave_states"]
+__all__ = ["orbit_from", "orbit_next_to", "predicted", "wave_states"]
 
-STEPS = (2048, 4096, 8192, 16384)
-"""In a period of the load, of orbits on the way to one that is not found at once."""
+STEPS, ROUGHLY = 4096, 1e-8
+"""In a period of the load, of an orbit on the way to one that is not found at once, and how closely
+it repeats itself."""
+CLOSED = 1e-10
+"""How closely an orbit does."""
 PARTS = 32
 """Of the period, whose starts' states are corrected together."""
 
@@ -45,33 +48,41 @@ def orbit_next_to(
     flow: ContactFlow, omega: float, found: Prediction, start: np.ndarray, subharmonic: int = 1
 ) -> PeriodicOrbit | None:
     """The orbit that Newton's method leads to from where it has led a wave with its first step, or
-    from the wave's own ``start``; or by way of orbits of exponential steps, ever shorter ones."""
-    for state, monodromy in ((found.states[0], found.monodromy), (start, None)):
-        orbit = find_orbit(
-            flow, omega, state, subharmonic=subharmonic, monodromy=monodromy, farthest=1.0
-        )
-        if orbit is not None:
-            return orbit
-    return _by_steps(flow, omega, found.states[0], subharmonic)
+    from the wave's own ``start``."""
+    orbit = find_orbit(
+        flow, omega, found.states[0], subharmonic=subharmonic, monodromy=found.monodromy,
+        farthest=1.0,
+    )  # fmt: skip
+    return orbit or orbit_from(flow, omega, start, subharmonic)
 
 
-def _by_steps(
-    flow: ContactFlow, omega: float, state: np.ndarray, subharmonic: int
+def orbit_from(
+    flow: ContactFlow, omega: float, start: np.ndarray, subharmonic: int = 1
 ) -> PeriodicOrbit | None:
+    """The orbit next to a state, by steps that shrink the step to follow, or else the residual; or
+    by way of orbits of exponential steps, which smooth what is short."""
+    orbit = find_orbit(flow, omega, start, subharmonic=subharmonic, farthest=1.0)
+    if orbit is not None:
+        return orbit
     try:
-        for steps in STEPS:
-            marched = ExponentialFlow(flow.structure, omega, flow.contact, steps)
-            orbits = MarchedOrbits(marched, state, subharmonic)
-            found = solve_in_plane(
-                orbits, orbits.start, 1.0, None,
-                tolerance=1e-8, iterations=20, least_damping=1e-2, patience=6,
-            )  # fmt: skip
-            if found is None:
-                return None
-            state = orbits.state(found.unknown)
-            exact = find_orbit(flow, omega, state, subharmonic=subharmonic, farthest=1.0)
-            if exact is not None:
-                return exact
+        orbits = FlowOrbits(flow, omega, start, subharmonic)
+        point = _solved(orbits, CLOSED)
+        if point is not None:
+            return orbits.orbit(point)
+        marched = MarchedOrbits(
+            ExponentialFlow(flow.structure, omega, flow.contact, STEPS), start, subharmonic
+        )
+        point = _solved(marched, ROUGHLY)
     except ConvergenceError:
-        pass
-    return None
+        return None
+    if point is None:
+        return None
+    state = marched.state(point.unknown)
+    return find_orbit(flow, omega, state, subharmonic=subharmonic, farthest=1.0)
+
+
+def _solved(orbits: Orbits, tolerance: float) -> PathPoint | None:
+    return solve_in_plane(
+        orbits, orbits.start, 1.0, None,
+        tolerance=tolerance, iterations=20, least_damping=1e-3, patience=6,
+    )  # fmt: skip

@@ -16,11 +16,13 @@ from functools import cached_property
 
 import numpy as np
 
+from fenics_crack.balance.bordered import PathPoint
 from fenics_crack.balance.linearisation import DenseLinearisation
 from fenics_crack.model.flow import ExponentialFlow, Steps
-from fenics_crack.motion.orbit import eigenvalues
+from fenics_crack.motion.flow import ContactFlow, Motion
+from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit, eigenvalues
 
-__all__ = ["MarchedOrbits", "OrbitPoint", "Orbits", "recurrences"]
+__all__ = ["FlowOrbits", "MarchedOrbits", "OrbitPoint", "Orbits", "recurrences"]
 
 DIFFERENCE = 1e-6
 """Of p, for dF/dp."""
@@ -146,3 +148,82 @@ class MarchedOrbits(Orbits):
             return np.asarray((after - before) / (2.0 * h))
 
         return OrbitPoint(unknown, residual, steps.monodromy, by_parameter, steps.switches)
+
+
+class FlowOrbits(Orbits):
+    """F(x, p) of the exact flow, x = W z / |W z_0| with the modes' frequencies W before their
+    displacements, p = w / w_0.
+
+    Attributes
+    ----------
+    flow : ContactFlow
+    subharmonic : int
+        Periods of the load in one of the orbit.
+    """
+
+    def __init__(
+        self, flow: ContactFlow, omega: float, state: np.ndarray, subharmonic: int = 1
+    ) -> None:
+        self.flow, self.subharmonic = flow, subharmonic
+        slowest = (omega / subharmonic) ** 2
+        frequencies = np.sqrt(np.maximum(flow.modes.squares, slowest))
+        self._weights = np.concatenate([frequencies, np.ones_like(frequencies)])
+        super().__init__(omega, self._weights * state)
+
+    def state(self, unknown: np.ndarray) -> np.ndarray:
+        """z of x: (2n,)."""
+        return np.asarray(self._size * unknown / self._weights)
+
+    def unknown(self, state: np.ndarray) -> np.ndarray:
+        """x of z: (2n,)."""
+        return np.asarray(self._weights * state / self._size)
+
+    def unknown_of(self, displacement: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """x of another motion at phase zero, (n_dofs,) each."""
+        return self.unknown(self.flow.state(displacement, velocity))
+
+    def _motion(self, unknown: np.ndarray, parameter: float, instants: np.ndarray) -> Motion:
+        """Over a period, sampled at parts of it."""
+        omega = parameter * self.omega
+        period = 2.0 * np.pi * self.subharmonic / omega
+        return self.flow.advance(self.state(unknown), omega, period, instants=instants * period)
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
+        motion = self._motion(unknown, parameter, np.ones(1))
+        residual = self.unknown(motion.state) - unknown
+
+        def monodromy() -> np.ndarray:
+            return self._weights[:, None] * motion.track.tangent / self._weights
+
+        def by_parameter() -> np.ndarray:
+            duration = motion.track.times[-1]
+            rate = self.flow.rate(motion.state, motion.samples.force[0])
+            moved = motion.track.by_omega() - duration / motion.track.omega * rate
+            return self.unknown(self.omega * moved)
+
+        return OrbitPoint(unknown, residual, monodromy, by_parameter, motion.events)
+
+    def moved(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
+        return self.unknown(self._motion(unknown, parameter, np.zeros(0)).state)
+
+    def gap(
+        self, unknown: np.ndarray, parameter: float, count: int = INSTANTS, later: float = 0.0
+    ) -> np.ndarray:
+        """g at equally spaced instants of a period, ``later`` by a part of their spacing:
+        (count, n_pairs) [m]."""
+        instants = (np.arange(count) + later) / count
+        return self._motion(unknown, parameter, instants).samples.gap
+
+    def orbit(self, found: PathPoint) -> PeriodicOrbit:
+        """The orbit of a solution of the equations."""
+        motion = self._motion(found.unknown, found.parameter, np.zeros(0))
+        size = float(np.linalg.norm(found.unknown))
+        off = float(np.linalg.norm(self.unknown(motion.state) - found.unknown))
+        return PeriodicOrbit(
+            self.flow, found.parameter * self.omega, self.subharmonic, motion,
+            self.state(found.unknown), off / size if size > 0.0 else 0.0, found.iterations + 1,
+        )  # fmt: skip
+
+    def displacement(self, unknown: np.ndarray, count: int) -> np.ndarray:
+        """Displacement of the structure's own dofs there, at p = 1: (count, n_dofs) [m]."""
+        return self._motion(unknown, 1.0, np.arange(count) / count).samples.displacement

@@ -24,9 +24,10 @@ import numpy as np
 
 from fenics_crack.balance.arclength import Stepping, follow_path
 from fenics_crack.balance.bordered import PathPoint, Tangent, correct, distance, solve_in_plane
-from fenics_crack.balance.exact_orbits import FlowOrbits, judged_by_orbits
+from fenics_crack.balance.exact_orbits import judged_by_orbits
 from fenics_crack.balance.family import FrequencyFamily
 from fenics_crack.balance.fourier import balanced
+from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.balance.problem import Problem
 from fenics_crack.curves.bifurcations import attainable, odd_rows
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve

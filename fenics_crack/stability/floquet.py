@@ -17,19 +17,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from fenics_crack.balance.judgement import UNKNOWN, Judgement
+from fenics_crack.balance.exact_orbits import FEW_PAIRS
+from fenics_crack.balance.judgement import BELIEVED, UNKNOWN, Judgement
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw, check_law
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.orbit import eigenvalues
+from fenics_crack.motion.orbit import PeriodicOrbit, eigenvalues
 from fenics_crack.stability.hill import hill_root
 from fenics_crack.stability.piecewise_flow import PiecewiseFlow
 from fenics_crack.stability.shooting import moving_below
 
 __all__ = ["Stability", "floquet"]
 
+PEAK = np.sqrt(2.0)
+"""How many times its root mean square an error is large at an extremum of the gap, as a wave is."""
 SURE = 1e-7
 """How well the modulus of an orbit's multiplier is known."""
 
@@ -93,9 +96,37 @@ def _by_orbit(judged: Judgement) -> Stability:
     verdict, reason, largest = "undecided", judged.reason, abs(orbit.multipliers[0])
     if not reason and abs(largest - 1.0) <= SURE:
         reason = "its largest multiplier is 1 to rounding: a bifurcation, or no damping"
+    if not reason and largest < 1.0 and _grazes(orbit, judged):
+        reason = "a pair just touches, or just does not, within the error: more harmonics may"
+        reason += " decide it"
     if not reason:
         verdict = "stable" if largest < 1.0 else "unstable"
     return Stability(orbit.multipliers, verdict, SURE, True, judged.distance, reason)
+
+
+def _grazes(orbit: PeriodicOrbit, judged: Judgement) -> bool:
+    """Whether one of few pairs with mass comes to touch or to open, or just does not, within the
+    error: multipliers jump there, and an orbit as near as that may have others.
+
+    What is compared are the extremes of the gap that a pair would have if the static compliance R_0
+    alone answered its force, g + R_0 lambda(g), so that stiff contact counts by its force.
+    """
+    flow, structure = orbit.flow, judged.wave.structure
+    if structure.light_lips or structure.n_pairs > FEW_PAIRS:
+        return False
+    gap, modes = orbit.gap, flow.modes
+    error = PEAK * max(BELIEVED * judged.prediction, judged.distance)
+    size = float(np.sqrt(np.mean(np.sum((gap + structure.clearance) ** 2, axis=1))))
+    held = modes.squares > 0.0
+    static = np.sum(modes.pairs[held] ** 2 / modes.squares[held, None], axis=0)
+    before, after = np.roll(gap, 1, axis=0), np.roll(gap, -1, axis=0)
+    turns = (gap - before) * (after - gap) <= 0.0
+    bend = after - 2.0 * gap + before
+    peak = gap - np.divide(
+        (after - before) ** 2, 8.0 * bend, out=np.zeros_like(gap), where=turns & (bend != 0.0)
+    )
+    slow = peak + static * flow.contact.force(peak)
+    return bool(np.any(turns & (np.abs(slow) <= error * size)))
 
 
 def _along_the_wave(judged: Judgement, reason: str) -> Stability:

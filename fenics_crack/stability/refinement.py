@@ -27,9 +27,8 @@ import numpy as np
 
 from fenics_crack.balance.arclength import Stepping, follow_path
 from fenics_crack.balance.bordered import PathPoint, Tangent, locate, solve_in_plane, tangent_of
-from fenics_crack.balance.exact_orbits import FlowOrbits
 from fenics_crack.balance.linearisation import DenseLinearisation, System
-from fenics_crack.balance.orbits import OrbitPoint
+from fenics_crack.balance.orbits import FlowOrbits, OrbitPoint
 from fenics_crack.balance.rounding import EPSILON
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError, InputError, check_number

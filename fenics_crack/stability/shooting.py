@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from fenics_crack.balance.exact_orbits import FlowOrbits
+from fenics_crack.balance.nearby import orbit_from
+from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError, check_count
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import exact_flow
-from fenics_crack.motion.orbit import PeriodicOrbit, find_orbit
+from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.time.march import initial_state
 
 __all__ = ["PeriodicOrbit", "moving_below", "orbits_near", "shoot"]
@@ -73,7 +74,7 @@ def shoot(
     check_count("settle", settle, 0)
     orbits = orbits_near(structure, law, solution)
     start = orbits.state(orbits.followed(settle))
-    found = find_orbit(orbits.flow, solution.omega, start, subharmonic=solution.subharmonic)
+    found = orbit_from(orbits.flow, solution.omega, start, solution.subharmonic)
     if found is None or not found.residual <= tolerance:
         closest = "" if found is None else f"; closest {found.residual:.1e}"
         raise ConvergenceError(f"shooting: no periodic orbit near the solution{closest}")

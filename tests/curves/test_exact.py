@@ -174,11 +174,10 @@ def test_point_whose_motion_leaves_is_not_called_stable() -> None:
     for place in np.union1d(places, np.flatnonzero(branch.verdicts == "undecided")):
         solution = branch.solution(int(place))
         orbit = fc.shoot(structure, solution)
-        flow = EventFlow(structure, solution.omega, law)
-        state = flow.state(*initial_state(structure, solution))
+        state = orbit.flow.state(*initial_state(structure, solution))
         begun = np.linalg.norm(state - orbit.state)
         for _ in range(60):
-            state = flow.advance(state, 0.0, solution.period)[0]
+            state = orbit.flow.advance(state, solution.omega, solution.period).state
         left = np.linalg.norm(state - orbit.state) > 3.0 * begun
         assert not (left and branch.verdicts[place] == "stable")
         gone += left and abs(orbit.multipliers[0]) < 1.0
