@@ -78,7 +78,7 @@ class Judgement:
             return None
         assert self.flow is not None
         omega, periods = self.wave.omega, self.wave.subharmonic
-        return orbit_next_to(self.flow, omega, self.predicted, self._states[0], periods)
+        return orbit_next_to(self.flow, omega, self._states[0], periods, self.predicted)
 
     @cached_property
     def _states(self) -> np.ndarray:

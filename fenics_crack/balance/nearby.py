@@ -12,7 +12,7 @@ from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.motion.flow import ContactFlow
 from fenics_crack.motion.orbit import PeriodicOrbit, Prediction, find_orbit, predict
 
-__all__ = ["orbit_from", "orbit_next_to", "predicted", "wave_states"]
+__all__ = ["orbit_next_to", "predicted", "wave_states"]
 
 STEPS, ROUGHLY = 4096, 1e-8
 """In a period of the load, of an orbit on the way to one that is not found at once, and how closely
@@ -45,23 +45,16 @@ def predicted(
 
 
 def orbit_next_to(
-    flow: ContactFlow, omega: float, found: Prediction, start: np.ndarray, subharmonic: int = 1
+    flow: ContactFlow,
+    omega: float,
+    start: np.ndarray,
+    subharmonic: int = 1,
+    first: Prediction | None = None,
 ) -> PeriodicOrbit | None:
-    """The orbit that Newton's method leads to from where it has led a wave with its first step, or
-    from the wave's own ``start``."""
-    orbit = find_orbit(
-        flow, omega, found.states[0], subharmonic=subharmonic, monodromy=found.monodromy,
-        farthest=1.0,
-    )  # fmt: skip
-    return orbit or orbit_from(flow, omega, start, subharmonic)
-
-
-def orbit_from(
-    flow: ContactFlow, omega: float, start: np.ndarray, subharmonic: int = 1
-) -> PeriodicOrbit | None:
-    """The orbit next to a state, by steps that shrink the step to follow, or else the residual; or
-    by way of orbits of exponential steps, which smooth what is short."""
-    orbit = find_orbit(flow, omega, start, subharmonic=subharmonic, farthest=1.0)
+    """The orbit next to a state, of a wave whose first step may be known: by steps that shrink the
+    step to follow, or else the residual; or by way of an orbit of exponential steps, which smooth
+    what is short. None where these lead to none."""
+    orbit = find_orbit(flow, omega, start, subharmonic=subharmonic, first=first)
     if orbit is not None:
         return orbit
     try:
@@ -78,7 +71,7 @@ def orbit_from(
     if point is None:
         return None
     state = marched.state(point.unknown)
-    return find_orbit(flow, omega, state, subharmonic=subharmonic, farthest=1.0)
+    return find_orbit(flow, omega, state, subharmonic=subharmonic)
 
 
 def _solved(orbits: Orbits, tolerance: float) -> PathPoint | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fenics_crack.balance.nearby import orbit_from
+from fenics_crack.balance.nearby import orbit_next_to
 from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError, check_count
@@ -74,7 +74,7 @@ def shoot(
     check_count("settle", settle, 0)
     orbits = orbits_near(structure, law, solution)
     start = orbits.state(orbits.followed(settle))
-    found = orbit_from(orbits.flow, solution.omega, start, solution.subharmonic)
+    found = orbit_next_to(orbits.flow, solution.omega, start, solution.subharmonic)
     if found is None or not found.residual <= tolerance:
         closest = "" if found is None else f"; closest {found.residual:.1e}"
         raise ConvergenceError(f"shooting: no periodic orbit near the solution{closest}")

@@ -24,7 +24,7 @@ def next_to(solution: fc.PeriodicSolution) -> tuple[Prediction, PeriodicOrbit]:
     states = wave_states(flow, solution.displacement_coefficients, solution.base_omega)
     found = predicted(flow, solution.omega, states, solution.subharmonic)
     assert found is not None
-    orbit = orbit_next_to(flow, solution.omega, found, states[0], solution.subharmonic)
+    orbit = orbit_next_to(flow, solution.omega, states[0], solution.subharmonic, found)
     assert orbit is not None and orbit.residual < 1e-10
     return found, orbit
 
