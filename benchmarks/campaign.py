@@ -13,7 +13,7 @@ fractions and multiples, and elsewhere; H = 5 to 40. What is asked:
     branch      follow_branch from a period doubling of such a curve, up to 4 points
     backbone    follow_backbone of an undamped structure, up to 4 points
 
-The reference is an orbit of the exact flow from one switching instant to the next (`EventFlow`,
+The reference is an orbit of the exact flow from one switching instant to the next (`ContactFlow`,
 `shoot`), which knows no harmonics: next to the answer; where there is none, next to solutions with
 two to eight times the harmonics, and where the exact motion is after 3, 10 and 30 periods. Of a
 stability verdict: the modulus of the exact leading multiplier, and for "stable" the exact motion
@@ -52,7 +52,6 @@ from pathlib import Path
 import common
 import numpy as np
 import scipy.linalg
-from fenics_crack.model.exact_flow import EventFlow
 
 import fenics_crack as fc
 from fenics_crack.balance.bordered import solve_in_plane
@@ -61,6 +60,7 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import solution_of
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.modal import all_modes
+from fenics_crack.motion.flow import exact_flow
 from fenics_crack.time.march import initial_state
 
 COLUMNS = (
@@ -264,13 +264,14 @@ def distance(found: fc.PeriodicSolution, orbit: fc.PeriodicOrbit) -> float:
 def leaves(case: Case, found: fc.PeriodicSolution, orbit: fc.PeriodicOrbit) -> bool:
     """Whether the exact motion that begins with an answer leaves its orbit: after 100 periods it is
     farther away than at first, than the linearised motion, and than the estimate allows."""
-    flow = EventFlow(case.structure, found.omega, case.law)
+    flow = exact_flow(case.structure, case.law)
     state = flow.state(*initial_state(case.structure, found))
     size = float(np.linalg.norm(orbit.state))
     first = linear = (state - orbit.state) / size
-    monodromy = flow.advance(orbit.state, 0.0, found.period)[2]()
+    monodromy = flow.advance(orbit.state, found.omega, found.period).track.tangent
     for _ in range(PERIODS):
-        state, linear = flow.advance(state, 0.0, found.period)[0], monodromy @ linear
+        state = flow.advance(state, found.omega, found.period).state
+        linear = monodromy @ linear
     last = float(np.linalg.norm(state - orbit.state)) / size
     allowed = max(float(np.linalg.norm(first)), float(np.linalg.norm(linear)), estimate(found))
     return last > max(3.0 * allowed, 1e-4)
@@ -440,25 +441,26 @@ def free_motion(case: Case, found: fc.PeriodicSolution) -> Finding:
     row = Finding("backbone", found.harmonics, found.omega, found.report.truncation)
     factors = {"load": 0.0} if case.structure.damping is None else {"load": 0.0, "damping": 0.0}
     free = case.structure.varied(**factors)
-    flow = EventFlow(free, found.omega, case.law)
+    flow, omega = exact_flow(free, case.law), found.omega
     state, period = flow.state(*initial_state(free, found)), found.period
     share, rest = np.arange(512) / 512, len(state) // 2
     wave = found.gap(share * period)
     size = float(np.linalg.norm(state))
     for _ in range(20):
-        moved, _, monodromy, _ = flow.advance(state, 0.0, 0.5 * period)
+        motion = flow.advance(state, omega, 0.5 * period)
+        moved, monodromy = motion.state, motion.track.tangent
         left = moved[rest:]
         if np.linalg.norm(state) < 0.5 * size:
             break
         if np.linalg.norm(left) < 1e-9 * size:
-            gap = flow.advance(state, 0.0, period, instants=share * period)[1]
-            apart = np.linalg.norm(wave - (gap - free.clearance)) / np.linalg.norm(gap)
+            gap = flow.advance(state, omega, period, instants=share * period).samples.gap
+            apart = np.linalg.norm(wave - gap) / np.linalg.norm(gap + free.clearance)
             row.true = max(float(apart), abs(period / found.period - 1.0))
             good = row.true <= max(3.0 * row.estimate, ROUNDING)
             row.judgement = RIGHT if good else TOO_LARGE if row.estimate > LARGE else WRONG
             return row
-        later = (flow.advance(moved, 0.0, 5e-7 * period)[0] - moved)[rest:] / (1e-6 * size)
-        slopes = np.column_stack([monodromy()[rest:, :rest], later])
+        later = (flow.advance(moved, omega, 5e-7 * period).state - moved)[rest:] / (1e-6 * size)
+        slopes = np.column_stack([monodromy[rest:, :rest], later])
         step = np.linalg.lstsq(slopes, left / size, rcond=1e-7)[0]
         if np.linalg.norm(step) > 0.5:  # to another motion, or to rest
             break
