@@ -1,6 +1,6 @@
 """Curves judged by exact orbits, against marches of disturbed orbits."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +9,7 @@ import stiff_curves
 from helpers import oscillator, two_masses
 
 import fenics_crack as fc
-from fenics_crack.curves import exact, nearness
+from fenics_crack.curves import exact
 from fenics_crack.curves.nearness import near_points
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.time.march import initial_state
@@ -184,6 +184,13 @@ def test_point_whose_motion_leaves_is_not_called_stable() -> None:
     assert len(places) > 5 and gone > 0
 
 
+@dataclass
+class Known:
+    """What is asked of a solution."""
+
+    report: fc.ErrorReport
+
+
 @pytest.mark.parametrize(("estimate", "nearest"), [(1.0, 0.1), (0.02, 0.06), (1e-6, 0.01)])
 def test_orbits_near_enough(
     estimate: float, nearest: float, monkeypatch: pytest.MonkeyPatch
@@ -191,9 +198,8 @@ def test_orbits_near_enough(
     """Three times the estimate, 1 % at least, 10 % at most: also where the estimate is unknown."""
     curve = fc.continue_frequency(oscillator(), 1.5, 1.6, fc.UnilateralPenalty(1.0), harmonics=5)
     places = np.arange(len(curve))
-    monkeypatch.setattr(
-        nearness, "allowed_distance", lambda solution, least: max(least, 3.0 * estimate)
-    )
+    report = fc.ErrorReport(0.0, estimate, 0.0, 0.0, 0.0)
+    monkeypatch.setattr(fc.ResponseCurve, "solution", lambda curve, place: Known(report))
 
     def found(off: float) -> np.ndarray:
         waves = curve.gaps_in_time(places)
