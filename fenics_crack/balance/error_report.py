@@ -150,15 +150,20 @@ def estimate_errors(
 
     missed = _missed_by_samples(at)
     sampling = relative(at.gap_by_force(missed)) if np.any(missed) else 0.0
-    changes = [lost_in_reduction(at, problem)]
-    reduction = changes[0].relative_to(at, structure.clearance)
+    changes, at_load = [], 0.0
     if judged.affordable:
         # The distance of the orbit is what harmonics and samples leave out together.
         error, at_load = judged.errors(search=search)
         truncation = UNKNOWN if error >= UNKNOWN else max(error - sampling, 0.0)
     else:
         changes.append(beyond_truncation(at))
-        truncation, at_load = changes[1].relative_to(at, structure.clearance), 0.0
+        truncation = changes[-1].relative_to(at, structure.clearance)
+    further = judged.beyond_modes() if judged.affordable and search else None
+    if further is not None:
+        reduction, at_load = further[0], at_load + further[1]
+    else:
+        changes.append(lost_in_reduction(at, problem))
+        reduction = changes[-1].relative_to(at, structure.clearance)
     at_load += _of_displacement(at, displacement, problem, changes)
     return ErrorReport(
         residual=max(relative(at.residual), relative(expanded - at.gap)),

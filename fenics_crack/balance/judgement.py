@@ -15,6 +15,7 @@ import numpy as np
 
 from fenics_crack.balance.nearby import orbit_next_to, predicted, wave_states
 from fenics_crack.balance.wave import Wave
+from fenics_crack.model.reduced import massless
 from fenics_crack.motion.flow import ContactFlow, Samples, flow_of
 from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit, Prediction
 
@@ -64,7 +65,7 @@ class Judgement:
         """One step of Newton's method of the whole wave; None where its motion is not followed."""
         wave = self.wave
         assert self.flow is not None
-        return predicted(self.flow, wave.omega, self._states, wave.subharmonic)
+        return predicted(self.flow, wave.omega, self.states, wave.subharmonic)
 
     @property
     def prediction(self) -> float:
@@ -78,10 +79,11 @@ class Judgement:
             return None
         assert self.flow is not None
         omega, periods = self.wave.omega, self.wave.subharmonic
-        return orbit_next_to(self.flow, omega, self._states[0], periods, self.predicted)
+        return orbit_next_to(self.flow, omega, self.states[0], periods, self.predicted)
 
     @cached_property
-    def _states(self) -> np.ndarray:
+    def states(self) -> np.ndarray:
+        """Of the wave at equal parts of its period: (32, 2 n_modes)."""
         assert self.flow is not None
         displacement = self.wave.displacement_coefficients
         return wave_states(self.flow, displacement, self.wave.base_omega)
@@ -121,11 +123,40 @@ class Judgement:
             return self.prediction, self._predicted_at_load
         return UNKNOWN, UNKNOWN
 
+    def beyond_modes(self) -> tuple[float, float] | None:
+        """What more modes change in the wave's own orbit, of the gap and of the displacement at the
+        load: by one step of Newton's method on the flow of the structure's reference, whose further
+        modes begin with their static response. None where it has no such reference, or no orbit.
+        """
+        reduced = massless(self.wave.structure)
+        reference = massless(reduced and reduced.reference)
+        if reference is None or not self.accepted:
+            return None
+        assert self.orbit is not None and self.wave.contact is not None
+        flow = flow_of(reference, self.wave.contact)
+        if flow is None or flow.size > AFFORDABLE:
+            return None
+        orbit, kept, count = self.orbit, self.orbit.flow.size // 2, flow.size // 2
+        time = np.arange(len(self.states)) * orbit.period / len(self.states)
+        samples = orbit.samples(time)
+        phase = orbit.omega * time
+        waves = np.column_stack([np.ones_like(time), np.cos(phase), np.sin(phase)])
+        further = waves @ flow.force[:, kept:] - samples.force @ flow.modes.pairs[kept:].T
+        states = np.zeros((len(time), 2 * count))
+        states[:, :kept], states[:, count : count + kept] = np.split(samples.states, 2, axis=1)
+        states[:, kept:count] = further / flow.modes.squares[kept:]
+        found = predicted(flow, orbit.omega, states, orbit.subharmonic)
+        if found is None:
+            return UNKNOWN, UNKNOWN
+        change = (found.states - states)[:, :count] @ flow.force.T
+        whole = samples.displacement @ self.wave.structure.force.T
+        return min(found.error, UNKNOWN), _relative(change, whole)
+
     @property
     def _predicted_at_load(self) -> float:
         assert self.flow is not None and self.predicted is not None
         wave, flow, count = self.wave, self.flow, self.flow.size // 2
-        change = (self.predicted.states - self._states)[:, :count] @ flow.modes.shapes.T
+        change = (self.predicted.states - self.states)[:, :count] @ flow.modes.shapes.T
         time = np.arange(len(change)) * wave.period / len(change)
         force = wave.structure.force.T
         return _relative(change @ force, wave.coordinates(time) @ force)
@@ -161,6 +192,6 @@ class Judgement:
 
 
 def _relative(change: np.ndarray, whole: np.ndarray, least: float = 0.0) -> float:
-    """Size of a change relative to that of the whole."""
-    size = max(float(np.linalg.norm(whole)), least)
-    return float(np.linalg.norm(change)) / size if size > 0.0 else 0.0
+    """Size of a change relative to that of the whole; 0 where this is rounding."""
+    size = float(np.linalg.norm(whole))
+    return float(np.linalg.norm(change)) / size if size > least else 0.0

@@ -36,6 +36,7 @@ import scipy.optimize
 from scipy.interpolate import CubicSpline
 
 from fenics_crack.balance.bordered import PathPoint, Tangent, solve_at, solve_in_plane
+from fenics_crack.balance.exact_orbits import FEW_PAIRS
 from fenics_crack.balance.family import FrequencyFamily
 from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.orbits import OrbitPoint
@@ -49,7 +50,7 @@ from fenics_crack.model.modal import all_modes, between_pairs
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.stability.piecewise_flow import doubling_test
 from fenics_crack.stability.refinement import bifurcation_between
-from fenics_crack.stability.shooting import orbits_near
+from fenics_crack.stability.shooting import CLOSE, leaves, orbits_near
 from fenics_crack.stages import begin
 
 __all__ = ["judge_curve", "verified"]
@@ -128,6 +129,7 @@ class _Orbits:
 
     def __init__(self, curve: ResponseCurve) -> None:
         self._system = orbits_near(curve.structure, curve.contact, curve.solution(0))
+        self._few = not curve.structure.light_lips and curve.structure.n_pairs <= FEW_PAIRS
         motions = np.array([self._system.unknown_of(*one) for one in curve.motions()])
         parameters = curve.omega / self._system.omega
         longest = np.clip(TURN / (2.0 * np.pi * _highest(curve)) * curve.omega, *LONGEST)
@@ -175,6 +177,16 @@ class _Orbits:
         [other] = _judged([(found.unknown, found.parameter, _orbit(found).monodromy)])
         nearer = self._away(other, number) < self._away(own, number)
         return nearer and (abs(own.leading) < 1.0) != (other is None or abs(other.leading) < 1.0)
+
+    def left(self, place: int) -> bool:
+        """Whether the exact motion that begins with a point of the curve leaves the stable orbit
+        next to it; where few pairs make that quick to tell."""
+        number = int(np.searchsorted(self.at, place))
+        orbit, motion = self.found[number], self._motions[number]
+        if not self._few or orbit is None or abs(orbit.leading) >= 1.0:
+            return False
+        off = self._away(orbit, number)
+        return off > CLOSE and leaves(self._system, motion, orbit.unknown, orbit.parameter)
 
     def _away(self, orbit: _Orbit | None, number: int) -> float:
         """Distance of an orbit from the motion of its place, relative to this."""
@@ -456,7 +468,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     undecided[asked] = ~near_points(curve, asked, orbits.gap)
     undecided |= orbits.turned(curve)
     for place in asked[~undecided[asked]]:
-        undecided[place] = orbits.disputed(int(place))
+        undecided[place] = orbits.disputed(int(place)) or orbits.left(int(place))
     special = _special(curve, orbits.crossings, undecided)
     left = np.flatnonzero(undecided)
     if len(left) <= SINGLY:

@@ -19,6 +19,7 @@ import numpy as np
 
 from fenics_crack.balance.exact_orbits import FEW_PAIRS
 from fenics_crack.balance.judgement import BELIEVED, UNKNOWN, Judgement
+from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw, check_law
@@ -27,7 +28,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit, eigenvalues
 from fenics_crack.stability.hill import hill_root
 from fenics_crack.stability.piecewise_flow import PiecewiseFlow
-from fenics_crack.stability.shooting import moving_below
+from fenics_crack.stability.shooting import CLOSE, leaves, moving_below
 
 __all__ = ["Stability", "floquet"]
 
@@ -96,24 +97,37 @@ def _by_orbit(judged: Judgement) -> Stability:
     verdict, reason, largest = "undecided", judged.reason, abs(orbit.multipliers[0])
     if not reason and abs(largest - 1.0) <= SURE:
         reason = "its largest multiplier is 1 to rounding: a bifurcation, or no damping"
-    if not reason and largest < 1.0 and _grazes(orbit, judged):
-        reason = "a pair just touches, or just does not, within the error: more harmonics may"
-        reason += " decide it"
+    if not reason and largest < 1.0:
+        reason = _doubt(orbit, judged)
     if not reason:
         verdict = "stable" if largest < 1.0 else "unstable"
     return Stability(orbit.multipliers, verdict, SURE, True, judged.distance, reason)
 
 
+def _doubt(orbit: PeriodicOrbit, judged: Judgement) -> str:
+    """What speaks against the stability of a stable orbit next to a wave, "" if nothing does: that
+    the motion from there leaves it, or a pair grazes. Of few pairs with mass, as next to grazing
+    such orbits attract little, and many have a pair there."""
+    structure = judged.wave.structure
+    if structure.light_lips or structure.n_pairs > FEW_PAIRS:
+        return ""
+    if _grazes(orbit, judged):
+        return "a pair just touches, or just does not, within the error: more harmonics may decide"
+    orbits = FlowOrbits(orbit.flow, orbit.omega, orbit.state, orbit.subharmonic)
+    begun = orbits.unknown(judged.states[0])
+    if judged.distance > CLOSE and leaves(orbits, begun, orbits.start):
+        return "the exact motion that begins with it leaves its orbit: more harmonics may decide"
+    return ""
+
+
 def _grazes(orbit: PeriodicOrbit, judged: Judgement) -> bool:
-    """Whether one of few pairs with mass comes to touch or to open, or just does not, within the
-    error: multipliers jump there, and an orbit as near as that may have others.
+    """Whether a pair comes to touch or to open, or just does not, within the error: multipliers
+    jump there, and an orbit as near as that may have others.
 
     What is compared are the extremes of the gap that a pair would have if the static compliance R_0
     alone answered its force, g + R_0 lambda(g), so that stiff contact counts by its force.
     """
     flow, structure = orbit.flow, judged.wave.structure
-    if structure.light_lips or structure.n_pairs > FEW_PAIRS:
-        return False
     gap, modes = orbit.gap, flow.modes
     error = PEAK * max(BELIEVED * judged.prediction, judged.distance)
     size = float(np.sqrt(np.mean(np.sum((gap + structure.clearance) ** 2, axis=1))))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from fenics_crack.balance.nearby import orbit_next_to
 from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.balance.solution import PeriodicSolution
@@ -13,8 +15,12 @@ from fenics_crack.motion.flow import exact_flow
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.time.march import initial_state
 
-__all__ = ["PeriodicOrbit", "moving_below", "orbits_near", "shoot"]
+__all__ = ["CLOSE", "PeriodicOrbit", "leaves", "moving_below", "orbits_near", "shoot"]
 
+CLOSE, FOLLOWED, AWAY = 1e-3, 30, 3.0
+"""Distance of a solution from its stable orbit to which the motion that begins with the solution
+need not be followed; periods that it is followed else, and how many times farther away than the
+linearised motion it has then left its orbit."""
 MOVING = 60
 """Modes along whose motion a wave's multipliers are computed."""
 
@@ -22,6 +28,24 @@ MOVING = 60
 def moving_below(structure: Structure, static_above: float) -> float:
     """Frequency [rad/s] above which modes answer at once, so that few move."""
     return min(static_above, all_modes(structure).above_lowest(MOVING))
+
+
+def leaves(
+    orbits: FlowOrbits, motion: np.ndarray, orbit: np.ndarray, parameter: float = 1.0
+) -> bool:
+    """Whether a motion, given by its x at phase zero, leaves a stable orbit given like that: it is
+    much farther away within some periods than at first, and than a small disturbance would be."""
+    monodromy = orbits.linearise(orbit, parameter).monodromy
+    linear = off = motion - orbit
+    try:
+        for _ in range(FOLLOWED):
+            motion, linear = orbits.moved(motion, parameter), monodromy @ linear
+            near = max(np.linalg.norm(off), np.linalg.norm(linear))
+            if np.linalg.norm(motion - orbit) > AWAY * near:
+                return True
+    except ConvergenceError:  # pairs chatter without end
+        return True
+    return False
 
 
 def orbits_near(
