@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenics_crack.balance.bordered import PathPoint, solve_in_plane
+from fenics_crack.balance.bordered import solve_in_plane
 from fenics_crack.balance.fourier import evaluate
-from fenics_crack.balance.orbits import FlowOrbits, MarchedOrbits, Orbits
+from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.motion.flow import ContactFlow
 from fenics_crack.motion.orbit import PeriodicOrbit, Prediction, find_orbit, predict
 
 __all__ = ["orbit_next_to", "predicted", "wave_states"]
 
-STEPS, ROUGHLY = 4096, 1e-8
-"""In a period of the load, of an orbit on the way to one that is not found at once, and how closely
-it repeats itself."""
 CLOSED = 1e-10
-"""How closely an orbit does."""
+"""How closely an orbit repeats itself."""
 PARTS = 32
 """Of the period, whose starts' states are corrected together."""
 
@@ -52,30 +48,16 @@ def orbit_next_to(
     first: Prediction | None = None,
 ) -> PeriodicOrbit | None:
     """The orbit next to a state, of a wave whose first step may be known: by steps that shrink the
-    step to follow, or else the residual; or by way of an orbit of exponential steps, which smooth
-    what is short. None where these lead to none."""
+    step to follow, or else the residual. None where these lead to none."""
     orbit = find_orbit(flow, omega, start, subharmonic=subharmonic, first=first)
     if orbit is not None:
         return orbit
+    orbits = FlowOrbits(flow, omega, start, subharmonic)
     try:
-        orbits = FlowOrbits(flow, omega, start, subharmonic)
-        point = _solved(orbits, CLOSED)
-        if point is not None:
-            return orbits.orbit(point)
-        marched = MarchedOrbits(
-            ExponentialFlow(flow.structure, omega, flow.contact, STEPS), start, subharmonic
-        )
-        point = _solved(marched, ROUGHLY)
+        found = solve_in_plane(
+            orbits, orbits.start, 1.0, None,
+            tolerance=CLOSED, iterations=20, least_damping=1e-3, patience=6,
+        )  # fmt: skip
     except ConvergenceError:
         return None
-    if point is None:
-        return None
-    state = marched.state(point.unknown)
-    return find_orbit(flow, omega, state, subharmonic=subharmonic)
-
-
-def _solved(orbits: Orbits, tolerance: float) -> PathPoint | None:
-    return solve_in_plane(
-        orbits, orbits.start, 1.0, None,
-        tolerance=tolerance, iterations=20, least_damping=1e-3, patience=6,
-    )  # fmt: skip
+    return None if found is None else orbits.orbit(found)

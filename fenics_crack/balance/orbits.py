@@ -116,10 +116,6 @@ def recurrences(passed: Sequence[np.ndarray] | np.ndarray, count: int) -> list[i
 class MarchedOrbits(Orbits):
     """Of the flow by exponential steps."""
 
-    def state(self, unknown: np.ndarray) -> np.ndarray:
-        """z of x: (2n,)."""
-        return np.asarray(self._size * unknown)
-
     def __init__(self, flow: ExponentialFlow, state: np.ndarray, subharmonic: int = 1) -> None:
         super().__init__(flow.omega, state)
         self._flow, self._periods = flow, subharmonic
