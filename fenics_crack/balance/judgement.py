@@ -95,12 +95,19 @@ class Judgement:
         if self._samples is None:
             return np.nan
         samples, wave = self._samples, self.wave
-        flow = samples.flow
+        if self._still:
+            return 0.0
+        moved = samples.gap + wave.structure.clearance
+        return _relative(samples.gap - wave.gap(samples.time), moved)
+
+    @cached_property
+    def _still(self) -> bool:
+        """Whether the orbit's lips, which the load presses together, move by rounding only."""
+        assert self._samples is not None
+        samples, flow = self._samples, self._samples.flow
         slow = samples.states[:, : flow.size // 2] @ flow.modes.pairs
-        return _relative(
-            samples.gap - wave.gap(samples.time), samples.gap + wave.structure.clearance,
-            STILL * float(np.linalg.norm(slow)),
-        )  # fmt: skip
+        moved = samples.gap + self.wave.structure.clearance
+        return bool(np.linalg.norm(moved) <= STILL * np.linalg.norm(slow))
 
     @property
     def accepted(self) -> bool:
@@ -150,7 +157,8 @@ class Judgement:
             return UNKNOWN, UNKNOWN
         change = (found.states - states)[:, :count] @ flow.force.T
         whole = samples.displacement @ self.wave.structure.force.T
-        return min(found.error, UNKNOWN), _relative(change, whole)
+        error = 0.0 if self._still else min(found.error, UNKNOWN)
+        return error, _relative(change, whole)
 
     @property
     def _predicted_at_load(self) -> float:
@@ -191,7 +199,7 @@ class Judgement:
         return ""
 
 
-def _relative(change: np.ndarray, whole: np.ndarray, least: float = 0.0) -> float:
-    """Size of a change relative to that of the whole; 0 where this is rounding."""
+def _relative(change: np.ndarray, whole: np.ndarray) -> float:
+    """Size of a change relative to that of the whole."""
     size = float(np.linalg.norm(whole))
-    return float(np.linalg.norm(change)) / size if size > least else 0.0
+    return float(np.linalg.norm(change)) / size if size > 0.0 else 0.0

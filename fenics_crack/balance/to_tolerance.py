@@ -28,7 +28,7 @@ from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.stages import begin
 
-__all__ = ["solve_to_tolerance"]
+__all__ = ["SAFETY", "solve_to_tolerance"]
 
 MAX_HARMONICS = 300
 """If more are needed for a tolerance, or more than MAX_SAMPLES, it is out of reach."""
@@ -132,7 +132,7 @@ def _finer(
     highest frequency kept, the truncation falls no faster than these modes are reached.
     """
     harmonics = problem.harmonics
-    if report.reduction > tolerance and not more_modes:
+    if report.reduction > SAFETY * tolerance and not more_modes:
         return problem, "that of the reduced structure given"
     if report.sampling > SHARE * tolerance:
         used = problem.samples or problem.subharmonic * default_samples(harmonics)

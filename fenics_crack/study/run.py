@@ -12,6 +12,7 @@ from mpi4py import MPI
 
 from fenics_crack.balance.harmonic_balance import solve_harmonic_balance, solve_linear
 from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.balance.to_tolerance import SAFETY
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.follow import continue_frequency, continue_parameter
 from fenics_crack.errors import ConvergenceError, InputError
@@ -169,7 +170,7 @@ def _solve_to_tolerance(
         found = solve_harmonic_balance(
             study.structure, omega, law, tolerance=tolerance, throw=False
         )
-        enough = found.converged or not found.report.reduction > tolerance
+        enough = found.converged or not found.report.reduction > SAFETY * tolerance
         modes *= 2
         if enough or not chosen or modes >= structure.n_dofs:
             return study, found
