@@ -22,8 +22,8 @@ from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit, Prediction
 __all__ = ["BELIEVED", "STILL", "UNKNOWN", "Judgement"]
 
 BELIEVED, FARTHEST, FAR = 3.0, 0.1, 0.3
-"""Times the error predicted, beyond which an orbit is another one; the distance beyond which it is
-in any case, and a prediction no estimate; and the prediction from which on no orbit is sought."""
+"""Times the error predicted, beyond which an orbit is another one; the distance beyond which it
+judges nothing, and a prediction no estimate; and the prediction from which on none is sought."""
 UNKNOWN = 1.0
 """An error that is not known."""
 AFFORDABLE = 240
@@ -124,7 +124,7 @@ class Judgement:
         """Of the gap, and of the displacement at the load in the direction of each of its parts:
         the distance to the wave's own orbit, where one is looked for and found; what is predicted
         where none is; :data:`UNKNOWN` where the orbit is another one, or the prediction large."""
-        if search and self.accepted:
+        if search and self.distance <= max(BELIEVED * self.prediction, CLOSE):
             return self.distance, self._away_at_load
         if self.prediction < FARTHEST and not (search and self.orbit):
             return self.prediction, self._predicted_at_load

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from fenics_crack.balance.nearby import orbit_next_to
@@ -97,8 +99,11 @@ def shoot(
         check_count("steps_per_period", steps_per_period, 1)
     check_count("settle", settle, 0)
     orbits = orbits_near(structure, law, solution)
-    start = orbits.state(orbits.followed(settle))
-    found = orbit_next_to(orbits.flow, solution.omega, start, solution.subharmonic)
+    judged = replace(solution, structure=structure, contact=law).judged
+    found = None if settle else judged.orbit
+    if found is None:
+        start = orbits.state(orbits.followed(settle))
+        found = orbit_next_to(orbits.flow, solution.omega, start, solution.subharmonic)
     if found is None or not found.residual <= tolerance:
         closest = "" if found is None else f"; closest {found.residual:.1e}"
         raise ConvergenceError(f"shooting: no periodic orbit near the solution{closest}")
