@@ -48,8 +48,9 @@ from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.balance.exact_orbits import exact_next_to, judged_by_orbits
 from fenics_crack.balance.fourier import balanced, resized
-from fenics_crack.balance.problem import Problem, is_regular
+from fenics_crack.balance.problem import Problem
 from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear, is_rigid
+from fenics_crack.model.coupled import is_regular
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
