@@ -618,6 +618,26 @@ int flow_tangent(flow *f, const flow_track *track, double *product)
     return finite_state((int)(4 * square), product) ? FLOW_DONE : FLOW_LOST;
 }
 
+int flow_wave(flow *f, flow_motion *m, int nodes, double period, const double *states,
+              double *moved, double *tangents)
+{
+    const long size = 2L * f->of.modes;
+    memcpy(moved, states, bytes(nodes * size));
+    memset(tangents, 0, bytes(nodes * size * size));
+    for (int i = 0; i < nodes; i++) {
+        m->now = i * period / nodes, m->end = (i + 1) * period / nodes;
+        m->state = moved + i * size;
+        m->passed = 0;
+        int outcome = flow_advance(f, m);
+        if (outcome != FLOW_DONE) return outcome;
+        const flow_track track = {m->omega, i * period / nodes, m->passed, m->sets, m->lengths};
+        double *tangent = tangents + i * size * size;
+        for (long j = 0; j < size; j++) tangent[j * (size + 1)] = 1.0;
+        if ((outcome = flow_tangent(f, &track, tangent)) != FLOW_DONE) return outcome;
+    }
+    return FLOW_DONE;
+}
+
 /* --- made and freed --------------------------------------------------------------------------- */
 
 static double *copied(double **place, const double *from, long count)

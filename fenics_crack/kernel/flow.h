@@ -69,5 +69,10 @@ int flow_tangent(flow *f, const flow_track *track, double *product);
  * track. */
 int flow_column(flow *f, const flow_track *track, const double *force, const double *gap,
                 int by_time, double *state);
+/* The motion over each of `nodes` equal parts of a period, from a wave's states (nodes, 2 m) at their
+ * starts: moved (nodes, 2 m), the states at their ends, and tangents (nodes, 2 m, 2 m). What is
+ * allowed, and the room for the track, are those of m. */
+int flow_wave(flow *f, flow_motion *m, int nodes, double period, const double *states,
+              double *moved, double *tangents);
 
 #endif

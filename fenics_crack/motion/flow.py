@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -110,6 +111,7 @@ class ContactFlow:
         )  # fmt: skip
         self.handle = owned(kernel.new_flow(parts.at), kernel.free_flow)
         """The kernel's own object."""
+        self._sets, self._lengths = np.empty((0, pairs), dtype=bool), np.empty(0)
 
     @property
     def size(self) -> int:
@@ -139,24 +141,53 @@ class ContactFlow:
         ConvergenceError
             It takes more than the budget allows, or is not finite.
         """
-        budget, pairs = budget or Budget(), len(self.softness)
+        pairs = len(self.softness)
         end_state = np.array(state, dtype=float).reshape(self.size)
         instants = np.zeros(0) if instants is None else _doubles(instants)
         states, answers = np.empty((len(instants), self.size)), np.empty((len(instants), pairs))
         closed = np.empty((len(instants), pairs), dtype=bool)
-        sets, lengths = np.empty((budget.intervals, pairs), bool), np.empty(budget.intervals)
-        given = Struct(
-            "flow_motion", omega=omega, now=start, end=start + duration, state=end_state,
-            most_pieces=budget.pieces, most=budget.intervals, sets=sets, lengths=lengths,
+        given, sets, lengths = self._motion(
+            budget, omega=omega, now=start, end=start + duration, state=end_state,
             count=len(instants), instants=instants, states=states, answers=answers, closed=closed,
         )  # fmt: skip
-        outcome = kernel.flow_advance(self.handle, given.at)
-        if outcome != kernel.FLOW_DONE:
-            _refuse(outcome, given.at.events)
+        _check(kernel.flow_advance(self.handle, given.at), given.at.events)
         passed = given.at.passed
         track = Track(self, omega, start, sets[:passed].copy(), lengths[:passed].copy())
         samples = Samples(self, omega, instants, states, answers, closed)
         return Motion(end_state, int(given.at.events), int(given.at.pieces), track, samples)
+
+    def steps(
+        self, states: np.ndarray, omega: float, period: float, budget: Budget | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The motion over equal parts of a period from time zero, from states (n, 2 n_modes) at
+        their starts: the states at their ends, and the flow's derivatives there, (n, 2 n_modes,
+        2 n_modes).
+
+        Raises as :meth:`advance`.
+        """
+        states = _doubles(states)
+        moved, tangents = np.empty_like(states), np.empty((*states.shape, self.size))
+        given, _, _ = self._motion(budget, omega=omega)
+        outcome = kernel.flow_wave(
+            self.handle, given.at, len(states), period, doubles(states), doubles(moved),
+            doubles(tangents),
+        )  # fmt: skip
+        _check(outcome, given.at.events)
+        return moved, tangents
+
+    def _motion(
+        self, budget: Budget | None, **members: Any
+    ) -> tuple[Struct, np.ndarray, np.ndarray]:
+        """What the kernel moves, and its room for a track."""
+        budget = budget or Budget()
+        if len(self._lengths) < budget.intervals:
+            self._sets = np.empty((budget.intervals, len(self.softness)), dtype=bool)
+            self._lengths = np.empty(budget.intervals)
+        given = Struct(
+            "flow_motion", most_pieces=budget.pieces, most=budget.intervals, sets=self._sets,
+            lengths=self._lengths, **members,
+        )  # fmt: skip
+        return given, self._sets, self._lengths
 
 
 @dataclass(frozen=True)
@@ -195,8 +226,7 @@ class Track:
         """dz(end) / dz(start): (2 n_modes, 2 n_modes)."""
         product = np.eye(self.flow.size)
         outcome = kernel.flow_tangent(self.flow.handle, self._known.at, doubles(product))
-        if outcome != kernel.FLOW_DONE:
-            _refuse(outcome, len(self.lengths))
+        _check(outcome, len(self.lengths) - 1)
         return product
 
     def column(self, force: np.ndarray, gap: np.ndarray, *, by_time: bool = False) -> np.ndarray:
@@ -207,8 +237,7 @@ class Track:
             self.flow.handle, self._known.at, doubles(_doubles(force)), doubles(_doubles(gap)),
             by_time, doubles(state),
         )  # fmt: skip
-        if outcome != kernel.FLOW_DONE:
-            _refuse(outcome, len(self.lengths))
+        _check(outcome, len(self.lengths) - 1)
         return state
 
     def by_omega(self) -> np.ndarray:
@@ -280,7 +309,9 @@ class Motion:
     samples: Samples
 
 
-def _refuse(outcome: int, events: int) -> None:
+def _check(outcome: int, events: int) -> None:
+    if outcome == kernel.FLOW_DONE:
+        return
     if outcome == kernel.FLOW_MEMORY:
         raise MemoryError("exact flow")
     words = {
