@@ -54,6 +54,9 @@ struct flow {
 
 static size_t bytes(long count) { return (size_t)count * sizeof(double); }
 
+static double larger(double a, double b) { return a > b ? a : b; }
+static double smaller(double a, double b) { return a < b ? a : b; }
+
 /* --- products --------------------------------------------------------------------------------- */
 
 /* sum (n) += weights (count) times rows (count, n). */
@@ -234,15 +237,27 @@ WIDE static void expand(flow *f, const known *a, const double *force, const doub
     }
 }
 
-/* How much of a piece the series (TERMS, n) holds for, at most `within`. */
-static double valid(int n, const double *terms, double within)
+/* Largest numbers of the rows of a series (TERMS, n). */
+WIDE static void sizes_of(int n, const double *restrict terms, double *restrict sizes)
 {
-    double largest = 0.0, tail = 0.0;
-    for (long i = 0; i < (long)TERMS * n; i++) largest = fmax(largest, fabs(terms[i]));
-    for (long i = (long)(TERMS - 2) * n; i < (long)TERMS * n; i++)
-        tail = fmax(tail, fabs(terms[i]));
+    for (int k = 0; k < TERMS; k++, terms += n) {
+        double most[4] = {0.0};
+        int i = 0;
+        for (; i + 3 < n; i += 4)
+            for (int j = 0; j < 4; j++) most[j] = larger(fabs(terms[i + j]), most[j]);
+        for (; i < n; i++) most[0] = larger(fabs(terms[i]), most[0]);
+        sizes[k] = larger(larger(most[0], most[1]), larger(most[2], most[3]));
+    }
+}
+
+/* How much of a piece a series with rows of these sizes holds for, at most `within`. */
+static double valid(const double *sizes, double within)
+{
+    double largest = 0.0;
+    const double tail = larger(sizes[ORDER - 1], sizes[ORDER]);
+    for (int k = 0; k < TERMS; k++) largest = larger(sizes[k], largest);
     if (tail * pow(within, ORDER - 1) <= TAIL * largest) return within;
-    return fmin(within, pow(TAIL * largest / tail, 1.0 / (ORDER - 1)));
+    return smaller(within, pow(TAIL * largest / tail, 1.0 / (ORDER - 1)));
 }
 
 /* Series of the gaps s and of the answers, and what is rounding in these where the series holds. */
@@ -254,14 +269,11 @@ static void answer(flow *f, const known *a, const double *gap)
     multiply_matrices(TERMS, p, p, f->gaps, a->answer, 0.0, f->answers);
 }
 
-static void round_off(flow *f, const known *a, double length)
+static void round_off(flow *f, const known *a, const double *sizes, double length)
 {
-    const int p = f->of.pairs;
     double largest = 0.0, power = 1.0;
-    for (int n = 0; n < TERMS; n++, power *= length)
-        for (int i = 0; i < p; i++)
-            largest = fmax(largest, power * fabs(f->gaps[(long)n * p + i]));
-    for (int i = 0; i < p; i++) f->allowed[i] = ROUNDING * largest * a->scale[i];
+    for (int n = 0; n < TERMS; n++, power *= length) largest = larger(power * sizes[n], largest);
+    for (int i = 0; i < f->of.pairs; i++) f->allowed[i] = ROUNDING * largest * a->scale[i];
 }
 
 static void state_at(const flow *f, double length, double at, double *state)
@@ -317,7 +329,7 @@ static double falls(const flow *f, int pair, double low, double high, const doub
         bottom = value_at(f, pair, 0, high, &other);
         if (bottom >= -f->allowed[pair]) return NAN;
     }
-    low = fmax(low, BEHIND);
+    low = larger(low, BEHIND);
     if (low >= high || value_at(f, pair, 0, low, &other) <= 0.0) return low;
     return zero_of(f, pair, 0, low, high);
 }
@@ -330,7 +342,7 @@ static int next_event(flow *f, double step, double end, double *when)
     memcpy(value + p, f->answers, bytes(p));
     memcpy(slope + p, f->answers + p, bytes(p));
     for (int k = 1; p && (k - 1) * step < end; k++) {
-        const double low = (k - 1) * step, high = fmin(k * step, end);
+        const double low = (k - 1) * step, high = smaller(k * step, end);
         int found = -1;
         memcpy(value, value + p, bytes(p));
         memcpy(slope, slope + p, bytes(p));
@@ -385,11 +397,11 @@ static void sample(const flow *f, flow_motion *m, const signed char *closed, dou
 {
     const int n = f->of.modes, p = f->of.pairs;
     for (; m->sampled < m->count; m->sampled++) {
-        const double at = fmax(0.0, (m->instants[m->sampled] - m->now) / length);
+        const double at = larger(0.0, (m->instants[m->sampled] - m->now) / length);
         const long row = m->sampled;
         if (!last && at >= end) break;
-        state_at(f, length, fmin(at, end), m->states + row * 2 * n);
-        evaluate(p, f->answers, fmin(at, end), m->answers + row * p, f->value);
+        state_at(f, length, smaller(at, end), m->states + row * 2 * n);
+        evaluate(p, f->answers, smaller(at, end), m->answers + row * p, f->value);
         memcpy(m->closed + row * p, closed, (size_t)p);
     }
 }
@@ -407,7 +419,7 @@ static void passed(flow_motion *m, int p, const signed char *closed, double leng
 
 static double fastest(const flow *f, double omega)
 {
-    return fmax(fmax(f->of.fastest, f->of.harmonics * omega), 1e-300);
+    return larger(larger(f->of.fastest, f->of.harmonics * omega), 1e-300);
 }
 
 static int finite_state(int count, const double *state)
@@ -421,6 +433,7 @@ int flow_advance(flow *f, flow_motion *m)
 {
     const int p = f->of.pairs;
     const double length = REACH / fastest(f, m->omega);
+    double sizes[TERMS];
     signed char *closed = (signed char *)(f->force + p);
     if (begin(f, m, closed)) return FLOW_LOST;
     for (int fresh = 1, tries = 0; m->now < m->end; m->pieces++) {
@@ -432,10 +445,12 @@ int flow_advance(flow *f, flow_motion *m)
         wave(f, m->omega, m->now, length, 0);
         expand(f, a, f->of.force, f->of.gap, length, m->state);
         answer(f, a, f->of.gap);
-        double end = valid(f->of.modes, f->series, fmin(1.0, left));
-        end = valid(p, f->gaps, end);
+        sizes_of(f->of.modes, f->series, sizes);
+        double end = valid(sizes, smaller(1.0, left));
+        sizes_of(p, f->gaps, sizes);
+        end = valid(sizes, end);
         if (!(end > 0.0)) return FLOW_LOST;
-        round_off(f, a, end);
+        round_off(f, a, sizes, end);
         if (fresh && tries < TRIES) {
             const int outcome = settle(f, closed);
             if (outcome < 0) return FLOW_LOST;
@@ -464,14 +479,15 @@ int flow_column(flow *f, const flow_track *track, const double *force, const dou
                 int by_time, double *state)
 {
     const double length = REACH / fastest(f, track->omega);
-    double now = track->start;
+    double now = track->start, sizes[TERMS];
     for (int k = 0; k < track->intervals; k++) {
         const known *a = find(f, track->sets + (long)k * f->of.pairs);
         if (!a) return FLOW_MEMORY;
         for (double left = track->lengths[k] / length; left > 0.0;) {
             wave(f, track->omega, now, length, by_time);
             expand(f, a, force, gap, length, state);
-            const double end = valid(f->of.modes, f->series, fmin(1.0, left));
+            sizes_of(f->of.modes, f->series, sizes);
+            const double end = valid(sizes, smaller(1.0, left));
             if (!(end > 0.0)) return FLOW_LOST;
             state_at(f, length, end, state);
             left -= end;
@@ -507,7 +523,7 @@ static void add_damped(const flow *f, double unit, const double *b, double *sum)
 
 /* right = [b; D] of a short time in which what is fastest turns by an angle; all in units of the
  * frequency. */
-static void short_series(const flow *f, double unit, double time, double turn,
+WIDE static void short_series(const flow *f, double unit, double time, double turn,
                          exponential_room *r)
 {
     const int m = f->of.modes;
@@ -539,7 +555,7 @@ static void short_series(const flow *f, double unit, double time, double turn,
 }
 
 /* upper = [D + b C; -b K] of right = [b; D]. */
-static void complete(const flow *f, double unit, exponential_room *r)
+WIDE static void complete(const flow *f, double unit, exponential_room *r)
 {
     const int m = f->of.modes;
     const long square = (long)m * m;
@@ -566,16 +582,16 @@ static void exponential_of(const flow *f, const known *a, double unit, double le
             k[(long)i * m + j] /= unit * unit;
             sum += fabs(k[(long)i * m + j]);
         }
-        largest = fmax(largest, sum);
+        largest = larger(largest, sum);
     }
     double rate = 0.0;
     for (int i = 0; i < m; i++) {
         double sum = 0.0;
         for (int j = 0; j < (f->of.coupled ? m : 1); j++)
             sum += fabs(f->of.damping[f->of.coupled ? (long)i * m + j : i]);
-        rate = fmax(rate, sum / unit);
+        rate = larger(rate, sum / unit);
     }
-    rate += fmin(1.0, sqrt(largest)); /* no set is faster than the fastest one */
+    rate += smaller(1.0, sqrt(largest)); /* no set is faster than the fastest one */
     double time = unit * length;
     int halved = 0;
     for (; time * rate > SHORT; halved++) time *= 0.5;
