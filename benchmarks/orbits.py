@@ -1,8 +1,8 @@
 """Exact periodic orbits of plates as `fenics-crack new` writes them, and what they cost.
 
 Random plates (10 to 26 rigid pairs on lips without mass, 12 to 39 modes, damping of 0.05 to 1 %),
-around the first resonance, at a half and a third of it, and up to three times its frequency. Each is
-solved by harmonic balance with H harmonics; then
+around the first resonance, at a half and a third of it, and up to three times its frequency. Each
+is solved by harmonic balance with H harmonics; then
 
     pred       the error predicted by one Newton step of the whole wave on the exact flow,
     distance   of the solution from the orbit found, in the gaps, relative to that of B^T u,
@@ -29,7 +29,7 @@ from fenics_crack.motion.flow import ContactFlow, flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "motion"))
-from reference import ReferenceFlow  # noqa: E402
+from reference import ReferenceFlow
 
 SEED, PLATES, COMPARED = 25, 40, 8
 NEW = Path(fc.__file__).parent / "cli" / "new_scene.toml"

@@ -22,9 +22,7 @@ def wave_states(flow: ContactFlow, displacement: np.ndarray, base_omega: float) 
     order = base_omega * np.arange(1, len(displacement) // 2 + 1)[:, None]
     rate = np.zeros_like(displacement)
     rate[1::2], rate[2::2] = order * displacement[2::2], -order * displacement[1::2]
-    return flow.state(
-        evaluate(displacement, base_omega, time), evaluate(rate, base_omega, time)
-    )
+    return flow.state(evaluate(displacement, base_omega, time), evaluate(rate, base_omega, time))
 
 
 def predicted(
@@ -44,5 +42,6 @@ def orbit_next_to(
 ) -> PeriodicOrbit | None:
     """The orbit that Newton's method leads to from where it has led a wave with its first step."""
     return find_orbit(
-        flow, omega, found.states[0], subharmonic=subharmonic, monodromy=found.monodromy
-    )
+        flow, omega, found.states[0], subharmonic=subharmonic, monodromy=found.monodromy,
+        farthest=1.0,
+    )  # fmt: skip

@@ -535,7 +535,9 @@ WIDE static void short_series(const flow *f, double unit, double time, double tu
     double size = turn;
     for (int n = 0; size > LAST; n++, size *= turn / (n + 1)) {
         const double gain = -time * time / ((n + 1) * (n + 2)), loss = -time / (n + 2) / unit;
-        multiply_matrices(m, m, m, r->stiffness, before, 0.0, next);
+        if (n > 1) multiply_matrices(m, m, m, r->stiffness, before, 0.0, next);
+        else /* of b_0 = 0 and b_1 = time I */
+            for (long i = 0; i < square; i++) next[i] = n * time * r->stiffness[i];
         if (f->of.coupled) {
             multiply_matrices(m, m, m, f->of.damping, now, gain / loss, next);
             for (long i = 0; i < square; i++) next[i] *= loss;

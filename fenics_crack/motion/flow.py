@@ -7,10 +7,10 @@ the stiffness of the pairs,
     0 <= lambda,   (R_inf + I/kappa) lambda - s >= 0,   complementary.
 
 While the set A of closed pairs stays, lambda_A = S s_A, S = ((R_inf + I/kappa)_AA)^-1, and the
-motion is linear. Its Taylor series gives the motion, the forces of the closed pairs and the openings
-of the others, and where one of these falls through zero: an event, behind which another set holds
-(``kernel/flow.c``). Nothing is truncated: the error is that of rounding. The forces are continuous,
-so that the flow's derivative is the product of the exponentials of the sets passed.
+motion is linear. Its Taylor series gives the motion, the forces of the closed pairs and the
+openings of the others, and where one of these falls through zero: an event, behind which another
+set holds (``kernel/flow.c``). Nothing is truncated: the error is that of rounding. The forces are
+continuous, so that the flow's derivative is the product of the exponentials of the sets passed.
 
 Sources: Barrio, Applied Mathematics and Computation 163 (2005) 525 (Taylor series as integrator);
 Khan and Barton, Systems & Control Letters 2015 (no end of events).
@@ -230,8 +230,8 @@ class Track:
         return product
 
     def column(self, force: np.ndarray, gap: np.ndarray, *, by_time: bool = False) -> np.ndarray:
-        """dz(end) / dp at a fixed start and duration, by a parameter of which the load's derivatives
-        are given: (3, n_modes), (3, n_pairs), with ``by_time`` divided by the time."""
+        """dz(end) / dp at a fixed start and duration, by a parameter of which the load's
+        derivatives are given: (3, n_modes), (3, n_pairs), with ``by_time`` divided by the time."""
         state = np.zeros(self.flow.size)
         outcome = kernel.flow_column(
             self.flow.handle, self._known.at, doubles(_doubles(force)), doubles(_doubles(gap)),

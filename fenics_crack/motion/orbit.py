@@ -34,7 +34,7 @@ __all__ = ["PeriodicOrbit", "Prediction", "eigenvalues", "find_orbit", "predict"
 
 FLOWS, SHORTEST = 40, 1e-3
 """Periods followed before an orbit is given up, and how short a step may become."""
-CLOSED = 1e-12
+CLOSED = 1e-11
 """Relative length of a step behind which an orbit is found."""
 CHEAP = 2.0
 """Simplified steps that cost as much as a derivative."""
@@ -218,10 +218,12 @@ def find_orbit(
     *,
     subharmonic: int = 1,
     monodromy: np.ndarray | None = None,
+    farthest: float = np.inf,
     budget: Budget | None = None,
 ) -> PeriodicOrbit | None:
     """The orbit that Newton's method leads to from a state at phase zero, with M near there if it
-    is known; None where it leads to none."""
+    is known; None where it leads to none, or asks for steps longer than ``farthest`` times the
+    state."""
     period = 2.0 * np.pi * subharmonic / omega
     base = omega / subharmonic
     weights = np.repeat([1.0, 1.0], flow.size // 2)
@@ -239,6 +241,8 @@ def find_orbit(
                 factors = scipy.linalg.lu_factor(np.eye(flow.size) - monodromy)
                 monodromy = None
                 step = scipy.linalg.lu_solve(factors, motion.state - state)
+            if size(step) > farthest * size(state):
+                return None
             trial = state + share * step
             moved = flow.advance(trial, omega, period, budget=budget)
             flows += 1

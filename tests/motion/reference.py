@@ -86,7 +86,9 @@ class ReferenceFlow:
         def answer(pair: int, time: float) -> float:
             return float((np.exp(values * time) @ rows[pair]).real)
 
-        size = np.abs((np.exp(np.outer(np.linspace(0, left, 50), values)) @ rows.T).real).max(axis=0)
+        size = np.abs((np.exp(np.outer(np.linspace(0, left, 50), values)) @ rows.T).real).max(
+            axis=0
+        )
         while low < left:
             high = min(low + 200 * step, left)
             times = np.linspace(low, high, 201)
@@ -103,7 +105,8 @@ class ReferenceFlow:
                 for dip in dips[dips < first]:
                     bottom = scipy.optimize.minimize_scalar(
                         lambda t, pair=pair: answer(pair, t),
-                        bounds=(times[dip - 1], times[dip + 1]), method="bounded",
+                        bounds=(times[dip - 1], times[dip + 1]),
+                        method="bounded",
                         options={"xatol": 1e-9 * step},
                     )
                     if bottom.fun < -1e-13 * size[pair]:
