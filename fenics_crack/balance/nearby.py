@@ -38,10 +38,13 @@ def predicted(
 
 
 def orbit_next_to(
-    flow: ContactFlow, omega: float, found: Prediction, subharmonic: int = 1
+    flow: ContactFlow,
+    omega: float,
+    displacement: np.ndarray,
+    subharmonic: int = 1,
+    first: Prediction | None = None,
 ) -> PeriodicOrbit | None:
-    """The orbit that Newton's method leads to from where it has led a wave with its first step."""
-    return find_orbit(
-        flow, omega, found.states[0], subharmonic=subharmonic, monodromy=found.monodromy,
-        farthest=1.0,
-    )  # fmt: skip
+    """The orbit that Newton's method leads to from such a wave, of which its first step may be
+    known; None where it leads to none."""
+    state = wave_states(flow, displacement, omega / subharmonic)[0]
+    return find_orbit(flow, omega, state, subharmonic=subharmonic, first=first)

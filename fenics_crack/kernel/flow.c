@@ -16,7 +16,7 @@ enum { ORDER = 38, TERMS = ORDER + 1, BUCKETS = 4096, TRIES = 4, ANSWERS = 64, T
  * signs are looked at behind an event, as a part of a piece; largest length, times the set's
  * frequency, of the series of an exponential, and of its last term. */
 static const double REACH = 10.0, GRID = 0.5, TAIL = 1e-16, ROUNDING = 1e-14, BEHIND = 1e-7;
-static const double SHORT = 1.5, LAST = 1e-17;
+static const double SHORT = 1.5, LAST = 1e-16;
 
 #if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__) && !defined(__clang__)
 #define WIDE __attribute__((target_clones("avx2", "default"))) /* sums keep their order */

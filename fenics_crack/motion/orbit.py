@@ -36,8 +36,12 @@ FLOWS, SHORTEST = 40, 1e-3
 """Periods followed before an orbit is given up, and how short a step may become."""
 CLOSED = 1e-11
 """Relative length of a step behind which an orbit is found."""
-CHEAP = 2.0
-"""Simplified steps that cost as much as a derivative."""
+ROUNDED = 1e3
+"""Times that, below which steps are rounding."""
+MUCH = 0.25
+"""How much shorter the simplified step behind a wave's first one has to be."""
+CHEAP = 3.0
+"""Simplified steps that cost as much as one with a new derivative."""
 NODES = 20
 """Of Gauss's rule on an interval in which nothing turns by more than TURN."""
 TURN = 12.0
@@ -217,61 +221,111 @@ def find_orbit(
     state: np.ndarray,
     *,
     subharmonic: int = 1,
-    monodromy: np.ndarray | None = None,
-    farthest: float = np.inf,
+    first: Prediction | None = None,
     budget: Budget | None = None,
 ) -> PeriodicOrbit | None:
-    """The orbit that Newton's method leads to from a state at phase zero, with M near there if it
-    is known; None where it leads to none, or asks for steps longer than ``farthest`` times the
-    state."""
-    period = 2.0 * np.pi * subharmonic / omega
-    base = omega / subharmonic
-    weights = np.repeat([1.0, 1.0], flow.size // 2)
-    weights[: flow.size // 2] = np.sqrt(np.maximum(flow.modes.squares, base**2))
-
-    def size(change: np.ndarray) -> float:
-        return float(np.linalg.norm(weights * change))
-
+    """The orbit that Newton's method leads to from a state at phase zero; None where it leads to
+    none. Its first step is that of the wave, where this is given and leads much nearer."""
+    search = _Search(flow, omega, subharmonic, state, budget)
     try:
-        motion, flows = flow.advance(state, omega, period, budget=budget), 1
-        factors, step, share = None, state, 1.0
-        while flows < FLOWS:
-            if factors is None:
-                monodromy = motion.track.tangent if monodromy is None else monodromy
-                factors = scipy.linalg.lu_factor(np.eye(flow.size) - monodromy)
-                monodromy = None
-                step = scipy.linalg.lu_solve(factors, motion.state - state)
-            if size(step) > farthest * size(state):
-                return None
-            trial = state + share * step
-            moved = flow.advance(trial, omega, period, budget=budget)
-            flows += 1
-            simplified = scipy.linalg.lu_solve(factors, moved.state - trial)
-            before, after = size(step), size(simplified)
-            bent = size(simplified - (1.0 - share) * step)
-            if not after <= (1.0 - 0.25 * share) * before:
-                if before <= 1e3 * CLOSED * size(state):  # rounding
-                    break
-                share = min(0.5 * share, 0.5 * share**2 * before / bent)
-                if share < SHORTEST:
-                    return None
-                continue
-            state, motion = trial, moved
-            if after <= CLOSED * size(state):
-                break
-            ratio = after / before
-            ahead = np.log(CLOSED * size(state) / after) / np.log(ratio)
-            if share == 1.0 and ahead <= CHEAP:
-                step = simplified
-            else:
-                factors = None
-            share = min(1.0, 0.5 * share**2 * before / bent) if bent > 0.0 else 1.0
-        else:
+        if not search.leads_to_orbit(first):
             return None
     except (ConvergenceError, np.linalg.LinAlgError, ValueError):
         return None
-    residual = size(motion.state - state) / (size(state) or 1.0)
-    return PeriodicOrbit(flow, omega, subharmonic, motion, state, residual, flows)
+    residual = search.size(search.motion.state - search.state) / (search.size(search.state) or 1.0)
+    return PeriodicOrbit(
+        flow, omega, subharmonic, search.motion, search.state, residual, search.flows
+    )
+
+
+class _Search:
+    """Newton's method for z(T) = z(0): where it is, and the motion from there.
+
+    Attributes
+    ----------
+    flows : int
+        Periods followed.
+    """
+
+    def __init__(
+        self, flow: ContactFlow, omega: float, subharmonic: int, state: np.ndarray,
+        budget: Budget | None,
+    ) -> None:  # fmt: skip
+        self._flow, self._omega, self._budget = flow, omega, budget
+        self._period = 2.0 * np.pi * subharmonic / omega
+        rates = np.sqrt(np.maximum(flow.modes.squares, (omega / subharmonic) ** 2))
+        self._weights = np.concatenate([rates, np.ones_like(rates)])
+        self.state, self.flows = state, 0
+
+    def size(self, change: np.ndarray) -> float:
+        """In the norm of the energy."""
+        return float(np.linalg.norm(self._weights * change))
+
+    def leads_to_orbit(self, first: Prediction | None) -> bool:
+        """Whether it ends with an orbit."""
+        share, factors = 1.0, None
+        if first is not None:
+            factors, step = self._factors(first.monodromy), first.states[0] - self.state
+            trial, moved, simplified = self._trial(step, factors)
+            if self.size(simplified) > MUCH * self.size(step):
+                factors = None
+            else:
+                self.state, self.motion, step = trial, moved, simplified
+        if factors is None:
+            self.motion = self._follow(self.state)
+        while self.flows < FLOWS:
+            if factors is None:
+                factors = self._factors(self.motion.track.tangent)
+                step = scipy.linalg.lu_solve(factors, self.motion.state - self.state)
+            trial, moved, simplified = self._trial(share * step, factors)
+            before, after = self.size(step), self.size(simplified)
+            bent = self.size(simplified - (1.0 - share) * step)
+            goal = CLOSED * self.size(trial)
+            if not after <= (1.0 - 0.25 * share) * before:
+                if before <= ROUNDED * goal:
+                    return True
+                share = min(0.5 * share, 0.5 * share**2 * before / bent)
+                if share < SHORTEST:
+                    return False
+                continue
+            self.state, self.motion = trial, moved
+            if after <= goal:
+                return True
+            if share == 1.0 and _goes_on(before, after, goal):
+                step = simplified
+            else:
+                factors = None
+            share = min(1.0, 0.5 * share**2 * before / bent)
+        return False
+
+    def _follow(self, state: np.ndarray) -> Motion:
+        self.flows += 1
+        return self._flow.advance(state, self._omega, self._period, budget=self._budget)
+
+    def _factors(self, monodromy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """LU factors of I - M."""
+        found: tuple[np.ndarray, np.ndarray] = scipy.linalg.lu_factor(
+            np.eye(self._flow.size) - monodromy
+        )
+        return found
+
+    def _trial(
+        self, step: np.ndarray, factors: tuple[np.ndarray, np.ndarray]
+    ) -> tuple[np.ndarray, Motion, np.ndarray]:
+        """The state behind a step, the motion from there, and the simplified step."""
+        trial = self.state + step
+        moved = self._follow(trial)
+        return trial, moved, scipy.linalg.lu_solve(factors, moved.state - trial)
+
+
+def _goes_on(before: float, after: float, goal: float) -> bool:
+    """Whether simplified steps lead to the goal with less work than new derivatives would, from the
+    lengths of the last two: they shrink by one factor, Newton's steps by its squares."""
+    ratio, left, steps = after / before, after, 0
+    while left > goal:
+        left *= ratio * left / before
+        steps += 1
+    return bool(np.log(goal / after) / np.log(ratio) <= CHEAP * steps)
 
 
 def eigenvalues(matrix: np.ndarray) -> np.ndarray:
