@@ -99,7 +99,7 @@ def one(structure: fc.Structure, omega: float, harmonics: int, *, compared: bool
     start = time.process_time()
     guess = predicted(flow, omega, solution.displacement_coefficients)
     first = time.process_time()
-    orbit = orbit_next_to(flow, omega, solution.displacement_coefficients, first=guess)
+    orbit = orbit_next_to(flow, omega, solution.displacement_coefficients)
     second = time.process_time()
     error = np.nan if guess is None else guess.error
     spent = [1e3 * (first - start), 1e3 * (second - first)]

@@ -38,13 +38,8 @@ def predicted(
 
 
 def orbit_next_to(
-    flow: ContactFlow,
-    omega: float,
-    displacement: np.ndarray,
-    subharmonic: int = 1,
-    first: Prediction | None = None,
+    flow: ContactFlow, omega: float, displacement: np.ndarray, subharmonic: int = 1
 ) -> PeriodicOrbit | None:
-    """The orbit that Newton's method leads to from such a wave, of which its first step may be
-    known; None where it leads to none."""
+    """The orbit that Newton's method leads to from such a wave; None where it leads to none."""
     state = wave_states(flow, displacement, omega / subharmonic)[0]
-    return find_orbit(flow, omega, state, subharmonic=subharmonic, first=first)
+    return find_orbit(flow, omega, state, subharmonic=subharmonic)

@@ -16,7 +16,7 @@ enum { ORDER = 38, TERMS = ORDER + 1, BUCKETS = 4096, TRIES = 4, ANSWERS = 64, T
  * signs are looked at behind an event, as a part of a piece; largest length, times the set's
  * frequency, of the series of an exponential, and of its last term. */
 static const double REACH = 10.0, GRID = 0.5, TAIL = 1e-16, ROUNDING = 1e-14, BEHIND = 1e-7;
-static const double SHORT = 1.5, LAST = 1e-16;
+static const double SHORT = 1.5, LAST = 1e-14;
 
 #if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__) && !defined(__clang__)
 #define WIDE __attribute__((target_clones("avx2", "default"))) /* sums keep their order */
@@ -49,6 +49,7 @@ struct flow {
     double *near, *force;          /* (p) s behind an event, its forces */
     double *seen, *drag;           /* (p), (m) */
     double *matrix;                /* (p, p + m) */
+    double *turned;                /* (1 + 2 K, m + p) derivative of the load */
     double *wide;                  /* room of exponentials, or NULL */
 };
 
@@ -380,12 +381,12 @@ static int settle(flow *f, signed char *closed)
     return forces_at(f->contact, f->near, 0.0, NULL, closed, f->force) ? -1 : 1;
 }
 
-/* The set at the start of a motion. */
-static int begin(flow *f, const flow_motion *m, signed char *closed)
+/* The set of closed pairs of a state, and their forces. */
+static int contact_at(flow *f, double omega, double time, const double *state, signed char *closed)
 {
-    const int n = f->of.modes, p = f->of.pairs, width = 1 + 2 * f->of.harmonics;
-    wave(f, m->omega, m->now, 0.0, 0);
-    multiply(p, n, f->of.rows, m->state, f->near);
+    const int m = f->of.modes, p = f->of.pairs, width = 1 + 2 * f->of.harmonics;
+    wave(f, omega, time, 0.0, 0);
+    multiply(p, m, f->of.rows, state, f->near);
     add_rows(width, p, f->of.gap, f->weights, f->near);
     for (int i = 0; i < p; i++) closed[i] = f->near[i] > 0.0;
     return forces_at(f->contact, f->near, 0.0, NULL, closed, f->force);
@@ -435,7 +436,7 @@ int flow_advance(flow *f, flow_motion *m)
     const double length = REACH / fastest(f, m->omega);
     double sizes[TERMS];
     signed char *closed = (signed char *)(f->force + p);
-    if (begin(f, m, closed)) return FLOW_LOST;
+    if (contact_at(f, m->omega, m->now, m->state, closed)) return FLOW_LOST;
     for (int fresh = 1, tries = 0; m->now < m->end; m->pieces++) {
         if (m->pieces == m->most_pieces) return FLOW_PIECES;
         if (m->passed == m->most) return FLOW_INTERVALS;
@@ -495,6 +496,43 @@ int flow_column(flow *f, const flow_track *track, const double *force, const dou
         }
     }
     return FLOW_DONE;
+}
+
+int flow_by_omega(flow *f, const flow_track *track, double *state)
+{
+    /* d/d omega of c cos(k omega t) + s sin(k omega t) is t times k s cos - k c sin. */
+    const int m = f->of.modes, p = f->of.pairs;
+    double *force = f->turned, *gap = force + (1 + 2 * f->of.harmonics) * m;
+    for (int k = 1; k <= f->of.harmonics; k++) {
+        const int cosine = 2 * k - 1, sine = 2 * k;
+        for (int j = 0; j < m; j++) {
+            force[cosine * m + j] = k * f->of.force[sine * m + j];
+            force[sine * m + j] = -k * f->of.force[cosine * m + j];
+        }
+        for (int i = 0; i < p; i++) {
+            gap[cosine * p + i] = k * f->of.gap[sine * p + i];
+            gap[sine * p + i] = -k * f->of.gap[cosine * p + i];
+        }
+    }
+    memset(force, 0, bytes(m)), memset(gap, 0, bytes(p));
+    memset(state, 0, bytes(2 * m));
+    return flow_column(f, track, force, gap, 1, state);
+}
+
+int flow_rate(flow *f, double omega, double time, const double *state, double *rate)
+{
+    const int m = f->of.modes, width = 1 + 2 * f->of.harmonics;
+    double *faster = rate + m;
+    if (contact_at(f, omega, time, state, (signed char *)(f->force + f->of.pairs))) return 1;
+    memcpy(rate, state + m, bytes(m));
+    multiply(m, f->of.pairs, f->columns, f->force, faster);
+    if (f->of.coupled) multiply(m, m, f->of.damping, rate, f->drag);
+    else
+        for (int j = 0; j < m; j++) f->drag[j] = f->of.damping[j] * rate[j];
+    for (int j = 0; j < m; j++)
+        faster[j] = -faster[j] - f->drag[j] - f->of.squares[j] * state[j];
+    add_rows(width, m, f->of.force, f->weights, faster);
+    return 0;
 }
 
 /* --- the tangent ------------------------------------------------------------------------------ */
@@ -682,7 +720,7 @@ flow *new_flow(const flow_parts *given)
     f->of = *given;
     f->contact = new_sets((int)p, given->compliance, ANSWERS);
     f->room = malloc(bytes(m + damping + 2 * p * m + TERMS * (width + m + 2 * p) + 10 * p + m
-                           + p * (p + m) + 1));
+                           + p * (p + m) + width * (m + p) + 1));
     if (!f->contact || !f->room) {
         free_flow(f);
         return NULL;
@@ -705,6 +743,7 @@ flow *new_flow(const flow_parts *given)
     f->seen = taken(&place, p);
     f->drag = taken(&place, m);
     f->matrix = taken(&place, p * (p + m));
+    f->turned = taken(&place, width * (m + p));
     f->force = taken(&place, 2 * p); /* and the set behind it */
     return f;
 }

@@ -123,6 +123,13 @@ class ContactFlow:
         inverse = self.modes.inverse.T
         return np.concatenate([displacement @ inverse, velocity @ inverse], axis=-1)
 
+    def rate(self, state: np.ndarray, omega: float, time: float) -> np.ndarray:
+        """z' at a time: (2 n_modes,)."""
+        found = np.empty(self.size)
+        if kernel.flow_rate(self.handle, omega, time, doubles(_doubles(state)), doubles(found)):
+            _check(kernel.FLOW_LOST, 0)
+        return found
+
     def advance(
         self,
         state: np.ndarray,
@@ -242,8 +249,10 @@ class Track:
 
     def by_omega(self) -> np.ndarray:
         """dz(end) / d omega at a fixed start and duration: (2 n_modes,)."""
-        turned = [[0, 0, 0], [0, 0, 1], [0, -1, 0]]  # of c cos + s sin: t (s cos - c sin)
-        return self.column(turned @ self.flow.force, turned @ self.flow.gap, by_time=True)
+        state = np.empty(self.flow.size)
+        outcome = kernel.flow_by_omega(self.flow.handle, self._known.at, doubles(state))
+        _check(outcome, len(self.lengths) - 1)
+        return state
 
 
 @dataclass(frozen=True)

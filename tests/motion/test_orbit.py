@@ -24,7 +24,7 @@ def next_to(solution: fc.PeriodicSolution) -> tuple[Prediction, PeriodicOrbit]:
     at = solution.omega, solution.displacement_coefficients, solution.subharmonic
     found = predicted(flow, *at)
     assert found is not None
-    orbit = orbit_next_to(flow, *at, found)
+    orbit = orbit_next_to(flow, *at)
     assert orbit is not None and orbit.residual < 1e-10
     return found, orbit
 
