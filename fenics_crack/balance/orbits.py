@@ -13,19 +13,24 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
-from scipy.linalg.lapack import dgeev
 
 from fenics_crack.balance.linearisation import DenseLinearisation
 from fenics_crack.model.flow import ExponentialFlow, Steps
+from fenics_crack.motion.orbit import eigenvalues
 
-__all__ = ["INSTANTS", "MarchedOrbits", "OrbitPoint", "Orbits", "eigenvalues", "recurrences"]
+__all__ = ["INSTANTS", "MarchedOrbits", "OrbitPoint", "Orbits", "recurrences"]
 
 DIFFERENCE = 1e-6
 """Of p, for dF/dp."""
 INSTANTS = 512
 """At which the gaps of an orbit are kept."""
+
+
+class _Sloped(Protocol):
+    def by_parameter(self, unknown: np.ndarray, parameter: float) -> np.ndarray: ...
 
 
 class OrbitPoint(DenseLinearisation):
@@ -39,7 +44,7 @@ class OrbitPoint(DenseLinearisation):
 
     def __init__(
         self,
-        system: Orbits,
+        system: _Sloped,
         at: tuple[np.ndarray, float],
         residual: np.ndarray,
         monodromy: Callable[[], np.ndarray],
@@ -121,18 +126,6 @@ def recurrences(passed: Sequence[np.ndarray] | np.ndarray, count: int) -> list[i
     those from which the motion came nearest to where it had been, the nearest first."""
     apart = np.linalg.norm(np.diff(passed, axis=0), axis=1)
     return [-1, *map(int, np.argsort(apart, kind="stable")[:count])]
-
-
-def eigenvalues(matrix: np.ndarray) -> np.ndarray:
-    """All of a monodromy matrix; straight from LAPACK, for small matrices a tenth of NumPy's
-    time."""
-    if not np.isfinite(matrix).all():
-        raise np.linalg.LinAlgError("the monodromy matrix is not finite")
-    real, imaginary, _, _, info = dgeev(matrix, compute_vl=0, compute_vr=0)
-    if info:
-        raise np.linalg.LinAlgError("eigenvalues of the monodromy matrix do not converge")
-    found: np.ndarray = real + 1j * imaginary
-    return found
 
 
 class MarchedOrbits(Orbits):

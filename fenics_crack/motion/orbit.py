@@ -20,6 +20,7 @@ Source: Deuflhard, Newton Methods for Nonlinear Problems, 2004, sections 2.1 and
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -241,8 +242,7 @@ class _Search:
     ) -> None:  # fmt: skip
         self._flow, self._omega, self._budget = flow, omega, budget
         self._period = 2.0 * np.pi * subharmonic / omega
-        rates = np.sqrt(np.maximum(flow.modes.squares, (omega / subharmonic) ** 2))
-        self._weights = np.concatenate([rates, np.ones_like(rates)])
+        self._weights = flow.weights(omega / subharmonic)
         self.state, self.flows = state, 0
 
     def size(self, change: np.ndarray) -> float:
@@ -255,13 +255,15 @@ class _Search:
         self.motion = self._follow(self.state)
         while self.flows < FLOWS:
             if factors is None:
-                factors = scipy.linalg.lu_factor(np.eye(self._flow.size) - self.motion.track.tangent)
+                factors = scipy.linalg.lu_factor(
+                    np.eye(self._flow.size) - self.motion.track.tangent
+                )
                 step = scipy.linalg.lu_solve(factors, self.motion.state - self.state)
             trial = self.state + share * step
             moved = self._follow(trial)
             simplified = scipy.linalg.lu_solve(factors, moved.state - trial)
             before, after = self.size(step), self.size(simplified)
-            bent = max(self.size(simplified - (1.0 - share) * step), np.finfo(float).tiny)
+            bent = self.size(simplified - (1.0 - share) * step) + sys.float_info.min
             goal = CLOSED * self.size(trial)
             if not after <= (1.0 - 0.25 * share) * before:
                 if before <= ROUNDED * goal:
