@@ -21,7 +21,7 @@ Source: Deuflhard, Newton Methods for Nonlinear Problems, 2004, sections 2.1 and
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -35,6 +35,8 @@ __all__ = ["PeriodicOrbit", "Prediction", "eigenvalues", "find_orbit", "predict"
 
 FLOWS, SHORTEST = 20, 1e-3
 """Periods followed before an orbit is given up, and how short a step may become."""
+PIECES = 20_000
+"""Of the flow's series that a search may take: a second, with many pairs."""
 CLOSED = 1e-11
 """Relative length of a step behind which an orbit is found."""
 ROUNDED = 1e3
@@ -214,7 +216,8 @@ def find_orbit(
     budget: Budget | None = None,
 ) -> PeriodicOrbit | None:
     """The orbit that Newton's method leads to from a state at phase zero; None where it leads to
-    none."""
+    none, or takes more than the budget allows: pieces of all motions together, and intervals of
+    each."""
     search = _Search(flow, omega, subharmonic, state, budget)
     try:
         if not search.leads_to_orbit():
@@ -240,7 +243,7 @@ class _Search:
         self, flow: ContactFlow, omega: float, subharmonic: int, state: np.ndarray,
         budget: Budget | None,
     ) -> None:  # fmt: skip
-        self._flow, self._omega, self._budget = flow, omega, budget
+        self._flow, self._omega, self._left = flow, omega, budget or Budget(pieces=PIECES)
         self._period = 2.0 * np.pi * subharmonic / omega
         self._weights = flow.weights(omega / subharmonic)
         self.state, self.flows = state, 0
@@ -284,7 +287,9 @@ class _Search:
 
     def _follow(self, state: np.ndarray) -> Motion:
         self.flows += 1
-        return self._flow.advance(state, self._omega, self._period, budget=self._budget)
+        found = self._flow.advance(state, self._omega, self._period, budget=self._left)
+        self._left = replace(self._left, pieces=self._left.pieces - found.pieces)
+        return found
 
 
 def _goes_on(before: float, after: float, goal: float) -> bool:

@@ -8,11 +8,8 @@ from helpers import chain, oscillator, period_two_orbit, relative
 from motion.reference import ReferenceFlow
 
 import fenics_crack as fc
-from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import solve_in_plane
 from fenics_crack.balance.fourier import balanced, evaluate
 from fenics_crack.balance.nearby import orbit_next_to, predicted
-from fenics_crack.balance.orbit_equations import OrbitEquations
 from fenics_crack.motion.flow import ContactFlow, flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit, Prediction, find_orbit
 
@@ -40,9 +37,9 @@ def distance(solution: fc.PeriodicSolution, orbit: PeriodicOrbit) -> float:
     return float(np.linalg.norm(solution.gap(time) - orbit.gap(time)) / size)
 
 
-def light_chain(seed: int, damping: str = "modal") -> fc.Structure:
+def light_chain(seed: int) -> fc.Structure:
     """30 masses, 5 pairs without mass, 12 modes."""
-    structure = chain(damping, 30, 5, seed).varied(load=0.5)
+    structure = chain("modal", 30, 5, seed).varied(load=0.5)
     return fc.reduce_structure(structure, modes=12, method="massless")
 
 
@@ -155,31 +152,3 @@ def test_no_orbit_is_cheap() -> None:
     flow = flow_of(oscillator(None, clearance=1e6), fc.UnilateralPenalty(1.0))
     assert flow is not None
     assert find_orbit(flow, 1.0, np.zeros(2)) is None
-
-
-@pytest.mark.parametrize("light", [False, True])
-def test_equations_of_a_path(light: bool) -> None:
-    """Residual, both derivatives, and a path in the kernel whose points are orbits."""
-    structure: fc.Structure = light_chain(2) if light else chain(pairs=3, seed=2)
-    flow = flow_of(structure, RIGID if light else fc.UnilateralPenalty(20.0))
-    assert flow is not None
-    settled = flow.advance(np.zeros(flow.size), 0.6, 30 * 2.0 * np.pi / 0.6).state
-    system, step = OrbitEquations(flow, 0.6, settled), 1e-6
-    x = 1.05 * system.start
-    at = system.linearise(x, 1.02)
-    moved = flow.advance(x / system.scale, 0.612, 2.0 * np.pi / 0.612).state
-    assert relative(at.residual, system.scale * moved - x) < 1e-12
-    ends = [system.linearise(x, 1.02 + h).residual for h in (step, -step)]
-    assert relative(at.by_parameter, (ends[0] - ends[1]) / (2.0 * step)) < 1e-6
-    change = np.random.default_rng(0).normal(size=flow.size)
-    ends = [system.linearise(x + h * change, 1.02).residual for h in (step, -step)]
-    assert relative(at.assemble() @ change, (ends[0] - ends[1]) / (2.0 * step)) < 1e-6
-    first = solve_in_plane(system, system.start, 1.0, None, tolerance=1e-11)
-    assert first is not None
-    stepping = Stepping(first=0.01, longest=0.05, most=6, span=(0.9, 1.1))
-    points = list(follow_path(system, first.unknown, 1.0, stepping))
-    assert len(points) > 4
-    for point in points:
-        orbit = find_orbit(flow, point.parameter * 0.6, point.unknown / system.scale)
-        assert orbit is not None
-        assert relative(point.unknown, system.scale * orbit.state) < 1e-6
