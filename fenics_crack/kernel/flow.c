@@ -7,15 +7,15 @@
 #include "lapack.h"
 #include "sets.h"
 
-/* ORDER: of the series. BUCKETS: of sets. TRIES: sets tried behind one event. ANSWERS: of the
- * complementarity problems there. */
-enum { ORDER = 38, TERMS = ORDER + 1, BUCKETS = 4096, TRIES = 4, ANSWERS = 64, TURNS = 100 };
+/* ORDER: of the series. BUCKETS: of sets. ANSWERS: of complementarity problems that are kept. TURNS:
+ * to a root. */
+enum { ORDER = 38, TERMS = ORDER + 1, BUCKETS = 4096, ANSWERS = 64, TURNS = 100 };
 
 /* Length of a piece and of a step of the search for events, times the largest frequency; last
- * terms relative to the largest at the end of a piece; what rounding leaves of an answer; where
- * signs are looked at behind an event, as a part of a piece; largest length, times the set's
- * frequency, of the series of an exponential, and of its last term. */
-static const double REACH = 10.0, GRID = 0.5, TAIL = 1e-16, ROUNDING = 1e-14, BEHIND = 1e-7;
+ * terms relative to the largest at the end of a piece; what rounding leaves of an answer; when
+ * pairs that should have changed with the one before do so, as a part of a piece; largest length,
+ * times the set's frequency, of the series of an exponential, and of its last term. */
+static const double REACH = 10.0, GRID = 0.5, TAIL = 1e-16, ROUNDING = 1e-14, BEHIND = 1e-12;
 static const double SHORT = 1.5, LAST = 1e-14;
 
 #if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__) && !defined(__clang__)
@@ -46,7 +46,7 @@ struct flow {
     double *series, *gaps, *answers; /* (TERMS, m), (TERMS, p), (TERMS, p) of q, s, i */
     double *allowed;               /* (p) what of a negative answer is rounding */
     double *value, *slope;         /* (2, p) at a step's ends */
-    double *near, *force;          /* (p) s behind an event, its forces */
+    double *near, *force;          /* (p) s of a state, its forces */
     double *seen, *drag;           /* (p), (m) */
     double *matrix;                /* (p, p + m) */
     double *turned;                /* (1 + 2 K, m + p) derivative of the load */
@@ -316,7 +316,9 @@ static double zero_of(const flow *f, int pair, int order, double low, double hig
 }
 
 /* When an answer becomes negative in a step of the search, from its values and slopes at the ends;
- * NAN: it does not. */
+ * NAN: it does not. Where several change at one instant, as in mirror images, each of the others is
+ * found to fall from zero in a next piece: one is changed after the other, the first of them first,
+ * which ends (Murty, Opsearch 11 (1974) 90). */
 static double falls(const flow *f, int pair, double low, double high, const double *value,
                     const double *slope)
 {
@@ -330,7 +332,7 @@ static double falls(const flow *f, int pair, double low, double high, const doub
         bottom = value_at(f, pair, 0, high, &other);
         if (bottom >= -f->allowed[pair]) return NAN;
     }
-    low = larger(low, BEHIND);
+    if (value[0] <= f->allowed[pair]) low = larger(low, BEHIND);
     if (low >= high || value_at(f, pair, 0, low, &other) <= 0.0) return low;
     return zero_of(f, pair, 0, low, high);
 }
@@ -358,27 +360,6 @@ static int next_event(flow *f, double step, double end, double *when)
         if (found >= 0) return found;
     }
     return -1;
-}
-
-/* Behind an event: answers that are zero there go by their slopes. Whether signs are wrong soon
- * after, and the set that is right then: 1, 0 or -1 where none is found. */
-static int settle(flow *f, signed char *closed)
-{
-    const int p = f->of.pairs;
-    int wrong = 0;
-    for (int i = 0; i < p; i++) {
-        double *first = f->answers + i, now = 0.0;
-        if (fabs(*first) <= 10.0 * f->allowed[i]) *first = 0.0;
-        for (int n = 3; n >= 0; n--) now = now * BEHIND + first[(long)n * p];
-        wrong |= now < 0.0;
-    }
-    if (!wrong) return 0;
-    for (int i = 0; i < p; i++) {
-        double now = 0.0;
-        for (int n = 3; n >= 0; n--) now = now * BEHIND + f->gaps[(long)n * p + i];
-        f->near[i] = now;
-    }
-    return forces_at(f->contact, f->near, 0.0, NULL, closed, f->force) ? -1 : 1;
 }
 
 /* The set of closed pairs of a state, and their forces. */
@@ -437,7 +418,7 @@ int flow_advance(flow *f, flow_motion *m)
     double sizes[TERMS];
     signed char *closed = (signed char *)(f->force + p);
     if (contact_at(f, m->omega, m->now, m->state, closed)) return FLOW_LOST;
-    for (int fresh = 1, tries = 0; m->now < m->end; m->pieces++) {
+    for (; m->now < m->end; m->pieces++) {
         if (m->pieces == m->most_pieces) return FLOW_PIECES;
         if (m->passed == m->most) return FLOW_INTERVALS;
         const known *a = find(f, closed);
@@ -452,14 +433,6 @@ int flow_advance(flow *f, flow_motion *m)
         end = valid(sizes, end);
         if (!(end > 0.0)) return FLOW_LOST;
         round_off(f, a, sizes, end);
-        if (fresh && tries < TRIES) {
-            const int outcome = settle(f, closed);
-            if (outcome < 0) return FLOW_LOST;
-            if (outcome && memcmp(closed, a->closed, (size_t)p)) {
-                tries++;
-                continue;
-            }
-        }
         double when = end;
         const int pair = next_event(f, GRID / REACH, end, &when);
         const int last = pair < 0 && end == left;
@@ -468,8 +441,7 @@ int flow_advance(flow *f, flow_motion *m)
         if (!finite_state(2 * f->of.modes, m->state)) return FLOW_LOST;
         passed(m, p, closed, when * length);
         m->now = last ? m->end : m->now + when * length;
-        fresh = pair >= 0, tries = 0;
-        if (!fresh) continue;
+        if (pair < 0) continue;
         closed[pair] = !closed[pair];
         m->events++;
     }
