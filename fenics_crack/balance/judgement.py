@@ -79,7 +79,7 @@ class Judgement:
             return None
         assert self.flow is not None
         omega, periods = self.wave.omega, self.wave.subharmonic
-        return orbit_next_to(self.flow, omega, self.states[0], periods, self.predicted)
+        return orbit_next_to(self.flow, omega, self.states[0], periods)
 
     @cached_property
     def states(self) -> np.ndarray:
@@ -193,8 +193,8 @@ class Judgement:
             return "no exact orbit was found next to it: more harmonics may lead to one"
         if not self.accepted:
             return (
-                f"the exact orbit found is another one, {self.distance:.1%} away where "
-                f"{self.prediction:.1%} were predicted: more harmonics may lead to its own"
+                f"the exact orbit found is another one or far, {self.distance:.1%} away where "
+                f"{self.prediction:.1%} were predicted: more harmonics may lead nearer"
             )
         return ""
 

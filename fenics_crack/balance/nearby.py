@@ -41,15 +41,11 @@ def predicted(
 
 
 def orbit_next_to(
-    flow: ContactFlow,
-    omega: float,
-    start: np.ndarray,
-    subharmonic: int = 1,
-    first: Prediction | None = None,
+    flow: ContactFlow, omega: float, start: np.ndarray, subharmonic: int = 1
 ) -> PeriodicOrbit | None:
-    """The orbit next to a state, of a wave whose first step may be known: by steps that shrink the
-    step to follow, or else the residual. None where these lead to none."""
-    orbit = find_orbit(flow, omega, start, subharmonic=subharmonic, first=first)
+    """The orbit next to a state: by steps that shrink the step to follow, or else the residual.
+    None where these lead to none."""
+    orbit = find_orbit(flow, omega, start, subharmonic=subharmonic)
     if orbit is not None:
         return orbit
     orbits = FlowOrbits(flow, omega, start, subharmonic)

@@ -10,19 +10,21 @@ monodromy matrix M.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
 
 from fenics_crack.balance.bordered import PathPoint
+from fenics_crack.balance.compiled import CompiledPaths
 from fenics_crack.balance.linearisation import DenseLinearisation
+from fenics_crack.errors import ConvergenceError
+from fenics_crack.kernel import Struct, doubles, kernel, owned
 from fenics_crack.model.flow import ExponentialFlow, Steps
-from fenics_crack.motion.flow import ContactFlow, Motion
+from fenics_crack.motion.flow import Budget, ContactFlow, Motion
 from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit, eigenvalues
 
-__all__ = ["FlowOrbits", "MarchedOrbits", "OrbitPoint", "Orbits", "recurrences"]
+__all__ = ["FlowOrbits", "MarchedOrbits", "OrbitPoint", "recurrences"]
 
 DIFFERENCE = 1e-6
 """Of p, for dF/dp."""
@@ -68,44 +70,6 @@ class OrbitPoint(DenseLinearisation):
         return values[np.argsort(-np.abs(values), kind="stable")]
 
 
-class Orbits(ABC):
-    """F(x, p) of the orbits of a flow.
-
-    Attributes
-    ----------
-    omega : float
-        w_0, of the load [rad/s].
-    start : (2n,)
-        x of the motion nearby, at p = 1.
-    """
-
-    matrix_free = False
-
-    def __init__(self, omega: float, state: np.ndarray) -> None:
-        self.omega = omega
-        self._size = float(np.linalg.norm(state)) or 1.0
-        self.start = state / self._size
-
-    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
-        """Inner product."""
-        return float(first @ second)
-
-    def followed(self, periods: int) -> np.ndarray:
-        """The start after some periods of the response, nearer to what attracts it: (2n,)."""
-        state = self.start
-        for _ in range(periods):
-            state = self.moved(state, 1.0)
-        return state
-
-    @abstractmethod
-    def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
-        """The equations at (x, p)."""
-
-    @abstractmethod
-    def moved(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
-        """x after a period."""
-
-
 def recurrences(passed: Sequence[np.ndarray] | np.ndarray, count: int) -> list[int]:
     """Where orbits are sought in a motion, of states (n, ...) a period apart: the last of them, and
     those from which the motion came nearest to where it had been, the nearest first."""
@@ -113,12 +77,27 @@ def recurrences(passed: Sequence[np.ndarray] | np.ndarray, count: int) -> list[i
     return [-1, *map(int, np.argsort(apart, kind="stable")[:count])]
 
 
-class MarchedOrbits(Orbits):
-    """Of the flow by exponential steps."""
+class MarchedOrbits:
+    """F(x, p) of the flow by exponential steps, x = z / |z_0|.
+
+    Attributes
+    ----------
+    omega : float
+        omega_0, of the load [rad/s].
+    start : (2n,)
+        x of the motion nearby, at p = 1.
+    """
+
+    matrix_free = False
 
     def __init__(self, flow: ExponentialFlow, state: np.ndarray, subharmonic: int = 1) -> None:
-        super().__init__(flow.omega, state)
-        self._flow, self._periods = flow, subharmonic
+        self.omega, self._flow, self._periods = flow.omega, flow, subharmonic
+        self._size = float(np.linalg.norm(state)) or 1.0
+        self.start = state / self._size
+
+    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
+        """Inner product."""
+        return float(first @ second)
 
     def flow_at(self, parameter: float) -> ExponentialFlow:
         """The flow where the frequency has a value."""
@@ -131,76 +110,103 @@ class MarchedOrbits(Orbits):
         """A period from a state."""
         return self.flow_at(parameter).advance(self._size * unknown, self._periods)
 
-    def moved(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
-        return np.asarray(self.steps(unknown, parameter).states[-1] / self._size)
-
     def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
+        """The equations at (x, p)."""
         steps = self.steps(unknown, parameter)
         residual = steps.states[-1] / self._size - unknown
 
         def by_parameter() -> np.ndarray:
-            h = DIFFERENCE
-            after, before = self.moved(unknown, parameter + h), self.moved(unknown, parameter - h)
-            return np.asarray((after - before) / (2.0 * h))
+            ends = [
+                self.steps(unknown, other).states[-1] / self._size
+                for other in (parameter + DIFFERENCE, parameter - DIFFERENCE)
+            ]
+            return np.asarray((ends[0] - ends[1]) / (2.0 * DIFFERENCE))
 
         return OrbitPoint(unknown, residual, steps.monodromy, by_parameter, steps.switches)
 
 
-class FlowOrbits(Orbits):
-    """F(x, p) of the exact flow, x = W z / |W z_0| with the modes' frequencies W before their
-    displacements, p = w / w_0.
+class FlowOrbits(CompiledPaths):
+    """F(x, p) of the exact flow, in the kernel, x = w z / |w z_0| with the modes' frequencies w
+    before displacements: by the energy. dF/dx = M - I and dF/dp are exact (``kernel/shooting.h``).
 
     Attributes
     ----------
     flow : ContactFlow
+    omega : float
+        omega_0, of the load [rad/s].
     subharmonic : int
-        Periods of the load in one of the orbit.
+        Its periods in one of the orbit.
+    scale : (2 n_modes,)
+        x / z.
+    start : (2 n_modes,)
+        x of the state nearby, at p = 1.
     """
 
+    matrix_free = False
+
     def __init__(
-        self, flow: ContactFlow, omega: float, state: np.ndarray, subharmonic: int = 1
+        self,
+        flow: ContactFlow,
+        omega: float,
+        state: np.ndarray,
+        subharmonic: int = 1,
+        budget: Budget | None = None,
     ) -> None:
-        self.flow, self.subharmonic = flow, subharmonic
-        slowest = (omega / subharmonic) ** 2
-        frequencies = np.sqrt(np.maximum(flow.modes.squares, slowest))
-        self._weights = np.concatenate([frequencies, np.ones_like(frequencies)])
-        super().__init__(omega, self._weights * state)
+        budget, self.flow, self.omega, self.shape = budget or Budget(), flow, omega, state.shape
+        self.subharmonic = subharmonic
+        weights = flow.weights(omega / subharmonic)
+        self.scale = weights / (float(np.linalg.norm(weights * state)) or 1.0)
+        self.start = self.scale * state
+        given = Struct(
+            "shooting_equations", flow=flow.handle, modes=flow.size // 2,
+            pairs=len(flow.softness), omega=omega, turns=2.0 * np.pi * subharmonic,
+            scale=self.scale, pieces=budget.pieces, intervals=budget.intervals,
+        )  # fmt: skip
+        self._point = owned(kernel.new_shooting_point(given.at), kernel.free_shooting_point)
+        self._equations = kernel.equations_of_shooting(self._point)
+
+    @property
+    def compiled(self) -> FlowOrbits:
+        """Itself: the loops are the kernel's."""
+        return self
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
+        """The equations at a point.
+
+        Raises
+        ------
+        ConvergenceError
+            The motion takes more than the budget allows, or is not finite.
+        """
+        self._evaluate(unknown, parameter)
+        return self._found(unknown, parameter)
+
+    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
+        """Inner product."""
+        return float(first @ second)
 
     def state(self, unknown: np.ndarray) -> np.ndarray:
         """z of x: (2n,)."""
-        return np.asarray(self._size * unknown / self._weights)
+        return np.asarray(unknown / self.scale)
 
     def unknown(self, state: np.ndarray) -> np.ndarray:
         """x of z: (2n,)."""
-        return np.asarray(self._weights * state / self._size)
+        return np.asarray(self.scale * state)
 
     def unknown_of(self, displacement: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """x of another motion at phase zero, (n_dofs,) each."""
         return self.unknown(self.flow.state(displacement, velocity))
 
-    def _motion(self, unknown: np.ndarray, parameter: float, instants: np.ndarray) -> Motion:
-        """Over a period, sampled at parts of it."""
-        omega = parameter * self.omega
-        period = 2.0 * np.pi * self.subharmonic / omega
-        return self.flow.advance(self.state(unknown), omega, period, instants=instants * period)
-
-    def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
-        motion = self._motion(unknown, parameter, np.ones(1))
-        residual = self.unknown(motion.state) - unknown
-
-        def monodromy() -> np.ndarray:
-            return self._weights[:, None] * motion.track.tangent / self._weights
-
-        def by_parameter() -> np.ndarray:
-            duration = motion.track.times[-1]
-            rate = self.flow.rate(motion.state, motion.samples.force[0])
-            moved = motion.track.by_omega() - duration / motion.track.omega * rate
-            return self.unknown(self.omega * moved)
-
-        return OrbitPoint(unknown, residual, monodromy, by_parameter, motion.events)
-
     def moved(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
+        """x after a period."""
         return self.unknown(self._motion(unknown, parameter, np.zeros(0)).state)
+
+    def followed(self, periods: int) -> np.ndarray:
+        """The start after some periods of the response, nearer to what attracts it: (2n,)."""
+        state = self.start
+        for _ in range(periods):
+            state = self.moved(state, 1.0)
+        return state
 
     def gap(
         self, unknown: np.ndarray, parameter: float, count: int = INSTANTS, later: float = 0.0
@@ -209,6 +215,10 @@ class FlowOrbits(Orbits):
         (count, n_pairs) [m]."""
         instants = (np.arange(count) + later) / count
         return self._motion(unknown, parameter, instants).samples.gap
+
+    def displacement(self, unknown: np.ndarray, count: int) -> np.ndarray:
+        """Displacement of the structure's own dofs there, at p = 1: (count, n_dofs) [m]."""
+        return self._motion(unknown, 1.0, np.arange(count) / count).samples.displacement
 
     def orbit(self, found: PathPoint) -> PeriodicOrbit:
         """The orbit of a solution of the equations."""
@@ -220,6 +230,34 @@ class FlowOrbits(Orbits):
             self.state(found.unknown), off / size if size > 0.0 else 0.0, found.iterations + 1,
         )  # fmt: skip
 
-    def displacement(self, unknown: np.ndarray, count: int) -> np.ndarray:
-        """Displacement of the structure's own dofs there, at p = 1: (count, n_dofs) [m]."""
-        return self._motion(unknown, 1.0, np.arange(count) / count).samples.displacement
+    def _motion(self, unknown: np.ndarray, parameter: float, instants: np.ndarray) -> Motion:
+        """Over a period, sampled at parts of it."""
+        omega = parameter * self.omega
+        period = 2.0 * np.pi * self.subharmonic / omega
+        return self.flow.advance(self.state(unknown), omega, period, instants=instants * period)
+
+    def _evaluate(self, unknown: np.ndarray, parameter: float) -> None:
+        assert unknown.shape == self.shape
+        given = doubles(np.ascontiguousarray(unknown, dtype=float))
+        outcome = self._equations.evaluate(self._equations, given, parameter)
+        self._check(outcome)
+        if outcome != kernel.FOUND:
+            raise ConvergenceError("orbits: the motion over a period cannot be followed")
+
+    def _found(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
+        residual, monodromy = np.empty(self.shape), np.empty(2 * self.shape)
+        self._equations.residual(self._equations, doubles(residual))
+        kernel.tangent_of(self._point, doubles(monodromy))
+        events = int(kernel.switches_of(self._point))
+
+        def by_parameter() -> np.ndarray:
+            slope = np.empty(self.shape)
+            self._evaluate(unknown, parameter)
+            self._equations.by_parameter(self._equations, doubles(slope))
+            return slope
+
+        return OrbitPoint(unknown, residual, lambda: monodromy, by_parameter, events)
+
+    def _check(self, outcome: int) -> None:
+        if outcome == kernel.NO_MEMORY:
+            raise MemoryError("orbits")

@@ -7,16 +7,16 @@
 #include "lapack.h"
 #include "sets.h"
 
-/* ORDER: of the series. BUCKETS: of sets. TRIES: sets tried behind one event. ANSWERS: of the
- * complementarity problems there. */
-enum { ORDER = 38, TERMS = ORDER + 1, BUCKETS = 4096, TRIES = 4, ANSWERS = 64, TURNS = 100 };
+/* ORDER: of the series. BUCKETS: of sets. ANSWERS: of complementarity problems that are kept. TURNS:
+ * to a root. */
+enum { ORDER = 38, TERMS = ORDER + 1, BUCKETS = 4096, ANSWERS = 64, TURNS = 100 };
 
 /* Length of a piece and of a step of the search for events, times the largest frequency; last
- * terms relative to the largest at the end of a piece; what rounding leaves of an answer; where
- * signs are looked at behind an event, as a part of a piece; largest length, times the set's
- * frequency, of the series of an exponential, and of its last term. */
-static const double REACH = 10.0, GRID = 0.5, TAIL = 1e-16, ROUNDING = 1e-14, BEHIND = 1e-7;
-static const double SHORT = 1.5, LAST = 1e-16;
+ * terms relative to the largest at the end of a piece; what rounding leaves of an answer; when
+ * pairs that should have changed with the one before do so, as a part of a piece; largest length,
+ * times the set's frequency, of the series of an exponential, and of its last term. */
+static const double REACH = 10.0, GRID = 0.5, TAIL = 1e-16, ROUNDING = 1e-14, BEHIND = 1e-12;
+static const double SHORT = 1.5, LAST = 1e-14;
 
 #if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__) && !defined(__clang__)
 #define WIDE __attribute__((target_clones("avx2", "default"))) /* sums keep their order */
@@ -46,9 +46,10 @@ struct flow {
     double *series, *gaps, *answers; /* (TERMS, m), (TERMS, p), (TERMS, p) of q, s, i */
     double *allowed;               /* (p) what of a negative answer is rounding */
     double *value, *slope;         /* (2, p) at a step's ends */
-    double *near, *force;          /* (p) s behind an event, its forces */
+    double *near, *force;          /* (p) s of a state, its forces */
     double *seen, *drag;           /* (p), (m) */
     double *matrix;                /* (p, p + m) */
+    double *turned;                /* (1 + 2 K, m + p) derivative of the load */
     double *wide;                  /* room of exponentials, or NULL */
 };
 
@@ -315,7 +316,9 @@ static double zero_of(const flow *f, int pair, int order, double low, double hig
 }
 
 /* When an answer becomes negative in a step of the search, from its values and slopes at the ends;
- * NAN: it does not. */
+ * NAN: it does not. Where several change at one instant, as in mirror images, each of the others is
+ * found to fall from zero in a next piece: one is changed after the other, the first of them first,
+ * which ends (Murty, Opsearch 11 (1974) 90). */
 static double falls(const flow *f, int pair, double low, double high, const double *value,
                     const double *slope)
 {
@@ -329,7 +332,7 @@ static double falls(const flow *f, int pair, double low, double high, const doub
         bottom = value_at(f, pair, 0, high, &other);
         if (bottom >= -f->allowed[pair]) return NAN;
     }
-    low = larger(low, BEHIND);
+    if (value[0] <= f->allowed[pair]) low = larger(low, BEHIND);
     if (low >= high || value_at(f, pair, 0, low, &other) <= 0.0) return low;
     return zero_of(f, pair, 0, low, high);
 }
@@ -359,33 +362,12 @@ static int next_event(flow *f, double step, double end, double *when)
     return -1;
 }
 
-/* Behind an event: answers that are zero there go by their slopes. Whether signs are wrong soon
- * after, and the set that is right then: 1, 0 or -1 where none is found. */
-static int settle(flow *f, signed char *closed)
+/* The set of closed pairs of a state, and their forces. */
+static int contact_at(flow *f, double omega, double time, const double *state, signed char *closed)
 {
-    const int p = f->of.pairs;
-    int wrong = 0;
-    for (int i = 0; i < p; i++) {
-        double *first = f->answers + i, now = 0.0;
-        if (fabs(*first) <= 10.0 * f->allowed[i]) *first = 0.0;
-        for (int n = 3; n >= 0; n--) now = now * BEHIND + first[(long)n * p];
-        wrong |= now < 0.0;
-    }
-    if (!wrong) return 0;
-    for (int i = 0; i < p; i++) {
-        double now = 0.0;
-        for (int n = 3; n >= 0; n--) now = now * BEHIND + f->gaps[(long)n * p + i];
-        f->near[i] = now;
-    }
-    return forces_at(f->contact, f->near, 0.0, NULL, closed, f->force) ? -1 : 1;
-}
-
-/* The set at the start of a motion. */
-static int begin(flow *f, const flow_motion *m, signed char *closed)
-{
-    const int n = f->of.modes, p = f->of.pairs, width = 1 + 2 * f->of.harmonics;
-    wave(f, m->omega, m->now, 0.0, 0);
-    multiply(p, n, f->of.rows, m->state, f->near);
+    const int m = f->of.modes, p = f->of.pairs, width = 1 + 2 * f->of.harmonics;
+    wave(f, omega, time, 0.0, 0);
+    multiply(p, m, f->of.rows, state, f->near);
     add_rows(width, p, f->of.gap, f->weights, f->near);
     for (int i = 0; i < p; i++) closed[i] = f->near[i] > 0.0;
     return forces_at(f->contact, f->near, 0.0, NULL, closed, f->force);
@@ -435,8 +417,8 @@ int flow_advance(flow *f, flow_motion *m)
     const double length = REACH / fastest(f, m->omega);
     double sizes[TERMS];
     signed char *closed = (signed char *)(f->force + p);
-    if (begin(f, m, closed)) return FLOW_LOST;
-    for (int fresh = 1, tries = 0; m->now < m->end; m->pieces++) {
+    if (contact_at(f, m->omega, m->now, m->state, closed)) return FLOW_LOST;
+    for (; m->now < m->end; m->pieces++) {
         if (m->pieces == m->most_pieces) return FLOW_PIECES;
         if (m->passed == m->most) return FLOW_INTERVALS;
         const known *a = find(f, closed);
@@ -451,14 +433,6 @@ int flow_advance(flow *f, flow_motion *m)
         end = valid(sizes, end);
         if (!(end > 0.0)) return FLOW_LOST;
         round_off(f, a, sizes, end);
-        if (fresh && tries < TRIES) {
-            const int outcome = settle(f, closed);
-            if (outcome < 0) return FLOW_LOST;
-            if (outcome && memcmp(closed, a->closed, (size_t)p)) {
-                tries++;
-                continue;
-            }
-        }
         double when = end;
         const int pair = next_event(f, GRID / REACH, end, &when);
         const int last = pair < 0 && end == left;
@@ -467,8 +441,7 @@ int flow_advance(flow *f, flow_motion *m)
         if (!finite_state(2 * f->of.modes, m->state)) return FLOW_LOST;
         passed(m, p, closed, when * length);
         m->now = last ? m->end : m->now + when * length;
-        fresh = pair >= 0, tries = 0;
-        if (!fresh) continue;
+        if (pair < 0) continue;
         closed[pair] = !closed[pair];
         m->events++;
     }
@@ -495,6 +468,43 @@ int flow_column(flow *f, const flow_track *track, const double *force, const dou
         }
     }
     return FLOW_DONE;
+}
+
+int flow_by_omega(flow *f, const flow_track *track, double *state)
+{
+    /* d/d omega of c cos(k omega t) + s sin(k omega t) is t times k s cos - k c sin. */
+    const int m = f->of.modes, p = f->of.pairs;
+    double *force = f->turned, *gap = force + (1 + 2 * f->of.harmonics) * m;
+    for (int k = 1; k <= f->of.harmonics; k++) {
+        const int cosine = 2 * k - 1, sine = 2 * k;
+        for (int j = 0; j < m; j++) {
+            force[cosine * m + j] = k * f->of.force[sine * m + j];
+            force[sine * m + j] = -k * f->of.force[cosine * m + j];
+        }
+        for (int i = 0; i < p; i++) {
+            gap[cosine * p + i] = k * f->of.gap[sine * p + i];
+            gap[sine * p + i] = -k * f->of.gap[cosine * p + i];
+        }
+    }
+    memset(force, 0, bytes(m)), memset(gap, 0, bytes(p));
+    memset(state, 0, bytes(2 * m));
+    return flow_column(f, track, force, gap, 1, state);
+}
+
+int flow_rate(flow *f, double omega, double time, const double *state, double *rate)
+{
+    const int m = f->of.modes, width = 1 + 2 * f->of.harmonics;
+    double *faster = rate + m;
+    if (contact_at(f, omega, time, state, (signed char *)(f->force + f->of.pairs))) return 1;
+    memcpy(rate, state + m, bytes(m));
+    multiply(m, f->of.pairs, f->columns, f->force, faster);
+    if (f->of.coupled) multiply(m, m, f->of.damping, rate, f->drag);
+    else
+        for (int j = 0; j < m; j++) f->drag[j] = f->of.damping[j] * rate[j];
+    for (int j = 0; j < m; j++)
+        faster[j] = -faster[j] - f->drag[j] - f->of.squares[j] * state[j];
+    add_rows(width, m, f->of.force, f->weights, faster);
+    return 0;
 }
 
 /* --- the tangent ------------------------------------------------------------------------------ */
@@ -682,7 +692,7 @@ flow *new_flow(const flow_parts *given)
     f->of = *given;
     f->contact = new_sets((int)p, given->compliance, ANSWERS);
     f->room = malloc(bytes(m + damping + 2 * p * m + TERMS * (width + m + 2 * p) + 10 * p + m
-                           + p * (p + m) + 1));
+                           + p * (p + m) + width * (m + p) + 1));
     if (!f->contact || !f->room) {
         free_flow(f);
         return NULL;
@@ -705,6 +715,7 @@ flow *new_flow(const flow_parts *given)
     f->seen = taken(&place, p);
     f->drag = taken(&place, m);
     f->matrix = taken(&place, p * (p + m));
+    f->turned = taken(&place, width * (m + p));
     f->force = taken(&place, 2 * p); /* and the set behind it */
     return f;
 }

@@ -69,6 +69,10 @@ int flow_tangent(flow *f, const flow_track *track, double *product);
  * track. */
 int flow_column(flow *f, const flow_track *track, const double *force, const double *gap,
                 int by_time, double *state);
+/* The same by omega: state (2 m), from 0 at the start. */
+int flow_by_omega(flow *f, const flow_track *track, double *state);
+/* The state's derivative by the time (2 m): 0, or 1 where no set of closed pairs answers it. */
+int flow_rate(flow *f, double omega, double time, const double *state, double *rate);
 /* The motion over each of `nodes` equal parts of a period, from a wave's states (nodes, 2 m) at their
  * starts: moved (nodes, 2 m), the states at their ends, and tangents (nodes, 2 m, 2 m). What is
  * allowed, and the room for the track, are those of m. */

@@ -142,11 +142,18 @@ class ContactFlow:
         inverse = self.modes.inverse.T
         return np.concatenate([displacement @ inverse, velocity @ inverse], axis=-1)
 
-    def rate(self, state: np.ndarray, contact_force: np.ndarray) -> np.ndarray:
-        """z' at phase zero of the load, (2 n_modes,), of a state with its contact forces."""
-        modes, (shape, speed) = self.modes, np.split(state, 2)
-        pull = modes.squares * shape + modes.damped(speed) + modes.pairs @ contact_force
-        return np.concatenate([speed, self.force[0] + self.force[1] - pull])
+    def weights(self, base_omega: float) -> np.ndarray:
+        """What makes the norm of a state that of its energy, (2 n_modes,); modes slower than a
+        frequency [rad/s] count as if they had it."""
+        rates = np.sqrt(np.maximum(self.modes.squares, base_omega**2))
+        return np.concatenate([rates, np.ones_like(rates)])
+
+    def rate(self, state: np.ndarray, omega: float, time: float) -> np.ndarray:
+        """z' at a time: (2 n_modes,)."""
+        found = np.empty(self.size)
+        if kernel.flow_rate(self.handle, omega, time, doubles(_doubles(state)), doubles(found)):
+            _check(kernel.FLOW_LOST, 0)
+        return found
 
     def advance(
         self,
@@ -267,8 +274,10 @@ class Track:
 
     def by_omega(self) -> np.ndarray:
         """dz(end) / d omega at a fixed start and duration: (2 n_modes,)."""
-        turned = [[0, 0, 0], [0, 0, 1], [0, -1, 0]]  # of c cos + s sin: t (s cos - c sin)
-        return self.column(turned @ self.flow.force, turned @ self.flow.gap, by_time=True)
+        state = np.empty(self.flow.size)
+        outcome = kernel.flow_by_omega(self.flow.handle, self._known.at, doubles(state))
+        _check(outcome, len(self.lengths) - 1)
+        return state
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,8 @@ Source: Deuflhard, Newton Methods for Nonlinear Problems, 2004, sections 2.1 and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import sys
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -34,18 +35,18 @@ from fenics_crack.table import Described, counted
 
 __all__ = ["INSTANTS", "PeriodicOrbit", "Prediction", "eigenvalues", "find_orbit", "predict"]
 
-FLOWS, SHORTEST = 40, 1e-3
+FLOWS, SHORTEST = 20, 1e-3
 """Periods followed before an orbit is given up, and how short a step may become."""
+PIECES = 20_000
+"""Of the flow's series that a search may take: a second, with many pairs."""
 CLOSED = 1e-11
 """Relative length of a step behind which an orbit is found."""
-INSTANTS = 512
-"""At which the gaps of an orbit are kept."""
 ROUNDED = 1e3
 """Times that, below which steps are rounding."""
-MUCH = 0.25
-"""How much shorter the simplified step behind a wave's first one has to be."""
 CHEAP = 3.0
 """Simplified steps that cost as much as one with a new derivative."""
+INSTANTS = 512
+"""At which the gaps of an orbit are kept."""
 NODES = 20
 """Of Gauss's rule on an interval in which nothing turns by more than TURN."""
 TURN = 12.0
@@ -127,13 +128,8 @@ class PeriodicOrbit(Described):
 
     def by_omega(self) -> np.ndarray:
         """d(z(T) - z(0)) / d omega with z(0) held: (2 n_modes,)."""
-        track = self.motion.track
-        return track.by_omega() - self.period / self.omega * self.rate
-
-    @cached_property
-    def rate(self) -> np.ndarray:
-        """z'(0): (2 n_modes,)."""
-        return self.flow.rate(self.state, self.samples(np.zeros(1)).force[0])
+        rate = self.flow.rate(self.motion.state, self.omega, self.period)
+        return self.motion.track.by_omega() - self.period / self.omega * rate
 
     def samples(self, time: np.ndarray) -> Samples:
         """The motion at ascending times of the period [s]."""
@@ -250,14 +246,14 @@ def find_orbit(
     state: np.ndarray,
     *,
     subharmonic: int = 1,
-    first: Prediction | None = None,
     budget: Budget | None = None,
 ) -> PeriodicOrbit | None:
     """The orbit that Newton's method leads to from a state at phase zero; None where it leads to
-    none. Its first step is that of the wave, where this is given and leads much nearer."""
+    none, or takes more than the budget allows: pieces of all motions together, and intervals of
+    each."""
     search = _Search(flow, omega, subharmonic, state, budget)
     try:
-        if not search.leads_to_orbit(first):
+        if not search.leads_to_orbit():
             return None
     except (ConvergenceError, np.linalg.LinAlgError, ValueError):
         return None
@@ -280,35 +276,30 @@ class _Search:
         self, flow: ContactFlow, omega: float, subharmonic: int, state: np.ndarray,
         budget: Budget | None,
     ) -> None:  # fmt: skip
-        self._flow, self._omega, self._budget = flow, omega, budget
+        self._flow, self._omega, self._left = flow, omega, budget or Budget(pieces=PIECES)
         self._period = 2.0 * np.pi * subharmonic / omega
-        rates = np.sqrt(np.maximum(flow.modes.squares, (omega / subharmonic) ** 2))
-        self._weights = np.concatenate([rates, np.ones_like(rates)])
+        self._weights = flow.weights(omega / subharmonic)
         self.state, self.flows = state, 0
 
     def size(self, change: np.ndarray) -> float:
         """In the norm of the energy."""
         return float(np.linalg.norm(self._weights * change))
 
-    def leads_to_orbit(self, first: Prediction | None) -> bool:
+    def leads_to_orbit(self) -> bool:
         """Whether it ends with an orbit."""
         share, factors = 1.0, None
-        if first is not None:
-            factors, step = self._factors(first.monodromy), first.states[0] - self.state
-            trial, moved, simplified = self._trial(step, factors)
-            if self.size(simplified) > MUCH * self.size(step):
-                factors = None
-            else:
-                self.state, self.motion, step = trial, moved, simplified
-        if factors is None:
-            self.motion = self._follow(self.state)
+        self.motion = self._follow(self.state)
         while self.flows < FLOWS:
             if factors is None:
-                factors = self._factors(self.motion.track.tangent)
+                factors = scipy.linalg.lu_factor(
+                    np.eye(self._flow.size) - self.motion.track.tangent
+                )
                 step = scipy.linalg.lu_solve(factors, self.motion.state - self.state)
-            trial, moved, simplified = self._trial(share * step, factors)
+            trial = self.state + share * step
+            moved = self._follow(trial)
+            simplified = scipy.linalg.lu_solve(factors, moved.state - trial)
             before, after = self.size(step), self.size(simplified)
-            bent = self.size(simplified - (1.0 - share) * step)
+            bent = self.size(simplified - (1.0 - share) * step) + sys.float_info.min
             goal = CLOSED * self.size(trial)
             if not after <= (1.0 - 0.25 * share) * before:
                 if before <= ROUNDED * goal:
@@ -329,22 +320,9 @@ class _Search:
 
     def _follow(self, state: np.ndarray) -> Motion:
         self.flows += 1
-        return self._flow.advance(state, self._omega, self._period, budget=self._budget)
-
-    def _factors(self, monodromy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """LU factors of I - M."""
-        found: tuple[np.ndarray, np.ndarray] = scipy.linalg.lu_factor(
-            np.eye(self._flow.size) - monodromy
-        )
+        found = self._flow.advance(state, self._omega, self._period, budget=self._left)
+        self._left = replace(self._left, pieces=self._left.pieces - found.pieces)
         return found
-
-    def _trial(
-        self, step: np.ndarray, factors: tuple[np.ndarray, np.ndarray]
-    ) -> tuple[np.ndarray, Motion, np.ndarray]:
-        """The state behind a step, the motion from there, and the simplified step."""
-        trial = self.state + step
-        moved = self._follow(trial)
-        return trial, moved, scipy.linalg.lu_solve(factors, moved.state - trial)
 
 
 def _goes_on(before: float, after: float, goal: float) -> bool:

@@ -188,7 +188,7 @@ class _Branch:
     tolerance = TOLERANCE
 
     def __init__(self, orbits: FlowOrbits) -> None:
-        self._orbits, self.start = orbits, orbits.start
+        self._orbits, self.start, self.compiled = orbits, orbits.start, orbits.compiled
         self.inner = orbits.inner
 
     def orbit(self, found: PathPoint) -> PeriodicOrbit:

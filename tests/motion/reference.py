@@ -93,7 +93,7 @@ class ReferenceFlow:
             high = min(low + 200 * step, left)
             times = np.linspace(low, high, 201)
             if low == 0.0:
-                times[0] = 1e-6 * step  # what is zero there has just changed its sign
+                times[0] = 1e-11 * step  # what is zero there has just changed its sign
             seen = (np.exp(np.outer(times, values)) @ rows.T).real
             roots = []
             for pair in range(len(rows)):
@@ -125,6 +125,6 @@ class ReferenceFlow:
                 roots.append((root, pair))
             if roots:
                 when = min(roots)[0]
-                return when, [pair for root, pair in roots if root - when < 1e-9 * step]
+                return when, [pair for root, pair in roots if root - when < 1e-13 * step]
             low = high
         return left, []

@@ -24,7 +24,7 @@ def next_to(solution: fc.PeriodicSolution) -> tuple[Prediction, PeriodicOrbit]:
     states = wave_states(flow, solution.displacement_coefficients, solution.base_omega)
     found = predicted(flow, solution.omega, states, solution.subharmonic)
     assert found is not None
-    orbit = orbit_next_to(flow, solution.omega, states[0], solution.subharmonic, found)
+    orbit = orbit_next_to(flow, solution.omega, states[0], solution.subharmonic)
     assert orbit is not None and orbit.residual < 1e-10
     return found, orbit
 
@@ -37,9 +37,9 @@ def distance(solution: fc.PeriodicSolution, orbit: PeriodicOrbit) -> float:
     return float(np.linalg.norm(solution.gap(time) - orbit.gap_at(time)) / size)
 
 
-def light_chain(seed: int, damping: str = "modal") -> fc.Structure:
+def light_chain(seed: int) -> fc.Structure:
     """30 masses, 5 pairs without mass, 12 modes."""
-    structure = chain(damping, 30, 5, seed).varied(load=0.5)
+    structure = chain("modal", 30, 5, seed).varied(load=0.5)
     return fc.reduce_structure(structure, modes=12, method="massless")
 
 
