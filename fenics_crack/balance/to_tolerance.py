@@ -28,13 +28,14 @@ from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.stages import begin
 
-__all__ = ["SAFETY", "solve_to_tolerance"]
+__all__ = ["solve_to_tolerance"]
 
 MAX_HARMONICS = 300
 """If more are needed for a tolerance, or more than MAX_SAMPLES, it is out of reach."""
 SAFETY, SHARE = 0.6, 0.3
-"""Parts of a tolerance that the whole estimate may take, and one of its causes before it is worked
-on: estimates are known to a factor of about two."""
+"""Parts of a tolerance that the whole estimate may take, where not all of it is the reduction's of
+a structure given, and one of its causes before it is worked on: estimates are known to a factor of
+about two."""
 DISPROVED = 3.0
 """Change from one solution to a finer one, relative to the error estimated of the first, beyond
 which estimates are not believed."""
@@ -65,13 +66,15 @@ def solve_to_tolerance(
             solution = solver.attempt(last or initial, patient=False)[1]
         solution = replace(solution, report=whole.comm.bcast(solution.report))
         report, finer, obstacle = solution.report, problem, ""
+        more_modes = reducible and modes < whole.n_dofs
+        only_modes = not more_modes and report.total - report.reduction <= SHARE * tolerance
+        part = 1.0 if only_modes else SAFETY
         if not solution.converged:
             obstacle = f"truncation; H = {problem.harmonics} failed"
-        elif report.total <= SAFETY * tolerance and _confirmed(solution, last, tolerance):
+        elif report.total <= part * tolerance and _confirmed(solution, last, tolerance):
             modes_kept = f", {modes} modes ({problem.structure.n_dofs} coordinates)"
             return _chosen(solution, tolerance, problem.samples, modes_kept if reducible else "")
         else:
-            more_modes = reducible and modes < whole.n_dofs
             finer, obstacle = _finer(problem, report, tolerance, more_modes)
         unknown = report.truncation >= UNKNOWN and problem.harmonics >= ENOUGH
         lost = bool(obstacle) or unknown
@@ -132,7 +135,7 @@ def _finer(
     highest frequency kept, the truncation falls no faster than these modes are reached.
     """
     harmonics = problem.harmonics
-    if report.reduction > SAFETY * tolerance and not more_modes:
+    if report.reduction > tolerance and not more_modes:
         return problem, "that of the reduced structure given"
     if report.sampling > SHARE * tolerance:
         used = problem.samples or problem.subharmonic * default_samples(harmonics)

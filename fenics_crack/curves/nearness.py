@@ -44,7 +44,7 @@ def near_points(
 
     @cache
     def allowed(number: int) -> float:
-        report = curve.solution(int(places[number])).report
+        report = curve.solution(int(places[number]), search=False).report
         return max(NO_DOUBT, BELIEVED * (report.total - report.reduction))
 
     near = off <= NO_DOUBT

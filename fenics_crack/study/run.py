@@ -12,7 +12,6 @@ from mpi4py import MPI
 
 from fenics_crack.balance.harmonic_balance import solve_harmonic_balance, solve_linear
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.balance.to_tolerance import SAFETY
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.follow import continue_frequency, continue_parameter
 from fenics_crack.errors import ConvergenceError, InputError
@@ -170,7 +169,7 @@ def _solve_to_tolerance(
         found = solve_harmonic_balance(
             study.structure, omega, law, tolerance=tolerance, throw=False
         )
-        enough = found.converged or not found.report.reduction > SAFETY * tolerance
+        enough = found.converged or not found.report.reduction > tolerance
         modes *= 2
         if enough or not chosen or modes >= structure.n_dofs:
             return study, found

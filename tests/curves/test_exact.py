@@ -197,7 +197,7 @@ def test_orbits_near_enough(
     curve = fc.continue_frequency(oscillator(), 1.5, 1.6, fc.UnilateralPenalty(1.0), harmonics=5)
     places = np.arange(len(curve))
     report = fc.ErrorReport(0.0, estimate, 0.0, 0.0, 0.0)
-    monkeypatch.setattr(fc.ResponseCurve, "solution", lambda curve, place: Known(report))
+    monkeypatch.setattr(fc.ResponseCurve, "solution", lambda curve, place, search: Known(report))
 
     def found(off: float) -> np.ndarray:
         waves = curve.gaps_in_time(places)
