@@ -186,15 +186,15 @@ class Judgement:
     def reason(self) -> str:
         """Why no orbit is accepted; "" where one is."""
         if self.predicted is None:
-            return "its pairs open and close too often for its motion to be followed"
+            return "its pairs open and close too often to be followed; lips without mass do less so"
         if not self.prediction < FAR:
-            return f"harmonics left out change it by {self.prediction:.0%}: more may decide it"
+            return f"the harmonics left out change it by {self.prediction:.0%}"
         if self.orbit is None:
-            return "no exact orbit was found next to it: more harmonics may lead to one"
+            return "no exact orbit was found next to it"
         if not self.accepted:
             return (
-                f"the exact orbit found is another one or far, {self.distance:.1%} away where "
-                f"{self.prediction:.1%} were predicted: more harmonics may lead nearer"
+                "the exact orbit next to it is another one, or far: "
+                f"{self.distance:.1%} away where {self.prediction:.1%} were predicted"
             )
         return ""
 

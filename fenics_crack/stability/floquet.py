@@ -112,11 +112,11 @@ def _doubt(orbit: PeriodicOrbit, judged: Judgement) -> str:
     if structure.light_lips or structure.n_pairs > FEW_PAIRS:
         return ""
     if _grazes(orbit, judged):
-        return "a pair just touches, or just does not, within the error: more harmonics may decide"
+        return "a pair just touches, or just does not, within the error"
     orbits = FlowOrbits(orbit.flow, orbit.omega, orbit.state, orbit.subharmonic)
     begun = orbits.unknown(judged.states[0])
     if judged.distance > CLOSE and leaves(orbits, begun, orbits.start):
-        return "the exact motion that begins with it leaves its orbit: more harmonics may decide"
+        return "the exact motion that begins with it leaves its orbit"
     return ""
 
 
@@ -169,5 +169,5 @@ def _by_hill(structure: Structure, solution: PeriodicSolution, contact: ContactL
     elif solution.report.truncation >= UNKNOWN:
         reason = "the solution's error is not known"
     if reason:
-        verdict, reason = "undecided", f"{reason}: more harmonics may decide it"
+        verdict = "undecided"
     return Stability(values, verdict, off, reason=reason)
