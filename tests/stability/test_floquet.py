@@ -286,17 +286,3 @@ def test_orbit_far_away_judges_nothing() -> None:
     found = floquet(structure, wrong)
     assert found.verdict == "undecided" and "30.0% away" in found.reason
     assert judged.errors() == pytest.approx((0.3, 0.3), rel=1e-4)
-
-
-def test_error_of_the_reduction_of_a_plate() -> None:
-    """10 rigid pairs, 14 modes: the distance between the orbits of 14 and of 28 modes, to a factor
-    of 3; the harmonics, which do not reach the further modes, see a tenth of it."""
-    whole = fc.build_structure(fc.Scene.load(NEW).replace({"damping.ratio": 0.003}))
-    law, plates = fc.UnilateralConstraint(), [
-        fc.reduce_structure(whole, modes=modes, method="massless") for modes in (14, 28)
-    ]  # fmt: skip
-    omega = 1.02 * float(plates[0].omega[0])
-    solutions = [fc.solve_harmonic_balance(one, omega, law, harmonics=20) for one in plates]
-    few, many = (fc.shoot(one.structure, one).gap for one in solutions)
-    true = relative(few, many)
-    assert true / 3.0 < solutions[0].report.reduction < 3.0 * true
