@@ -24,8 +24,9 @@ import numpy as np
 import fenics_crack as fc
 from fenics_crack.balance.arclength import Stepping, follow_path
 from fenics_crack.balance.bordered import locate
+from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.stability import refinement
-from fenics_crack.stability.shooting import ExactOrbits
+from fenics_crack.stability.shooting import orbits_near
 
 SPAN = 2.0, 0.32
 SAME, ABOUT, NEAR, CLEARLY = 1e-6, 0.02, 0.25, 3.0
@@ -42,7 +43,7 @@ class Branch:
     """Exact orbits along their branch: frequencies (n,), states (n, 2), whether each is stable
     (n,), and the bifurcations by their kinds [rad/s]."""
 
-    orbits: ExactOrbits
+    orbits: FlowOrbits
     omega: np.ndarray
     states: np.ndarray
     stable: np.ndarray
@@ -120,7 +121,7 @@ def case(kc: float, harmonics: int, span: tuple[float, float] = SPAN) -> tuple[o
 
 def exact_branch(curve: fc.ResponseCurve) -> Branch:
     """The branch of exact orbits that begins at a curve's first point, to its last frequency."""
-    orbits = ExactOrbits(curve.structure, curve.contact, curve.solution(0))
+    orbits = orbits_near(curve.structure, curve.contact, curve.solution(0))
     path = refinement._Branch(orbits)
     start = path.first()
     assert start is not None

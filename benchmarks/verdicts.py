@@ -33,7 +33,7 @@ import numpy as np
 
 import fenics_crack as fc
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.model.exact_flow import EventFlow
+from fenics_crack.motion.flow import ContactFlow, exact_flow
 from fenics_crack.stability.piecewise_flow import PiecewiseFlow
 from fenics_crack.time.march import initial_state
 
@@ -87,7 +87,7 @@ def judged(plate: fc.Structure, stiffness: float, omega: float, most: int) -> tu
             harmonics, nan, "not solved", False, nan, nan, "none", 0, "open", nan, "-", "-",
         )  # fmt: skip
     found = fc.floquet(plate, solution)
-    flow, orbit = EventFlow(plate, omega, law), None
+    flow, orbit = exact_flow(plate, law), None
     start, kind, exact = flow.state(*initial_state(plate, solution)), "none", float("nan")
     try:
         orbit = fc.shoot(plate, solution)
@@ -99,7 +99,7 @@ def judged(plate: fc.Structure, stiffness: float, omega: float, most: int) -> tu
         kind = "near" if apart < 0.1 else "another"
         if kind == "near":
             start, exact = orbit.state, abs(orbit.multipliers[0])
-    distance = distances(flow, start, kind == "near", most)
+    distance = distances(flow, omega, start, kind == "near", most)
     outcome, rate = "open", measured(distance) if kind == "near" else float("nan")
     if distance[-1] > FACTOR * distance[0]:
         outcome = "leaves"
@@ -110,7 +110,7 @@ def judged(plate: fc.Structure, stiffness: float, omega: float, most: int) -> tu
         agrees = "yes" if (found.verdict == "stable") == (outcome == "returns") else "NO"
     central = "-"
     if orbit is not None and kind == "near" and stiffness == 1e9 and omega in OMEGAS[1:4:2]:
-        central = by_central_differences(plate, law, omega, flow, orbit)
+        central = by_central_differences(plate, law, omega, orbit)
     return (
         harmonics, solution.report.truncation, found.verdict, found.refined,
         float(abs(found.multipliers[0])), float(exact), kind, len(distance) - 1, outcome, rate,
@@ -118,18 +118,20 @@ def judged(plate: fc.Structure, stiffness: float, omega: float, most: int) -> tu
     )  # fmt: skip
 
 
-def distances(flow: EventFlow, start: np.ndarray, orbit: bool, most: int) -> np.ndarray:
+def distances(
+    flow: ContactFlow, omega: float, start: np.ndarray, orbit: bool, most: int
+) -> np.ndarray:
     """Distance to the orbit once in a period, relative to its state, until the motion has settled.
 
     Without an exact orbit: of one period to the next.
     """
-    period, size = 2.0 * np.pi / flow.omega, np.linalg.norm(start)
+    period, size = 2.0 * np.pi / omega, np.linalg.norm(start)
     direction = np.random.default_rng(3).normal(size=len(start))
     offset = DISTURBANCE * size * direction / np.linalg.norm(direction)
     state = start + offset
     found = [float(np.linalg.norm(offset) / size)] if orbit else []
-    for index in range(most):
-        before, (state, *_) = state, flow.advance(state, index * period, period)
+    for _ in range(most):
+        before, state = state, flow.advance(state, omega, period).state
         found.append(float(np.linalg.norm(state - (start if orbit else before)) / size))
         if not found[0] / FACTOR <= found[-1] <= FACTOR * found[0]:
             break
@@ -145,17 +147,12 @@ def measured(distance: np.ndarray) -> float:
 
 
 def by_central_differences(
-    plate: fc.Structure,
-    law: fc.UnilateralPenalty,
-    omega: float,
-    flow: EventFlow,
-    orbit: fc.PeriodicOrbit,
+    plate: fc.Structure, law: fc.UnilateralPenalty, omega: float, orbit: fc.PeriodicOrbit
 ) -> str:
     """Whether a disturbance of 1 % returns or leaves, by central differences."""
     count = len(orbit.state) // 2
-    shapes = flow.displacement_rows()[:, :count] * flow.scale
-    displacement = shapes @ orbit.state[:count] / flow.scale
-    velocity = shapes @ orbit.state[count:]
+    displacement = orbit.displacement_at(np.zeros(1))[0]
+    velocity = orbit.flow.modes.shapes @ orbit.state[count:]
     # With fewer steps the grid's own error decides where |mu| is within 0.003 of 1.
     steps = 512 * int(np.ceil(8.0 * fc.stable_steps_per_period(plate, omega, law) / 512))
     history = fc.integrate_central_difference(

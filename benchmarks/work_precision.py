@@ -46,7 +46,6 @@ from scipy.integrate import solve_ivp
 import fenics_crack as fc
 from fenics_crack.balance.problem import Problem
 from fenics_crack.draw.figure import COLOURS
-from fenics_crack.model.exact_flow import EventFlow
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import damped_modes
 
@@ -292,13 +291,7 @@ def exact_orbit(
     """The exact orbit, by shooting from harmonic balance."""
     near = fc.solve_harmonic_balance(structure, omega, law, harmonics=40)
     orbit = fc.shoot(structure, near)
-    flow, period = EventFlow(structure, omega, law), 2.0 * np.pi / omega
-
-    def gaps(phase: np.ndarray) -> np.ndarray:
-        _, gap, _, _ = flow.advance(orbit.state, 0.0, period, instants=phase * period)
-        return np.asarray(gap - structure.clearance)
-
-    return gaps
+    return lambda phase: orbit.gap_at(phase * orbit.period)
 
 
 def balance(

@@ -46,10 +46,11 @@ from fenics_crack.balance.contact_integrals import (
 )
 from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
-from fenics_crack.balance.exact_orbits import exact_next_to, judged_by_orbits
-from fenics_crack.balance.fourier import balanced, resized
-from fenics_crack.balance.problem import Problem, is_regular
+from fenics_crack.balance.fourier import resized
+from fenics_crack.balance.judgement import STILL, UNKNOWN, Judgement
+from fenics_crack.balance.problem import Problem
 from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear, is_rigid
+from fenics_crack.model.coupled import is_regular
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
@@ -57,14 +58,11 @@ from fenics_crack.table import Described
 
 __all__ = [
     "CALM",
-    "FAR",
     "LARGE_ERROR",
-    "PAST",
     "UNKNOWN",
     "ErrorReport",
     "beyond_truncation",
     "estimate_errors",
-    "improved",
     "lost_in_reduction",
     "mean_square",
     "relative_size",
@@ -73,29 +71,22 @@ __all__ = [
 LARGE_ERROR = 0.05
 """Estimated error beyond which a solution is not shown without a warning."""
 
-UNKNOWN = 1.0
-"""The estimate where the error is not known: the better equations have not been solved, or lead
-farther away than the solution is large."""
 NOTHING, CALM, SETTLED, MAX_STEPS = 1e-9, 0.05, 0.01, 10
 """Of Newton's method for an estimate: a first step, relative to the solution, that needs no second;
 the second relative to the first, and any later one relative to the distance gone, with which it
 ends; and how many follow the first."""
 SURE = 1e-3
 """Of the second step relative to the first, below which there is no third."""
-SOLVED, ITERATIONS, SHORTEST = 1e-7, 25, 0.02
-"""Of the wider equations where those steps do not end: |F| / |x|, how many more, and how short."""
-STILL = 1e-11
-"""Motion of lips, relative to that without contact, which is none but for rounding."""
 SLOW = 10_000
 """Unknowns from which on no steps follow a second one that is longer than the first: one of them
 may take 5 s."""
 STIFF = 1e3
 """Stiffness of a penalty that stands for a constraint where the reference has mass at its lips,
 relative to the inverse of R_inf."""
-FAR, PAST, MANY = 60, 1.25, 600
-"""Harmonics with which the truncation is judged at least, where modes far above them may answer;
-and relative to the highest mode's; unknowns with which it is judged at most, unless twice the
-harmonics have more."""
+SOLVED, ITERATIONS, SHORTEST = 1e-7, 25, 0.02
+"""Of the wider equations where those steps do not end: |F| / |x|, how many more, and how short."""
+MANY = 600
+"""Unknowns with which the truncation is judged at most, unless twice the harmonics have more."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -145,26 +136,42 @@ class ErrorReport(Described):
         )
 
 
-def estimate_errors(at: CondensedPoint, displacement: np.ndarray, problem: Problem) -> ErrorReport:
-    """Estimate the errors of a solution, given as the equations there and as the coefficients of
-    the structure's displacement (2H+1, n_local) [m] (collective)."""
-    structure = problem.structure
+def estimate_errors(
+    at: CondensedPoint, judged: Judgement, problem: Problem, *, search: bool = True
+) -> ErrorReport:
+    """Estimate the errors of a solution, given as the equations there and by what the exact flow
+    says of it; with ``search`` an orbit is looked for (collective)."""
+    structure, displacement = problem.structure, judged.wave.displacement_coefficients
     expanded = structure.apply_bt(displacement)
     expanded[0] -= structure.clearance
 
     def relative(change: np.ndarray) -> float:
         return relative_size(change, at, structure.clearance)
 
-    truncation, reduction = beyond_truncation(at, problem), lost_in_reduction(at, problem)
     missed = _missed_by_samples(at)
-    sampling = at.gap_by_force(missed) if np.any(missed) else missed
+    sampling = relative(at.gap_by_force(missed)) if np.any(missed) else 0.0
+    changes, at_load = [], 0.0
+    if judged.affordable:
+        # The distance of the orbit is what harmonics and samples leave out together.
+        error, at_load = judged.errors(search=search)
+        truncation = UNKNOWN if error >= UNKNOWN else max(error - sampling, 0.0)
+    else:
+        changes.append(beyond_truncation(at))
+        truncation = changes[-1].relative_to(at, structure.clearance)
+    further = judged.beyond_modes() if judged.affordable and search else None
+    if further is not None:
+        reduction, at_load = further[0], at_load + further[1]
+    else:
+        changes.append(lost_in_reduction(at, problem))
+        reduction = changes[-1].relative_to(at, structure.clearance)
+    at_load += _of_displacement(at, displacement, problem, changes)
     return ErrorReport(
         residual=max(relative(at.residual), relative(expanded - at.gap)),
-        truncation=truncation.relative_to(at, structure.clearance),
-        sampling=relative(sampling),
-        reduction=reduction.relative_to(at, structure.clearance),
+        truncation=truncation,
+        sampling=sampling,
+        reduction=reduction,
         penetration=relative(_penetration(at)),
-        displacement=_of_displacement(at, displacement, problem, (truncation, reduction)),
+        displacement=min(at_load, UNKNOWN),
     )
 
 
@@ -193,7 +200,7 @@ class _Change:
 
 
 def _of_displacement(
-    at: CondensedPoint, displacement: np.ndarray, problem: Problem, changes: tuple[_Change, ...]
+    at: CondensedPoint, displacement: np.ndarray, problem: Problem, changes: list[_Change]
 ) -> float:
     """Change of the displacement at the load, in the direction of each of its parts, relative to
     its root mean square: the sum of all causes."""
@@ -214,7 +221,7 @@ def _of_displacement(
             moved = compliance.displacement(at.force + change.force) @ other.force.T - known
         found = float(np.sqrt(mean_square(moved) / size))
         total += found if change.settled else UNKNOWN
-    return min(total, UNKNOWN)
+    return total
 
 
 def relative_size(change: np.ndarray, at: CondensedPoint, clearance: np.ndarray) -> float:
@@ -228,40 +235,37 @@ def relative_size(change: np.ndarray, at: CondensedPoint, clearance: np.ndarray)
     return 0.0 if still else float(np.sqrt(mean_square(change) / size))
 
 
-def beyond_truncation(at: CondensedPoint, problem: Problem) -> _Change:
-    """What K > H harmonics change, K = :func:`_more_harmonics`, where two steps show it; else the
-    orbit of the exact flow next to the solution, which stiff pairs that chatter may not have. Where
-    that is not known in closed form, further steps.
+def beyond_truncation(at: CondensedPoint) -> _Change:
+    """What K > H harmonics change, K = :func:`_more_harmonics`, by Newton's method: for laws and
+    structures whose exact flow is not at hand.
 
     Steps are found by elimination: iterative solutions of these equations do not converge where
     many pairs are stiff, unless these are seen through a static compliance.
     """
     rows, harmonics = len(at.unknown), _more_harmonics(at)
     start, wide = resized(at.unknown, harmonics), at.system.widened(harmonics)
-    exact = judged_by_orbits(problem)
     # The first H are solved; what samples leave there is another error.
-    found = _improvement(wide, start, rows, solved=rows, most=0 if exact else MAX_STEPS)
-    if found.settled:
-        return found
-    better = _to_exact_orbit(at, problem, wide) if exact else _by_shortened_steps(at, wide)
-    return better or found
+    found = _improvement(wide, start, rows, solved=rows)
+    return found if found.settled else _by_shortened_steps(at, wide) or found
 
 
-def _to_exact_orbit(
-    at: CondensedPoint, problem: Problem, wide: CondensedSystem | ConstraintSystem | CoupledSystem
+def _by_shortened_steps(
+    at: CondensedPoint, wide: CondensedSystem | ConstraintSystem | CoupledSystem
 ) -> _Change | None:
-    """What the orbit of the exact flow next to a solution changes, or next to where full steps with
-    more harmonics lead; None where it has none."""
-    rows = len(at.gap)
-    count = max(1024, 16 * rows)
-    found = exact_next_to(problem, at.system.compliance.displacement(at.force), count)
-    if found is None and (near := _solved(at, wide, None)) is not None:
-        finer = problem.with_harmonics(len(near.gap) // 2)
-        found = exact_next_to(finer, finer.compliance().displacement(near.force), count)
+    """The change by steps that are shortened where the residual would grow; None where they do not
+    arrive, or are many."""
+    if wide.global_size > MANY or isinstance(wide, CoupledSystem):
+        return None
+    found = solve_in_plane(
+        wide, resized(at.unknown, wide.integrals.harmonics),
+        float(isinstance(wide, ConstraintSystem)), None,
+        tolerance=SOLVED, iterations=ITERATIONS, least_damping=SHORTEST,
+    )  # fmt: skip
     if found is None:
         return None
-    gap, force = balanced(found, count // 2 - 1), problem.contact.force(found)
-    return _Change(gap - resized(at.gap, len(gap) // 2), balanced(force, rows // 2) - at.force)
+    there = wide.linearise(found.unknown)
+    gap = there.gap - resized(at.gap, len(there.gap) // 2)
+    return _Change(gap, there.force[: len(at.gap)] - at.force)
 
 
 def _goes_on(first: CondensedPoint, step: np.ndarray, again: np.ndarray, known: np.ndarray) -> bool:
@@ -274,51 +278,11 @@ def _goes_on(first: CondensedPoint, step: np.ndarray, again: np.ndarray, known: 
     return bool(np.linalg.norm(third) < 0.5 * np.linalg.norm(again))
 
 
-def _by_shortened_steps(
-    at: CondensedPoint, wide: CondensedSystem | ConstraintSystem | CoupledSystem
-) -> _Change | None:
-    """The change by steps that are shortened where the residual would grow; None where they do not
-    arrive, or are many."""
-    if wide.global_size > MANY or isinstance(wide, CoupledSystem):
-        return None
-    there = _solved(at, wide, SHORTEST)
-    if there is None:
-        return None
-    gap = there.gap - resized(at.gap, len(there.gap) // 2)
-    return _Change(gap, there.force[: len(at.gap)] - at.force)
-
-
-def _solved(
-    at: CondensedPoint,
-    wide: CondensedSystem | ConstraintSystem | CoupledSystem,
-    shortest: float | None,
-) -> CondensedPoint | None:
-    """The solution of the equations with more harmonics next to a solution; None where Newton's
-    method does not find it."""
-    found = solve_in_plane(
-        wide, resized(at.unknown, wide.integrals.harmonics),
-        float(isinstance(wide, ConstraintSystem)), None,
-        tolerance=SOLVED, iterations=ITERATIONS, least_damping=shortest,
-    )  # fmt: skip
-    return None if found is None else wide.linearise(found.unknown)
-
-
-def improved(at: CondensedPoint) -> np.ndarray:
-    """The unknowns of a solution with more harmonics, by one Newton step: (2K+1, n_pairs)."""
-    unknown = resized(at.unknown, _more_harmonics(at))
-    wide = at.system.widened(len(unknown) // 2).linearise(unknown)
-    return unknown + wide.solve_roughly(-wide.residual)
-
-
 def _more_harmonics(at: CondensedPoint) -> int:
-    """With how many harmonics the truncation is judged: four times as many, and enough for modes
-    that they do not reach; of many unknowns as many as these allow, at least twice."""
+    """With how many harmonics the truncation is judged: four times as many, of many unknowns as
+    many as these allow, at least twice."""
     kept, pairs = at.system.integrals.harmonics, at.unknown.shape[1]
-    fits = (MANY // pairs - 1) // 2
-    reaching = 0
-    if isinstance(at.system, CondensedSystem):
-        reaching = int(PAST * at.system.compliance.highest)
-    return max(2 * kept, kept + 4, min(max(4 * kept, FAR, reaching), fits))
+    return max(2 * kept, kept + 4, min(4 * kept, (MANY // pairs - 1) // 2))
 
 
 def _improvement(

@@ -17,9 +17,9 @@ import numpy as np
 from fenics_crack.balance.bordered import PathPoint
 from fenics_crack.balance.condensed import respond
 from fenics_crack.balance.error_report import ErrorReport, lost_in_reduction, mean_square
-from fenics_crack.balance.exact_orbits import EventOrbits, next_to, orbits_from, recurring
+from fenics_crack.balance.exact_orbits import next_to, orbits_from, recurring
 from fenics_crack.balance.fourier import balanced, sampled, stretched
-from fenics_crack.balance.orbits import OrbitPoint
+from fenics_crack.balance.orbits import FlowOrbits, OrbitPoint
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 
@@ -82,19 +82,18 @@ def _kept(problem: Problem, waves: _Waves, tolerance: float) -> PeriodicSolution
         found = waves.kept(kept, reduction)
         if found.report.total <= tolerance and waves.force_error(harmonics) < PRESSED:
             best = best or found
-            if _leads_back(kept, found, waves.state):
+            if _leads_back(found, waves.state):
                 return found
         harmonics = int(MORE * harmonics) + 1
     return best
 
 
-def _leads_back(problem: Problem, solution: PeriodicSolution, state: np.ndarray) -> bool:
-    """Whether Newton's method from a solution finds the orbit again, as who judges it will."""
-    orbits = orbits_from(problem, solution.displacement_coefficients)
-    found = next_to(orbits, (0,))
-    if found is None:
+def _leads_back(solution: PeriodicSolution, state: np.ndarray) -> bool:
+    """Whether who judges a solution finds the orbit again."""
+    judged = solution.judged
+    if judged.orbit is None or not judged.accepted:
         return False
-    off = np.linalg.norm(orbits.state(found.unknown) - state)
+    off = np.linalg.norm(judged.orbit.state - state)
     return bool(off <= SAME * np.linalg.norm(state))
 
 
@@ -115,11 +114,10 @@ class _Waves:
         Of all harmonics from one on, relative to B^T u; of the displacement at the load, likewise.
     """
 
-    def __init__(self, problem: Problem, orbits: EventOrbits, orbit: PathPoint) -> None:
+    def __init__(self, problem: Problem, orbits: FlowOrbits, orbit: PathPoint) -> None:
         structure, most = problem.structure, MOST * problem.subharmonic
         unknown, count = orbit.unknown, OVERSAMPLED * most
-        rows = orbits.flow_at(1.0).displacement_rows()
-        moved = orbits.sampled(unknown, 1.0, count, rows)
+        moved = orbits.displacement(unknown, count)
         inside = np.empty((count, INTERLEAVED, structure.n_pairs))
         for place in range(INTERLEAVED):
             inside[:, place] = orbits.gap(unknown, 1.0, count, place / INTERLEAVED)

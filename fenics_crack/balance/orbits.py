@@ -5,31 +5,33 @@ In x = z / |z_0| and p = w / w_0, z_0 and w_0 those of a motion nearby, an orbit
     F(x, p) = z(T; x, p) / |z_0| - x = 0,        T = 2 pi m / w,
 
 z the state at phase zero, m the periods of the load in the response's; dF/dx = M - I with the
-monodromy matrix M, dF/dp by central differences.
+monodromy matrix M.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg.lapack import dgeev
 
+from fenics_crack.balance.bordered import PathPoint
+from fenics_crack.balance.compiled import CompiledPaths
 from fenics_crack.balance.linearisation import DenseLinearisation
+from fenics_crack.errors import ConvergenceError
+from fenics_crack.kernel import Struct, doubles, kernel, owned
 from fenics_crack.model.flow import ExponentialFlow, Steps
+from fenics_crack.motion.flow import Budget, ContactFlow, Motion
+from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit, eigenvalues
 
-__all__ = ["INSTANTS", "MarchedOrbits", "OrbitPoint", "Orbits", "eigenvalues", "recurrences"]
+__all__ = ["FlowOrbits", "MarchedOrbits", "OrbitPoint", "recurrences"]
 
 DIFFERENCE = 1e-6
 """Of p, for dF/dp."""
-INSTANTS = 512
-"""At which the gaps of an orbit are kept."""
 
 
 class OrbitPoint(DenseLinearisation):
-    """The equations of exact orbits at a state and a frequency.
+    """The equations of periodic orbits at a state and a frequency.
 
     Attributes
     ----------
@@ -39,16 +41,14 @@ class OrbitPoint(DenseLinearisation):
 
     def __init__(
         self,
-        system: Orbits,
-        at: tuple[np.ndarray, float],
+        unknown: np.ndarray,
         residual: np.ndarray,
         monodromy: Callable[[], np.ndarray],
+        by_parameter: Callable[[], np.ndarray],
         events: int,
     ) -> None:
-        self._system, self._parameter, self._monodromy, self.events = (
-            system, at[1], monodromy, events,
-        )  # fmt: skip
-        super().__init__(at[0], residual)
+        self._monodromy, self._slope, self.events = monodromy, by_parameter, events
+        super().__init__(unknown, residual)
 
     @cached_property
     def monodromy(self) -> np.ndarray:
@@ -61,59 +61,13 @@ class OrbitPoint(DenseLinearisation):
 
     def differentiate(self) -> np.ndarray:
         """dF/dp."""
-        return self._system.by_parameter(self.unknown, self._parameter)
+        return self._slope()
 
     @cached_property
     def multipliers(self) -> np.ndarray:
         """Floquet multipliers, largest modulus first: (2n,) complex."""
         values = eigenvalues(self.monodromy)
         return values[np.argsort(-np.abs(values), kind="stable")]
-
-
-class Orbits(ABC):
-    """F(x, p) of the orbits of a flow.
-
-    Attributes
-    ----------
-    omega : float
-        w_0, of the load [rad/s].
-    start : (2n,)
-        x of the motion nearby, at p = 1.
-    """
-
-    matrix_free = False
-
-    def __init__(self, omega: float, state: np.ndarray) -> None:
-        self.omega = omega
-        self._size = float(np.linalg.norm(state)) or 1.0
-        self.start = state / self._size
-
-    def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
-        """The equations at (x, p)."""
-        moved, monodromy, events = self.moved(unknown, parameter)
-        return OrbitPoint(self, (unknown, parameter), moved - unknown, monodromy, events)
-
-    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
-        """Inner product."""
-        return float(first @ second)
-
-    def followed(self, periods: int) -> np.ndarray:
-        """The start after some periods of the response, nearer to what attracts it: (2n,)."""
-        state = self.start
-        for _ in range(periods):
-            state = self.moved(state, 1.0)[0]
-        return state
-
-    @abstractmethod
-    def moved(
-        self, unknown: np.ndarray, parameter: float
-    ) -> tuple[np.ndarray, Callable[[], np.ndarray], int]:
-        """z(T) / |z_0|; what computes M; switching instants."""
-
-    def by_parameter(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
-        """dF/dp at fixed x, by central differences."""
-        after, before = (self.moved(unknown, parameter + h)[0] for h in (DIFFERENCE, -DIFFERENCE))
-        return (after - before) / (2.0 * DIFFERENCE)
 
 
 def recurrences(passed: Sequence[np.ndarray] | np.ndarray, count: int) -> list[int]:
@@ -123,24 +77,27 @@ def recurrences(passed: Sequence[np.ndarray] | np.ndarray, count: int) -> list[i
     return [-1, *map(int, np.argsort(apart, kind="stable")[:count])]
 
 
-def eigenvalues(matrix: np.ndarray) -> np.ndarray:
-    """All of a monodromy matrix; straight from LAPACK, for small matrices a tenth of NumPy's
-    time."""
-    if not np.isfinite(matrix).all():
-        raise np.linalg.LinAlgError("the monodromy matrix is not finite")
-    real, imaginary, _, _, info = dgeev(matrix, compute_vl=0, compute_vr=0)
-    if info:
-        raise np.linalg.LinAlgError("eigenvalues of the monodromy matrix do not converge")
-    found: np.ndarray = real + 1j * imaginary
-    return found
+class MarchedOrbits:
+    """F(x, p) of the flow by exponential steps, x = z / |z_0|.
 
+    Attributes
+    ----------
+    omega : float
+        omega_0, of the load [rad/s].
+    start : (2n,)
+        x of the motion nearby, at p = 1.
+    """
 
-class MarchedOrbits(Orbits):
-    """Of the flow by exponential steps."""
+    matrix_free = False
 
     def __init__(self, flow: ExponentialFlow, state: np.ndarray, subharmonic: int = 1) -> None:
-        super().__init__(flow.omega, state)
-        self._flow, self._periods = flow, subharmonic
+        self.omega, self._flow, self._periods = flow.omega, flow, subharmonic
+        self._size = float(np.linalg.norm(state)) or 1.0
+        self.start = state / self._size
+
+    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
+        """Inner product."""
+        return float(first @ second)
 
     def flow_at(self, parameter: float) -> ExponentialFlow:
         """The flow where the frequency has a value."""
@@ -153,15 +110,154 @@ class MarchedOrbits(Orbits):
         """A period from a state."""
         return self.flow_at(parameter).advance(self._size * unknown, self._periods)
 
-    def moved(
-        self, unknown: np.ndarray, parameter: float
-    ) -> tuple[np.ndarray, Callable[[], np.ndarray], int]:
+    def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
+        """The equations at (x, p)."""
         steps = self.steps(unknown, parameter)
-        return steps.states[-1] / self._size, steps.monodromy, steps.switches
+        residual = steps.states[-1] / self._size - unknown
 
-    def by_parameter(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
-        here, moved = self.flow_at(parameter), []
-        for other in (parameter + DIFFERENCE, parameter - DIFFERENCE):
-            flow = here.at(other * self.omega)
-            moved.append(flow.advance(self._size * unknown, self._periods).states[-1])
-        return np.asarray((moved[0] - moved[1]) / (2.0 * DIFFERENCE * self._size))
+        def by_parameter() -> np.ndarray:
+            ends = [
+                self.steps(unknown, other).states[-1] / self._size
+                for other in (parameter + DIFFERENCE, parameter - DIFFERENCE)
+            ]
+            return np.asarray((ends[0] - ends[1]) / (2.0 * DIFFERENCE))
+
+        return OrbitPoint(unknown, residual, steps.monodromy, by_parameter, steps.switches)
+
+
+class FlowOrbits(CompiledPaths):
+    """F(x, p) of the exact flow, in the kernel, x = w z / |w z_0| with the modes' frequencies w
+    before displacements: by the energy. dF/dx = M - I and dF/dp are exact (``kernel/shooting.h``).
+
+    Attributes
+    ----------
+    flow : ContactFlow
+    omega : float
+        omega_0, of the load [rad/s].
+    subharmonic : int
+        Its periods in one of the orbit.
+    scale : (2 n_modes,)
+        x / z.
+    start : (2 n_modes,)
+        x of the state nearby, at p = 1.
+    """
+
+    matrix_free = False
+
+    def __init__(
+        self,
+        flow: ContactFlow,
+        omega: float,
+        state: np.ndarray,
+        subharmonic: int = 1,
+        budget: Budget | None = None,
+    ) -> None:
+        budget, self.flow, self.omega, self.shape = budget or Budget(), flow, omega, state.shape
+        self.subharmonic = subharmonic
+        weights = flow.weights(omega / subharmonic)
+        self.scale = weights / (float(np.linalg.norm(weights * state)) or 1.0)
+        self.start = self.scale * state
+        given = Struct(
+            "shooting_equations", flow=flow.handle, modes=flow.size // 2,
+            pairs=len(flow.softness), omega=omega, turns=2.0 * np.pi * subharmonic,
+            scale=self.scale, pieces=budget.pieces, intervals=budget.intervals,
+        )  # fmt: skip
+        self._point = owned(kernel.new_shooting_point(given.at), kernel.free_shooting_point)
+        self._equations = kernel.equations_of_shooting(self._point)
+
+    @property
+    def compiled(self) -> FlowOrbits:
+        """Itself: the loops are the kernel's."""
+        return self
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
+        """The equations at a point.
+
+        Raises
+        ------
+        ConvergenceError
+            The motion takes more than the budget allows, or is not finite.
+        """
+        self._evaluate(unknown, parameter)
+        return self._found(unknown, parameter)
+
+    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
+        """Inner product."""
+        return float(first @ second)
+
+    def state(self, unknown: np.ndarray) -> np.ndarray:
+        """z of x: (2n,)."""
+        return np.asarray(unknown / self.scale)
+
+    def unknown(self, state: np.ndarray) -> np.ndarray:
+        """x of z: (2n,)."""
+        return np.asarray(self.scale * state)
+
+    def unknown_of(self, displacement: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """x of another motion at phase zero, (n_dofs,) each."""
+        return self.unknown(self.flow.state(displacement, velocity))
+
+    def moved(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
+        """x after a period."""
+        return self.unknown(self._motion(unknown, parameter, np.zeros(0)).state)
+
+    def followed(self, periods: int) -> np.ndarray:
+        """The start after some periods of the response, nearer to what attracts it: (2n,)."""
+        state = self.start
+        for _ in range(periods):
+            state = self.moved(state, 1.0)
+        return state
+
+    def gap(
+        self, unknown: np.ndarray, parameter: float, count: int = INSTANTS, later: float = 0.0
+    ) -> np.ndarray:
+        """g at equally spaced instants of a period, ``later`` by a part of their spacing:
+        (count, n_pairs) [m]."""
+        instants = (np.arange(count) + later) / count
+        return self._motion(unknown, parameter, instants).samples.gap
+
+    def displacement(self, unknown: np.ndarray, count: int) -> np.ndarray:
+        """Displacement of the structure's own dofs there, at p = 1: (count, n_dofs) [m]."""
+        return self._motion(unknown, 1.0, np.arange(count) / count).samples.displacement
+
+    def orbit(self, found: PathPoint) -> PeriodicOrbit:
+        """The orbit of a solution of the equations."""
+        motion = self._motion(found.unknown, found.parameter, np.zeros(0))
+        size = float(np.linalg.norm(found.unknown))
+        off = float(np.linalg.norm(self.unknown(motion.state) - found.unknown))
+        return PeriodicOrbit(
+            self.flow, found.parameter * self.omega, self.subharmonic, motion,
+            self.state(found.unknown), off / size if size > 0.0 else 0.0, found.iterations + 1,
+        )  # fmt: skip
+
+    def _motion(self, unknown: np.ndarray, parameter: float, instants: np.ndarray) -> Motion:
+        """Over a period, sampled at parts of it."""
+        omega = parameter * self.omega
+        period = 2.0 * np.pi * self.subharmonic / omega
+        return self.flow.advance(self.state(unknown), omega, period, instants=instants * period)
+
+    def _evaluate(self, unknown: np.ndarray, parameter: float) -> None:
+        assert unknown.shape == self.shape
+        given = doubles(np.ascontiguousarray(unknown, dtype=float))
+        outcome = self._equations.evaluate(self._equations, given, parameter)
+        self._check(outcome)
+        if outcome != kernel.FOUND:
+            raise ConvergenceError("orbits: the motion over a period cannot be followed")
+
+    def _found(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
+        residual, monodromy = np.empty(self.shape), np.empty(2 * self.shape)
+        self._equations.residual(self._equations, doubles(residual))
+        kernel.tangent_of(self._point, doubles(monodromy))
+        events = int(kernel.switches_of(self._point))
+
+        def by_parameter() -> np.ndarray:
+            slope = np.empty(self.shape)
+            self._evaluate(unknown, parameter)
+            self._equations.by_parameter(self._equations, doubles(slope))
+            return slope
+
+        return OrbitPoint(unknown, residual, lambda: monodromy, by_parameter, events)
+
+    def _check(self, outcome: int) -> None:
+        if outcome == kernel.NO_MEMORY:
+            raise MemoryError("orbits")

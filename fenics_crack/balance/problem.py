@@ -14,17 +14,16 @@ from fenics_crack.balance.coupled import CoupledSystem
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.errors import MAX_SAMPLES, InputError, check_count, check_number, check_omega
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
+from fenics_crack.model.coupled import is_regular
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 
-__all__ = ["Problem", "is_regular"]
+__all__ = ["Problem"]
 
 BEYOND = 2.0
 """Modes above so many times the highest harmonic answer at once."""
 STIFF = 100.0
 """k R_inf from which a penalty on lips with mass is seen through R_inf."""
-REGULAR = 1e-6
-"""Smallest eigenvalue of R_inf, relative to the largest, with which a constraint is solved."""
 
 
 @dataclass(frozen=True)
@@ -153,9 +152,3 @@ class Problem:
     def with_harmonics(self, harmonics: int) -> Problem:
         """The same with other harmonics."""
         return replace(self, harmonics=harmonics)
-
-
-def is_regular(matrix: np.ndarray) -> bool:
-    """Whether a symmetric matrix is positive definite, and not badly scaled."""
-    values = np.linalg.eigvalsh(matrix)
-    return bool(values[0] > REGULAR * values[-1] > 0.0)

@@ -48,7 +48,7 @@ from fenics_crack.balance.family import DampingFamily, Family, FrequencyFamily
 from fenics_crack.balance.fourier import balanced, resized
 from fenics_crack.balance.linearisation import Linearisation
 from fenics_crack.balance.newton import DistributedSystem, KernelNewton, Newton
-from fenics_crack.balance.orbits import INSTANTS, MarchedOrbits, recurrences
+from fenics_crack.balance.orbits import MarchedOrbits, recurrences
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.rounding import (
     ROUNDING,
@@ -61,6 +61,7 @@ from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import UnilateralPenalty
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.model.modal import all_modes
+from fenics_crack.motion.orbit import INSTANTS
 from fenics_crack.stages import begin
 
 __all__ = ["FEWEST", "Search"]

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar
 
 import numpy as np
 
 from fenics_crack.balance.condensed import CondensedPoint
-from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.balance.error_report import ErrorReport, estimate_errors
 from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
+from fenics_crack.balance.judgement import Judgement
 from fenics_crack.balance.problem import Problem
-from fenics_crack.model.contact import ContactLaw, force_in_time
-from fenics_crack.model.modal import all_modes
-from fenics_crack.model.structure import Structure
+from fenics_crack.balance.wave import Wave
 from fenics_crack.table import Described, counted, quantity, with_frequency
 
 __all__ = ["PeriodicSolution", "Stability", "solution_of"]
@@ -33,17 +30,16 @@ class Stability(Described):
     multipliers : (2n,) complex
         Largest modulus first.
     verdict : "stable", "unstable" or "undecided"
-        With few pairs, that of the exact orbit; undecided where none is found within three times
-        the estimated error. With many, undecided where the largest modulus is not on the same side
-        of 1 with the switching instants of the solution, with those of a wave with more harmonics,
-        and by Hill's determinant.
+        That of the exact orbit next to the solution; of a smooth law, of Hill's determinant.
     uncertainty : float
-        Largest difference between these three; nan where Hill's determinant has no root nearby.
+        Of the largest modulus; nan where the multipliers are those of the wave: they judge nothing.
     refined : bool
-        Whether these are the multipliers of an orbit in time, found by shooting.
+        Whether these are the multipliers of an exact orbit.
     distance : float
         From the solution to this orbit, in the gaps over the period, relative to B^T u as the
         estimated errors are: what the error was found to be. nan: no orbit.
+    reason : str
+        Why nothing is decided; "" where it is.
     """
 
     multipliers: np.ndarray
@@ -51,6 +47,7 @@ class Stability(Described):
     uncertainty: float
     refined: bool = False
     distance: float = math.nan
+    reason: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """The verdict, and the multiplier of largest modulus."""
@@ -63,17 +60,19 @@ class Stability(Described):
             "uncertainty": float(self.uncertainty),
             "refined": self.refined,
             "distance": float(self.distance),
+            "reason": self.reason,
         }
 
     def _title(self) -> str:
+        because = f" ({self.reason})" if self.reason else ""
         return (
-            f"{self.verdict}, largest multiplier {abs(self.multipliers[0]):.6g} "
+            f"{self.verdict}{because}, largest multiplier {abs(self.multipliers[0]):.6g} "
             f"of {len(self.multipliers)}, uncertainty {self.uncertainty:.2g}"
         )
 
 
 @dataclass(frozen=True, repr=False)
-class PeriodicSolution(Described):
+class PeriodicSolution(Wave, Described):
     """Steady vibration u(t) = a0 + sum_k a_k cos(k w t) + b_k sin(k w t), w = omega / subharmonic.
 
     Attributes
@@ -92,6 +91,9 @@ class PeriodicSolution(Described):
         Contact force, likewise.
     subharmonic : int
         The response has this many times the load's period.
+    static_above : float or None
+        Modes of higher frequencies [rad/s] answer contact forces at once, as all that a massless
+        reduction leaves out does (:class:`fenics_crack.Problem`); None: none does.
     converged : bool
         Whether the residual met the tolerance.
     status : str
@@ -102,91 +104,29 @@ class PeriodicSolution(Described):
         Estimated errors, relative to the gap's amplitude.
     stability : Stability or None
         Where it has been judged (:func:`fenics_crack.floquet`).
-    static_above : float or None
-        Modes of higher frequencies [rad/s] answer contact forces at once, as all that a massless
-        reduction leaves out does (:class:`fenics_crack.Problem`); None: none does.
+    judged : Judgement
+        What the exact flow says of it: the error predicted, and the orbit next to it.
     """
 
-    structure: Structure
-    omega: float
-    contact: ContactLaw | None
-    displacement_coefficients: np.ndarray
-    gap_coefficients: np.ndarray
-    force_coefficients: np.ndarray
-    subharmonic: int = 1
     converged: bool = True
     status: str = "linear"
     iterations: int = 0
     report: ErrorReport = ErrorReport(0.0, 0.0, 0.0, 0.0, 0.0)
     stability: Stability | None = None
-    static_above: float | None = None
+    judged: Judgement = field(default=None, compare=False)  # type: ignore[assignment]
 
     KIND: ClassVar[str] = "periodic solution"
 
-    @property
-    def harmonics(self) -> int:
-        """H, the highest harmonic kept."""
-        return (len(self.gap_coefficients) - 1) // 2
-
-    @property
-    def base_omega(self) -> float:
-        """Angular frequency of the response [rad/s]."""
-        return self.omega / self.subharmonic
-
-    @property
-    def period(self) -> float:
-        """Period of the response [s]."""
-        return float(2.0 * np.pi / self.base_omega)
-
-    @cached_property
-    def residual(self) -> np.ndarray | None:
-        """R_inf, the compliance of what answers contact forces at once: (n_pairs, n_pairs) [m/N];
-        None where nothing does."""
-        if self.static_above is None:
-            return None
-        return all_modes(self.structure).static_part(self.static_above)
-
-    @property
-    def slow_gap_coefficients(self) -> np.ndarray:
-        """Of s = g + R_inf lambda, the gap without what answers at once: (2H+1, n_pairs) [m]."""
-        if self.residual is None:
-            return self.gap_coefficients
-        return self.gap_coefficients + self.force_coefficients @ self.residual
-
-    def gap(self, time: np.ndarray) -> np.ndarray:
-        """g at times [s]: (len(time), n_pairs) [m]. Where some of it answers contact forces at
-        once, s(t) - R_inf lambda(s(t)), with its kinks."""
-        slow = evaluate(self.slow_gap_coefficients, self.base_omega, time)
-        if self.residual is None:
-            return slow
-        return slow - self.contact_force(time) @ self.residual
-
-    def contact_force(self, time: np.ndarray) -> np.ndarray:
-        """Contact force at times [s]: (len(time), n_pairs) [N], lambda(g(t)) or lambda(s(t)); of a
-        constraint of pairs that nothing couples, eps max(0, g + lambda / eps) of the waves."""
-        gap = evaluate(self.slow_gap_coefficients, self.base_omega, time)
-        if self.contact is None:
-            return np.zeros_like(gap)
-        if self.residual is not None:
-            return CoupledIntegrals(self.contact, self.residual, self.harmonics).forces(gap)
-        force = evaluate(self.force_coefficients, self.base_omega, time)
-        return force_in_time(self.contact, gap, force)
+    def __post_init__(self) -> None:
+        if self.judged is None or not self.judged.is_of(self):
+            wave = Wave(**{one.name: getattr(self, one.name) for one in fields(Wave)})
+            object.__setattr__(self, "judged", Judgement(wave))
 
     def displacement(self, time: np.ndarray, dofs: Sequence[int]) -> np.ndarray:
         """Displacement of dofs at times [s]: (len(time), len(dofs)) [m] (collective)."""
         if self.residual is None:
             return evaluate(self.coefficients_at(dofs), self.base_omega, time)
         return self.structure.values_at(self.coordinates(time), dofs)
-
-    def coordinates(self, time: np.ndarray) -> np.ndarray:
-        """Displacement of the structure's own dofs on this rank: (len(time), n_local) [m]."""
-        found = evaluate(self.displacement_coefficients, self.base_omega, time)
-        if self.static_above is not None:
-            # What answers at once follows the forces as they are, with their kinks.
-            waves = evaluate(self.force_coefficients, self.base_omega, time)
-            moved = all_modes(self.structure).moved_at_once(self.static_above)
-            found -= (self.contact_force(time) - waves) @ moved.T
-        return found
 
     def amplitude(self, dof: int) -> float:
         """Half the peak-to-peak displacement of a dof [m] (collective)."""
@@ -258,18 +198,22 @@ class PeriodicSolution(Described):
         return ", ".join([*parts, "converged" if self.converged else "NOT CONVERGED"])
 
 
-def solution_of(problem: Problem, at: CondensedPoint, *, status: str) -> PeriodicSolution:
-    """The solution that belongs to a point of the condensed equations (collective)."""
-    displacement = at.system.compliance.displacement(at.force)
-    return PeriodicSolution(
+def solution_of(
+    problem: Problem, at: CondensedPoint, *, status: str, search: bool = True
+) -> PeriodicSolution:
+    """The solution that belongs to a point of the condensed equations (collective).
+
+    With ``search`` its error is the distance of its exact orbit; else what is predicted without.
+    """
+    found = PeriodicSolution(
         problem.structure,
         problem.omega,
         problem.contact,
-        displacement,
+        at.system.compliance.displacement(at.force),
         at.gap,
         at.force,
         problem.subharmonic,
         status=status,
-        report=estimate_errors(at, displacement, problem),
         static_above=None if problem.residual is None else problem.cutoff,
     )
+    return replace(found, report=estimate_errors(at, found.judged, problem, search=search))

@@ -33,11 +33,14 @@ __all__ = ["solve_to_tolerance"]
 MAX_HARMONICS = 300
 """If more are needed for a tolerance, or more than MAX_SAMPLES, it is out of reach."""
 SAFETY, SHARE = 0.6, 0.3
-"""Parts of a tolerance that the whole estimate may take, and one of its causes before it is worked
-on: estimates are known to a factor of about two."""
+"""Parts of a tolerance that the whole estimate may take, where not all of it is the reduction's of
+a structure given, and one of its causes before it is worked on: estimates are known to a factor of
+about two."""
 DISPROVED = 3.0
 """Change from one solution to a finer one, relative to the error estimated of the first, beyond
 which estimates are not believed."""
+ENOUGH = 20
+"""Harmonics with which the error is known, or an orbit is sought that tells it."""
 FIRST_MODES, COVER = 10, 1.5
 """Modes with which a large structure is tried first; H times the frequency relative to that of the
 highest mode kept, from which on it is covered."""
@@ -63,15 +66,18 @@ def solve_to_tolerance(
             solution = solver.attempt(last or initial, patient=False)[1]
         solution = replace(solution, report=whole.comm.bcast(solution.report))
         report, finer, obstacle = solution.report, problem, ""
+        more_modes = reducible and modes < whole.n_dofs
+        only_modes = not more_modes and report.total - report.reduction <= SHARE * tolerance
+        part = 1.0 if only_modes else SAFETY
         if not solution.converged:
             obstacle = f"truncation; H = {problem.harmonics} failed"
-        elif report.total <= SAFETY * tolerance and _confirmed(solution, last, tolerance):
+        elif report.total <= part * tolerance and _confirmed(solution, last, tolerance):
             modes_kept = f", {modes} modes ({problem.structure.n_dofs} coordinates)"
             return _chosen(solution, tolerance, problem.samples, modes_kept if reducible else "")
         else:
-            more_modes = reducible and modes < whole.n_dofs
             finer, obstacle = _finer(problem, report, tolerance, more_modes)
-        lost = bool(obstacle) or report.truncation >= UNKNOWN
+        unknown = report.truncation >= UNKNOWN and problem.harmonics >= ENOUGH
+        lost = bool(obstacle) or unknown
         if exact and lost and (report.reduction <= tolerance or not solution.converged):
             near = solution if solution.converged else last
             found = exact_solution(fewest, near or initial, tolerance)

@@ -74,7 +74,8 @@ def of_stability(scene: Scene, run: Run, stability: Stability | None) -> Iterato
     """A warning of an orbit that is not known to be stable."""
     if stability is None or stability.verdict == "stable":
         return
-    text = f"the orbit is {stability.verdict}: a motion in time may leave it"
+    because = f" ({stability.reason})" if stability.reason else ""
+    text = f"the orbit is {stability.verdict}{because}: a motion in time may leave it"
     hints = []
     if stability.verdict == "undecided":
         if scene.harmonic_balance.tolerance is None:

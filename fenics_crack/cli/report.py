@@ -266,11 +266,13 @@ def _verdict(found: PeriodicSolution) -> tuple[str, str]:
         return "Not converged: there is no orbit to be judged.", "bad"
     if found.stability is None:
         return "The stability was not examined.", "doubtful"
-    size = float(np.abs(found.stability.multipliers).max())
+    size, reason = float(np.abs(found.stability.multipliers).max()), found.stability.reason
     text, kind = {
         "stable": ("Stable: a small disturbance dies out", "good"),
         "unstable": ("Unstable: a small disturbance grows, and a motion in time leaves it", "bad"),
-    }.get(found.stability.verdict, ("Undecided: more harmonics may decide it", "doubtful"))
+    }.get(
+        found.stability.verdict, (f"Undecided: {reason or 'more harmonics may decide'}", "doubtful")
+    )
     return f"{text} (largest multiplier {size:.6g}).", kind
 
 

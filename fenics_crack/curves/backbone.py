@@ -50,7 +50,7 @@ from tqdm import tqdm
 
 from fenics_crack.balance.bordered import PathPoint
 from fenics_crack.balance.contact_integrals import contact_integrals
-from fenics_crack.balance.error_report import CALM, FAR, PAST, UNKNOWN, ErrorReport, mean_square
+from fenics_crack.balance.error_report import CALM, UNKNOWN, ErrorReport, mean_square
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.first_motion import ELSEWHERE, first_motion
 from fenics_crack.curves.free_motion import EnergyMotion, Equilibrium, cosine_rows
@@ -70,6 +70,8 @@ from fenics_crack.table import Tabular, counted, with_frequency
 
 __all__ = ["Backbone", "BackboneOptions", "follow_backbone"]
 
+FAR, PAST = 60, 1.25
+"""Harmonics with which the truncation is judged at least, and relative to the highest mode's."""
 MANY, MOST = 1200, 8
 """Of the estimate of an error: unknowns to which harmonics may reach past the highest mode, and
 steps after the first two."""

@@ -28,14 +28,13 @@ from fenics_crack.balance.bordered import (
     step_along,
 )
 from fenics_crack.balance.compiled import Stretch
-from fenics_crack.balance.error_report import beyond_truncation
 from fenics_crack.balance.family import FAMILIES, Family
 from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.harmonic_balance import check_initial
 from fenics_crack.balance.memory import check_memory
 from fenics_crack.balance.neighbours import fewer_harmonics, more_harmonics
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.balance.solver import Solver
 from fenics_crack.curves.bifurcations import (
     Special,
@@ -386,7 +385,7 @@ class Continuation:
     def _truncation(self, point: PathPoint) -> float:
         at = self._family.linearise(point.unknown, point.parameter)
         problem = self._family.at(self._family.value(point.parameter))
-        return beyond_truncation(at, problem).relative_to(at, problem.structure.clearance)
+        return solution_of(problem, at, status="", search=False).report.truncation
 
     def _with_other_harmonics(self, point: PathPoint, truncation: float) -> PathPoint | None:
         """The point with H raised or lowered by the truncation's estimate, by less where that has

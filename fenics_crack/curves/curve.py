@@ -57,11 +57,11 @@ def parameter_axis(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
     return 1.0, name, unit
 
 
-def _expanded(problem: Problem, unknown: np.ndarray) -> PeriodicSolution:
-    """The solution that belongs to an unknown."""
+def _expanded(problem: Problem, unknown: np.ndarray, *, search: bool) -> PeriodicSolution:
+    """The solution that belongs to an unknown; its error by its exact orbit, or as predicted."""
     compliance = problem.compliance()
     at = problem.system(compliance).linearise(unknown)
-    found = solution_of(problem, at, status="point of a curve")
+    found = solution_of(problem, at, status="point of a curve", search=search)
     compliance.destroy()
     return found
 
@@ -101,7 +101,7 @@ class Bifurcation(Described):
     @cached_property
     def solution(self) -> PeriodicSolution:
         """The same, with its displacement and error report."""
-        return _expanded(self.problem, self.unknown)
+        return _expanded(self.problem, self.unknown, search=False)
 
     @property
     def gap_coefficients(self) -> np.ndarray:
@@ -255,10 +255,12 @@ class ResponseCurve(Tabular):
         """Gap coefficients of a point with its own harmonics: (2H+1, n_pairs) [m]."""
         return self.gap_coefficients[index, : 2 * self.harmonics[index] + 1]
 
-    def solution(self, index: int) -> PeriodicSolution:
-        """The solution at a point, with its displacement and error report."""
+    def solution(self, index: int, *, search: bool = True) -> PeriodicSolution:
+        """The solution at a point, with its displacement and error report; without ``search`` for
+        its exact orbit the report is what one Newton step predicts."""
         unknown = self.unknown(index)
-        return _expanded(self._problem_at(float(self.values[index]), unknown), unknown)
+        problem = self._problem_at(float(self.values[index]), unknown)
+        return _expanded(problem, unknown, search=search)
 
     @cached_property
     def at_bifurcations(self) -> ResponseCurve:

@@ -24,16 +24,16 @@ import numpy as np
 
 from fenics_crack.balance.arclength import Stepping, follow_path
 from fenics_crack.balance.bordered import PathPoint, Tangent, correct, distance, solve_in_plane
-from fenics_crack.balance.exact_orbits import EventOrbits, judged_by_orbits
+from fenics_crack.balance.exact_orbits import judged_by_orbits
 from fenics_crack.balance.family import FrequencyFamily
 from fenics_crack.balance.fourier import balanced
+from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.balance.problem import Problem
 from fenics_crack.curves.bifurcations import attainable, odd_rows
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.model.exact_flow import EventFlow
+from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.stability.refinement import refine_bifurcation
-from fenics_crack.stability.shooting import PeriodicOrbit
 
 __all__ = ["DoubledStart", "next_to_doubled_orbits"]
 
@@ -144,9 +144,8 @@ def _branch(
 ) -> Iterator[_Orbit]:
     """The exact orbits of twice the period that follow a doubling, within the frequencies asked
     for, until they have half the period again."""
-    flow = EventFlow(problem.structure, omega, problem.contact)
-    half = EventOrbits(flow, orbit.state, problem.subharmonic // 2)
-    orbits = EventOrbits(flow, orbit.state, problem.subharmonic)
+    half = FlowOrbits(orbit.flow, omega, orbit.state, problem.subharmonic // 2)
+    orbits = FlowOrbits(orbit.flow, omega, orbit.state, problem.subharmonic)
     monodromy = half.linearise(half.start, 1.0).monodromy
     across = np.linalg.svd(np.eye(len(monodromy)) + monodromy)[2][-1]
     begin = PathPoint(orbits.start, 1.0, 0, Tangent(across, 0.0, 1.0))

@@ -47,4 +47,4 @@ def _estimate(curve: ResponseCurve, known: dict[int, float]) -> None:
 
 
 def _error(curve: ResponseCurve, index: int) -> float:
-    return max(curve.solution(index).report.displacement, LEAST)
+    return max(curve.solution(index, search=False).report.displacement, LEAST)

@@ -20,10 +20,7 @@ Two real multipliers outside that meet and become a pair are no bifurcation.
 The orbits lie so close to each other that the multipliers of the fastest modes turn by a small
 angle from one to the next: between the points of the curve they are looked for as well.
 
-The exact flow from event to event needs no more. Orbits by exponential steps, of second order, are
-found with N steps in a period, and with 2N at the curve's points and next to bifurcations: the
-difference is the uncertainty of |mu|, and a bifurcation is known where both have it at the same
-frequency. What is not seen: two crossings of one kind between neighbouring orbits.
+What is not seen: two crossings of one kind between neighbouring orbits.
 
 Source: Seydel, Practical Bifurcation and Stability Analysis, chapters 5 and 7.
 """
@@ -39,6 +36,7 @@ import scipy.optimize
 from scipy.interpolate import CubicSpline
 
 from fenics_crack.balance.bordered import PathPoint, Tangent, solve_at, solve_in_plane
+from fenics_crack.balance.exact_orbits import FEW_PAIRS
 from fenics_crack.balance.family import FrequencyFamily
 from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.orbits import OrbitPoint
@@ -47,19 +45,16 @@ from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.judged_points import judge_points
 from fenics_crack.curves.nearness import NO_DOUBT, near_points
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.model.contact import is_piecewise_linear, is_rigid
-from fenics_crack.model.exact_flow import MAX_PAIRS
+from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import all_modes, between_pairs
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.stability.piecewise_flow import doubling_test
 from fenics_crack.stability.refinement import bifurcation_between
-from fenics_crack.stability.shooting import CLOSE, ExactOrbits, leaves, orbits_near
+from fenics_crack.stability.shooting import CLOSE, leaves, orbits_near
 from fenics_crack.stages import begin
 
 __all__ = ["judge_curve", "verified"]
 
-STEPS = (2048, 4096)
-"""Of marched orbits in a period of the load."""
 TOLERANCE = 1e-6
 """|z(T) - z| / |z| of the orbits."""
 ITERATIONS, PATIENCE = 6, 3
@@ -88,8 +83,6 @@ SHARP = 0.03
 """Of a bifurcation's place, relative to its chord."""
 SMOOTH = 0.25
 """Of a test function's largest value, what may be left where it vanishes."""
-SAME = 5e-4
-"""Of the frequency, relative: how far a bifurcation may move when steps are halved."""
 SINGLY = 40
 """Points left undecided that are judged one by one, as a solution is (:func:`floquet`)."""
 NEARBY = 0.02
@@ -126,9 +119,6 @@ class _Crossing:
 class _Orbits:
     """The orbits next to a curve, and their bifurcations.
 
-    ``steps``: in a period of the load, None: from event to event. ``before``: the same with other
-    steps: the orbits are looked for at the curve's points and next to its bifurcations only.
-
     Attributes
     ----------
     at : (n,)
@@ -137,22 +127,15 @@ class _Orbits:
         At each place.
     """
 
-    def __init__(
-        self, curve: ResponseCurve, steps: int | None, before: _Orbits | None = None
-    ) -> None:
-        self._system = orbits_near(curve.structure, curve.contact, curve.solution(0), steps)
-        if before is None:
-            motions = np.array([self._system.unknown_of(*one) for one in curve.motions()])
-            parameters = curve.omega / self._system.omega
-            longest = np.clip(TURN / (2.0 * np.pi * _highest(curve)) * curve.omega, *LONGEST)
-            self.at, self._motions, self._parameters = _filled(motions, parameters, longest)
-            self._turning = _near_turns(self._parameters)
-            starts: list[np.ndarray | None] = list(self._motions)
-        else:
-            places = before.wanted()
-            self.at, self._motions = before.at[places], before._motions[places]
-            self._parameters, self._turning = before._parameters[places], before._turning[places]
-            starts = [one and one.unknown for one in (before.found[place] for place in places)]
+    def __init__(self, curve: ResponseCurve) -> None:
+        self._system = orbits_near(curve.structure, curve.contact, curve.solution(0))
+        self._few = not curve.structure.light_lips and curve.structure.n_pairs <= FEW_PAIRS
+        motions = np.array([self._system.unknown_of(*one) for one in curve.motions()])
+        parameters = curve.omega / self._system.omega
+        longest = np.clip(TURN / (2.0 * np.pi * _highest(curve)) * curve.omega, *LONGEST)
+        self.at, self._motions, self._parameters = _filled(motions, parameters, longest)
+        self._turning = _near_turns(self._parameters)
+        starts: list[np.ndarray | None] = list(self._motions)
         self.found: list[_Orbit | None] = _judged(list(self._next_to(starts)))
         self.crossings = _distinct(list(self._crossings()))
 
@@ -197,10 +180,10 @@ class _Orbits:
 
     def left(self, place: int) -> bool:
         """Whether the exact motion that begins with a point of the curve leaves the stable orbit
-        next to it."""
+        next to it; where few pairs make that quick to tell."""
         number = int(np.searchsorted(self.at, place))
         orbit, motion = self.found[number], self._motions[number]
-        if not isinstance(self._system, ExactOrbits) or orbit is None or abs(orbit.leading) >= 1.0:
+        if not self._few or orbit is None or abs(orbit.leading) >= 1.0:
             return False
         off = self._away(orbit, number)
         return off > CLOSE and leaves(self._system, motion, orbit.unknown, orbit.parameter)
@@ -210,14 +193,6 @@ class _Orbits:
         assert orbit is not None
         motion = self._motions[number]
         return float(np.linalg.norm(orbit.unknown - motion) / np.linalg.norm(motion))
-
-    def wanted(self) -> np.ndarray:
-        """Places that are the curve's points, or next to bifurcations."""
-        wanted = self.at == np.round(self.at)
-        for place, (first, last) in enumerate(pairwise(self.found)):
-            if first is not None and last is not None and first.outside != last.outside:
-                wanted[max(0, place - 2) : place + 4] = True
-        return np.flatnonzero(wanted)
 
     def _next_to(self, starts: list[np.ndarray | None]) -> Iterator[_Found | None]:
         """The orbits at all places; what has to be added to a start is extrapolated. Behind some
@@ -303,7 +278,7 @@ class _Orbits:
     def _located(self, kind: str, first: _Orbit, last: _Orbit, turning: bool) -> tuple[float, bool]:
         """Where a bifurcation lies between two orbits, and True; about where, and False, if nothing
         shows that there is one."""
-        if isinstance(self._system, ExactOrbits) and kind != "neimark_sacker":
+        if kind != "neimark_sacker":
             ends = [(one.unknown, one.parameter) for one in (first, last)]
             for start, goal in (ends, ends[::-1]):
                 found = bifurcation_between(self._system, start, goal, kind)
@@ -442,9 +417,7 @@ def _test(kind: str, found: PathPoint, pairs: int) -> float:
 def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     """Judge a curve by the exact orbits next to its points.
 
-    A curve over the load frequency is judged by the branch of orbits along it. With at most 12
-    pairs with mass and a penalty law these are those of the exact flow from event to event, else of
-    2048 and 4096 exponential steps in a period.
+    A curve over the load frequency is judged by the branch of orbits of the exact flow along it.
 
     A curve over another parameter is judged point by point, as :func:`floquet` judges a solution.
     Its bifurcations stay those of the truncated equations; the orbits confirm those between whose
@@ -461,15 +434,14 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
         The same points, with multipliers and verdicts of the orbits next to them; over the load
         frequency "undecided" where
         there is none, or one at another frequency (by more than 0.001 %), or farther away than 1 %
-        and three times the estimated error, or where it does not tell ``|mu|`` from 1, or the exact
-        motion that begins with a point leaves it; if these are
+        and three times the estimated error, or where it does not tell ``|mu|`` from 1; if these are
         at most 40 points, where :func:`floquet` does not decide
         either. Its bifurcations are those of the orbits, at their frequencies ``exact``,
         each with the nearest one of the truncated equations of the same kind within 2 %, which it
         confirms. Where there is none, ``value`` and ``unknown`` are the solution of the truncated
         equations at the same frequency, or the nearest point of the curve: not a bifurcation of
         these equations, so that :func:`follow_branch` may find no branch there, and says so.
-        Unconfirmed are those of the orbits by 4096 steps that those by 2048 do not have, and those
+        Unconfirmed are those that are not located, and those
         of the truncated equations where the verdict is open. Those that the orbits refute are left
         out.
 
@@ -481,31 +453,23 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     begin("stability by exact orbits")
     if curve.parameter != "omega":
         return judge_points(curve, [_place(curve, one) for one in curve.bifurcations])
-    with_mass = not curve.structure.light_lips and is_piecewise_linear(curve.contact)
-    if with_mass and curve.structure.n_pairs <= MAX_PAIRS:
-        fine = coarse = _Orbits(curve, None)
-    else:
-        coarse = _Orbits(curve, STEPS[0])
-        fine = _Orbits(curve, STEPS[1], coarse)
+    orbits = _Orbits(curve)
     multipliers = np.full(len(curve), np.nan + 0j)
     if curve.multipliers is not None:
         multipliers[:] = curve.multipliers
     undecided = np.ones(len(curve), dtype=bool)
-    others = dict(zip(coarse.at, coarse.found, strict=True))
-    for at, one in zip(fine.at, fine.found, strict=True):
-        other = others[at]
-        if at == round(at) and one is not None and other is not None:
-            place, size = int(at), abs(one.leading)
+    for at, one in zip(orbits.at, orbits.found, strict=True):
+        if at == round(at) and one is not None:
+            place = int(at)
             multipliers[place] = one.leading
             shift = abs(one.parameter * curve.omega[0] / curve.omega[place] - 1.0)
-            sure = abs(size - 1.0) > max(SURE, abs(size - abs(other.leading)))
-            undecided[place] = shift > ROUNDING or not sure
-    asked = np.array([place for place in np.flatnonzero(~undecided) if fine.doubtful(place)], int)
-    undecided[asked] = ~near_points(curve, asked, fine.gap)
-    undecided |= fine.turned(curve)
+            undecided[place] = shift > ROUNDING or abs(abs(one.leading) - 1.0) <= SURE
+    asked = np.array([place for place in np.flatnonzero(~undecided) if orbits.doubtful(place)], int)
+    undecided[asked] = ~near_points(curve, asked, orbits.gap)
+    undecided |= orbits.turned(curve)
     for place in asked[~undecided[asked]]:
-        undecided[place] = fine.disputed(int(place)) or fine.left(int(place))
-    special = _special(curve, fine.crossings, _known(fine.crossings, coarse.crossings), undecided)
+        undecided[place] = orbits.disputed(int(place)) or orbits.left(int(place))
+    special = _special(curve, orbits.crossings, undecided)
     left = np.flatnonzero(undecided)
     if len(left) <= SINGLY:
         for place in map(int, left):
@@ -525,35 +489,21 @@ def verified(curve: ResponseCurve) -> ResponseCurve:
     return replace(judged, bifurcations=tuple(special))
 
 
-def _known(fine: list[_Crossing], coarse: list[_Crossing]) -> list[bool]:
-    """Which bifurcations are also there with other steps, each taken once."""
-    left, known = list(coarse), []
-    for one in fine:
-        alike = [
-            (abs(other.omega - one.omega), number)
-            for number, other in enumerate(left)
-            if other.kind == one.kind and abs(other.point - one.point) <= 2
-        ]
-        sure = one.located and bool(alike)
-        known.append(sure and min(alike)[0] <= SAME * one.omega)
-        if known[-1]:
-            left.pop(min(alike)[1])
-    return known
-
-
 def _special(
-    curve: ResponseCurve, crossings: list[_Crossing], known: list[bool], undecided: np.ndarray
+    curve: ResponseCurve, crossings: list[_Crossing], undecided: np.ndarray
 ) -> tuple[Bifurcation, ...]:
     """Bifurcations of the orbits at their places on the curve, and those without an orbit."""
     special = [(_place(curve, one), one) for one in curve.bifurcations]
     near = _matched(crossings, special, max(10, len(curve) // 30))
     found: list[tuple[int, Bifurcation]] = []
-    for number, (crossing, sure) in enumerate(zip(crossings, known, strict=True)):
+    for number, crossing in enumerate(crossings):
         if number in near:
             one = special[near[number]][1]
         else:
             [one] = curve.expand_bifurcations([(crossing.kind, *_solution_at(curve, crossing))])
-        found.append((crossing.point, replace(one, exact=crossing.omega if sure else np.nan)))
+        found.append(
+            (crossing.point, replace(one, exact=crossing.omega if crossing.located else np.nan))
+        )
     for number, (place, one) in enumerate(special):
         open_there = undecided[place] or one.kind == "branch_point"
         if open_there and number not in near.values():

@@ -1,10 +1,8 @@
 """Whether exact orbits lie near enough to the points of a curve to judge them.
 
-An orbit may be as far from its point as three times the point's estimated error allows
-(:func:`fenics_crack.stability.shooting.allowed_distance`), and no farther than a tenth: an unknown
-estimate says nothing. An estimate costs more than a point of the curve and the orbit together. So
-it is made at some of the points in question, and between two of these where the distance is not
-clearly on one side of what both allow.
+An orbit may be as far from its point as three times the point's estimated error, and no farther
+than a tenth: an unknown estimate says nothing. It is made at some of the points in question, and
+between two of these where the distance is not clearly on one side of what both allow.
 """
 
 from __future__ import annotations
@@ -15,12 +13,13 @@ from functools import cache
 import numpy as np
 
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.stability.shooting import FARTHEST, allowed_distance
 
 __all__ = ["NO_DOUBT", "near_points"]
 
 NO_DOUBT = 0.01
 """Distance of an orbit from its point at which the point's estimated error is not asked for."""
+FARTHEST, BELIEVED = 0.1, 3.0
+"""Distance from which on an orbit judges no point; and in parts of the estimated error."""
 EVERY = 8
 """Points from one estimate to the next at most."""
 CLEAR = 2.0
@@ -45,7 +44,8 @@ def near_points(
 
     @cache
     def allowed(number: int) -> float:
-        return allowed_distance(curve.solution(int(places[number])), NO_DOUBT)
+        report = curve.solution(int(places[number]), search=False).report
+        return max(NO_DOUBT, BELIEVED * (report.total - report.reduction))
 
     near = off <= NO_DOUBT
     asked = np.flatnonzero(~near & (off <= FARTHEST))

@@ -136,7 +136,7 @@ def _motion(result: Result, watched: Mapping[str, np.ndarray]) -> Parts:
 
 
 def _pack_solution(solution: PeriodicSolution) -> Parts:
-    parts = _fields(solution, "displacement_coefficients", "report", "stability")
+    parts = _fields(solution, "displacement_coefficients", "report", "stability", "judged")
     parts |= {f"error_{name}": value for name, value in asdict(solution.report).items()}
     if is_rigid(solution.contact):
         parts["weight"] = solution.contact.weight

@@ -85,8 +85,7 @@ void free_sets(sets *s)
     free(s);
 }
 
-/* The answer of a set, computed: 0, or 1 where D_AA is singular. */
-static int compute(sets *s, const signed char *closed, double *answer)
+int answer_anew(sets *s, const signed char *closed, double *answer)
 {
     const int n = s->n;
     int size = 0;
@@ -203,7 +202,7 @@ const double *answer_of(sets *s, const signed char *closed)
         memcpy(filled.closed, closed, n);
         if (!s->last || follow(s, s->last, &filled)) {
             filled.pivots = 0;
-            failed = compute(s, closed, filled.answer);
+            failed = answer_anew(s, closed, filled.answer);
         }
     }
     if (failed) {

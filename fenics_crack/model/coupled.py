@@ -33,7 +33,7 @@ from fenics_crack.kernel import doubles, ints, kernel, owned, shaped, signs
 from fenics_crack.model.complementarity import by_least_squares
 from fenics_crack.model.contact import ContactLaw
 
-__all__ = ["ActiveSets", "smooth_forces", "unique_sets"]
+__all__ = ["ActiveSets", "is_regular", "smooth_forces", "unique_sets"]
 
 MAX_KEPT = 2**28
 """Bytes of inverses that are kept."""
@@ -41,6 +41,14 @@ MAX_NEWTON = 200
 """Of a law that is not piecewise linear."""
 ROUNDING = 1e-13
 """Openings relative to the largest gap of an instant that count as zero."""
+REGULAR = 1e-6
+"""Smallest eigenvalue of R_inf, relative to the largest, with which a constraint is solved."""
+
+
+def is_regular(matrix: np.ndarray) -> bool:
+    """Whether a symmetric matrix is positive definite, and not badly scaled."""
+    values = np.linalg.eigvalsh(matrix)
+    return not len(values) or bool(values[0] > REGULAR * values[-1] > 0.0)
 
 
 def unique_sets(closed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -573,8 +573,8 @@ class Integration(Table):
     method: str | None = choice(
         "exponential", "central_difference", "implicit", "events", default=None
     )
-    """"events": exact from one switching instant to the next, for few pairs. Default: "exponential"
-    where lips have no mass, else "central_difference"."""
+    """"events": exact from one switching instant to the next. Default: "exponential" where lips
+    have no mass, else "central_difference"."""
     periods: int = at_least_one(400)
     """Load periods at most."""
     settle: float = positive(1e-3)

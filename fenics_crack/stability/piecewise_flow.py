@@ -25,12 +25,12 @@ import scipy.linalg
 from fenics_crack.balance.active_sets import contact_intervals
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.balance.fourier import evaluate, to_complex
-from fenics_crack.balance.orbits import eigenvalues
 from fenics_crack.balance.switching import switching_instants
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.coupled import ActiveSets, smooth_forces, unique_sets
 from fenics_crack.model.modal import AllModes, all_modes, flow_matrix
 from fenics_crack.model.structure import Structure
+from fenics_crack.motion.orbit import eigenvalues
 from fenics_crack.stability.eigenbasis import (
     Eigenbasis,
     UndampedModes,

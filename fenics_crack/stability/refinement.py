@@ -26,23 +26,17 @@ from typing import Protocol
 import numpy as np
 
 from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import (
-    PathPoint,
-    Tangent,
-    compiled,
-    locate,
-    solve_in_plane,
-    tangent_of,
-)
+from fenics_crack.balance.bordered import PathPoint, Tangent, locate, solve_in_plane, tangent_of
 from fenics_crack.balance.linearisation import DenseLinearisation, System
-from fenics_crack.balance.orbits import OrbitPoint
+from fenics_crack.balance.orbits import FlowOrbits, OrbitPoint
 from fenics_crack.balance.rounding import EPSILON
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError, InputError, check_number
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
+from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.stability.piecewise_flow import doubling_test
-from fenics_crack.stability.shooting import ExactOrbits, PeriodicOrbit, SteppedOrbits, orbits_near
+from fenics_crack.stability.shooting import orbits_near
 
 __all__ = ["bifurcation_between", "refine_bifurcation"]
 
@@ -148,10 +142,7 @@ def refine_bifurcation(
 
 
 def bifurcation_between(
-    orbits: ExactOrbits | SteppedOrbits,
-    first: tuple[np.ndarray, float],
-    last: tuple[np.ndarray, float],
-    kind: str,
+    orbits: FlowOrbits, first: tuple[np.ndarray, float], last: tuple[np.ndarray, float], kind: str
 ) -> PathPoint | None:
     """The bifurcation that is met where the branch of exact orbits is followed from one of them,
     (x, p), towards another one, as far again as that is away; None where there is none."""
@@ -196,10 +187,13 @@ class _Branch:
 
     tolerance = TOLERANCE
 
-    def __init__(self, orbits: ExactOrbits | SteppedOrbits) -> None:
-        self._orbits, self.start = orbits, orbits.start
-        self.inner, self.orbit = orbits.inner, orbits.orbit
-        self.compiled = compiled(orbits)
+    def __init__(self, orbits: FlowOrbits) -> None:
+        self._orbits, self.start, self.compiled = orbits, orbits.start, orbits.compiled
+        self.inner = orbits.inner
+
+    def orbit(self, found: PathPoint) -> PeriodicOrbit:
+        """The orbit of a point."""
+        return self._orbits.orbit(found)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint | _NoFlow:
         """The equations at (x, p); without a residual where there is no flow over the period."""

@@ -18,7 +18,6 @@ from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.files.results import Result, type_of, unpack
 from fenics_crack.files.store import read
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
-from fenics_crack.model.exact_flow import MAX_PAIRS
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes, solve_modes
 from fenics_crack.model.reduced import massless
@@ -245,10 +244,11 @@ def integrate(
     structure, omega = study.structure, scene.excitation.omega
     method = _method(table, structure)
     law = _needed_law(study)
-    if method == "exponential" and not (is_piecewise_linear(law) or is_rigid(law)):
-        allowed = "'penalty' or 'unilateral' with integration.method = 'exponential'"
+    closed_form = method in ("events", "exponential")
+    if closed_form and not (is_piecewise_linear(law) or is_rigid(law)):
+        allowed = f"'penalty' or 'unilateral' with integration.method = {method!r}"
         raise InputError("contact.law", scene.contact and scene.contact.law, allowed)
-    if method == "exponential" and is_rigid(law) and not structure.light_lips:
+    if closed_form and is_rigid(law) and not structure.light_lips:
         allowed = "'implicit' with contact.law = 'unilateral', or reduction.method = 'massless'"
         raise InputError("integration.method", method, allowed)
     options: dict[str, Any] = {
@@ -260,9 +260,6 @@ def integrate(
     march: Callable[..., TimeHistory]
     steps = table.steps_per_period
     if method == "events":
-        if not is_piecewise_linear(law):
-            name = scene.contact and scene.contact.law
-            raise InputError("contact.law", name, "'penalty' with integration.method = 'events'")
         march, steps = integrate_events, steps or 256
     elif method == "implicit":
         march, steps = integrate_implicit, steps or 512
@@ -280,12 +277,12 @@ def _method(table: Integration, structure: Structure) -> str:
     lips = structure.light_lips
     method = table.method or ("exponential" if lips else "central_difference")
     allowed = ""
-    if lips and method != "exponential":
-        allowed = "'exponential' where lips have no mass, or reduction.method = 'free_interface'"
-    elif method == "exponential" and not is_small(structure):
+    closed_form = method in ("events", "exponential")
+    if lips and not closed_form:
+        allowed = "'events' or 'exponential' where lips have no mass, or reduction.method = "
+        allowed += "'free_interface'"
+    elif closed_form and not is_small(structure):
         allowed = f"another with {structure.n_dofs} dofs, or reduction.method = 'massless'"
-    elif method == "events" and structure.n_pairs > MAX_PAIRS:
-        allowed = f"another with {structure.n_pairs} contact pairs: it takes {MAX_PAIRS} at most"
     if allowed:
         raise InputError("integration.method", method, allowed)
     return method

@@ -1,4 +1,4 @@
-"""Exact motion with the penalty law: recorded from one switching instant to the next."""
+"""Exact motion of piecewise linear and of rigid contact: recorded along the exact flow."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.model.contact import ContactLaw
-from fenics_crack.model.exact_flow import EventFlow
-from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure
+from fenics_crack.motion.flow import exact_flow
 from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
 
 __all__ = ["integrate_events"]
@@ -24,14 +23,14 @@ def integrate_events(
     steps_per_period: int = 256,
     **options: Any,
 ) -> TimeHistory:
-    """March exactly from one switching instant to the next, under the penalty law.
+    """March exactly from one switching instant to the next.
 
     Parameters
     ----------
     structure : Structure
         At most 600 dofs; reduce a larger one first.
-    contact : UnilateralPenalty
-        Law of all pairs.
+    contact : UnilateralPenalty or UnilateralConstraint
+        Law of all pairs; the latter where lips have no mass.
     steps_per_period : int
         Instants recorded in a period; they do not change the motion.
     omega, periods, **options
@@ -40,12 +39,11 @@ def integrate_events(
     Raises
     ------
     InputError
-        The structure is too large, has too many pairs or no mass at its lips, or an argument
-        cannot be used.
+        The structure is too large, its lips have mass under rigid contact, or an argument cannot
+        be used.
     ConvergenceError
         Pairs open and close without end.
     """
-    check_mass(structure, INSTEAD)
     asked = March(structure, omega, contact, periods, steps_per_period, **options)
     return march(asked, _ByEvents(asked))
 
@@ -56,23 +54,27 @@ class _ByEvents(Scheme):
     name = "events"
 
     def __init__(self, asked: March) -> None:
-        self._flow = flow = EventFlow(asked.structure, asked.omega, asked.contact)
-        self._contact, self._period = asked.contact, 2.0 * np.pi / asked.omega
-        motion = flow.displacement_rows()
-        blocks = flow.gap_rows, motion[asked.recorded_dofs], motion[asked.load_rows]
-        self._rows = np.vstack(blocks)
-        self._ends = np.cumsum([len(block) for block in blocks])[:-1]
-        self._phases = np.arange(asked.steps_per_period) / asked.steps_per_period
-        self._state = flow.state(*asked.start)
+        self._asked, self._flow = asked, exact_flow(asked.structure, asked.contact)
+        self._period = 2.0 * np.pi / asked.omega
+        parts = np.arange(asked.steps_per_period + 1) / asked.steps_per_period
+        self._instants = parts * self._period
+        # Coordinates without mass are no displacements: compared by the work of the load.
+        light, force = asked.structure.light_lips, asked.structure.force[:, asked.load_rows]
+        self._load_sizes = np.linalg.norm(force, axis=0) if light else 1.0
+        self._state = self._flow.state(*asked.start)
 
     def fill(self, window: Window, number: int) -> None:
-        instants = (number + self._phases) * self._period
-        self._state, record, _, _ = self._flow.advance(
-            self._state, number * self._period, self._period, instants=instants, rows=self._rows
-        )
-        gap, window.motion[:], window.load_motion[:] = np.split(record, self._ends, axis=1)
-        window.gap[:] = gap - self._flow.structure.clearance
-        window.force[:] = self._contact.force(window.gap)
+        asked = self._asked
+        motion = self._flow.advance(
+            self._state, asked.omega, self._period, instants=self._instants
+        )  # fmt: skip
+        self._state, samples = motion.state, motion.samples
+        moved = samples.displacement
+        self._motion = moved[-1]
+        window.gap[:], window.force[:] = samples.gap[:-1], samples.force[:-1]
+        window.motion[:] = moved[:-1, asked.recorded_dofs]
+        window.load_motion[:] = moved[:-1, asked.load_rows] * self._load_sizes
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
-        return self._flow.motion(self._state)
+        rate = self._flow.modes.shapes @ self._state[self._flow.size // 2 :]
+        return self._motion.copy(), rate

@@ -61,6 +61,9 @@ def test_undecided_orbit(scene: fc.Scene) -> None:
     run: Any = SimpleNamespace(structure=None)
     [text] = judgements.of_stability(scene, run, undecided)
     assert text == "the orbit is undecided: a motion in time may leave it"
+    undecided = replace(undecided, reason="no exact orbit was found next to it")
+    [text] = judgements.of_stability(scene, run, undecided)
+    assert text.startswith("the orbit is undecided (no exact orbit was found next to it): a motion")
     [text] = judgements.of_stability(scene.replace(FIXED), run, undecided)
     assert text.endswith("; more harmonics may decide it")
 

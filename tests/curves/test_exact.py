@@ -1,6 +1,6 @@
 """Curves judged by exact orbits, against marches of disturbed orbits."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +9,8 @@ import stiff_curves
 from helpers import oscillator, two_masses
 
 import fenics_crack as fc
-from fenics_crack.curves import exact, nearness
+from fenics_crack.curves import exact
 from fenics_crack.curves.nearness import near_points
-from fenics_crack.model.exact_flow import EventFlow
-from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.time.march import initial_state
 
 RIGID = fc.UnilateralConstraint()
@@ -25,13 +23,12 @@ def curve(light_lips: fc.Structure) -> fc.ResponseCurve:
 
 
 def growth(light_lips: fc.Structure, omega: float) -> float:
-    """Factor per period of the distance to the orbit of 1024 steps after a disturbance."""
+    """Factor per period of the distance to the orbit after a disturbance."""
     near = fc.solve_harmonic_balance(light_lips, omega, RIGID, harmonics=20)
-    orbit = fc.shoot(light_lips, near, steps_per_period=1024)
-    flow = ExponentialFlow(light_lips, omega, RIGID, 1024)
+    orbit = fc.shoot(light_lips, near)
     moved, distances = orbit.state * (1.0 + 1e-8), []
     for _ in range(120):
-        moved = flow.advance(moved).states[-1]
+        moved = orbit.flow.advance(moved, omega, orbit.period).state
         distances.append(np.linalg.norm(moved - orbit.state))
     return float((distances[-1] / distances[39]) ** (1.0 / 80.0))
 
@@ -175,15 +172,21 @@ def test_point_whose_motion_leaves_is_not_called_stable() -> None:
     for place in np.union1d(places, np.flatnonzero(branch.verdicts == "undecided")):
         solution = branch.solution(int(place))
         orbit = fc.shoot(structure, solution)
-        flow = EventFlow(structure, solution.omega, law)
-        state = flow.state(*initial_state(structure, solution))
+        state = orbit.flow.state(*initial_state(structure, solution))
         begun = np.linalg.norm(state - orbit.state)
         for _ in range(60):
-            state = flow.advance(state, 0.0, solution.period)[0]
+            state = orbit.flow.advance(state, solution.omega, solution.period).state
         left = np.linalg.norm(state - orbit.state) > 3.0 * begun
         assert not (left and branch.verdicts[place] == "stable")
         gone += left and abs(orbit.multipliers[0]) < 1.0
     assert len(places) > 5 and gone > 0
+
+
+@dataclass
+class Known:
+    """What is asked of a solution."""
+
+    report: fc.ErrorReport
 
 
 @pytest.mark.parametrize(("estimate", "nearest"), [(1.0, 0.1), (0.02, 0.06), (1e-6, 0.01)])
@@ -193,9 +196,8 @@ def test_orbits_near_enough(
     """Three times the estimate, 1 % at least, 10 % at most: also where the estimate is unknown."""
     curve = fc.continue_frequency(oscillator(), 1.5, 1.6, fc.UnilateralPenalty(1.0), harmonics=5)
     places = np.arange(len(curve))
-    monkeypatch.setattr(
-        nearness, "allowed_distance", lambda solution, least: max(least, 3.0 * estimate)
-    )
+    report = fc.ErrorReport(0.0, estimate, 0.0, 0.0, 0.0)
+    monkeypatch.setattr(fc.ResponseCurve, "solution", lambda curve, place, search: Known(report))
 
     def found(off: float) -> np.ndarray:
         waves = curve.gaps_in_time(places)

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 import fenics_crack as fc
-from fenics_crack.stability.shooting import distance
+
+
+def distance(orbit: fc.PeriodicOrbit, solution: fc.PeriodicSolution) -> float:
+    """Of the gaps over the period, relative to B^T u."""
+    gap = solution.gap(np.arange(len(orbit.gap)) * solution.period / len(orbit.gap))
+    size = np.linalg.norm(orbit.gap + solution.structure.clearance)
+    return float(np.linalg.norm(orbit.gap - gap) / size)
 
 
 def oscillator(clearance: float, *, force: float = 0.1, damping: float = 0.02) -> fc.Structure:
@@ -89,8 +95,13 @@ def test_stiff_second_stop_just_beyond_the_truncated_wave(case: tuple[float, flo
     times = np.linspace(0.0, solution.period, 4096)
     assert not np.any(solution.contact_force(times)[:, 1])
     exact = fc.shoot(structure, solution)
-    assert abs(exact.multipliers[0]) > 5.0
-    assert fc.floquet(structure, solution).verdict == "unstable"
+    assert abs(exact.multipliers[0]) > 3.5
+    found = fc.floquet(structure, solution)
+    if omega == 0.6:  # its own orbit is 4 % away, and one with the stop hit twice leads there first
+        assert found.verdict == "undecided" and "another one" in found.reason
+        assert solution.report.truncation == 1.0
+        return
+    assert found.verdict == "unstable" and not found.reason
     error = distance(exact, solution)
     assert error / 3.0 < solution.report.total < 3.0 * error
 

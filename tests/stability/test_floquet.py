@@ -1,5 +1,8 @@
 """Floquet multipliers."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 import scipy.linalg
@@ -16,10 +19,14 @@ from helpers import (
 from scipy.integrate import solve_ivp
 
 import fenics_crack as fc
-from fenics_crack.model.exact_flow import EventFlow
+from fenics_crack.balance import judgement
 from fenics_crack.model.modal import all_modes, flow_matrix
+from fenics_crack.motion.flow import flow_of
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.stability.piecewise_flow import PiecewiseFlow
+
+NEW = Path(fc.__file__).parent / "cli" / "new_scene.toml"
+BLADE = Path(__file__).parents[2] / "demos" / "blade.toml"
 
 
 @pytest.mark.verification
@@ -134,11 +141,11 @@ def test_verdict_agrees_with_exact_motion(paper_scene: fc.Scene, ratio: float) -
         found = floquet(plate, solution)
         assert found.verdict != "undecided"
         verdicts.append(found.verdict)
-        orbit, flow = fc.shoot(plate, solution), EventFlow(plate, omega, law)
+        orbit, flow = fc.shoot(plate, solution), flow_of(plate, law)
         assert np.abs(orbit.multipliers[0]) == pytest.approx(np.abs(found.multipliers[0]), rel=0.02)
         state, distance = orbit.state * (1.0 + 1e-6 * random), [1e-6]
         while 1e-8 < distance[-1] < 1e-4 and len(distance) < 120:
-            state = flow.advance(state, len(distance) * solution.period, solution.period)[0]
+            state = flow.advance(state, omega, solution.period).state
             distance.append(relative(state, orbit.state))
         late = np.arange(len(distance) // 2, len(distance))
         rate = np.exp(np.polyfit(late, np.log(np.array(distance)[late]), 1)[0])
@@ -228,3 +235,54 @@ def test_what_cannot_be_judged_is_refused() -> None:
     linear = fc.solve_linear(structure, 1.0)
     with pytest.raises(fc.InputError, match="contact"):
         floquet(structure, linear)
+
+
+def test_plate_whose_steps_all_said_stable() -> None:
+    """20 rigid pairs, 32 modes: unstable by 0.9 %, where orbits of 1,024 to 4,096 steps in a period
+    say stable."""
+    scene = fc.Scene.load(NEW).replace(
+        {
+            "crack.length": 0.03938896112631299, "mesh.lip_elements": 10,
+            "damping.ratio": 0.0014945465368931062,
+        }
+    )  # fmt: skip
+    whole = fc.build_structure(scene)
+    plate = fc.reduce_structure(whole, modes=32, method="massless")
+    law = fc.UnilateralConstraint()
+    solution = fc.solve_harmonic_balance(plate, 2479.0759527239284, law, harmonics=20)
+    found = floquet(plate, solution)
+    assert found.verdict == "unstable" and found.refined
+    assert abs(found.multipliers[0]) == pytest.approx(1.0089331506, abs=1e-9)
+
+
+def test_error_and_verdict_of_a_blade() -> None:
+    """16 rigid pairs, 20 modes, H = 15: the error is 3.89e-3, where 2 H harmonics say 1.5e-4; and
+    the orbit is looked for once, for the error and for the verdict."""
+    scene = fc.Scene.load(BLADE).replace({"crack.length": 0.014, "mesh.lip_elements": 8})
+    whole = fc.build_structure(scene)
+    blade = fc.reduce_structure(whole, modes=20, method="massless")
+    law, omega = fc.UnilateralConstraint(), 2.0 * np.pi * 121.12
+    searches: list[int] = []
+    with pytest.MonkeyPatch.context() as patch:
+        found = judgement.orbit_next_to
+        patch.setattr(
+            judgement, "orbit_next_to", lambda *args: searches.append(1) or found(*args)
+        )  # fmt: skip
+        solution = fc.solve_harmonic_balance(blade, omega, law, harmonics=15)
+        verdict = floquet(blade, replace(solution, status="known"))
+    assert len(searches) == 1
+    assert solution.report.truncation == pytest.approx(3.89e-3, rel=0.01)
+    assert verdict.verdict == "stable" and verdict.distance == solution.report.truncation
+
+
+def test_orbit_far_away_judges_nothing() -> None:
+    """Of a wave 30 % too large the error is known, and the verdict open, with its reason."""
+    structure, law = oscillator(), fc.UnilateralPenalty(1.0)
+    solution = fc.solve_harmonic_balance(structure, 0.8, law, harmonics=12)
+    names = ("displacement_coefficients", "gap_coefficients", "force_coefficients")
+    wrong = replace(solution, **{name: 1.3 * getattr(solution, name) for name in names})
+    judged = wrong.judged
+    assert judged is not solution.judged and judged.prediction > 0.1
+    found = floquet(structure, wrong)
+    assert found.verdict == "undecided" and "30.0% away" in found.reason
+    assert judged.errors() == pytest.approx((0.3, 0.3), rel=1e-4)

@@ -7,7 +7,6 @@ import pytest
 from helpers import OMEGA_0, log_slope, oscillator, two_masses
 
 import fenics_crack as fc
-from fenics_crack.model.exact_flow import EventFlow
 from fenics_crack.stability.refinement import refine_bifurcation
 
 CURVE = {"omega_start": 0.6, "omega_end": 0.9, "contact": fc.UnilateralPenalty(100.0)}
@@ -65,17 +64,16 @@ def test_bifurcations_of_two_masses_and_a_stop(harmonics: int) -> None:
 
 def test_multiplier_seen_in_the_motion() -> None:
     """At the period doubling the critical direction changes its sign each period, undamped."""
-    structure, law = two_masses(), fc.UnilateralPenalty(100.0)
+    structure = two_masses()
     curve = fc.continue_frequency(structure, **CURVE, harmonics=61, stability=True)
     doubling = next(b for b in curve.bifurcations if b.kind == "period_doubling")
     omega, orbit = refine_bifurcation(doubling)
-    flow, period = EventFlow(structure, omega, law), 2.0 * np.pi / omega
-    values, vectors = np.linalg.eig(flow.advance(orbit.state, 0.0, period)[2]())
+    values, vectors = np.linalg.eig(orbit.monodromy)
     critical = vectors[:, np.argmin(np.abs(values + 1.0))].real
     offset = 1e-6 * np.linalg.norm(orbit.state) * critical
     state = orbit.state + offset
     for index in range(1, 5):
-        state = flow.advance(state, index * period, period)[0]
+        state = orbit.flow.advance(state, omega, orbit.period).state
         assert state - orbit.state == pytest.approx((-1.0) ** index * offset, abs=1e-4 * 1e-6)
 
 

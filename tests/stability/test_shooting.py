@@ -8,14 +8,15 @@ from helpers import oscillator
 
 import fenics_crack as fc
 from fenics_crack.balance.bordered import PathPoint, locate, solve_in_plane, tangent_of
-from fenics_crack.stability.shooting import ExactOrbits
+from fenics_crack.balance.orbits import FlowOrbits
+from fenics_crack.stability.shooting import orbits_near
 
 
-def orbits(omega: float = 1.0) -> ExactOrbits:
+def orbits(omega: float = 1.0) -> FlowOrbits:
     """Of the bilinear oscillator next to a solution with few harmonics."""
     law = fc.UnilateralPenalty(1.0)
     solution = fc.solve_harmonic_balance(oscillator(), omega, law, harmonics=5)
-    return ExactOrbits(oscillator(), law, solution)
+    return orbits_near(oscillator(), law, solution)
 
 
 def test_slopes_against_differences() -> None:
@@ -39,9 +40,7 @@ def test_history_of_a_solution_and_of_a_failure() -> None:
     assert sizes[-1] < 1e-3 * sizes[0]
     law = fc.UnilateralPenalty(1.0)
     solution = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=5)
-    with pytest.raises(
-        fc.ConvergenceError, match=r"closest (0\.0e\+00|\d\.\de-1[4-9]) after \d+ steps"
-    ):
+    with pytest.raises(fc.ConvergenceError, match=r"closest (0\.0e\+00|\d\.\de-1[2-9])"):
         fc.shoot(oscillator(), solution, tolerance=-1.0)
 
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from helpers import chain, dense_matrices, log_slope, oscillator, random_stiffness, relative
+from helpers import dense_matrices, log_slope, oscillator, random_stiffness
 from scipy.linalg import expm
 
 import fenics_crack as fc
-from fenics_crack.model.exact_flow import EventFlow
+from fenics_crack.motion.flow import exact_flow
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.time.events import integrate_events
 
@@ -59,35 +59,32 @@ def test_central_differences_converge_to_it() -> None:
     assert errors[-1] < 1e-4 * np.abs(exact.gap).max()
 
 
-def test_the_same_flow_at_another_frequency() -> None:
-    """As if made for it, and the first one stays as it was."""
-    structure = chain()
-    law = fc.UnilateralPenalty(5.0)
-    first = EventFlow(structure, 0.9, law)
-    state = np.linspace(-1.0, 1.0, 2 * structure.n_dofs)
-    before = first.advance(state, 0.3, 8.0)[0]
-    moved, _, _, events = first.at(1.3).advance(state, 0.3, 8.0)
-    assert events > 2
-    assert relative(moved, EventFlow(structure, 1.3, law).advance(state, 0.3, 8.0)[0]) < 1e-13
-    assert np.array_equal(first.advance(state, 0.3, 8.0)[0], before)
-    assert relative(moved, before) > 1e-3
-    with pytest.raises(fc.InputError, match=r"^omega"):
-        first.at(-1.0)
-
-
 def test_brief_contacts_are_not_missed() -> None:
     """Grazing a stiff stop for a time far below the grid: found as a pair of events."""
     structure = fc.Structure.from_matrices(np.eye(1), np.eye(1), np.ones(1), clearance=1.0)
-    flow = EventFlow(structure, 1.0, fc.UnilateralPenalty(1e4))
+    flow = exact_flow(structure, fc.UnilateralPenalty(1e4))
     for excess in (1e-2, 1e-4, 1e-8):
         amplitude = 1.0 + excess
         start = flow.state(np.array([-amplitude]), np.zeros(1))
-        after, _, _, events = flow.advance(start, 0.0, 2.0 * np.pi)
-        assert events == 2
-        energy = 0.5 * (after @ after) / (0.5 * (start @ start))
+        motion = flow.advance(start, 1.0, 2.0 * np.pi)
+        assert motion.events == 2
+        energy = (motion.state @ motion.state) / (start @ start)
         assert energy == pytest.approx(1.0, abs=1e-10)
     start = flow.state(np.array([-1.0 + 1e-8]), np.zeros(1))
-    assert flow.advance(start, 0.0, 2.0 * np.pi)[3] == 0
+    assert flow.advance(start, 1.0, 2.0 * np.pi).events == 0
+
+
+def test_rigid_pairs_without_mass(light_lips: fc.Structure) -> None:
+    """Against exponential steps, whose error falls with their length; no pair is passed."""
+    law, errors = fc.UnilateralConstraint(), []
+    exact = integrate_events(light_lips, 2000.0, law, periods=2, steps_per_period=64)
+    assert np.any(exact.contact_force > 0.0) and exact.gap.max() <= 0.0
+    for factor in (16, 256):
+        steps = fc.integrate_exponential(
+            light_lips, 2000.0, law, periods=2, steps_per_period=64 * factor
+        )
+        errors.append(np.abs(steps.gap[::factor] - exact.gap).max())
+    assert errors[1] < 0.1 * errors[0] and errors[1] < 1e-3 * np.abs(exact.gap).max()
 
 
 def test_the_papers_data_are_unstable(paper_structure: fc.Structure) -> None:
@@ -129,11 +126,3 @@ def test_pairs_that_touch_at_the_start(rounding: float) -> None:
     size = np.abs(exact.gap).max()
     assert np.abs(steps.gap[::100] - exact.gap).max() < 1e-3 * size
     assert exact.gap[1:4, 0].max() < 0.1 * size
-
-
-def test_many_pairs_are_refused() -> None:
-    """With n pairs there are 2^n regimes: an error that says what to use instead."""
-    n = 13
-    structure = fc.Structure.from_matrices(np.eye(n), 2.0 * np.eye(n), np.eye(n))
-    with pytest.raises(fc.InputError, match=r"13 pairs.*at most 12.*integrate_implicit"):
-        fc.integrate_events(structure, 1.0, fc.UnilateralPenalty(1.0), periods=1)

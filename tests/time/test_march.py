@@ -145,9 +145,9 @@ def test_all_schemes_march_alike() -> None:
         assert relative(history.displacement([2]), events.displacement([2])) < 1e-3
 
 
-@pytest.mark.parametrize("scheme", WITH_MASS, ids=NAMES)
+@pytest.mark.parametrize("scheme", WITH_MASS[:2], ids=NAMES[:2])
 def test_lips_without_mass_are_refused(wide_plate: fc.Structure, scheme: Scheme) -> None:
-    """By all schemes but the exponential one, and with them the stable step."""
+    """By steps that need mass, and with them the stable step."""
     reduced = fc.reduce_structure(wide_plate, modes=10, method="massless")
     with pytest.raises(fc.InputError, match="'free_interface', or march by integrate_expo"):
         scheme(reduced, 2000.0, LAW, periods=1, steps_per_period=512)

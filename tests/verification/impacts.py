@@ -9,7 +9,7 @@ from helpers import dense_matrices, free_bar, heavy_mass
 from scipy.integrate import simpson, solve_ivp
 
 import fenics_crack as fc
-from fenics_crack.model.exact_flow import EventFlow
+from fenics_crack.motion.flow import exact_flow
 
 STIFF = fc.UnilateralPenalty(1e6)
 
@@ -50,17 +50,17 @@ def contact_release() -> list[Row]:
     """
     frequency = np.sqrt(1.01e6 / 100.0)
     contact = np.pi / frequency
-    flow = EventFlow(heavy_mass(), 1.0, STIFF)
+    flow = exact_flow(heavy_mass(), STIFF)
     start = flow.state(np.zeros(1), np.ones(1))
     low, high = 0.9 * contact, 1.1 * contact
     for _ in range(45):  # the instant of release
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if flow.advance(start, 0.0, middle)[3] == 0 else (low, middle)
+        held = flow.advance(start, 1.0, middle).events == 0
+        low, high = (middle, high) if held else (low, middle)
     time = np.linspace(0.0, (1.0 - 1e-10) * contact, 2001)
-    _, gap, _, _ = flow.advance(start, 0.0, time[-1], instants=time)
-    force = 1e6 * gap[:, 0]
+    force = flow.advance(start, 1.0, time[-1], instants=time).samples.force[:, 0]
     steps, step = release().contact_force[:, 0], release().time[1]
-    after = flow.advance(start, 0.0, 1.01 * contact)[0][1]
+    after = flow.advance(start, 1.0, 1.01 * contact).state[1]
     free = -start[1] * np.cos(10.0 * 0.01 * contact)
     return [
         Row("contact lasts [s], exact flow", 0.5 * (low + high), contact, 1e-9),
@@ -190,9 +190,9 @@ def free_motion_with_a_clearance() -> list[Row]:
     for name, frequency, allowed in (
         ("of the closed form", free_motion(energy), 1e-12), ("published as analytic", wrong, None)
     ):  # fmt: skip
-        flow = EventFlow(structure, 2.0 * np.pi * frequency, law)
+        flow = exact_flow(structure, law)
         state = flow.state(-start, np.zeros(1))
-        after = flow.advance(state, 0.0, 1.0 / frequency)[0]
+        after = flow.advance(state, 2.0 * np.pi * frequency, 1.0 / frequency).state
         speed = float(after[1] / np.sqrt(2.0 * energy))
         name = f"speed after a period {name}, of the largest"
         rows += [Row(name, speed, 0.0, allowed, absolute=True)]

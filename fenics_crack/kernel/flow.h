@@ -1,0 +1,82 @@
+/* Exact flow of a structure with contact pairs: Taylor series from event to event. */
+#ifndef FLOW_H
+#define FLOW_H
+
+/* In m modal coordinates, with p pairs seen through a compliance D = R_inf + diag 1/kappa that is
+ * positive definite,
+ *
+ *     q'' + C q' + Lambda q + P lambda = f(t),      s = P^T q + l(t),
+ *     0 <= lambda,   D lambda - s >= 0,   complementary.
+ *
+ * While the set A of closed pairs stays, lambda_A = S s_A, S = (D_AA)^-1, and the answers i = N_A s
+ * (sets.h: forces of closed pairs, openings of the others) stay positive. An event is where one of
+ * them does not. Loads f and l have rows of their mean and of the cosine and sine of the first K
+ * multiples of a frequency omega, of which nothing else depends.
+ */
+typedef struct {
+    int modes, pairs, harmonics;
+    int coupled;              /* whether the damping couples the modes */
+    const double *squares;    /* (m) Lambda */
+    const double *damping;    /* (m) or (m, m) C */
+    const double *rows;       /* (p, m) P^T */
+    const double *compliance; /* (p, p) D */
+    const double *force;      /* (1 + 2 K, m) f */
+    const double *gap;        /* (1 + 2 K, p) l */
+    double fastest;           /* of the squares of all sets' frequencies the largest one's root */
+    long most;                /* numbers of sets of closed pairs that are kept */
+} flow_parts;
+
+typedef struct flow flow;
+
+/* All but the load is copied, which must stay. NULL without memory. */
+flow *new_flow(const flow_parts *given);
+void free_flow(flow *f);
+
+/* What comes of a motion: it has reached its end; takes more pieces, or more intervals, than
+ * allowed; is not finite, or no set of closed pairs answers it; there is no memory. */
+enum { FLOW_DONE, FLOW_PIECES, FLOW_INTERVALS, FLOW_LOST, FLOW_MEMORY };
+
+typedef struct {
+    double omega, now, end;
+    double *state;           /* (2 m) q, q', here and at the end */
+    int most_pieces, pieces; /* of the series, allowed and made */
+    int most, passed;        /* intervals between events, allowed and passed */
+    signed char *sets;       /* (most, p) their closed pairs */
+    double *lengths;         /* (most) */
+    int events;
+    int count, sampled;      /* instants at which the motion is kept, and how many are done */
+    const double *instants;  /* (count) ascending, from now to end */
+    double *states;          /* (count, 2 m) */
+    double *answers;         /* (count, p) i */
+    signed char *closed;     /* (count, p) */
+} flow_motion;
+
+int flow_advance(flow *f, flow_motion *m);
+
+/* Part of a motion that has been followed. */
+typedef struct {
+    double omega, start;
+    int intervals;
+    const signed char *sets;
+    const double *lengths;
+} flow_track;
+
+/* product = (derivative of the flow over a track) product, (2 m, 2 m). Forces are continuous, so it
+ * is the product of the sets' exponentials. FLOW_DONE, FLOW_LOST or FLOW_MEMORY. */
+int flow_tangent(flow *f, const flow_track *track, double *product);
+/* The derivative of the state by a parameter of the load, whose derivatives are given as the load
+ * is, or with `by_time` those divided by the time: state (2 m) at the start and at the end of a
+ * track. */
+int flow_column(flow *f, const flow_track *track, const double *force, const double *gap,
+                int by_time, double *state);
+/* The same by omega: state (2 m), from 0 at the start. */
+int flow_by_omega(flow *f, const flow_track *track, double *state);
+/* The state's derivative by the time (2 m): 0, or 1 where no set of closed pairs answers it. */
+int flow_rate(flow *f, double omega, double time, const double *state, double *rate);
+/* The motion over each of `nodes` equal parts of a period, from a wave's states (nodes, 2 m) at their
+ * starts: moved (nodes, 2 m), the states at their ends, and tangents (nodes, 2 m, 2 m). What is
+ * allowed, and the room for the track, are those of m. */
+int flow_wave(flow *f, flow_motion *m, int nodes, double period, const double *states,
+              double *moved, double *tangents);
+
+#endif

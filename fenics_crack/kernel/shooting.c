@@ -1,0 +1,148 @@
+#include "shooting.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "lapack.h"
+
+struct shooting_point {
+    equations own;
+    shooting_equations of;
+    flow_motion moved;
+    int known, factored; /* whether M is known, and M - I is factored */
+    double parameter;
+    double *scale, *residual, *state, *tangent, *jacobian;
+    int *pivots;
+};
+
+static size_t bytes(long count) { return (size_t)count * sizeof(double); }
+
+static int evaluate(equations *own, const double *x, double p)
+{
+    shooting_point *at = (shooting_point *)own;
+    const int n = own->unknowns;
+    flow_motion *m = &at->moved;
+    at->known = at->factored = 0;
+    at->parameter = p;
+    for (int i = 0; i < n; i++) at->state[i] = x[i] / at->scale[i];
+    m->omega = p * at->of.omega;
+    m->now = 0.0, m->end = at->of.turns / m->omega, m->state = at->state;
+    m->pieces = m->passed = m->events = 0;
+    const int outcome = m->omega > 0.0 ? flow_advance(at->of.flow, m) : FLOW_LOST;
+    if (outcome == FLOW_MEMORY) return NO_MEMORY;
+    if (outcome != FLOW_DONE) return NOT_FOUND;
+    for (int i = 0; i < n; i++) at->residual[i] = at->scale[i] * at->state[i] - x[i];
+    return FOUND;
+}
+
+static void residual(const equations *own, double *found)
+{
+    memcpy(found, ((const shooting_point *)own)->residual, bytes(own->unknowns));
+}
+
+static flow_track track_of(const shooting_point *at)
+{
+    const flow_motion *m = &at->moved;
+    return (flow_track){m->omega, 0.0, m->passed, m->sets, m->lengths};
+}
+
+/* M in the unknowns; not a number where it is not known. */
+static void know(shooting_point *at)
+{
+    const int n = at->own.unknowns;
+    const long square = (long)n * n;
+    if (at->known) return;
+    const flow_track track = track_of(at);
+    memset(at->tangent, 0, bytes(square));
+    for (long i = 0; i < n; i++) at->tangent[i * (n + 1)] = 1.0;
+    const int outcome = flow_tangent(at->of.flow, &track, at->tangent);
+    for (long i = 0; i < n; i++)
+        for (long j = 0; j < n; j++)
+            at->tangent[i * n + j] *= outcome == FLOW_DONE ? at->scale[i] / at->scale[j] : NAN;
+    at->known = 1;
+}
+
+static void factor_jacobian(shooting_point *at)
+{
+    const long n = at->own.unknowns;
+    if (at->factored) return;
+    know(at);
+    memcpy(at->jacobian, at->tangent, bytes(n * n));
+    for (long i = 0; i < n; i++) at->jacobian[i * (n + 1)] -= 1.0;
+    factor((int)n, at->jacobian, at->pivots);
+    at->factored = 1;
+}
+
+static void solve(equations *own, double *x)
+{
+    shooting_point *at = (shooting_point *)own;
+    factor_jacobian(at);
+    solve_factored(own->unknowns, at->jacobian, at->pivots, x);
+}
+
+static double sign(equations *own)
+{
+    shooting_point *at = (shooting_point *)own;
+    factor_jacobian(at);
+    return sign_of_factored(own->unknowns, at->jacobian, at->pivots);
+}
+
+/* What omega does to the load, and to when the period ends. */
+static void by_parameter(equations *own, double *found)
+{
+    shooting_point *at = (shooting_point *)own;
+    const int n = own->unknowns;
+    const flow_motion *m = &at->moved;
+    const flow_track track = track_of(at);
+    const int failed = flow_by_omega(at->of.flow, &track, found);
+    double *rate = at->jacobian; /* room */
+    at->factored = 0;
+    if (failed || flow_rate(at->of.flow, m->omega, m->end, m->state, rate)) {
+        for (int i = 0; i < n; i++) found[i] = NAN;
+        return;
+    }
+    for (int i = 0; i < n; i++)
+        found[i] = at->of.omega * at->scale[i] * (found[i] - m->end / m->omega * rate[i]);
+}
+
+shooting_point *new_shooting_point(const shooting_equations *given)
+{
+    const long n = 2L * given->modes, intervals = given->intervals;
+    shooting_point *at = calloc(1, sizeof(shooting_point));
+    if (!at) return NULL;
+    at->of = *given;
+    at->own = (equations){(int)n, evaluate, residual, solve, by_parameter, sign, NULL, NULL, NULL};
+    at->scale = malloc(bytes(3 * n + 2 * n * n + n));
+    at->pivots = malloc((size_t)n * sizeof(int));
+    at->moved.most_pieces = given->pieces, at->moved.most = given->intervals;
+    at->moved.sets = malloc((size_t)(intervals * given->pairs + 1));
+    at->moved.lengths = malloc(bytes(intervals));
+    if (!(at->scale && at->pivots && at->moved.sets && at->moved.lengths)) {
+        free_shooting_point(at);
+        return NULL;
+    }
+    memcpy(at->scale, given->scale, bytes(n));
+    at->of.scale = at->scale;
+    at->residual = at->scale + n, at->state = at->residual + n;
+    at->tangent = at->state + n, at->jacobian = at->tangent + n * n;
+    return at;
+}
+
+void free_shooting_point(shooting_point *at)
+{
+    free(at->scale), free(at->pivots), free(at->moved.sets), free(at->moved.lengths);
+    free(at);
+}
+
+equations *equations_of_shooting(shooting_point *at) { return &at->own; }
+
+int switches_of(const shooting_point *at) { return at->moved.events; }
+
+int tangent_of(shooting_point *at, double *found)
+{
+    const long n = at->own.unknowns;
+    know(at);
+    memcpy(found, at->tangent, bytes(n * n));
+    return isnan(found[0]);
+}

@@ -1,0 +1,33 @@
+/* Periodic orbits of the exact flow (flow.h) as equations: z(T) = z(0). */
+#ifndef SHOOTING_H
+#define SHOOTING_H
+
+#include "equations.h"
+#include "flow.h"
+
+/*     F(x, p) = scale z(T; x, p) - x,   x = scale z(0),   T = turns / omega,   omega = p omega_0,
+ *
+ * dF/dx = scale M / scale - I, M the flow's derivative over the period; dF/dp is exact too. An
+ * evaluation returns FOUND; NOT_FOUND where the motion takes more than `pieces` or `intervals`, or
+ * is not finite; NO_MEMORY.
+ */
+typedef struct {
+    flow *flow;
+    int modes, pairs, harmonics;
+    double omega, turns;   /* omega_0; 2 pi times the load's periods in one of the orbit */
+    const double *scale;   /* (2 m) */
+    int pieces, intervals;
+} shooting_equations;
+
+typedef struct shooting_point shooting_point;
+
+/* All is copied but the flow, which must stay. NULL without memory. */
+shooting_point *new_shooting_point(const shooting_equations *given);
+void free_shooting_point(shooting_point *at);
+equations *equations_of_shooting(shooting_point *at);
+/* Pairs that open or close in the period last followed. */
+int switches_of(const shooting_point *at);
+/* M of the last evaluation, (2 m, 2 m), in the unknowns x: 0, or 1 where there is none. */
+int tangent_of(shooting_point *at, double *found);
+
+#endif

@@ -1,0 +1,347 @@
+"""Periodic orbits of the exact flow, by shooting.
+
+With the state z at phase zero, the period T = 2 pi m / omega, m the load's periods in it, and the
+flow's derivative M over it, an orbit is where
+
+    F(z) = z(T) - z = 0,      dF/dz = M - I,
+
+and the eigenvalues of M are its Floquet multipliers. A step of Newton's method is shortened until
+the *natural* test accepts it: the simplified step from there, with the same M, is shorter. It does
+not depend on how the state is measured. While simplified steps shrink fast they are taken, as they
+cost no derivative.
+
+A wave nearby, with states Z_i at N equal parts of the period, is judged by one such step of all of
+it, which needs no orbit. With F_i the state reached from Z_i less Z_{i+1}, M_i the derivatives,
+
+    d_{i+1} = M_i d_i + F_i,   periodic;       predicted error = |P^T d| / |P^T Z|.
+
+Source: Deuflhard, Newton Methods for Nonlinear Problems, 2004, sections 2.1 and 3.3.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from scipy.linalg.lapack import dgeev
+
+from fenics_crack.errors import ConvergenceError
+from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples
+from fenics_crack.table import Described, counted
+
+__all__ = ["INSTANTS", "PeriodicOrbit", "Prediction", "eigenvalues", "find_orbit", "predict"]
+
+FLOWS, SHORTEST = 20, 1e-3
+"""Periods followed before an orbit is given up, and how short a step may become."""
+PIECES = 20_000
+"""Of the flow's series that a search may take: a second, with many pairs."""
+CLOSED = 1e-11
+"""Relative length of a step behind which an orbit is found."""
+ROUNDED = 1e3
+"""Times that, below which steps are rounding."""
+CHEAP = 3.0
+"""Simplified steps that cost as much as one with a new derivative."""
+INSTANTS = 512
+"""At which the gaps of an orbit are kept."""
+NODES = 20
+"""Of Gauss's rule on an interval in which nothing turns by more than TURN."""
+TURN = 12.0
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What one step of Newton's method makes of a wave.
+
+    Attributes
+    ----------
+    error : float
+        ``|P^T d| / |P^T Z|``.
+    states : (n, 2 n_modes)
+        Z + d.
+    monodromy : (2 n_modes, 2 n_modes)
+        M over the period along the wave.
+    """
+
+    error: float
+    states: np.ndarray
+    monodromy: np.ndarray
+
+
+@dataclass(frozen=True, repr=False)
+class PeriodicOrbit(Described):
+    """A periodic orbit of the exact flow.
+
+    Attributes
+    ----------
+    flow : ContactFlow
+    omega : float
+        Of the load [rad/s].
+    subharmonic : int
+        Its periods in one of the orbit.
+    motion : Motion
+        Over the period.
+    state : (2 n_modes,)
+        q, q' at phase zero of the load.
+    residual : float
+        ``|z(T) - z(0)| / |z(0)|`` in the norm of the energy.
+    flows : int
+        Periods that were followed to find it.
+    """
+
+    flow: ContactFlow
+    omega: float
+    subharmonic: int
+    motion: Motion
+    state: np.ndarray
+    residual: float
+    flows: int
+
+    @property
+    def period(self) -> float:
+        """[s]."""
+        return 2.0 * np.pi * self.subharmonic / self.omega
+
+    @property
+    def iterations(self) -> int:
+        """Steps of Newton's method, tried ones with them."""
+        return self.flows - 1
+
+    @property
+    def events(self) -> int:
+        """Pairs that open or close in a period."""
+        return self.motion.events
+
+    @property
+    def monodromy(self) -> np.ndarray:
+        """M: (2 n_modes, 2 n_modes)."""
+        return self.motion.track.tangent
+
+    @cached_property
+    def multipliers(self) -> np.ndarray:
+        """Floquet multipliers, largest modulus first: (2 n_modes,) complex."""
+        values = eigenvalues(self.monodromy)
+        return values[np.argsort(-np.abs(values), kind="stable")]
+
+    def by_omega(self) -> np.ndarray:
+        """d(z(T) - z(0)) / d omega with z(0) held: (2 n_modes,)."""
+        rate = self.flow.rate(self.motion.state, self.omega, self.period)
+        return self.motion.track.by_omega() - self.period / self.omega * rate
+
+    def samples(self, time: np.ndarray) -> Samples:
+        """The motion at ascending times of the period [s]."""
+        return self.flow.advance(self.state, self.omega, self.period, instants=time).samples
+
+    def _at(self, time: np.ndarray, values: str) -> np.ndarray:
+        """One of the samples' arrays at any times."""
+        phase, place = np.unique(np.mod(time, self.period), return_inverse=True)
+        found: np.ndarray = getattr(self.samples(phase), values)[place.ravel()]
+        return found
+
+    @cached_property
+    def gap(self) -> np.ndarray:
+        """g at equally spaced times of the period: (512, n_pairs) [m]."""
+        return self.samples(np.arange(INSTANTS) * self.period / INSTANTS).gap
+
+    def gap_at(self, time: np.ndarray) -> np.ndarray:
+        """g at times [s]: (len(time), n_pairs) [m]."""
+        return self._at(time, "gap")
+
+    def force_at(self, time: np.ndarray) -> np.ndarray:
+        """Contact force at times [s]: (len(time), n_pairs) [N]."""
+        return self._at(time, "force")
+
+    def displacement_at(self, time: np.ndarray) -> np.ndarray:
+        """Displacement of the structure's own dofs at times [s]: (len(time), n_dofs) [m]."""
+        return self._at(time, "displacement")
+
+    def coefficients(self, harmonics: int) -> OrbitCoefficients:
+        """Fourier coefficients, by Gauss's rule on each part of the period in which no pair opens
+        or closes."""
+        base = self.omega / self.subharmonic
+        turn = self.motion.track.lengths * (self.flow.fastest + harmonics * base)
+        parts = np.maximum(np.ceil(turn / TURN), 1).astype(int)
+        length = np.repeat(self.motion.track.lengths / parts, parts)
+        start = np.concatenate([[0.0], np.cumsum(length)[:-1]])
+        nodes, weights = np.polynomial.legendre.leggauss(NODES)
+        time = (start[:, None] + 0.5 * length[:, None] * (1.0 + nodes)).ravel()
+        share = (0.5 * length[:, None] * weights).ravel() / self.period
+        samples = self.samples(time)
+        phase = np.outer(np.arange(1, harmonics + 1), base * time)
+        means = np.empty((2 * harmonics + 1, len(time)))
+        means[0] = share
+        means[1::2], means[2::2] = 2.0 * share * np.cos(phase), 2.0 * share * np.sin(phase)
+        return OrbitCoefficients(
+            means @ samples.gap, means @ samples.force, means @ samples.displacement
+        )
+
+    # --- shown ------------------------------------------------------------------------------------
+
+    def to_dict(self) -> dict[str, Any]:
+        """Largest multiplier, extremes of the gap [m] of all pairs, and how it was found."""
+        return {
+            "multiplier": float(abs(self.multipliers[0])),
+            "opening": float(max(0.0, -self.gap.min(initial=0.0))),
+            "penetration": float(self.gap.max(initial=0.0)),
+            "events": self.events,
+            "residual": float(self.residual),
+            "iterations": self.iterations,
+        }
+
+    def _title(self) -> str:
+        return (
+            f"largest multiplier {abs(self.multipliers[0]):.6g} of {len(self.multipliers)}, "
+            f"{counted(self.events, 'event')}, residual {self.residual:.2g}"
+        )
+
+
+@dataclass(frozen=True)
+class OrbitCoefficients:
+    """Fourier coefficients of an orbit in the paper's order, rows a0, a1, b1, ....
+
+    Attributes
+    ----------
+    gap : (2H+1, n_pairs) [m]
+    force : (2H+1, n_pairs) [N]
+    displacement : (2H+1, n_dofs) [m]
+    """
+
+    gap: np.ndarray
+    force: np.ndarray
+    displacement: np.ndarray
+
+
+def predict(
+    flow: ContactFlow, omega: float, states: np.ndarray, *, subharmonic: int = 1
+) -> Prediction:
+    """One step of Newton's method for a wave, of states at equal parts of its period (n,
+    2 n_modes).
+
+    Raises
+    ------
+    ConvergenceError
+        As :meth:`ContactFlow.advance`.
+    """
+    moved, tangents = flow.steps(states, omega, 2.0 * np.pi * subharmonic / omega)
+    excess = moved - np.roll(states, -1, axis=0)
+    whole, change = np.eye(flow.size), np.zeros(flow.size)
+    for tangent, missing in zip(tangents, excess, strict=True):
+        whole, change = tangent @ whole, tangent @ change + missing
+    changes = np.empty_like(states)
+    changes[0] = np.linalg.solve(np.eye(flow.size) - whole, change)
+    for i in range(len(states) - 1):
+        changes[i + 1] = tangents[i] @ changes[i] + excess[i]
+    count = flow.size // 2
+    size = float(np.linalg.norm(states[:, :count] @ flow.modes.pairs))
+    error = float(np.linalg.norm(changes[:, :count] @ flow.modes.pairs)) / (size or 1.0)
+    return Prediction(error, states + changes, whole)
+
+
+def find_orbit(
+    flow: ContactFlow,
+    omega: float,
+    state: np.ndarray,
+    *,
+    subharmonic: int = 1,
+    budget: Budget | None = None,
+) -> PeriodicOrbit | None:
+    """The orbit that Newton's method leads to from a state at phase zero; None where it leads to
+    none, or takes more than the budget allows: pieces of all motions together, and intervals of
+    each."""
+    search = _Search(flow, omega, subharmonic, state, budget)
+    try:
+        if not search.leads_to_orbit():
+            return None
+    except (ConvergenceError, np.linalg.LinAlgError, ValueError):
+        return None
+    residual = search.size(search.motion.state - search.state) / (search.size(search.state) or 1.0)
+    return PeriodicOrbit(
+        flow, omega, subharmonic, search.motion, search.state, residual, search.flows
+    )
+
+
+class _Search:
+    """Newton's method for z(T) = z(0): where it is, and the motion from there.
+
+    Attributes
+    ----------
+    flows : int
+        Periods followed.
+    """
+
+    def __init__(
+        self, flow: ContactFlow, omega: float, subharmonic: int, state: np.ndarray,
+        budget: Budget | None,
+    ) -> None:  # fmt: skip
+        self._flow, self._omega, self._left = flow, omega, budget or Budget(pieces=PIECES)
+        self._period = 2.0 * np.pi * subharmonic / omega
+        self._weights = flow.weights(omega / subharmonic)
+        self.state, self.flows = state, 0
+
+    def size(self, change: np.ndarray) -> float:
+        """In the norm of the energy."""
+        return float(np.linalg.norm(self._weights * change))
+
+    def leads_to_orbit(self) -> bool:
+        """Whether it ends with an orbit."""
+        share, factors = 1.0, None
+        self.motion = self._follow(self.state)
+        while self.flows < FLOWS:
+            if factors is None:
+                factors = scipy.linalg.lu_factor(
+                    np.eye(self._flow.size) - self.motion.track.tangent
+                )
+                step = scipy.linalg.lu_solve(factors, self.motion.state - self.state)
+            trial = self.state + share * step
+            moved = self._follow(trial)
+            simplified = scipy.linalg.lu_solve(factors, moved.state - trial)
+            before, after = self.size(step), self.size(simplified)
+            bent = self.size(simplified - (1.0 - share) * step) + sys.float_info.min
+            goal = CLOSED * self.size(trial)
+            if not after <= (1.0 - 0.25 * share) * before:
+                if before <= ROUNDED * goal:
+                    return True
+                share = min(0.5 * share, 0.5 * share**2 * before / bent)
+                if share < SHORTEST:
+                    return False
+                continue
+            self.state, self.motion = trial, moved
+            if after <= goal:
+                return True
+            if share == 1.0 and _goes_on(before, after, goal):
+                step = simplified
+            else:
+                factors = None
+            share = min(1.0, 0.5 * share**2 * before / bent)
+        return False
+
+    def _follow(self, state: np.ndarray) -> Motion:
+        self.flows += 1
+        found = self._flow.advance(state, self._omega, self._period, budget=self._left)
+        self._left = replace(self._left, pieces=self._left.pieces - found.pieces)
+        return found
+
+
+def _goes_on(before: float, after: float, goal: float) -> bool:
+    """Whether simplified steps lead to the goal with less work than new derivatives would, from the
+    lengths of the last two: they shrink by one factor, Newton's steps by its squares."""
+    ratio, left, steps = after / before, after, 0
+    while left > goal:
+        left *= ratio * left / before
+        steps += 1
+    return bool(np.log(goal / after) / np.log(ratio) <= CHEAP * steps)
+
+
+def eigenvalues(matrix: np.ndarray) -> np.ndarray:
+    """All of a monodromy matrix; straight from LAPACK, for small matrices a tenth of NumPy's
+    time."""
+    if not np.isfinite(matrix).all():
+        raise np.linalg.LinAlgError("the monodromy matrix is not finite")
+    real, imaginary, _, _, info = dgeev(matrix, compute_vl=0, compute_vr=0)
+    if info:
+        raise np.linalg.LinAlgError("eigenvalues of the monodromy matrix do not converge")
+    found: np.ndarray = real + 1j * imaginary
+    return found
