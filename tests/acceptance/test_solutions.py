@@ -137,7 +137,6 @@ def test_twice_the_period_holds_the_same_motion() -> None:
     assert np.abs(twice.gap(time) - once.gap(time)).max() < 1e-9
 
 
-@pytest.mark.xfail(strict=True, reason="few pairs' estimates hold, those of many do not yet")
 def test_blade_whose_error_is_not_seen() -> None:
     """16 rigid pairs, 20 modes, 121.12 Hz, H = 15: 3.9e-3 off, and so it should say."""
     scene = fc.Scene.load(DEMOS / "blade.toml").replace(

@@ -138,7 +138,6 @@ def test_rigid_contact_of_pairs_with_mass_has_no_verdict() -> None:
         fc.floquet(structure, found)
 
 
-@pytest.mark.xfail(strict=True, reason="orbits of fixed steps call it stable")
 def test_plate_that_only_looks_stable(plate_of_new: fc.Study) -> None:
     """20 pairs: the exact multiplier is 1.0089331506."""
     study = fc.prepare(
