@@ -93,15 +93,13 @@ class CompiledPaths(ABC):
         flat = plane or Tangent(np.zeros(self.shape), 1.0, 0.0)
         across = doubles(shaped(flat.x, *self.shape))
         self._last = None
-        outcome = kernel.NEW_SET
-        while outcome == kernel.NEW_SET:
-            found[...], place[0] = unknown, parameter
-            outcome = kernel.solve_in_plane(
-                self._equations, doubles(found), doubles(place), plane is not None, across, flat.p,
-                flat.weight, tolerance, iterations, reach,
-                -1.0 if least_damping is None else least_damping, patience or 0, ints(taken),
-            )  # fmt: skip
-            self._check(outcome)
+        found[...], place[0] = unknown, parameter
+        outcome = kernel.solve_in_plane(
+            self._equations, doubles(found), doubles(place), plane is not None, across, flat.p,
+            flat.weight, tolerance, iterations, reach,
+            -1.0 if least_damping is None else least_damping, patience or 0, ints(taken),
+        )  # fmt: skip
+        self._check(outcome)
         if outcome == kernel.NOT_FOUND:
             return None
         at = self._found(found, float(place[0]))
@@ -123,11 +121,10 @@ class CompiledPaths(ABC):
             highest=max(stepping.span),
         )  # fmt: skip
         self._last = None
-        outcome, points = kernel.NEW_SET, path.at
-        while outcome == kernel.NEW_SET and points.known == begun:
-            outcome = kernel.follow(self._equations, how.at, points)
-            if points.known == begun:
-                self._check(outcome)
+        points = path.at
+        outcome = kernel.follow(self._equations, how.at, points)
+        if points.known == begun:
+            self._check(outcome)
         return found[begun : points.known], points.orientation, points.step
 
     def find_between(
@@ -141,11 +138,9 @@ class CompiledPaths(ABC):
         )  # fmt: skip
         wanted = NULL if target is None else doubles(np.array([target]))
         self._last = None
-        outcome = kernel.NEW_SET
-        while outcome == kernel.NEW_SET:
-            path = found.struct(ends)
-            outcome = kernel.find_between(self._equations, how.at, MAX_BETWEEN, wanted, path.at)
-            self._check(outcome)
+        path = found.struct(ends)
+        outcome = kernel.find_between(self._equations, how.at, MAX_BETWEEN, wanted, path.at)
+        self._check(outcome)
         return None if outcome == kernel.NOT_FOUND else found[path.at.known]
 
 

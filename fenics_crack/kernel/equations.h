@@ -2,9 +2,8 @@
 #ifndef EQUATIONS_H
 #define EQUATIONS_H
 
-/* What comes of an evaluation, or of a correction by Newton's method. NEW_SET: the motion meets a
- * set of closed pairs that is not yet made (orbits.h). */
-enum { FOUND, NOT_FOUND, SINGULAR_STRUCTURE, NO_MEMORY, NEW_SET };
+/* What comes of an evaluation, or of a correction by Newton's method. */
+enum { FOUND, NOT_FOUND, SINGULAR_STRUCTURE, NO_MEMORY };
 
 /* The points of each kind begin with it; `at` is such a point. */
 typedef struct equations {

@@ -7,7 +7,7 @@
 
 enum {
     MANY = 100,              /* unknowns from which on points share LU factors */
-    DOUBTED = NEW_SET + 1,   /* of points: they do not go with the next factors */
+    DOUBTED = NO_MEMORY + 1, /* of points: they do not go with the next factors */
     PATIENT = 32
 };
 #define ITERATIONS 0.05 /* with shared factors that take as long as new ones, per unknown */
