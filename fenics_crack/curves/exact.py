@@ -72,6 +72,7 @@ class _Judge:
         # Next to a doubling the old orbit is as near as the new one.
         self._doubled = curve.subharmonic > 1
         every = 1 if self._doubled else EVERY
+        self._apart = 0.5 * every
         self.branch = OrbitBranch(self.system, self.parameters, self._motions, every)
         self._judge()
 
@@ -88,22 +89,22 @@ class _Judge:
     # --- which orbits are the points' own ---------------------------------------------------------
 
     def _judge(self) -> None:
-        """Judge nodes next to points, and others between those that differ."""
+        """Judge nodes next to points, some points apart, and others between those that differ."""
+        asked: list[Node] = []
+        for one in self.branch.nodes:
+            if one.away >= 0.0 and (not asked or one.place - asked[-1].place >= self._apart):
+                asked.append(one)
         tried: set[int] = set()
-        while True:
-            nodes = [one for one in self.branch.nodes if one.away >= 0.0]
-            self._ask([one for one in nodes if one.place not in self._own])
+        while asked:
+            self._ask(asked)
             between = {
-                (round(first.place) + round(last.place)) // 2
-                for first, last in pairwise(nodes)
-                if self._own[first.place] != self._own[last.place]
-                and last.place - first.place > 1.0
+                round(first + last) // 2
+                for first, last in pairwise(sorted(self._own))
+                if self._own[first] != self._own[last] and last - first > 1.0
             } - tried
-            if not between:
-                break
             tried |= between
-            for place in between:
-                self.branch.anchor(place)
+            found = [self.branch.anchor(place) for place in between]
+            asked = [one for one in found if one is not None]
         self._anchors = np.array(sorted(self._own))
 
     def _ask(self, nodes: list[Node]) -> None:
@@ -210,13 +211,7 @@ def _between(
 
 
 def judge_curve(curve: ResponseCurve) -> ResponseCurve:
-    """Judge a curve by the exact orbits next to its points.
-
-    A curve over the load frequency is judged by the branch of orbits of the exact flow along it.
-
-    A curve over another parameter is judged point by point, as :func:`floquet` judges a solution.
-    Its bifurcations stay those of the truncated equations; the orbits confirm those between whose
-    neighbouring points a multiplier of theirs crosses, ``exact`` being interpolated between these.
+    """Judge a curve over any parameter by the branch of exact orbits along it.
 
     Parameters
     ----------
@@ -226,18 +221,17 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     Returns
     -------
     ResponseCurve
-        The same points, with multipliers and verdicts of the orbits next to them; over the load
-        frequency "undecided" where
-        there is none, or one at another frequency (by more than 0.001 %), or farther away than 1 %
-        and three times the estimated error, or where it does not tell ``|mu|`` from 1; if these are
-        at most 40 points, where :func:`floquet` does not decide
-        either. Its bifurcations are those of the orbits, at their frequencies ``exact``,
-        each with the nearest one of the truncated equations of the same kind within 2 %, which it
-        confirms. Where there is none, ``value`` and ``unknown`` are the solution of the truncated
-        equations at the same frequency, or the nearest point of the curve: not a bifurcation of
-        these equations, so that :func:`follow_branch` may find no branch there, and says so.
-        Unconfirmed are those that are not located, and those
-        of the truncated equations where the verdict is open. Those that the orbits refute are left
+        The same points, with verdicts of the orbits next to them, and multipliers interpolated
+        between these; "undecided" (and nan) where there is none at the point's value of the
+        parameter on its own side of a fold, or none that is the point's own, as farther away than
+        1 % and three times the error predicted, or where it does not tell ``|mu|`` from 1; if these
+        are at most 40 points, where :func:`floquet` does not decide either. Its bifurcations are
+        those of the orbits, at their values ``exact``, each with the nearest one of the truncated
+        equations of the same kind within 2 %, which it confirms. Where there is none, ``value`` and
+        ``unknown`` are the solution of the truncated equations at the same value, or the nearest
+        point of the curve: not a bifurcation of these equations, so that :func:`follow_branch` may
+        find no branch there, and says so. Unconfirmed are those that are not located, and those of
+        the truncated equations where the verdict is open. Those that the orbits refute are left
         out.
 
     Raises
