@@ -19,7 +19,7 @@ from fenics_crack.model.reduced import massless
 from fenics_crack.motion.flow import ContactFlow, Samples, flow_of
 from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit, Prediction
 
-__all__ = ["BELIEVED", "STILL", "UNKNOWN", "Judgement"]
+__all__ = ["BELIEVED", "FARTHEST", "STILL", "UNKNOWN", "Judgement"]
 
 BELIEVED, FARTHEST, FAR = 3.0, 0.1, 0.3
 """Times the error predicted, beyond which an orbit is another one; the distance beyond which it

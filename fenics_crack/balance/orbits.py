@@ -10,6 +10,7 @@ monodromy matrix M.
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable, Sequence
 from functools import cached_property
 
@@ -238,6 +239,7 @@ class FlowOrbits(CompiledPaths):
 
     def _evaluate(self, unknown: np.ndarray, parameter: float) -> None:
         assert unknown.shape == self.shape
+        self._last = None
         given = doubles(np.ascontiguousarray(unknown, dtype=float))
         outcome = self._equations.evaluate(self._equations, given, parameter)
         self._check(outcome)
@@ -245,18 +247,31 @@ class FlowOrbits(CompiledPaths):
             raise ConvergenceError("orbits: the motion over a period cannot be followed")
 
     def _found(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
-        residual, monodromy = np.empty(self.shape), np.empty(2 * self.shape)
+        residual = np.empty(self.shape)
         self._equations.residual(self._equations, doubles(residual))
-        kernel.tangent_of(self._point, doubles(monodromy))
         events = int(kernel.switches_of(self._point))
+
+        def return_there() -> None:
+            if self._last is None or self._last is not known():
+                self._evaluate(unknown, parameter)
+                self._last = known()
+
+        def monodromy() -> np.ndarray:
+            found = np.empty(2 * self.shape)
+            return_there()
+            kernel.tangent_of(self._point, doubles(found))
+            return found
 
         def by_parameter() -> np.ndarray:
             slope = np.empty(self.shape)
-            self._evaluate(unknown, parameter)
+            return_there()
             self._equations.by_parameter(self._equations, doubles(slope))
             return slope
 
-        return OrbitPoint(unknown, residual, lambda: monodromy, by_parameter, events)
+        found = OrbitPoint(unknown, residual, monodromy, by_parameter, events)
+        known = weakref.ref(found)
+        self._last = found
+        return found
 
     def _check(self, outcome: int) -> None:
         if outcome == kernel.NO_MEMORY:

@@ -167,7 +167,8 @@ class ResponseCurve(Tabular):
         As given when it was followed.
     multipliers : (n,) complex or None
         Floquet multiplier of largest modulus at each point, of a pair the one with positive
-        imaginary part; with ``stability=True``.
+        imaginary part; with ``stability=True``. Of exact orbits it is interpolated between some of
+        them, and nan where none is the point's own (:func:`judge_curve`).
     undecided : (n,) bool or None
         Where exact orbits leave the stability open (:func:`judge_curve`); None: not judged.
     branch : bool
@@ -304,14 +305,16 @@ class ResponseCurve(Tabular):
         """Coefficients of the displacement of a dof at every point: (n, 2H+1) [m]."""
         return self._seen_at([dof])[0][0]
 
-    def motions(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Displacements [m] and velocities [m/s] of all dofs at phase zero: (n_dofs,) each."""
+    def motions(self, places: np.ndarray | None = None) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Displacements [m] and velocities [m/s] of all dofs at phase zero, at all points or some:
+        (n_dofs,) each."""
         found = {}
-        for index, at in self._linearised():
+        places = np.arange(len(self)) if places is None else places
+        for index, at in self._linearised(places):
             waves = at.system.compliance.displacement(at.force)
             order = np.arange(1, len(waves) // 2 + 1) * self.omega[index] / self.subharmonic
             found[index] = waves[0] + waves[1::2].sum(axis=0), order @ waves[2::2]
-        return (found[index] for index in range(len(self)))
+        return (found[int(place)] for place in places)
 
     def gaps_in_time(self, places: np.ndarray) -> np.ndarray:
         """Gaps of all pairs over the period at some points: (n, 256, n_pairs) [m]."""

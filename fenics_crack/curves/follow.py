@@ -26,6 +26,7 @@ from fenics_crack.errors import (
     check_options,
 )
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
+from fenics_crack.model.modal import is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.stages import begin
 from fenics_crack.table import RPM
@@ -221,6 +222,7 @@ def follow_branch(
         subharmonic=doubled * curve.subharmonic,
     )
     given: dict[str, Any] = {**options}
+    stability = _judged_later(structure, curve.contact, given)
     try:
         growing = Continuation(problem, curve.parameter, start, end, **given, initial=bifurcation)
     except ConvergenceError:
@@ -228,10 +230,10 @@ def follow_branch(
         if begun is None:
             raise
         growing = Continuation(begun.problem, curve.parameter, start, end, **given, initial=begun)
-        branch = _run(growing, progress, throw)
+        branch = _run(growing, progress, throw, stability=stability)
         note = f", begun next to the exact orbit at {branch.omega[0]:.6g} rad/s"
         return replace(branch, status=branch.status + note)
-    return _run(growing, progress, throw)
+    return _run(growing, progress, throw, stability=stability)
 
 
 def _between(
@@ -248,9 +250,12 @@ def _between(
     which comes back to the start, such as a closed loop of the truncated equations, the curve is
     followed from the end to the start, or from between them, and begins with the solution met
     there."""
+    check_options(options, CurveOptions.__annotations__)
+    options = {**options}
+    stability = _judged_later(structure, contact, options)
     growing = _continuation(structure, omega, contact, span, options)
     if options.get("initial") is not None or options.get("resume") is not None:
-        return _run(growing, progress, throw)
+        return _run(growing, progress, throw, stability=stability)
     parameter, start, end = span
     longest = options.get("longest_step", LONGEST)
 
@@ -273,7 +278,7 @@ def _between(
                 return other
         return None
 
-    return _run(growing, progress, throw, again)
+    return _run(growing, progress, throw, again, stability=stability)
 
 
 def _followed(
@@ -319,15 +324,20 @@ def _continuation(
     return Continuation(problem, *span, initial=resume, **given)
 
 
-def _is_judged(curve: ResponseCurve) -> bool:
-    """Whether a curve with multipliers is judged by exact orbits at once: with few pairs that have
-    mass, or pairs that are seen through a static compliance, and a law that these can take."""
-    in_time = is_piecewise_linear(curve.contact) or is_rigid(curve.contact)
-    if not curve.structure.light_lips:
-        fit = curve.structure.n_pairs <= FEW_PAIRS and is_piecewise_linear(curve.contact)
-    else:
-        fit = curve.static_above is not None
-    return fit and in_time
+def _is_judged(structure: Structure, contact: ContactLaw) -> bool:
+    """Whether curves are judged by exact orbits: with few pairs that have mass, or lips without
+    mass, and a law that these can take. They need no multipliers of waves."""
+    if structure.light_lips or not is_small(structure):  # as it will be reduced
+        return is_piecewise_linear(contact) or is_rigid(contact)
+    return structure.n_pairs <= FEW_PAIRS and is_piecewise_linear(contact)
+
+
+def _judged_later(structure: Structure, contact: ContactLaw, options: Any) -> bool:
+    """Whether verdicts are asked for; the options go on without them where orbits give them."""
+    asked = bool(options.get("stability"))
+    if asked and _is_judged(structure, contact):
+        del options["stability"]
+    return asked
 
 
 def _where(parameter: str, point: CurvePoint, count: int) -> str:
@@ -346,8 +356,11 @@ def _run(
     progress: bool,
     throw: bool,
     again: Callable[[], Continuation | None] | None = None,
+    *,
+    stability: bool,
 ) -> ResponseCurve:
-    """Follow to the end; where the curve comes back to its start, from another solution there."""
+    """Follow to the end, where the curve comes back to its start from another solution there, and
+    judge the curve."""
     begin("")
     hidden = not progress or growing.curve.structure.whole.comm.rank != 0
     bar = tqdm(total=100.0, desc="curve", unit="%", disable=hidden, bar_format=BAR)
@@ -364,7 +377,7 @@ def _run(
     finally:
         bar.close()
     curve = growing.curve
-    if curve.multipliers is not None and _is_judged(curve):
+    if stability and _is_judged(curve.structure, curve.contact):
         with_mass = not curve.structure.light_lips
         curve = verified(curve) if with_mass else judge_curve(curve)
     if throw and not curve.complete:

@@ -8,15 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.linalg
-from helpers import (
-    Cubic,
-    amplitudes,
-    log_slope,
-    oscillator,
-    random_stiffness,
-    true_error,
-    two_masses,
-)
+from helpers import Cubic, amplitudes, oscillator, random_stiffness, true_error, two_masses
 
 import fenics_crack as fc
 from fenics_crack.balance.bordered import PathPoint
@@ -135,20 +127,16 @@ def test_fold_of_a_duffing_oscillator() -> None:
     assert np.allclose(sorted(folds(curve)), exact, atol=1e-3)
 
 
-@pytest.mark.verification
 def test_period_doubling_of_two_masses_and_a_stop() -> None:
-    """Published at W = 0.7387830; the located points approach it like H^-3."""
+    """Published at W = 0.7387830: that of the exact orbits, whichever harmonics the curve has."""
     structure, law = two_masses(), fc.UnilateralPenalty(100.0)
-    errors, counts = [], (61, 81, 121)
-    for harmonics in counts:
+    for harmonics in (21, 61):
         curve = continue_frequency(
             structure, 0.72, 0.75, law, harmonics=harmonics, stability=True,
             initial=_contact_branch(structure, law, harmonics), throw=False, most_points=60,
         )  # fmt: skip
-        doubling = [b.omega for b in curve.bifurcations if b.kind == "period_doubling"]
-        errors.append(abs(doubling[0] - 0.7387830))
-    assert errors[-1] < 4e-4
-    assert -3.6 < log_slope(counts, errors) < -2.4
+        [doubling] = [b for b in curve.bifurcations if b.kind == "period_doubling"]
+        assert doubling.exact == pytest.approx(0.7387830, abs=1e-7)
 
 
 def _contact_branch(
@@ -342,7 +330,7 @@ def test_doubled_branch() -> None:
     branch = fc.follow_branch(curve, doublings[0], stability=True)
     assert branch.complete and branch.status == "joined the branch that it left"
     assert branch.multipliers is not None and branch.subharmonic == 2
-    assert np.abs(branch.multipliers).max() < 1.0 + 1e-5  # 1 at both ends but for the truncation
+    assert set(branch.verdicts) <= {"stable", "undecided"} and np.mean(branch.stable) > 0.9
     ends = doublings[0].omega, doublings[1].omega
     assert (branch.omega.min(), branch.omega.max()) == pytest.approx(ends, abs=1e-4)
     omega = 4.0 * np.sqrt(2.0) / (1.0 + np.sqrt(2.0))

@@ -1,0 +1,60 @@
+"""Periodic orbits along a parameter other than the load's frequency: another flow at each value."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fenics_crack.balance.family import Family
+from fenics_crack.balance.orbits import FlowOrbits, OrbitPoint
+from fenics_crack.motion.flow import ContactFlow, Motion, exact_flow
+
+__all__ = ["VariedOrbits"]
+
+DIFFERENCE = 1e-6
+"""Of p, for dF/dp."""
+
+
+class VariedOrbits(FlowOrbits):
+    """F(x, p) of the exact flows along a family, p its parameter; x in the modes of p = 0."""
+
+    def __init__(self, family: Family, displacement: np.ndarray, velocity: np.ndarray) -> None:
+        self._family = family
+        first = family.at(family.start)
+        flow = exact_flow(first.structure, first.contact)
+        super().__init__(flow, first.omega, flow.state(displacement, velocity), first.subharmonic)
+        self._there = 0.0, flow, np.eye(flow.size)
+
+    def _at(self, parameter: float) -> tuple[ContactFlow, np.ndarray]:
+        """The flow where the parameter has a value, and its states by those of the first."""
+        if self._there[0] != parameter:
+            problem = self._family.at(self._family.value(parameter))
+            flow = exact_flow(problem.structure, problem.contact)
+            change = flow.modes.inverse @ self.flow.modes.shapes
+            self._there = parameter, flow, np.kron(np.eye(2), change)
+        return self._there[1:]
+
+    def _motion(self, unknown: np.ndarray, parameter: float, instants: np.ndarray) -> Motion:
+        flow, change = self._at(parameter)
+        omega = self._family.omega(self._family.value(parameter))
+        period = 2.0 * np.pi * self.subharmonic / omega
+        return flow.advance(change @ self.state(unknown), omega, period, instants=instants * period)
+
+    def moved(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
+        motion = self._motion(unknown, parameter, np.zeros(0))
+        return self.unknown(np.linalg.solve(self._at(parameter)[1], motion.state))
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
+        motion = self._motion(unknown, parameter, np.zeros(0))
+        change = self._at(parameter)[1]
+        residual = self.unknown(np.linalg.solve(change, motion.state)) - unknown
+
+        def monodromy() -> np.ndarray:
+            inner = np.linalg.solve(change, motion.track.tangent @ change)
+            return np.asarray(self.scale[:, None] * inner / self.scale)
+
+        def by_parameter() -> np.ndarray:
+            ends = (self.moved(unknown, parameter + h) for h in (-DIFFERENCE, DIFFERENCE))
+            before, after = ends
+            return np.asarray((after - before) / (2.0 * DIFFERENCE))
+
+        return OrbitPoint(unknown, residual, monodromy, by_parameter, motion.events)
