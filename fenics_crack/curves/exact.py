@@ -40,6 +40,8 @@ NO_DOUBT = 0.01
 """Distance of an orbit from its point at which nothing else is asked."""
 SAME = 1e-4
 """Distance between two orbits that are one."""
+IDENTICAL = 1e-6
+"""Of p: bifurcations of one kind that lie within are the same one."""
 SINGLY = 40
 """Points left undecided that are judged one by one, as a solution is (:func:`floquet`)."""
 NEARBY = 0.02
@@ -295,10 +297,15 @@ def _special(
 
 
 def _distinct(crossings: list[Crossing]) -> list[Crossing]:
-    """Each once: without pairs of folds that are not located, where a crossing branch is near."""
+    """Each that is located once, as nodes may come back a little; without pairs that are not, as
+    where M - I is singular to rounding."""
     left: list[Crossing] = []
     for one in crossings:
-        if left and not one.located and not left[-1].located and one.kind == left[-1].kind:
+        known = [other for other in left if other.kind == one.kind]
+        apart = [abs(one.parameter - other.parameter) for other in known if other.located]
+        if one.located and min(apart, default=1.0) <= IDENTICAL:
+            continue
+        if known and not one.located and not known[-1].located and known[-1] is left[-1]:
             left.pop()
         else:
             left.append(one)

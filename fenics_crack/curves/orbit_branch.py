@@ -36,6 +36,7 @@ from fenics_crack.balance.bordered import PathPoint, Tangent, step_in_plane, tan
 from fenics_crack.balance.orbits import FlowOrbits, OrbitPoint
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.orbit import eigenvalues
+from fenics_crack.stability.piecewise_flow import doubling_test
 
 __all__ = ["KINDS", "Crossing", "Node", "OrbitBranch"]
 
@@ -46,7 +47,7 @@ NARROWEST = 1.0 / 32.0
 """Segment that is not halved any more, in points of the curve."""
 TOLERANCE, SHARP = 1e-8, 1e-12
 """|F| / |x| of nodes, and of bifurcations."""
-SAME = 1e-5
+SAME = 1e-6
 """Of a state, how far away a derivative may be that serves a node."""
 ITERATIONS, PATIENCE, SHRINKING = 12, 3, 0.1
 """Newton steps to an orbit, how many may together fail to shrink the residual, and by how much a
@@ -68,6 +69,8 @@ FULL, COLUMNS, SQUARINGS, TURNS = 60, 24, 4, 8
 that M^16 has turned
 to the leading ones some times, where these leave less than EXACT."""
 EXACT = 1e-6
+SMOOTH = 0.25
+"""Of a test function's largest value, what may be left where it vanishes."""
 
 
 @dataclass(frozen=True)
@@ -405,20 +408,10 @@ class OrbitBranch:
         return {KINDS[0]: turning, KINDS[1]: doubling, KINDS[2]: pair}[kind]
 
 
-SMOOTH = 0.25
-"""Of a test function's largest value, what may be left where it vanishes."""
-
-
 def orbit_of(found: PathPoint) -> OrbitPoint:
     """The equations at an orbit."""
     assert isinstance(found.at, OrbitPoint)
     return found.at
-
-
-def doubling_test(monodromy: np.ndarray) -> float:
-    """det(I + M): changes its sign where a multiplier passes through -1."""
-    sign, logarithm = np.linalg.slogdet(np.eye(len(monodromy)) + monodromy)
-    return float(sign * np.exp(min(logarithm, 500.0)))
 
 
 def _direction(change: np.ndarray, rise: float, at: np.ndarray) -> Tangent | None:

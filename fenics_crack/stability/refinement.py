@@ -20,13 +20,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from itertools import islice
 from typing import Protocol
 
 import numpy as np
 
 from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import PathPoint, Tangent, locate, solve_in_plane, tangent_of
+from fenics_crack.balance.bordered import PathPoint, locate, solve_in_plane, tangent_of
 from fenics_crack.balance.linearisation import DenseLinearisation, System
 from fenics_crack.balance.orbits import FlowOrbits, OrbitPoint
 from fenics_crack.balance.rounding import EPSILON
@@ -38,7 +37,7 @@ from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.stability.piecewise_flow import doubling_test
 from fenics_crack.stability.shooting import orbits_near
 
-__all__ = ["bifurcation_between", "refine_bifurcation"]
+__all__ = ["refine_bifurcation"]
 
 TOLERANCE = 1e-12
 """|z(T) - z| / |z| of the points, where the flow does not enlarge rounding beyond it."""
@@ -48,9 +47,6 @@ ALIKE = 0.5
 """Farthest orbit from the solution's motion from which the branch is followed, relative."""
 MAX_STEPS = 400
 """In each direction."""
-
-PART, MOST = 0.25, 9
-"""Longest step from one orbit towards another one, in parts of the distance, and how many."""
 
 Test = Callable[[PathPoint], float]
 
@@ -139,30 +135,6 @@ def refine_bifurcation(
         f"refinement: no {kind.replace('_', ' ')} of exact orbits within "
         f"{100.0 * reach:g} % of {solution.omega:g} rad/s"
     )
-
-
-def bifurcation_between(
-    orbits: FlowOrbits, first: tuple[np.ndarray, float], last: tuple[np.ndarray, float], kind: str
-) -> PathPoint | None:
-    """The bifurcation that is met where the branch of exact orbits is followed from one of them,
-    (x, p), towards another one, as far again as that is away; None where there is none."""
-    branch = _Branch(orbits)
-    at = branch.linearise(*first)
-    tangent = tangent_of(branch, first[0], at)
-    chord = Tangent(last[0] - first[0], last[1] - first[1], tangent.weight)
-    length = float(np.sqrt(chord.weight * (chord.x @ chord.x) + chord.p**2))
-    if not isinstance(at, OrbitPoint) or not length > 0.0:
-        return None
-    if chord.along(tangent, branch) < 0.0:
-        tangent = tangent.reversed()
-    start = PathPoint(*first, 0, tangent, at=at)
-    try:
-        for found in islice(_sought(branch, start, TESTS[kind](), 1.0, PART * length), MOST):
-            if found is not None:
-                return found
-    except ConvergenceError:  # lost between two points
-        pass
-    return None
 
 
 def _far(found: PathPoint, motion: np.ndarray) -> bool:

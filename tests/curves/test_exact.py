@@ -166,6 +166,8 @@ def test_point_whose_motion_leaves_is_not_called_stable() -> None:
     first = next(one for one in doublings if one.confirmed and low < one.value < high)
     branch = fc.follow_branch(curve, first, throw=False, stability=True)
     places = np.flatnonzero(branch.verdicts == "stable")[::2]
+    alone = [fc.floquet(structure, one).verdict for one in branch.solutions]
+    assert np.array_equal(branch.verdicts, alone)
     gone = 0
     for place in np.union1d(places, np.flatnonzero(branch.verdicts == "undecided")):
         solution = branch.solution(int(place))
