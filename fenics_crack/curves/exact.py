@@ -126,7 +126,7 @@ class _Judge:
 
     def _is_own(self, node: Node, place: int, off: float) -> bool:
         """Whether a solution is judged by a node's orbit."""
-        solution = self._curve.solution(place)
+        solution = self._curve.solution(place, search=False)
         if not self._doubled:
             near = off <= min(BELIEVED * solution.judged.prediction, FARTHEST)
             return near and not (self._few and self._left(node, place))
@@ -254,7 +254,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     left = np.flatnonzero(undecided)
     if len(left) <= SINGLY:
         for place in map(int, left):
-            solution = curve.solution(place)
+            solution = curve.solution(place, search=False)
             alone = floquet(solution.structure, solution)
             if alone.verdict != "undecided":
                 value = complex(alone.multipliers[0])
