@@ -72,6 +72,7 @@ class _Judge:
         # Next to a doubling the old orbit is as near as the new one.
         self._doubled = curve.subharmonic > 1
         every = 1 if self._doubled else EVERY
+        self._apart = 0.5 * every
         self.branch = OrbitBranch(self.system, self.parameters, self._motions, every)
         self._judge()
 
@@ -88,22 +89,22 @@ class _Judge:
     # --- which orbits are the points' own ---------------------------------------------------------
 
     def _judge(self) -> None:
-        """Judge nodes next to points, and others between those that differ."""
+        """Judge nodes next to points, some points apart, and others between those that differ."""
+        asked: list[Node] = []
+        for one in self.branch.nodes:
+            if one.away >= 0.0 and (not asked or one.place - asked[-1].place >= self._apart):
+                asked.append(one)
         tried: set[int] = set()
-        while True:
-            nodes = [one for one in self.branch.nodes if one.away >= 0.0]
-            self._ask([one for one in nodes if one.place not in self._own])
+        while asked:
+            self._ask(asked)
             between = {
-                (round(first.place) + round(last.place)) // 2
-                for first, last in pairwise(nodes)
-                if self._own[first.place] != self._own[last.place]
-                and last.place - first.place > 1.0
+                round(first + last) // 2
+                for first, last in pairwise(sorted(self._own))
+                if self._own[first] != self._own[last] and last - first > 1.0
             } - tried
-            if not between:
-                break
             tried |= between
-            for place in between:
-                self.branch.anchor(place)
+            found = [self.branch.anchor(place) for place in between]
+            asked = [one for one in found if one is not None]
         self._anchors = np.array(sorted(self._own))
 
     def _ask(self, nodes: list[Node]) -> None:
