@@ -107,8 +107,8 @@ class Continuation:
     stability : bool
         Compute the leading Floquet multiplier at every point, and locate where multipliers leave
         the unit circle: through -1, or the leading ones as a pair. They are those of the truncated
-        equations; :func:`judge_curve` judges the curve by exact orbits, as
-        :func:`continue_frequency` does where lips have no mass.
+        equations; :func:`judge_curve` judges the curve by exact orbits, which
+        :func:`continue_frequency` does instead where it can.
     longest_step : float
         Longest step, relative to the range of the parameter and to the size of the solution; at
         most 1.

@@ -211,13 +211,7 @@ def _between(
 
 
 def judge_curve(curve: ResponseCurve) -> ResponseCurve:
-    """Judge a curve by the exact orbits next to its points.
-
-    A curve over the load frequency is judged by the branch of orbits of the exact flow along it.
-
-    A curve over another parameter is judged point by point, as :func:`floquet` judges a solution.
-    Its bifurcations stay those of the truncated equations; the orbits confirm those between whose
-    neighbouring points a multiplier of theirs crosses, ``exact`` being interpolated between these.
+    """Judge a curve over any parameter by the branch of exact orbits along it.
 
     Parameters
     ----------
@@ -227,18 +221,17 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     Returns
     -------
     ResponseCurve
-        The same points, with multipliers and verdicts of the orbits next to them; over the load
-        frequency "undecided" where
-        there is none, or one at another frequency (by more than 0.001 %), or farther away than 1 %
-        and three times the estimated error, or where it does not tell ``|mu|`` from 1; if these are
-        at most 40 points, where :func:`floquet` does not decide
-        either. Its bifurcations are those of the orbits, at their frequencies ``exact``,
-        each with the nearest one of the truncated equations of the same kind within 2 %, which it
-        confirms. Where there is none, ``value`` and ``unknown`` are the solution of the truncated
-        equations at the same frequency, or the nearest point of the curve: not a bifurcation of
-        these equations, so that :func:`follow_branch` may find no branch there, and says so.
-        Unconfirmed are those that are not located, and those
-        of the truncated equations where the verdict is open. Those that the orbits refute are left
+        The same points, with verdicts of the orbits next to them, and multipliers interpolated
+        between these; "undecided" (and nan) where there is none at the point's value of the
+        parameter on its own side of a fold, or none that is the point's own, as farther away than
+        1 % and three times the error predicted, or where it does not tell ``|mu|`` from 1; if these
+        are at most 40 points, where :func:`floquet` does not decide either. Its bifurcations are
+        those of the orbits, at their values ``exact``, each with the nearest one of the truncated
+        equations of the same kind within 2 %, which it confirms. Where there is none, ``value`` and
+        ``unknown`` are the solution of the truncated equations at the same value, or the nearest
+        point of the curve: not a bifurcation of these equations, so that :func:`follow_branch` may
+        find no branch there, and says so. Unconfirmed are those that are not located, and those of
+        the truncated equations where the verdict is open. Those that the orbits refute are left
         out.
 
     Raises

@@ -9,7 +9,7 @@ tangent of the branch and the leading multipliers mu of its orbit, and of all mu
 
 A segment between two nodes is halved, by the orbit next to Hermite's cubic through both, where the
 chord disagrees with their tangents, where the moduli at a node are not those between its
-neighbours', to a part of their distance from 1, and where r, d and c change by more than one.
+neighbours', to half of their distance from 1, and where r, d and c change by more than one.
 Then a fold (or a branch point) lies on a segment where r changes, a period doubling where d does, a
 Neimark-Sacker point where c does. It is found by Brent's method on
 
@@ -152,7 +152,8 @@ class OrbitBranch:
         self.nodes: list[Node] = []
         last = len(parameters) - 1
         first = np.unique(np.append(np.arange(0, last, every), last))
-        self._know(first)
+        beside = (first[:, None] + [-1, 0, 1]).ravel()
+        self._know(np.unique(np.clip(beside, 0, last)))
         for place in first:
             self.anchor(int(place))
         while self._halved():
