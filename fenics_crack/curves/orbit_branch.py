@@ -52,8 +52,9 @@ SAME = 1e-6
 ITERATIONS, PATIENCE, SHRINKING = 12, 3, 0.1
 """Newton steps to an orbit, how many may together fail to shrink the residual, and by how much a
 step has to shrink it that another one with the same derivative may follow."""
-ALIKE = 0.25
-"""Farthest orbit from the motion of its point, relative."""
+ALIKE = 0.5
+"""Farthest orbit from the motion of its point, in the norm of the energy, where fast modes that a
+wave leaves out weigh; whether it is the point's own is asked later."""
 REACH = 5e-3
 """Farthest orbit from the parameter of its point, of the whole."""
 FLAT = 0.3
@@ -84,7 +85,7 @@ class Node:
     unknown, parameter, tangent
         x, p and the tangent onwards.
     leading : (8,) complex
-        Multipliers of largest modulus, in their order; nan where there are fewer.
+        Multipliers of largest modulus, in their order; all where there are fewer.
     outside : tuple of int
         r, d and c.
     away : float
@@ -314,10 +315,10 @@ class OrbitBranch:
     def _misfits(self) -> np.ndarray:
         """How far moduli are off the line between those of both neighbours, relative to what they
         differ from 1: (n_nodes,)."""
-        moduli = np.array([np.abs(one.leading) for one in self.nodes]).reshape(len(self.nodes), -1)
         found = np.zeros(len(self.nodes))
         if len(self.nodes) < 3:
             return found
+        moduli = np.array([np.abs(one.leading) for one in self.nodes])
         lengths = np.array([self._length(*two) for two in pairwise(self.nodes)])
         share = (lengths[:-1] / np.maximum(lengths[:-1] + lengths[1:], 1e-300))[:, None]
         line = (1.0 - share) * moduli[:-2] + share * moduli[2:]
