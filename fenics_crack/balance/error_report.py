@@ -48,6 +48,7 @@ from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.judgement import STILL, UNKNOWN, Judgement
+from fenics_crack.balance.more_modes import more_modes
 from fenics_crack.balance.problem import Problem
 from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear, is_rigid
 from fenics_crack.model.coupled import is_regular
@@ -63,7 +64,6 @@ __all__ = [
     "ErrorReport",
     "beyond_truncation",
     "estimate_errors",
-    "lost_in_reduction",
     "mean_square",
     "relative_size",
 ]
@@ -157,12 +157,14 @@ def estimate_errors(
         truncation = UNKNOWN if error >= UNKNOWN else max(error - sampling, 0.0)
     else:
         changes.append(beyond_truncation(at))
-        truncation = changes[-1].relative_to(at, structure.clearance)
-    further = judged.beyond_modes() if judged.affordable and search else None
-    if further is not None:
-        reduction, at_load = further[0], at_load + further[1]
+        truncation = changes[0].relative_to(at, structure.clearance)
+    exactly = judged.affordable and search and structure.light_lips
+    finer = more_modes(judged) if exactly else None
+    lost = finer.changes if finer is not None and finer.affordable else None
+    if lost is not None:
+        reduction, at_load = min(lost[0], UNKNOWN), at_load + lost[1]
     else:
-        changes.append(lost_in_reduction(at, problem))
+        changes.append(_lost_in_reduction(at, problem))
         reduction = changes[-1].relative_to(at, structure.clearance)
     at_load += _of_displacement(at, displacement, problem, changes)
     return ErrorReport(
@@ -349,7 +351,7 @@ def _missed_by_samples(at: CondensedPoint) -> np.ndarray:
     return contact_integrals(law, harmonics, samples).force(gap) - integrals.force(gap)
 
 
-def lost_in_reduction(at: CondensedPoint, problem: Problem) -> _Change:
+def _lost_in_reduction(at: CondensedPoint, problem: Problem) -> _Change:
     """What the compliance of the reduced structure's reference changes."""
     structure, rows = problem.structure, len(at.gap)
     reference = structure.reference if isinstance(structure, ReducedStructure) else None

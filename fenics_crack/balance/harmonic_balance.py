@@ -16,7 +16,7 @@ from fenics_crack.balance.memory import check_memory
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.balance.solver import Solver
-from fenics_crack.balance.to_tolerance import solve_to_tolerance
+from fenics_crack.balance.to_tolerance import FEWEST, solve_to_tolerance
 from fenics_crack.errors import InputError, check_count, check_number, check_omega
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import all_modes
@@ -99,14 +99,15 @@ def solve_harmonic_balance(
         through a static compliance. May have other harmonics, and a subharmonic that divides that
         of the response.
     tolerance : float, optional
-        Choose H, the samples of a law that needs them, and for a structure with many dofs the modes
-        of a reduction, so that the estimated error (:class:`ErrorReport`) is below this; the
-        solution's status says what was chosen. ``harmonics`` and ``samples`` are then left out.
+        Choose H, and for a structure with many dofs the modes of a reduction, so that the error
+        (:class:`ErrorReport`) is below this; the solution's status says what was chosen, or what
+        limits the error of the best one. Where the exact flow is known the coefficients are those
+        of an exact orbit. ``harmonics`` and ``samples`` are then left out.
     residual_tolerance : float
         ``|F(x)| / |x|`` of the algebraic equations; with very stiff contact (k R > 1e5) rounding
         alone leaves more, eps k R, which is then accepted and reported.
     throw : bool
-        Raise if nothing converged; else return the last iterate, ``converged`` being False.
+        Raise if nothing converged (else ``converged`` is False), or the tolerance is missed.
 
     Returns
     -------
@@ -118,7 +119,7 @@ def solve_harmonic_balance(
     InputError
         An argument cannot be used.
     ConvergenceError
-        No attempt met the tolerance; carries the residual history.
+        No attempt converged, with the residual history; or ``tolerance`` is missed.
 
     Notes
     -----
@@ -135,7 +136,7 @@ def solve_harmonic_balance(
             raise InputError("samples", samples, "left out where a tolerance is given")
     if harmonics is None:
         check_count("subharmonic", subharmonic, 1)
-        harmonics = max(5, subharmonic) if tolerance is None else max(3, 2 * subharmonic)
+        harmonics = max(5, subharmonic) if tolerance is None else max(FEWEST, 2 * subharmonic)
     problem = Problem(structure, omega, contact, harmonics, samples, subharmonic)
     if samples is not None:
         check_count("samples", samples, 4 * harmonics + 1)

@@ -15,11 +15,10 @@ import numpy as np
 
 from fenics_crack.balance.nearby import orbit_next_to, predicted, wave_states
 from fenics_crack.balance.wave import Wave
-from fenics_crack.model.reduced import massless
 from fenics_crack.motion.flow import ContactFlow, Samples, flow_of
-from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit, Prediction
+from fenics_crack.motion.orbit import PeriodicOrbit, Prediction
 
-__all__ = ["BELIEVED", "STILL", "UNKNOWN", "Judgement"]
+__all__ = ["AFFORDABLE", "BELIEVED", "STILL", "UNKNOWN", "Judgement", "relative"]
 
 BELIEVED, FARTHEST, FAR = 3.0, 0.1, 0.3
 """Times the error predicted, beyond which an orbit is another one; the distance beyond which it
@@ -40,10 +39,15 @@ class Judgement:
     Attributes
     ----------
     wave : Wave
+    of_orbit : bool
+        Whether the wave was taken from its orbit.
     """
 
-    def __init__(self, wave: Wave) -> None:
-        self.wave = wave
+    def __init__(self, wave: Wave, orbit: PeriodicOrbit | None = None) -> None:
+        """With the orbit that a wave was taken from, if it was."""
+        self.wave, self.of_orbit = wave, orbit is not None
+        if orbit is not None:
+            vars(self).update(orbit=orbit, flow=orbit.flow)
 
     def is_of(self, other: Wave) -> bool:
         """Whether another wave is the same one, so that this is its judgement."""
@@ -95,15 +99,16 @@ class Judgement:
         if self._samples is None:
             return np.nan
         samples, wave = self._samples, self.wave
-        if self._still:
+        if self.still:
             return 0.0
         moved = samples.gap + wave.structure.clearance
-        return _relative(samples.gap - wave.gap(samples.time), moved)
+        return relative(samples.gap - wave.gap(samples.time), moved)
 
     @cached_property
-    def _still(self) -> bool:
+    def still(self) -> bool:
         """Whether the orbit's lips, which the load presses together, move by rounding only."""
-        assert self._samples is not None
+        if self._samples is None:
+            return False
         samples, flow = self._samples, self._samples.flow
         slow = samples.states[:, : flow.size // 2] @ flow.modes.pairs
         moved = samples.gap + self.wave.structure.clearance
@@ -112,7 +117,9 @@ class Judgement:
     @property
     def accepted(self) -> bool:
         """Whether the orbit is the wave's own."""
-        return self.distance <= max(min(BELIEVED * self.prediction, FARTHEST), CLOSE)
+        return self.of_orbit or self.distance <= max(
+            min(BELIEVED * self.prediction, FARTHEST), CLOSE
+        )
 
     @property
     def affordable(self) -> bool:
@@ -124,41 +131,11 @@ class Judgement:
         """Of the gap, and of the displacement at the load in the direction of each of its parts:
         the distance to the wave's own orbit, where one is looked for and found; what is predicted
         where none is; :data:`UNKNOWN` where the orbit is another one, or the prediction large."""
-        if search and self.distance <= max(BELIEVED * self.prediction, CLOSE):
+        if search and (self.of_orbit or self.distance <= max(BELIEVED * self.prediction, CLOSE)):
             return self.distance, self._away_at_load
         if self.prediction < FARTHEST and not (search and self.orbit):
             return self.prediction, self._predicted_at_load
         return UNKNOWN, UNKNOWN
-
-    def beyond_modes(self) -> tuple[float, float] | None:
-        """What more modes change in the wave's own orbit, of the gap and of the displacement at the
-        load: by one step of Newton's method on the flow of the structure's reference, whose further
-        modes begin with their static response. None where it has no such reference, or no orbit.
-        """
-        reduced = massless(self.wave.structure)
-        reference = massless(reduced and reduced.reference)
-        if reference is None or not self.accepted:
-            return None
-        assert self.orbit is not None and self.wave.contact is not None
-        flow = flow_of(reference, self.wave.contact)
-        if flow is None or flow.size > AFFORDABLE:
-            return None
-        orbit, kept, count = self.orbit, self.orbit.flow.size // 2, flow.size // 2
-        time = np.arange(len(self.states)) * orbit.period / len(self.states)
-        samples = orbit.samples(time)
-        phase = orbit.omega * time
-        waves = np.column_stack([np.ones_like(time), np.cos(phase), np.sin(phase)])
-        further = waves @ flow.force[:, kept:] - samples.force @ flow.modes.pairs[kept:].T
-        states = np.zeros((len(time), 2 * count))
-        states[:, :kept], states[:, count : count + kept] = np.split(samples.states, 2, axis=1)
-        states[:, kept:count] = further / flow.modes.squares[kept:]
-        found = predicted(flow, orbit.omega, states, orbit.subharmonic)
-        if found is None:
-            return UNKNOWN, UNKNOWN
-        change = (found.states - states)[:, :count] @ flow.force.T
-        whole = samples.displacement @ self.wave.structure.force.T
-        error = 0.0 if self._still else min(found.error, UNKNOWN)
-        return error, _relative(change, whole)
 
     @property
     def _predicted_at_load(self) -> float:
@@ -167,39 +144,38 @@ class Judgement:
         change = (self.predicted.states - self.states)[:, :count] @ flow.modes.shapes.T
         time = np.arange(len(change)) * wave.period / len(change)
         force = wave.structure.force.T
-        return _relative(change @ force, wave.coordinates(time) @ force)
+        return relative(change @ force, wave.coordinates(time) @ force)
 
     @property
     def _away_at_load(self) -> float:
         assert self._samples is not None
         moved, force = self._samples.displacement, self.wave.structure.force.T
         change = moved - self.wave.coordinates(self._samples.time)
-        return _relative(change @ force, moved @ force)
+        return relative(change @ force, moved @ force)
 
     @cached_property
     def _samples(self) -> Samples | None:
         """Of the orbit over the period."""
-        time = np.arange(INSTANTS) * self.wave.period / INSTANTS
-        return None if self.orbit is None else self.orbit.samples(time)
+        return None if self.orbit is None else self.orbit.sampled
 
     @property
     def reason(self) -> str:
         """Why no orbit is accepted; "" where one is."""
+        if self.accepted:
+            return ""
         if self.predicted is None:
             return "its pairs open and close too often to be followed; lips without mass do less so"
         if not self.prediction < FAR:
             return f"the harmonics left out change it by {self.prediction:.0%}"
         if self.orbit is None:
             return "no exact orbit was found next to it"
-        if not self.accepted:
-            return (
-                "the exact orbit next to it is another one, or far: "
-                f"{self.distance:.1%} away where {self.prediction:.1%} were predicted"
-            )
-        return ""
+        return (
+            "the exact orbit next to it is another one, or far: "
+            f"{self.distance:.1%} away where {self.prediction:.1%} were predicted"
+        )
 
 
-def _relative(change: np.ndarray, whole: np.ndarray) -> float:
+def relative(change: np.ndarray, whole: np.ndarray) -> float:
     """Size of a change relative to that of the whole."""
     size = float(np.linalg.norm(whole))
     return float(np.linalg.norm(change)) / size if size > 0.0 else 0.0

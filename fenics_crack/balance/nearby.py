@@ -6,17 +6,24 @@ import numpy as np
 
 from fenics_crack.balance.bordered import solve_in_plane
 from fenics_crack.balance.fourier import evaluate
-from fenics_crack.balance.orbits import FlowOrbits
+from fenics_crack.balance.orbits import FlowOrbits, recurrences
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.flow import ContactFlow
 from fenics_crack.motion.orbit import PeriodicOrbit, Prediction, find_orbit, predict
+from fenics_crack.stages import begin
 
-__all__ = ["orbit_next_to", "predicted", "wave_states"]
+__all__ = ["PARTS", "orbit_next_to", "predicted", "recurring", "wave_states"]
 
 CLOSED = 1e-10
 """How closely an orbit repeats itself."""
 PARTS = 32
 """Of the period, whose starts' states are corrected together."""
+
+WANDERING, PASSED, SETTLING = 1000, 100, 60
+"""Periods that a motion is followed for, its nearest recurrences from which an orbit is sought, and
+the least periods, of large states."""
+FEW = 24
+"""Numbers of a state up to which all those are tried; beyond, fewer, as each takes longer."""
 
 
 def wave_states(flow: ContactFlow, displacement: np.ndarray, base_omega: float) -> np.ndarray:
@@ -57,3 +64,30 @@ def orbit_next_to(
     except ConvergenceError:
         return None
     return None if found is None else orbits.orbit(found)
+
+
+def recurring(
+    flow: ContactFlow, omega: float, start: np.ndarray, subharmonic: int = 1
+) -> PeriodicOrbit | None:
+    """An orbit that the motion from a state settles to, or passes on its way; None where none is
+    found.
+
+    Where no orbit attracts it the motion wanders, and passes near orbits that it leaves again, at
+    times when it nearly repeats itself: from there Newton's method finds one.
+
+    Source: Auerbach et al., Physical Review Letters 58 (1987) 2387-2389.
+    """
+    orbits = FlowOrbits(flow, omega, start, subharmonic)
+    share = min(1.0, (FEW / flow.size) ** 2)
+    passed, periods = [orbits.start], max(int(share * WANDERING), SETTLING)
+    begin(f"the exact motion over {periods} periods, and orbits that it passes")
+    try:
+        for _ in range(periods):
+            passed.append(orbits.moved(passed[-1], 1.0))
+    except ConvergenceError:  # pairs that chatter without end
+        pass
+    for place in recurrences(passed, int(np.ceil(share * PASSED))):
+        orbit = find_orbit(flow, omega, orbits.state(passed[place]), subharmonic=subharmonic)
+        if orbit is not None:
+            return orbit
+    return None

@@ -43,7 +43,6 @@ from fenics_crack.balance.condensed import (
 )
 from fenics_crack.balance.contact_integrals import ContactIntegrals, ExactIntegrals
 from fenics_crack.balance.coupled import CoupledSystem
-from fenics_crack.balance.exact_orbits import exact_next_to, judged_by_orbits
 from fenics_crack.balance.family import DampingFamily, Family, FrequencyFamily
 from fenics_crack.balance.fourier import balanced, resized
 from fenics_crack.balance.linearisation import Linearisation
@@ -61,7 +60,6 @@ from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import UnilateralPenalty
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.model.modal import all_modes
-from fenics_crack.motion.orbit import INSTANTS
 from fenics_crack.stages import begin
 
 __all__ = ["FEWEST", "Search"]
@@ -208,13 +206,11 @@ class Search:
         kept: int | None,
         problem: Problem | None = None,
     ) -> Linearisation:
-        """By full steps and shortened ones; where some harmonics are new, from the exact orbit next
-        to the start, along a path in those, and from a marched orbit."""
+        """By full steps and shortened ones; where some harmonics are new, along a path in those,
+        and from a marched orbit."""
         found = self._newton(newton, start, 0.0, 20, name)
         if not self.converged and start is not system.linear:
             found = self._shortened(newton, start, 0.0) or found
-        if not self.converged and kept and problem and judged_by_orbits(problem):
-            found = self._from_exact(newton, system, start, kept, problem) or found
         if not self.converged and kept and self._affordable(system):
             found = self._harmonics_path(newton, system, start, kept)
         if not self.converged and kept and problem:
@@ -224,29 +220,6 @@ class Search:
     def _affordable(self, system: CondensedSystem) -> bool:
         """Whether paths are followed: one of many steps with many unknowns takes minutes."""
         return self.patient or system.global_size <= MANY
-
-    def _from_exact(
-        self,
-        newton: Newton | KernelNewton,
-        system: CondensedSystem,
-        start: np.ndarray,
-        kept: int,
-        problem: Problem,
-    ) -> Linearisation | None:
-        """From the wave of the exact orbit next to a solution; None where it has none."""
-        name = "from the exact orbit next to it"
-        force = system.linearise(start).force
-        force[2 * kept + 1 :] = 0.0
-        displacement = problem.compliance().displacement(force)
-        gap = exact_next_to(problem, displacement, max(INSTANTS, 16 * problem.harmonics))
-        if gap is None:
-            self._note(name, "none found")
-            return None
-        guess = balanced(gap, problem.harmonics)
-        found = self._newton(newton, guess, 0.0, 12, name)
-        if not self.converged:
-            found = self._shortened(newton, guess, 0.0) or found
-        return found
 
     def _allow_rounding(self, system: StiffnessSystem) -> float:
         """Raise the tolerance to what rounding allows; return k R."""

@@ -199,11 +199,12 @@ class PeriodicSolution(Wave, Described):
 
 
 def solution_of(
-    problem: Problem, at: CondensedPoint, *, status: str, search: bool = True
+    problem: Problem, at: CondensedPoint, *, status: str, search: bool = True, reported: bool = True
 ) -> PeriodicSolution:
     """The solution that belongs to a point of the condensed equations (collective).
 
-    With ``search`` its error is the distance of its exact orbit; else what is predicted without.
+    With ``search`` its error is the distance of its exact orbit; else what is predicted without;
+    nothing is estimated where it is not ``reported``.
     """
     found = PeriodicSolution(
         problem.structure,
@@ -216,4 +217,6 @@ def solution_of(
         status=status,
         static_above=None if problem.residual is None else problem.cutoff,
     )
+    if not reported:
+        return found
     return replace(found, report=estimate_errors(at, found.judged, problem, search=search))

@@ -56,9 +56,10 @@ class Solver:
         return solution
 
     def attempt(
-        self, initial: PeriodicSolution | None, *, patient: bool = True
+        self, initial: PeriodicSolution | None, *, patient: bool = True, reported: bool = True
     ) -> tuple[Search, PeriodicSolution]:
-        """The same, whether or not it converged, and the record of the search."""
+        """The same, whether or not it converged, and the record of the search; its errors are
+        estimated unless they are not asked for."""
         search = Search(self.residual_tolerance, patient=patient)
         at: CondensedPoint
         with self.compliance() as compliance:
@@ -68,7 +69,7 @@ class Solver:
                 problem, at = self._constrained(search, compliance, initial)
             else:
                 problem, at = self.problem, self.penalised(search, compliance, initial)
-            found = solution_of(problem, at, status=search.status)
+            found = solution_of(problem, at, status=search.status, reported=reported)
             return search, replace(found, converged=search.converged, iterations=search.iterations)
 
     def solve_in_kernel(

@@ -1,169 +1,265 @@
-"""A solution to a tolerance: harmonics, samples and modes are chosen by what each leaves out.
+"""A solution to a tolerance: its harmonics and modes are chosen by what each leaves out.
 
-H is raised until the estimated error is small and has been confirmed by a finer solution. Where
-harmonic balance does not get there and the flow is known in closed form, the solution is an orbit
-of that (:mod:`exact_orbits`), which no harmonics had to find: those are kept of it that the
-tolerance asks for. Stiff pairs that chatter need that; the truncated equations of such motions
-often have no solution near them.
+Harmonic balance with few harmonics finds a motion, shooting the exact orbit next to it; where these
+lead to none, an orbit that the motion settles to or passes. The orbit's coefficients solve
+
+    u_k = A_k^-1 (c_k - B b_k),    b_k those of lambda(g(t)),
+
+for every k: as many of them are kept as the tolerance asks for, by the distance of the wave from
+the orbit. What a reduction leaves out is the distance to the orbit of its reference, which has
+twice the modes; the modes of a large structure are doubled until that is small. The search does not
+know the tolerance, so that a tighter one is never answered by a worse solution.
+
+Laws and structures without an exact flow, and motions whose orbit is not found, take as many
+harmonics as bring the estimated error down.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from fenics_crack.balance.contact_integrals import default_samples
-from fenics_crack.balance.error_report import UNKNOWN, ErrorReport, mean_square
-from fenics_crack.balance.exact_orbits import judged_by_orbits
-from fenics_crack.balance.exact_solution import exact_solution
-from fenics_crack.balance.fourier import resized
+from fenics_crack.balance.error_report import UNKNOWN, ErrorReport
+from fenics_crack.balance.judgement import AFFORDABLE, Judgement, relative
+from fenics_crack.balance.more_modes import more_modes
+from fenics_crack.balance.nearby import recurring, wave_states
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.balance.solver import Solver
-from fenics_crack.errors import MAX_SAMPLES, ConvergenceError
+from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
+from fenics_crack.motion.flow import ContactFlow, flow_of
+from fenics_crack.motion.orbit import OrbitCoefficients, PeriodicOrbit
 from fenics_crack.stages import begin
 
-__all__ = ["solve_to_tolerance"]
+__all__ = ["FEWEST", "FIRST_MODES", "solve_to_tolerance"]
 
-MAX_HARMONICS = 300
-"""If more are needed for a tolerance, or more than MAX_SAMPLES, it is out of reach."""
-SAFETY, SHARE = 0.6, 0.3
-"""Parts of a tolerance that the whole estimate may take, where not all of it is the reduction's of
-a structure given, and one of its causes before it is worked on: estimates are known to a factor of
-about two."""
-DISPROVED = 3.0
-"""Change from one solution to a finer one, relative to the error estimated of the first, beyond
-which estimates are not believed."""
-ENOUGH = 20
-"""Harmonics with which the error is known, or an orbit is sought that tells it."""
-FIRST_MODES, COVER = 10, 1.5
-"""Modes with which a large structure is tried first; H times the frequency relative to that of the
-highest mode kept, from which on it is covered."""
+FIRST_MODES, MAX_MODES = 10, 100
+"""Modes with which a large structure is tried first, and at most."""
+FEWEST = 3
+"""Harmonics that a solution to a tolerance has."""
+RUNGS = (5, 10, 20, 40)
+"""Harmonics of the load's frequency with which an orbit is sought."""
+SAFETY, NEGLIGIBLE = 0.7, 0.05
+"""Part of what modes leave of a tolerance that harmonics may take; and of the modes' error, below
+which harmonics need not fall."""
+MORE = 1.2
+"""Times as many harmonics are kept next where so many do not do."""
+MAX_HARMONICS, MAX_KEPT = 300, 500
+"""Harmonics that are solved for, and that are kept of an orbit for each period of the load."""
 
 
 def solve_to_tolerance(
-    solver: Solver, tolerance: float, initial: PeriodicSolution | None
+    solver: Solver,
+    tolerance: float,
+    initial: PeriodicSolution | None = None,
+    *,
+    reduced_to: Callable[[int], Structure] | None = None,
+    modes: int = FIRST_MODES,
 ) -> PeriodicSolution:
-    """Raise H, the samples, and the modes of a reduction until the estimated error is small, and
-    the change since a coarser solution agrees with what was estimated of that."""
-    whole, modes = solver.problem.structure, FIRST_MODES
-    reducible = not is_small(whole) and not isinstance(whole, ReducedStructure)
-    if reducible:
-        solver = _reduced(solver, whole, modes)
-    fewest, exact = solver.problem, judged_by_orbits(solver.problem)
-    last: PeriodicSolution | None = None
-    while True:
-        problem = solver.problem
-        begin(f"H = {problem.harmonics}, {problem.structure.n_dofs} coordinates")
-        if last is None and not exact:
-            solution = solver.solve(initial)
-        else:
-            solution = solver.attempt(last or initial, patient=False)[1]
-        solution = replace(solution, report=whole.comm.bcast(solution.report))
-        report, finer, obstacle = solution.report, problem, ""
-        more_modes = reducible and modes < whole.n_dofs
-        only_modes = not more_modes and report.total - report.reduction <= SHARE * tolerance
-        part = 1.0 if only_modes else SAFETY
-        if not solution.converged:
-            obstacle = f"truncation; H = {problem.harmonics} failed"
-        elif report.total <= part * tolerance and _confirmed(solution, last, tolerance):
-            modes_kept = f", {modes} modes ({problem.structure.n_dofs} coordinates)"
-            return _chosen(solution, tolerance, problem.samples, modes_kept if reducible else "")
-        else:
-            finer, obstacle = _finer(problem, report, tolerance, more_modes)
-        unknown = report.truncation >= UNKNOWN and problem.harmonics >= ENOUGH
-        lost = bool(obstacle) or unknown
-        if exact and lost and (report.reduction <= tolerance or not solution.converged):
-            near = solution if solution.converged else last
-            found = exact_solution(fewest, near or initial, tolerance)
-            if found is not None:
-                return _chosen(found, tolerance)
-            exact = False
-            if last is None and not solution.converged:
-                continue  # by every attempt that there is
-        best = solution if solution.converged else last
-        if best is None:
-            return solution
-        if obstacle:
-            return _give_up(solver, tolerance, best, obstacle)
-        last, solver = solution, replace(solver, problem=finer)
-        if reducible and report.reduction > SHARE * tolerance and modes < whole.n_dofs:
-            modes = min(2 * modes, whole.n_dofs)
-            solver = _reduced(solver, whole, modes)
+    """The solution with the fewest modes and harmonics that meet a tolerance; else the best one, or
+    the error that says how far it is from what was asked for.
 
-
-def _chosen(
-    solution: PeriodicSolution, tolerance: float, samples: int | None = None, modes: str = ""
-) -> PeriodicSolution:
-    """A solution that meets a tolerance, with the word that it does."""
-    chosen = f"chosen for an error of {tolerance:g}: H = {solution.harmonics}"
-    if samples is not None:
-        chosen += f", {samples} samples"
-    return replace(solution, status=f"{solution.status}; {chosen}{modes}")
-
-
-def _reduced(solver: Solver, whole: Structure, modes: int) -> Solver:
-    reduced = reduce_structure(whole, modes=modes, method="massless")
-    return replace(solver, problem=replace(solver.problem, structure=reduced))
-
-
-def _confirmed(solution: PeriodicSolution, last: PeriodicSolution | None, tolerance: float) -> bool:
-    """Whether a solution is as far from a coarser one as the error estimated of that says, or
-    hardly differs from it. Where one estimate has failed, the next is not believed either."""
-    if last is None:
-        return False
-    if not max(solution.report.total, last.report.total):  # lips that stay where they are
-        return True
-    change = solution.gap_coefficients - resized(last.gap_coefficients, solution.harmonics)
-    closing = solution.gap_coefficients.copy()
-    closing[0] += solution.structure.clearance
-    moved = float(np.sqrt(mean_square(change) / max(mean_square(closing), 1e-300)))
-    return moved <= max(DISPROVED * last.report.total, tolerance)
-
-
-def _finer(
-    problem: Problem, report: ErrorReport, tolerance: float, more_modes: bool
-) -> tuple[Problem, str]:
-    """The problem with more samples or harmonics; or what prevents a smaller error.
-
-    Harmonics that do not reach a mode leave its motion out: with fewer than 1.5 w_m / w, w_m the
-    highest frequency kept, the truncation falls no faster than these modes are reached.
+    ``reduced_to`` gives the structure with so many modes (collective), which are as many as
+    ``modes`` at first; by itself only a structure of many dofs is reduced.
     """
-    harmonics = problem.harmonics
-    if report.reduction > tolerance and not more_modes:
-        return problem, "that of the reduced structure given"
-    if report.sampling > SHARE * tolerance:
-        used = problem.samples or problem.subharmonic * default_samples(harmonics)
-        if used > MAX_SAMPLES // 4:
-            return problem, "sampling"
-        return replace(problem, samples=4 * used), ""
-    if more_modes and report.truncation <= SHARE * tolerance < report.reduction:
-        return problem, ""  # only modes are missing
-    if harmonics >= MAX_HARMONICS:
-        return problem, f"truncation at H = {harmonics}"
-    # The error falls like H^-3 or slower: aim a little past the goal, but not too far.
-    wanted = 1.1 * harmonics * (report.truncation / tolerance) ** (1.0 / 3.0)
-    if (lips := massless(problem.structure)) is not None and report.truncation > tolerance:
-        wanted = max(wanted, COVER * lips.omega[-1] / problem.base_omega)
-    harmonics = min(MAX_HARMONICS, max(harmonics + 2, int(np.ceil(min(wanted, 2.5 * harmonics)))))
-    samples = problem.samples and max(problem.samples, 8 * harmonics)
-    return replace(problem, harmonics=harmonics, samples=samples), ""
+    whole = solver.problem.structure
+    if reduced_to is None and not (is_small(whole) or isinstance(whole, ReducedStructure)):
+        reduced_to = partial(_without_mass, whole)
+    most = min(max(modes, MAX_MODES), whole.n_dofs)
+    best = last = None
+    while True:
+        if reduced_to is not None:
+            problem = replace(solver.problem, structure=reduced_to(modes))
+            solver = replace(solver, problem=problem)
+        last = _solved(solver, tolerance, initial)
+        last = replace(last, report=whole.comm.bcast(last.report))
+        if best is None or last.report.total < best.report.total:
+            best = last
+        lacking = last.report.total > tolerance and last.report.reduction > tolerance / 2.0
+        if reduced_to is None or not (lacking and modes < most and last.converged):
+            return _told(solver, best, tolerance)
+        modes = min(2 * modes, most)
+        initial = last if last.structure.light_lips else None
 
 
-def _give_up(
-    solver: Solver, tolerance: float, best: PeriodicSolution, obstacle: str
-) -> PeriodicSolution:
-    """The best solution found, or the error that says how far it is from what was asked for."""
-    error = f"{best.report.total:.1e} with H = {best.harmonics}"
+def _without_mass(whole: Structure, modes: int) -> Structure:
+    return reduce_structure(whole, modes=modes, method="massless")
+
+
+def _goal(tolerance: float, reduction: float) -> float:
+    """What harmonics and samples may leave out."""
+    return max(SAFETY * (tolerance - reduction), NEGLIGIBLE * reduction)
+
+
+def _told(solver: Solver, found: PeriodicSolution, tolerance: float) -> PeriodicSolution:
+    """The solution with the word of what it took or what it lacks; or the error that says so."""
+    report, structure = found.report, found.structure
+    if not found.converged:
+        return found
+    lips, kept = massless(structure), ""
+    if isinstance(structure, ReducedStructure):
+        size = f"{structure.n_dofs} coordinates"
+        kept = f", {size}" if lips is None else f", {lips.n_modes} modes ({size})"
+    if report.total <= tolerance:
+        chosen = f"chosen for an error of {tolerance:g}: H = {found.harmonics}{kept}"
+        return replace(found, status=f"{found.status}; {chosen}")
+    limits = {
+        "modes": report.reduction,
+        "harmonics": report.truncation + report.sampling,
+        "rounding": report.residual,
+    }
+    size = "unknown" if report.total >= UNKNOWN else f"{100.0 * report.total:.2g} %"
+    limit = max(limits, key=limits.__getitem__)
+    missed = f"solved; error {size}, asked {tolerance:g}; what limits it: {limit}"
+    missed += f" (H = {found.harmonics}{kept})"
     if solver.throw:
         raise ConvergenceError(
-            f"harmonic balance at {solver.problem.omega:g} rad/s: the estimated error, {error}, "
-            f"stays above {tolerance:g}; what is left is {obstacle}"
+            f"harmonic balance at {found.omega:g} rad/s: {missed}; throw = False returns it"
         )
-    status = f"{best.status}; error {error} above the tolerance: {obstacle}"
-    return replace(best, converged=False, status=status)
+    return replace(found, status=f"{missed}; {found.status}")
+
+
+def _solved(solver: Solver, tolerance: float, initial: PeriodicSolution | None) -> PeriodicSolution:
+    """The solution of a structure as it is."""
+    problem = solver.problem
+    flow = flow_of(problem.structure, problem.contact)
+    if flow is not None and flow.size <= AFFORDABLE:
+        near, orbit, way = _sought(solver, flow, initial)
+        if orbit is not None:
+            return replace(_kept(solver, orbit, tolerance), status=way)
+        initial = near or initial
+    return _by_harmonics(solver, tolerance, initial)
+
+
+# --- by an orbit ----------------------------------------------------------------------------------
+
+
+def _sought(
+    solver: Solver, flow: ContactFlow, initial: PeriodicSolution | None
+) -> tuple[PeriodicSolution | None, PeriodicOrbit | None, str]:
+    """A solution with few harmonics and the orbit next to it, where it is that solution's own;
+    where none has its own, another one, or one that the motion passes. And how it was found."""
+    problem, near = solver.problem, None
+    other: tuple[PeriodicOrbit, str] | None = None
+    periods, omega = problem.subharmonic, problem.omega
+    for count in RUNGS:
+        few = replace(solver, problem=problem.with_harmonics(count * periods))
+        begin(f"H = {few.problem.harmonics}, {problem.structure.n_dofs} coordinates")
+        found = few.attempt(near or initial, patient=False, reported=False)[1]
+        if found.converged:
+            near, orbit = found, found.judged.orbit
+            way = f"exact orbit next to the solution with H = {found.harmonics}"
+            if orbit is not None and found.judged.accepted:
+                return near, orbit, way
+            if other is None and orbit is not None:
+                other = orbit, way
+    if other is not None:
+        return near, *other
+    start = np.zeros(flow.size)
+    if near is not None:
+        start = wave_states(flow, near.displacement_coefficients, near.base_omega)[0]
+    return near, recurring(flow, omega, start, periods), "exact orbit, by following the motion"
+
+
+def _kept(solver: Solver, orbit: PeriodicOrbit, tolerance: float) -> PeriodicSolution:
+    """The solution with the fewest harmonics of an orbit that meet a tolerance."""
+    problem = solver.problem
+    most = MAX_KEPT * problem.subharmonic
+    known = orbit.coefficients(RUNGS[-1] * problem.subharmonic)
+
+    def wave_with(harmonics: int) -> PeriodicSolution:
+        nonlocal known
+        if 2 * harmonics + 1 > len(known.gap):
+            known = orbit.coefficients(min(2 * harmonics, most))
+        return _wave(problem.with_harmonics(harmonics), orbit, known)
+
+    reduction, at_load = _lost(solver, wave_with(RUNGS[0] * problem.subharmonic))
+    goal = _goal(tolerance, reduction)
+    fewer, found = 0, wave_with(problem.harmonics)
+    while not found.judged.distance <= goal and found.harmonics < most:
+        fewer, found = found.harmonics, wave_with(min(2 * found.harmonics, most))
+    while found.harmonics > max(MORE * fewer, fewer + 1, problem.harmonics):
+        between = wave_with((fewer + found.harmonics) // 2)
+        if between.judged.distance <= goal:
+            found = between
+        else:
+            fewer = between.harmonics
+    gap, judged = orbit.gap, found.judged
+    closing = gap + problem.structure.clearance
+    report = ErrorReport(
+        residual=orbit.residual,
+        truncation=judged.distance,
+        sampling=0.0,
+        reduction=reduction,
+        penetration=relative(np.maximum(gap, 0.0), closing),
+        displacement=min(judged.errors()[1] + at_load, UNKNOWN),
+    )
+    return replace(found, report=report, iterations=orbit.iterations)
+
+
+def _wave(problem: Problem, orbit: PeriodicOrbit, known: OrbitCoefficients) -> PeriodicSolution:
+    """An orbit's motion with the harmonics of a problem."""
+    rows = slice(2 * problem.harmonics + 1)
+    found = PeriodicSolution(
+        problem.structure, problem.omega, problem.contact, known.displacement[rows],
+        known.gap[rows], known.force[rows], problem.subharmonic,
+        static_above=None if problem.residual is None else problem.cutoff,
+    )  # fmt: skip
+    return replace(found, judged=Judgement(found.judged.wave, orbit))
+
+
+def _lost(solver: Solver, found: PeriodicSolution) -> tuple[float, float]:
+    """Of the gap, and of the displacement at the load, by what a reduction leaves out."""
+    structure = found.structure
+    if not isinstance(structure, ReducedStructure) or structure.reference is None:
+        return 0.0, 0.0
+    finer = more_modes(found.judged)
+    if finer is None:  # no flow: nothing is left without mass
+        few = solver.problem.with_harmonics(RUNGS[-1] * found.subharmonic)
+        report = replace(solver, problem=few).attempt(found, patient=False)[1].report
+        return report.reduction, report.displacement
+    return finer.distances or (finer.affordable and finer.changes) or (UNKNOWN, UNKNOWN)
+
+
+# --- by harmonics ---------------------------------------------------------------------------------
+
+
+def _by_harmonics(
+    solver: Solver, tolerance: float, initial: PeriodicSolution | None
+) -> PeriodicSolution:
+    """The best solution, with as many harmonics as bring its estimated error down."""
+    best, found, problem = None, None, solver.problem
+    finer: Problem | None = problem
+    while finer is not None:
+        problem = finer
+        begin(f"H = {problem.harmonics}, {problem.structure.n_dofs} coordinates")
+        solver = replace(solver, problem=problem)
+        if found is None:
+            found = solver.solve(initial)
+        else:
+            found = solver.attempt(found, patient=False)[1]
+        if best is None or (found.converged and found.report.total < best.report.total):
+            best = found
+        finer = _finer(problem, found.report, tolerance) if found.converged else None
+    assert best is not None
+    return best
+
+
+def _finer(problem: Problem, report: ErrorReport, tolerance: float) -> Problem | None:
+    """The problem with more harmonics, and the samples that go with them; None where no more are
+    needed, or allowed."""
+    harmonics, goal = problem.harmonics, _goal(tolerance, report.reduction)
+    left = report.truncation + report.sampling
+    unknown = left >= UNKNOWN and harmonics >= RUNGS[-1] * problem.subharmonic
+    if left <= goal or unknown or harmonics >= MAX_HARMONICS:
+        return None
+    # The error falls like H^-3 or slower: aim a little past the goal, but not too far.
+    wanted = 1.1 * harmonics * min((left / goal) ** (1.0 / 3.0), 2.5)
+    return problem.with_harmonics(min(MAX_HARMONICS, max(harmonics + 2, int(np.ceil(wanted)))))

@@ -107,14 +107,15 @@ def solution(scene: Scene, folder: Path, console: Console) -> Exit:
     if not found.converged:
         console.warn(f"not converged: {found.status}{judgements.of_modes(scene, found.report)}")
         return Exit.NOT_CONVERGED
-    console.warnings(judgements.of_error(scene, found.report, found.harmonics))
+    missed = judgements.of_tolerance(scene, found)
+    console.warnings(missed or judgements.of_error(scene, found.report, found.harmonics))
     console.warnings(judgements.of_stability(scene, run, found.stability))
     if found.stability is None and run.structure.n_pairs:
         console.note(
             "the stability is not judged, as that would take long: it is for a reduced structure, "
             "with contact.law = 'unilateral' for lips without mass (reduction.method)"
         )
-    return Exit.DONE
+    return Exit.NOT_CONVERGED if missed else Exit.DONE
 
 
 def curve(scene: Scene, folder: Path, console: Console) -> Exit:

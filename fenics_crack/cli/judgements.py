@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR, UNKNOWN, ErrorReport
+from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.tables import stability_changes
 from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.errors import MOST_HARMONICS
@@ -21,7 +22,7 @@ from fenics_crack.study.run import Run
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.table import counted
 
-__all__ = ["of_cases", "of_curve", "of_error", "of_modes", "of_stability"]
+__all__ = ["of_cases", "of_curve", "of_error", "of_modes", "of_stability", "of_tolerance"]
 
 MORE = "more harmonics (harmonic_balance.harmonics, or a tolerance that chooses them)"
 FINER = "a smaller harmonic_balance.tolerance"
@@ -55,6 +56,14 @@ def of_error(scene: Scene, report: ErrorReport, harmonics: int, where: str = "")
         f"the estimated error is {report.total:.2g} of the gap{where}, most of it by {part}: it "
         f"needs {wanted}"
     )
+
+
+def of_tolerance(scene: Scene, found: PeriodicSolution) -> list[str]:
+    """A warning of a solution that does not meet the tolerance that a scene asks for."""
+    tolerance = scene.harmonic_balance.tolerance
+    if tolerance is None or found.report.total <= tolerance:
+        return []
+    return [found.status + of_modes(scene, found.report)]
 
 
 def of_modes(scene: Scene, report: ErrorReport) -> str:

@@ -22,7 +22,7 @@ from mpi4py import MPI
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli import tables
-from fenics_crack.cli.judgements import of_cases, of_curve, of_error, of_modes, of_stability
+from fenics_crack.cli.judgements import of_cases, of_curve, of_error, of_stability, of_tolerance
 from fenics_crack.cli.pictures import draw_run, draw_scene
 from fenics_crack.cli.scenes import harmonics_in_words
 from fenics_crack.cli.sweep_pictures import draw_sweep
@@ -227,10 +227,8 @@ def _of_solution(run: Run[PeriodicSolution], pictures: list[str]) -> _Found:
         fact += f"; the crack opens by {quantity(values['opening'], 'm')} and is closed for "
         fact += f"{values['closed_share']:.0%} of the period"
     scene, errors = run.scene, _errors_in_words(found)
-    doubts = (
-        [] if found.converged else [f"not converged: {found.status}{of_modes(scene, found.report)}"]
-    )
-    if found.gap_coefficients.size:
+    doubts = of_tolerance(scene, found) if found.converged else [f"not converged: {found.status}"]
+    if found.gap_coefficients.size and not doubts:
         doubts += of_error(scene, found.report, found.harmonics)
     doubts += of_stability(scene, run, found.stability)
     verdict = html.paragraph(*_verdict(found))

@@ -20,7 +20,7 @@ The displacement is sought in the span of a basis T, u = T q:
 
 With mass, T is made M-orthonormal and K-diagonal: the reduced structure is diagonal. Its
 *reference* has in addition the static response to the inertia of Psi, K^-1 M Psi, the next term of
-the expansion in w^2; that of a massless one has half as many modes more. The difference between
+the expansion in w^2; that of a massless one has twice the modes. The difference between
 both is the estimate of the reduction error.
 """
 
@@ -146,8 +146,8 @@ def reduce_structure(
 
 
 def _massless(structure: Structure, modes: int) -> MasslessStructure:
-    """Modes and the rest without mass; its reference has more modes."""
-    more = min(modes + max(modes // 2, 10), structure.n_dofs - structure.n_pairs)
+    """Modes and the rest without mass; its reference has twice the modes."""
+    more = min(2 * modes, structure.n_dofs - structure.n_pairs)
     if more <= modes:  # else something is left for every pair, without which it has mass
         more = structure.n_dofs
     loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0

@@ -33,7 +33,10 @@ from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples
 from fenics_crack.table import Described, counted
 
-__all__ = ["INSTANTS", "PeriodicOrbit", "Prediction", "eigenvalues", "find_orbit", "predict"]
+__all__ = [
+    "INSTANTS", "OrbitCoefficients", "PeriodicOrbit", "Prediction", "eigenvalues", "find_orbit",
+    "predict",
+]  # fmt: skip
 
 FLOWS, SHORTEST = 20, 1e-3
 """Periods followed before an orbit is given up, and how short a step may become."""
@@ -142,9 +145,14 @@ class PeriodicOrbit(Described):
         return found
 
     @cached_property
+    def sampled(self) -> Samples:
+        """The motion at 512 equally spaced times of the period."""
+        return self.samples(np.arange(INSTANTS) * self.period / INSTANTS)
+
+    @property
     def gap(self) -> np.ndarray:
-        """g at equally spaced times of the period: (512, n_pairs) [m]."""
-        return self.samples(np.arange(INSTANTS) * self.period / INSTANTS).gap
+        """g there: (512, n_pairs) [m]."""
+        return self.sampled.gap
 
     def gap_at(self, time: np.ndarray) -> np.ndarray:
         """g at times [s]: (len(time), n_pairs) [m]."""

@@ -97,7 +97,7 @@ def _by_orbit(judged: Judgement) -> Stability:
     verdict, reason, largest = "undecided", judged.reason, abs(orbit.multipliers[0])
     if not reason and abs(largest - 1.0) <= SURE:
         reason = "its largest multiplier is 1 to rounding: a bifurcation, or no damping"
-    if not reason and largest < 1.0:
+    if not reason and largest < 1.0 and not judged.of_orbit:
         reason = _doubt(orbit, judged)
     if not reason:
         verdict = "stable" if largest < 1.0 else "unstable"

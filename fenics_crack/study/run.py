@@ -11,7 +11,10 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.harmonic_balance import solve_harmonic_balance, solve_linear
+from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.balance.solver import Solver
+from fenics_crack.balance.to_tolerance import FEWEST, FIRST_MODES, solve_to_tolerance
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.follow import continue_frequency, continue_parameter
 from fenics_crack.errors import ConvergenceError, InputError
@@ -20,7 +23,6 @@ from fenics_crack.files.store import read_scene
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes, solve_modes
-from fenics_crack.model.reduced import massless
 from fenics_crack.model.reduction import MODES
 from fenics_crack.model.run_up_basis import run_up_structure
 from fenics_crack.model.structure import Structure
@@ -147,33 +149,26 @@ def solve_prepared(whole: Study) -> Run[PeriodicSolution]:
 def _solve_to_tolerance(
     whole: Study, law: ContactLaw, tolerance: float
 ) -> tuple[Study, PeriodicSolution]:
-    """The solution with an estimated error, and its study with the modes that it takes.
-
-    Of a large structure whose lips lose their mass harmonics and modes are raised together; else
-    the modes are doubled until the error of the reduction is small enough.
-    """
+    """The solution to a tolerance, and its study with the modes that it takes."""
     scene, structure = whole.scene, whole.structure
-    omega = scene.excitation.omega
-    table = reduction_of(scene, structure)
-    chosen = table is not None and (scene.reduction is None or scene.reduction.modes is None)
-    if table is not None and chosen and table.method == "massless" and not is_small(structure):
-        check_memory_of(scene, structure)
-        found = solve_harmonic_balance(structure, omega, law, tolerance=tolerance, throw=False)
-        lips = massless(found.structure)
-        assert lips is not None
-        kept = {"reduction.method": "massless", "reduction.modes": lips.n_modes}
-        return replace(whole, scene=scene.replace(kept), structure=lips), found
-    modes = 0 if table is None else modes_of(scene, table)
-    while True:
-        study = reduced(replace(whole, scene=scene))
-        found = solve_harmonic_balance(
+    omega, table = scene.excitation.omega, reduction_of(scene, structure)
+    if table is None or (scene.reduction is not None and scene.reduction.modes is not None):
+        study = reduced(whole)
+        return study, solve_harmonic_balance(
             study.structure, omega, law, tolerance=tolerance, throw=False
         )
-        enough = found.converged or not found.report.reduction > tolerance
-        modes *= 2
-        if enough or not chosen or modes >= structure.n_dofs:
-            return study, found
-        scene = scene.replace({"reduction.modes": modes})
+    studies: list[Study] = []
+
+    def reduced_to(modes: int) -> Structure:
+        kept = {"reduction.method": table.method, "reduction.modes": modes}
+        studies.append(reduced(replace(whole, scene=scene.replace(kept))))
+        return studies[-1].structure
+
+    large = table.method == "massless" and not is_small(structure)
+    modes = FIRST_MODES if large else modes_of(scene, table)
+    solver = Solver(Problem(structure, omega, law, FEWEST), throw=False)
+    found = solve_to_tolerance(solver, tolerance, reduced_to=reduced_to, modes=modes)
+    return next(study for study in studies if study.structure is found.structure), found
 
 
 def follow_curve(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from helpers import OMEGA_0, chain, oscillator, true_error
@@ -257,15 +259,16 @@ def test_tolerance_with_stiff_contact(soft_plate: fc.Structure) -> None:
 
 
 def test_tolerance_out_of_reach(soft_plate: fc.Structure, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The best solution is returned, marked as not converged."""
-    monkeypatch.setattr("fenics_crack.balance.to_tolerance.MAX_HARMONICS", 40)
-    monkeypatch.setattr("fenics_crack.balance.exact_solution.MOST", 40)
+    """The best solution is returned, with the word of what it lacks; it is solved all the same.
+    With ``throw`` it is an error."""
+    monkeypatch.setattr("fenics_crack.balance.to_tolerance.MAX_KEPT", 40)
     law = fc.UnilateralPenalty(1e11)
-    with pytest.raises(fc.ConvergenceError, match=r"with H = 40, stays above 1e-05.*truncation"):
+    missed = r"solved; error [\d.]+ %, asked 1e-05; what limits it: harmonics \(H = 40\)"
+    with pytest.raises(fc.ConvergenceError, match=missed):
         fc.solve_harmonic_balance(soft_plate, 1000.0, law, tolerance=1e-5)
     best = fc.solve_harmonic_balance(soft_plate, 1000.0, law, tolerance=1e-5, throw=False)
-    assert not best.converged and best.harmonics == 40
-    assert best.report.total > 1e-5 and "above the tolerance: truncation" in best.status
+    assert best.converged and best.harmonics == 40 and re.match(missed, best.status)
+    assert 1e-5 < best.report.total < 1e-2
 
 
 def test_tolerance_on_a_large_structure(large_plate: fc.Structure) -> None:
@@ -292,18 +295,14 @@ def test_tolerance_on_a_large_structure(large_plate: fc.Structure) -> None:
     assert sizes[0][1] <= sizes[1][1] <= sizes[2][1] and sizes[0][1] < sizes[2][1]
 
 
-def test_tolerance_chooses_the_samples_of_a_smoothed_law() -> None:
-    """A sharp law needs more than the default number of them, and gets it; true error below."""
+def test_tolerance_of_a_smoothed_law() -> None:
+    """Which has no exact flow: as many harmonics as bring the estimate down; true error below."""
     law = fc.SmoothedPenalty(1.0, 1e3)
     exact = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=150, samples=1 << 17)
-    samples = []
     for tolerance in (1e-3, 1e-6, 1e-7):
         found = fc.solve_harmonic_balance(oscillator(), 1.0, law, tolerance=tolerance)
         assert true_error(found, exact) < tolerance
-        assert found.report.sampling < tolerance
-        words = found.status.split()
-        samples.append(int(words[words.index("samples") - 1]) if "samples" in words else 1024)
-    assert samples[0] == 1024 < samples[1] < samples[2]
+        assert found.report.total <= tolerance and f"H = {found.harmonics}" in found.status
 
 
 @pytest.mark.parametrize("contact", [fc.UnilateralPenalty(1e9), fc.UnilateralConstraint()])
@@ -319,5 +318,5 @@ def test_tolerance_with_several_stiff_pairs(
 
 def test_tolerance_out_of_reach_is_an_error() -> None:
     """A tolerance below rounding is an error."""
-    with pytest.raises(fc.ConvergenceError, match="estimated error"):
+    with pytest.raises(fc.ConvergenceError, match="asked 1e-18; what limits it: harmonics"):
         fc.solve_harmonic_balance(oscillator(), 1.0, fc.UnilateralPenalty(1.0), tolerance=1e-18)
