@@ -146,8 +146,8 @@ def reduce_structure(
 
 
 def _massless(structure: Structure, modes: int) -> MasslessStructure:
-    """Modes and the rest without mass; its reference has twice the modes."""
-    more = min(2 * modes, structure.n_dofs - structure.n_pairs)
+    """Modes and the rest without mass; its reference has twice the modes, or ten more."""
+    more = min(modes + max(modes, 10), structure.n_dofs - structure.n_pairs)
     if more <= modes:  # else something is left for every pair, without which it has mass
         more = structure.n_dofs
     loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
