@@ -134,8 +134,15 @@ def _solved(solver: Solver, tolerance: float, initial: PeriodicSolution | None) 
         near, orbit, way = _sought(solver, flow, initial)
         if orbit is not None:
             return replace(_kept(solver, orbit, tolerance), status=way)
-        initial = near or initial
-    return _by_harmonics(solver, tolerance, initial)
+        if near is not None:  # its error may be known all the same
+            initial, problem = near, problem.with_harmonics(near.harmonics)
+            solver = replace(solver, problem=problem)
+    found = _by_harmonics(solver, tolerance, initial)
+    if flow is None or flow.size > AFFORDABLE or not found.converged:
+        return found
+    tried = ", ".join(map(str, RUNGS))
+    tried = f"no exact orbit from H = {tried} nor by following the motion"
+    return replace(found, status=f"{tried}; {found.status}")
 
 
 # --- by an orbit ----------------------------------------------------------------------------------
