@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers import DEMOS
+from helpers import DEMOS, MPI_ENVIRONMENT
 from hypothesis import settings
 from mpi4py import MPI
 
@@ -25,14 +25,6 @@ from fenics_crack import Scene, Structure, build_structure, reduce_structure
 # The same examples in every run; the first call of a form may compile for seconds.
 settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)
 settings.load_profile("repeatable")
-
-MPI_ENVIRONMENT = {
-    "OMP_NUM_THREADS": "1",
-    "OMPI_ALLOW_RUN_AS_ROOT": "1",
-    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
-    "OMPI_MCA_rmaps_base_oversubscribe": "1",  # Open MPI 4
-    "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",  # Open MPI 5
-}
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -23,6 +23,13 @@ from fenics_crack.files.store import digest, places, texts
 
 ROOT = Path(__file__).parents[1]
 DEMOS = ROOT / "demos"
+MPI_ENVIRONMENT = {
+    "OMP_NUM_THREADS": "1",
+    "OMPI_ALLOW_RUN_AS_ROOT": "1",
+    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+    "OMPI_MCA_rmaps_base_oversubscribe": "1",  # Open MPI 4
+    "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",  # Open MPI 5
+}
 
 OMEGA_0 = 2.0 * np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
 """Natural frequency of the bilinear oscillator with kc = 1."""

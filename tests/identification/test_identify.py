@@ -13,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import MPI_ENVIRONMENT
-from helpers import ROOT
+from helpers import MPI_ENVIRONMENT, ROOT
 from mpi4py import MPI
 
 import fenics_crack as fc

@@ -17,8 +17,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from conftest import MPI_ENVIRONMENT
-from helpers import changed
+from helpers import MPI_ENVIRONMENT, changed
 from mpi4py import MPI
 from rotating import cracked
 
