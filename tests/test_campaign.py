@@ -11,11 +11,10 @@ WERE_WRONG = {
     66: "estimate of 0.8 % where the exact orbit is 9.5 % away: Newton's second step in the wider "
     "equations is nine times the first",
     86: "a tolerance of 1 % missed by 12 % of it: the second step is twice the first",
-    412: "estimate of 0.3 % by two steps, the second a tenth of the first, where orbits are 1.2 "
-    "and 1.4 % away, so that the verdict is open",
 }
 NOT_KNOWN = {
-    553: "estimate of 7 %, the exact orbit is 40 % away: the second step a quarter of the first"
+    553: "estimate of 7 %, the exact orbit is 40 % away: the second step a quarter of the first",
+    412: "estimate of 0.3 %, where orbits are 1.2 and 1.4 % away: Newton's method leads to none",
 }
 BY_EXACT_ORBITS = {
     23: "a tolerance of 1 % missed by 8 % of it: the steps never end",

@@ -123,10 +123,11 @@ class Judgement:
     def errors(self, *, search: bool = True) -> tuple[float, float]:
         """Of the gap, and of the displacement at the load in the direction of each of its parts:
         the distance to the wave's own orbit, where one is looked for and found; what is predicted
-        where none is; :data:`UNKNOWN` where the orbit is another one, or the prediction large."""
+        where none is looked for. :data:`UNKNOWN` where none is found, next to grazing say, or that
+        is another one, or the prediction is large."""
         if search and self.distance <= max(BELIEVED * self.prediction, CLOSE):
             return self.distance, self._away_at_load
-        if self.prediction < FARTHEST and not (search and self.orbit):
+        if self.prediction < FARTHEST and not search:
             return self.prediction, self._predicted_at_load
         return UNKNOWN, UNKNOWN
 
