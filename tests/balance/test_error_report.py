@@ -284,7 +284,7 @@ def test_tolerance_on_a_large_structure(large_plate: fc.Structure) -> None:
         assert true_error(found, exact) < tolerance
         assert found.report.total < tolerance and found.report.reduction < tolerance
         assert isinstance(found.structure, fc.ReducedStructure)
-        assert found.structure.n_dofs < 0.1 * large_plate.n_dofs
+        assert found.structure.n_dofs < 0.2 * large_plate.n_dofs
         assert f"H = {found.harmonics}, " in found.status
         assert f"modes ({found.structure.n_dofs} coordinates)" in found.status
         motion = found.coefficients_at([corner]), exact.coefficients_at([corner])

@@ -55,7 +55,7 @@ def contact_release() -> list[Row]:
     low, high = 0.9 * contact, 1.1 * contact
     for _ in range(45):  # the instant of release
         middle = 0.5 * (low + high)
-        held = flow.advance(start, 1.0, middle).events == 0
+        held = flow.advance(start, 1.0, middle).track.sets[-1, 0]
         low, high = (middle, high) if held else (low, middle)
     time = np.linspace(0.0, (1.0 - 1e-10) * contact, 2001)
     force = flow.advance(start, 1.0, time[-1], instants=time).samples.force[:, 0]
