@@ -872,7 +872,7 @@ def try_part(part: str, arguments: common.Arguments) -> None:
     rows = _rows(path, part, cases)
     done = {int(row[1]) for row in rows}
     new = not path.exists()
-    with open(path, "a", newline="") as file:
+    with open(path, "a", newline="", encoding="utf-8", errors="backslashreplace") as file:
         writer = csv.writer(file)
         if new:
             writer.writerow(COLUMNS)
@@ -897,7 +897,7 @@ def _rows(path: Path, part: str, cases: range) -> list[list[str]]:
     """Rows of a file that is there."""
     if not path.exists():
         return []
-    with open(path, newline="") as file:
+    with open(path, newline="", encoding="utf-8") as file:
         rows = [row for row in csv.reader(file) if len(row) == len(COLUMNS)]
     return [row for row in rows[1:] if row[0] == part and int(row[1]) in cases]
 
