@@ -371,14 +371,18 @@ def _filled(
     if len(parameters) < 2:
         return np.zeros(len(parameters)), motions, parameters
     size = float(np.linalg.norm(motions, axis=1).mean()) or 1.0
+    rise = np.log(parameters[1:] / parameters[:-1])
     both = np.column_stack([motions / size, parameters])
     length = np.maximum(np.linalg.norm(np.diff(both, axis=0), axis=1), 1e-12)
-    counts = np.ceil(np.abs(np.diff(parameters)) / (longest[:-1] * parameters[:-1])).astype(int)
-    at = [n + np.arange(max(count, 1)) / max(count, 1) for n, count in enumerate(counts)]
-    numbers = np.append(np.concatenate(at), len(parameters) - 1.0)
+    counts = np.maximum(np.ceil(np.abs(rise) / longest[:-1]), 1.0)
+    at = np.concatenate([n + np.arange(count) / count for n, count in enumerate(counts)])
+    between = at.astype(int)
+    growth = np.where(rise == 0.0, 1e-30, rise)[between]  # by the same factor from place to place
+    shares = np.expm1(growth * (at - between)) / np.expm1(growth)
     along = np.concatenate([[0.0], np.cumsum(length)])
-    found = CubicSpline(along, both)(np.interp(numbers, np.arange(len(along)), along))
-    return numbers, size * found[:, :-1], found[:, -1]
+    places = np.append(along[between] + shares * length[between], along[-1])
+    found = CubicSpline(along, both)(places)
+    return np.append(at, len(length)), size * found[:, :-1], found[:, -1]
 
 
 def _distinct(crossings: list[_Crossing]) -> list[_Crossing]:

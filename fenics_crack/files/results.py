@@ -19,6 +19,7 @@ from fenics_crack.errors import InputError
 from fenics_crack.files.modes_file import pack_modes, unpack_modes
 from fenics_crack.files.store import Stored, read, write
 from fenics_crack.model.contact import ContactLaw, UnilateralConstraint, is_rigid
+from fenics_crack.model.matrices import LARGEST
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.reduction import reduce_structure
@@ -155,7 +156,11 @@ def _unpack_solution(parts: Parts, structure: Structure, contact: Law) -> Period
         contact = UnilateralConstraint(parts.pop("weight", None))
     report = ErrorReport(**{f.name: parts.pop(f"error_{f.name}") for f in fields(ErrorReport)})
     judged = {f.name: parts.pop(f.name) for f in fields(Stability) if f.name in parts}
+    if judged and (judged["multipliers"].ndim != 1 or not judged["multipliers"].size):
+        raise ValueError("its multipliers do not fit")
     omega, subharmonic = parts["omega"], parts["subharmonic"]
+    if not omega >= 0.0 or subharmonic < 1:
+        raise ValueError("its frequency does not fit")
     compliance = dynamic_compliance(structure, omega / subharmonic, len(gap) // 2, subharmonic)
     displacement = compliance.displacement(force)
     compliance.destroy()
@@ -210,7 +215,8 @@ def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseC
     unknowns = parts["unknowns"]
     along = (f.name for f in fields(ResponseCurve) if "np.ndarray" in str(f.type))
     sizes = {len(parts[name]) for name in along if name in parts}
-    if parts["parameter"] not in FAMILIES or unknowns.ndim != 3 or len(sizes) != 1:
+    fits = unknowns.ndim == 3 and len(sizes) == 1 and parts["subharmonic"] >= 1
+    if parts["parameter"] not in FAMILIES or not fits:
         raise ValueError("its parts do not fit")
     check_pairs(structure, unknowns)
     kinds, values = parts.pop("kinds"), parts.pop("bifurcation_values").tolist()
@@ -255,7 +261,7 @@ def _unpack_history(parts: Parts, structure: Structure, contact: Law) -> TimeHis
     count, dofs = parts["time"].size, parts["recorded_dofs"]
     shapes: dict[str, tuple[int, ...]] = {"time": (count,), "recorded_dofs": (dofs.size,)}
     shapes |= {name: (count, structure.n_pairs) for name in ("gap", "contact_force")}
-    shapes["recorded"] = count, dofs.size
+    shapes |= {"recorded": (count, dofs.size), "final_state": (2, structure.n_local)}
     if any(parts[name].shape != shape for name, shape in shapes.items()):
         raise ValueError("its parts do not fit")
     if parts["steps_per_period"] < 1 or count % parts["steps_per_period"]:
@@ -310,22 +316,31 @@ Unpack = Callable[[Parts, Structure, Law], Result]
 
 
 def _checked(kind: type[Result], unpack: Unpack) -> Unpack:
-    """What unpacks datasets, once each is an array, or none, as the result's field says, and of
-    complex numbers only multipliers; raises ValueError."""
-    kinds = {field.name: str(field.type) for field in fields(kind)}
+    """What unpacks datasets, once each is of the kind that the result's field says, numbers are of
+    a size that can be computed with or nan, and of them only multipliers complex; raises
+    ValueError."""
+    kinds = {f"error_{field.name}": str(field.type) for field in fields(ErrorReport)}
+    kinds |= {field.name: str(field.type) for field in (*fields(Stability), *fields(kind))}
+    kinds["final_state"] = "np.ndarray"
+
+    def fits(name: str, value: Any) -> bool:
+        declared = kinds.get(name, "").removesuffix(" | None")
+        if not isinstance(value, np.ndarray):
+            return isinstance(value, _SCALARS.get(declared, object)) and declared != "np.ndarray"
+        numeric = value.dtype.kind in ("bifuc" if name == "multipliers" else "bifu")
+        return declared in ("", "np.ndarray") and numeric and not np.any(np.abs(value) > LARGEST)
 
     def checked(parts: Parts, structure: Structure, contact: Law) -> Result:
         for name, value in parts.items():
-            if name not in kinds or name == "final_state":
-                continue
-            several = isinstance(value, np.ndarray)
-            allowed = "bifuc" if name == "multipliers" else "bifu"
-            numbers = not several or value.dtype.kind in allowed
-            if several != ("np.ndarray" in kinds[name]) or not numbers:
+            if not fits(name, value):
                 raise ValueError(f"its {name} does not fit")
         return unpack(parts, structure, contact)
 
     return checked
+
+
+_SCALARS: dict[str, Any] = {"float": (float, int), "int": int, "bool": bool, "str": str}
+"""Types of numbers and words by those of the fields."""
 
 
 _FORMS: dict[type[Result], tuple[Pack, Unpack]] = {

@@ -261,7 +261,7 @@ class Stored:
             yield dict(self.parts)
         except InputError:
             raise
-        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
             allowed = f"a {self.kind} written by save ({error})"
             raise InputError("path", str(self.path), allowed) from None
 
@@ -322,6 +322,8 @@ def _read(path: Path) -> Stored:
     if stored.attributes.get("program") != PROGRAM or "kind" not in stored.attributes:
         raise InputError("path", str(path), f"a result file of {PROGRAM}")
     stored.check_digest()
+    if missing := {"version", "versions"} - stored.attributes.keys():
+        raise InputError("path", str(path), f"a file with the attribute {min(missing)}")
     return stored
 
 

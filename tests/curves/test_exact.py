@@ -75,6 +75,16 @@ def test_another_number_of_harmonics_finds_the_same(
     assert abs(abs(orbit.multipliers[0]) - 1.0) < 1e-3
 
 
+def test_places_between_points() -> None:
+    """No step is longer than allowed, relative, and there are few however far apart points are."""
+    parameters = np.array([1.0, 1.0005, 1.0005, 1.1, 1.2, 1e15])
+    at, _, found = exact._filled(np.zeros((6, 1)), parameters, np.full(6, 1e-3))
+    assert len(at) == len(set(at)) < 35_000
+    assert np.allclose(found[at % 1.0 == 0.0][:-1], parameters[:-1], rtol=1e-12)
+    _, _, found = exact._filled(np.zeros((3, 1)), np.array([1.0, 1.1, 1.2]), np.full(3, 1e-3))
+    assert np.abs(np.diff(np.log(found))).max() < 1.05e-3
+
+
 def test_two_masses_and_a_stop() -> None:
     """From event to event: all special points are confirmed, where refinement puts them, also with
     few harmonics."""

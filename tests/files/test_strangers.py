@@ -244,7 +244,10 @@ def test_a_result_of_an_older_version(
 
 def test_words_for_numbers(result: Path, structure: fc.Structure) -> None:
     """A forger's digest is right; what is not as save writes it is refused all the same."""
-    for name, value in {"omega": "fast", "gap_coefficients": 1.0, "new": [1, 2]}.items():
+    values = {"omega": "fast", "gap_coefficients": 1.0, "new": [1, 2], "error_sampling": "small"}
+    values |= {"subharmonic": 0, "converged": 2.0, "status": 1}
+    values |= {"force_coefficients": np.full((7, 1), 1e300)}
+    for name, value in values.items():
         forged = result.with_name(f"{name}.h5")
         shutil.copy(result, forged)
         with changed(forged) as file:
@@ -253,6 +256,10 @@ def test_words_for_numbers(result: Path, structure: fc.Structure) -> None:
             file[name] = value
         with pytest.raises(fc.InputError, match="path"):
             fc.load(forged, structure)
+    with changed(result) as file:
+        del file.attrs["versions"]
+    with pytest.raises(fc.InputError, match="the attribute versions"):
+        fc.load(result, structure)
 
 
 def flipped(content: bytes, rng: random.Random) -> bytes:
