@@ -262,6 +262,23 @@ def test_words_for_numbers(result: Path, structure: fc.Structure) -> None:
         fc.load(result, structure)
 
 
+def test_parts_that_do_not_fit(structure: fc.Structure, home: Path) -> None:
+    """A forger's curve: each part is a table of numbers, and not as long as the others."""
+    law = fc.UnilateralPenalty(1.0)
+    curve = fc.continue_frequency(structure, 0.5, 0.52, law, harmonics=3)
+    fc.save(curve, home / "curve.h5")
+    assert np.array_equal(fc.load(home / "curve.h5", structure, law).omega, curve.omega)
+    values = {"unknowns": curve.unknowns[:, :-1], "iterations": curve.iterations[1:]}
+    values |= {"harmonics": curve.harmonics + 1, "truncation": curve.truncation[:, None]}
+    for name, value in values.items():
+        shutil.copy("curve.h5", "forged.h5")
+        with changed(home / "forged.h5") as file:
+            del file[name]
+            file[name] = value
+        with pytest.raises(fc.InputError, match="fit"):
+            fc.load(home / "forged.h5", structure, law)
+
+
 def flipped(content: bytes, rng: random.Random) -> bytes:
     """With one to three bits turned, half of them where HDF5 keeps its own."""
     changed = bytearray(content)
