@@ -81,6 +81,11 @@ class ArrivalTimes(Tabular):
             raise InputError("time", f"of shape {self.time.shape}", allowed)
         if not np.any(np.isfinite(self.time)):
             raise InputError("time", "no finite number", "the times of some arrivals")
+        turn, after = np.diff(self.marks)[:, None], self.time - self.marks[:-1, None]
+        wrong = (after < -turn) | (after > 2.0 * turn)
+        if np.any(wrong):
+            allowed = "within the revolution of the row, the one before or the one after; or nan"
+            raise InputError("time", float(self.time[wrong][0]), allowed)
 
     def __len__(self) -> int:
         return len(self.time)

@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from fenics_crack.errors import InputError
 from fenics_crack.fem.nodal_mesh import NodalMesh
+from fenics_crack.files.store import check_shapes
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
@@ -35,14 +36,16 @@ def unpack_modes(parts: dict[str, Any], structure: Structure, contact: object = 
     InputError
         The structure has other nodes, or another number of dofs.
     """
+    check_shapes(parts, {"omega": (len(parts["shapes"]),)})
     if structure.whole.nodes is None:
         return _of_dofs(parts, structure.whole)
     mesh, whole = NodalMesh(structure), structure.whole
     assert whole.nodes is not None
     marks = _marks(mesh)
     omega, shapes, then = parts["omega"], parts["shapes"], parts["nodes"]
+    check_shapes(parts, {"shapes": (len(omega), len(then), 2), "nodes": (-1, 4)})
     distance, place = cKDTree(then).query(marks)
-    same = then.shape == marks.shape and len(set(place)) == len(place)
+    same = len(then) == len(marks) and len(set(place)) == len(place)
     if not same or distance.max() > 1e-6 * mesh.size:
         raise InputError("structure", f"{len(marks)} nodes", f"that of the file, {len(then)}")
     first = whole.comm.exscan(len(whole.nodes.points)) or 0

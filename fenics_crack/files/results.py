@@ -17,8 +17,9 @@ from fenics_crack.curves.backbone import Backbone
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
 from fenics_crack.files.modes_file import pack_modes, unpack_modes
-from fenics_crack.files.store import Stored, read, write
+from fenics_crack.files.store import Stored, check_shapes, read, write
 from fenics_crack.model.contact import ContactLaw, UnilateralConstraint, is_rigid
+from fenics_crack.model.matrices import LARGEST
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.reduction import reduce_structure
@@ -31,6 +32,7 @@ __all__ = ["Result", "check_gap", "check_pairs", "load", "save", "type_of", "unp
 Result = Modes | PeriodicSolution | ResponseCurve | Backbone | TimeHistory
 Law = ContactLaw | None
 Parts = dict[str, Any]
+Shapes = dict[str, tuple[int, ...]]
 
 
 def save(
@@ -147,8 +149,9 @@ def _pack_solution(solution: PeriodicSolution) -> Parts:
 
 def _unpack_solution(parts: Parts, structure: Structure, contact: Law) -> PeriodicSolution:
     gap, force = parts["gap_coefficients"], parts["force_coefficients"]
-    if gap.ndim != 2 or gap.shape != force.shape or not len(gap) % 2:
-        raise ValueError("coefficients do not fit")
+    shape = len(gap) | 1, gap.shape[-1]
+    check_shapes(parts, {"gap_coefficients": shape, "force_coefficients": shape})
+    check_shapes(parts, {"multipliers": (max(np.size(parts.get("multipliers")), 1),)})
     check_pairs(structure, gap)
     _take_law(parts, contact)
     if is_rigid(contact):
@@ -156,6 +159,8 @@ def _unpack_solution(parts: Parts, structure: Structure, contact: Law) -> Period
     report = ErrorReport(**{f.name: parts.pop(f"error_{f.name}") for f in fields(ErrorReport)})
     judged = {f.name: parts.pop(f.name) for f in fields(Stability) if f.name in parts}
     omega, subharmonic = parts["omega"], parts["subharmonic"]
+    if not omega >= 0.0 or subharmonic < 1:
+        raise ValueError("its frequency does not fit")
     compliance = dynamic_compliance(structure, omega / subharmonic, len(gap) // 2, subharmonic)
     displacement = compliance.displacement(force)
     compliance.destroy()
@@ -207,13 +212,21 @@ def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseC
     if not is_small(structure):
         structure = reduce_structure(structure, method="massless")
     _take_law(parts, contact)
-    unknowns = parts["unknowns"]
-    along = (f.name for f in fields(ResponseCurve) if "np.ndarray" in str(f.type))
-    sizes = {len(parts[name]) for name in along if name in parts}
-    if parts["parameter"] not in FAMILIES or unknowns.ndim != 3 or len(sizes) != 1:
-        raise ValueError("its parts do not fit")
+    unknowns, harmonics, kinds = parts["unknowns"], parts["harmonics"], parts["kinds"]
     check_pairs(structure, unknowns)
-    kinds, values = parts.pop("kinds"), parts.pop("bifurcation_values").tolist()
+    along = [f.name for f in fields(ResponseCurve) if "np.ndarray" in str(f.type)]
+    shapes: Shapes = dict.fromkeys(along, (len(unknowns),))
+    shapes["unknowns"] = len(unknowns), unknowns.shape[1] | 1, structure.n_pairs
+    shapes |= dict.fromkeys(("bifurcation_values", "exact_values"), (len(kinds),))
+    for number in range(len(kinds)):
+        name = f"bifurcation_{number}"
+        shapes[name] = len(parts[name]) | 1, structure.n_pairs
+    check_shapes(parts, shapes)
+    known_kind = parts["parameter"] in FAMILIES and parts["subharmonic"] >= 1
+    if not known_kind or not 0 <= harmonics.min() <= harmonics.max() <= unknowns.shape[1] // 2:
+        raise ValueError("its parts do not fit")
+    del parts["kinds"]
+    values = parts.pop("bifurcation_values").tolist()
     special = [
         (kind, value, parts.pop(f"bifurcation_{number}"))
         for number, (kind, value) in enumerate(zip(kinds, values, strict=True))
@@ -237,7 +250,10 @@ def _pack_backbone(backbone: Backbone) -> Parts:
 
 def _unpack_backbone(parts: Parts, structure: Structure, contact: Law) -> Backbone:
     _take_law(parts, contact)
-    parts["cosines"] = _signs(structure, parts.pop("couplings")) * parts["cosines"]
+    signs, count = _signs(structure, parts.pop("couplings")), parts["omega"].size
+    shapes: Shapes = dict.fromkeys(("omega", "energy", "iterations", "jumps"), (count,))
+    check_shapes(parts, shapes | {"cosines": (count, -1, structure.n_local)})
+    parts["cosines"] = signs * parts["cosines"]
     known: Parts = {"structure": structure, "contact": contact, "samples": None}
     return Backbone(**(known | parts))
 
@@ -252,15 +268,14 @@ def _pack_history(history: TimeHistory) -> Parts:
 
 
 def _unpack_history(parts: Parts, structure: Structure, contact: Law) -> TimeHistory:
+    signs = _signs(structure, parts.pop("couplings"))
     count, dofs = parts["time"].size, parts["recorded_dofs"]
-    shapes: dict[str, tuple[int, ...]] = {"time": (count,), "recorded_dofs": (dofs.size,)}
+    shapes: Shapes = {"time": (count,), "recorded_dofs": (dofs.size,)}
     shapes |= {name: (count, structure.n_pairs) for name in ("gap", "contact_force")}
-    shapes["recorded"] = count, dofs.size
-    if any(parts[name].shape != shape for name, shape in shapes.items()):
-        raise ValueError("its parts do not fit")
+    shapes |= {"recorded": (count, dofs.size), "final_state": (2, structure.n_local)}
+    check_shapes(parts, shapes)
     if parts["steps_per_period"] < 1 or count % parts["steps_per_period"]:
         raise ValueError("it does not hold whole periods")
-    signs = _signs(structure, parts.pop("couplings"))
     parts["final_state"] = tuple(signs * parts["final_state"])
     parts["recorded"] = signs[parts["recorded_dofs"] - structure.first_dof] * parts["recorded"]
     return TimeHistory(structure=structure, **parts)
@@ -310,23 +325,33 @@ Unpack = Callable[[Parts, Structure, Law], Result]
 
 
 def _checked(kind: type[Result], unpack: Unpack) -> Unpack:
-    """What unpacks datasets, once each is an array, or none, as the result's field says, and of
-    complex numbers only multipliers; raises ValueError."""
-    kinds = {field.name: str(field.type) for field in fields(kind)}
+    """What unpacks datasets, once each is of the kind that the result's field says, numbers are of
+    a size that can be computed with or nan, and of them only multipliers complex; raises
+    ValueError."""
+    kinds = {f"error_{field.name}": str(field.type) for field in fields(ErrorReport)}
+    kinds |= {field.name: str(field.type) for field in (*fields(Stability), *fields(kind))}
+    kinds["final_state"] = "np.ndarray"
+
+    def fits(name: str, value: Any) -> bool:
+        declared = kinds.get(name, "").removesuffix(" | None")
+        if not isinstance(value, np.ndarray):
+            return isinstance(value, _SCALARS.get(declared, object)) and declared != "np.ndarray"
+        numeric = value.dtype.kind in _ARRAYS.get(name, "bifu")
+        return declared in ("", "np.ndarray") and numeric and not np.any(np.abs(value) > LARGEST)
 
     def checked(parts: Parts, structure: Structure, contact: Law) -> Result:
         for name, value in parts.items():
-            if name not in kinds or name == "final_state":
-                continue
-            several = isinstance(value, np.ndarray)
-            allowed = "bifuc" if name == "multipliers" else "bifu"
-            numbers = not several or value.dtype.kind in allowed
-            if several != ("np.ndarray" in kinds[name]) or not numbers:
+            if not fits(name, value):
                 raise ValueError(f"its {name} does not fit")
         return unpack(parts, structure, contact)
 
     return checked
 
+
+_SCALARS: dict[str, Any] = {"float": (float, int), "int": int, "bool": bool, "str": str}
+"""Types of numbers and words by those of the fields."""
+_ARRAYS = {"multipliers": "bifuc", "harmonics": "iu", "undecided": "b", "jumps": "b"}
+"""Kinds of the types of arrays, where not every real one will do."""
 
 _FORMS: dict[type[Result], tuple[Pack, Unpack]] = {
     Modes: (pack_modes, _checked(Modes, unpack_modes)),

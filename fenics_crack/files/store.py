@@ -38,6 +38,7 @@ from fenics_crack.whole import write_whole
 __all__ = [
     "Column",
     "Stored",
+    "check_shapes",
     "digest",
     "header",
     "kind_of",
@@ -261,7 +262,7 @@ class Stored:
             yield dict(self.parts)
         except InputError:
             raise
-        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError) as error:
             allowed = f"a {self.kind} written by save ({error})"
             raise InputError("path", str(self.path), allowed) from None
 
@@ -322,6 +323,8 @@ def _read(path: Path) -> Stored:
     if stored.attributes.get("program") != PROGRAM or "kind" not in stored.attributes:
         raise InputError("path", str(path), f"a result file of {PROGRAM}")
     stored.check_digest()
+    if missing := {"version", "versions"} - stored.attributes.keys():
+        raise InputError("path", str(path), f"a file with the attribute {min(missing)}")
     return stored
 
 
@@ -335,6 +338,15 @@ def _taken_over(path: Path, found: Mapping[str, np.ndarray]) -> Stored:
         for name, (kind, shape, offset) in head["columns"].items()
     }
     return Stored(path, head["attributes"], head["words"] | numbers, columns)
+
+
+def check_shapes(parts: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Raise ValueError unless the datasets that are there have these shapes; -1 is any length."""
+    for name, shape in shapes.items():
+        found = np.shape(parts[name]) if name in parts else shape
+        same = len(found) == len(shape)
+        if not same or any(n not in (-1, m) for n, m in zip(shape, found, strict=True)):
+            raise ValueError(f"its {name} does not fit")
 
 
 def header(path: str | Path) -> Stored:

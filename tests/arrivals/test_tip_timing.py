@@ -354,6 +354,8 @@ def test_bad_arrivals() -> None:
     for change, words in (
         ({"time": np.ones((2, 2))}, "time"),
         ({"time": np.full((2, 1), np.nan)}, "time"),
+        ({"time": np.array([[1.0], [1e300]])}, "time"),
+        ({"time": np.array([[-1.1], [1.0]])}, "time"),
         ({"marks": np.zeros(3)}, "marks"),
         ({"probes": np.array([-1.0])}, "probes"),
         ({"tip_radius": -1.0}, "tip_radius"),

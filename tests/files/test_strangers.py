@@ -244,7 +244,10 @@ def test_a_result_of_an_older_version(
 
 def test_words_for_numbers(result: Path, structure: fc.Structure) -> None:
     """A forger's digest is right; what is not as save writes it is refused all the same."""
-    for name, value in {"omega": "fast", "gap_coefficients": 1.0, "new": [1, 2]}.items():
+    values = {"omega": "fast", "gap_coefficients": 1.0, "new": [1, 2], "error_sampling": "small"}
+    values |= {"subharmonic": 0, "converged": 2.0, "status": 1}
+    values |= {"force_coefficients": np.full((7, 1), 1e300)}
+    for name, value in values.items():
         forged = result.with_name(f"{name}.h5")
         shutil.copy(result, forged)
         with changed(forged) as file:
@@ -253,6 +256,27 @@ def test_words_for_numbers(result: Path, structure: fc.Structure) -> None:
             file[name] = value
         with pytest.raises(fc.InputError, match="path"):
             fc.load(forged, structure)
+    with changed(result) as file:
+        del file.attrs["versions"]
+    with pytest.raises(fc.InputError, match="the attribute versions"):
+        fc.load(result, structure)
+
+
+def test_parts_that_do_not_fit(structure: fc.Structure, home: Path) -> None:
+    """A forger's curve: each part is a table of numbers, and not as long as the others."""
+    law = fc.UnilateralPenalty(1.0)
+    curve = fc.continue_frequency(structure, 0.5, 0.52, law, harmonics=3)
+    fc.save(curve, home / "curve.h5")
+    assert np.array_equal(fc.load(home / "curve.h5", structure, law).omega, curve.omega)
+    values = {"unknowns": curve.unknowns[:, :-1], "iterations": curve.iterations[1:]}
+    values |= {"harmonics": curve.harmonics + 1, "truncation": curve.truncation[:, None]}
+    for name, value in values.items():
+        shutil.copy("curve.h5", "forged.h5")
+        with changed(home / "forged.h5") as file:
+            del file[name]
+            file[name] = value
+        with pytest.raises(fc.InputError, match="fit"):
+            fc.load(home / "forged.h5", structure, law)
 
 
 def flipped(content: bytes, rng: random.Random) -> bytes:
