@@ -14,7 +14,6 @@ import signal
 import stat
 import subprocess
 import sys
-import tempfile
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -115,7 +114,7 @@ def run_reader(program: Path, path: Path, seconds: int) -> dict[str, np.ndarray]
     """
     inner = {name: value for name, value in os.environ.items() if not name.startswith(FOREIGN)}
     most = allowance(bytes_of(path, None))
-    with tempfile.TemporaryFile() as handed:
+    with os.fdopen(os.memfd_create("numbers"), "w+b") as handed:  # a disk may be full
         words = [str(path), *map(str, (handed.fileno(), MEMORY + 4 * most, seconds, most))]
         try:
             ended = subprocess.run(

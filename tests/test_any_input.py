@@ -501,6 +501,8 @@ def check_call(arguments: list[str]) -> int:
     with time_limit(), np.errstate(all="ignore"):
         code, errors = call(arguments)
     assert code in (0, 2, 3), f"{code}: {errors}"
+    if code == 2 and "--verbose" in arguments:
+        return code  # with the cause
     assert "Traceback" not in errors
     if code == 2 and "usage: " not in errors:
         lines = errors.splitlines()

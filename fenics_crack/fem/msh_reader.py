@@ -16,6 +16,8 @@ import numpy as np
 def main(path: str, handed: int, memory: int, seconds: int, most: int) -> None:
     """Read a file and hand over what it holds."""
     resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+    room = resource.getrlimit(resource.RLIMIT_FSIZE)[1]  # what is handed over lies in memory
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
     gmsh.initialize(readConfigFiles=False)
     gmsh.option.setNumber("General.Terminal", 0)

@@ -26,6 +26,8 @@ LAYOUTS = {h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS, h5py.h5d.CHUNKED}
 def main(path: str, handed: int, memory: int, seconds: int, most: int) -> None:
     """Read a file and hand over what it holds."""
     resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
+    room = resource.getrlimit(resource.RLIMIT_FSIZE)[1]  # what is handed over lies in memory
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
     try:
         with h5py.File(path, "r", locking=False) as file:
