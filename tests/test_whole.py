@@ -88,7 +88,7 @@ def test_full_tmpfs(results: Path, tmp_path: Path) -> None:
         ["unshare", "-m", "sh", "-c", shell, "sh", *program],
         cwd=ROOT, capture_output=True, text=True, check=False,
     )  # fmt: skip
-    if done.returncode == 99:
+    if done.returncode == 99 or done.stderr.startswith("unshare: "):  # as in a chroot
         pytest.skip("cannot mount")
     (line,) = done.stderr.splitlines()
     assert done.returncode == 1 and "sweep.h5" in line and "No space left" in line
