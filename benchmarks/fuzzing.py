@@ -250,6 +250,7 @@ def _change_dataset(file: h5py.File, name: str, rng: random.Random) -> None:
     """Its numbers, its shape, its kind, or whether it is there."""
     old, kind = file[name], rng.randrange(8)
     value = old.asstr()[()] if h5py.check_string_dtype(old.dtype) else old[()]
+    dtype = old.dtype
     del file[name]
     array = np.array(value)
     numeric = array.dtype.kind in "iufcb"
@@ -260,7 +261,8 @@ def _change_dataset(file: h5py.File, name: str, rng: random.Random) -> None:
     elif kind == 2:
         file.create_dataset(name, (10 ** rng.choice([3, 9, 12]),), float, chunks=(1000,))
     elif kind == 3 and array.ndim:
-        file[name] = value[: len(value) // 2] if rng.random() < 0.5 else array[..., :1].tolist()
+        part = array[: len(array) // 2] if rng.random() < 0.5 else array[..., :1]
+        file.create_dataset(name, data=part, dtype=dtype)
     elif kind == 4 and numeric:
         file[name] = array.astype(rng.choice(["f4", "i4", "i1", "c16", "u8"]))
     elif kind == 5 and numeric and array.ndim > 1:
@@ -272,7 +274,7 @@ def _change_dataset(file: h5py.File, name: str, rng: random.Random) -> None:
         with np.errstate(all="ignore"):
             file[name] = flat.reshape(array.shape).astype(array.dtype)
     else:
-        file[f"{name}_"] = value
+        file.create_dataset(f"{name}_", data=value, dtype=dtype)
 
 
 # --- what is damaged ------------------------------------------------------------------------------
