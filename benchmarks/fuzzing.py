@@ -250,7 +250,6 @@ def _change_dataset(file: h5py.File, name: str, rng: random.Random) -> None:
     """Its numbers, its shape, its kind, or whether it is there."""
     old, kind = file[name], rng.randrange(8)
     value = old.asstr()[()] if h5py.check_string_dtype(old.dtype) else old[()]
-    dtype = old.dtype
     del file[name]
     array = np.array(value)
     numeric = array.dtype.kind in "iufcb"
@@ -262,7 +261,7 @@ def _change_dataset(file: h5py.File, name: str, rng: random.Random) -> None:
         file.create_dataset(name, (10 ** rng.choice([3, 9, 12]),), float, chunks=(1000,))
     elif kind == 3 and array.ndim:
         part = array[: len(array) // 2] if rng.random() < 0.5 else array[..., :1]
-        file.create_dataset(name, data=part, dtype=dtype)
+        file[name] = part if numeric else _as_words(part)
     elif kind == 4 and numeric:
         file[name] = array.astype(rng.choice(["f4", "i4", "i1", "c16", "u8"]))
     elif kind == 5 and numeric and array.ndim > 1:
@@ -274,7 +273,12 @@ def _change_dataset(file: h5py.File, name: str, rng: random.Random) -> None:
         with np.errstate(all="ignore"):
             file[name] = flat.reshape(array.shape).astype(array.dtype)
     else:
-        file.create_dataset(f"{name}_", data=value, dtype=dtype)
+        file[f"{name}_"] = value if numeric else _as_words(array)
+
+
+def _as_words(array: np.ndarray) -> np.ndarray:
+    """Also of none HDF5 has to know that they are words."""
+    return array.astype(object).astype(h5py.string_dtype())
 
 
 # --- what is damaged ------------------------------------------------------------------------------
