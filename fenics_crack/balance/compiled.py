@@ -40,8 +40,8 @@ __all__ = ["CompiledPaths", "CompiledSystem", "ModalPart", "Stretch"]
 
 @dataclass(frozen=True)
 class ModalPart:
-    """Modes that answer along a path: R_k = P^T h_k P and what the load adds to g_lin, P^T h_k l_k,
-    with h_kj = 1 / (s_j - (k w)^2 + i k w d c_j)."""
+    """Modes that answer along a path: R_k = P^T h_k P + at_once and what the load adds to g_lin,
+    P^T h_k l_k, with h_kj = 1 / (s_j - (k w)^2 + i k w d c_j)."""
 
     squares: np.ndarray
     """s: (n_modes,) [rad^2/s^2]."""
@@ -55,6 +55,8 @@ class ModalPart:
     """w at p = 0, and dw/dp [rad/s]."""
     damping: tuple[float, float]
     """d at p = 0, and dd/dp."""
+    at_once: np.ndarray | None = None
+    """What is added to each R_k: (n_pairs, n_pairs)."""
 
 
 class CompiledPaths(ABC):
@@ -144,6 +146,37 @@ class CompiledPaths(ABC):
         return None if outcome == kernel.NOT_FOUND else found[path.at.known]
 
 
+def seen_structure(
+    linear: np.ndarray,
+    compliance: np.ndarray | ModalPart,
+    linear_rate: np.ndarray | None = None,
+    above: int = 0,
+) -> Struct:
+    """What the kernel's equations share: g_lin and R along a parameter, of the arguments of
+    :class:`CompiledSystem`."""
+    rows, pairs = linear.shape
+    rate = np.zeros_like(linear) if linear_rate is None else linear_rate
+    known: dict[str, Any] = {"harmonics": rows // 2, "pairs": pairs, "above": above}
+    if isinstance(compliance, ModalPart):
+        modes, of_each = len(compliance.squares), rows // 2 + 1
+        known["modes"] = modes
+        known["omega"], known["omega_rate"] = compliance.omega
+        known["damping"], known["damping_rate"] = compliance.damping
+        known["squares"] = shaped(compliance.squares, modes)
+        known["rates"] = shaped(compliance.rates, modes)
+        known["shapes"] = shaped(compliance.shapes, modes, pairs)
+        known["load"] = shaped(compliance.load, of_each, modes, kind=complex)
+        at_once = compliance.at_once
+        known["at_once"] = None if at_once is None else shaped(at_once, pairs, pairs)
+    else:
+        of_each = rows // 2 + 1
+        known["compliance"] = shaped(compliance, of_each, pairs, pairs, kind=complex)
+    return Struct(
+        "seen_structure", linear=shaped(linear, rows, pairs),
+        linear_rate=shaped(rate, rows, pairs), **known,
+    )  # fmt: skip
+
+
 class CompiledSystem(CompiledPaths):
     """F(g, p) = 0 in the kernel.
 
@@ -174,30 +207,12 @@ class CompiledSystem(CompiledPaths):
         above: int = 0,
     ) -> None:
         self.shape = linear.shape
-        rate = np.zeros_like(linear) if linear_rate is None else linear_rate
-        reals = {"stiffness": stiffness, "linear": linear, "linear_rate": rate}
-        numbers: dict[str, Any] = {"growth": growth, "above": above}
-        if isinstance(compliance, ModalPart):
-            numbers["modes"] = len(compliance.squares)
-            numbers["omega"], numbers["omega_rate"] = compliance.omega
-            numbers["damping"], numbers["damping_rate"] = compliance.damping
-            for name in ("squares", "rates", "shapes", "load"):
-                reals[name] = getattr(compliance, name)
-        else:
-            reals["compliance"] = compliance
-        rows, pairs = linear.shape
-        modes = numbers.get("modes", 0)
-        shapes = {
-            "stiffness": (pairs,), "linear_rate": (rows, pairs), "shapes": (modes, pairs),
-            "compliance": (rows // 2 + 1, pairs, pairs), "load": (rows // 2 + 1, modes),
-            "squares": (modes,), "rates": (modes,), "linear": (rows, pairs),
-        }  # fmt: skip
-        complexes = ("compliance", "load")
-        self._kept = {
-            name: shaped(array, *shapes[name], kind=complex if name in complexes else float)
-            for name, array in reals.items()
-        }
-        equations = Struct("condensed", harmonics=rows // 2, pairs=pairs, **numbers, **self._kept)
+        seen = seen_structure(linear, compliance, linear_rate, above)
+        equations = Struct(
+            "condensed", seen=seen, growth=growth,
+            stiffness=shaped(stiffness, linear.shape[1]),
+        )  # fmt: skip
+        self._given = equations
         self._point = owned(kernel.new_point(equations.at), kernel.free_point)
         self._equations = kernel.equations_of(self._point)
 

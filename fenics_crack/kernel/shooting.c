@@ -4,16 +4,15 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "lapack.h"
+#include "dense.h"
 
 struct shooting_point {
-    equations own;
+    dense common;
     shooting_equations of;
     flow_motion moved;
-    int known, factored; /* whether M is known, and M - I is factored */
+    int known; /* whether M is */
     double parameter;
-    double *scale, *residual, *state, *tangent, *jacobian;
-    int *pivots;
+    double *scale, *residual, *state, *tangent;
 };
 
 static size_t bytes(long count) { return (size_t)count * sizeof(double); }
@@ -23,7 +22,7 @@ static int evaluate(equations *own, const double *x, double p)
     shooting_point *at = (shooting_point *)own;
     const int n = own->unknowns;
     flow_motion *m = &at->moved;
-    at->known = at->factored = 0;
+    at->known = at->common.factored = 0;
     at->parameter = p;
     for (int i = 0; i < n; i++) at->state[i] = x[i] / at->scale[i];
     m->omega = p * at->of.omega;
@@ -50,7 +49,7 @@ static flow_track track_of(const shooting_point *at)
 /* M in the unknowns; not a number where it is not known. */
 static void know(shooting_point *at)
 {
-    const int n = at->own.unknowns;
+    const int n = at->common.size;
     const long square = (long)n * n;
     if (at->known) return;
     const flow_track track = track_of(at);
@@ -63,29 +62,13 @@ static void know(shooting_point *at)
     at->known = 1;
 }
 
-static void factor_jacobian(shooting_point *at)
+static void form_jacobian(dense *common)
 {
-    const long n = at->own.unknowns;
-    if (at->factored) return;
+    shooting_point *at = (shooting_point *)common;
+    const long n = common->size;
     know(at);
-    memcpy(at->jacobian, at->tangent, bytes(n * n));
-    for (long i = 0; i < n; i++) at->jacobian[i * (n + 1)] -= 1.0;
-    factor((int)n, at->jacobian, at->pivots);
-    at->factored = 1;
-}
-
-static void solve(equations *own, double *x)
-{
-    shooting_point *at = (shooting_point *)own;
-    factor_jacobian(at);
-    solve_factored(own->unknowns, at->jacobian, at->pivots, x);
-}
-
-static double sign(equations *own)
-{
-    shooting_point *at = (shooting_point *)own;
-    factor_jacobian(at);
-    return sign_of_factored(own->unknowns, at->jacobian, at->pivots);
+    memcpy(common->matrix, at->tangent, bytes(n * n));
+    for (long i = 0; i < n; i++) common->matrix[i * (n + 1)] -= 1.0;
 }
 
 /* What omega does to the load, and to when the period ends. */
@@ -96,8 +79,8 @@ static void by_parameter(equations *own, double *found)
     const flow_motion *m = &at->moved;
     const flow_track track = track_of(at);
     const int failed = flow_by_omega(at->of.flow, &track, found);
-    double *rate = at->jacobian; /* room */
-    at->factored = 0;
+    double *rate = at->common.matrix; /* room */
+    at->common.factored = 0;
     if (failed || flow_rate(at->of.flow, m->omega, m->end, m->state, rate)) {
         for (int i = 0; i < n; i++) found[i] = NAN;
         return;
@@ -112,36 +95,38 @@ shooting_point *new_shooting_point(const shooting_equations *given)
     shooting_point *at = calloc(1, sizeof(shooting_point));
     if (!at) return NULL;
     at->of = *given;
-    at->own = (equations){(int)n, evaluate, residual, solve, by_parameter, sign, NULL, NULL, NULL};
-    at->scale = malloc(bytes(3 * n + 2 * n * n + n));
-    at->pivots = malloc((size_t)n * sizeof(int));
+    at->common.own = (equations){(int)n,       evaluate,      residual, solve_dense,
+                                 by_parameter, sign_of_dense, NULL,     NULL, NULL};
+    const int failed = make_dense(&at->common, (int)n, form_jacobian);
+    at->scale = malloc(bytes(3 * n + n * n));
     at->moved.most_pieces = given->pieces, at->moved.most = given->intervals;
     at->moved.sets = malloc((size_t)(intervals * given->pairs + 1));
     at->moved.lengths = malloc(bytes(intervals));
-    if (!(at->scale && at->pivots && at->moved.sets && at->moved.lengths)) {
+    if (failed || !(at->scale && at->moved.sets && at->moved.lengths)) {
         free_shooting_point(at);
         return NULL;
     }
     memcpy(at->scale, given->scale, bytes(n));
     at->of.scale = at->scale;
     at->residual = at->scale + n, at->state = at->residual + n;
-    at->tangent = at->state + n, at->jacobian = at->tangent + n * n;
+    at->tangent = at->state + n;
     return at;
 }
 
 void free_shooting_point(shooting_point *at)
 {
-    free(at->scale), free(at->pivots), free(at->moved.sets), free(at->moved.lengths);
+    free_dense(&at->common);
+    free(at->scale), free(at->moved.sets), free(at->moved.lengths);
     free(at);
 }
 
-equations *equations_of_shooting(shooting_point *at) { return &at->own; }
+equations *equations_of_shooting(shooting_point *at) { return &at->common.own; }
 
 int switches_of(const shooting_point *at) { return at->moved.events; }
 
 int tangent_of(shooting_point *at, double *found)
 {
-    const long n = at->own.unknowns;
+    const long n = at->common.size;
     know(at);
     memcpy(found, at->tangent, bytes(n * n));
     return isnan(found[0]);

@@ -1,0 +1,45 @@
+/* What contact pairs see of a structure, along a parameter p: g_lin(p) - R(p) b of forces b. */
+#ifndef COMPLIANCE_H
+#define COMPLIANCE_H
+
+/*     R_k(p)   = R_k,  or  P^T h_k P + at_once   with h_kj = 1 / (s_j - (k w)^2 + i k w d c_j),
+ *                or for k >= above > 0  p R_k,
+ *     g_lin(p) = linear + p linear_rate  +  P^T h_k l_k,
+ *     w(p)     = omega + p omega_rate,           d(p) = damping + p damping_rate.
+ *
+ * Coefficients stand as in switching.h, n = (2H+1) pairs of them; complex numbers one part after
+ * the other. All arrays are the caller's, and stay.
+ */
+typedef struct {
+    int harmonics, pairs, modes, above; /* 0 modes where R is given; above: then only */
+    const double *linear, *linear_rate; /* (2H+1, pairs) */
+    const double *compliance;           /* R: (H+1, pairs, pairs), complex */
+    double omega, omega_rate, damping, damping_rate;
+    const double *squares, *rates;      /* s, c: (modes) */
+    const double *shapes;               /* P: (modes, pairs) */
+    const double *load;                 /* l: (H+1, modes), complex */
+    const double *at_once;              /* (pairs, pairs), or NULL */
+} seen_structure;
+
+typedef struct compliance compliance;
+
+/* NULL without memory. */
+compliance *new_compliance(const seen_structure *given);
+void free_compliance(compliance *at);
+/* Goes to a parameter: 0, or 1 where the structure is singular. */
+int set_parameter(compliance *at, double parameter);
+/* R there, (H+1, pairs, pairs) complex. */
+const double *matrices_of(compliance *at);
+/* R b - g_lin of forces b (2H+1, pairs), and its derivative by the parameter for the same b, which
+ * must come behind it. */
+void answer_to(compliance *at, const double *force, double *found);
+void rate_of_answer(compliance *at, const double *force, double *found);
+/* R b alone. */
+void respond_at(compliance *at, const double *force, double *gap);
+/* Largest sum of |R_k| over a row of it. */
+double largest_row(compliance *at);
+
+/* R b of coefficients b (2H+1, pairs), from R (H+1, pairs, pairs), complex. */
+void respond(int harmonics, int pairs, const double *matrices, const double *force, double *gap);
+
+#endif

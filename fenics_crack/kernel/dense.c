@@ -1,0 +1,49 @@
+#include "dense.h"
+
+#include <stdlib.h>
+
+#include "lapack.h"
+
+int make_dense(dense *at, int size, void (*form)(dense *at))
+{
+    const size_t n = size;
+    at->size = size, at->form = form;
+    at->matrix = malloc((n * n + 1) * sizeof(double));
+    at->pivots = malloc((n + 1) * sizeof(int));
+    return !(at->matrix && at->pivots);
+}
+
+void free_dense(dense *at)
+{
+    free(at->matrix);
+    free(at->pivots);
+}
+
+void factor_dense(dense *at)
+{
+    if (at->factored) return;
+    at->form(at);
+    factor(at->size, at->matrix, at->pivots);
+    at->factored = at->kept = 1;
+}
+
+void solve_dense(equations *own, double *x)
+{
+    factor_dense((dense *)own);
+    solve_nearly_dense(own, x);
+}
+
+void solve_nearly_dense(const equations *own, double *x)
+{
+    const dense *at = (const dense *)own;
+    solve_factored(at->size, at->matrix, at->pivots, x);
+}
+
+int has_dense_factors(const equations *own) { return ((const dense *)own)->kept; }
+
+double sign_of_dense(equations *own)
+{
+    dense *at = (dense *)own;
+    factor_dense(at);
+    return sign_of_factored(at->size, at->matrix, at->pivots);
+}

@@ -1,0 +1,28 @@
+/* Equations whose Jacobian is formed, and factored where it is asked for. */
+#ifndef DENSE_H
+#define DENSE_H
+
+#include "equations.h"
+
+/* The points of such kinds begin with it. The factored matrix may be smaller than J, of the same
+ * determinant: then the kind solves with it in its own way. */
+typedef struct dense {
+    equations own;
+    int size, factored, kept; /* kept: whether there are factors, be they of another point */
+    double *matrix;           /* (size, size) */
+    int *pivots;
+    void (*form)(struct dense *at);
+} dense;
+
+/* 0, or 1 without memory: room for (size, size). */
+int make_dense(dense *at, int size, void (*form)(dense *at));
+void free_dense(dense *at);
+/* The factors at the point that has been evaluated. */
+void factor_dense(dense *at);
+/* What vtables take. */
+void solve_dense(equations *own, double *x);
+void solve_nearly_dense(const equations *own, double *x);
+int has_dense_factors(const equations *own);
+double sign_of_dense(equations *own);
+
+#endif

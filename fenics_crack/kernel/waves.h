@@ -1,0 +1,21 @@
+/* Waves of H harmonics at equally spaced instants, and their coefficients from values there. */
+#ifndef WAVES_H
+#define WAVES_H
+
+/* Coefficients (2H+1, columns) stand as in switching.h, rows a0, a1, b1, ...; values (instants,
+ * columns) at theta = 2 pi i / instants. The quarters of a period share their cosines and sines:
+ *
+ *     x(theta), x(pi - theta), x(pi + theta), x(-theta) = ce +- co +- se +- so
+ *
+ * with the sums over even and odd k of a_k cos(k theta) and b_k sin(k theta).
+ */
+typedef struct waves waves;
+
+/* instants: a multiple of 4; columns: the most at once. NULL without memory. */
+waves *new_waves(int harmonics, int instants, int columns);
+void free_waves(waves *at);
+void values_of(waves *at, int columns, const double *coefficients, double *values);
+/* More than 2H instants. */
+void coefficients_of(waves *at, int columns, const double *values, double *coefficients);
+
+#endif
