@@ -6,26 +6,23 @@ of one of these: a force that vanishes opens its pair, an opening that vanishes 
 stiffness S_A = (D_AA)^-1, with zeros outside A, changes by a part of rank one, gain v v^T.
 
 The kernel finds them (``kernel/intervals.c``) on the cells of a grid, 16 and more to the shortest
-wave. It carries one set through the period, and the answers to each of the 2H+1 waves with it: an
-event costs n_pairs^2 / 2, a cell without one 2 (2H+1) n_pairs.
+wave. It carries one set through the period: an event or a cell without one costs some n_pairs^2.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.kernel import Struct, kernel, shaped
+from fenics_crack.kernel import Struct, kernel, owned, shaped
 from fenics_crack.model.coupled import ROUNDING, ActiveSets
 
 __all__ = ["Intervals", "contact_intervals"]
 
-CELLS, CELLS_OF_PAIR = 16, 4
-"""At least so many to the shortest wave, and in the period to every pair: few events in a cell. Of
-1,500 random waves of 2 to 39 pairs, 4 and 128 cells to a pair give the same events."""
 NO_FORCES = -2
 """What the kernel returns then."""
 
@@ -80,24 +77,21 @@ def contact_intervals(gap: np.ndarray, contact: ActiveSets) -> Intervals:
     """
     columns, pairs = len(gap), len(contact.compliance)
     gap = shaped(gap, 2 * (columns // 2) + 1, pairs)
-    most = max(CELLS * (columns // 2 + 1), CELLS_OF_PAIR * pairs)
-    count = 1 << (most - 1).bit_length()
+    count = kernel.interval_cells(columns // 2, pairs)
     first, stiffness = np.empty(pairs, dtype=bool), np.empty((pairs, pairs))
     table = Struct(
-        "pivot_table", pairs=pairs, columns=columns, d=contact.compliance, gaps=gap,
-        table=np.empty((pairs, pairs)), answer=np.empty((columns, pairs)),
+        "pivot_table", pairs=pairs, d=contact.compliance, table=np.empty((pairs, pairs)),
         closed=np.empty(pairs, dtype=bool), room=np.empty(4 * pairs),
     )  # fmt: skip
-    places = count + 8 * pairs
+    waves, places = _waves(columns // 2, count, pairs), count + 8 * pairs
     while True:
         theta, pair = np.zeros(places + 1), np.empty(places, dtype=np.intc)
         vectors, gains = np.empty((places, pairs)), np.empty(places)
         known = Struct(
-            "breathing", contact=table, cells=count, most=places,
-            circle=_circle(count),
-            allowed=ROUNDING * float(np.abs(gap).sum(axis=0).max(initial=0.0)),
+            "breathing", contact=table, cells=count, most=places, columns=columns, gaps=gap,
+            waves=waves, allowed=ROUNDING * float(np.abs(gap).sum(axis=0).max(initial=0.0)),
             first=first, stiffness=stiffness, theta=theta[1:], pair=pair, vectors=vectors,
-            gain=gains, work=np.empty(kernel.intervals_room(pairs, columns // 2)),
+            gain=gains, work=np.empty(kernel.intervals_room(pairs, columns // 2, count)),
         )  # fmt: skip
         found = kernel.intervals(known.at)
         if found >= 0:
@@ -110,7 +104,6 @@ def contact_intervals(gap: np.ndarray, contact: ActiveSets) -> Intervals:
 
 
 @lru_cache(maxsize=16)
-def _circle(count: int) -> np.ndarray:
-    """cos theta, sin theta at equally spaced phases: (count, 2)."""
-    turned = np.exp(2j * np.pi / count * np.arange(count))
-    return np.column_stack([turned.real, turned.imag])
+def _waves(harmonics: int, count: int, pairs: int) -> Any:
+    """What the kernel finds gaps with at equally spaced phases."""
+    return owned(kernel.new_waves(harmonics, count, pairs), kernel.free_waves)

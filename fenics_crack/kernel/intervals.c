@@ -6,8 +6,9 @@
 #include "lapack.h"
 
 /* Degree of the Taylor polynomials: 0.2^9 / 9! is 1e-12. Points of a bracket's search. Turns of all
- * wrong pairs together; after how many events rounding is looked for. */
-enum { DEGREE = 8, TERMS = DEGREE + 1, POINTS = 6, TOGETHER = 30, OFTEN = 32 };
+ * wrong pairs together; after how many events rounding is looked for. BLOCK: cells whose answers are
+ * found together. */
+enum { DEGREE = 8, TERMS = DEGREE + 1, POINTS = 6, TOGETHER = 30, OFTEN = 32, BLOCK = 16 };
 static const double TWO_PI = 6.283185307179586476925;
 
 static double value_at(const double *c, int degree, double x)
@@ -130,60 +131,97 @@ static void expand(int harmonics, double middle, double width, double *taylor)
 /* What is known while a motion is followed. */
 typedef struct {
     breathing *of;
-    int count, since;                    /* events; changes since rounding was looked for */
-    double *waves;                       /* (2, 2H+1) at a cell's end, and their change per cell */
-    double *values, *rates;              /* (2, p) of the answer there */
-    double *basis, *taylor, *candidates; /* (TERMS, 2H+1), (TERMS, p), (p, TERMS) */
-    int *some;                           /* (p) */
-    double *values_before, *rates_before;
+    int count, since;         /* events; changes since rounding was looked for */
+    int begin, end, next;     /* cells whose answers are known; none: end 0; how many come next */
+    double *gaps, *answers;   /* s at the beginnings of all cells and at the last one's end, (cells +
+                                 1, p), and X from `begin` on, (BLOCK + 1, p) */
+    double *bends;            /* (p) and (p): bounds of s'' and X'', per cell squared */
+    double *basis, *slopes;   /* (TERMS, 2H+1); (2, p) rates of X per cell at both ends of one */
+    double *taylor, *candidates; /* (TERMS, p), (p, TERMS) */
+    double *values, *room;    /* (TERMS, p) s; (BLOCK + 1, p) */
+    int *some;                /* (p) */
 } walk;
 
-/* y (rows, p) = w (rows, c) X */
-static void combine(const pivot_table *contact, int rows, const double *w, double *y)
-{
-    multiply_matrices(rows, contact->columns, contact->pairs, w, contact->answer, 0.0, y);
-}
-
-/* Values and rates, those per cell, at an end of a cell. */
-static void look(walk *now, int instant)
+/* All gaps where cells begin, and how much they bend. */
+static void begin(walk *now)
 {
     const breathing *m = now->of;
-    const int columns = m->contact.columns;
-    double *wave = now->waves, *slope = wave + columns;
-    wave[0] = 1.0, slope[0] = 0.0;
-    for (int k = 1; 2 * k < columns; k++) {
-        const double *at = m->circle + 2 * ((long)k * instant % m->cells); /* k theta */
-        wave[2 * k - 1] = at[0], wave[2 * k] = at[1];
-        const double rate = TWO_PI / m->cells * k;
-        slope[2 * k - 1] = -rate * wave[2 * k];
-        slope[2 * k] = rate * wave[2 * k - 1];
+    const int pairs = m->contact.pairs;
+    values_of(m->waves, pairs, m->gaps, now->gaps);
+    memcpy(now->gaps + (size_t)m->cells * pairs, now->gaps, pairs * sizeof(double));
+    memset(now->bends, 0, pairs * sizeof(double));
+    for (int row = 1; row < m->columns; row++) {
+        const double rate = TWO_PI / m->cells * ((row + 1) / 2);
+        for (int i = 0; i < pairs; i++)
+            now->bends[i] += rate * rate * fabs(m->gaps[(long)row * pairs + i]);
     }
-    combine(&m->contact, 2, wave, now->values);
 }
 
-/* Whether a pair is in its place: closed pairs press, others do not penetrate. */
-static int right(const walk *now, int i)
+/* The answers at both ends of a cell; those at its end stand behind the others. */
+static const double *look(walk *now, int cell)
 {
     const breathing *m = now->of;
-    return m->contact.closed[i] ? now->values[i] > 0.0 : !(now->values[i] > m->allowed);
+    const int pairs = m->contact.pairs;
+    if (cell < now->begin || cell >= now->end) {
+        if (!now->end) bounds_of(&m->contact, now->bends, now->bends + pairs);
+        now->begin = cell;
+        now->end = cell + now->next < m->cells ? cell + now->next : m->cells;
+        if (now->next < BLOCK) now->next *= 2;
+        answers_to(&m->contact, now->end - cell + 1, now->gaps + (size_t)cell * pairs, now->room,
+                   now->answers);
+    }
+    return now->answers + (size_t)(cell - now->begin) * pairs;
 }
 
-static int all_right(const walk *now)
+/* The set has changed. */
+static void forget(walk *now) { now->end = 0, now->next = 1; }
+
+/* Whether a pair with an answer is in its place: closed pairs press, others do not penetrate. */
+static int right(const breathing *m, int i, double answer)
 {
-    for (int i = 0; i < now->of->contact.pairs; i++)
-        if (!right(now, i)) return 0;
+    return m->contact.closed[i] ? answer > 0.0 : !(answer > m->allowed);
+}
+
+static int all_right(const breathing *m, const double *answers)
+{
+    for (int i = 0; i < m->contact.pairs; i++)
+        if (!right(m, i, answers[i])) return 0;
     return 1;
 }
 
-/* Whether two tangents at the ends of a cell meet on the wrong side of zero. */
-static int grazes(const walk *now)
+/* Rates of the answers, per cell, at both ends of one. */
+static void look_for_slopes(walk *now, int cell)
+{
+    const breathing *m = now->of;
+    const int pairs = m->contact.pairs, columns = m->columns;
+    double *wave = now->basis;
+    for (int end = 0; end < 2; end++, wave += columns) {
+        wave[0] = 0.0;
+        for (int k = 1; 2 * k < columns; k++) {
+            const double rate = TWO_PI / m->cells * k, phase = rate * (cell + end);
+            wave[2 * k - 1] = -rate * sin(phase), wave[2 * k] = rate * cos(phase);
+        }
+    }
+    multiply_matrices(2, columns, pairs, now->basis, m->gaps, 0.0, now->values);
+    answers_to(&m->contact, 2, now->values, now->room, now->slopes);
+}
+
+/* Whether two tangents at the ends of a cell meet on the wrong side of zero. An answer that keeps
+ * its sign at both, and more distance from zero than it can bend, is not looked at. */
+static int grazes(walk *now, int cell, const double *answers)
 {
     const pivot_table *contact = &now->of->contact;
-    for (int i = 0; i < contact->pairs; i++) {
+    const int pairs = contact->pairs;
+    const double *slopes = now->slopes, *bends = now->bends + pairs;
+    int known = 0;
+    for (int i = 0; i < pairs; i++) {
         const double sign = contact->closed[i] ? 1.0 : -1.0;
-        const double fall = sign * now->rates_before[i], rise = -sign * now->rates[i];
+        const double before = sign * answers[i], after = sign * answers[pairs + i];
+        if (fmin(before, after) > 0.125 * bends[i]) continue;
+        if (!known) look_for_slopes(now, cell);
+        known = 1;
+        const double fall = sign * slopes[i], rise = -sign * slopes[pairs + i];
         if (!(fall < 0.0 && rise < 0.0)) continue;
-        const double before = sign * now->values_before[i], after = sign * now->values[i];
         if ((before * rise + after * fall + fall * rise) / (fall + rise) < 0.0) return 1;
     }
     return 0;
@@ -200,6 +238,7 @@ static int record(walk *now, int pair, double theta, int terms)
     if (turn_pair(&m->contact, pair, terms, now->taylor, v, m->gain + at)) return 1;
     m->theta[at] = at ? fmax(m->theta[at - 1], theta) : theta;
     m->pair[at] = pair;
+    forget(now);
     now->count++;
     now->since++;
     return 0;
@@ -209,26 +248,27 @@ static int record(walk *now, int pair, double theta, int terms)
 static void keep_sharp(walk *now)
 {
     if (now->since < OFTEN) return;
-    refresh(&now->of->contact);
+    if (refresh(&now->of->contact)) forget(now);
     now->since = 0;
 }
 
-/* The set at an instant: pairs in the wrong place are turned, all of them, or where that goes round
- * the first alone (sets.h). Only behind phase zero is it recorded. Returns 0, -1 without room, or -2
- * where that does not end. */
-static int settle(walk *now, int instant, int recorded)
+/* The set where a cell begins: pairs in the wrong place are turned, all of them, or where that goes
+ * round the first alone (sets.h). Only behind phase zero is it recorded. Returns 0, -1 without room,
+ * or -2 where that does not end. */
+static int settle(walk *now, int cell, int recorded)
 {
     breathing *m = now->of;
     const long pairs = m->contact.pairs;
     for (long turn = 0; turn < TOGETHER + 20L * pairs * pairs; turn++) {
         int wrong = 0;
         keep_sharp(now);
-        look(now, instant);
+        const double *answers = look(now, cell);
         for (int i = 0; i < pairs; i++) {
-            if (right(now, i) || (wrong && turn >= TOGETHER)) continue;
-            const int failed = recorded ? record(now, i, instant * (TWO_PI / m->cells), 0)
+            if (right(m, i, answers[i]) || (wrong && turn >= TOGETHER)) continue;
+            const int failed = recorded ? record(now, i, cell * (TWO_PI / m->cells), 0)
                                         : turn_pair(&m->contact, i, 0, NULL, NULL, NULL);
             if (failed < 0) return -1;
+            forget(now);
             wrong |= !failed;
             now->since += !recorded;
         }
@@ -243,10 +283,11 @@ static int search(walk *now, int cell)
     breathing *m = now->of;
     const int pairs = m->contact.pairs;
     const double width = TWO_PI / m->cells, middle = (cell + 0.5) * width;
-    double begun = -1.0, place;
+    double begun = -1.0, place = 0.0;
     int last = -1;
-    expand(m->contact.columns / 2, middle, width, now->basis);
-    combine(&m->contact, TERMS, now->basis, now->taylor);
+    expand(m->columns / 2, middle, width, now->basis);
+    multiply_matrices(TERMS, m->columns, pairs, now->basis, m->gaps, 0.0, now->values);
+    answers_to(&m->contact, TERMS, now->values, now->room, now->taylor);
     for (int turn = 0; turn < 4 * pairs + 8; turn++) {
         const int count = candidates(&m->contact, now->taylor, now->some, now->candidates);
         for (int i = 0; i < count && last >= 0; i++)
@@ -262,38 +303,44 @@ static int search(walk *now, int cell)
     return 0;
 }
 
-long intervals_room(int pairs, int harmonics)
+int interval_cells(int harmonics, int pairs)
 {
-    return pairs * (2L * TERMS + 5L) + (2L * harmonics + 1) * (TERMS + 2L);
+    const int waves = 16 * (harmonics + 1), least = 4 * pairs > waves ? 4 * pairs : waves;
+    int cells = 16;
+    while (cells < least) cells *= 2;
+    return cells;
+}
+
+long intervals_room(int pairs, int harmonics, int cells)
+{
+    return pairs * (cells + 2L * BLOCK + 3L * TERMS + 8L) + (2L * harmonics + 1) * TERMS;
 }
 
 int intervals(breathing *m)
 {
-    const long pairs = m->contact.pairs, columns = m->contact.columns;
-    walk now = {m, 0, 0};
-    now.values = m->work;
-    now.rates = now.values + pairs;
-    now.values_before = now.rates + pairs;
-    now.rates_before = now.values_before + pairs;
-    now.taylor = now.rates_before + pairs;
-    now.candidates = now.taylor + pairs * TERMS;
-    now.waves = now.candidates + pairs * TERMS;
-    now.basis = now.waves + 2 * columns;
-    now.some = (int *)(now.basis + columns * TERMS);
+    const long pairs = m->contact.pairs;
+    walk now = {.of = m, .next = 1, .gaps = m->work};
+    now.answers = now.gaps + (m->cells + 1) * pairs;
+    now.room = now.answers + (BLOCK + 1) * pairs;
+    now.bends = now.room + (BLOCK + 1) * pairs;
+    now.slopes = now.bends + 2 * pairs;
+    now.taylor = now.slopes + 2 * pairs;
+    now.values = now.taylor + TERMS * pairs;
+    now.candidates = now.values + TERMS * pairs;
+    now.basis = now.candidates + TERMS * pairs;
+    now.some = (int *)(now.basis + TERMS * m->columns);
+    begin(&now);
     open_all(&m->contact);
     if (settle(&now, 0, 0)) return -2;
     inverse_of(&m->contact, m->stiffness);
     memcpy(m->first, m->contact.closed, pairs);
     for (int cell = 0; cell < m->cells; cell++) {
-        const int next = (cell + 1) % m->cells;
-        memcpy(now.values_before, now.values, pairs * sizeof(double));
-        memcpy(now.rates_before, now.rates, pairs * sizeof(double));
-        look(&now, next);
-        if (all_right(&now) && !grazes(&now)) continue;
+        const double *answers = look(&now, cell);
+        if (all_right(m, answers + pairs) && !grazes(&now, cell, answers)) continue;
         if (search(&now, cell)) return -1;
         keep_sharp(&now);
-        if (!next) break;
-        const int failed = settle(&now, next, 1);
+        if (cell + 1 == m->cells) break;
+        const int failed = settle(&now, cell + 1, 1);
         if (failed) return failed;
     }
     return now.count;

@@ -3,6 +3,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "lapack.h"
+
 /* Error of gaps with which all is computed anew; a diagonal so small relative to that of D is 0. */
 static const double ACCURATE = 1e-12, SINGULAR = 1e-12;
 
@@ -10,7 +12,6 @@ void open_all(pivot_table *s)
 {
     const size_t n = s->pairs;
     memcpy(s->table, s->d, n * n * sizeof(double));
-    memcpy(s->answer, s->gaps, s->columns * n * sizeof(double));
     memset(s->closed, 0, n);
 }
 
@@ -24,12 +25,11 @@ static void carry(int n, int count, int k, const double *u, double d, double *x)
     }
 }
 
-int turn_pair(pivot_table *s, int k, int count, double *others, double *v, double *gain)
+int turn_pair(pivot_table *s, int k, int count, double *answers, double *v, double *gain)
 {
     const int n = s->pairs;
-    double *u = s->room, *scaled = u + n, *own = s->table + (long)k * n;
-    memcpy(u, own, (k + 1) * sizeof(double));
-    for (int i = k + 1; i < n; i++) u[i] = s->table[(long)i * n + k];
+    double *u = s->room, *own = s->table + (long)k * n;
+    memcpy(u, own, n * sizeof(double));
     const double d = u[k];
     if (!(s->closed[k] ? d < 0.0 : d > SINGULAR * s->d[(long)k * n + k])) return 1;
     if (v) {
@@ -37,30 +37,17 @@ int turn_pair(pivot_table *s, int k, int count, double *others, double *v, doubl
         if (!s->closed[k]) v[k] = -1.0;
         *gain = 1.0 / d;
     }
-    for (int i = 0; i < n; i++) scaled[i] = u[i] / d;
     for (int i = 0; i < n; i++) {
         double *row = s->table + (long)i * n;
-        const double weight = u[i];
-        for (int j = 0; j <= i; j++) row[j] -= weight * scaled[j];
+        const double weight = u[i] / d;
+        for (int j = 0; j < n; j++) row[j] -= weight * u[j];
+        row[k] = u[i] / fabs(d);
     }
-    for (int i = 0; i < n; i++) (i < k ? own + i : s->table + (long)i * n + k)[0] = u[i] / fabs(d);
+    for (int i = 0; i < n; i++) own[i] = u[i] / fabs(d);
     own[k] = -1.0 / d;
-    carry(n, s->columns, k, u, d, s->answer);
-    carry(n, count, k, u, d, others);
+    carry(n, count, k, u, d, answers);
     s->closed[k] = !s->closed[k];
     return 0;
-}
-
-/* y = A x with a symmetric matrix of which the part below the diagonal is read. */
-static void multiply_symmetric(int n, const double *a, const double *x, double *y)
-{
-    for (int i = 0; i < n; i++) {
-        const double *row = a + (long)i * n, weight = x[i];
-        double sum = row[i] * weight;
-        for (int j = 0; j < i; j++) y[j] += row[j] * weight;
-        for (int j = 0; j < i; j++) sum += row[j] * x[j];
-        y[i] = sum;
-    }
 }
 
 int refresh(pivot_table *s)
@@ -69,9 +56,9 @@ int refresh(pivot_table *s)
     const int n = s->pairs;
     double *ones = s->room, *said = ones + n, *force = said + n, *found = force + n;
     for (int i = 0; i < n; i++) ones[i] = s->closed[i];
-    multiply_symmetric(n, s->table, ones, said);
+    multiply(n, n, s->table, ones, said);
     for (int i = 0; i < n; i++) force[i] = s->closed[i] ? -said[i] : 0.0;
-    multiply_symmetric(n, s->d, force, found);
+    multiply(n, n, s->d, force, found);
     int good = 1;
     for (int i = 0; i < n && good; i++) {
         const double expected = s->closed[i] ? 1.0 : said[i];
@@ -88,10 +75,30 @@ int refresh(pivot_table *s)
 
 void inverse_of(const pivot_table *s, double *inverse)
 {
-    const int n = s->pairs;
+    const long n = s->pairs;
     for (long i = 0; i < n; i++)
-        for (long j = 0; j <= i; j++) {
-            const double entry = s->closed[i] && s->closed[j] ? -s->table[i * n + j] : 0.0;
-            inverse[i * n + j] = inverse[j * n + i] = entry;
+        for (long j = 0; j < n; j++)
+            inverse[i * n + j] = s->closed[i] && s->closed[j] ? -s->table[i * n + j] : 0.0;
+}
+
+void answers_to(const pivot_table *s, int count, const double *gaps, double *masked, double *answers)
+{
+    const int n = s->pairs;
+    for (int row = 0; row < count; row++)
+        for (int i = 0; i < n; i++) {
+            const double gap = gaps[(long)row * n + i];
+            masked[(long)row * n + i] = s->closed[i] ? -gap : 0.0;
+            answers[(long)row * n + i] = s->closed[i] ? 0.0 : gap;
         }
+    multiply_matrices(count, n, n, masked, s->table, 1.0, answers);
+}
+
+void bounds_of(const pivot_table *s, const double *gaps, double *answers)
+{
+    const int n = s->pairs;
+    for (int i = 0; i < n; i++) answers[i] = s->closed[i] ? 0.0 : gaps[i];
+    for (int j = 0; j < n; j++) {
+        const double *row = s->table + (long)j * n, weight = gaps[j];
+        for (int i = 0; i < n && s->closed[j]; i++) answers[i] += weight * fabs(row[i]);
+    }
 }

@@ -17,24 +17,26 @@
  * (principal pivots: Cottle, Pang and Stone, The Linear Complementarity Problem, 1992, section 2.3).
  */
 typedef struct {
-    int pairs, columns;
+    int pairs;
     const double *d;      /* (p, p) D */
-    const double *gaps;   /* (c, p) s in each row */
-    double *table;        /* (p, p) T below its diagonal and on it */
-    double *answer;       /* (c, p) X in each row */
+    double *table;        /* (p, p) T */
     signed char *closed;  /* (p) */
     double *room;         /* (4 p) */
 } pivot_table;
 
 /* All pairs open. */
 void open_all(pivot_table *s);
-/* Opens or closes one pair; carries `count` more answers along, others (count, p). v (p) and gain
+/* Opens or closes one pair; carries `count` answers X along, (count, p). v (p) and gain
  * 1 / d: how S changes; v: or NULL. Returns 0, or 1, with nothing done, where D_AA would be singular.
  */
-int turn_pair(pivot_table *s, int pair, int count, double *others, double *v, double *gain);
-/* Leaves rounding behind where it has grown: T and X from D again. Returns 1 where it did. */
+int turn_pair(pivot_table *s, int pair, int count, double *answers, double *v, double *gain);
+/* Leaves rounding behind where it has grown: T from D again. Returns 1 where it did. */
 int refresh(pivot_table *s);
 /* S (p, p), zero outside A. */
 void inverse_of(const pivot_table *s, double *inverse);
+/* X (count, p) of gaps (count, p), with room for as many numbers. */
+void answers_to(const pivot_table *s, int count, const double *gaps, double *room, double *answers);
+/* Bounds of |X| where those of the gaps are known, (p) each. */
+void bounds_of(const pivot_table *s, const double *gaps, double *answers);
 
 #endif
