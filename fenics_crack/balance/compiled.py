@@ -1,14 +1,16 @@
 """Condensed equations whose paths are followed by the compiled kernel.
 
-Pairs that nothing couples, with a unilateral penalty integrated exactly:
+Pairs that nothing couples, with a unilateral penalty integrated exactly, and pairs that are seen
+through a static compliance, with laws that are piecewise linear:
 
     F(g, p) = g - g_lin(p) + R(p) b(g, p) = 0,
+    F(s, p) = s - g_lin(p) + (R(p) - R_inf) b(lambda(s), p) = 0,
 
 where along p the contact stiffness grows like e^(growth p), g_lin linearly, the compliance of the
-harmonics above some, or the base frequency and the damping of modes, R and g_lin following from
-them (``kernel/condensed.h``). The
-loops are those of :mod:`bordered` and :mod:`arclength` (``kernel/path.c``): the same steps from the
-same numbers, many points in one call. From 100 unknowns on points share LU factors there
+harmonics above some, a softness in series with the pairs, or the base frequency and the damping of
+modes, R and g_lin following from them (``kernel/compliance.h``, ``condensed.h``, ``coupled.h``).
+The loops are those of :mod:`bordered` and :mod:`arclength` (``kernel/path.c``): the same steps from
+the same numbers, many points in one call. From 100 unknowns on points share LU factors there
 (``kernel/broyden.h``), and are those of the loops to about 1e-6 of a step.
 """
 
@@ -35,7 +37,14 @@ from fenics_crack.balance.linearisation import Linearisation
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import NULL, Struct, doubles, ints, kernel, owned, shaped
 
-__all__ = ["CompiledPaths", "CompiledSystem", "ModalPart", "Stretch"]
+__all__ = [
+    "CompiledCoupled",
+    "CompiledEquations",
+    "CompiledPaths",
+    "CompiledSystem",
+    "ModalPart",
+    "Stretch",
+]
 
 
 @dataclass(frozen=True)
@@ -177,8 +186,64 @@ def seen_structure(
     )  # fmt: skip
 
 
-class CompiledSystem(CompiledPaths):
-    """F(g, p) = 0 in the kernel.
+class CompiledEquations(CompiledPaths):
+    """Equations F(x, p) = 0 of the kernel at a point.
+
+    Parameters
+    ----------
+    given : Struct
+        What the kernel makes its point from.
+    shape : tuple
+        Of the unknowns.
+    make, free, equations, largest : functions of the kernel
+    """
+
+    def __init__(
+        self, given: Struct, shape: tuple[int, ...], make: Any, free: Any, equations: Any, largest: Any
+    ) -> None:
+        self._given, self.shape, self._largest = given, shape, largest
+        self._point = owned(make(given.at), free)
+        self._equations = equations(self._point)
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
+        """The equations at a point."""
+        return CompiledPoint(self, shaped(unknown, *self.shape), parameter)
+
+    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
+        """Inner product."""
+        return float(np.vdot(first, second))
+
+    def evaluated(self, at: CompiledPoint) -> Any:
+        """The kernel's equations, evaluated at a point."""
+        if self._last is not at:
+            self._last = None
+            outcome = self._equations.evaluate(self._equations, doubles(at.unknown), at.parameter)
+            self._check(outcome)
+            self._last = at
+        return self._equations
+
+    def _found(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
+        self._last = found = CompiledPoint(self, unknown, parameter)
+        return found
+
+    def largest_compliance(self, parameter: float) -> float:
+        """Largest sum of abs(R_k) over a row of it at a parameter [m/N]."""
+        self._last = None
+        found = float(self._largest(self._point, parameter))
+        if not math.isfinite(found):
+            self._check(kernel.SINGULAR_STRUCTURE)
+        return found
+
+    def _check(self, outcome: int) -> None:
+        """Raise ConvergenceError where the structure is singular, MemoryError without memory."""
+        if outcome == kernel.NO_MEMORY:
+            raise MemoryError("condensed equations")
+        if outcome == kernel.SINGULAR_STRUCTURE:
+            raise ConvergenceError("path: the structure is singular (an undamped resonance)")
+
+
+class CompiledSystem(CompiledEquations):
+    """F(g, p) = 0 of pairs that nothing couples.
 
     Parameters
     ----------
@@ -206,51 +271,56 @@ class CompiledSystem(CompiledPaths):
         growth: float = 0.0,
         above: int = 0,
     ) -> None:
-        self.shape = linear.shape
         seen = seen_structure(linear, compliance, linear_rate, above)
-        equations = Struct(
-            "condensed", seen=seen, growth=growth,
-            stiffness=shaped(stiffness, linear.shape[1]),
+        stiffness = shaped(stiffness, linear.shape[1])
+        given = Struct("condensed", seen=seen, growth=growth, stiffness=stiffness)
+        super().__init__(
+            given, linear.shape, kernel.new_point, kernel.free_point, kernel.equations_of,
+            kernel.largest_compliance,
         )  # fmt: skip
-        self._given = equations
-        self._point = owned(kernel.new_point(equations.at), kernel.free_point)
-        self._equations = kernel.equations_of(self._point)
 
-    def linearise(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
-        """The equations at a point."""
-        return CompiledPoint(self, shaped(unknown, *self.shape), parameter)
 
-    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
-        """Inner product."""
-        return float(np.vdot(first, second))
+class CompiledCoupled(CompiledEquations):
+    """F(s, p) = 0 of pairs that are seen through a static compliance.
 
-    def evaluated(self, at: CompiledPoint) -> Any:
-        """The kernel's equations, evaluated at a point."""
-        if self._last is not at:
-            self._last = None
-            outcome = self._equations.evaluate(self._equations, doubles(at.unknown), at.parameter)
-            self._check(outcome)
-            self._last = at
-        return self._equations
+    Parameters
+    ----------
+    residual : (n_pairs, n_pairs) [m/N]
+        R_inf.
+    springs : (n_pairs,) [m/N]
+        1 / k at p = 0.
+    basis : (n_pairs, n) or None
+        U where modes are fewer than pairs.
+    linear, compliance, linear_rate, growth
+        As of :class:`CompiledSystem`, R_k - R_inf in the place of R.
+    softness : float [m/N]
+        That in series with each pair is ``softness`` |1 - p|^3.
+    """
 
-    def _found(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
-        self._last = found = CompiledPoint(self, unknown, parameter)
-        return found
-
-    def largest_compliance(self, parameter: float) -> float:
-        """Largest sum of abs(R_k) over a row of it at a parameter [m/N]."""
-        self._last = None
-        found = float(kernel.largest_compliance(self._point, parameter))
-        if not math.isfinite(found):
-            self._check(kernel.SINGULAR_STRUCTURE)
-        return found
-
-    def _check(self, outcome: int) -> None:
-        """Raise ConvergenceError where the structure is singular, MemoryError without memory."""
-        if outcome == kernel.NO_MEMORY:
-            raise MemoryError("condensed equations")
-        if outcome == kernel.SINGULAR_STRUCTURE:
-            raise ConvergenceError("path: the structure is singular (an undamped resonance)")
+    def __init__(
+        self,
+        residual: np.ndarray,
+        springs: np.ndarray,
+        basis: np.ndarray | None,
+        linear: np.ndarray,
+        compliance: np.ndarray | ModalPart,
+        *,
+        linear_rate: np.ndarray | None = None,
+        growth: float = 0.0,
+        softness: float = 0.0,
+    ) -> None:
+        pairs = linear.shape[1]
+        gaps = pairs if basis is None else basis.shape[1]
+        given = Struct(
+            "coupled", seen=seen_structure(linear, compliance, linear_rate), growth=growth,
+            softness=softness, residual=shaped(residual, pairs, pairs), seen_gaps=gaps,
+            springs=shaped(springs, pairs),
+            basis=None if basis is None else shaped(basis, pairs, gaps),
+        )  # fmt: skip
+        super().__init__(
+            given, linear.shape, kernel.new_coupled_point, kernel.free_coupled_point,
+            kernel.equations_of_coupled, kernel.largest_moving,
+        )  # fmt: skip
 
 
 class Stretch(Sequence[PathPoint]):
@@ -314,9 +384,9 @@ class Stretch(Sequence[PathPoint]):
 
 
 class CompiledPoint(Linearisation):
-    """:class:`CompiledSystem` at a point; evaluated again where the kernel has left it."""
+    """:class:`CompiledEquations` at a point; evaluated again where the kernel has left it."""
 
-    def __init__(self, system: CompiledSystem, unknown: np.ndarray, parameter: float) -> None:
+    def __init__(self, system: CompiledEquations, unknown: np.ndarray, parameter: float) -> None:
         self.system, self.unknown, self.parameter = system, unknown, parameter
 
     @property

@@ -99,6 +99,11 @@ class ModalCompliance:
 
     With modal coordinates q, u = Phi q, the impedance is omega_j^2 - w^2 + i w c_j, or with damping
     that couples modes a full matrix of the same size.
+
+    Attributes
+    ----------
+    still_gap : (2H+1, n_pairs) [m]
+        The part of the linear gap that no mode makes.
     """
 
     def __init__(self, structure: Structure, base_omega: float, load: np.ndarray) -> None:
@@ -126,9 +131,11 @@ class ModalCompliance:
         self._modal_load = load * self._unit_load
         self.linear_gap = self._gap(self._modal_load)
         self._load = load
+        self.still_gap = np.zeros_like(self.linear_gap)
         if self._unit_static is not None:
-            self.linear_gap += load * self._static_gap
-        self.linear_gap[0] -= self._clearance + clearance
+            self.still_gap += load * self._static_gap
+        self.still_gap[0] -= self._clearance + clearance
+        self.linear_gap += self.still_gap
 
     def at(
         self, base_omega: float, *, load: float = 1.0, damping: float = 1.0, clearance: float = 0.0
@@ -168,15 +175,20 @@ class ModalCompliance:
         return found
 
     def modal_part(
-        self, omega: tuple[float, float], damping: tuple[float, float]
+        self,
+        omega: tuple[float, float],
+        damping: tuple[float, float],
+        residual: np.ndarray | None = None,
     ) -> ModalPart | None:
-        """What the kernel takes of it for paths in the base frequency and the damping, from those
-        at p = 0 and their rates; None where damping couples modes or something has no mass."""
+        """What the kernel takes of R_k, less a static compliance, for paths in the base frequency
+        and the damping, from those at p = 0 and their rates; None where damping couples modes."""
         modes = self._modes
-        if modes.damping.ndim == 2 or modes.residual is not None:
+        if modes.damping.ndim == 2:
             return None
-        load = self._load * self._unit_load
-        return ModalPart(modes.squares, modes.damping, modes.pairs, load, omega, damping)
+        load, at_once = self._load * self._unit_load, modes.residual
+        if residual is not None:
+            at_once = -residual if at_once is None else at_once - residual
+        return ModalPart(modes.squares, modes.damping, modes.pairs, load, omega, damping, at_once)
 
     # Derivatives of R lambda - g_lin for fixed forces (2H+1, n_pairs): (2H+1, n_pairs).
 

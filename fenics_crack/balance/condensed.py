@@ -20,11 +20,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from copy import copy
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.balance.compiled import CompiledSystem
+from fenics_crack.balance.compiled import CompiledSystem, ModalPart
 from fenics_crack.balance.compliance import Compliance, WidenedCompliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, ExactIntegrals, apply_to_pairs
 from fenics_crack.balance.linearisation import DenseLinearisation, factored, solve_factored
@@ -140,7 +141,7 @@ class CondensedSystem(CondensedEquations):
 
     def __init__(self, compliance: Compliance, integrals: ContactIntegrals) -> None:
         super().__init__(compliance)
-        self.integrals = integrals
+        self.integrals, self.moving = integrals, compliance.matrices
 
     def linearise(self, gap: np.ndarray, parameter: float = 0.0) -> _GapPoint:
         """The equations at a gap and a stiffness; J = I + R T, dF/dp = R b."""
@@ -179,9 +180,13 @@ class CondensedSystem(CondensedEquations):
     @cached_property
     def compiled(self) -> CompiledSystem | None:
         """The same along its parameter in the kernel, where it has them."""
-        if not self.in_kernel:
-            return None
-        return CompiledSystem(self.stiffness, self.linear, self.compliance.matrices, growth=1.0)
+        return self.compile(self.linear, self.moving, growth=1.0) if self.in_kernel else None
+
+    def compile(
+        self, linear: np.ndarray, compliance: np.ndarray | ModalPart, **along: Any
+    ) -> CompiledSystem:
+        """The kernel's equations of these pairs."""
+        return CompiledSystem(self.stiffness, linear, compliance, **along)
 
 
 class HigherHarmonics(CondensedEquations):
@@ -198,10 +203,10 @@ class HigherHarmonics(CondensedEquations):
     @cached_property
     def compiled(self) -> CompiledSystem | None:
         """The same in the kernel, where it has them."""
-        system, matrices = self._system, self.compliance.matrices
+        system = self._system
         if not system.in_kernel:
             return None
-        return CompiledSystem(system.stiffness, self.linear, matrices, above=self._kept + 1)
+        return system.compile(self.linear, system.moving, above=self._kept + 1)
 
     def linearise(self, gap: np.ndarray, parameter: float) -> _GapPoint:
         """The equations at a gap and a share p."""

@@ -25,9 +25,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
+from fenics_crack.balance.compiled import CompiledCoupled, ModalPart
 from fenics_crack.balance.compliance import Compliance, WidenedCompliance
 from fenics_crack.balance.condensed import CondensedEquations, CondensedPoint, respond
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals, CoupledTangent
@@ -66,6 +68,27 @@ class CoupledSystem(CondensedEquations):
         rows, pairs = self.linear.shape
         size = rows * (pairs if self.basis is None else self.basis.shape[1])
         self.matrix_free = size**3 > MATRIX_FREE**3 + PRODUCTS * rows * pairs**2
+
+    @property
+    def in_kernel(self) -> bool:
+        """Whether the kernel has these equations: with exact integrals, and unless J is too large
+        to be formed."""
+        return self.integrals.exact and not self.matrix_free
+
+    @cached_property
+    def compiled(self) -> CompiledCoupled | None:
+        """The same along its parameter in the kernel, where it has them."""
+        if not self.in_kernel:
+            return None
+        softness = self._softness * self.integrals.unit
+        return self.compile(self.linear, self.moving, softness=softness)
+
+    def compile(
+        self, linear: np.ndarray, compliance: np.ndarray | ModalPart, **along: Any
+    ) -> CompiledCoupled:
+        """The kernel's equations of these pairs."""
+        springs = np.broadcast_to(1.0 / np.asarray(self.integrals.law.stiffness), self.shape[1:])
+        return CompiledCoupled(self.residual, springs, self.basis, linear, compliance, **along)
 
     @cached_property
     def moving_seen(self) -> np.ndarray:

@@ -157,6 +157,11 @@ class CoupledIntegrals:
         """Whether the forces are piecewise linear in s."""
         return is_piecewise_linear(self.law) or is_rigid(self.law)
 
+    @property
+    def exact(self) -> bool:
+        """Whether they are exact integrals."""
+        return self.piecewise and self.samples is None
+
     def with_softness(self, softness: float) -> CoupledIntegrals:
         """The same with another compliance in series."""
         return self if softness == self.softness else replace(self, softness=softness)
@@ -209,7 +214,7 @@ class _PiecewiseForces(CoupledForces):
     def __init__(self, integrals: CoupledIntegrals, gap: np.ndarray) -> None:
         self._integrals, self._gap = integrals, gap
         highest, contact = 2 * integrals.harmonics, integrals.contact
-        if integrals.samples is None:
+        if integrals.exact:
             found = contact_intervals(gap, contact)
             self._sets, rests = lambda: found.closed, found.rests(highest)
             step, base = np.arange(1, len(rests)), found.stiffness[None]

@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fenics_crack.balance.compiled import CompiledSystem
+from fenics_crack.balance.compiled import CompiledEquations
 from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, respond
 from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
@@ -120,15 +120,13 @@ class Family(ABC):
     # --- what paths ask for -----------------------------------------------------------------------
 
     @cached_property
-    def compiled(self) -> CompiledSystem | None:
+    def compiled(self) -> CompiledEquations | None:
         """The same equations in the kernel; None where it does not have them."""
         system = self.system(self.start)
-        if isinstance(system, CondensedSystem) and system.in_kernel:
-            return self._compile(system)
-        return None
+        return self._compile(system) if system.in_kernel else None
 
     @abstractmethod
-    def _compile(self, first: CondensedSystem) -> CompiledSystem | None:
+    def _compile(self, first: CondensedSystem | CoupledSystem) -> CompiledEquations | None:
         """The kernel's equations, from the system at p = 0."""
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> CondensedPoint:
@@ -148,22 +146,21 @@ class Family(ABC):
         return float(np.vdot(first, second))
 
     def _with_modes(
-        self, first: CondensedSystem, omega: tuple[float, float], damping: tuple[float, float]
-    ) -> CompiledSystem | None:
+        self,
+        first: CondensedSystem | CoupledSystem,
+        omega: tuple[float, float],
+        damping: tuple[float, float],
+    ) -> CompiledEquations | None:
         """The kernel's equations along base frequencies, or factors of the damping."""
-        modal = self._compliance.modal_part(omega, damping)
-        if modal is None:
-            return None
-        linear = np.zeros_like(first.linear)
-        linear[0] = -self.problem.structure.clearance
-        return CompiledSystem(first.stiffness, linear, modal)
+        modal = self._compliance.modal_part(omega, damping, self.problem.residual)
+        return modal and first.compile(self._compliance.still_gap, modal)
 
-    def _with_linear_rate(self, first: CondensedSystem, by_value: np.ndarray) -> CompiledSystem:
+    def _with_linear_rate(
+        self, first: CondensedSystem | CoupledSystem, by_value: np.ndarray
+    ) -> CompiledEquations:
         """The same where g_lin alone depends on the parameter, and linearly."""
         rate = (self.end - self.start) * by_value
-        return CompiledSystem(
-            first.stiffness, first.linear, first.compliance.matrices, linear_rate=rate
-        )
+        return first.compile(first.linear, first.moving, linear_rate=rate)
 
 
 class FrequencyFamily(Family):
@@ -192,7 +189,7 @@ class FrequencyFamily(Family):
         assert isinstance(at.system.compliance, ModalCompliance)
         return at.system.compliance.frequency_derivative(at.force) / self.problem.subharmonic
 
-    def _compile(self, first: CondensedSystem) -> CompiledSystem | None:
+    def _compile(self, first: CondensedSystem | CoupledSystem) -> CompiledEquations | None:
         base = self.start / self.problem.subharmonic
         rate = (self.end - self.start) / self.problem.subharmonic
         return self._with_modes(first, (base, rate), (1.0, 0.0))
@@ -228,7 +225,7 @@ class LoadFamily(_VariedFamily):
     def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
         return self._compliance.load_derivative()
 
-    def _compile(self, first: CondensedSystem) -> CompiledSystem:
+    def _compile(self, first: CondensedSystem | CoupledSystem) -> CompiledEquations:
         return self._with_linear_rate(first, -self._compliance.load_derivative())
 
 
@@ -247,7 +244,7 @@ class DampingFamily(_VariedFamily):
         assert isinstance(at.system.compliance, ModalCompliance)
         return at.system.compliance.damping_derivative(at.force)
 
-    def _compile(self, first: CondensedSystem) -> CompiledSystem | None:
+    def _compile(self, first: CondensedSystem | CoupledSystem) -> CompiledEquations | None:
         damping = (self.start, self.end - self.start)
         return self._with_modes(first, (self.problem.base_omega, 0.0), damping)
 
@@ -262,7 +259,7 @@ class ClearanceFamily(_VariedFamily):
         change[0] = 1.0
         return change
 
-    def _compile(self, first: CondensedSystem) -> CompiledSystem:
+    def _compile(self, first: CondensedSystem | CoupledSystem) -> CompiledEquations:
         change = np.zeros_like(first.linear)
         change[0] = -1.0
         return self._with_linear_rate(first, change)
@@ -294,11 +291,9 @@ class StiffnessFamily(Family):
             return respond(at.system.moving, at.forces.by_stiffness()) / value
         return respond(self._compliance.matrices, at.force) / value  # b is proportional to v
 
-    def _compile(self, first: CondensedSystem) -> CompiledSystem:
+    def _compile(self, first: CondensedSystem | CoupledSystem) -> CompiledEquations:
         growth = float(np.log(self.end / self.start))
-        return CompiledSystem(
-            first.stiffness, first.linear, first.compliance.matrices, growth=growth
-        )
+        return first.compile(first.linear, first.moving, growth=growth)
 
 
 class SpeedFamily(Family):
@@ -347,7 +342,7 @@ class SpeedFamily(Family):
         below, above = ends
         return np.asarray((above - below) / (2.0 * step))
 
-    def _compile(self, first: CondensedSystem) -> CompiledSystem | None:
+    def _compile(self, first: CondensedSystem | CoupledSystem) -> CompiledEquations | None:
         return None
 
 

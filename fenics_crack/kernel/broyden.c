@@ -26,7 +26,7 @@ static double size_of(const broyden *by, const double *r)
 }
 
 /* B^-1 r, in place. */
-static void answer(const equations *at, const broyden *by, double *r)
+static void answer(equations *at, const broyden *by, double *r)
 {
     const int n = by->unknowns;
     at->solve_nearly(at, r);

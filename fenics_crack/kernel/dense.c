@@ -33,7 +33,7 @@ void solve_dense(equations *own, double *x)
     solve_nearly_dense(own, x);
 }
 
-void solve_nearly_dense(const equations *own, double *x)
+void solve_nearly_dense(equations *own, double *x)
 {
     const dense *at = (const dense *)own;
     solve_factored(at->size, at->matrix, at->pivots, x);

@@ -21,7 +21,7 @@ void free_dense(dense *at);
 void factor_dense(dense *at);
 /* What vtables take. */
 void solve_dense(equations *own, double *x);
-void solve_nearly_dense(const equations *own, double *x);
+void solve_nearly_dense(equations *own, double *x);
 int has_dense_factors(const equations *own);
 double sign_of_dense(equations *own);
 

@@ -16,7 +16,7 @@ typedef struct equations {
     /* For points that share LU factors (broyden.h); NULL where they do not: whether J has been
      * factored at some point, x = J^-1 x with the J of the last such one, and J x there. */
     int (*has_factors)(const struct equations *at);
-    void (*solve_nearly)(const struct equations *at, double *x);
+    void (*solve_nearly)(struct equations *at, double *x);
     void (*apply)(struct equations *at, const double *x, double *found);
 } equations;
 
