@@ -295,6 +295,8 @@ class CompiledCoupled(CompiledEquations):
         As of :class:`CompiledSystem`, R_k - R_inf in the place of R.
     softness : float [m/N]
         That in series with each pair is ``softness`` |1 - p|^3.
+    formed : bool
+        Whether J is formed; else solutions take products with it, and its sign is nan.
     """
 
     def __init__(
@@ -308,12 +310,13 @@ class CompiledCoupled(CompiledEquations):
         linear_rate: np.ndarray | None = None,
         growth: float = 0.0,
         softness: float = 0.0,
+        formed: bool = True,
     ) -> None:
         pairs = linear.shape[1]
         gaps = pairs if basis is None else basis.shape[1]
         given = Struct(
             "coupled", seen=seen_structure(linear, compliance, linear_rate), growth=growth,
-            softness=softness, residual=shaped(residual, pairs, pairs), seen_gaps=gaps,
+            softness=softness, formed=formed, residual=shaped(residual, pairs, pairs), seen_gaps=gaps,
             springs=shaped(springs, pairs),
             basis=None if basis is None else shaped(basis, pairs, gaps),
         )  # fmt: skip

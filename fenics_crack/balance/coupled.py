@@ -71,9 +71,8 @@ class CoupledSystem(CondensedEquations):
 
     @property
     def in_kernel(self) -> bool:
-        """Whether the kernel has these equations: with exact integrals, and unless J is too large
-        to be formed."""
-        return self.integrals.exact and not self.matrix_free
+        """Whether the kernel has these equations: with exact integrals."""
+        return self.integrals.exact
 
     @cached_property
     def compiled(self) -> CompiledCoupled | None:
@@ -88,7 +87,10 @@ class CoupledSystem(CondensedEquations):
     ) -> CompiledCoupled:
         """The kernel's equations of these pairs."""
         springs = np.broadcast_to(1.0 / np.asarray(self.integrals.law.stiffness), self.shape[1:])
-        return CompiledCoupled(self.residual, springs, self.basis, linear, compliance, **along)
+        return CompiledCoupled(
+            self.residual, springs, self.basis, linear, compliance,
+            formed=not self.matrix_free, **along,
+        )  # fmt: skip
 
     @cached_property
     def moving_seen(self) -> np.ndarray:

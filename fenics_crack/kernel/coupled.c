@@ -6,17 +6,21 @@
 
 #include "coupled_forces.h"
 #include "dense.h"
+#include "krylov.h"
 #include "lapack.h"
+
+#define SHARP 1e-9 /* residual of a solution where J is not formed */
 
 struct coupled_point {
     dense common;
     coupled of;
     compliance *seen;
     coupled_forces *forces;
+    krylov *inverse;                         /* where J is not formed; else NULL */
     double parameter;
     double *compliance, *rate;               /* D (p, p), and the rate of its diagonal by p */
     double *gap, *force, *change, *residual; /* (2H+1, p) */
-    double *transposed;                      /* U^T (q, p) */
+    double *transposed, *counts;             /* U^T (q, p); (n) */
     double *within, *beside, *moved;         /* room: (2H+1, q), and (2H+1, p) twice */
     double *means, *strip, *block, *half;    /* room: (4H+1, q, q), (2 q, size), (2 q, 2 q), and
                                                 (q, p) complex */
@@ -127,6 +131,10 @@ static void solve_nearly(equations *own, double *x)
     coupled_point *at = (coupled_point *)own;
     const int p = at->of.seen.pairs, q = at->of.seen_gaps, n = own->unknowns;
     const int rows = 2 * at->of.seen.harmonics + 1;
+    if (at->inverse) {
+        solve_by_kept(at->inverse, x);
+        return;
+    }
     if (!at->of.basis) {
         solve_nearly_dense(own, x);
         return;
@@ -145,8 +153,24 @@ static void solve_nearly(equations *own, double *x)
 
 static void solve(equations *own, double *x)
 {
-    factor_dense((dense *)own);
+    coupled_point *at = (coupled_point *)own;
+    if (at->inverse) {
+        solve_by_products(at->inverse, own, x, SHARP);
+        return;
+    }
+    factor_dense(&at->common);
     solve_nearly(own, x);
+}
+
+static int has_factors(const equations *own)
+{
+    const coupled_point *at = (const coupled_point *)own;
+    return at->inverse ? has_kept(at->inverse) : has_dense_factors(own);
+}
+
+static double sign(equations *own)
+{
+    return ((coupled_point *)own)->inverse ? NAN : sign_of_dense(own);
 }
 
 coupled_point *new_coupled_point(const coupled *given)
@@ -156,9 +180,10 @@ coupled_point *new_coupled_point(const coupled *given)
     at->of = *given;
     const size_t H = given->seen.harmonics, p = given->seen.pairs, q = given->seen_gaps;
     const size_t rows = 2 * H + 1, n = rows * p, size = rows * q;
-    at->common.own = (equations){(int)n,            evaluate,     residual_at,
-                                 solve,             by_parameter, sign_of_dense,
-                                 has_dense_factors, solve_nearly, apply_jacobian};
+    const size_t formed = given->formed ? size : 0; /* what only a J that is formed needs */
+    at->common.own = (equations){(int)n, evaluate,    residual_at,  solve,         by_parameter,
+                                 sign,   NULL, has_factors, solve_nearly, apply_jacobian};
+    if (!given->formed) at->inverse = new_krylov((int)n);
     at->seen = new_compliance(&given->seen);
     at->forces = new_coupled_forces((int)H, (int)p);
     const struct {
@@ -167,14 +192,14 @@ coupled_point *new_coupled_point(const coupled *given)
     } parts[] = {{&at->compliance, p * p},       {&at->rate, p},          {&at->gap, n},
                  {&at->force, n},                {&at->change, n},        {&at->residual, n},
                  {&at->transposed, q * p},       {&at->within, size},     {&at->beside, n},
-                 {&at->means, (2 * rows) * q * q}, {&at->strip, 2 * q * size}, {&at->moved, n},
-                 {&at->block, 4 * q * q},        {&at->half, 2 * q * p}};
+                 {&at->means, 2 * rows * q * q}, {&at->strip, 2 * q * formed}, {&at->moved, n},
+                 {&at->block, 4 * q * q},        {&at->half, 2 * q * p},  {&at->counts, n}};
     const size_t count = sizeof parts / sizeof parts[0];
     size_t all = 0;
     for (size_t i = 0; i < count; i++) all += parts[i].size;
     at->room = malloc(all * sizeof(double));
-    if (make_dense(&at->common, (int)size, form_jacobian) || !at->seen || !at->forces ||
-        !at->room) {
+    if (make_dense(&at->common, (int)formed, form_jacobian) || !at->seen || !at->forces ||
+        !at->room || !(at->inverse || given->formed)) {
         free_coupled_point(at);
         return NULL;
     }
@@ -182,6 +207,11 @@ coupled_point *new_coupled_point(const coupled *given)
     for (size_t i = 0; i < count; next += parts[i++].size) *parts[i].array = next;
     for (size_t i = 0; i < p && given->basis; i++)
         for (size_t j = 0; j < q; j++) at->transposed[j * p + i] = given->basis[i * q + j];
+    for (size_t i = 0; i < n; i++) {
+        const double k = fmax(1.0, (double)((i / p + 1) / 2));
+        at->counts[i] = 1.0 / (k * k);
+    }
+    if (at->inverse) at->common.own.counts = at->counts;
     at->parameter = NAN;
     return at;
 }
@@ -191,6 +221,7 @@ void free_coupled_point(coupled_point *at)
     free_dense(&at->common);
     free_compliance(at->seen);
     free_coupled_forces(at->forces);
+    free_krylov(at->inverse);
     free(at->room);
     free(at);
 }

@@ -13,7 +13,9 @@
  *     D(p) = R_inf + diag(e^{-growth p} springs) + softness |1 - p|^3.
  *
  * Where modes are fewer than pairs, R~_k = U R'_k U^T with an orthonormal basis U, and J is solved
- * with through I + R' U^T T U, of the same determinant. All arrays are the caller's, and stay.
+ * with through I + R' U^T T U, of the same determinant. Where J is not formed turns of a path are
+ * judged with 1 / k^2 for harmonic k: where the phase of the motion turns, that of harmonic k turns k
+ * times as far, and a tangent's high harmonics are not small. All arrays are the caller's, and stay.
  */
 typedef struct {
     seen_structure seen;   /* R~ in the place of R */
@@ -22,6 +24,7 @@ typedef struct {
     const double *springs;  /* compliance in series with each pair: (p) */
     int seen_gaps;          /* columns of U, or p */
     const double *basis;    /* U: (p, seen_gaps); NULL where it is not needed */
+    int formed;             /* whether J is formed; else it is applied alone (krylov.h) */
 } coupled;
 
 typedef struct coupled_point coupled_point;

@@ -12,7 +12,8 @@ typedef struct equations {
     void (*residual)(const struct equations *at, double *found);      /* F there */
     void (*solve)(struct equations *at, double *x);                   /* x = J^-1 x there */
     void (*by_parameter)(struct equations *at, double *found);        /* dF/dp there */
-    double (*sign)(struct equations *at);                             /* of det J there */
+    double (*sign)(struct equations *at);  /* of det J there; NAN where it is not known: then turns */
+    const double *counts;                  /* are judged with unknowns that count so much (n) */
     /* For points that share LU factors (broyden.h); NULL where they do not: whether J has been
      * factored at some point, x = J^-1 x with the J of the last such one, and J x there. */
     int (*has_factors)(const struct equations *at);

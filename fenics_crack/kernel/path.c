@@ -153,13 +153,36 @@ typedef struct {
     double *here;     /* room for a point z */
 } sharing;
 
+/* Of two directions y and z, the second with its weight, as turns are judged. */
+static double product(const equations *at, double weight, const double *y, double y_p,
+                      const double *z, double z_p)
+{
+    const double *counts = at->counts;
+    double sum = counts ? 0.0 : inner(at->unknowns, y, z);
+    for (int i = 0; i < at->unknowns && counts; i++) sum += counts[i] * y[i] * z[i];
+    return weight * sum + y_p * z_p;
+}
+
+/* Cosine of the angle between them. */
+static double cosine_of(const equations *at, double weight, const double *y, double y_p,
+                        const double *z, double z_p)
+{
+    const double square = product(at, weight, y, y_p, y, y_p) * product(at, weight, z, z_p, z, z_p);
+    return square > 0.0 ? product(at, weight, y, y_p, z, z_p) / sqrt(square) : 0.0;
+}
+
 /* The exact tangent at a point that has been evaluated. The determinant of the bordered matrix
- * keeps its sign along a path: it tells where the path goes on. */
+ * keeps its sign along a path: it tells where the path goes on. Where it is not known the tangent
+ * is taken that goes on at the smaller angle to the one before, with its slope. */
 static double tangent_onwards(equations *at, int n, double orientation, const double *x,
-                              double *tangent, double *weight)
+                              const double *before, double old_slope, double *tangent,
+                              double *weight)
 {
     double slope = tangent_at(at, n, x, tangent, weight);
-    if (at->sign(at) != orientation) turn_round(n, tangent, &slope);
+    const double sign = at->sign(at);
+    const int onwards = isnan(sign) ? product(at, *weight, tangent, slope, before, old_slope) >= 0.0
+                                    : sign == orientation;
+    if (!onwards) turn_round(n, tangent, &slope);
     return slope;
 }
 
@@ -177,8 +200,8 @@ static int renew(equations *at, int n, path *points, sharing *with)
     double *tangent = points->tangents + (size_t)last * n;
     const int outcome = at->evaluate(at, x, points->parameters[last]);
     if (outcome != FOUND) return outcome;
-    const double slope = tangent_onwards(at, n, points->orientation, x, with->here,
-                                         points->weights + last);
+    const double slope = tangent_onwards(at, n, points->orientation, x, tangent,
+                                         points->slopes[last], with->here, points->weights + last);
     const double along = points->weights[last] * inner(n, with->here, tangent);
     if (!(along + slope * points->slopes[last] > 0.0)) return DOUBTED;
     memcpy(tangent, with->here, n * sizeof(double)), points->slopes[last] = slope;
@@ -273,12 +296,9 @@ static int advance(equations *at, int n, const stepping *how, path *points, shar
     }
     if (outcome != FOUND) return outcome;
     if (shared) shared = tangent_shared(at, n, points, with, tangent, &slope, &own);
-    if (!shared) slope = tangent_onwards(at, n, points->orientation, x, tangent, &own);
+    if (!shared) slope = tangent_onwards(at, n, points->orientation, x, old, old_slope, tangent, &own);
     /* The angle tells whether the step has left the path. */
-    const double square = weight * inner(n, tangent, tangent) + slope * slope;
-    const double cosine = square > 0.0 ? (weight * inner(n, tangent, old) + slope * old_slope) /
-                                             sqrt(square)
-                                       : 0.0;
+    const double cosine = cosine_of(at, weight, tangent, slope, old, old_slope);
     if (!(cosine > how->least_cosine)) {
         if (with && with->sure < last && cosine < 0.0) return DOUBTED;
         if (!(cosine < -0.999 && step < how->branching_step * how->longest)) return NOT_FOUND;
@@ -286,9 +306,12 @@ static int advance(equations *at, int n, const stepping *how, path *points, shar
         crossing = 1, points->orientation = -points->orientation;
         turn_round(n, tangent, &slope);
     }
-    double chord = 0.0;
-    for (int i = 0; i < n; i++) chord += (x[i] - here[i]) * (x[i] - here[i]);
-    const double rise = p - points->parameters[last];
+    for (int i = 0; i < n; i++) room[i] = x[i] - here[i];
+    const double rise = p - points->parameters[last], chord = inner(n, room, room);
+    if (isnan(points->orientation) && /* lest a step across a narrow turn leads back */
+        !(cosine_of(at, weight, room, rise, old, old_slope) > how->least_cosine &&
+          cosine_of(at, own, room, rise, tangent, slope) > how->least_cosine))
+        return NOT_FOUND;
     points->parameters[points->known] = p, points->slopes[points->known] = slope;
     points->weights[points->known] = own, points->iterations[points->known] = taken;
     points->lengths[points->known] = sqrt(weight * chord + rise * rise);

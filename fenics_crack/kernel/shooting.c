@@ -96,7 +96,7 @@ shooting_point *new_shooting_point(const shooting_equations *given)
     if (!at) return NULL;
     at->of = *given;
     at->common.own = (equations){(int)n,       evaluate,      residual, solve_dense,
-                                 by_parameter, sign_of_dense, NULL,     NULL, NULL};
+                                 by_parameter, sign_of_dense, NULL,     NULL, NULL, NULL};
     const int failed = make_dense(&at->common, (int)n, form_jacobian);
     at->scale = malloc(bytes(3 * n + n * n));
     at->moved.most_pieces = given->pieces, at->moved.most = given->intervals;
