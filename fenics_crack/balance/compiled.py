@@ -47,6 +47,10 @@ __all__ = [
 ]
 
 
+SHARP = 1e-9
+"""Relative residual of a solution with J where J is not formed."""
+
+
 @dataclass(frozen=True)
 class ModalPart:
     """Modes that answer along a path: R_k = P^T h_k P + at_once and what the load adds to g_lin,
@@ -404,6 +408,7 @@ class CompiledPoint(Linearisation):
         if found.size != self.unknown.size:
             raise ValueError(f"{found.size} numbers instead of {self.unknown.size}")
         at = self.system.evaluated(self)
+        at.sharp = SHARP
         at.solve(at, doubles(found))
         return found
 

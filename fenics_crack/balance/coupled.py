@@ -29,7 +29,7 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.compiled import CompiledCoupled, ModalPart
+from fenics_crack.balance.compiled import SHARP, CompiledCoupled, ModalPart
 from fenics_crack.balance.compliance import Compliance, WidenedCompliance
 from fenics_crack.balance.condensed import CondensedEquations, CondensedPoint, respond
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals, CoupledTangent
@@ -44,8 +44,8 @@ MATRIX_FREE, PRODUCTS = 350, 225
 costs in any case, and 225 (2H+1) n_pairs^2 for its products. Both ways take equally long with about
 300 to 350 unknowns of 18 pairs (measured with H = 8 to 40), and with 600 of 30 modes and 100 pairs.
 """
-SHARP, ROUGH = 1e-9, 1e-2
-"""Relative residual of GMRES where a solution with J is asked for, and in an estimate."""
+ROUGH = 1e-2
+"""Relative residual of GMRES in an estimate."""
 
 
 class CoupledSystem(CondensedEquations):

@@ -105,9 +105,11 @@ point *new_point(const condensed *given)
     at->of = *given;
     const size_t H = given->seen.harmonics, p = given->seen.pairs, rows = 2 * H + 1, n = rows * p;
     const size_t waves = 2 * H * (switching_cells((int)H) / 4 + 1);
-    at->common.own = (equations){(int)n,        evaluate,          residual_at,
-                                 solve_dense,   by_parameter,      sign_of_dense, NULL,
-                                 has_dense_factors, solve_nearly_dense, apply_jacobian};
+    at->common.own = (equations){
+        .unknowns = (int)n, .evaluate = evaluate, .residual = residual_at, .solve = solve_dense,
+        .by_parameter = by_parameter, .sign = sign_of_dense,
+        .has_factors = has_dense_factors, .solve_nearly = solve_nearly_dense,
+        .apply = apply_jacobian};
     at->seen = new_compliance(&given->seen);
     at->room = malloc((waves + p + 2 * p * rows + 3 * n + n * rows) * sizeof(double));
     if (make_dense(&at->common, (int)n, form_jacobian) || !at->seen || !at->room) {

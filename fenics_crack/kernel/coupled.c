@@ -9,14 +9,15 @@
 #include "krylov.h"
 #include "lapack.h"
 
-#define SHARP 1e-9 /* residual of a solution where J is not formed */
+
+enum { FEW = 100 }; /* unknowns up to which factors are quicker than products */
 
 struct coupled_point {
     dense common;
     coupled of;
     compliance *seen;
     coupled_forces *forces;
-    krylov *inverse;                         /* where J is not formed; else NULL */
+    krylov *inverse;                         /* where solutions take products; else NULL */
     double parameter;
     double *compliance, *rate;               /* D (p, p), and the rate of its diagonal by p */
     double *gap, *force, *change, *residual; /* (2H+1, p) */
@@ -124,19 +125,15 @@ static void form_jacobian(dense *common)
     for (int i = 0; i < n; i++) common->matrix[(size_t)i * (n + 1)] += 1.0;
 }
 
-/* x = J^-1 x by the factors that there are. What of x no gap U y is stays, w = x - U U^T x; the rest
- * is U y with (I + R' U^T T U) y = U^T (x - R~ T w). */
-static void solve_nearly(equations *own, double *x)
+/* x = J^-1 x by factors. What of x no gap U y is stays, w = x - U U^T x; the rest is U y with
+ * (I + R' U^T T U) y = U^T (x - R~ T w). */
+static void solve_by_factors(coupled_point *at, double *x)
 {
-    coupled_point *at = (coupled_point *)own;
+    equations *own = &at->common.own;
     const int p = at->of.seen.pairs, q = at->of.seen_gaps, n = own->unknowns;
     const int rows = 2 * at->of.seen.harmonics + 1;
-    if (at->inverse) {
-        solve_by_kept(at->inverse, x);
-        return;
-    }
     if (!at->of.basis) {
-        solve_nearly_dense(own, x);
+        solve_dense(own, x);
         return;
     }
     multiply_matrices(rows, p, q, x, at->of.basis, 0.0, at->within);
@@ -146,7 +143,7 @@ static void solve_nearly(equations *own, double *x)
     respond_at(at->seen, at->change, at->moved);
     for (int i = 0; i < n; i++) at->moved[i] = x[i] - at->moved[i];
     multiply_matrices(rows, p, q, at->moved, at->of.basis, 0.0, at->within);
-    solve_nearly_dense(own, at->within);
+    solve_dense(own, at->within);
     multiply_matrices(rows, q, p, at->within, at->transposed, 0.0, x);
     for (int i = 0; i < n; i++) x[i] += at->beside[i];
 }
@@ -154,23 +151,13 @@ static void solve_nearly(equations *own, double *x)
 static void solve(equations *own, double *x)
 {
     coupled_point *at = (coupled_point *)own;
-    if (at->inverse) {
-        solve_by_products(at->inverse, own, x, SHARP);
-        return;
-    }
-    factor_dense(&at->common);
-    solve_nearly(own, x);
-}
-
-static int has_factors(const equations *own)
-{
-    const coupled_point *at = (const coupled_point *)own;
-    return at->inverse ? has_kept(at->inverse) : has_dense_factors(own);
+    if (at->inverse) solve_by_products(at->inverse, own, x, own->sharp);
+    else solve_by_factors(at, x);
 }
 
 static double sign(equations *own)
 {
-    return ((coupled_point *)own)->inverse ? NAN : sign_of_dense(own);
+    return ((coupled_point *)own)->of.formed ? sign_of_dense(own) : NAN;
 }
 
 coupled_point *new_coupled_point(const coupled *given)
@@ -181,9 +168,12 @@ coupled_point *new_coupled_point(const coupled *given)
     const size_t H = given->seen.harmonics, p = given->seen.pairs, q = given->seen_gaps;
     const size_t rows = 2 * H + 1, n = rows * p, size = rows * q;
     const size_t formed = given->formed ? size : 0; /* what only a J that is formed needs */
-    at->common.own = (equations){(int)n, evaluate,    residual_at,  solve,         by_parameter,
-                                 sign,   NULL, has_factors, solve_nearly, apply_jacobian};
-    if (!given->formed) at->inverse = new_krylov((int)n);
+    at->common.own = (equations){
+        .unknowns = (int)n, .evaluate = evaluate, .residual = residual_at, .solve = solve,
+        .by_parameter = by_parameter, .sign = sign, .apply = apply_jacobian};
+    const int products = !given->formed || n > FEW;
+    if (products) at->inverse = new_krylov((int)n);
+    at->common.own.products = products;
     at->seen = new_compliance(&given->seen);
     at->forces = new_coupled_forces((int)H, (int)p);
     const struct {
@@ -199,7 +189,7 @@ coupled_point *new_coupled_point(const coupled *given)
     for (size_t i = 0; i < count; i++) all += parts[i].size;
     at->room = malloc(all * sizeof(double));
     if (make_dense(&at->common, (int)formed, form_jacobian) || !at->seen || !at->forces ||
-        !at->room || !(at->inverse || given->formed)) {
+        !at->room || (products && !at->inverse)) {
         free_coupled_point(at);
         return NULL;
     }
@@ -211,7 +201,7 @@ coupled_point *new_coupled_point(const coupled *given)
         const double k = fmax(1.0, (double)((i / p + 1) / 2));
         at->counts[i] = 1.0 / (k * k);
     }
-    if (at->inverse) at->common.own.counts = at->counts;
+    if (!given->formed) at->common.own.counts = at->counts;
     at->parameter = NAN;
     return at;
 }

@@ -10,7 +10,9 @@ typedef struct equations {
     int unknowns;
     int (*evaluate)(struct equations *at, const double *x, double p); /* FOUND, or why not */
     void (*residual)(const struct equations *at, double *found);      /* F there */
-    void (*solve)(struct equations *at, double *x);                   /* x = J^-1 x there */
+    void (*solve)(struct equations *at, double *x);                   /* x = J^-1 x there, */
+    double sharp;                          /* to this relative residual where it takes products: */
+    int products;                          /* whether it does; the sign is dear then */
     void (*by_parameter)(struct equations *at, double *found);        /* dF/dp there */
     double (*sign)(struct equations *at);  /* of det J there; NAN where it is not known: then turns */
     const double *counts;                  /* are judged with unknowns that count so much (n) */

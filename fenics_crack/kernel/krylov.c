@@ -11,9 +11,9 @@ enum { MOST = 300, KEPT = 2, STAGES = 64 };
 struct krylov {
     int n, most, stages, kept;      /* vectors of all stages together */
     int begins[STAGES + 1];
-    double *inverses[STAGES];       /* H^-1 - I (size, size), size = begins[i + 1] - begins[i] */
+    double *inverses[STAGES];       /* R^-1 Q^T - Q Q^T (size, size), size = begins[i + 1] - begins[i] */
     double *vectors;                /* (2 most + 1, n) */
-    double *columns, *turned;       /* H and its triangle, column by column: (most, most + 1) */
+    double *columns, *turned;       /* H and R, column by column: (most, most + 1) */
     double *cosines, *sines, *left; /* of rotations; the right side: (most + 1) */
     double *weights, *other, *next; /* room: (most + 1) twice, (n) */
     double *room;
@@ -50,15 +50,14 @@ void free_krylov(krylov *k)
     free(k);
 }
 
-int has_kept(const krylov *k) { return k->stages > 0; }
-
 /* x += V^T y with rows V (size, n). */
 static void combine(int size, int n, const double *vectors, const double *y, double *x)
 {
     multiply_matrices(1, size, n, y, vectors, 1.0, x);
 }
 
-void solve_by_kept(const krylov *k, double *x)
+/* x = B x. */
+static void solve_by_kept(const krylov *k, double *x)
 {
     for (int stage = k->stages - 1; stage >= 0; stage--) {
         const int begin = k->begins[stage], size = k->begins[stage + 1] - begin;
@@ -101,28 +100,38 @@ static void rotate(krylov *k, int j, double *column)
     k->left[j] *= k->cosines[j];
 }
 
-/* Keeps the inverse on the last `size` vectors; not if there is no room, or none. */
+/* Keeps the inverse on the last `size` + 1 vectors W, of which J V = W H, H = Q R (size + 1, size):
+ * J (V R^-1) = W Q. Not if there is no room. */
 static void keep(krylov *k, int size)
 {
-    const size_t row = k->most + 1, count = size;
-    double *h = k->turned; /* has served */
-    int pivots[MOST];
-    if (k->stages == STAGES || k->kept + size > k->most) return;
-    double *inverse = malloc((count * count + 1) * sizeof(double));
+    const size_t row = k->most + 1, count = size + 1;
+    if (k->stages == STAGES || k->kept + size + 1 > k->most) return;
+    double *inverse = malloc(count * count * sizeof(double)), *last = k->weights;
     if (!inverse) return;
-    for (size_t i = 0; i < count; i++)
-        for (size_t j = 0; j < count; j++) h[i * count + j] = k->columns[j * row + i];
-    if (factor(size, h, pivots)) {
-        free(inverse);
-        return;
+    memset(inverse, 0, count * count * sizeof(double)); /* Q^T */
+    for (size_t i = 0; i < count; i++) inverse[i * (count + 1)] = 1.0;
+    for (int i = 0; i < size; i++)
+        for (size_t j = 0; j < count; j++) {
+            double *here = inverse + i * count + j, *next = here + count;
+            const double a = *here, b = *next;
+            *here = k->cosines[i] * a + k->sines[i] * b;
+            *next = k->cosines[i] * b - k->sines[i] * a;
+        }
+    memcpy(last, inverse + size * count, count * sizeof(double));
+    memset(inverse + size * count, 0, count * sizeof(double));
+    for (int i = size - 1; i >= 0; i--) { /* R^-1 Q^T */
+        double *own = inverse + i * count;
+        for (int l = i + 1; l < size; l++) {
+            const double share = k->turned[l * row + i], *other = inverse + l * count;
+            for (size_t j = 0; j < count; j++) own[j] -= share * other[j];
+        }
+        for (size_t j = 0; j < count; j++) own[j] /= k->turned[i * row + i];
     }
-    for (size_t j = 0; j < count; j++) {
-        for (size_t i = 0; i < count; i++) k->weights[i] = i == j;
-        solve_factored(size, h, pivots, k->weights);
-        for (size_t i = 0; i < count; i++) inverse[i * count + j] = k->weights[i] - (i == j);
-    }
+    for (size_t i = 0; i < count; i++) /* less Q Q^T = I - q q^T */
+        for (size_t j = 0; j < count; j++)
+            inverse[i * count + j] += last[i] * last[j] - (i == j);
     k->inverses[k->stages++] = inverse;
-    k->begins[k->stages] = k->kept += size;
+    k->begins[k->stages] = k->kept += size + 1;
 }
 
 void solve_by_products(krylov *k, equations *at, double *x, double tolerance)

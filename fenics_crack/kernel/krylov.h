@@ -4,14 +4,14 @@
 
 #include "equations.h"
 
-/* The vectors V and the Hessenberg matrix H of a solution approximate the inverse on what they span,
+/* The vectors W of a solution, of which J V = W H, H = Q R (V: all but the last one), leave
  *
- *     A^-1 = B,      B = I + V (H^-1 - I) V^T,
+ *     B = I + (V R^-1 - W Q) Q^T W^T,
  *
- * where the other eigenvalues of A are close to 1. The next solution, with J at a point nearby, is
- * found for J B in few products, and makes the inverse B B' better; and so on, until the vectors are
- * KEPT times those of the first solution, and all begins anew. Source: Saad, Iterative Methods for
- * Sparse Linear Systems, 2003, sections 6.5 and 9.3.
+ * an inverse that is exact on W Q, where J differs most from I. The next solution, with J at a point
+ * nearby, is found for J B in few products, and makes the inverse B B' better; and so on, until the
+ * vectors are KEPT times those of the first solution, and all begins anew. Source: de Sturler,
+ * Journal of Computational and Applied Mathematics 67 (1996) 15 (GCRO).
  */
 typedef struct krylov krylov;
 
@@ -21,9 +21,5 @@ void free_krylov(krylov *k);
 /* x = J^-1 x at the point that has been evaluated, to |J x - r| <= tolerance |r|, or the best of MOST
  * products. */
 void solve_by_products(krylov *k, equations *at, double *x, double tolerance);
-/* x = B x. */
-void solve_by_kept(const krylov *k, double *x);
-/* Whether there is a B. */
-int has_kept(const krylov *k);
 
 #endif

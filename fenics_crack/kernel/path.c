@@ -7,11 +7,14 @@
 
 enum {
     MANY = 100,              /* unknowns from which on points share LU factors */
+    UNSURE = 8,              /* points whose sign of det J is not asked for, in a row */
     DOUBTED = NO_MEMORY + 1, /* of points: they do not go with the next factors */
     PATIENT = 32
 };
 #define ITERATIONS 0.05 /* with shared factors that take as long as new ones, per unknown */
-#define TANGENT 1e-5    /* residual of a tangent found with shared factors */
+#define TANGENT 1e-5    /* residual of a tangent found with shared factors, or with products, */
+#define STEP 1e-4       /* of such a step of Newton's method, */
+#define SHARP 1e-9      /* and of a tangent that tells where a path turns */
 #define LEVEL 1e-3      /* slope of a tangent below which it must be exact: the path may turn */
 
 static double inner(int n, const double *x, const double *y)
@@ -28,17 +31,19 @@ static void add(int n, double *x, double s, const double *y)
 }
 
 /* -J^-1 dF/dp. */
-static void slope_at(equations *at, int n, double *slope)
+static void slope_at(equations *at, int n, double sharp, double *slope)
 {
     at->by_parameter(at, slope);
+    at->sharp = sharp;
     at->solve(at, slope);
     for (int i = 0; i < n; i++) slope[i] = -slope[i];
 }
 
 /* The unit tangent towards growing p at a point that has been evaluated; its slope t_p. */
-static double tangent_at(equations *at, int n, const double *x, double *tangent, double *weight)
+static double tangent_at(equations *at, int n, double sharp, const double *x, double *tangent,
+                         double *weight)
 {
-    slope_at(at, n, tangent);
+    slope_at(at, n, sharp, tangent);
     *weight = 1.0 / fmax(inner(n, x, x), 1e-300);
     const double slope = 1.0 / sqrt(*weight * inner(n, tangent, tangent) + 1.0);
     for (int i = 0; i < n; i++) tangent[i] *= slope;
@@ -82,10 +87,11 @@ static int correct(equations *at, int n, double *x, double *p, const double *acr
         if (*taken == iterations || 0.5 * smallest < size) return NOT_FOUND;
         /* (dx, dp) = (a + dp b, dp), J a = -F, J b = -F_p, dp = -w <t_x, a> / (w <t_x, b> + t_p) */
         for (int j = 0; j < n; j++) change[j] = -F[j];
+        at->sharp = STEP;
         at->solve(at, change);
         shift = 0.0;
         if (across) {
-            slope_at(at, n, rate);
+            slope_at(at, n, STEP, rate);
             const double along = weight * inner(n, across, rate) + slope + 1e-300; /* not 0 */
             shift = -weight * inner(n, across, change) / along;
             add(n, change, shift, rate);
@@ -178,8 +184,8 @@ static double tangent_onwards(equations *at, int n, double orientation, const do
                               const double *before, double old_slope, double *tangent,
                               double *weight)
 {
-    double slope = tangent_at(at, n, x, tangent, weight);
-    const double sign = at->sign(at);
+    double slope = tangent_at(at, n, TANGENT, x, tangent, weight);
+    const double sign = isnan(orientation) ? NAN : at->sign(at);
     const int onwards = isnan(sign) ? product(at, *weight, tangent, slope, before, old_slope) >= 0.0
                                     : sign == orientation;
     if (!onwards) turn_round(n, tangent, &slope);
@@ -280,7 +286,7 @@ static int advance(equations *at, int n, const stepping *how, path *points, shar
     double *tangent = points->tangents + (size_t)points->known * n, own, slope;
     const double sharp = fmax(how->rounding, fmin(how->tolerance, 1e-4 * step));
     int taken, crossing = 0, outcome = NOT_FOUND, work = with ? with->work : 0;
-    int shared = with && points->known > with->own && at->has_factors(at);
+    int shared = with && !at->products && points->known > with->own && at->has_factors(at);
     while (shared && outcome == NOT_FOUND) {
         predict(n, points, x, &p, room);
         outcome = correct_shared(at, n, how, points, with, sharp, x, &p, &taken);
@@ -296,7 +302,13 @@ static int advance(equations *at, int n, const stepping *how, path *points, shar
     }
     if (outcome != FOUND) return outcome;
     if (shared) shared = tangent_shared(at, n, points, with, tangent, &slope, &own);
-    if (!shared) slope = tangent_onwards(at, n, points->orientation, x, old, old_slope, tangent, &own);
+    /* Where its sign alone asks for factors, these are asked for now and then. */
+    const int ends = points->known + 1 == points->room || p < how->lowest || p > how->highest;
+    const int sure = !with || !at->products || ends || points->known <= with->own ||
+                     points->known - with->sure >= UNSURE;
+    if (!shared)
+        slope = tangent_onwards(at, n, sure ? points->orientation : NAN, x, old, old_slope, tangent,
+                                &own);
     /* The angle tells whether the step has left the path. */
     const double cosine = cosine_of(at, weight, tangent, slope, old, old_slope);
     if (!(cosine > how->least_cosine)) {
@@ -320,20 +332,20 @@ static int advance(equations *at, int n, const stepping *how, path *points, shar
     else if (taken > 5) points->step *= 0.7;
     if (!with) return FOUND;
     if (!shared) {
-        with->sure = points->known - 1, with->step = points->step, with->points = with->work = 0;
+        if (sure)
+            with->sure = points->known - 1, with->step = points->step, with->points = with->work = 0;
         return FOUND;
     }
     /* Behind more work than a point has taken on the average, and at the end of a call, the last
      * point gets factors of its own. */
     work = with->work - work;
     const double average = (ITERATIONS * n + with->work) / ++with->points;
-    const int ends = points->known == points->room || p < how->lowest || p > how->highest;
     return ends || work > average ? renew(at, n, points, with) : FOUND;
 }
 
 int follow(equations *at, const stepping *how, path *points)
 {
-    const int n = at->unknowns, many = n >= MANY && at->apply;
+    const int n = at->unknowns, many = n >= MANY && (at->has_factors || at->products);
     const size_t row = (size_t)n + 1, rows = many ? 10 + 2 * BROYDEN_PAIRS : 3;
     double *room = malloc(rows * row * sizeof(double));
     int outcome = room ? FOUND : NO_MEMORY, inside = 1;
@@ -434,7 +446,7 @@ static int between(equations *at, int n, const stepping *how, int most, const do
                                     how->tolerance, how->iterations, how->reach * step,
                                     how->least_damping, 0, ends->iterations + next, room);
         if (outcome != FOUND) return outcome;
-        ends->slopes[next] = tangent_at(at, n, x, ahead, ends->weights + next);
+        ends->slopes[next] = tangent_at(at, n, SHARP, x, ahead, ends->weights + next);
         if (weight * inner(n, ahead, tangent) + ends->slopes[next] * slope < 0.0)
             turn_round(n, ahead, ends->slopes + next);
         const int before = target ? (ends->parameters[next] - *target) * (p - *target) > 0.0

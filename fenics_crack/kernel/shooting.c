@@ -95,8 +95,9 @@ shooting_point *new_shooting_point(const shooting_equations *given)
     shooting_point *at = calloc(1, sizeof(shooting_point));
     if (!at) return NULL;
     at->of = *given;
-    at->common.own = (equations){(int)n,       evaluate,      residual, solve_dense,
-                                 by_parameter, sign_of_dense, NULL,     NULL, NULL, NULL};
+    at->common.own = (equations){
+        .unknowns = (int)n, .evaluate = evaluate, .residual = residual, .solve = solve_dense,
+        .by_parameter = by_parameter, .sign = sign_of_dense};
     const int failed = make_dense(&at->common, (int)n, form_jacobian);
     at->scale = malloc(bytes(3 * n + n * n));
     at->moved.most_pieces = given->pieces, at->moved.most = given->intervals;
