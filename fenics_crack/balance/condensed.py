@@ -32,7 +32,7 @@ from fenics_crack.balance.linearisation import DenseLinearisation, factored, sol
 from fenics_crack.balance.rounding import stiffness_times_compliance
 from fenics_crack.errors import InputError
 from fenics_crack.kernel import doubles, ints, kernel, shaped
-from fenics_crack.model.contact import UnilateralPenalty
+from fenics_crack.model.contact import ContactLaw, UnilateralPenalty
 
 __all__ = [
     "CondensedEquations",
@@ -171,6 +171,10 @@ class CondensedSystem(CondensedEquations):
         """Of the pairs: (n_pairs,) [N/m]."""
         found = np.asarray(self.integrals.law.stiffness, dtype=float)
         return np.broadcast_to(found, self.linear.shape[1:])
+
+    def steepest_force(self, law: ContactLaw) -> float:
+        """Largest slope of the contact forces."""
+        return float(np.max(law.stiffness))
 
     @property
     def in_kernel(self) -> bool:

@@ -123,12 +123,14 @@ class CoupledSystem(CondensedEquations):
         return largest / (0.5 * self.integrals.unit)
 
     def steepness(self, law: ContactLaw) -> float:
-        """Largest slope of (R_k - R_inf) lambda(s) by s, for a stiffness of the pairs: that of
-        lambda(s) is at most the inverse of the smallest eigenvalue of R_inf + I/k."""
+        """Largest slope of (R_k - R_inf) lambda(s) by s, for a stiffness of the pairs."""
+        return float(np.abs(self.moving).sum(axis=2).max()) * self.steepest_force(law)
+
+    def steepest_force(self, law: ContactLaw) -> float:
+        """Largest slope of lambda(s), the inverse of the smallest eigenvalue of R_inf + I/k."""
         softness = 1.0 / np.broadcast_to(np.asarray(law.stiffness, dtype=float), self.shape[1:])
         least = float(np.linalg.eigvalsh(self.residual + np.diag(softness))[0])
-        least = max(least, float(softness.min()), 1e-300)
-        return float(np.abs(self.moving).sum(axis=2).max()) / least
+        return 1.0 / max(least, float(softness.min()), 1e-300)
 
     def softened(self, softness: float) -> CoupledSystem:
         """The same equations, whose parameter starts at another softness."""

@@ -84,6 +84,11 @@ class Family(ABC):
         ends = [self.at(value).contact for value in (self.start, self.end)]
         return max(ends, key=lambda law: float(np.max(law.stiffness)))
 
+    @cached_property
+    def steepest_force(self) -> float:
+        """Largest slope of the contact forces where the law is stiffest [N/m]."""
+        return self.system(self.start).steepest_force(self.stiffest)
+
     @classmethod
     @abstractmethod
     def vary(cls, problem: Problem, value: float) -> Problem:

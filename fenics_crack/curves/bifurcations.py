@@ -60,7 +60,7 @@ def attainable(family: Family, parameter: float, tolerance: float) -> float:
     """
     if family.compiled is not None:
         largest = family.compiled.largest_compliance(parameter)
-        slope = largest * float(np.max(family.stiffest.stiffness))
+        slope = largest * family.steepest_force
         return max(tolerance, least_residual(4.0 * slope))
     system = family.system(family.value(parameter))
     if isinstance(system, CoupledSystem):

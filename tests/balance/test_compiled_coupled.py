@@ -9,9 +9,11 @@ import pytest
 from helpers import chain, relative
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_compiled_paths import RANGES, SEEDS, Plain, assert_same_path, random_gap
+from test_compiled_paths import RANGES, SEEDS, Plain, random_gap
 
 import fenics_crack as fc
+from fenics_crack.balance import coupled
+from fenics_crack.balance.arclength import Stepping, follow_path
 from fenics_crack.balance.bordered import solve_at
 from fenics_crack.balance.compiled import CompiledCoupled
 from fenics_crack.balance.coupled import CoupledSystem
@@ -19,7 +21,6 @@ from fenics_crack.balance.family import FAMILIES, Family
 from fenics_crack.balance.linearisation import Linearisation
 
 LAWS = ("rigid", "penalty", "stiff")
-SHORTER = {name: ends for name, ends in RANGES.items() if name != "stiffness"}
 
 
 def coupled_family(
@@ -73,5 +74,65 @@ def test_equations_at_a_point(
     assert_same_equations(kernel.linearise(gap, parameter), expected, right)
 
 
-if __name__ == "__main__":
-    test_equations_at_a_point()
+
+@pytest.mark.parametrize("formed", [True, False])
+@pytest.mark.parametrize("name", list(RANGES))
+def test_path_of_a_chain(name: str, formed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With three pairs on lips without mass, in every family: the steps that Python's loop takes, to
+    rounding where J is formed, to what products leave where it is not."""
+    if not formed:
+        monkeypatch.setattr(coupled, "MATRIX_FREE", 0)
+        monkeypatch.setattr(coupled, "PRODUCTS", 0)
+    family = coupled_family(name, "penalty", "modal", 5, 3, 4, 1)
+    system = family.system(family.start)
+    assert isinstance(system, CoupledSystem) and system.matrix_free != formed
+    start = solve_at(Plain(family), system.linear, 0.0, tolerance=1e-12)
+    assert start is not None
+    close, slope = (1e-11, 1e-10) if formed else (1e-6, 1e-3)
+    stepping = Stepping(first=0.01, longest=0.2, shortest=1e-10)
+    ways = [
+        list(islice(follow_path(way, start.unknown, 0.0, stepping), 12))
+        for way in (family, Plain(family))
+    ]
+    for one, other in zip(*ways, strict=True):
+        assert one.parameter == pytest.approx(other.parameter, abs=close)
+        assert np.allclose(one.unknown, other.unknown, rtol=0.0, atol=close)
+        assert np.allclose(one.tangent.x, other.tangent.x, rtol=0.0, atol=slope)
+        assert abs(one.iterations - other.iterations) <= (0 if formed else 1)
+
+
+@pytest.mark.parametrize("limit", [350, 0])
+def test_many_unknowns(limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rigid path through its folds, its solutions found by products and its sign by factors, or
+    not at all: its points are solutions, and it ends where Python's ends."""
+    monkeypatch.setattr(coupled, "MATRIX_FREE", limit)
+    monkeypatch.setattr(coupled, "PRODUCTS", 0)
+    whole = chain("modal", pairs=3)
+    structure = fc.reduce_structure(whole, modes=6, method="massless")
+    problem = fc.Problem(structure, 0.83, fc.UnilateralConstraint(), 20)
+    family = FAMILIES["omega"](problem, 0.6, 0.45)
+    begun = fc.solve_harmonic_balance(structure, 0.6, problem.contact, harmonics=20)
+    start = begun.slow_gap_coefficients
+    ends = []
+    for system in (family, Plain(family)):
+        points = []
+        for point in follow_path(system, start, 0.0, Stepping(first=0.05, longest=0.3)):
+            points.append(point)
+            if point.parameter > 1.0:
+                break
+        assert points[-1].parameter > 1.0
+        for point in points:
+            at = family.linearise(point.unknown, point.parameter)
+            assert np.linalg.norm(at.residual) < 2e-8 * np.linalg.norm(point.unknown)
+        found = solve_at(Plain(family), points[-1].unknown, 1.0, tolerance=1e-11)
+        assert found is not None
+        ends.append(found.unknown)
+    assert relative(ends[0], ends[1]) < 1e-8
+
+
+def test_an_instant_without_forces_is_no_solution() -> None:
+    """Waves that are not finite: no point, and no crash."""
+    family = coupled_family("omega", "rigid", "modal", 4, 3, 5, 2)
+    for wrong in (np.nan, np.inf, 1e300):
+        guess = np.full(family.shape, wrong)
+        assert solve_at(family, guess, 0.5, tolerance=1e-9) is None
