@@ -29,7 +29,8 @@ CHECKED = "CHECKED_KERNEL"
 OTHERS = [
     ROOT / "tests" / name
     for name in (
-        "balance/test_active_sets.py", "balance/test_compiled_paths.py",
+        "balance/test_active_sets.py", "balance/test_compiled_coupled.py",
+        "balance/test_compiled_paths.py",
         "motion/test_contact_flow.py", "motion/test_path.py", "time/test_compiled_marches.py",
     )
 ]  # fmt: skip

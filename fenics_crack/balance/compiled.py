@@ -203,7 +203,13 @@ class CompiledEquations(CompiledPaths):
     """
 
     def __init__(
-        self, given: Struct, shape: tuple[int, ...], make: Any, free: Any, equations: Any, largest: Any
+        self,
+        given: Struct,
+        shape: tuple[int, ...],
+        make: Any,
+        free: Any,
+        equations: Any,
+        largest: Any,
     ) -> None:
         self._given, self.shape, self._largest = given, shape, largest
         self._point = owned(make(given.at), free)
@@ -320,8 +326,8 @@ class CompiledCoupled(CompiledEquations):
         gaps = pairs if basis is None else basis.shape[1]
         given = Struct(
             "coupled", seen=seen_structure(linear, compliance, linear_rate), growth=growth,
-            softness=softness, formed=formed, residual=shaped(residual, pairs, pairs), seen_gaps=gaps,
-            springs=shaped(springs, pairs),
+            softness=softness, formed=formed, residual=shaped(residual, pairs, pairs),
+            seen_gaps=gaps, springs=shaped(springs, pairs),
             basis=None if basis is None else shaped(basis, pairs, gaps),
         )  # fmt: skip
         super().__init__(

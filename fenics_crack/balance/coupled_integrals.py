@@ -214,7 +214,7 @@ class _PiecewiseForces(CoupledForces):
     def __init__(self, integrals: CoupledIntegrals, gap: np.ndarray) -> None:
         self._integrals, self._gap = integrals, gap
         highest, contact = 2 * integrals.harmonics, integrals.contact
-        if integrals.exact:
+        if integrals.samples is None:
             found = contact_intervals(gap, contact)
             self._sets, rests = lambda: found.closed, found.rests(highest)
             step, base = np.arange(1, len(rests)), found.stiffness[None]

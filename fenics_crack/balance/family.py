@@ -158,7 +158,7 @@ class Family(ABC):
     ) -> CompiledEquations | None:
         """The kernel's equations along base frequencies, or factors of the damping."""
         modal = self._compliance.modal_part(omega, damping, self.problem.residual)
-        return modal and first.compile(self._compliance.still_gap, modal)
+        return None if modal is None else first.compile(self._compliance.still_gap, modal)
 
     def _with_linear_rate(
         self, first: CondensedSystem | CoupledSystem, by_value: np.ndarray

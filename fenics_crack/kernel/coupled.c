@@ -182,7 +182,7 @@ coupled_point *new_coupled_point(const coupled *given)
     } parts[] = {{&at->compliance, p * p},       {&at->rate, p},          {&at->gap, n},
                  {&at->force, n},                {&at->change, n},        {&at->residual, n},
                  {&at->transposed, q * p},       {&at->within, size},     {&at->beside, n},
-                 {&at->means, 2 * rows * q * q}, {&at->strip, 2 * q * formed}, {&at->moved, n},
+                 {&at->means, 2 * formed * q}, {&at->strip, 2 * q * formed}, {&at->moved, n},
                  {&at->block, 4 * q * q},        {&at->half, 2 * q * p},  {&at->counts, n}};
     const size_t count = sizeof parts / sizeof parts[0];
     size_t all = 0;

@@ -35,9 +35,7 @@ def coupled_family(
     return FAMILIES[name](fc.Problem(structure, 0.83, contact, harmonics), *RANGES[name])
 
 
-def assert_same_equations(
-    found: Linearisation, expected: Linearisation, right: np.ndarray
-) -> None:
+def assert_same_equations(found: Linearisation, expected: Linearisation, right: np.ndarray) -> None:
     """F, dF/dp, J^-1 r and the sign of det J, as well as they are conditioned."""
     singular = np.linalg.svd(expected.jacobian, compute_uv=False)
     assert relative(found.residual, expected.residual) < 1e-10
@@ -74,12 +72,11 @@ def test_equations_at_a_point(
     assert_same_equations(kernel.linearise(gap, parameter), expected, right)
 
 
-
 @pytest.mark.parametrize("formed", [True, False])
 @pytest.mark.parametrize("name", list(RANGES))
 def test_path_of_a_chain(name: str, formed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With three pairs on lips without mass, in every family: the steps that Python's loop takes, to
-    rounding where J is formed, to what products leave where it is not."""
+    """With three pairs on lips without mass, in every family: the steps that Python's loop takes,
+    to rounding where J is formed, to what products leave where it is not."""
     if not formed:
         monkeypatch.setattr(coupled, "MATRIX_FREE", 0)
         monkeypatch.setattr(coupled, "PRODUCTS", 0)
