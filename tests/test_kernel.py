@@ -79,7 +79,6 @@ WRONG = {
     "sets, other pairs": lambda: TWO.solve(np.ones((4, 3))),
     "sets, a guess too short": lambda: TWO.solve(np.ones((4, 2)), np.ones((3, 2), bool)),
     "inverses, other pairs": lambda: TWO.stack(np.ones((4, 3), bool)),
-    "changes, other pairs": lambda: TWO.changes(np.ones((4, 1), bool)),
     "responses, other pairs": lambda: respond(np.ones((2, 3, 3)), np.ones((3, 2))),
     "responses, an even number of rows": lambda: respond(np.ones((3, 2, 2)), np.ones((4, 2))),
     "columns, an even number of rows": lambda: respond_to_columns(

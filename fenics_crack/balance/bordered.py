@@ -217,13 +217,6 @@ def _newton_step(
     """Newton's step (dx, dp) in a plane, or at a given parameter."""
     if plane is None:
         return -at.solve(at.residual), 0.0
-
-    def row(change: np.ndarray) -> float:
-        return plane.weight * system.inner(plane.x, change)
-
-    found = at.solve_bordered(row, plane.p, 1.0 / float(np.sqrt(plane.weight)))
-    if found is not None:
-        return found
     change, slope = -at.solve(at.residual), -at.solve(at.by_parameter)
     return step_in_plane(plane, change, slope, system.inner)
 

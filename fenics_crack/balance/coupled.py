@@ -193,21 +193,6 @@ class CoupledPoint(CondensedPoint):
         drive = respond(self.system.moving, self.forces.tangent.apply(right)) @ basis
         return right - solve_factored(self._factors, drive) @ basis.T
 
-    def solve_bordered(
-        self, row: Callable[[np.ndarray], float], corner: float, scale: float
-    ) -> tuple[np.ndarray, float] | None:
-        if not self.system.matrix_free:
-            return None
-        slope, shape = self.by_parameter / scale, self.unknown.shape
-
-        def apply(step: np.ndarray) -> np.ndarray:
-            change = step[:-1].reshape(shape)
-            moved = self.apply(change) + step[-1] * slope
-            return np.append(moved, scale * row(change) + corner * step[-1])
-
-        found = gmres(apply, np.append(-self.residual, 0.0), SHARP)
-        return found[:-1].reshape(shape), float(found[-1]) / scale
-
     @property
     def sign(self) -> float:
         """Sign of det J; nan where J is not formed."""

@@ -181,9 +181,7 @@ class CoupledIntegrals:
 
     def linearise(self, gap: np.ndarray) -> CoupledForces:
         """The forces' coefficients and their derivatives."""
-        if self.piecewise:
-            return _PiecewiseForces(self, gap)
-        return _SmoothForces(self, gap)
+        return _ExactForces(self, gap) if self.exact else _SampledForces(self, gap)
 
 
 class CoupledForces(ABC):
@@ -208,37 +206,25 @@ class CoupledForces(ABC):
         """Derivative of the coefficients by ln k."""
 
 
-class _PiecewiseForces(CoupledForces):
+class _ExactForces(CoupledForces):
     """lambda = S_A s: with a compliance E added to D, d lambda = - S E S s."""
 
     def __init__(self, integrals: CoupledIntegrals, gap: np.ndarray) -> None:
         self._integrals, self._gap = integrals, gap
-        highest, contact = 2 * integrals.harmonics, integrals.contact
-        if integrals.samples is None:
-            found = contact_intervals(gap, contact)
-            self._sets, rests = lambda: found.closed, found.rests(highest)
-            step, base = np.arange(1, len(rests)), found.stiffness[None]
-            vectors, gains = found.vectors, found.gains
-        else:
-            _, closed = contact.solve(sampled(gap, integrals.samples))
-            begins = np.append(0, 1 + np.flatnonzero(np.any(closed[1:] != closed[:-1], axis=1)))
-            changed = closed[begins]
-            self._sets = lambda: changed
-            behind = begins[:, None] <= np.arange(integrals.samples)
-            rests = scipy.fft.rfft(behind.astype(float), axis=1)[:, : highest + 1].conj()
-            rests /= integrals.samples
-            step, vectors, gains = contact.changes(changed)
-            base = contact.stack(changed[:1])
+        self._found = found = contact_intervals(gap, integrals.contact)
+        rests = found.rests(2 * integrals.harmonics)
         count = instants(integrals.harmonics)
         self._rests = scipy.fft.irfft(count * rests.conj(), n=count, axis=1).T  # (N, m)
-        weights = np.ascontiguousarray(self._rests[:, step] * gains)
-        self.tangent = CoupledTangent(integrals.harmonics, base, vectors, weights)
+        weights = np.ascontiguousarray(self._rests[:, 1:] * found.gains)
+        self.tangent = CoupledTangent(
+            integrals.harmonics, found.stiffness[None], found.vectors, weights
+        )
         self.force = self.tangent.apply(gap, once=True)
 
     def _by_compliance(self, added: float | np.ndarray) -> np.ndarray:
         """-S E S s for a diagonal E, S cut off as a product."""
         weights = np.broadcast_to(np.asarray(added, dtype=float), self._gap.shape[1])
-        sets, which = unique_sets(self._sets())
+        sets, which = unique_sets(self._found.closed)
         shares = np.zeros((len(self._rests), len(sets)))
         lasts = np.hstack([self._rests[:, 1:], np.zeros((len(shares), 1))])
         np.add.at(shares.T, which, (self._rests - lasts).T)
@@ -258,28 +244,34 @@ class _PiecewiseForces(CoupledForces):
         return self._by_compliance(-1.0 / np.asarray(self._integrals.law.stiffness))
 
 
-class _SmoothForces(CoupledForces):
-    """lambda = h(s - D lambda) at samples: d lambda = S (ds - dD lambda), S = h' (I + D h')^-1."""
+class _SampledForces(CoupledForces):
+    """At samples, of any law: lambda = h(s - D lambda), d lambda = S (ds - dD lambda) with S = h' (I
+    + D h')^-1, or where it is piecewise linear the inverse of D on the closed pairs."""
 
     def __init__(self, integrals: CoupledIntegrals, gap: np.ndarray) -> None:
-        self._integrals = integrals
+        self._integrals, contact = integrals, integrals.contact
         samples = integrals.samples or default_samples(integrals.harmonics)
         values = sampled(gap, samples)
-        self._force, self._slope = smooth_forces(
-            integrals.law, integrals.contact.compliance, values
-        )
+        if integrals.piecewise:
+            self._force, closed = contact.solve(values)
+            self._slope = contact.stack(closed)
+        else:
+            self._force, self._slope = smooth_forces(integrals.law, contact.compliance, values)
         count = instants(integrals.harmonics)
         spectrum = scipy.fft.rfft(self._slope, axis=0)[: 2 * integrals.harmonics + 1]
         cut_off = scipy.fft.irfft(spectrum * (count / samples), n=count, axis=0)
         self.tangent = CoupledTangent(integrals.harmonics, cut_off)
         self.force = balanced(self._force, integrals.harmonics)
 
+    def _by_gap(self, change: np.ndarray) -> np.ndarray:
+        """Of gaps that change by so much, (samples, n_pairs)."""
+        return balanced(np.einsum("npq,nq->np", self._slope, change), self._integrals.harmonics)
+
     def by_softness(self) -> np.ndarray:
-        change = np.einsum("npq,nq->np", self._slope, self._force)
-        return balanced(-self._integrals.unit * change, self._integrals.harmonics)
+        return self._by_gap(-self._integrals.unit * self._force)
 
     def by_stiffness(self) -> np.ndarray:
+        if self._integrals.piecewise:
+            return self._by_gap(self._force / np.asarray(self._integrals.law.stiffness))
         # d lambda = (I + h' D)^-1 lambda = lambda - S D lambda.
-        pressed = self._force @ self._integrals.contact.compliance
-        change = self._force - np.einsum("npq,nq->np", self._slope, pressed)
-        return balanced(change, self._integrals.harmonics)
+        return self.force - self._by_gap(self._force @ self._integrals.contact.compliance)

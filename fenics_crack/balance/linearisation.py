@@ -8,7 +8,6 @@ they are asked for, and each is computed when it is first asked for.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -39,13 +38,6 @@ class Linearisation(ABC):
     def apply(self, change: np.ndarray) -> np.ndarray:
         """J dx, for systems that SNES solves."""
         raise NotImplementedError
-
-    def solve_bordered(
-        self, row: Callable[[np.ndarray], float], corner: float, scale: float
-    ) -> tuple[np.ndarray, float] | None:
-        """Newton's step (dx, dp) with J dx + F_p dp = -F and row(dx) + corner dp = 0 at once; None
-        where two solutions with J are as good. ``scale``: the size of x where p is 1."""
-        return None
 
     @property
     @abstractmethod

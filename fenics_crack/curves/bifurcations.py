@@ -30,11 +30,10 @@ from fenics_crack.balance.bordered import (
     locate,
     tangent_of,
 )
-from fenics_crack.balance.coupled import CoupledSystem
 from fenics_crack.balance.family import Family
 from fenics_crack.balance.fourier import stretched
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.rounding import least_residual, stiffness_times_compliance
+from fenics_crack.balance.rounding import least_residual
 from fenics_crack.curves.curve import Bifurcation
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.stability.piecewise_flow import LeadingMultiplier, PiecewiseFlow
@@ -56,18 +55,14 @@ def attainable(family: Family, parameter: float, tolerance: float) -> float:
     """A tolerance of |F| / |x|, or what rounding leaves of it near a point of a curve.
 
     The largest slope of R lambda counts: k R, or less where pairs are seen through a static
-    compliance (:meth:`CoupledSystem.steepness`).
+    compliance.
     """
     if family.compiled is not None:
         largest = family.compiled.largest_compliance(parameter)
-        slope = largest * family.steepest_force
-        return max(tolerance, least_residual(4.0 * slope))
-    system = family.system(family.value(parameter))
-    if isinstance(system, CoupledSystem):
-        slope = system.steepness(family.stiffest)
     else:
-        slope = stiffness_times_compliance(system.compliance, family.stiffest)
-    return max(tolerance, least_residual(4.0 * slope))
+        moving = family.system(family.value(parameter)).moving
+        largest = float(np.abs(moving).sum(axis=2).max())
+    return max(tolerance, least_residual(4.0 * largest * family.steepest_force))
 
 
 def flow_of(problem: Problem) -> PiecewiseFlow:

@@ -259,32 +259,3 @@ int inverses_of(sets *s, int count, const signed char *closed, double *inverse)
     }
     return 0;
 }
-
-int changes_of(sets *s, int count, const signed char *closed, int most, int *step, double *v,
-               double *gain)
-{
-    const int n = s->n;
-    int made = 0;
-    signed char *now = malloc(n + 1);
-    if (!now) return -2;
-    memcpy(now, closed, n);
-    for (int t = 1; t < count && made >= 0; t++) {
-        const signed char *next = closed + (long)t * n;
-        for (int j = 0; j < n; j++) {
-            if (now[j] == next[j]) continue;
-            const double *answer = made == most ? NULL : answer_of(s, now);
-            if (!answer) {
-                made = made == most ? -1 : -2;
-                break;
-            }
-            double *a = v + (long)made * n, moved = 0.0;
-            memcpy(a, answer + (long)j * n, n * sizeof(double));
-            for (int i = 0; i < n; i++) moved += s->d[(long)j * n + i] * a[i];
-            gain[made] = now[j] ? -1.0 / a[j] : -1.0 / moved;
-            step[made++] = t;
-            now[j] = next[j];
-        }
-    }
-    free(now);
-    return made;
-}

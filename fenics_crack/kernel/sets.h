@@ -34,11 +34,5 @@ void forces_of(sets *s, int count, const double *gap, double allowed, signed cha
 /* (D_AA)^-1, zero outside A, of `count` sets: inverse (count, n, n). Returns 1 where one is
  * singular. */
 int inverses_of(sets *s, int count, const signed char *closed, double *inverse);
-/* From each of `count` sets to the next S = (D_AA)^-1, zero outside A, changes pair by pair by
- * gain v v^T: with a = D_j. S - e_j a pair j that closes adds a a^T / -(D_j. a), and with its row a
- * of S one that opens takes a a^T / a_j. step: the set to which each change leads; v: (most, n).
- * Returns the number of changes, -1 where that is more than `most`, or -2 where S does not exist. */
-int changes_of(sets *s, int count, const signed char *closed, int most, int *step, double *v,
-               double *gain);
 
 #endif

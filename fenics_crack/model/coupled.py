@@ -29,7 +29,7 @@ from __future__ import annotations
 import numpy as np
 
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.kernel import doubles, ints, kernel, owned, shaped, signs
+from fenics_crack.kernel import doubles, kernel, owned, shaped, signs
 from fenics_crack.model.complementarity import by_least_squares
 from fenics_crack.model.contact import ContactLaw
 
@@ -88,22 +88,6 @@ class ActiveSets:
         if kernel.inverses_of(self.handle, len(closed), signs(closed), doubles(found)):
             raise ConvergenceError("contact: the compliance of the closed pairs is singular")
         return found
-
-    def changes(self, sets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """How (D_AA)^-1, with zeros outside A, changes from each of some sets (m, n_pairs) to the
-        next, pair by pair, by gain v v^T: to which set each change leads, v (n, n_pairs) and gains
-        (n,) [N/m]."""
-        closed = shaped(sets, len(sets), len(self.compliance), kind=bool)
-        count, pairs = closed.shape
-        most = int(np.count_nonzero(closed[1:] != closed[:-1]))
-        step, gain = np.empty(most, dtype=np.intc), np.empty(most)
-        vectors = np.empty((most, pairs))
-        found = kernel.changes_of(
-            self.handle, count, signs(closed), most, ints(step), doubles(vectors), doubles(gain)
-        )
-        if found != most:
-            raise ConvergenceError("contact: the compliance of the closed pairs is singular")
-        return step, vectors, gain
 
     def solve(
         self, gap: np.ndarray, closed: np.ndarray | None = None

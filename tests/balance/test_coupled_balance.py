@@ -116,11 +116,6 @@ def test_matrix_free_is_dense(short_chain: fc.Structure, monkeypatch: pytest.Mon
     for name in ("apply", "solve", "gap_of", "gap_by_force", "gap_by_linear_gap"):
         assert relative(getattr(free, name)(other), getattr(dense, name)(other)) < 1e-7
     assert np.isnan(free.sign) and abs(dense.sign) == 1.0
-    assert dense.solve_bordered(np.sum, 1.0, 1.0) is None
-    step, shift = free.solve_bordered(lambda change: float(np.vdot(other, change)), 0.3, 2.0)
-    residual = dense.apply(step) + shift * free.by_parameter + free.residual
-    assert np.abs(residual).max() < 1e-7 * np.abs(free.residual).max()
-    assert abs(np.vdot(other, step) + 0.3 * shift) < 1e-7 * np.abs(free.residual).max()
     assert relative(solutions[1].gap_coefficients, solutions[0].gap_coefficients) < 1e-8
 
 

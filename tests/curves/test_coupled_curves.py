@@ -217,8 +217,7 @@ class Circle:
         value = np.array([1.0 + self.size * wave.real, self.size * wave.imag, parameter])
         slope = np.array([self.size * rate.real, self.size * rate.imag, 1.0])
         return SimpleNamespace(
-            residual=unknown - value, by_parameter=-slope, solve=np.copy, sign=np.nan,
-            solve_bordered=lambda *border: None,
+            residual=unknown - value, by_parameter=-slope, solve=np.copy, sign=np.nan
         )  # fmt: skip
 
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
