@@ -245,7 +245,7 @@ class _ExactForces(CoupledForces):
 
 
 class _SampledForces(CoupledForces):
-    """At samples, of any law: lambda = h(s - D lambda), d lambda = S (ds - dD lambda) with S = h' (I
+    """At samples, of any law: lambda = h(s - D lambda), d lambda = S (ds - dD lambda), S = h' (I
     + D h')^-1, or where it is piecewise linear the inverse of D on the closed pairs."""
 
     def __init__(self, integrals: CoupledIntegrals, gap: np.ndarray) -> None:
