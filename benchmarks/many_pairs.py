@@ -23,6 +23,10 @@ what pairs and load see of the modes is kept.
 unknowns: cold solutions from 18 to 130 pairs and from 10 to 40 harmonics on one coarse mesh with
 ever finer lips, 100 modes, rigid and 1e9 N/m: how time grows with the number of unknowns.
 
+curves: the plate that ``new`` writes with 8 and 20 pairs, rigid, 1 %, 30 modes, from 0.75 to 1.25
+times its first frequency: what a point of a curve costs in the kernel and, in the same run, by the
+loops of Python; how far the two curves are apart at the frequencies of the one.
+
     OMP_NUM_THREADS=1 python benchmarks/many_pairs.py [--quick] [--only PART] [folder]
 """
 
@@ -31,7 +35,9 @@ from __future__ import annotations
 import itertools
 import time
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import common
 import numpy as np
@@ -39,12 +45,14 @@ import scipy.linalg
 import scipy.sparse as sparse
 
 import fenics_crack as fc
+from fenics_crack.balance.family import Family
 from fenics_crack.balance.fourier import evaluate
 from fenics_crack.model.factor import Factor
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.model.reduced import MasslessStructure
 
 REFERENCE = 120
+NEW = Path(fc.__file__).parent / "cli" / "new_scene.toml"
 LAWS: dict[str, Any] = {
     "rigid": fc.UnilateralConstraint(),
     "1e9 N/m": fc.UnilateralPenalty(1e9),
@@ -65,7 +73,7 @@ def main() -> None:
         __doc__,
         {
             "plate": plate, "today": today, "march": march, "steel": steel, "large": large,
-            "unknowns": unknowns,
+            "unknowns": unknowns, "curves": curves,
         },
     )  # fmt: skip
 
@@ -534,6 +542,43 @@ def of_seen_modes(
     return MasslessStructure(
         structure, squares, fc.ModalDamping(0.01), seen[:, :-1], force, compliance,
         reference=reference,
+    )  # fmt: skip
+
+
+# --- a point of a curve ---------------------------------------------------------------------------
+
+
+def curves(arguments: common.Arguments) -> None:
+    """In the kernel and in Python, by turns."""
+    rows = []
+    for elements, harmonics in ((4, 10), (4, 20)) if arguments.quick else (
+        (4, 10), (4, 20), (4, 40), (10, 20)
+    ):  # fmt: skip
+        scene = fc.Scene.load(NEW).replace(
+            {"mesh.lip_elements": elements, "damping.ratio": 0.01}
+        )  # fmt: skip
+        structure = fc.reduce_structure(fc.build_structure(scene), modes=30, method="massless")
+        span, found = 0.75 * structure.omega[0], {}
+
+        def follow(structure=structure, span=span, harmonics=harmonics) -> fc.ResponseCurve:
+            return fc.continue_frequency(
+                structure, span, span / 0.6, LAWS["rigid"], harmonics=harmonics, throw=False
+            )
+
+        for name, compiled in (("kernel", Family.compiled), ("Python", None)):
+            with patch.object(Family, "compiled", compiled):
+                follow()
+                started = time.process_time()
+                found[name] = follow()
+                found[name, "ms"] = 1e3 * (time.process_time() - started) / len(found[name])
+        one, other = found["kernel"], found["Python"]
+        count = min(len(one), len(other))
+        apart = np.abs(one.values[:count] / other.values[:count] - 1.0).max()
+        rows.append((structure.n_pairs, harmonics, len(one), len(other), found["kernel", "ms"],
+                     found["Python", "ms"], apart))  # fmt: skip
+    common.save_table(
+        arguments.folder / "many_pairs_curves.csv", "A point of a curve",
+        ("pairs", "H", "points", "in Python", "ms", "ms in Python", "apart"), rows,
     )  # fmt: skip
 
 
