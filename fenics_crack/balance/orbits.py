@@ -67,8 +67,7 @@ class OrbitPoint(DenseLinearisation):
     @cached_property
     def multipliers(self) -> np.ndarray:
         """Floquet multipliers, largest modulus first: (2n,) complex."""
-        values = eigenvalues(self.monodromy)
-        return values[np.argsort(-np.abs(values), kind="stable")]
+        return eigenvalues(self.monodromy)
 
 
 def recurrences(passed: Sequence[np.ndarray] | np.ndarray, count: int) -> list[int]:

@@ -19,14 +19,15 @@ import scipy.optimize
 from fenics_crack.balance.bordered import solve_at
 from fenics_crack.balance.exact_orbits import FEW_PAIRS
 from fenics_crack.balance.family import FAMILIES
-from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.judgement import BELIEVED, FARTHEST
 from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.curves.bifurcations import attainable
+from fenics_crack.curves.by_waves import FOLLOWED, judged_by_waves, place_on
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.orbit_branch import ALIKE, EVERY, Crossing, Node, OrbitBranch
 from fenics_crack.curves.varied_orbits import VariedOrbits
 from fenics_crack.errors import ConvergenceError
+from fenics_crack.model.contact import is_piecewise_linear, is_rigid
 from fenics_crack.motion.flow import exact_flow
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.stability.shooting import leaves
@@ -213,10 +214,14 @@ def _between(
 def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     """Judge a curve over any parameter by the branch of exact orbits along it.
 
+    Laws that are not linear in contact have no exact orbits: their points are judged one by one, as
+    :func:`floquet` does, and period doublings and Neimark-Sacker points are where multipliers of
+    the waves leave the unit circle, unconfirmed.
+
     Parameters
     ----------
     curve : ResponseCurve
-        Followed with or without ``stability=True``, with a law that is linear in contact or rigid.
+        Followed with or without ``stability=True``.
 
     Returns
     -------
@@ -239,6 +244,8 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     InputError
         As :func:`fenics_crack.shoot`.
     """
+    if not (is_piecewise_linear(curve.contact) or is_rigid(curve.contact)):
+        return judged_by_waves(curve)
     begin("stability by exact orbits")
     judge = _Judge(curve)
     crossings = _distinct(judge.branch.crossings())
@@ -258,12 +265,15 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
 
 
 def verified(curve: ResponseCurve) -> ResponseCurve:
-    """The same curve with the verdicts and bifurcations of :func:`judge_curve`, and those of the
-    truncated equations that the orbits refute, unconfirmed."""
+    """The same curve with the verdicts and bifurcations of :func:`judge_curve`, and of pairs with
+    mass those of the truncated equations that the orbits refute, unconfirmed."""
     judged = judge_curve(curve)
+    if curve.structure.light_lips:
+        return judged
     kept = {id(one.unknown) for one in judged.bifurcations}
-    refuted = [one for one in curve.bifurcations if id(one.unknown) not in kept]
-    special = sorted([*judged.bifurcations, *refuted], key=lambda one: _place(curve, one))
+    had = [one for one in curve.bifurcations if one.kind in FOLLOWED]
+    refuted = [one for one in had if id(one.unknown) not in kept]
+    special = sorted([*judged.bifurcations, *refuted], key=lambda one: place_on(curve, one))
     return replace(judged, bifurcations=tuple(special))
 
 
@@ -271,7 +281,7 @@ def _special(
     curve: ResponseCurve, judge: _Judge, crossings: list[Crossing], undecided: np.ndarray
 ) -> tuple[Bifurcation, ...]:
     """Bifurcations of the orbits at their places on the curve, and those without an orbit."""
-    special = [(_place(curve, one), one) for one in curve.bifurcations]
+    special = [(place_on(curve, one), one) for one in curve.bifurcations]
     values = [judge.value(crossing.parameter) for crossing in crossings]
     near = _matched(curve, list(zip(crossings, values, strict=True)), special)
     found: list[tuple[float, Bifurcation]] = []
@@ -346,11 +356,3 @@ def _solution_at(curve: ResponseCurve, place: int, value: float) -> tuple[float,
     if found is None or np.linalg.norm(found.unknown - unknown) > ALIKE * np.linalg.norm(unknown):
         return near, unknown
     return value, found.unknown
-
-
-def _place(curve: ResponseCurve, one: Bifurcation) -> int:
-    """The point of a curve nearest to a bifurcation of it."""
-    unknown = resized(one.unknown, curve.unknowns.shape[1] // 2)
-    sizes = np.linalg.norm(curve.unknowns - unknown, axis=(1, 2)) / np.linalg.norm(unknown)
-    wide = float(np.ptp(curve.values)) or 1.0
-    return int(np.argmin(np.hypot(sizes, (curve.values - one.value) / wide)))

@@ -35,8 +35,7 @@ import scipy.optimize
 from fenics_crack.balance.bordered import PathPoint, Tangent, step_in_plane, tangent_of
 from fenics_crack.balance.orbits import FlowOrbits, OrbitPoint
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.motion.orbit import eigenvalues
-from fenics_crack.stability.piecewise_flow import doubling_test
+from fenics_crack.motion.orbit import doubling_test, eigenvalues
 
 __all__ = ["KINDS", "Crossing", "Node", "OrbitBranch"]
 
