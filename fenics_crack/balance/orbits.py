@@ -136,6 +136,8 @@ class FlowOrbits(CompiledPaths):
         omega_0, of the load [rad/s].
     subharmonic : int
         Its periods in one of the orbit.
+    budget : Budget
+        Of each motion.
     scale : (2 n_modes,)
         x / z.
     start : (2 n_modes,)
@@ -152,15 +154,15 @@ class FlowOrbits(CompiledPaths):
         subharmonic: int = 1,
         budget: Budget | None = None,
     ) -> None:
-        budget, self.flow, self.omega, self.shape = budget or Budget(), flow, omega, state.shape
-        self.subharmonic = subharmonic
+        self.flow, self.omega, self.shape = flow, omega, state.shape
+        self.subharmonic, self.budget = subharmonic, budget or Budget()
         weights = flow.weights(omega / subharmonic)
         self.scale = weights / (float(np.linalg.norm(weights * state)) or 1.0)
         self.start = self.scale * state
         given = Struct(
             "shooting_equations", flow=flow.handle, modes=flow.size // 2,
             pairs=len(flow.softness), omega=omega, turns=2.0 * np.pi * subharmonic,
-            scale=self.scale, pieces=budget.pieces, intervals=budget.intervals,
+            scale=self.scale, pieces=self.budget.pieces, intervals=self.budget.intervals,
         )  # fmt: skip
         self._point = owned(kernel.new_shooting_point(given.at), kernel.free_shooting_point)
         self._equations = kernel.equations_of_shooting(self._point)
@@ -234,7 +236,9 @@ class FlowOrbits(CompiledPaths):
         """Over a period, sampled at parts of it."""
         omega = parameter * self.omega
         period = 2.0 * np.pi * self.subharmonic / omega
-        return self.flow.advance(self.state(unknown), omega, period, instants=instants * period)
+        return self.flow.advance(
+            self.state(unknown), omega, period, instants=instants * period, budget=self.budget
+        )
 
     def _evaluate(self, unknown: np.ndarray, parameter: float) -> None:
         assert unknown.shape == self.shape

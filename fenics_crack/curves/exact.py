@@ -17,7 +17,6 @@ import numpy as np
 import scipy.optimize
 
 from fenics_crack.balance.bordered import solve_at
-from fenics_crack.balance.exact_orbits import FEW_PAIRS
 from fenics_crack.balance.family import FAMILIES
 from fenics_crack.balance.judgement import BELIEVED, FARTHEST
 from fenics_crack.balance.orbits import FlowOrbits
@@ -28,9 +27,10 @@ from fenics_crack.curves.orbit_branch import ALIKE, EVERY, Crossing, Node, Orbit
 from fenics_crack.curves.varied_orbits import VariedOrbits
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import is_piecewise_linear, is_rigid
-from fenics_crack.motion.flow import exact_flow
+from fenics_crack.motion.flow import Budget, exact_flow
+from fenics_crack.motion.orbit import PIECES
 from fenics_crack.stability.floquet import floquet
-from fenics_crack.stability.shooting import leaves
+from fenics_crack.stability.shooting import attract_little, leaves
 from fenics_crack.stages import begin
 
 __all__ = ["judge_curve", "verified"]
@@ -43,6 +43,9 @@ SAME = 1e-4
 """Distance between two orbits that are one."""
 IDENTICAL = 1e-6
 """Of p: bifurcations of one kind that lie within are the same one."""
+BUDGET = Budget(pieces=PIECES // 10)
+"""Of a motion: ten may take what a search for an orbit may. Where none of some points' keeps to it,
+no orbits are sought."""
 SINGLY = 40
 """Points left undecided that are judged one by one, as a solution is (:func:`floquet`)."""
 NEARBY = 0.02
@@ -59,17 +62,17 @@ class _Judge:
         [first] = curve.motions(np.zeros(1, dtype=int))
         if curve.parameter == "omega":
             flow, omega = exact_flow(curve.structure, curve.contact), float(curve.omega[0])
-            self.system = FlowOrbits(flow, omega, flow.state(*first), curve.subharmonic)
+            self.system = FlowOrbits(flow, omega, flow.state(*first), curve.subharmonic, BUDGET)
             self.parameters = curve.omega / omega
         else:
             values = curve.values
             ends = float(values[0]), float(values[np.argmax(np.abs(values - values[0]))])
             family = FAMILIES[curve.parameter](curve.problem, *ends)
-            self.system = VariedOrbits(family, *first)
+            self.system = VariedOrbits(family, *first, BUDGET)
             self.parameters = np.array([family.parameter(value) for value in values])
             self._family = family
         self._own: dict[float, bool] = {}
-        self._few = not curve.structure.light_lips and curve.structure.n_pairs <= FEW_PAIRS
+        self._few = attract_little(curve.structure)
         # Next to a doubling the old orbit is as near as the new one.
         self._doubled = curve.subharmonic > 1
         every = 1 if self._doubled else EVERY
@@ -247,6 +250,9 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     if not (is_piecewise_linear(curve.contact) or is_rigid(curve.contact)):
         return judged_by_waves(curve)
     begin("stability by exact orbits")
+    if not _affordable(curve):
+        nothing = np.full(len(curve), np.nan + 0j)
+        return replace(curve, multipliers=nothing, undecided=np.ones(len(curve), dtype=bool))
     judge = _Judge(curve)
     crossings = _distinct(judge.branch.crossings())
     multipliers = judge.points(crossings)
@@ -262,6 +268,20 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
                 multipliers[place] = complex(value.real, abs(value.imag))
                 undecided[place] = False
     return replace(curve, bifurcations=special, multipliers=multipliers, undecided=undecided)
+
+
+def _affordable(curve: ResponseCurve) -> bool:
+    """Whether the motion of some point is followed within the budget."""
+    for place in np.unique([0, len(curve) // 2, len(curve) - 1]):
+        wave = curve.solution(int(place), search=False)
+        assert wave.contact is not None
+        flow = exact_flow(wave.structure, wave.contact)
+        try:
+            flow.advance(wave.judged.states[0], wave.omega, wave.period, budget=BUDGET)
+        except ConvergenceError:
+            continue
+        return True
+    return False
 
 
 def verified(curve: ResponseCurve) -> ResponseCurve:

@@ -17,7 +17,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from fenics_crack.balance.exact_orbits import FEW_PAIRS
 from fenics_crack.balance.judgement import BELIEVED, UNKNOWN, Judgement
 from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.balance.solution import PeriodicSolution, Stability
@@ -28,7 +27,7 @@ from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit, eigenvalues
 from fenics_crack.stability.hill import hill_root
 from fenics_crack.stability.linear_flow import monodromy
-from fenics_crack.stability.shooting import CLOSE, leaves
+from fenics_crack.stability.shooting import CLOSE, attract_little, leaves
 
 __all__ = ["Stability", "floquet"]
 
@@ -106,10 +105,8 @@ def _by_orbit(judged: Judgement) -> Stability:
 
 def _doubt(orbit: PeriodicOrbit, judged: Judgement) -> str:
     """What speaks against the stability of a stable orbit next to a wave, "" if nothing does: that
-    the motion from there leaves it, or a pair grazes. Of few pairs with mass, as next to grazing
-    such orbits attract little, and many have a pair there."""
-    structure = judged.wave.structure
-    if structure.light_lips or structure.n_pairs > FEW_PAIRS:
+    the motion from there leaves it, or a pair grazes, where such orbits attract little."""
+    if not attract_little(judged.wave.structure):
         return ""
     if _grazes(orbit, judged):
         return "a pair just touches, or just does not, within the error"

@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import stiff_curves
-from helpers import two_masses
+from helpers import chain, two_masses
 
 import fenics_crack as fc
 from fenics_crack.curves import exact
 from fenics_crack.curves.orbit_branch import Crossing
+from fenics_crack.motion.flow import Budget
 from fenics_crack.time.march import initial_state
 
 RIGID = fc.UnilateralConstraint()
@@ -33,9 +34,7 @@ def growth(light_lips: fc.Structure, omega: float) -> float:
     return float((distances[-1] / distances[19]) ** (1.0 / 40.0))
 
 
-def test_a_continuation_is_judged_alike(
-    light_lips: fc.Structure, curve: fc.ResponseCurve
-) -> None:
+def test_a_continuation_is_judged_alike(light_lips: fc.Structure, curve: fc.ResponseCurve) -> None:
     """Used by itself, whenever its curve is taken; the truncated equations with six harmonics have
     pairs outside the unit circle at three places, the motion at the last."""
     problem = fc.Problem(light_lips, 1730.0, RIGID, 6)
@@ -187,3 +186,25 @@ def test_point_whose_motion_leaves_is_not_called_stable() -> None:
         assert not (left and branch.verdicts[place] == "stable")
         gone += left and abs(orbit.multipliers[0]) < 1.0
     assert len(places) >= 3 and gone > 0
+
+
+def test_many_pairs_with_mass() -> None:
+    """Eight: judged by orbits as few are."""
+    structure, law = chain(n=25, pairs=8, seed=2), fc.UnilateralPenalty(5.0)
+    curve = fc.continue_frequency(structure, 1.3, 1.32, law, harmonics=12, stability=True)
+    assert curve.undecided is not None and np.mean(curve.undecided) < 0.1
+    for place in (1, len(curve) // 2):
+        alone = fc.floquet(structure, curve.solution(place))
+        assert curve.verdicts[place] == alone.verdict != "undecided"
+        size = abs(alone.multipliers[0])
+        assert abs(curve.multipliers[place]) == pytest.approx(size, rel=1e-2)
+
+
+def test_motions_that_take_too_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Undecided at all points, and nothing is sought; the curve's own bifurcations stay."""
+    plain = fc.continue_frequency(two_masses(), 0.6, 0.9, fc.UnilateralPenalty(100.0), harmonics=12)
+    monkeypatch.setattr(exact, "BUDGET", Budget(pieces=2))
+    monkeypatch.setattr(exact, "_Judge", None)
+    judged = fc.judge_curve(plain)
+    assert set(judged.verdicts) == {"undecided"}
+    assert judged.bifurcations == plain.bifurcations

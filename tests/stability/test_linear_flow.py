@@ -121,8 +121,8 @@ def test_many_at_once_are_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_points_of_a_duffing_curve_are_judged_as_solutions_are() -> None:
-    """Up, back and up again: the middle is unstable, and verdicts change at the folds alone, where a
-    multiplier passes 1."""
+    """Up, back and up again: the middle is unstable, and verdicts change at the folds alone, where
+    a multiplier passes 1."""
     structure, law = oscillator(0.05, 1.0), Cubic(0.1)
     curve = fc.continue_frequency(structure, 0.5, 3.0, law, harmonics=10, stability=True)
     assert [one.kind for one in curve.bifurcations] == ["fold", "fold"]

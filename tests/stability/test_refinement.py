@@ -57,7 +57,6 @@ def test_bifurcations_of_two_masses_and_a_stop(harmonics: int) -> None:
 
 def test_multiplier_seen_in_the_motion() -> None:
     """At the period doubling the critical direction changes its sign each period, undamped."""
-    structure = two_masses()
     curve = judged(61)
     doubling = next(b for b in curve.bifurcations if b.kind == "period_doubling")
     omega, orbit = refine_bifurcation(doubling)
