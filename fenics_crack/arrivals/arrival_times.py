@@ -224,10 +224,8 @@ def _columns(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
             places = [names.index(name) for name in wanted]
             lines = [line for line in file if line.strip()]
         rows = np.genfromtxt(lines, delimiter=",", usecols=places, ndmin=2) if lines else None
-    whole = (
-        rows is not None and np.all(rows[:, 0] % 1.0 == 0.0) and np.abs(rows[:, 0]).max() < 2**53
-    )
-    if rows is None or not (whole and np.all(np.isfinite(rows[:, :4]))):
+    finite = rows is not None and np.all(np.isfinite(rows[:, :4]))
+    if rows is None or not finite or np.any(rows[:, 0] % 1.0) or np.abs(rows[:, 0]).max() >= 2**53:
         allowed = "a file whose rows have finite numbers but for the arrival, and whole revolutions"
         raise InputError("path", str(path), allowed)
     return rows.T[:5], rows.T[5] if len(wanted) > 5 else None
