@@ -85,10 +85,11 @@ def _product(
     stretches = 1
     while stretches**2 < count and stretches * (2 * n) ** 2 < TOGETHER:
         stretches *= 2
+    along = kicks.reshape(stretches, count // stretches, *kicks.shape[1:])
     moved = transition(modes, h)[0]
     state = np.tile(np.eye(2 * n), (stretches, 1, 1))
     with np.errstate(over="ignore", invalid="ignore"):  # of too few steps
-        for kick in kicks.reshape(stretches, -1, *kicks.shape[1:]).swapaxes(0, 1):
+        for kick in along.swapaxes(0, 1):
             state[:, n:] -= _kicked(modes, kick, state[:, :n])
             state = _drifted(modes, moved, state)
         product = state[0]

@@ -108,6 +108,18 @@ def test_mathieu(order: int, even: bool) -> None:
     assert np.linalg.det(matrix) == pytest.approx(1.0, abs=1e-5)
 
 
+def test_without_pairs() -> None:
+    """The multipliers of the modes, exp(-c T / 2) in size."""
+    structure = fc.Structure.from_matrices(
+        np.eye(2), np.diag([1.0, 2.0]), np.zeros((2, 0)), force_cos=[1.0, 0.0],
+        damping=0.1 * np.eye(2),
+    )  # fmt: skip
+    linear = fc.solve_linear(structure, 0.7, harmonics=3)
+    found = fc.floquet(structure, linear, fc.SmoothedPenalty(1.0, 1.0))
+    assert found.verdict == "stable"
+    assert np.abs(found.multipliers) == pytest.approx(np.exp(-0.05 * linear.period), rel=1e-9)
+
+
 def test_many_at_once_are_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
     """However many stretches of the period are advanced together."""
     structure, law = chain("matrix"), fc.SmoothedPenalty(3.0, 4.0)
