@@ -6,8 +6,8 @@ near       a given solution, or the linear one; and where shortened steps lead f
 fewer      instead of the linear one, with many unknowns or pairs that are seen through a static
            compliance (:mod:`coupled`): the solution with half the harmonics, which comes from that
            with half of those, and so on
-marched    the last period of a motion that has settled, by exponential steps in time, for laws that
-           are piecewise linear; pairs that are seen through a static compliance begin with it
+marched    a motion after 40, 160 and 520 periods of exponential steps in time, for laws that are
+           piecewise linear; pairs that are seen through a static compliance begin with it
 path       where a path of solutions passes the problem, followed by arc-length through its folds,
            from where the solution is unique and close to the linear one: in the contact stiffness,
            in the softness in series with pairs that are seen through a static compliance, or from a
@@ -52,7 +52,7 @@ from fenics_crack.stages import begin
 
 __all__ = ["Search"]
 
-COMPILED, INTERPRETED = 5000, 600
+COMPILED, INTERPRETED = 5000, 1000
 """Iterations of all starts together, with 300 unknowns in the kernel, and in Python: 5 to 8 s."""
 MANY = 100
 """Unknowns from which fewer harmonics are quicker than full steps from the linear solution."""
@@ -62,8 +62,9 @@ STIFF = 10.0
 """Stiffness of the penalty, relative to eps, from which full steps to the constraint start."""
 RUNG = 1e-5
 """|F| / |x| of a solution with fewer harmonics."""
-MARCHED, MOVING = 40, 40
-"""Periods of a response that are marched for a start, and modes that move in them."""
+PERIODS, MARCHED, MOVING = 40, (1, 3, 9), 40
+"""Periods of a response that are marched at a time, how many times for one guess after the other,
+and modes that move in them."""
 FAR = 5.0
 """Distance of the parameter from its end value at which a path is abandoned; a path that begins
 farther away may go as far as its start."""
@@ -157,7 +158,7 @@ class Search:
     def constraint(self, system: ConstraintSystem, start: np.ndarray | None) -> Linearisation:
         """Solve without penetration; return the equations there."""
         starts = [] if start is None else [self._full(system, start, 1.0)]
-        starts.append((f"from {STIFF:g} times the weight", self._penalised(system, STIFF)))
+        starts.append((f"from a penalty of {STIFF:g} weights", self._penalised(system, STIFF)))
         starts.append(("path from a penalty to the constraint", self._hardened(system)))
         return self._solve(system, 1.0, starts)
 
@@ -244,7 +245,7 @@ class Search:
     def _marched(
         self, system: CondensedSystem | CoupledSystem, problem: Problem, parameter: float
     ) -> Start:
-        """The gap, the slow one where pairs are coupled, of the last of some marched periods."""
+        """The gap of a motion after more and more periods, the slow one where pairs are coupled."""
 
         def guesses() -> Iterator[np.ndarray]:
             harmonics, periods = problem.harmonics, problem.subharmonic
@@ -253,19 +254,21 @@ class Search:
             if problem.residual is not None:
                 above = min(problem.cutoff, above)
             try:
-                with np.errstate(all="ignore"):  # of motions that run away
-                    flow = ExponentialFlow(
-                        problem.structure, problem.omega, problem.contact, steps,
-                        static_above=above,
-                    )  # fmt: skip
-                    settled = flow.advance(flow.steady[0], (MARCHED - 1) * periods).states[-1]
-                    last = flow.advance(settled, periods)
-                    gap = last.gap
+                flow = ExponentialFlow(
+                    problem.structure, problem.omega, problem.contact, steps, static_above=above
+                )
+                state = flow.steady[0]
+                for more in MARCHED:
+                    with np.errstate(all="ignore"):  # of motions that run away
+                        for _ in range(more):
+                            state = flow.advance(state, PERIODS * periods).states[-1]
+                        last = flow.advance(state, periods)
+                        gap = last.gap
+                    if problem.residual is not None:
+                        gap = gap + last.forces[:-1] @ problem.residual
+                    yield from self._near(system, balanced(gap, harmonics), parameter)
             except ConvergenceError:
                 return
-            if problem.residual is not None:
-                gap = gap + last.forces[:-1] @ problem.residual
-            yield from self._near(system, balanced(gap, harmonics), parameter)
 
         return "from a marched motion", guesses()
 
@@ -286,7 +289,7 @@ class Search:
         stepping = replace(stepping, rounding=self._rounding, span=span, most=int(self._most))
         for point in follow_path(system, before, first, stepping):
             self.iterations += point.iterations
-            if (parameter - end) * (point.parameter - end) <= 0.0:
+            if max(parameter, point.parameter) >= end:
                 share = (end - parameter) / (point.parameter - parameter)
                 yield before + share * (point.unknown - before)
                 yield before
@@ -303,7 +306,7 @@ class Search:
         at = search.penalty(CondensedSystem(system.compliance, integrals))
         self.iterations += search.iterations
         self.history += search.history
-        self.attempts += search.attempts
+        self.attempts += [f"penalty of {factor:g} weights, {tried}" for tried in search.attempts]
         if search.converged:
             assert isinstance(at, CondensedPoint)
             yield system.from_force(at.force)
@@ -315,8 +318,11 @@ class Search:
 
 
 def _iterations(system: DistributedSystem) -> float:
-    """How many a search may take: they cost like the square of the unknowns in the kernel."""
+    """How many a search may take: they cost like the square of the unknowns where the kernel has
+    them, and twice as much with the constraint."""
     dense = COMPILED * (300.0 / max(MANY, system.global_size)) ** 2
+    if isinstance(system, ConstraintSystem):
+        return 0.5 * dense
     if getattr(system, "in_kernel", False):
         return dense
     return INTERPRETED if system.matrix_free else min(INTERPRETED, dense)
