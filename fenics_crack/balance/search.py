@@ -322,7 +322,7 @@ def _iterations(system: DistributedSystem) -> float:
     them, and twice as much with the constraint."""
     dense = COMPILED * (300.0 / max(MANY, system.global_size)) ** 2
     if isinstance(system, ConstraintSystem):
-        return 0.5 * dense
+        return 0.5 * min(COMPILED, dense)
     if getattr(system, "in_kernel", False):
         return dense
     return INTERPRETED if system.matrix_free else min(INTERPRETED, dense)

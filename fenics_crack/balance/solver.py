@@ -19,6 +19,7 @@ from fenics_crack.balance.condensed import (
 from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
 from fenics_crack.balance.family import Family
 from fenics_crack.balance.fourier import resized, stretched
+from fenics_crack.balance.linearisation import Linearisation
 from fenics_crack.balance.newton import KernelNewton
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.search import Search
@@ -59,7 +60,7 @@ class Solver:
         """The same, whether or not it converged, and the record of the search; its errors are
         estimated unless they are not asked for."""
         search = Search(self.residual_tolerance, share=1.0 if patient else HURRIED)
-        at: CondensedPoint
+        at: Linearisation
         with self.compliance() as compliance:
             if self.problem.residual is not None:
                 problem, at = self.problem, self._coupled(search, compliance, initial)
@@ -67,6 +68,7 @@ class Solver:
                 problem, at = self._constrained(search, compliance, initial)
             else:
                 problem, at = self.problem, self.penalised(search, compliance, initial)
+            assert isinstance(at, CondensedPoint)
             found = solution_of(problem, at, status=search.status, reported=reported)
             return search, replace(found, converged=search.converged, iterations=search.iterations)
 
@@ -133,7 +135,7 @@ class Solver:
 
     def penalised(
         self, search: Search, compliance: Compliance, initial: PeriodicSolution | None
-    ) -> CondensedPoint:
+    ) -> Linearisation:
         """Solve for a law that gives the force from the gap."""
         problem = self.problem
 
@@ -142,6 +144,4 @@ class Solver:
             return CondensedSystem(narrowed(compliance, harmonics), few.integrals())
 
         start = None if initial is None else self.start(initial, "gap_coefficients")
-        at = search.penalty(with_harmonics(problem.harmonics), start, problem, with_harmonics)
-        assert isinstance(at, CondensedPoint)
-        return at
+        return search.penalty(with_harmonics(problem.harmonics), start, problem, with_harmonics)
