@@ -31,9 +31,9 @@ from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.balance.problem import Problem
 from fenics_crack.curves.bifurcations import attainable, odd_rows
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
+from fenics_crack.curves.exact_bifurcations import refine_bifurcation
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.orbit import PeriodicOrbit
-from fenics_crack.stability.refinement import refine_bifurcation
 
 __all__ = ["DoubledStart", "next_to_doubled_orbits"]
 

@@ -7,7 +7,7 @@ import pytest
 from helpers import OMEGA_0, log_slope, oscillator, two_masses
 
 import fenics_crack as fc
-from fenics_crack.stability.refinement import refine_bifurcation
+from fenics_crack.curves.exact_bifurcations import refine_bifurcation
 
 CURVE = {"omega_start": 0.6, "omega_end": 0.9, "contact": fc.UnilateralPenalty(100.0)}
 EXACT = {
