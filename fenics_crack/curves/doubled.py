@@ -32,7 +32,7 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.curves.bifurcations import attainable, first_aside, odd_rows
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.orbit_branch import STRAIGHT, TOLERANCE
-from fenics_crack.errors import MOST_HARMONICS, ConvergenceError
+from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit
 
@@ -101,8 +101,7 @@ def _ladder(problem: Problem) -> list[int]:
     """Numbers of harmonics with which the branch is looked for."""
     counts = [problem.harmonics]
     pairs = problem.structure.n_pairs
-    most = min(MOST_HARMONICS * problem.subharmonic, MOST_UNKNOWNS // (2 * pairs))
-    while problem.samples is None and 2 * counts[-1] <= most:
+    while problem.samples is None and 4 * counts[-1] * pairs <= MOST_UNKNOWNS:
         counts.append(2 * counts[-1])
     return counts
 
@@ -145,7 +144,8 @@ def _branch(
         first = distance(orbits, begin, found)
         stepping = Stepping(first, longest_step, most=MOST, least_cosine=STRAIGHT, span=(0.0, 2.0))
         for point in follow_path(orbits, found.unknown, found.parameter, stepping, away):
-            if not min(span) < point.parameter * doubling.omega < max(span):
+            inside = min(span) < point.parameter * doubling.omega < max(span)
+            if not inside or not is_new(point, TOLERANCE):
                 return
             yield orbits.orbit(point)
     except ConvergenceError:  # pairs that chatter without end
