@@ -23,10 +23,8 @@ import numpy as np
 
 import fenics_crack as fc
 from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import locate
+from fenics_crack.balance.bordered import PathPoint, locate, tangent_of
 from fenics_crack.balance.orbits import FlowOrbits
-from fenics_crack.stability import refinement
-from fenics_crack.stability.shooting import orbits_near
 
 SPAN = 2.0, 0.32
 SAME, NEAR, CLEARLY = 1e-6, 0.25, 3.0
@@ -111,29 +109,34 @@ def case(kc: float, harmonics: int, span: tuple[float, float] = SPAN) -> tuple[o
 
 def exact_branch(curve: fc.ResponseCurve) -> Branch:
     """The branch of exact orbits that begins at a curve's first point, to its last frequency."""
-    orbits = orbits_near(curve.structure, curve.contact, curve.solution(0))
-    path = refinement._Branch(orbits)
-    start = path.first()
-    assert start is not None
+    first = curve.solution(0).judged.orbit
+    assert first is not None
+    orbits = FlowOrbits(first.flow, first.omega, first.state, first.subharmonic)
+    tangent = tangent_of(orbits, orbits.start, orbits.linearise(orbits.start, 1.0))
     down = curve.omega[-1] < curve.omega[0]
-    tangent = start.tangent.reversed() if down == (start.tangent.p > 0.0) else start.tangent
     stepping = Stepping(
         1e-3, 0.02, 1e-11, 5000, 1e-10, least_cosine=0.9, rounding=1e-12, span=(0.0, 2.0)
     )
+
+    def doubling(point: PathPoint) -> float:
+        monodromy = orbits.linearise(point.unknown, point.parameter).monodromy
+        return float(np.linalg.det(np.eye(len(monodromy)) + monodromy))
+
+    tests = {"fold": lambda point: point.tangent.p, "period_doubling": doubling}
     special: dict[str, list[float]] = {}
-    points, before = [], None
-    for found in follow_path(path, start.unknown, start.parameter, stepping, tangent):
-        point = refinement.evaluated(path, found)
-        points.append(point)
-        for kind in KINDS if before else ():
-            test = refinement.TESTS[kind]()
-            if test(before) * test(point) < 0.0:
-                there = locate(path, before, point, test, 1e-11).parameter * orbits.omega
+    points: list[PathPoint] = []
+    way = tangent.reversed() if down else tangent
+    for point in follow_path(orbits, orbits.start, 1.0, stepping, way):
+        for kind, test in tests.items() if points else ():
+            if test(points[-1]) * test(point) < 0.0:
+                there = locate(orbits, points[-1], point, test, 1e-11).parameter * orbits.omega
                 special.setdefault(kind, []).append(there)
-        before = point
+        points.append(point)
         if (point.parameter * orbits.omega - curve.omega[-1]) * (1.0 if down else -1.0) < 0.0:
             break
-    multipliers = [abs(refinement._orbit(point).multipliers[0]) for point in points]
+    multipliers = [
+        abs(orbits.linearise(point.unknown, point.parameter).multipliers[0]) for point in points
+    ]
     return Branch(
         orbits,
         orbits.omega * np.array([point.parameter for point in points]),

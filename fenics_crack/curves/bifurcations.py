@@ -15,6 +15,7 @@ Stability Analysis, chapters 4, 5 and 7.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -32,11 +33,19 @@ from fenics_crack.balance.bordered import (
 from fenics_crack.balance.coupled import CoupledSystem
 from fenics_crack.balance.family import Family
 from fenics_crack.balance.fourier import stretched
+from fenics_crack.balance.linearisation import System
 from fenics_crack.balance.rounding import least_residual, stiffness_times_compliance
 from fenics_crack.curves.curve import Bifurcation
 from fenics_crack.errors import ConvergenceError
 
-__all__ = ["Special", "attainable", "first_of_branch", "odd_rows", "turns_or_branches"]
+__all__ = [
+    "Special",
+    "attainable",
+    "first_aside",
+    "first_of_branch",
+    "odd_rows",
+    "turns_or_branches",
+]
 
 Special = list[tuple[str, PathPoint]]
 
@@ -104,16 +113,35 @@ def first_of_branch(
     away = _across(family, unknown, parameter, doubled=factor > 1)
     start = PathPoint(unknown, parameter, 0, away)
     sharp = attainable(family, parameter, 1e-9)
-    for share in (0.1, 0.03, 0.3, 0.01, 1.0):
-        step = share * longest_step
-        found = correct(family, start, step, sharp, reach=longest_step)
-        if found is not None and distance(family, start, found) < 3.0 * step:
-            change, rise = found.unknown - unknown, found.parameter - parameter
-            return found, Tangent(change, rise, away.weight)
+
+    def near(found: PathPoint, step: float) -> bool:
+        return distance(family, start, found) < 3.0 * step
+
+    found = first_aside(family, start, longest_step, sharp, near)
+    if found is not None:
+        change, rise = found.unknown - unknown, found.parameter - parameter
+        return found, Tangent(change, rise, away.weight)
     raise ConvergenceError(
         f"branch from {bifurcation.kind} at {family.name} = {bifurcation.value:g}: "
         "no point of another branch was found next to it"
     )
+
+
+def first_aside(
+    system: System,
+    start: PathPoint,
+    longest_step: float,
+    tolerance: float,
+    is_new: Callable[[PathPoint, float], bool],
+) -> PathPoint | None:
+    """The first solution found across a branch, at a step from one of it along that one's tangent,
+    that is on a new branch; None where there is none within the longest step."""
+    for share in (0.1, 0.03, 0.3, 0.01, 1.0):
+        step = share * longest_step
+        found = correct(system, start, step, tolerance, reach=longest_step)
+        if found is not None and is_new(found, step):
+            return found
+    return None
 
 
 def _across(family: Family, unknown: np.ndarray, parameter: float, doubled: bool) -> Tangent:

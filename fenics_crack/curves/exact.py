@@ -39,8 +39,6 @@ SURE = 1e-6
 """Distance of the leading multiplier from the unit circle that decides, at least."""
 NO_DOUBT = 0.01
 """Distance of an orbit from its point at which nothing else is asked."""
-SAME = 1e-4
-"""Distance between two orbits that are one."""
 IDENTICAL = 1e-6
 """Of p: bifurcations of one kind that lie within are the same one."""
 BUDGET = Budget(pieces=PIECES // 10)
@@ -73,11 +71,7 @@ class _Judge:
             self._family = family
         self._own: dict[float, bool] = {}
         self._few = attract_little(curve.structure)
-        # Next to a doubling the old orbit is as near as the new one.
-        self._doubled = curve.subharmonic > 1
-        every = 1 if self._doubled else EVERY
-        self._apart = 0.5 * every
-        self.branch = OrbitBranch(self.system, self.parameters, self._motions, every)
+        self.branch = OrbitBranch(self.system, self.parameters, self._motions)
         self._judge()
 
     def value(self, parameter: float) -> float:
@@ -96,7 +90,7 @@ class _Judge:
         """Judge nodes next to points, some points apart, and others between those that differ."""
         asked: list[Node] = []
         for one in self.branch.nodes:
-            if one.away >= 0.0 and (not asked or one.place - asked[-1].place >= self._apart):
+            if one.away >= 0.0 and (not asked or one.place - asked[-1].place >= 0.5 * EVERY):
                 asked.append(one)
         tried: set[int] = set()
         while asked:
@@ -116,7 +110,7 @@ class _Judge:
         doubtful = []
         for one in nodes:
             self._own[one.place] = True
-            if one.away > NO_DOUBT or self._doubled:
+            if one.away > NO_DOUBT:
                 doubtful.append(one)
         if not doubtful:
             return
@@ -126,20 +120,14 @@ class _Judge:
             gap = self.system.gap(one.unknown, one.parameter, len(wave))
             size = float(np.linalg.norm(gap + clearance))
             off = float(np.linalg.norm(gap - wave)) / (size or 1.0)
-            if off > NO_DOUBT or self._doubled:
+            if off > NO_DOUBT:
                 self._own[one.place] = self._is_own(one, int(place), off)
 
     def _is_own(self, node: Node, place: int, off: float) -> bool:
         """Whether a solution is judged by a node's orbit."""
         solution = self._curve.solution(place, search=False)
-        if not self._doubled:
-            near = off <= min(BELIEVED * solution.judged.prediction, FARTHEST)
-            return near and not (self._few and self._left(node, place))
-        orbit = solution.judged.orbit
-        if orbit is None or floquet(solution.structure, solution).verdict == "undecided":
-            return False
-        moved = self.system.unknown(orbit.state) - node.unknown
-        return bool(np.linalg.norm(moved) <= SAME * np.linalg.norm(node.unknown))
+        near = off <= min(BELIEVED * solution.judged.prediction, FARTHEST)
+        return near and not (self._few and self._left(node, place))
 
     def _left(self, node: Node, place: int) -> bool:
         """Whether the exact motion that begins with a point leaves the stable orbit next to it."""
@@ -255,11 +243,12 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
         return replace(curve, multipliers=nothing, undecided=np.ones(len(curve), dtype=bool))
     judge = _Judge(curve)
     crossings = _distinct(judge.branch.crossings())
-    multipliers = judge.points(crossings)
+    # Next to the end of a branch of twice the period the old orbit is as near as the new one.
+    doubled = curve.subharmonic % 2 == 0
+    multipliers = np.full(len(curve), np.nan + 0j) if doubled else judge.points(crossings)
     undecided = np.isnan(multipliers)
-    special = _special(curve, judge, crossings, undecided)
     left = np.flatnonzero(undecided)
-    if len(left) <= SINGLY:
+    if doubled or len(left) <= SINGLY:
         for place in map(int, left):
             solution = curve.solution(place, search=False)
             alone = floquet(solution.structure, solution)
@@ -267,6 +256,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
                 value = complex(alone.multipliers[0])
                 multipliers[place] = complex(value.real, abs(value.imag))
                 undecided[place] = False
+    special = _special(curve, judge, crossings, undecided)
     return replace(curve, bifurcations=special, multipliers=multipliers, undecided=undecided)
 
 

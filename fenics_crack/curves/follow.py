@@ -222,7 +222,9 @@ def follow_branch(
     try:
         growing = Continuation(problem, curve.parameter, start, end, **given, initial=bifurcation)
     except ConvergenceError:
-        begun = next_to_doubled_orbits(curve, bifurcation, problem, (start, end))
+        begun = next_to_doubled_orbits(
+            curve, bifurcation, problem, (start, end), options.get("longest_step", LONGEST)
+        )
         if begun is None:
             raise
         growing = Continuation(begun.problem, curve.parameter, start, end, **given, initial=begun)

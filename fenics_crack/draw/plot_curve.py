@@ -13,7 +13,6 @@ from scipy.signal import find_peaks
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.curves.curve import ResponseCurve, parameter_axis
-from fenics_crack.curves.estimates import displacement_errors
 from fenics_crack.curves.refine import filled
 from fenics_crack.draw.figure import COLOURS, FIRST, finish, label_axis, make_axes
 from fenics_crack.errors import InputError
@@ -104,7 +103,7 @@ def _draw_parts(
     """Draw the parts of a curve by their stability and estimated error."""
     known = curve.multipliers is not None
     states = curve.verdicts if known else np.full(len(x), "stable")
-    inexact = displacement_errors(curve) > LARGE_ERROR
+    inexact = curve.displacement_errors > LARGE_ERROR
     if label:
         axes.plot([], [], color=ink, lw=1.8, label=label, gid=FIRST)
     for state, style in STYLES.items():
