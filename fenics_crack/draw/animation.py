@@ -42,8 +42,14 @@ SECONDS = 3.0
 """Duration of the animation."""
 TINT = "#f5d6c1"
 """Background of the wave while the lips touch: light orange."""
+PAGE = (640, 740)
+"""Width and height [pixels]."""
 PLATE = (0.01, 0.275, 0.83, 0.60)
 """Its place on the page: left, bottom, width, height."""
+FINER = 2
+"""Pixels of the plate's drawing for one of the page, each way, which smooths it."""
+BESIDE = 20
+"""Pixels of the page beside the moving plate, for dots and arrows."""
 INK = {"lips": "#000000", "contact": COLOURS["orange"], "load": COLOURS["pink"], "rest": "#8a8a8a"}
 
 
@@ -276,7 +282,7 @@ def _caption(solution: PeriodicSolution, fields: PeriodFields) -> str:
 
 def _write(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> None:
     """Draw all frames and write the GIF."""
-    plotter = off_screen_plotter(window_size=(1200, 1040))
+    plotter = off_screen_plotter(window_size=_window(fields))
     plotter.render_window.SetMultiSamples(0)  # the page shrinks what it draws, which smooths it
     plate = _Plate(plotter, fields)
     _look_at_all(plotter, fields)
@@ -311,15 +317,29 @@ def _palette(colours: _Colours) -> Image.Image:
     return palette
 
 
-def _look_at_all(plotter: Any, fields: PeriodFields, room: float = 1.03) -> None:
-    """Set the camera so that the plate stays in the picture for the whole period."""
+def _window(fields: PeriodFields) -> tuple[int, int]:
+    """Width and height of the plate's drawing [pixels]: no more than it needs of its place."""
+    low, high = _reach(fields)
+    room = np.multiply(PLATE[2:], PAGE)
+    needed = (high - low) * min((room - 2 * BESIDE) / (high - low)) + 2 * BESIDE
+    width, height = FINER * np.floor(needed).astype(int)
+    return int(width), int(height)
+
+
+def _reach(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
+    """The corners (2,) of what the plate and its load cover in the whole period [m]."""
     moved = fields.mesh.points + fields.magnification * fields.displacement
     every = [fields.mesh.points, *moved]
     if np.any(fields.load):
         frames = range(len(fields.time))
         every.append(np.array([np.sum(_load_arrow(fields, frame), axis=0) for frame in frames]))
-    points, size, camera = np.concatenate(every), fields.mesh.size, plotter.camera
-    low, high = points.min(axis=0), points.max(axis=0)
+    points = np.concatenate(every)
+    return points.min(axis=0), points.max(axis=0)
+
+
+def _look_at_all(plotter: Any, fields: PeriodFields, room: float = 1.03) -> None:
+    """Set the camera so that the plate stays in the picture for the whole period."""
+    (low, high), size, camera = _reach(fields), fields.mesh.size, plotter.camera
     width, height = plotter.window_size
     middle = 0.5 * (low + high)
     camera.focal_point, camera.position = (*middle, 0.0), (*middle, 10.0 * size)
@@ -341,7 +361,7 @@ class _Page:
 
     def __init__(self, solution: PeriodicSolution, fields: PeriodFields, colours: _Colours) -> None:
         self.loads = fields.time * solution.omega / (2.0 * np.pi)
-        self.figure = Figure(figsize=(6.4, 7.4), dpi=100, facecolor="white")
+        self.figure = Figure(figsize=np.divide(PAGE, 100), dpi=100, facecolor="white")
         self.canvas = FigureCanvasAgg(self.figure)
         title = "Breathing crack" if len(fields.mesh.lips) else "Vibrating plate"
         centred = {"ha": "center", "va": "center"}
@@ -364,12 +384,10 @@ class _Page:
         for artist in (self.line, self.dot, self.text):
             self.figure.draw_artist(artist)
         page = Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3].copy())
-        left, bottom, wide, high = np.array(PLATE) * np.tile(page.size, 2)
-        share = min(wide / plate.shape[1], high / plate.shape[0])
-        size = round(share * plate.shape[1]), round(share * plate.shape[0])
-        small = Image.fromarray(plate).resize(size, Image.Resampling.HAMMING)
-        middle = left + 0.5 * wide, page.size[1] - bottom - 0.5 * high
-        page.paste(small, (round(middle[0] - 0.5 * size[0]), round(middle[1] - 0.5 * size[1])))
+        left, bottom, wide, high = np.array(PLATE) * np.tile(PAGE, 2)
+        small = Image.fromarray(plate).reduce(FINER)
+        middle = left + 0.5 * wide, PAGE[1] - bottom - 0.5 * high
+        page.paste(small, (round(middle[0] - small.width / 2), round(middle[1] - small.height / 2)))
         return page
 
     def _legend(self, fields: PeriodFields) -> None:
