@@ -152,7 +152,7 @@ class _Plate:
     """The plate in a plotter, to be moved from frame to frame."""
 
     def __init__(self, plotter: Any, fields: PeriodFields) -> None:
-        self.fields, self.plotter = fields, plotter
+        self.fields = fields
         self.colours = _Colours(fields)
         mesh = fields.mesh
         self.height = 1e-3 * mesh.size  # of lines above the plate
@@ -170,6 +170,12 @@ class _Plate:
         clamped = mesh.boundary[mesh.clamped[mesh.boundary].all(axis=1)]
         if len(clamped):
             add(edge_lines(mesh, clamped, height=self.height), color=INK["rest"], line_width=9)
+        dots = {"style": "points", "point_size": 16, "render_points_as_spheres": True}
+        self.marks = {}
+        for name, options in (("contact", dots), ("load", {})):
+            mark = pyvista.PolyData(np.zeros((1, 3)))
+            self.marks[name] = mark, add(mark, color=INK[name], **options)
+        self.starts, self.arrows = _load_arrows(fields)
         plotter.view_xy()
         plotter.enable_parallel_projection()
 
@@ -179,21 +185,28 @@ class _Plate:
         self.surface.copy_from(self._surface(frame))
         for edges, line in self.lines:
             line.copy_from(edge_lines(mesh, edges, displacement, self.height))
-        self.plotter.remove_actor(("contact", "load"), render=False)
-        flat: dict[str, Any] = {"lighting": False, "reset_camera": False, "render": False}
         closed = np.flatnonzero(self.fields.force[frame] > 0.0)
+        dots = None
         if len(closed):
             nodes = self.fields.pair_nodes[:, closed]
             middle = nodes.T @ (mesh.points + displacement) / nodes.sum(axis=0)[:, None]
             above = np.pad(middle, ((0, 0), (0, 1)), constant_values=2.0 * self.height)
-            dots = {"point_size": 16, "render_points_as_spheres": True}
-            self.plotter.add_points(above, name="contact", color=INK["contact"], **dots, **flat)
-        start, arrow = _load_arrow(self.fields, frame)
+            dots = pyvista.PolyData(above)
+        self._mark("contact", dots)
+        start, arrow = self.starts[frame], self.arrows[frame]
+        head = None
         if np.any(arrow):
             place = {"start": (*start, 2.0 * self.height), "direction": (*arrow, 0.0)}
             form = {"tip_length": 0.45, "tip_radius": 0.16, "shaft_radius": 0.055, "scale": "auto"}
             head = pyvista.Arrow(**place, **form)
-            self.plotter.add_mesh(head, name="load", color=INK["load"], **flat)
+        self._mark("load", head)
+
+    def _mark(self, name: str, mesh: pyvista.PolyData | None) -> None:
+        """Show a mark in another form, or not at all."""
+        shown, actor = self.marks[name]
+        actor.SetVisibility(mesh is not None)
+        if mesh is not None:
+            shown.copy_from(mesh)
 
     def _surface(self, frame: int) -> Any:
         grid = moved_grid(self.fields.mesh, self.fields.shown(frame))
@@ -201,18 +214,18 @@ class _Plate:
         return grid.extract_surface(algorithm=None)
 
 
-def _load_arrow(fields: PeriodFields, frame: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where the load acts on the magnified plate and an arrow along it, both (2,) [m].
+def _load_arrows(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
+    """Where the load acts on the magnified plate and arrows along it, both (n, 2) [m].
 
-    The arrow is an eighth of the plate long where the load is largest in the period.
+    The longest arrow is an eighth of the plate.
     """
     total = fields.load.sum(axis=1)
     share = np.abs(fields.load).sum(axis=(0, 2))
     largest = np.linalg.norm(total, axis=1).max()
     if largest == 0.0:
-        return np.zeros(2), np.zeros(2)
-    places = fields.mesh.points + fields.shown(frame)
-    return share @ places / share.sum(), fields.mesh.size / 8.0 * total[frame] / largest
+        return np.zeros_like(total), np.zeros_like(total)
+    places = fields.mesh.points + fields.magnification * fields.displacement
+    return share @ places / share.sum(), fields.mesh.size / 8.0 * total / largest
 
 
 def _with_slider(plotter: Any, solution: PeriodicSolution, fields: PeriodFields) -> Any:
@@ -331,8 +344,7 @@ def _reach(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
     moved = fields.mesh.points + fields.magnification * fields.displacement
     every = [fields.mesh.points, *moved]
     if np.any(fields.load):
-        frames = range(len(fields.time))
-        every.append(np.array([np.sum(_load_arrow(fields, frame), axis=0) for frame in frames]))
+        every.append(np.add(*_load_arrows(fields)))
     points = np.concatenate(every)
     return points.min(axis=0), points.max(axis=0)
 
