@@ -33,6 +33,20 @@ def test_the_package_alone_imports_nothing(line: str) -> None:
     assert fresh(program) == "[]"
 
 
+def test_who_shares_the_tests_out_starts_no_mpi() -> None:
+    """Its children, which run them, would take themselves for its ranks, and start none."""
+    folders = [str(ROOT / "tests"), str(ROOT / "tests" / "acceptance")]
+    program = f"""
+import sys
+for folder in {folders}:
+    sys.path.insert(0, folder)
+    sys.modules.pop("conftest", None)
+    import conftest
+print([name for name in ("mpi4py", "petsc4py", "dolfinx", "gmsh") if name in sys.modules])
+"""
+    assert fresh(program) == "[]"
+
+
 @pytest.mark.parametrize("words", ["--help", "--version", "solve --help"])
 def test_help_imports_nothing(words: str) -> None:
     """It answers at once."""
