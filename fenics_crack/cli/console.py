@@ -9,14 +9,17 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mpi4py import MPI
 
 from fenics_crack.parallel import on_root
 from fenics_crack.stages import StageLines, listening
-from fenics_crack.study.remarks import Remark
 from fenics_crack.table import Table
 from fenics_crack.whole import not_written
+
+if TYPE_CHECKING:
+    from fenics_crack.study.remarks import Remark
 
 __all__ = ["Console", "make_writable"]
 

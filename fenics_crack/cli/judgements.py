@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,8 +19,10 @@ from fenics_crack.model.modes import damped_range
 from fenics_crack.scene.scene import Scene
 from fenics_crack.stability.floquet import Stability, floquet
 from fenics_crack.study.run import Run
-from fenics_crack.sweep.result import SweepResult
 from fenics_crack.table import counted
+
+if TYPE_CHECKING:
+    from fenics_crack.sweep.result import SweepResult
 
 __all__ = ["of_cases", "of_curve", "of_error", "of_modes", "of_stability", "of_tolerance"]
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.signal import find_peaks
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.curves.curve import ResponseCurve, parameter_axis
@@ -178,6 +177,8 @@ def _mark_superharmonics(
     axes: Axes, curve: ResponseCurve, dof: int, amplitude: np.ndarray, factor: float
 ) -> None:
     """Write at each peak the order of its largest harmonic, if that is above the load's."""
+    from scipy.signal import find_peaks  # takes as long to load as matplotlib
+
     style = {"ha": "center", "fontsize": 8, "color": COLOURS["grey"]}
     peaks, _ = find_peaks(np.log10(np.maximum(amplitude, 1e-300)), prominence=0.05)
     for peak, sizes in zip(peaks, _harmonic_amplitudes(curve, dof)[peaks], strict=True):
