@@ -6,12 +6,13 @@ through a static compliance, with laws that are piecewise linear:
     F(g, p) = g - g_lin(p) + R(p) b(g, p) = 0,
     F(s, p) = s - g_lin(p) + (R(p) - R_inf) b(lambda(s), p) = 0,
 
-where along p the contact stiffness grows like e^(growth p), g_lin linearly, the compliance of the
-harmonics above some, a softness in series with the pairs, or the base frequency and the damping of
-modes, R and g_lin following from them (``kernel/compliance.h``, ``condensed.h``, ``coupled.h``).
-The loops are those of :mod:`bordered` and :mod:`arclength` (``kernel/path.c``): the same steps from
-the same numbers, many points in one call. From 100 unknowns on points share LU factors there
-(``kernel/broyden.h``), and are those of the loops to about 1e-6 of a step.
+where along p the contact stiffness grows like e^(growth p), g_lin linearly, a softness in series
+with the pairs falls, or the base frequency and the damping of modes change, R and g_lin following
+from them (``kernel/compliance.h``, ``condensed.h``, ``coupled.h``). The loops are those of
+:mod:`bordered` and :mod:`arclength` (``kernel/path.c``): the same steps from the same numbers, many
+points in one call. From 100 unknowns on points of uncoupled pairs share LU factors there
+(``kernel/broyden.h``), and are those of the loops to about 1e-6 of a step; those of coupled ones
+are found by products with J (``kernel/krylov.h``).
 """
 
 from __future__ import annotations
@@ -160,16 +161,13 @@ class CompiledPaths(ABC):
 
 
 def seen_structure(
-    linear: np.ndarray,
-    compliance: np.ndarray | ModalPart,
-    linear_rate: np.ndarray | None = None,
-    above: int = 0,
+    linear: np.ndarray, compliance: np.ndarray | ModalPart, linear_rate: np.ndarray | None = None
 ) -> Struct:
     """What the kernel's equations share: g_lin and R along a parameter, of the arguments of
     :class:`CompiledSystem`."""
     rows, pairs = linear.shape
     rate = np.zeros_like(linear) if linear_rate is None else linear_rate
-    known: dict[str, Any] = {"harmonics": rows // 2, "pairs": pairs, "above": above}
+    known: dict[str, Any] = {"harmonics": rows // 2, "pairs": pairs}
     if isinstance(compliance, ModalPart):
         modes, of_each = len(compliance.squares), rows // 2 + 1
         known["modes"] = modes
@@ -267,8 +265,6 @@ class CompiledSystem(CompiledEquations):
         d g_lin / dp, without the part of modes.
     growth : float
         d ln k / dp.
-    above : int
-        Unless 0, the harmonic from which on R is p times what is given.
     """
 
     def __init__(
@@ -279,9 +275,8 @@ class CompiledSystem(CompiledEquations):
         *,
         linear_rate: np.ndarray | None = None,
         growth: float = 0.0,
-        above: int = 0,
     ) -> None:
-        seen = seen_structure(linear, compliance, linear_rate, above)
+        seen = seen_structure(linear, compliance, linear_rate)
         stiffness = shaped(stiffness, linear.shape[1])
         given = Struct("condensed", seen=seen, growth=growth, stiffness=stiffness)
         super().__init__(

@@ -17,7 +17,7 @@ struct compliance {
     double *matrices, *linear, *receptance;
     double *loads, *across;         /* l as coefficients (2H+1, modes), and P^T (pairs, modes) */
     double *drive, *other, *answer; /* (2H+1, modes): P b - l of the last answer, and room */
-    double *rates, *scaled, *moved; /* room: as h, as P complex, (2H+1, pairs) */
+    double *rates, *scaled;         /* room: as h, as P complex */
     double *room;
 };
 
@@ -63,17 +63,6 @@ int set_parameter(compliance *at, double parameter)
     return 0;
 }
 
-/* R_k, or from harmonic `above` on p R_k. */
-static const double *share_of_given(compliance *at)
-{
-    const int above = at->of.above, block = 2 * at->of.pairs * at->of.pairs;
-    if (!above) return at->of.compliance;
-    for (int i = 0; i < (at->of.harmonics + 1) * block && !at->formed; i++)
-        at->matrices[i] = (i < above * block ? 1.0 : at->parameter) * at->of.compliance[i];
-    at->formed = 1;
-    return at->matrices;
-}
-
 /* P^T h_k P of one pair. */
 static void seen_by_one(int modes, const double *h, const double *shape, double *found)
 {
@@ -87,7 +76,7 @@ static void seen_by_one(int modes, const double *h, const double *shape, double 
 const double *matrices_of(compliance *at)
 {
     const int pairs = at->of.pairs, modes = at->of.modes;
-    if (!modes) return share_of_given(at);
+    if (!modes) return at->of.compliance;
     for (int k = 0; k <= at->of.harmonics && !at->formed; k++) {
         const double *h = at->receptance + 2 * k * modes, *shape = at->of.shapes;
         double *block = at->matrices + 2 * (size_t)k * pairs * pairs, *scaled = at->scaled;
@@ -164,17 +153,13 @@ void answer_to(compliance *at, const double *force, double *found)
     for (int i = 0; i < at->unknowns; i++) found[i] -= at->linear[i];
 }
 
-void rate_of_answer(compliance *at, const double *force, double *found)
+void rate_of_answer(compliance *at, double *found)
 {
     const seen_structure *of = &at->of;
     const int pairs = of->pairs, modes = of->modes, rows = 2 * of->harmonics + 1;
     const double omega = of->omega + at->parameter * of->omega_rate;
     const double damping = of->damping + at->parameter * of->damping_rate;
     for (int i = 0; i < at->unknowns; i++) found[i] = -of->linear_rate[i];
-    if (of->above) { /* R b from there on */
-        respond(of->harmonics, pairs, of->compliance, force, at->moved);
-        for (int i = (2 * of->above - 1) * pairs; i < at->unknowns; i++) found[i] += at->moved[i];
-    }
     if (!modes || (of->omega_rate == 0.0 && of->damping_rate == 0.0)) return;
     /* - P^T h_k (dZ_k/dp) h_k (P b - l), with dZ_kj/dp = -2 k^2 w w' + i k (w' d + w d') c_j. */
     for (int k = 0; k <= of->harmonics; k++) {
@@ -213,11 +198,11 @@ compliance *new_compliance(const seen_structure *given)
     if (!at) return NULL;
     at->of = *given;
     const size_t H = given->harmonics, p = given->pairs, m = given->modes, rows = 2 * H + 1;
-    const size_t square = m || given->above ? 2 * (H + 1) * p * p : 0;
+    const size_t square = m ? 2 * (H + 1) * p * p : 0;
     const struct {
         double **array;
         size_t size;
-    } parts[] = {{&at->matrices, square},     {&at->linear, rows * p}, {&at->moved, rows * p},
+    } parts[] = {{&at->matrices, square},     {&at->linear, rows * p},
                  {&at->receptance, 2 * (H + 1) * m}, {&at->rates, 2 * (H + 1) * m},
                  {&at->loads, rows * m},      {&at->drive, rows * m},  {&at->other, rows * m},
                  {&at->answer, rows * m},     {&at->across, m * p},    {&at->scaled, 2 * m * p}};

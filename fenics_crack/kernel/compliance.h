@@ -3,7 +3,6 @@
 #define COMPLIANCE_H
 
 /*     R_k(p)   = R_k,  or  P^T h_k P + at_once   with h_kj = 1 / (s_j - (k w)^2 + i k w d c_j),
- *                or for k >= above > 0  p R_k,
  *     g_lin(p) = linear + p linear_rate  +  P^T h_k l_k,
  *     w(p)     = omega + p omega_rate,           d(p) = damping + p damping_rate.
  *
@@ -11,7 +10,7 @@
  * the other. All arrays are the caller's, and stay.
  */
 typedef struct {
-    int harmonics, pairs, modes, above; /* 0 modes where R is given; above: then only */
+    int harmonics, pairs, modes;        /* 0 modes where R is given */
     const double *linear, *linear_rate; /* (2H+1, pairs) */
     const double *compliance;           /* R: (H+1, pairs, pairs), complex */
     double omega, omega_rate, damping, damping_rate;
@@ -30,10 +29,9 @@ void free_compliance(compliance *at);
 int set_parameter(compliance *at, double parameter);
 /* R there, (H+1, pairs, pairs) complex. */
 const double *matrices_of(compliance *at);
-/* R b - g_lin of forces b (2H+1, pairs), and its derivative by the parameter for the same b, which
- * must come behind it. */
+/* R b - g_lin of forces b (2H+1, pairs), and behind it its derivative by the parameter for this b. */
 void answer_to(compliance *at, const double *force, double *found);
-void rate_of_answer(compliance *at, const double *force, double *found);
+void rate_of_answer(compliance *at, double *found);
 /* R b alone. */
 void respond_at(compliance *at, const double *force, double *gap);
 /* Largest sum of |R_k| over a row of it. */

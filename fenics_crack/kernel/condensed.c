@@ -92,7 +92,7 @@ static void apply_jacobian(equations *own, const double *x, double *found)
 static void by_parameter(equations *own, double *found)
 {
     point *at = (point *)own;
-    rate_of_answer(at->seen, at->force, found);
+    rate_of_answer(at->seen, found);
     if (at->of.growth == 0.0) return;
     respond_at(at->seen, at->force, at->change); /* growth R b */
     for (int i = 0; i < own->unknowns; i++) found[i] += at->of.growth * at->change[i];

@@ -79,7 +79,7 @@ static void apply_jacobian(equations *own, const double *x, double *found)
 static void by_parameter(equations *own, double *found)
 {
     coupled_point *at = (coupled_point *)own;
-    rate_of_answer(at->seen, at->force, found);
+    rate_of_answer(at->seen, found);
     if (at->of.growth == 0.0 && at->of.softness == 0.0) return;
     forces_by_compliance(at->forces, at->rate, at->change);
     respond_at(at->seen, at->change, at->beside);
