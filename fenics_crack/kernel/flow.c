@@ -623,6 +623,33 @@ static void exponential_of(const flow *f, const known *a, double unit, double le
     }
 }
 
+/* product = exp product of an interval in which no pair is closed: each mode swings by itself,
+ * b'' + c b' + k b = 0 with b(0) = 0, b'(0) = 1. */
+static void swing(const flow *f, double unit, double length, double *product)
+{
+    const int m = f->of.modes;
+    const double t = unit * length;
+    for (int i = 0; i < m; i++) {
+        const double c = f->of.damping[i] / unit, k = f->of.squares[i] / (unit * unit);
+        const double square = k - 0.25 * c * c, w = sqrt(fabs(square));
+        const double fall = exp((square > 0.0 ? -0.5 * c : w - 0.5 * c) * t);
+        double b = fall * t, rate = fall;
+        if (square > 0.0) b = fall * sin(w * t) / w, rate *= cos(w * t);
+        else if (w > 0.0) {
+            const double lost = expm1(-2.0 * w * t);
+            b = -fall * lost / (2.0 * w), rate *= 1.0 + 0.5 * lost;
+        }
+        rate -= 0.5 * c * b;
+        const double stay = rate + c * b;
+        double *restrict q = product + (long)i * 2 * m, *restrict v = q + 2L * m * m;
+        for (int j = 0; j < 2 * m; j++) {
+            const double before = q[j];
+            q[j] = stay * before + b * v[j];
+            v[j] = rate * v[j] - b * k * before;
+        }
+    }
+}
+
 int flow_tangent(flow *f, const flow_track *track, double *product)
 {
     const int m = f->of.modes;
@@ -638,6 +665,10 @@ int flow_tangent(flow *f, const flow_track *track, double *product)
     for (int k = 0; k < track->intervals; k++) {
         const known *a = find(f, track->sets + (long)k * f->of.pairs);
         if (!a) return FLOW_MEMORY;
+        if (!a->size && !f->of.coupled) {
+            swing(f, unit, track->lengths[k], product);
+            continue;
+        }
         exponential_of(f, a, unit, track->lengths[k], &r);
         memcpy(r.product, product, bytes(4 * square));
         multiply_matrices(2 * m, 2 * m, 2 * m, r.change, r.product, 1.0, product);
