@@ -24,7 +24,7 @@ from fenics_crack.balance.judgement import BELIEVED, FARTHEST
 from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.curves.bifurcations import attainable
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
-from fenics_crack.curves.orbit_branch import ALIKE, EVERY, Crossing, Node, OrbitBranch
+from fenics_crack.curves.orbit_branch import ALIKE, EVERY, Crossing, Node, OrbitBranch, blended
 from fenics_crack.curves.varied_orbits import VariedOrbits
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.flow import exact_flow
@@ -144,24 +144,26 @@ class _Judge:
 
     # --- points -----------------------------------------------------------------------------------
 
-    def points(self, crossings: list[Crossing]) -> np.ndarray:
+    def points(self) -> np.ndarray:
         """Leading multiplier of each point; nan where no orbit is its own."""
         nodes, found = self.branch.nodes, np.full(len(self._curve), np.nan + 0j)
         pairs = [two for two in pairwise(nodes) if self.branch.linked(*two)]
-        starts = np.array([first.place for first, _ in pairs])
+        places, values = (
+            np.array([[getattr(one, name) for one in two] for two in pairs]).reshape(-1, 2)
+            for name in ("place", "parameter")
+        )
+        rises, lengths = values[:, 1] - values[:, 0], places[:, 1] - places[:, 0]
         ways = _ways(self.parameters)
         for place in np.flatnonzero(self._accepted()):
-            parameter, best = self.parameters[place], np.inf
-            begin = int(np.searchsorted(starts, place - EVERY))
-            end = int(np.searchsorted(starts, place + EVERY))
-            for first, last in pairs[begin:end]:
-                rise = last.parameter - first.parameter
-                share = (parameter - first.parameter) / rise if rise else 0.0
-                off = abs(first.place + share * (last.place - first.place) - place)
-                same_way = ways[place] * rise > 0.0
-                if same_way and -1e-9 <= share <= 1.0 + 1e-9 and off < best:
-                    value = _between(first, last, share, parameter, crossings)
-                    best, found[place] = off, np.nan if value is None else value
+            begin, end = np.searchsorted(places[:, 0], (place - EVERY, place + EVERY))
+            near = slice(begin, end)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                share = (self.parameters[place] - values[near, 0]) / rises[near]
+            fits = (ways[place] * rises[near] > 0.0) & (share >= -1e-9) & (share <= 1.0 + 1e-9)
+            if fits.any():
+                off = np.abs(places[near, 0] + share * lengths[near] - place)
+                best = int(np.argmin(np.where(fits, off, np.inf)))
+                found[place] = _between(*pairs[begin + best], float(share[best]))
         return found
 
     def _accepted(self) -> np.ndarray:
@@ -184,29 +186,20 @@ def _ways(parameters: np.ndarray) -> np.ndarray:
     return np.where(ways[1:] == ways[:-1], ways[1:], 0.0)
 
 
-def _between(
-    first: Node, last: Node, share: float, parameter: float, crossings: list[Crossing]
-) -> complex | None:
-    """Leading multiplier on a segment: of the modulus between those of its ends, on the side of 1
-    that the bifurcations between say."""
-    moduli = [float(np.abs(one.leading[0])) for one in (first, last)]
-    modulus = (1.0 - share) * moduli[0] + share * moduli[1]
-    near = first if share < 0.5 else last
-    unstable = sum(first.outside) > 0
-    if first.outside != last.outside:
-        met = [one for one in crossings if first.place <= one.place <= last.place]
-        if not met or not all(one.located for one in met):
-            return None
-        passed = sum((one.parameter - parameter) * (one.parameter - first.parameter) < 0.0
-                     for one in met)  # fmt: skip
-        if passed not in (0, len(met)):
-            return None
-        near = last if passed else first
-        unstable = sum(near.outside) > 0
-    modulus = max(modulus, 1.0 + 2.0 * SURE) if unstable else min(modulus, 1.0 - 2.0 * SURE)
-    if abs(abs(near.leading[0]) - 1.0) <= SURE and share in (0.0, 1.0):
-        return None
-    direction = complex(near.leading[0]) / max(abs(near.leading[0]), 1e-300)
+def _between(first: Node, last: Node, share: float) -> complex:
+    """Leading multiplier on a segment, on the side of 1 of the ends that are no bifurcations; nan
+    where these differ, or do not tell it from 1."""
+    sides = [one for one in (first, last) if one.crossing is None]
+    largest = [float(np.abs(one.leading[0])) for one in sides]
+    if len({size > 1.0 for size in largest}) != 1 or min(abs(s - 1.0) for s in largest) <= SURE:
+        return complex(np.nan)
+    modulus = float(blended(first, last, share)[0])
+    if largest[0] > 1.0:
+        modulus = max(modulus, 1.0 + 2.0 * SURE)
+    else:
+        modulus = min(modulus, 1.0 - 2.0 * SURE)
+    near = complex(sides[0 if share < 0.5 else -1].leading[0])
+    direction = near / max(abs(near), 1e-300)
     return modulus * complex(direction.real, abs(direction.imag))
 
 
@@ -241,8 +234,8 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     """
     begin("stability by exact orbits")
     judge = _Judge(curve)
-    crossings = _distinct(judge.branch.crossings())
-    multipliers = judge.points(crossings)
+    crossings = _distinct(judge.branch.locate())
+    multipliers = judge.points()
     undecided = np.isnan(multipliers)
     special = _special(curve, judge, crossings, undecided)
     left = np.flatnonzero(undecided)
