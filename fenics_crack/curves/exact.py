@@ -20,7 +20,6 @@ from fenics_crack.balance.bordered import solve_at
 from fenics_crack.balance.exact_orbits import FEW_PAIRS
 from fenics_crack.balance.family import FAMILIES
 from fenics_crack.balance.fourier import resized
-from fenics_crack.balance.judgement import BELIEVED, FARTHEST
 from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.curves.bifurcations import attainable
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
@@ -129,8 +128,8 @@ class _Judge:
         """Whether a solution is judged by a node's orbit."""
         solution = self._curve.solution(place, search=False)
         if not self._doubled:
-            near = off <= min(BELIEVED * solution.judged.prediction, FARTHEST)
-            return near and not (self._few and self._left(node, place))
+            own = solution.judged.admits(off)
+            return own and not (self._few and self._left(node, place))
         orbit = solution.judged.orbit
         if orbit is None or floquet(solution.structure, solution).verdict == "undecided":
             return False
@@ -154,16 +153,19 @@ class _Judge:
         )
         rises, lengths = values[:, 1] - values[:, 0], places[:, 1] - places[:, 0]
         ways = _ways(self.parameters)
+        begins, ends = (
+            np.searchsorted(places[:, 0], np.arange(len(found)) + side) for side in (-EVERY, EVERY)
+        )
+        rises[rises == 0.0] = np.nan
         for place in np.flatnonzero(self._accepted()):
-            begin, end = np.searchsorted(places[:, 0], (place - EVERY, place + EVERY))
-            near = slice(begin, end)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                share = (self.parameters[place] - values[near, 0]) / rises[near]
-            fits = (ways[place] * rises[near] > 0.0) & (share >= -1e-9) & (share <= 1.0 + 1e-9)
+            near = slice(begins[place], ends[place])
+            share = (self.parameters[place] - values[near, 0]) / rises[near]
+            fits = (ways[place] * rises[near] > 0.0) & (np.abs(share - 0.5) <= 0.5 + 1e-9)
             if fits.any():
                 off = np.abs(places[near, 0] + share * lengths[near] - place)
                 best = int(np.argmin(np.where(fits, off, np.inf)))
-                found[place] = _between(*pairs[begin + best], float(share[best]))
+                first, last = pairs[begins[place] + best]
+                found[place] = _between(first, last, float(share[best]))
         return found
 
     def _accepted(self) -> np.ndarray:

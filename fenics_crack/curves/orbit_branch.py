@@ -2,22 +2,26 @@
 
 Next to every eighth point of the curve an orbit F(x, p) = 0 (:mod:`fenics_crack.balance.orbits`) is
 found by Newton's method, from the point's own motion and what had to be added to that of the node
-before: at the point's parameter, or, next to folds, in the plane across the curve. A node has the
-tangent of the branch and the leading multipliers mu of its orbit, and of all multipliers
+before, and with that node's derivative as long as steps with it shrink fast: at the point's
+parameter, or, next to folds, in the plane across the curve. A node has the tangent of the branch
+and the leading multipliers mu of its orbit, and of all multipliers
 
     r = number of real mu > 1,    d = number of real mu < -1,    c = pairs with |mu| > 1.
 
 A segment between two nodes is halved, by the orbit next to Hermite's cubic through both, where the
-chord disagrees with their tangents, where the moduli at a node are not those between its
-neighbours', to half of their distance from 1, and where r, d and c change by more than one.
+chord disagrees with their tangents, and where the moduli at a node are not those between its
+neighbours', to half of their distance from 1. Where a pair becomes real, moduli have a corner, but
+its sum and its product are smooth: these are looked at then. A segment on which nothing changes is
+halved, too, where moduli that went on as they came would pass 1 before its middle; and one on which
+several of r, d and c change, until each changes by itself.
 Then a fold (or a branch point) lies on a segment where r changes, a period doubling where d does, a
 Neimark-Sacker point where c does. It is found by Brent's method on
 
-    t_p (the tangent's),    det(I + M),    |mu| - 1 of the pair that leaves.
+    t_p (the tangent's),    the product of 1 + mu,    |mu| - 1 of the pair that leaves,
 
-Two real multipliers outside that meet and become a pair are no bifurcation.
+and becomes a node. Two real multipliers outside that meet and become a pair are no bifurcation.
 
-What is not seen: two crossings of one kind on one segment.
+What is not seen: two crossings of one kind on one segment that do not announce themselves.
 
 Source: Seydel, Practical Bifurcation and Stability Analysis, chapters 4, 5 and 7.
 """
@@ -62,7 +66,7 @@ LEADING = 8
 """Multipliers that are kept."""
 FITTING, RESOLVED = 0.5, 0.02
 """Of the distance of a modulus from 1, and of no less, what it may be off that between others."""
-FULL, COLUMNS, SQUARINGS, TURNS = 60, 24, 4, 8
+FULL, COLUMNS, SQUARINGS, TURNS = 60, 24, 4, 9
 """Up to so many multipliers, all are computed at once; else those of M in the span of some columns
 that M^16 has turned
 to the leading ones some times, where these leave less than EXACT."""
@@ -161,7 +165,7 @@ class OrbitBranch:
     ) -> None:
         self.system, self._parameters, self._motions = system, parameters, motions
         self._known: dict[int, np.ndarray] = {}
-        self._turning = _near_turns(parameters)
+        self._turn = _to_turns(parameters)
         self.nodes: list[Node] = []
         last = len(parameters) - 1
         places = np.unique(np.append(np.arange(0, last, every), last))
@@ -237,7 +241,7 @@ class OrbitBranch:
             corrected = motion + near.unknown - self.motion(round(near.place))
             starts.insert(0, (corrected, near.at))
         for start, at in starts:
-            for plane in [self._chord] if self._turning[place] else [None, self._chord]:
+            for plane in [self._chord] if self._turn[place] <= 2 else [None, self._chord]:
                 found = self._solved(start, parameter, plane and plane(place), at)
                 if found is None:
                     continue
@@ -286,8 +290,8 @@ class OrbitBranch:
         return _direction(after - before, rise, self.motion(place))
 
     def _ahead(self, place: int) -> Tangent | None:
-        """A direction onwards: where the parameter does not turn, its own."""
-        if self._turning[place]:
+        """A direction onwards: far from where the parameter turns, its own."""
+        if self._turn[place] <= EVERY:
             return self._chord(place)
         ends = max(0, place - 1), min(len(self._parameters) - 1, place + 1)
         rise = float(self._parameters[ends[1]] - self._parameters[ends[0]])
@@ -368,10 +372,9 @@ class OrbitBranch:
         while number + 1 < len(nodes):
             first, last = nodes[number : number + 2]
             middle = None
-            if NARROWEST < last.place - first.place <= EVERY and (
-                any(_pass_one(*two, last) for two in pairwise(nodes[max(0, number - 1) : number + 1]))
-                or any(_pass_one(two[1], two[0], first) for two in pairwise(nodes[number + 1 : number + 3]))
-            ):
+            threes = [nodes[max(0, number - 1) : number + 2], nodes[number : number + 3][::-1]]
+            wide = NARROWEST < last.place - first.place <= EVERY
+            if wide and any(len(three) == 3 and _pass_one(*three) for three in threes):
                 found = self.between(first, last, 0.5, None)
                 if found is not None:
                     place = 0.5 * (first.place + last.place)
@@ -469,12 +472,12 @@ def _cubic(first: Node, last: Node, share: float) -> tuple[np.ndarray, float]:
     return unknown, parameter
 
 
-def _near_turns(parameters: np.ndarray) -> np.ndarray:
-    """Whether the parameter turns back at a point or at the next one on either side: (n,) bool."""
+def _to_turns(parameters: np.ndarray) -> np.ndarray:
+    """Points from each point to the nearest one where the parameter turns back: (n,)."""
     ahead = np.sign(np.diff(parameters))
     turns = np.flatnonzero(ahead[1:] != ahead[:-1]) + 1
-    near = np.abs(np.arange(len(parameters))[:, None] - turns)
-    return np.asarray(np.min(near, 1, initial=9) <= 2)
+    places = np.arange(len(parameters))
+    return np.asarray(np.abs(places[:, None] - turns).min(1, initial=len(places)))
 
 
 def _multipliers(monodromy: np.ndarray) -> np.ndarray:
@@ -498,7 +501,7 @@ def _leading(matrix: np.ndarray) -> np.ndarray | None:
         power = power @ power
     for turn in range(1, TURNS + 1):
         columns = np.linalg.qr(power @ columns)[0]
-        if turn % 2:
+        if turn % 3:
             continue
         image = matrix @ columns
         values, vectors = np.linalg.eig(columns.T @ image)

@@ -21,7 +21,7 @@ def test_nodes_are_orbits_of_one_branch() -> None:
     folds, and r, d and c change where bifurcations are alone."""
     curve = fc.continue_frequency(two_masses(), 0.6, 0.9, fc.UnilateralPenalty(100.0), harmonics=30)
     judge = _Judge(curve)
-    nodes, system = judge.branch.nodes, judge.system
+    crossings, nodes, system = judge.branch.locate(), judge.branch.nodes, judge.system
     linked = [judge.branch.linked(*two) for two in pairwise(nodes)]
     assert np.mean(linked) > 0.97  # beside a fold of the curve nodes may come back a little
     for one in nodes[::5]:
@@ -34,7 +34,6 @@ def test_nodes_are_orbits_of_one_branch() -> None:
         assert np.abs(one.leading[:count]) == pytest.approx(
             np.abs(orbit.multipliers[:count]), abs=1e-3
         )
-    crossings = judge.branch.crossings()
     assert all(one.located for one in crossings)
     for first, last in pairwise(nodes):
         between = [one for one in crossings if first.place <= one.place <= last.place]
