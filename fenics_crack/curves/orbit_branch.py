@@ -194,8 +194,8 @@ class OrbitBranch:
     def _fill(self, first: Node, last: Node, bent: bool) -> None:
         """A node, and those behind it up to another one: halves, as long as multipliers at a middle
         are not those between its neighbours', or these do not lie on one smooth line."""
-        middle = None
-        if last.place - first.place > NARROWEST and (bent or not self.linked(first, last)):
+        middle, width = None, last.place - first.place
+        if width > EVERY or (width > NARROWEST and (bent or not self.linked(first, last))):
             middle = self._middle(first, last)
         if middle is None:
             self.nodes.append(first.rest)
@@ -302,11 +302,23 @@ class OrbitBranch:
         unknown: np.ndarray,
         parameter: float,
         plane: Tangent | None,
-        used: OrbitPoint | None,
+        at: OrbitPoint | None,
         sharp: bool = False,
     ) -> PathPoint | None:
-        """Newton's method in a plane, or at a given parameter, with one derivative for as long as
-        steps with it shrink fast, first that of a point ``used`` before."""
+        """Newton's method in a plane, or at a given parameter; first, if it is given, with the
+        derivative ``at`` another point."""
+        found = at and self._newton(unknown, parameter, plane, at, sharp)
+        return found or self._newton(unknown, parameter, plane, None, sharp)
+
+    def _newton(
+        self,
+        unknown: np.ndarray,
+        parameter: float,
+        plane: Tangent | None,
+        used: OrbitPoint | None,
+        sharp: bool,
+    ) -> PathPoint | None:
+        """With one derivative for as long as steps with it shrink fast."""
         guess, size = parameter, max(float(np.linalg.norm(unknown)), 1e-300)
         goal = (SHARP if sharp else TOLERANCE) * size
         slope, sizes = None, [np.inf]
