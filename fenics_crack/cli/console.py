@@ -68,8 +68,10 @@ class Console:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """The same, and where progress is shown, what is done in that part while it is done."""
-        with self.timed(name), listening(StageLines()) if self.progress else nullcontext():
+        """The same, and unless quiet is asked for what is done in that part while it is done: where
+        no progress is shown, now and then."""
+        lines = nullcontext() if self.quiet else listening(StageLines(kept=self.progress))
+        with self.timed(name), lines:
             yield
 
     def finish(self, folder: Path, name: str, shown: Table, rows: Table, summary: Table) -> None:

@@ -170,7 +170,7 @@ class ResponseCurve(Tabular):
         imaginary part; with ``stability=True``. Of exact orbits it is interpolated between some of
         them, and nan where none is the point's own (:func:`judge_curve`).
     undecided : (n,) bool or None
-        Where exact orbits leave the stability open (:func:`judge_curve`); None: not judged.
+        Where the stability is left open (:func:`judge_curve`); None: not judged.
     branch : bool
         Whether :func:`follow_branch` has followed it.
     static_above : float or None

@@ -24,7 +24,6 @@ import numpy as np
 
 from fenics_crack.balance.arclength import Stepping, follow_path
 from fenics_crack.balance.bordered import PathPoint, Tangent, correct, distance, solve_in_plane
-from fenics_crack.balance.exact_orbits import judged_by_orbits
 from fenics_crack.balance.family import FrequencyFamily
 from fenics_crack.balance.fourier import balanced
 from fenics_crack.balance.orbits import FlowOrbits
@@ -32,6 +31,7 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.curves.bifurcations import attainable, odd_rows
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.errors import ConvergenceError
+from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.stability.refinement import refine_bifurcation
 
@@ -84,7 +84,7 @@ def next_to_doubled_orbits(
         The exact orbits have the branch, and the equations have no solution next to it.
     """
     known = bifurcation.confirmed and bifurcation.kind == "period_doubling"
-    if not known or curve.parameter != "omega" or not judged_by_orbits(problem):
+    if not known or curve.parameter != "omega" or not _has_flow(problem):
         return None
     family = FrequencyFamily(problem, *span)
     doubling = _located(curve, bifurcation)
@@ -110,6 +110,10 @@ def next_to_doubled_orbits(
         f"next to {ends[0]:g} to {ends[1]:g} rad/s, but no solution with up to "
         f"{_ladder(problem)[-1]} harmonics was found next to them"
     )
+
+
+def _has_flow(problem: Problem) -> bool:
+    return flow_of(problem.structure, problem.contact) is not None
 
 
 def _ladder(problem: Problem) -> list[int]:

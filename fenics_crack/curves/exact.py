@@ -17,18 +17,19 @@ import numpy as np
 import scipy.optimize
 
 from fenics_crack.balance.bordered import solve_at
-from fenics_crack.balance.exact_orbits import FEW_PAIRS
 from fenics_crack.balance.family import FAMILIES
-from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.curves.bifurcations import attainable
+from fenics_crack.curves.by_waves import FOLLOWED, judged_by_waves, place_on
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.orbit_branch import ALIKE, EVERY, Crossing, Node, OrbitBranch, blended
 from fenics_crack.curves.varied_orbits import VariedOrbits
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.motion.flow import exact_flow
+from fenics_crack.model.contact import is_piecewise_linear, is_rigid
+from fenics_crack.motion.flow import Budget, exact_flow
+from fenics_crack.motion.orbit import PIECES
 from fenics_crack.stability.floquet import floquet
-from fenics_crack.stability.shooting import leaves
+from fenics_crack.stability.shooting import attract_little, leaves
 from fenics_crack.stages import begin
 
 __all__ = ["judge_curve", "verified"]
@@ -41,6 +42,9 @@ SAME = 1e-4
 """Distance between two orbits that are one."""
 IDENTICAL = 1e-6
 """Of p: bifurcations of one kind that lie within are the same one."""
+BUDGET = Budget(pieces=PIECES // 10)
+"""Of a motion: ten may take what a search for an orbit may. Where none of some points' keeps to it,
+no orbits are sought."""
 SINGLY = 40
 """Points left undecided that are judged one by one, as a solution is (:func:`floquet`)."""
 NEARBY = 0.02
@@ -57,17 +61,17 @@ class _Judge:
         [first] = curve.motions(np.zeros(1, dtype=int))
         if curve.parameter == "omega":
             flow, omega = exact_flow(curve.structure, curve.contact), float(curve.omega[0])
-            self.system = FlowOrbits(flow, omega, flow.state(*first), curve.subharmonic)
+            self.system = FlowOrbits(flow, omega, flow.state(*first), curve.subharmonic, BUDGET)
             self.parameters = curve.omega / omega
         else:
             values = curve.values
             ends = float(values[0]), float(values[np.argmax(np.abs(values - values[0]))])
             family = FAMILIES[curve.parameter](curve.problem, *ends)
-            self.system = VariedOrbits(family, *first)
+            self.system = VariedOrbits(family, *first, BUDGET)
             self.parameters = np.array([family.parameter(value) for value in values])
             self._family = family
         self._own: dict[float, bool] = {}
-        self._few = not curve.structure.light_lips and curve.structure.n_pairs <= FEW_PAIRS
+        self._few = attract_little(curve.structure)
         # Next to a doubling the old orbit is as near as the new one.
         self._doubled = curve.subharmonic > 1
         every = 1 if self._doubled else EVERY
@@ -208,10 +212,14 @@ def _between(first: Node, last: Node, share: float) -> complex:
 def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     """Judge a curve over any parameter by the branch of exact orbits along it.
 
+    Laws that are not linear in contact have no exact orbits: their points are judged one by one, as
+    :func:`floquet` does, and period doublings and Neimark-Sacker points are where multipliers of
+    the waves leave the unit circle, unconfirmed.
+
     Parameters
     ----------
     curve : ResponseCurve
-        Followed with or without ``stability=True``, with a law that is linear in contact or rigid.
+        Followed with or without ``stability=True``.
 
     Returns
     -------
@@ -234,7 +242,12 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     InputError
         As :func:`fenics_crack.shoot`.
     """
+    if not (is_piecewise_linear(curve.contact) or is_rigid(curve.contact)):
+        return judged_by_waves(curve)
     begin("stability by exact orbits")
+    if not _affordable(curve):
+        nothing = np.full(len(curve), np.nan + 0j)
+        return replace(curve, multipliers=nothing, undecided=np.ones(len(curve), dtype=bool))
     judge = _Judge(curve)
     crossings = _distinct(judge.branch.locate())
     multipliers = judge.points()
@@ -252,13 +265,30 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     return replace(curve, bifurcations=special, multipliers=multipliers, undecided=undecided)
 
 
+def _affordable(curve: ResponseCurve) -> bool:
+    """Whether the motion of some point is followed within the budget."""
+    for place in np.unique([0, len(curve) // 2, len(curve) - 1]):
+        wave = curve.solution(int(place), search=False)
+        assert wave.contact is not None
+        flow = exact_flow(wave.structure, wave.contact)
+        try:
+            flow.advance(wave.judged.states[0], wave.omega, wave.period, budget=BUDGET)
+        except ConvergenceError:
+            continue
+        return True
+    return False
+
+
 def verified(curve: ResponseCurve) -> ResponseCurve:
-    """The same curve with the verdicts and bifurcations of :func:`judge_curve`, and those of the
-    truncated equations that the orbits refute, unconfirmed."""
+    """The same curve with the verdicts and bifurcations of :func:`judge_curve`, and of pairs with
+    mass those of the truncated equations that the orbits refute, unconfirmed."""
     judged = judge_curve(curve)
+    if curve.structure.light_lips:
+        return judged
     kept = {id(one.unknown) for one in judged.bifurcations}
-    refuted = [one for one in curve.bifurcations if id(one.unknown) not in kept]
-    special = sorted([*judged.bifurcations, *refuted], key=lambda one: _place(curve, one))
+    had = [one for one in curve.bifurcations if one.kind in FOLLOWED]
+    refuted = [one for one in had if id(one.unknown) not in kept]
+    special = sorted([*judged.bifurcations, *refuted], key=lambda one: place_on(curve, one))
     return replace(judged, bifurcations=tuple(special))
 
 
@@ -266,7 +296,7 @@ def _special(
     curve: ResponseCurve, judge: _Judge, crossings: list[Crossing], undecided: np.ndarray
 ) -> tuple[Bifurcation, ...]:
     """Bifurcations of the orbits at their places on the curve, and those without an orbit."""
-    special = [(_place(curve, one), one) for one in curve.bifurcations]
+    special = [(place_on(curve, one), one) for one in curve.bifurcations]
     values = [judge.value(crossing.parameter) for crossing in crossings]
     near = _matched(curve, list(zip(crossings, values, strict=True)), special)
     found: list[tuple[float, Bifurcation]] = []
@@ -341,11 +371,3 @@ def _solution_at(curve: ResponseCurve, place: int, value: float) -> tuple[float,
     if found is None or np.linalg.norm(found.unknown - unknown) > ALIKE * np.linalg.norm(unknown):
         return near, unknown
     return value, found.unknown
-
-
-def _place(curve: ResponseCurve, one: Bifurcation) -> int:
-    """The point of a curve nearest to a bifurcation of it."""
-    unknown = resized(one.unknown, curve.unknowns.shape[1] // 2)
-    sizes = np.linalg.norm(curve.unknowns - unknown, axis=(1, 2)) / np.linalg.norm(unknown)
-    wide = float(np.ptp(curve.values)) or 1.0
-    return int(np.argmin(np.hypot(sizes, (curve.values - one.value) / wide)))

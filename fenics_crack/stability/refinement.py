@@ -33,8 +33,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError, InputError, check_number
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
-from fenics_crack.motion.orbit import PeriodicOrbit
-from fenics_crack.stability.piecewise_flow import doubling_test
+from fenics_crack.motion.orbit import PeriodicOrbit, doubling_test
 from fenics_crack.stability.shooting import orbits_near
 
 __all__ = ["refine_bifurcation"]
