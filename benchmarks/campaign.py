@@ -211,8 +211,6 @@ def judge(
     )  # fmt: skip
     if not found.converged:
         row.remark = found.status
-        if "that of the reduced structure given" in found.status:
-            row.judgement = LIMITED
         return row
     if estimate(found) > LARGE and verdict != "stable":
         row.judgement = TOO_LARGE
@@ -248,7 +246,7 @@ def _judgement(
         another = row.pred <= near and row.true > TIMES * row.pred
         return (OPEN, "another orbit") if another else (WRONG, "error")
     if row.true > row.asked:
-        return WRONG, "tolerance"
+        return missed(found)
     if row.verdict == "undecided":
         return UNDECIDED, ""
     if row.verdict == "-":
@@ -260,6 +258,13 @@ def _judgement(
     if row.verdict == "stable" and row.true > NEAR and leaves(case, found, orbit):
         return WRONG, "leaves"
     return RIGHT, ""
+
+
+def missed(found: fc.PeriodicSolution) -> tuple[str, str]:
+    """A tolerance that is not met, with an error that is as stated: whether it says so."""
+    if "what limits it: " not in found.status:
+        return WRONG, "tolerance"
+    return LIMITED if "what limits it: modes" in found.status else UNCONVERGED, found.status
 
 
 def _verdict(found: fc.PeriodicSolution) -> str:
@@ -300,8 +305,10 @@ def wholes(case: Case) -> Iterator[Finding]:
         row.estimate = found.report.total
         if off is None:
             row.judgement, row.remark = OPEN, "no orbit with twice the modes"
+        elif row.true > max(TIMES * row.estimate, ROUNDING):
+            row.judgement, row.remark = WRONG, "error"
         elif row.true > case.tolerance:
-            row.judgement, row.remark = WRONG, "tolerance"
+            row.judgement, row.remark = missed(found)
     yield row
 
 
