@@ -359,7 +359,7 @@ def followed(case: Case, reach: float = 0.1, stability: bool = True) -> fc.Respo
 def peaks(case: Case) -> Iterator[Finding]:
     """The point of a curve where lips move most."""
     curve = followed(case, PEAK, stability=False)
-    sizes = [np.linalg.norm(curve.solution(i).gap_coefficients[1:]) for i in range(len(curve))]
+    sizes = np.linalg.norm(curve.gap_coefficients[:, 1:], axis=(1, 2))
     begun = time.process_time()
     found = curve.solution(int(np.argmax(sizes)))
     verdict = _verdict(found)

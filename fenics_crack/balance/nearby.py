@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import chain, pairwise
+
 import numpy as np
 
-from fenics_crack.balance.bordered import solve_in_plane
+from fenics_crack.balance.arclength import Stepping, follow_path
+from fenics_crack.balance.bordered import PathPoint, land, solve_in_plane, tangent_of
 from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.orbits import FlowOrbits, recurrences
 from fenics_crack.errors import ConvergenceError
@@ -18,6 +21,10 @@ CLOSED = 1e-10
 """How closely an orbit repeats itself."""
 PARTS = 32
 """Of the period, whose starts' states are corrected together."""
+APART = 1e-4 * 2.0 ** np.arange(10)
+"""Of the frequency, to both sides, where orbits are sought that a path leads from."""
+BACK, BENDS = 100, 5.0
+"""Points of that path, and how far it may bend away from the frequency, in parts of APART."""
 
 WANDERING, PASSED, SETTLING = 1000, 100, 60
 """Periods that a motion is followed for, its nearest recurrences from which an orbit is sought, and
@@ -64,6 +71,50 @@ def orbit_next_to(
     except ConvergenceError:
         return None
     return None if found is None else orbits.orbit(found)
+
+
+def from_another_frequency(
+    flow: ContactFlow, omega: float, start: np.ndarray, subharmonic: int = 1
+) -> PeriodicOrbit | None:
+    """The orbit at a frequency by the path of orbits from one at another frequency, sought from the
+    same state; None where none is found.
+
+    Where stiff pairs open and close many times, Newton's method leads to an orbit only from very
+    near. It gets there at some frequencies by chance, and the path goes on from there.
+    """
+    share = min(1.0, (FEW / flow.size) ** 2)
+    for apart in APART[-int(np.ceil(share * len(APART))) :]:
+        for at in (omega * (1.0 + apart), omega * (1.0 - apart)):
+            found = find_orbit(flow, at, start, subharmonic=subharmonic)
+            if found is not None and (orbit := _back(found, omega)) is not None:
+                return orbit
+    return None
+
+
+def _back(found: PeriodicOrbit, omega: float) -> PeriodicOrbit | None:
+    """The first orbit of a frequency on the path from another one; None where it is not met."""
+    orbits = FlowOrbits(found.flow, found.omega, found.state, found.subharmonic)
+    end = omega / found.omega
+    apart, start = abs(end - 1.0), orbits.start
+    tangent = tangent_of(orbits, start, orbits.linearise(start, 1.0))
+    towards = tangent if end > 1.0 else tangent.reversed()
+    stepping = Stepping(first=0.1 * apart, longest=0.05, shortest=1e-9, most=BACK)
+
+    def solve(guess: np.ndarray) -> PathPoint | None:
+        return solve_in_plane(orbits, guess, end, None, tolerance=CLOSED)
+
+    begun = PathPoint(start, 1.0, 0, tangent)
+    path = follow_path(orbits, start, 1.0, stepping, towards)
+    try:
+        for before, after in pairwise(chain([begun], path)):
+            if (before.parameter - end) * (after.parameter - end) <= 0.0:
+                landed = land(before, after, end, solve)
+                return None if landed is None else orbits.orbit(landed)
+            if abs(after.parameter - end) > BENDS * apart:
+                return None
+    except (ConvergenceError, np.linalg.LinAlgError):
+        pass
+    return None
 
 
 def recurring(
