@@ -21,7 +21,7 @@ CLOSED = 1e-10
 """How closely an orbit repeats itself."""
 PARTS = 32
 """Of the period, whose starts' states are corrected together."""
-APART = 1e-4 * 2.0 ** np.arange(10)
+APART = 1e-3 * 2.0 ** np.array([0, 1, -1, 2, -2, 3, -3, 4, 5])
 """Of the frequency, to both sides, where orbits are sought that a path leads from."""
 BACK, BENDS = 100, 5.0
 """Points of that path, and how far it may bend away from the frequency, in parts of APART."""
@@ -57,33 +57,17 @@ def predicted(
 def orbit_next_to(
     flow: ContactFlow, omega: float, start: np.ndarray, subharmonic: int = 1
 ) -> PeriodicOrbit | None:
-    """The orbit next to a state: by steps that shrink the step to follow, or else the residual.
-    None where these lead to none."""
+    """The orbit that Newton's method leads to from a state; else one by the path of orbits from
+    another frequency, sought from the same state. None where none is found.
+
+    Where stiff pairs open and close many times, an orbit is found only from very near: at some
+    frequencies by chance, and the path goes on from there.
+    """
     orbit = find_orbit(flow, omega, start, subharmonic=subharmonic)
     if orbit is not None:
         return orbit
-    orbits = FlowOrbits(flow, omega, start, subharmonic)
-    try:
-        found = solve_in_plane(
-            orbits, orbits.start, 1.0, None,
-            tolerance=CLOSED, iterations=20, least_damping=1e-3, patience=6,
-        )  # fmt: skip
-    except ConvergenceError:
-        return None
-    return None if found is None else orbits.orbit(found)
-
-
-def from_another_frequency(
-    flow: ContactFlow, omega: float, start: np.ndarray, subharmonic: int = 1
-) -> PeriodicOrbit | None:
-    """The orbit at a frequency by the path of orbits from one at another frequency, sought from the
-    same state; None where none is found.
-
-    Where stiff pairs open and close many times, Newton's method leads to an orbit only from very
-    near. It gets there at some frequencies by chance, and the path goes on from there.
-    """
     share = min(1.0, (FEW / flow.size) ** 2)
-    for apart in APART[-int(np.ceil(share * len(APART))) :]:
+    for apart in APART[: int(np.ceil(share * len(APART)))]:
         for at in (omega * (1.0 + apart), omega * (1.0 - apart)):
             found = find_orbit(flow, at, start, subharmonic=subharmonic)
             if found is not None and (orbit := _back(found, omega)) is not None:
