@@ -14,8 +14,9 @@ any of them can be repeated by itself (``--family plate --first N --cases 1``). 
     reduction   the reduction's estimated error against the orbit with twice the modes
 
 The judge is :mod:`reference_flow`, which shares no code with the package and knows no harmonics:
-orbits next to the answer; where there is none, next to where the exact motion is after 3, 10, 30
-and 100 periods, and next to solutions with two and four times the harmonics. An orbit is the
+orbits next to the answer; where there is none, next to the one that the answer goes by, to where
+the exact motion is after 3, 10, 30 and 100 periods, and to solutions with two and four times the
+harmonics. An orbit is the
 answer's own within three times the estimate, or within three times one Newton step of the whole
 wave (``pred``). The error is the distance of the gaps from that orbit of the same reduced
 structure, relative to B^T u. Of a verdict: the modulus of the exact leading multiplier, and for
@@ -128,10 +129,13 @@ def exact_orbit(case: Case, found: fc.PeriodicSolution) -> tuple[Orbit | None, f
 def _starts(
     case: Case, found: fc.PeriodicSolution, flow: ReferenceFlow
 ) -> Iterator[Callable[[], np.ndarray]]:
-    """The answer's own state, where the exact motion is after some periods, and the states of
-    solutions with two and four times its harmonics."""
+    """The answer's own state, that of the orbit it goes by, where the exact motion is after some
+    periods, and the states of solutions with two and four times its harmonics."""
     state = flow.states_of(found, np.zeros(1))[0]
     yield lambda: state
+    if found.judged.flow is not None and (known := found.judged.orbit) is not None:
+        shape, rate = np.split(known.state, 2) @ known.flow.modes.shapes.T
+        yield lambda: flow.state(shape, rate)
     for periods in (3, 10):
         yield lambda periods=periods: flow.settled(  # type: ignore[misc]
             state, found.omega, found.period, periods

@@ -166,13 +166,13 @@ class Judgement:
             return ""
         if self.predicted is None:
             return "its pairs open and close too often to be followed; lips without mass do less so"
-        if not self.prediction < FAR:
-            return f"the harmonics left out change it by {self.prediction:.0%}"
-        if self.orbit is None:
-            return "no exact orbit was found next to it"
+        if self.orbit is None and self.prediction < FAR:
+            return "no exact orbit was found next to it; with more harmonics one may be"
+        if self.orbit is None or self.distance <= BELIEVED * self.prediction:
+            return f"the harmonics left out change it by {self.errors()[0]:.0%}; take more"
         return (
-            "the exact orbit next to it is another one, or far: "
-            f"{self.distance:.1%} away where {self.prediction:.1%} were predicted"
+            f"the exact orbit next to it is another one, {self.distance:.1%} away where "
+            f"{self.prediction:.1%} were predicted; more harmonics tell these apart"
         )
 
 
