@@ -217,7 +217,7 @@ def judge(
         row.remark = found.status
         return row
     if estimate(found) > LARGE and verdict != "stable":
-        row.judgement = TOO_LARGE
+        row.judgement, row.remark = TOO_LARGE, found.judged.reason
         return row
     orbit, row.true = exact_orbit(case, found)
     row.pred = float("nan") if orbit is None else _pred(case, found)
@@ -252,7 +252,7 @@ def _judgement(
     if row.true > row.asked:
         return missed(found)
     if row.verdict == "undecided":
-        return UNDECIDED, ""
+        return UNDECIDED, fc.floquet(found.structure, found).reason
     if row.verdict == "-":
         return RIGHT, ""
     if abs(row.exact - 1.0) <= SURE:

@@ -1,6 +1,7 @@
 """Cases of benchmarks/campaign.py whose answers were wrong and passed for right."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import campaign
@@ -152,6 +153,23 @@ def test_case_follows_from_its_seed_and_number(family: str, pairs: tuple[int, in
     assert (one.omega, one.kind, one.harmonics) == (two.omega, two.kind, two.harmonics)
     assert pairs[0] <= one.structure.n_pairs <= pairs[1]
     assert one.structure.light_lips == (family == "plate")
+
+
+def test_tolerance_that_says_that_it_is_missed() -> None:
+    """It is no wrong answer unless its stated error is; one that does not say so is."""
+    case = campaign.draw(1, 1, "solution")
+    found = fc.solve_harmonic_balance(case.structure, case.omega, case.law, harmonics=5)
+    assert found.report.truncation == pytest.approx(8.5e-3, rel=0.05)
+
+    def judged(status: str, share: float = 1.0) -> str:
+        report = replace(found.report, truncation=share * found.report.truncation)
+        told = replace(found, status=status, report=report)
+        return campaign.judge(case, told, "tolerance", "-", 1e-9).judgement
+
+    missed = "solved; error 1 %, asked 1e-09; what limits it: "
+    assert judged(missed + "modes") == campaign.LIMITED
+    assert judged(missed + "harmonics") == campaign.UNCONVERGED
+    assert judged("converged") == judged(missed + "modes", 0.1) == campaign.WRONG
 
 
 def test_run_goes_on_and_is_added_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
