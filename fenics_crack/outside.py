@@ -38,6 +38,7 @@ FOREIGN = ("OMPI_", "PMIX_", "PMI_", "PRTE_", "HYDRA_", "HDF5_")
 SURROUNDINGS = {
     "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "HDF5_PLUGIN_PRELOAD": "::",
 }  # fmt: skip
+PROGRAM = Path(__file__).with_name("outside_reader.py")
 MARKS = {
     codecs.BOM_UTF32_LE: "UTF-32", codecs.BOM_UTF32_BE: "UTF-32", codecs.BOM_UTF16_LE: "UTF-16",
     codecs.BOM_UTF16_BE: "UTF-16",
@@ -105,20 +106,16 @@ def lines_of(file: TextIO, most: int) -> Iterator[str]:
         yield line
 
 
-def run_reader(program: Path, path: Path, seconds: int) -> dict[str, np.ndarray] | str:
-    """Let a program of its own read a file; return its arrays, or why there are none.
-
-    It is called with the file, the number of an open file for its .npz, the bytes of memory and the
-    processor time that it may use, and the bytes of numbers that it may hand over. An array
-    ``error`` is its reason.
-    """
+def run_reader(reader: Path, path: Path, seconds: int) -> dict[str, np.ndarray] | str:
+    """Let a program of its own (:mod:`fenics_crack.outside_reader`) read a file in so much
+    processor time; return its arrays, or why there are none: its array ``error``."""
     inner = {name: value for name, value in os.environ.items() if not name.startswith(FOREIGN)}
     most = allowance(bytes_of(path, None))
     with os.fdopen(os.memfd_create("numbers"), "w+b") as handed:  # a disk may be full
         words = [str(path), *map(str, (handed.fileno(), MEMORY + 4 * most, seconds, most))]
         try:
             ended = subprocess.run(
-                [sys.executable, "-I", str(program), *words],
+                [sys.executable, "-I", str(PROGRAM), str(reader), *words],
                 env=inner | SURROUNDINGS,
                 pass_fds=[handed.fileno()],
                 stdin=subprocess.DEVNULL,

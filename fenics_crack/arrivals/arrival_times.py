@@ -17,13 +17,14 @@ from fenics_crack.errors import InputError, check_count, check_number, reading
 from fenics_crack.outside import text_of
 from fenics_crack.table import Tabular, counted
 
-__all__ = ["ArrivalTimes", "check_probes"]
+__all__ = ["MOST_PASSAGES", "ArrivalTimes", "check_probes"]
 
 UNITS = {"angle": "rad", "mark": "s", "next_mark": "s", "arrival": "s", "displacement": "m"}
 UNITS |= {"speed": "rad/s", "tip_radius": "m"}
 COLUMNS = ("revolution", "angle [rad]", "mark [s]", "next_mark [s]", "arrival [s]")
 """What a CSV file must have."""
 STEADY = 1e-3
+MOST_PASSAGES = 10**7
 RADIUS = "tip_radius [m]"
 """What it may have."""
 
@@ -143,21 +144,23 @@ class ArrivalTimes(Tabular):
         """
         (turn, angle, mark, after, arrival), radius = _columns(path)
         tip_radius = _one_radius(path, radius, tip_radius)
-        first, count = int(turn.min()), int(turn.max() - turn.min()) + 1
+        turns, row = np.unique(turn, return_inverse=True)
         probes, where = np.unique(angle, return_inverse=True)
-        row = (turn - first).astype(int)
-        begins, ends = np.full(count, np.nan), np.full(count, np.nan)
-        begins[row], ends[row] = mark, after
-        time = np.full((count, len(probes)), np.nan)
-        time[row, where] = arrival
-        if np.any(np.isnan(begins)):
+        if np.any(np.diff(turns) != 1.0):
             raise InputError("path", str(path), "a file without gaps between its revolutions")
+        if len(turns) * len(probes) > MOST_PASSAGES:
+            size = f"{len(turns)} revolutions, {len(probes)} probes"
+            raise InputError("path", f"{path}: {size}", f"{MOST_PASSAGES:.0e} passages at most")
+        begins, ends = np.empty(len(turns)), np.empty(len(turns))
+        begins[row], ends[row] = mark, after
+        time = np.full((len(turns), len(probes)), np.nan)
+        time[row, where] = arrival
         same = [begins[row] == mark, ends[row] == after]
         same += [begins[1:] == ends[:-1], len(set(zip(row, where, strict=True))) == len(row)]
         if not all(map(np.all, same)):
             allowed = "a file in which each revolution has one mark and one next_mark, that of the "
             raise InputError("path", str(path), allowed + "one after, and passes a probe once")
-        return cls(time, np.append(begins, ends[-1]), probes, tip_radius, first)
+        return cls(time, np.append(begins, ends[-1]), probes, tip_radius, int(turns[0]))
 
     def to_dict(self) -> dict[str, Any]:
         """Columns, a row for every passage."""
@@ -221,7 +224,8 @@ def _columns(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
             places = [names.index(name) for name in wanted]
             lines = [line for line in file if line.strip()]
         rows = np.genfromtxt(lines, delimiter=",", usecols=places, ndmin=2) if lines else None
-    if rows is None or not np.all(np.isfinite(rows[:, :4])) or np.any(rows[:, 0] % 1.0):
+    finite = rows is not None and np.all(np.isfinite(rows[:, :4]))
+    if rows is None or not finite or np.any(rows[:, 0] % 1.0) or np.abs(rows[:, 0]).max() >= 2**53:
         allowed = "a file whose rows have finite numbers but for the arrival, and whole revolutions"
         raise InputError("path", str(path), allowed)
     return rows.T[:5], rows.T[5] if len(wanted) > 5 else None

@@ -7,7 +7,7 @@ from numbers import Integral
 
 import numpy as np
 
-from fenics_crack.arrivals.arrival_times import ArrivalTimes, check_probes
+from fenics_crack.arrivals.arrival_times import MOST_PASSAGES, ArrivalTimes, check_probes
 from fenics_crack.arrivals.passages import Rotor, TipMotion, passing_angles
 from fenics_crack.balance.fourier import to_complex
 from fenics_crack.balance.solution import PeriodicSolution
@@ -17,7 +17,6 @@ from fenics_crack.model.matrices import numbers
 
 __all__ = ["tip_timing"]
 
-MOST_PASSAGES = 10**7
 JUMP = 1e-3
 """Of the frequency, relative: so near to a fold the motion may jump before it is reached."""
 

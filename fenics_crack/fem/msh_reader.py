@@ -1,35 +1,18 @@
-"""A program of its own that reads a mesh file: ``msh_reader.py FILE HANDED MEMORY SECONDS MOST``.
-
-A damaged file may crash gmsh or corrupt its memory, so MEMORY and SECONDS are limited, and with
-them what it holds. The numbers and positions of the nodes and the physical groups go to the open
-file of number HANDED, as .npz; or gmsh's error message.
-"""
-
-import os
-import resource
-import sys
+"""What gmsh reads of a mesh file, in a program of its own (:mod:`fenics_crack.outside`)."""
 
 import gmsh
 import numpy as np
 
 
-def main(path: str, handed: int, memory: int, seconds: int, most: int) -> None:
-    """Read a file and hand over what it holds."""
-    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
-    room = resource.getrlimit(resource.RLIMIT_FSIZE)[1]  # what is handed over lies in memory
-    resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
+def read(path: str, most: int) -> dict[str, np.ndarray]:
+    """Numbers and positions of the nodes, and the physical groups; their bytes are those of the
+    memory, which is limited."""
     gmsh.initialize(readConfigFiles=False)
     gmsh.option.setNumber("General.Terminal", 0)
     gmsh.option.setNumber("General.ExpertMode", 1)  # it must not ask
-    try:
-        gmsh.merge(path)
-        numbers, positions, _ = gmsh.model.mesh.getNodes()
-        found = {"numbers": numbers, "positions": positions.reshape(-1, 3), **groups()}
-    except Exception as error:  # gmsh raises nothing more specific
-        found = {"error": np.array(str(error) or "no reason given")}
-    with os.fdopen(handed, "wb") as file:
-        np.savez(file, **found)
+    gmsh.merge(path)
+    numbers, positions, _ = gmsh.model.mesh.getNodes()
+    return {"numbers": numbers, "positions": positions.reshape(-1, 3), **groups()}
 
 
 def groups() -> dict[str, np.ndarray]:
@@ -48,7 +31,3 @@ def groups() -> dict[str, np.ndarray]:
         "names": np.array(names, dtype=str),
         "nodes": np.concatenate(nodes),
     }
-
-
-if __name__ == "__main__":
-    main(sys.argv[1], *map(int, sys.argv[2:]))

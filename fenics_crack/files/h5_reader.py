@@ -1,16 +1,13 @@
-"""A program of its own that reads an HDF5 file: ``h5_reader.py FILE HANDED MEMORY SECONDS MOST``.
+"""What h5py reads of an HDF5 file, in a program of its own (:mod:`fenics_crack.outside`).
 
 A damaged file may crash HDF5, and a made one may point to other files or announce any size. Read
-are texts as attributes, and words and up to MOST bytes of numbers that are in the file itself. They
-go to the open file of number HANDED, as .npz; or the reason why not. Of a sweep, which is filled in
-while it is read, only types, shapes and places of its datasets are read.
+are texts as attributes, and words and numbers that are in the file itself. Of a sweep, which is
+filled in while it is read, only types, shapes and places of its datasets are read.
 """
 
 import json
 import math
 import os
-import resource
-import sys
 from typing import Any
 
 import h5py
@@ -23,20 +20,12 @@ FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLE
 LAYOUTS = {h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS, h5py.h5d.CHUNKED}
 
 
-def main(path: str, handed: int, memory: int, seconds: int, most: int) -> None:
-    """Read a file and hand over what it holds."""
-    resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
-    room = resource.getrlimit(resource.RLIMIT_FSIZE)[1]  # what is handed over lies in memory
-    resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
-    try:
-        with h5py.File(path, "r", locking=False) as file:
-            head, arrays = content(file, os.path.getsize(path), most)
-        found = {"head": np.array(json.dumps(head))}
-    except Exception as error:  # whatever a damaged file leads h5py to
-        found, arrays = {"error": np.array(str(error) or type(error).__name__)}, []
-    with os.fdopen(handed, "wb") as out:
-        np.savez(out, *arrays, **found)
+def read(path: str, most: int) -> dict[str, np.ndarray]:
+    """The content as JSON, but for its arrays, which are those without a name of their own."""
+    with h5py.File(path, "r", locking=False) as file:
+        head, arrays = content(file, os.path.getsize(path), most)
+    numbered = {f"arr_{number}": array for number, array in enumerate(arrays)}
+    return {"head": np.array(json.dumps(head)), **numbered}
 
 
 def content(file: h5py.File, size: int, most: int) -> tuple[dict, list[np.ndarray]]:
@@ -115,7 +104,3 @@ def words(item: h5py.Dataset) -> str | list[str]:
     if sum(map(len, many)) > MOST_TEXT:
         raise ValueError(f"{item.name!r} is too long")
     return found if isinstance(found, str) else many
-
-
-if __name__ == "__main__":
-    main(sys.argv[1], *map(int, sys.argv[2:]))

@@ -419,11 +419,11 @@ int flow_advance(flow *f, flow_motion *m)
     signed char *closed = (signed char *)(f->force + p);
     if (contact_at(f, m->omega, m->now, m->state, closed)) return FLOW_LOST;
     for (; m->now < m->end; m->pieces++) {
-        if (m->pieces == m->most_pieces) return FLOW_PIECES;
+        const double left = (m->end - m->now) / length; /* pieces at least */
+        if (m->pieces + left > m->most_pieces) return FLOW_PIECES;
         if (m->passed == m->most) return FLOW_INTERVALS;
         const known *a = find(f, closed);
         if (!a) return FLOW_MEMORY;
-        const double left = (m->end - m->now) / length;
         wave(f, m->omega, m->now, length, 0);
         expand(f, a, f->of.force, f->of.gap, length, m->state);
         answer(f, a, f->of.gap);

@@ -317,6 +317,10 @@ def test_csv_of_a_measured_run_up(tmp_path: Any) -> None:
         fc.ArrivalTimes.from_csv(tmp_path / "one.csv", tip_radius=0.5)
 
 
+MANY_PROBES = "".join(f"\n{n},1,{n / 4000.0},{n},{n + 1},1e-3,1,1,0.5" for n in range(4000))
+"""Each revolution passes another one."""
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -324,6 +328,9 @@ def test_csv_of_a_measured_run_up(tmp_path: Any) -> None:
         (lambda text: text.replace("arrival [s]", "arrival [ms]"), "column 'arrival"),
         (lambda text: text.replace("\n1,", "\n1.5,"), "whole revolutions"),
         (lambda text: text.replace("\n1,", "\n7,"), "without gaps"),
+        (lambda text: text.replace("\n1,", "\n100000000000,", 1), "without gaps"),
+        (lambda text: text.replace("\n1,", "\n1e300,"), "whole revolutions"),
+        (lambda text: text.splitlines()[0] + MANY_PROBES, "4000 revolutions, 4000 probes.*1e.07"),
         (lambda text: text.replace("\n0,2,", "\n1,2,"), "one mark"),
         (lambda text: text + "1,2\n", "table of numbers"),
         (lambda text: text.splitlines()[0], "finite numbers"),

@@ -315,16 +315,19 @@ def test_readers_know_no_rank_and_end(home: Path, monkeypatch: pytest.MonkeyPatc
     """Their environment, their time and their memory are limited."""
     monkeypatch.setenv("OMPI_COMM_WORLD_RANK", "1")
     program = home / "reader.py"
-    start = "import os, resource, sys, numpy as np\nout = os.fdopen(int(sys.argv[2]), 'wb')\n"
-    program.write_text(f"{start}np.savez(out, names=np.array(list(os.environ)))")
+    start = "import os, numpy as np\ndef read(path, most):\n    "
+    program.write_text(f"{start}return {{'names': np.array(list(os.environ))}}")
     names = run_reader(program, program, 20)
     assert isinstance(names, dict) and "HOME" in names["names"].tolist()
     assert not any(name.startswith(("OMPI_", "PMI")) for name in names["names"].tolist())
-    limits = "resource.setrlimit(resource.RLIMIT_CPU, (1, 2))\n"
-    program.write_text(f"{start}{limits}while True: pass")
+    program.write_text(f"{start}while True: pass")
     assert run_reader(program, program, 1) == "it is not read in 1 s"
-    program.write_text(start)
+    program.write_text(f"{start}return {{'zeros': np.ones(2**33)}}")
+    assert "allocate" in str(run_reader(program, program, 20))
+    program.write_text(f"{start}os._exit(0)")
     assert run_reader(program, program, 20) == "its reader has handed over nothing"
+    program.write_text(f"{start}os.abort()")
+    assert run_reader(program, program, 20) == "it crashes its reader"
 
 
 # --- sweeps ---------------------------------------------------------------------------------------

@@ -198,6 +198,8 @@ def test_budget() -> None:
         flow.advance(thrown(flow), 0.8, 1e3, budget=Budget(intervals=20))
     with pytest.raises(fc.ConvergenceError, match="too fast for that long"):
         flow.advance(thrown(flow), 0.8, 1e3, budget=Budget(pieces=20))
+    with pytest.raises(fc.ConvergenceError, match="too fast for that long"):  # before any event
+        flow.advance(thrown(flow), 0.8, 1e300, budget=Budget(intervals=20))
     with pytest.raises(fc.ConvergenceError, match="not finite"):
         flow.advance(np.full(flow.size, np.nan), 0.8, 1e3)
 
