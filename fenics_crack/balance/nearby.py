@@ -7,7 +7,7 @@ from itertools import chain, pairwise
 import numpy as np
 
 from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import PathPoint, land, solve_in_plane, tangent_of
+from fenics_crack.balance.bordered import PathPoint, tangent_of
 from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.orbits import FlowOrbits, recurrences
 from fenics_crack.errors import ConvergenceError
@@ -17,14 +17,12 @@ from fenics_crack.stages import begin
 
 __all__ = ["PARTS", "orbit_next_to", "predicted", "recurring", "wave_states"]
 
-CLOSED = 1e-10
-"""How closely an orbit repeats itself."""
 PARTS = 32
 """Of the period, whose starts' states are corrected together."""
 APART = 1e-3 * 2.0 ** np.array([0, 1, -1, 2, -2, 3, -3, 4, 5])
 """Of the frequency, to both sides, where orbits are sought that a path leads from."""
-BACK, BENDS = 100, 5.0
-"""Points of that path, and how far it may bend away from the frequency, in parts of APART."""
+BACK = 100
+"""Points of that path."""
 
 WANDERING, PASSED, SETTLING = 1000, 100, 60
 """Periods that a motion is followed for, its nearest recurrences from which an orbit is sought, and
@@ -78,24 +76,18 @@ def orbit_next_to(
 def _back(found: PeriodicOrbit, omega: float) -> PeriodicOrbit | None:
     """The first orbit of a frequency on the path from another one; None where it is not met."""
     orbits = FlowOrbits(found.flow, found.omega, found.state, found.subharmonic)
-    end = omega / found.omega
-    apart, start = abs(end - 1.0), orbits.start
+    start, end = orbits.start, omega / found.omega
     tangent = tangent_of(orbits, start, orbits.linearise(start, 1.0))
+    stepping = Stepping(first=0.1 * abs(end - 1.0), most=BACK)
     towards = tangent if end > 1.0 else tangent.reversed()
-    stepping = Stepping(first=0.1 * apart, longest=0.05, shortest=1e-9, most=BACK)
-
-    def solve(guess: np.ndarray) -> PathPoint | None:
-        return solve_in_plane(orbits, guess, end, None, tolerance=CLOSED)
-
-    begun = PathPoint(start, 1.0, 0, tangent)
     path = follow_path(orbits, start, 1.0, stepping, towards)
     try:
-        for before, after in pairwise(chain([begun], path)):
-            if (before.parameter - end) * (after.parameter - end) <= 0.0:
-                landed = land(before, after, end, solve)
-                return None if landed is None else orbits.orbit(landed)
-            if abs(after.parameter - end) > BENDS * apart:
-                return None
+        for before, after in pairwise(chain([PathPoint(start, 1.0, 0, tangent)], path)):
+            rise, left = after.parameter - before.parameter, end - before.parameter
+            if abs(left) <= abs(rise) and left * rise > 0.0:
+                between = before.unknown + left / rise * (after.unknown - before.unknown)
+                state = orbits.state(between)
+                return find_orbit(found.flow, omega, state, subharmonic=found.subharmonic)
     except (ConvergenceError, np.linalg.LinAlgError):
         pass
     return None
