@@ -302,7 +302,8 @@ def wholes(case: Case) -> Iterator[Finding]:
         case.structure, case.omega, case.law, tolerance=case.tolerance, throw=False
     )
     spent = time.process_time() - begun
-    row = judge(case, found, "tolerance, modes", "-", case.tolerance, spent)
+    row = judge(case, found, "tolerance, modes", "-", seconds=spent)
+    row.asked = case.tolerance
     if row.judgement == RIGHT:
         off = _with_more_modes(case, found, case.structure)
         row.true = float("nan") if off is None else off[1]

@@ -7,7 +7,7 @@ from itertools import chain, pairwise
 import numpy as np
 
 from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import PathPoint, tangent_of
+from fenics_crack.balance.bordered import PathPoint, solve_in_plane, tangent_of
 from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.orbits import FlowOrbits, recurrences
 from fenics_crack.errors import ConvergenceError
@@ -17,6 +17,8 @@ from fenics_crack.stages import begin
 
 __all__ = ["PARTS", "orbit_next_to", "predicted", "recurring", "wave_states"]
 
+CLOSED = 1e-10
+"""How closely an orbit repeats itself."""
 PARTS = 32
 """Of the period, whose starts' states are corrected together."""
 APART = 1e-3 * 2.0 ** np.array([0, 1, -1, 2, -2, 3, -3, 4, 5])
@@ -55,8 +57,9 @@ def predicted(
 def orbit_next_to(
     flow: ContactFlow, omega: float, start: np.ndarray, subharmonic: int = 1
 ) -> PeriodicOrbit | None:
-    """The orbit that Newton's method leads to from a state; else one by the path of orbits from
-    another frequency, sought from the same state. None where none is found.
+    """The orbit next to a state: by steps that shrink the step to follow, or else the residual; or
+    by the path of orbits from another frequency, sought from the same state. None where these lead
+    to none.
 
     Where stiff pairs open and close many times, an orbit is found only from very near: at some
     frequencies by chance, and the path goes on from there.
@@ -64,6 +67,16 @@ def orbit_next_to(
     orbit = find_orbit(flow, omega, start, subharmonic=subharmonic)
     if orbit is not None:
         return orbit
+    orbits = FlowOrbits(flow, omega, start, subharmonic)
+    try:
+        shorter = solve_in_plane(
+            orbits, orbits.start, 1.0, None,
+            tolerance=CLOSED, iterations=20, least_damping=1e-3, patience=6,
+        )  # fmt: skip
+    except ConvergenceError:
+        shorter = None
+    if shorter is not None:
+        return orbits.orbit(shorter)
     share = min(1.0, (FEW / flow.size) ** 2)
     for apart in APART[: int(np.ceil(share * len(APART)))]:
         for at in (omega * (1.0 + apart), omega * (1.0 - apart)):
