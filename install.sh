@@ -101,7 +101,7 @@ import dolfinx.fem, gmsh, h5py, matplotlib, mpi4py.MPI, petsc4py.PETSc, scipy, s
 everything_imports() {
     debian_imports "$here/.venv/bin/python" && (cd / && "$here/.venv/bin/python" -c '
 import importlib.util
-import cffi, hypothesis, pytest, pyvista
+import cffi, hypothesis, pytest, pyvista, xdist
 for name in ("fenics_crack", "furo", "mypy", "myst_parser", "numpydoc", "ruff", "sphinx"):
     if importlib.util.find_spec(name) is None:
         raise ImportError("there is no module " + name)

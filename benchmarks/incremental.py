@@ -24,11 +24,11 @@ of Applied Mechanics 53, 1986, 455-457.
 from __future__ import annotations
 
 import numpy as np
+from switching import switching_instants
 
 from fenics_crack.balance.compliance import load_coefficients
 from fenics_crack.balance.contact_integrals import default_samples
 from fenics_crack.balance.fourier import evaluate, to_complex
-from fenics_crack.balance.switching import switching_instants
 from fenics_crack.errors import InputError, check_count, check_omega
 from fenics_crack.model.contact import ContactLaw, UnilateralPenalty, check_law
 from fenics_crack.model.modal import all_modes, is_small

@@ -332,23 +332,17 @@ def steel(arguments: common.Arguments) -> None:
 def judged_curve(reduced: fc.Structure, law: Any, stop: float, harmonics: int) -> None:
     """A curve from 6000 rad/s, judged by exact orbits; verdicts of some points by marches."""
     problem = fc.Problem(reduced, 6000.0, law, harmonics)
-    seconds = []
-    for stability in (False, True):
-        started = time.process_time()
-        growing = fc.Continuation(problem, "omega", 6000.0, stop, stability=stability)
-        for _ in growing:
-            pass
-        seconds.append(time.process_time() - started)
-    truncated = growing.curve
     started = time.process_time()
-    curve = fc.judge_curve(truncated)
-    seconds.append(time.process_time() - started)
+    growing = fc.Continuation(problem, "omega", 6000.0, stop)
+    growing.run()
+    followed = time.process_time() - started
+    curve = fc.judge_curve(growing.curve)
+    judged = time.process_time() - started - followed
     found = curve.bifurcations
     kinds = [bifurcation.kind for bifurcation in found if bifurcation.confirmed]
     print(
         f"\ncurve 6000 to {stop:g} rad/s, H = {harmonics}: {curve.status}, {len(curve)} points in "
-        f"{seconds[0]:.1f} s, with multipliers {seconds[1]:.1f} s, {len(truncated.bifurcations)} "
-        f"truncated bifurcations; judged in {seconds[2]:.1f} s, {curve.undecided.sum()} points "
+        f"{followed:.1f} s, judged in {judged:.1f} s, {curve.undecided.sum()} points "
         f"undecided, {len(found) - len(kinds)} bifurcations unconfirmed, {len(kinds)} confirmed: "
         + ", ".join(f"{kinds.count(kind)} {kind}" for kind in sorted(set(kinds)))
     )

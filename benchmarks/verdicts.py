@@ -1,4 +1,4 @@
-"""Verdicts on stability against exact integration, and what multipliers cost.
+"""Verdicts on stability against exact integration, and what they cost on curves.
 
 verdicts: the paper's plate at five load frequencies, with four contact stiffnesses and three
 dampings: 60 orbits by harmonic balance. Each gets its verdict (`floquet`). Then the exact orbit
@@ -18,15 +18,16 @@ Some of the orbits are integrated by central differences too (`central`), with 8
 that stability of the integration needs, from 1.01 times the exact state, for 150 periods; the
 distance is that of the gap to the exact one, and has to change by a factor of 3.
 
-cost: along curves from 1000 to 9500 rad/s with 20 harmonics, the time of a point without stability,
-of its leading multiplier (`PiecewiseFlow.leading`) and of all its multipliers, and the largest
-relative difference of the leading modulus between both over all points looked at.
+cost: along curves from 1000 to 9500 rad/s with 20 harmonics, the time of a point without and with
+verdicts.
 
-varied: curves over the damping and over the contact stiffness, whose flow is another one at each
-point: the time of a point without and with stability.
+varied: the same of curves over the damping and over the contact stiffness, and of a smoothed law
+over the frequency, whose points are judged one by one.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import common
 import numpy as np
@@ -34,7 +35,6 @@ import numpy as np
 import fenics_crack as fc
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.flow import ContactFlow, exact_flow
-from fenics_crack.stability.piecewise_flow import PiecewiseFlow
 from fenics_crack.time.march import initial_state
 
 OMEGAS = (1300.0, 2000.0, 3300.0, 5200.0, 8700.0)
@@ -168,74 +168,46 @@ def by_central_differences(
 
 
 def cost(arguments: common.Arguments) -> None:
-    """Time of points and of multipliers."""
+    """Time of points and of their verdicts."""
     rows = []
     for ratio in (0.01,) if arguments.quick else (0.01, 0.001):
         plate = common.plate("paper_plate", {"damping.ratio": ratio})
         for stiffness in (1e9, 1e11):
-            rows.append((ratio, stiffness, *times(plate, fc.UnilateralPenalty(stiffness))))
-    columns = (
-        "xi", "k [N/m]", "points", "to [rad/s]", "point [ms]", "leading [ms]", "all [ms]",
-        "leading/point", "difference", "verdicts that differ",
-    )  # fmt: skip
-    common.save_table(arguments.folder / "multiplier_cost.csv", "multipliers", columns, rows)
-
-
-def times(plate: fc.Structure, law: fc.UnilateralPenalty) -> tuple:
-    """Points of a curve, and what their multipliers cost."""
-    curves = []
-    curve_time = common.seconds(
-        lambda: curves.append(
-            fc.continue_frequency(plate, 1000.0, 9500.0, law, harmonics=20, throw=False)
-        )
-    )
-    (curve,) = curves
-    gaps, omegas, count = curve.gap_coefficients, curve.omega, len(curve.omega)
-    chosen = range(0, count, max(1, count // 1000))
-    flow = PiecewiseFlow(plate, law)
-    flow.leading(gaps[0], omegas[0])  # what is computed once
-    leading, every = [], []
-    one = common.seconds(
-        lambda: leading.extend(flow.leading(gaps[i], omegas[i]).value for i in chosen)
-    )
-    full = common.seconds(
-        lambda: every.extend(flow.multipliers(gaps[i], omegas[i])[0] for i in chosen)
-    )
-    found, exact = np.abs(leading), np.abs(every)
-    point, one, full = 1e3 * curve_time / count, 1e3 * one / len(chosen), 1e3 * full / len(chosen)
-    return (
-        count, float(omegas[-1]), point, one, full, one / point,
-        float(np.abs(found / exact - 1.0).max()), int(np.sum((found < 1.0) != (exact < 1.0))),
-    )  # fmt: skip
+            law = fc.UnilateralPenalty(stiffness)
+            rows.append((ratio, stiffness, *along(plate, law, "omega", 1000.0, 9500.0, 20)))
+    columns = ("xi", "k [N/m]", "points", "point [ms]", "with verdicts [ms]")
+    common.save_table(arguments.folder / "verdict_cost.csv", "verdicts of curves", columns, rows)
 
 
 def varied(arguments: common.Arguments) -> None:
-    """Curves at a fixed frequency."""
+    """Curves at a fixed frequency, and of a smoothed law."""
     plate, rows = common.plate("paper_plate", {"damping.ratio": 0.01}), []
+    law, smooth = fc.UnilateralPenalty(1e9), fc.SmoothedPenalty(1e9, 1e7)
     for structure in (plate, fc.reduce_structure(plate, modes=10)):
         for parameter, end in (("damping", 0.2), ("stiffness", 10.0)):
-            along(structure, parameter, end, stability=False)  # modes are computed too
-            count, alone = along(structure, parameter, end, stability=False)
-            _, both = along(structure, parameter, end, stability=True)
-            rows.append((structure.n_dofs, parameter, count, alone, both))
-    columns = ("dofs", "parameter", "points", "point [ms]", "with stability [ms]")
+            found = along(structure, law, parameter, 1.0, end, 10)
+            rows.append((structure.n_dofs, parameter, *found))
+        found = along(structure, smooth, "omega", 1900.0, 2100.0, 10)
+        rows.append((structure.n_dofs, "omega, smoothed", *found))
+    columns = ("dofs", "parameter", "points", "point [ms]", "with verdicts [ms]")
     common.save_table(arguments.folder / "varied.csv", "curves of varied flows", columns, rows)
 
 
 def along(
-    structure: fc.Structure, parameter: str, end: float, *, stability: bool
-) -> tuple[int, float]:
-    """Points of a curve, and milliseconds for each."""
-    curves: list[fc.ResponseCurve] = []
-    law = fc.UnilateralPenalty(1e9)
-    spent = common.seconds(
-        lambda: curves.append(
-            fc.continue_parameter(
-                structure, 2000.0, law, parameter, 1.0, end, harmonics=10, stability=stability
-            )
-        )
-    )
-    return len(curves[0]), 1e3 * spent / len(curves[0])
+    structure: fc.Structure, law: Any, parameter: str, start: float, end: float, harmonics: int
+) -> tuple[int, float, float]:
+    """Points of a curve, and milliseconds for each without and with verdicts."""
+    problem, curves, spent = fc.Problem(structure, 2000.0, law, harmonics), [], []
+    for stability in (False, False, True):  # what is computed once comes with the first
+
+        def follow(stability: bool = stability) -> None:
+            growing = fc.Continuation(problem, parameter, start, end, stability=stability)
+            growing.run()
+            curves.append(growing.curve)
+
+        spent.append(common.seconds(follow))
+    count = len(curves[0])
+    return count, 1e3 * spent[1] / count, 1e3 * spent[2] / count
 
 
 def draw(rows: list[tuple], path: object) -> None:

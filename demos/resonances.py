@@ -27,6 +27,7 @@ STIFFNESS = 1e9  # N/m
 HARMONICS = {"paper_plate": 20, "breathing_plate": 7}
 SWEEP = np.linspace(1500.0, 5000.0, 36)  # rad/s
 PERIODS = 80  # of the load at each frequency of the sweep
+LINEAR = 800  # frequencies of the responses without contact
 
 
 def main(output: Path = Path("output/resonances"), *, again: bool = False) -> fc.ResponseCurve:
@@ -139,7 +140,7 @@ def linear_response(
     """Frequencies, and amplitudes of the corner [m] without contact."""
     dof = structure.find_dof(corner, "x")
     small = structure if structure.n_dofs < 100 else fc.reduce_structure(structure, modes=30)
-    omega = np.linspace(*RANGE, 800)
+    omega = np.linspace(*RANGE, LINEAR)
     amplitude = [
         np.hypot(*fc.solve_linear(small, w, harmonics=1).coefficients_at([dof])[1:, 0])
         for w in omega

@@ -20,6 +20,7 @@ from fenics_crack.curves.continuation import Continuation as Continuation
 from fenics_crack.curves.curve import Bifurcation as Bifurcation
 from fenics_crack.curves.curve import ResponseCurve as ResponseCurve
 from fenics_crack.curves.exact import judge_curve as judge_curve
+from fenics_crack.curves.exact_bifurcations import refine_bifurcation as refine_bifurcation
 from fenics_crack.curves.follow import continue_frequency as continue_frequency
 from fenics_crack.curves.follow import continue_parameter as continue_parameter
 from fenics_crack.curves.follow import follow_branch as follow_branch
@@ -78,7 +79,6 @@ from fenics_crack.model.run_up_basis import run_up_structure as run_up_structure
 from fenics_crack.model.structure import Structure as Structure
 from fenics_crack.scene.scene import Scene as Scene
 from fenics_crack.stability.floquet import floquet as floquet
-from fenics_crack.stability.refinement import refine_bifurcation as refine_bifurcation
 from fenics_crack.stability.shooting import PeriodicOrbit as PeriodicOrbit
 from fenics_crack.stability.shooting import shoot as shoot
 from fenics_crack.study.campbell import Campbell as Campbell

@@ -10,6 +10,7 @@ from numbers import Integral, Real
 from typing import Any
 
 __all__ = [
+    "FEW_MODES",
     "MAX_SAMPLES",
     "MOST_HARMONICS",
     "ConvergenceError",
@@ -26,6 +27,8 @@ __all__ = [
 LONGEST_VALUE = 1000
 """Characters of a value shown in a message."""
 LARGEST_COUNT = 10**9
+FEW_MODES = 6
+"""Lowest modes whose frequencies with lips open and tied are looked at."""
 MAX_SAMPLES = 2**20
 """Samples of a period at which the contact force may be evaluated."""
 MOST_HARMONICS = 100

@@ -7,6 +7,7 @@ a listener nothing happens; the program's console is one (:class:`StageLines`).
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,6 +17,8 @@ __all__ = ["StageLines", "begin", "listening", "within"]
 
 LONG = 1.0
 """Stages are told after their end, with their time, if they took longer [s]."""
+BEAT = 5.0
+"""Between signs of life [s]."""
 _listeners: list[Callable[[str], None]] = []
 _parts: list[str] = []
 
@@ -49,7 +52,9 @@ def listening(listener: Callable[[str], None]) -> Iterator[None]:
 
 
 class StageLines:
-    """Shows the stage that is being done on a terminal, and keeps a line of each long one.
+    """Shows the stage that is being done, with a sign of life every :data:`BEAT` seconds.
+
+    On a terminal the stage is shown while it is being done; elsewhere a sign of life is a line.
 
     Parameters
     ----------
@@ -57,23 +62,41 @@ class StageLines:
         Standard error.
     indent : str
         Before the lines.
+    kept : bool
+        Keep a line of each long stage; else only signs of life are shown.
     """
 
-    def __init__(self, stream: Any = None, indent: str = "  ") -> None:
+    def __init__(self, stream: Any = None, indent: str = "  ", *, kept: bool = True) -> None:
         self._stream = stream or sys.stderr
-        self._live, self._indent = bool(self._stream.isatty()), indent
+        self._live, self._indent, self._kept = bool(self._stream.isatty()), indent, kept
         self._stage, self._began = "", 0.0
+        self._writing, self._over = threading.Lock(), threading.Event()
 
     def __call__(self, stage: str) -> None:
         """End the stage before, and begin this one."""
         now = time.perf_counter()
-        if self._stage:
-            self._write("\r\033[K" if self._live else "")
-            if now - self._began > LONG:
-                self._write(f"{self._indent}{self._stage}: {now - self._began:.1f} s\n")
-        self._stage, self._began = stage, now
-        if stage and self._live:
-            self._write(f"{self._indent}{stage} ...")
+        with self._writing:
+            before, self._stage = self._stage, stage
+            if before:
+                self._write("\r\033[K" if self._live else "")
+                if self._kept and now - self._began > LONG:
+                    self._write(f"{self._indent}{before}: {now - self._began:.1f} s\n")
+            self._began = now
+            if stage and self._live:
+                self._write(f"{self._indent}{stage} ...")
+        if stage and not before:
+            self._over = threading.Event()
+            threading.Thread(target=self._live_on, args=(self._over,), daemon=True).start()
+        elif before and not stage:
+            self._over.set()
+
+    def _live_on(self, over: threading.Event) -> None:
+        """Say every few seconds what is being done, and for how long."""
+        while not over.wait(BEAT):
+            with self._writing:
+                said = f"{self._indent}{self._stage} ... {time.perf_counter() - self._began:.0f} s"
+                if self._stage:
+                    self._write(f"\r\033[K{said}" if self._live else f"{said}\n")
 
     def _write(self, text: str) -> None:
         self._stream.write(text)

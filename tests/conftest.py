@@ -1,4 +1,8 @@
-"""Fixtures of several test files: plates, and ways to run programs on several ranks."""
+"""Fixtures of several test files: plates, and ways to run programs on several ranks.
+
+The process that shares the tests out to others (pytest-xdist) reads this file, too. It must not
+start MPI, as the others would then be taken for its ranks: what starts it is imported in functions.
+"""
 
 from __future__ import annotations
 
@@ -6,21 +10,23 @@ import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy: results to the bit need one number
 
+import importlib
 import pickle
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
-from helpers import DEMOS, MPI_ENVIRONMENT
 from hypothesis import settings
-from mpi4py import MPI
+from surroundings import DEMOS, MPI_ENVIRONMENT
 
-import fenics_crack
-from fenics_crack import Scene, Structure, build_structure, reduce_structure
+import fenics_crack as fc
+
+if TYPE_CHECKING:
+    from fenics_crack import Scene, Structure
 
 # The same examples in every run; the first call of a form may compile for seconds.
 settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)
@@ -34,10 +40,22 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Where tests are run, MPI starts before PETSc would start it."""
+    if config.getoption("dist", "no") == "no":
+        importlib.import_module("fenics_crack.parallel")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files with slow tests first: at the end the processes have short ones to share."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
+
+
 @pytest.fixture(scope="session")
 def paper_scene() -> Scene:
     """The paper's plate: 2 x 8 bilinear quadrilaterals, a crack one element long."""
-    return Scene.from_mapping(
+    return fc.Scene.from_mapping(
         {
             "geometry": {"width": 0.1, "height": 0.1, "thickness": 1.0},
             "crack": {"edge": "left", "height": 0.05, "length": 0.05},
@@ -53,19 +71,21 @@ def paper_scene() -> Scene:
 @pytest.fixture(scope="session")
 def paper_structure(paper_scene: Scene) -> Structure:
     """The structure of the paper's plate on one rank; not to be changed."""
-    return build_structure(paper_scene, MPI.COMM_SELF)
+    from mpi4py import MPI
+
+    return fc.build_structure(paper_scene, MPI.COMM_SELF)
 
 
 @pytest.fixture(scope="session")
 def soft_plate(paper_scene: Scene) -> Structure:
     """The paper's plate with 1 % of critical damping, whose orbit on k = 1e9 is stable."""
-    return build_structure(paper_scene.replace({"damping.ratio": 0.01}))
+    return fc.build_structure(paper_scene.replace({"damping.ratio": 0.01}))
 
 
 @pytest.fixture(scope="session")
 def wide_plate(paper_scene: Scene) -> Structure:
     """The same with 8 x 8 elements and 4 pairs."""
-    return build_structure(
+    return fc.build_structure(
         paper_scene.replace({"mesh.columns": 8, "mesh.rows": 8, "damping.ratio": 0.01})
     )
 
@@ -74,14 +94,14 @@ def wide_plate(paper_scene: Scene) -> Structure:
 def light_lips(paper_scene: Scene) -> Structure:
     """The paper's plate with 1 % of damping and eight pairs without mass, 15 modes."""
     changes = {"mesh.order": 2, "mesh.columns": 8, "mesh.rows": 8, "damping.ratio": 0.01}
-    whole = build_structure(paper_scene.replace(changes))
-    return reduce_structure(whole, modes=15, method="massless")
+    whole = fc.build_structure(paper_scene.replace(changes))
+    return fc.reduce_structure(whole, modes=15, method="massless")
 
 
 @pytest.fixture(scope="session")
 def breathing_plate() -> Structure:
     """The plate of demos/breathing_plate.toml: about 4000 dofs, 18 pairs."""
-    return build_structure(Scene.load(DEMOS / "breathing_plate.toml"))
+    return fc.build_structure(fc.Scene.load(DEMOS / "breathing_plate.toml"))
 
 
 @pytest.fixture
@@ -100,7 +120,7 @@ def mpirun(tmp_path: Path) -> Callable[..., str]:
             file.write_text(program)
         else:
             file = program
-        tests, package = Path(__file__).parent, Path(fenics_crack.__file__).parents[1]
+        tests, package = Path(__file__).parent, Path(fc.__file__).parents[1]
         inner = (item for item in tests.iterdir() if item.is_dir())
         folders = [tests, *inner, tests.with_name("benchmarks"), package]
         search = [*map(str, folders), os.environ.get("PYTHONPATH", "")]

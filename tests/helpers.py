@@ -12,6 +12,9 @@ import gmsh
 import h5py
 import numpy as np
 import scipy.linalg
+from surroundings import DEMOS as DEMOS
+from surroundings import MPI_ENVIRONMENT as MPI_ENVIRONMENT
+from surroundings import ROOT as ROOT
 
 import fenics_crack as fc
 from fenics_crack.balance.compliance import dynamic_compliance
@@ -20,16 +23,6 @@ from fenics_crack.balance.contact_integrals import SampledIntegrals
 from fenics_crack.balance.error_report import mean_square
 from fenics_crack.balance.fourier import resized
 from fenics_crack.files.store import digest, places, texts
-
-ROOT = Path(__file__).parents[1]
-DEMOS = ROOT / "demos"
-MPI_ENVIRONMENT = {
-    "OMP_NUM_THREADS": "1",
-    "OMPI_ALLOW_RUN_AS_ROOT": "1",
-    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
-    "OMPI_MCA_rmaps_base_oversubscribe": "1",  # Open MPI 4
-    "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",  # Open MPI 5
-}
 
 OMEGA_0 = 2.0 * np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
 """Natural frequency of the bilinear oscillator with kc = 1."""

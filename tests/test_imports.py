@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
-from helpers import ROOT
+from helpers import DEMOS, ROOT
 
 HEAVY = ("dolfinx", "ufl", "basix", "ffcx", "gmsh", "pyvista", "vtk", "vtkmodules", "matplotlib")
 ALL = (*HEAVY, "numpy", "scipy", "mpi4py", "petsc4py", "slepc4py", "h5py")
@@ -32,6 +33,20 @@ def test_the_package_alone_imports_nothing(line: str) -> None:
     assert fresh(program) == "[]"
 
 
+def test_who_shares_the_tests_out_starts_no_mpi() -> None:
+    """Its children, which run them, would take themselves for its ranks, and start none."""
+    folders = [str(ROOT / "tests"), str(ROOT / "tests" / "acceptance")]
+    program = f"""
+import sys
+for folder in {folders}:
+    sys.path.insert(0, folder)
+    sys.modules.pop("conftest", None)
+    import conftest
+print([name for name in ("mpi4py", "petsc4py", "dolfinx", "gmsh") if name in sys.modules])
+"""
+    assert fresh(program) == "[]"
+
+
 @pytest.mark.parametrize("words", ["--help", "--version", "solve --help"])
 def test_help_imports_nothing(words: str) -> None:
     """It answers at once."""
@@ -45,6 +60,42 @@ except SystemExit as left:
 print([name for name in {ALL} if name in sys.modules])
 """
     assert fresh(program).splitlines()[-1] == "[]"
+
+
+REFUSED = {
+    "a key": (["solve", "{plate}", "--set", "crack.lenght=0.02"], "did you mean crack.length"),
+    "a value": (["check", "{plate}", "--set", "crack.length=-1"], "crack.length = -1"),
+    "no scene": (["sweep", "none.toml"], "none.toml"),
+    "no measurements": (["identify", "{plate}"], "measurements = None"),
+    "a measurement": (["identify", "{plate}", "{rows}"], "measurements.mode = 99"),
+    "no [tip_timing]": (["timing", "{plate}", "{rows}"], "tip_timing = None"),
+    "arrivals": (
+        ["timing", "{plate}", "{rows}", "--set", "tip_timing.probes=[0.0]",
+         "--set", "tip_timing.tip_radius=1.0"],
+        "a file with the column 'revolution'",
+    ),
+}  # fmt: skip
+
+
+def test_bad_input_is_refused_before_all_is_loaded(tmp_path: Path) -> None:
+    """Of the package a tenth and of the libraries NumPy: the rest takes longer than the answer."""
+    rows = tmp_path / "rows.csv"
+    rows.write_text("quantity,value,deviation,mode\nfrequency_open,100.0,1.0,99\n")
+    places = {"plate": str(DEMOS / "paper_plate.toml"), "rows": str(rows)}
+    commands = [[word.format(**places) for word in words] for words, _ in REFUSED.values()]
+    program = f"""
+import sys
+sys.stderr = sys.stdout
+from fenics_crack.cli.command_line import main
+print([int(main(words)) for words in {commands}])
+print([name for name in {ALL} if name in sys.modules])
+print(sum(name.startswith("fenics_crack") for name in sys.modules))
+"""
+    *lines, codes, libraries, count = fresh(program).splitlines()
+    assert len(lines) == len(commands) and codes == str([2] * len(commands))
+    for line, (_, reason) in zip(lines, REFUSED.values(), strict=True):
+        assert reason in line
+    assert libraries == "['numpy']" and int(count) <= 22
 
 
 def test_check_needs_no_solver() -> None:

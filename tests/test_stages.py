@@ -1,6 +1,7 @@
 """Stages of a computation, on a terminal and elsewhere."""
 
 import io
+import time
 
 import pytest
 
@@ -41,4 +42,21 @@ def test_what_is_told(paper_scene: fc.Scene) -> None:
         fc.solve_harmonic_balance(study.structure, 2000.0, study.contact, harmonics=5)
     assert told[:2] == ["mesh", "matrices"] and told[-1] == ""
     assert any(stage.endswith("natural modes") for stage in told)
-    assert "cold start: an orbit marched in time" in told and "from a marched orbit" in told
+    assert "from a marched motion" in told
+
+
+@pytest.mark.parametrize("stream", [Terminal(), io.StringIO()], ids=["terminal", "file"])
+@pytest.mark.parametrize("kept", [True, False], ids=["kept", "brief"])
+def test_signs_of_life(stream: io.StringIO, kept: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What takes long says so now and then, while it computes, and not after its end."""
+    monkeypatch.setattr(stages, "BEAT", 0.05)
+    stream.seek(0)
+    stream.truncate()
+    with stages.listening(stages.StageLines(stream, kept=kept)):
+        stages.begin("path")
+        time.sleep(0.3)
+    told = stream.getvalue()
+    signs = told.count("\r\033[K  path ... 0 s" if stream.isatty() else "  path ... 0 s\n")
+    assert 3 <= signs <= 6
+    time.sleep(0.1)
+    assert stream.getvalue() == told

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from fenics_crack.errors import InputError, check_count, check_number, reading
 from fenics_crack.outside import text_of
@@ -111,6 +110,8 @@ class ArrivalTimes(Tabular):
     @cached_property
     def angle(self) -> np.ndarray:
         """Rotor angle alpha at the arrivals: (revolutions, probes) [rad]."""
+        from scipy.interpolate import CubicSpline  # takes longer than to read the arrivals
+
         turns = self.first + np.arange(len(self.marks))
         return np.asarray(CubicSpline(self.marks, 2.0 * np.pi * turns)(self.time))
 

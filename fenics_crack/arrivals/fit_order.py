@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from scipy.stats import f as fisher
+from scipy.special import fdtrc
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.arrivals.harmonics import Candidates, TipFit
@@ -134,5 +134,5 @@ def _variance(fit: LinearFit, group: np.ndarray) -> tuple[float, float]:
         return plain, np.nan
     means = np.bincount(where, left) / sizes
     pure, lack = float(np.sum((left - means[where]) ** 2)), float(sizes @ means**2) / between
-    chance = float(fisher.sf(lack / pure * within, between, within)) if pure > 0.0 else 0.0
+    chance = float(fdtrc(between, within, lack / pure * within)) if pure > 0.0 else 0.0
     return (lack if chance < SIGNIFICANT else plain), chance

@@ -4,10 +4,9 @@ Pairs that nothing couples, with a unilateral penalty integrated exactly:
 
     F(g, p) = g - g_lin(p) + R(p) b(g, p) = 0,
 
-where along p the contact stiffness grows like e^(growth p), g_lin linearly, the compliance of the
-harmonics above some, or the base frequency and the damping of modes, R and g_lin following from
-them (``kernel/condensed.h``). The
-loops are those of :mod:`bordered` and :mod:`arclength` (``kernel/path.c``): the same steps from the
+where along p the contact stiffness grows like e^(growth p), g_lin linearly, or the base frequency
+and the damping of modes, R and g_lin following from them (``kernel/condensed.h``). The loops are
+those of :mod:`bordered` and :mod:`arclength` (``kernel/path.c``): the same steps from the
 same numbers, many points in one call. From 100 unknowns on points share LU factors there
 (``kernel/broyden.h``), and are those of the loops to about 1e-6 of a step.
 """
@@ -159,8 +158,6 @@ class CompiledSystem(CompiledPaths):
         d g_lin / dp, without the part of modes.
     growth : float
         d ln k / dp.
-    above : int
-        Unless 0, the harmonic from which on R is p times what is given.
     """
 
     def __init__(
@@ -171,12 +168,11 @@ class CompiledSystem(CompiledPaths):
         *,
         linear_rate: np.ndarray | None = None,
         growth: float = 0.0,
-        above: int = 0,
     ) -> None:
         self.shape = linear.shape
         rate = np.zeros_like(linear) if linear_rate is None else linear_rate
         reals = {"stiffness": stiffness, "linear": linear, "linear_rate": rate}
-        numbers: dict[str, Any] = {"growth": growth, "above": above}
+        numbers: dict[str, Any] = {"growth": growth}
         if isinstance(compliance, ModalPart):
             numbers["modes"] = len(compliance.squares)
             numbers["omega"], numbers["omega_rate"] = compliance.omega

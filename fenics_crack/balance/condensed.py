@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from copy import copy
 from functools import cached_property
 
 import numpy as np
@@ -38,7 +37,6 @@ __all__ = [
     "CondensedPoint",
     "CondensedSystem",
     "ConstraintSystem",
-    "HigherHarmonics",
     "default_weight",
     "respond",
     "respond_to_columns",
@@ -182,33 +180,6 @@ class CondensedSystem(CondensedEquations):
         if not self.in_kernel:
             return None
         return CompiledSystem(self.stiffness, self.linear, self.compliance.matrices, growth=1.0)
-
-
-class HigherHarmonics(CondensedEquations):
-    """The equations of a law that gives the force from the gap, in which the compliance of all
-    harmonics above some is p times its own: where p = 0, those have no part in the motion, and a
-    solution with few harmonics is one."""
-
-    def __init__(self, system: CondensedSystem, kept: int) -> None:
-        super().__init__(system.compliance)
-        self._system, self._kept = system, kept
-        self._above = system.compliance.matrices.copy()
-        self._above[: kept + 1] = 0.0
-
-    @cached_property
-    def compiled(self) -> CompiledSystem | None:
-        """The same in the kernel, where it has them."""
-        system, matrices = self._system, self.compliance.matrices
-        if not system.in_kernel:
-            return None
-        return CompiledSystem(system.stiffness, self.linear, matrices, above=self._kept + 1)
-
-    def linearise(self, gap: np.ndarray, parameter: float) -> _GapPoint:
-        """The equations at a gap and a share p."""
-        compliance = copy(self.compliance)
-        compliance.matrices = self.compliance.matrices - (1.0 - parameter) * self._above
-        system = self._system.with_compliance(compliance)
-        return system.along(gap, lambda at: respond(self._above, at.force))
 
 
 class _GapPoint(CondensedPoint):

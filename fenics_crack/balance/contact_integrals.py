@@ -27,7 +27,6 @@ from functools import lru_cache
 import numpy as np
 
 from fenics_crack.balance.fourier import balanced, sampled
-from fenics_crack.balance.switching import grid_waves
 from fenics_crack.kernel import doubles, kernel, shaped
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear
 
@@ -36,9 +35,9 @@ __all__ = [
     "ExactIntegrals",
     "SampledIntegrals",
     "apply_to_pairs",
-    "closed_means",
     "contact_integrals",
     "default_samples",
+    "grid_waves",
 ]
 
 
@@ -157,16 +156,12 @@ class ExactIntegrals(ContactIntegrals):
         return ExactIntegrals(self.law, harmonics)
 
 
-def closed_means(gap: np.ndarray, highest: int) -> np.ndarray:
-    """Means of exp(i m theta) over the closed part of the period, of gaps (2H+1, n_pairs):
-    (n_pairs, highest + 1)."""
-    harmonics, pairs = len(gap) // 2, gap.shape[1]
-    gap = shaped(gap, 2 * harmonics + 1, pairs)
-    means = np.empty((pairs, highest + 1), dtype=complex)
-    waves = doubles(grid_waves(harmonics))
-    if kernel.closed_means(harmonics, pairs, doubles(gap), waves, highest, doubles(means)):
-        raise MemoryError("contact integrals")
-    return means
+@lru_cache(maxsize=64)
+def grid_waves(harmonics: int) -> np.ndarray:
+    """Waves on the first grid of the search, as the kernel takes them."""
+    waves = np.empty((harmonics, 2, kernel.switching_cells(harmonics) // 4 + 1))
+    kernel.switching_waves(harmonics, doubles(waves))
+    return waves
 
 
 def apply_to_pairs(tangent: np.ndarray, gap: np.ndarray) -> np.ndarray:

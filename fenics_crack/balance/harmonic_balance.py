@@ -95,7 +95,7 @@ def solve_harmonic_balance(
     harmonics : int, optional
         H; default: 5, or what ``tolerance`` asks for.
     initial : PeriodicSolution, optional
-        Where Newton starts; default: the linear solution, or a marched orbit where pairs are seen
+        Where Newton starts; default: the linear solution, or a marched motion where pairs are seen
         through a static compliance. May have other harmonics, and a subharmonic that divides that
         of the response.
     tolerance : float, optional

@@ -21,14 +21,10 @@ from fenics_crack.balance.compiled import CompiledPaths
 from fenics_crack.balance.linearisation import DenseLinearisation
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import Struct, doubles, kernel, owned
-from fenics_crack.model.flow import ExponentialFlow, Steps
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion
 from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit, eigenvalues
 
-__all__ = ["FlowOrbits", "MarchedOrbits", "OrbitPoint", "recurrences"]
-
-DIFFERENCE = 1e-6
-"""Of p, for dF/dp."""
+__all__ = ["FlowOrbits", "OrbitPoint", "recurrences"]
 
 
 class OrbitPoint(DenseLinearisation):
@@ -67,8 +63,7 @@ class OrbitPoint(DenseLinearisation):
     @cached_property
     def multipliers(self) -> np.ndarray:
         """Floquet multipliers, largest modulus first: (2n,) complex."""
-        values = eigenvalues(self.monodromy)
-        return values[np.argsort(-np.abs(values), kind="stable")]
+        return eigenvalues(self.monodromy)
 
 
 def recurrences(passed: Sequence[np.ndarray] | np.ndarray, count: int) -> list[int]:
@@ -76,54 +71,6 @@ def recurrences(passed: Sequence[np.ndarray] | np.ndarray, count: int) -> list[i
     those from which the motion came nearest to where it had been, the nearest first."""
     apart = np.linalg.norm(np.diff(passed, axis=0), axis=1)
     return [-1, *map(int, np.argsort(apart, kind="stable")[:count])]
-
-
-class MarchedOrbits:
-    """F(x, p) of the flow by exponential steps, x = z / |z_0|.
-
-    Attributes
-    ----------
-    omega : float
-        omega_0, of the load [rad/s].
-    start : (2n,)
-        x of the motion nearby, at p = 1.
-    """
-
-    matrix_free = False
-
-    def __init__(self, flow: ExponentialFlow, state: np.ndarray, subharmonic: int = 1) -> None:
-        self.omega, self._flow, self._periods = flow.omega, flow, subharmonic
-        self._size = float(np.linalg.norm(state)) or 1.0
-        self.start = state / self._size
-
-    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
-        """Inner product."""
-        return float(first @ second)
-
-    def flow_at(self, parameter: float) -> ExponentialFlow:
-        """The flow where the frequency has a value."""
-        omega = parameter * self.omega
-        if omega != self._flow.omega:
-            self._flow = self._flow.at(omega)
-        return self._flow
-
-    def steps(self, unknown: np.ndarray, parameter: float) -> Steps:
-        """A period from a state."""
-        return self.flow_at(parameter).advance(self._size * unknown, self._periods)
-
-    def linearise(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
-        """The equations at (x, p)."""
-        steps = self.steps(unknown, parameter)
-        residual = steps.states[-1] / self._size - unknown
-
-        def by_parameter() -> np.ndarray:
-            ends = [
-                self.steps(unknown, other).states[-1] / self._size
-                for other in (parameter + DIFFERENCE, parameter - DIFFERENCE)
-            ]
-            return np.asarray((ends[0] - ends[1]) / (2.0 * DIFFERENCE))
-
-        return OrbitPoint(unknown, residual, steps.monodromy, by_parameter, steps.switches)
 
 
 class FlowOrbits(CompiledPaths):
@@ -137,6 +84,8 @@ class FlowOrbits(CompiledPaths):
         omega_0, of the load [rad/s].
     subharmonic : int
         Its periods in one of the orbit.
+    budget : Budget
+        Of each motion.
     scale : (2 n_modes,)
         x / z.
     start : (2 n_modes,)
@@ -153,15 +102,15 @@ class FlowOrbits(CompiledPaths):
         subharmonic: int = 1,
         budget: Budget | None = None,
     ) -> None:
-        budget, self.flow, self.omega, self.shape = budget or Budget(), flow, omega, state.shape
-        self.subharmonic = subharmonic
+        self.flow, self.omega, self.shape = flow, omega, state.shape
+        self.subharmonic, self.budget = subharmonic, budget or Budget()
         weights = flow.weights(omega / subharmonic)
         self.scale = weights / (float(np.linalg.norm(weights * state)) or 1.0)
         self.start = self.scale * state
         given = Struct(
             "shooting_equations", flow=flow.handle, modes=flow.size // 2,
             pairs=len(flow.softness), omega=omega, turns=2.0 * np.pi * subharmonic,
-            scale=self.scale, pieces=budget.pieces, intervals=budget.intervals,
+            scale=self.scale, pieces=self.budget.pieces, intervals=self.budget.intervals,
         )  # fmt: skip
         self._point = owned(kernel.new_shooting_point(given.at), kernel.free_shooting_point)
         self._equations = kernel.equations_of_shooting(self._point)
@@ -235,7 +184,9 @@ class FlowOrbits(CompiledPaths):
         """Over a period, sampled at parts of it."""
         omega = parameter * self.omega
         period = 2.0 * np.pi * self.subharmonic / omega
-        return self.flow.advance(self.state(unknown), omega, period, instants=instants * period)
+        return self.flow.advance(
+            self.state(unknown), omega, period, instants=instants * period, budget=self.budget
+        )
 
     def _evaluate(self, unknown: np.ndarray, parameter: float) -> None:
         assert unknown.shape == self.shape

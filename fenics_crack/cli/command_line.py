@@ -8,7 +8,6 @@ import os
 import resource
 import signal
 import sys
-import tomllib
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,6 +21,7 @@ from fenics_crack.whole import FULL
 
 if TYPE_CHECKING:
     from fenics_crack.cli.console import Console
+    from fenics_crack.cli.inputs import Inputs
     from fenics_crack.scene.scene import Scene
 
 __all__ = ["main", "parser"]
@@ -165,30 +165,38 @@ def _near_limit() -> bool:
 
 
 def _run(given: argparse.Namespace) -> Exit:
-    """Prepare this process for a command, and call it."""
+    """Read what a command is given, prepare this process, and call it.
+
+    MPI and PETSc take longer to load than most input to be refused. Where mpirun has started this
+    process, rank 0 reads for all.
+    """
+    from fenics_crack.cli.inputs import read_inputs
+
+    inputs = None if any(name in os.environ for name in LAUNCHERS) else read_inputs(given)
     from mpi4py import MPI
 
     from fenics_crack.cli.console import Console
+    from fenics_crack.parallel import on_root
 
     comm = MPI.COMM_WORLD
     if comm.rank > 0:
         _be_silent()
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # else PETSc ends the program if a reader leaves
     with alone():
-        return _command(given, Console(comm, given.format, given.quiet, given.verbose))
+        inputs = inputs or on_root(comm, lambda: read_inputs(given))
+        console = Console(comm, given.format, given.quiet, given.verbose)
+        return _command(given, inputs, console)
 
 
-def _command(given: argparse.Namespace, console: Console) -> Exit:
+def _command(given: argparse.Namespace, inputs: Inputs, console: Console) -> Exit:
     """Call a command."""
-    from fenics_crack.cli import scenes
     from fenics_crack.cli.console import make_writable
-    from fenics_crack.parallel import on_root
-    from fenics_crack.scene.scene import Scene
-    from fenics_crack.study.remarks import remarks_on_scene
 
     comm = console.comm
     if given.command == "new":
-        return scenes.new(given.file, console)
+        from fenics_crack.cli.scenes import new
+
+        return new(given.file, console)
     if given.command == "plot":
         from fenics_crack.cli import commands
 
@@ -201,15 +209,18 @@ def _command(given: argparse.Namespace, console: Console) -> Exit:
         from fenics_crack.cli import commands
 
         return commands.report(given.results, given.output, console, given.words)
-    changes = _changes(given.set)
-    scene = on_root(comm, lambda: Scene.load(given.scene).replace(changes))
+    assert inputs.scene is not None
     if given.command == "check":
-        return scenes.check(scene, console)
+        from fenics_crack.cli.scenes import check
+
+        return check(inputs.scene, console)
     folder = given.output or Path("output") / given.scene.stem
     make_writable(folder, comm)
-    told = remarks_on_scene(scene)
+    from fenics_crack.study.remarks import remarks_on_scene
+
+    told = remarks_on_scene(inputs.scene)
     try:
-        return _compute(given, scene, folder, console)
+        return _compute(given, inputs.scene, inputs, folder, console)
     except InputError:
         told = []  # one line about an error
         raise
@@ -217,7 +228,9 @@ def _command(given: argparse.Namespace, console: Console) -> Exit:
         console.remarks(told)
 
 
-def _compute(given: argparse.Namespace, scene: Scene, folder: Path, console: Console) -> Exit:
+def _compute(
+    given: argparse.Namespace, scene: Scene, inputs: Inputs, folder: Path, console: Console
+) -> Exit:
     """Call a command that solves a scene."""
     from fenics_crack.cli import commands  # takes a while to import
 
@@ -229,11 +242,12 @@ def _compute(given: argparse.Namespace, scene: Scene, folder: Path, console: Con
         count = 6 if given.count is None else given.count
         return commands.campbell_diagram(scene, given.speeds, count, folder, console)
     if given.command == "identify":
-        return commands.identification(scene, given.measurements, given.arrivals, folder, console)
+        measured, arrivals = inputs.measurements, inputs.arrivals
+        return commands.identification(scene, measured, arrivals, folder, console)
     if given.command == "timing":
         from fenics_crack.cli.timing import timing
 
-        return timing(scene, given.source, folder, console)
+        return timing(scene, inputs.arrivals, folder, console)
     work = {
         "solve": commands.solution,
         "verify": commands.verification,
@@ -241,22 +255,6 @@ def _compute(given: argparse.Namespace, scene: Scene, folder: Path, console: Con
         "sweep": commands.sweep,
     }
     return work.get(given.command, commands.integration)(scene, folder, console)
-
-
-def _changes(given: Sequence[str]) -> dict[str, Any]:
-    """Keys and values of ``--set key=value``: TOML, or else a word; ``none`` removes a key."""
-    changes: dict[str, Any] = {}
-    for text in given:
-        key, equals, value = text.partition("=")
-        if not equals or not key.strip():
-            raise InputError("--set", text, "key=value, for example contact.stiffness=1e9")
-        value = value.strip()
-        try:
-            parsed = tomllib.loads(f"value = {value}")["value"]
-        except (ValueError, RecursionError):
-            parsed = None if value == "none" else value
-        changes[key.strip()] = parsed
-    return changes
 
 
 # --- arguments ------------------------------------------------------------------------------------
@@ -289,7 +287,7 @@ COMMANDS = {
     "sweep": ("all cases of the table [sweep.over]; goes on where it stopped", SOLVED),
     "timing": (
         "arrival times of the tip at the probes of [tip_timing], and the vibration found in them",
-        "scene source --set --output",
+        "scene arrivals --set --output",
     ),
     "identify": (
         "a crack from measured frequencies, harmonics and arrivals, by the table [identify]",
@@ -318,10 +316,10 @@ ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
         "solution; [tip_timing] says how the tip moves past them",
         {"type": path, "metavar": "FILE"},
     ),
-    "source": (
+    "arrivals": (
         "what makes the arrivals: the .h5 file of a solution or a curve; or a CSV file of them, "
         "measured or computed (default: the scene, solved)",
-        {"type": path, "nargs": "?"},
+        {"type": path, "nargs": "?", "metavar": "source"},
     ),
     "results": (
         "a .h5 file that another command has written, several of one kind to be drawn in one "

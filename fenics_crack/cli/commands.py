@@ -22,17 +22,14 @@ from fenics_crack.parallel import on_root
 from fenics_crack.scene.quantities import SHORT
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Integration
-from fenics_crack.study.campbell import campbell
 from fenics_crack.study.key_figures import highest_omega
 from fenics_crack.study.run import Run, find_modes, follow_curve, integrate, load_run, solve
-from fenics_crack.study.timing import arrivals_of, engine_order
-from fenics_crack.study.verify import verify
 from fenics_crack.sweep.file import KIND as SWEEP
-from fenics_crack.sweep.result import SweepResult, run_sweep
 from fenics_crack.table import RPM, Table, ranging
 from fenics_crack.time.march import TimeHistory
 
 if TYPE_CHECKING:
+    from fenics_crack.arrivals.arrival_times import ArrivalTimes
     from fenics_crack.identification.measurements import Measurements
 
 __all__ = [
@@ -63,9 +60,10 @@ def campbell_diagram(
     scene: Scene, span: list[float] | None, count: int, folder: Path, console: Console
 ) -> Exit:
     """Natural frequencies over the speed, and where engine orders meet the first breathing one."""
+    from fenics_crack.study.campbell import campbell
+
     check_count("--count", count, 1)
-    if scene.rotation is None:
-        raise InputError("rotation", None, "given for this command: a table")
+    scene.given("rotation")
     factor = RPM if scene.in_rpm else 1.0
     start, stop, steps = span or (0.0, 1.5 * scene.speed / factor, 13)
     if not (0.0 <= start < stop < np.inf and 2 <= steps <= MOST_SPEEDS and steps % 1 == 0):
@@ -190,6 +188,8 @@ def _finish(
 
 def sweep(scene: Scene, folder: Path, console: Console) -> Exit:
     """All cases of a sweep, or those that an earlier run has left."""
+    from fenics_crack.sweep.result import run_sweep
+
     with console.timed("sweep"):
         found = run_sweep(scene, folder / "sweep.h5", console.comm, progress=console.progress)
     table = found.table()
@@ -207,10 +207,14 @@ def sweep(scene: Scene, folder: Path, console: Console) -> Exit:
 
 
 def identification(
-    scene: Scene, measured: Path | None, arrivals: Path | None, folder: Path, console: Console
+    scene: Scene,
+    measured: Measurements | None,
+    arrivals: ArrivalTimes | Path | None,
+    folder: Path,
+    console: Console,
 ) -> Exit:
     """A crack from measurements: what it is, how sure, and where to measure next."""
-    from fenics_crack.identification.identify import identify  # scipy.stats
+    from fenics_crack.identification.identify import identify  # SciPy's optimize and interpolate
 
     rows = _measurements(scene, measured, arrivals, console)
     with console.timed("identification"):
@@ -240,17 +244,18 @@ def identification(
 
 
 def _measurements(
-    scene: Scene, path: Path | None, arrivals: Path | None, console: Console
+    scene: Scene,
+    measured: Measurements | None,
+    arrivals: ArrivalTimes | Path | None,
+    console: Console,
 ) -> Measurements:
-    """What was measured, of a file of measurements, one of arrivals, or both."""
+    """What was measured, what probes have seen, or both."""
     from fenics_crack.identification.measurements import Measurements
+    from fenics_crack.study.timing import arrivals_of, engine_order
 
-    if path is None and arrivals is None:
-        raise InputError("measurements", None, "given: a CSV file, or --arrivals")
-    parts = [] if path is None else [Measurements.from_csv(path)]
+    parts = [] if measured is None else [measured]
     if arrivals is not None:
-        (times, _), table = arrivals_of(scene, arrivals, console.comm), scene.tip_timing
-        assert table is not None
+        (times, _), table = arrivals_of(scene, arrivals, console.comm), scene.given("tip_timing")
         tip, against = [*scene.point_names, ""][0], table.tangential < 0.0
         order = engine_order(table, scene)
         parts.append(Measurements.from_arrivals(times, order, tip, against=against))
@@ -259,6 +264,8 @@ def _measurements(
 
 def verification(scene: Scene, folder: Path, console: Console) -> Exit:
     """What mesh, modes, harmonics and samples contribute to the error of the steady vibration."""
+    from fenics_crack.study.verify import verify
+
     with console.stage("verification"):
         found = verify(scene, console.comm)
     table = found.table()
@@ -285,24 +292,29 @@ def plot(
     """Pictures of a result, of several in one, or of a scene's mesh; by rank 0."""
 
     def draw() -> list[Path]:
-        from fenics_crack.cli.overlay import draw_overlay  # VTK and matplotlib
-        from fenics_crack.cli.pictures import draw_run, draw_scene
-        from fenics_crack.cli.sweep_pictures import draw_sweep
-
         first = results[0]
         drawn = "several results" if len(results) > 1 else first.suffix.lower().lstrip(".")
         if show and (drawn != "h5" or kind_of(first) != PeriodicSolution.KIND):
             raise InputError("--show", str(first), "used with one periodic solution")
         if len(results) > 1 or labels:
+            from fenics_crack.cli.overlay import draw_overlay
+
             return draw_overlay(results, labels, folder)
         if drawn == "toml":
+            from fenics_crack.cli.pictures import draw_scene
+
             return draw_scene(Scene.load(first), folder)
         if kind_of(first) == SWEEP:
+            from fenics_crack.cli.sweep_pictures import draw_sweep
+            from fenics_crack.sweep.result import SweepResult
+
             return draw_sweep(SweepResult.load(first), folder)
         run = load_run(first, MPI.COMM_SELF)
         meshed = run.structure.whole.nodes is not None
         if not meshed and isinstance(run.result, Modes | PeriodicSolution):
             console.note("no mesh: what would be drawn on one is left out")
+        from fenics_crack.cli.pictures import draw_run
+
         return draw_run(run, folder, show=show)
 
     with console.stage("pictures"):

@@ -9,14 +9,17 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mpi4py import MPI
 
 from fenics_crack.parallel import on_root
 from fenics_crack.stages import StageLines, listening
-from fenics_crack.study.remarks import Remark
 from fenics_crack.table import Table
 from fenics_crack.whole import not_written
+
+if TYPE_CHECKING:
+    from fenics_crack.study.remarks import Remark
 
 __all__ = ["Console", "make_writable"]
 
@@ -68,8 +71,10 @@ class Console:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """The same, and where progress is shown, what is done in that part while it is done."""
-        with self.timed(name), listening(StageLines()) if self.progress else nullcontext():
+        """The same, and unless quiet is asked for what is done in that part while it is done: where
+        no progress is shown, now and then."""
+        lines = nullcontext() if self.quiet else listening(StageLines(kept=self.progress))
+        with self.timed(name), lines:
             yield
 
     def finish(self, folder: Path, name: str, shown: Table, rows: Table, summary: Table) -> None:

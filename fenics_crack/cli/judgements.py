@@ -7,20 +7,22 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR, UNKNOWN, ErrorReport
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.cli.tables import stability_changes
 from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.errors import MOST_HARMONICS
 from fenics_crack.model.modes import damped_range
 from fenics_crack.scene.scene import Scene
-from fenics_crack.stability.floquet import Stability
+from fenics_crack.stability.floquet import Stability, floquet
 from fenics_crack.study.run import Run
-from fenics_crack.sweep.result import SweepResult
 from fenics_crack.table import counted
+
+if TYPE_CHECKING:
+    from fenics_crack.sweep.result import SweepResult
 
 __all__ = ["of_cases", "of_curve", "of_error", "of_modes", "of_stability", "of_tolerance"]
 
@@ -106,20 +108,9 @@ def of_curve(run: Run[ResponseCurve]) -> Iterator[str]:
     where = f" at {factor * found.values[worst]:g} {unit}".removesuffix(" -")
     yield from of_error(scene, reports[worst], int(found.harmonics[worst]), where)
     if found.multipliers is not None and bool(np.all(found.verdicts == "undecided")):
-        yield "the stability is undecided at all points"
-    special = [point.value for point in found.bifurcations]
-    gaps = []
-    for index in stability_changes(found) if found.undecided is None else ():
-        low, high = sorted(found.values[index : index + 2])
-        if not any(low <= value <= high for value in special):
-            gaps.append(f"{factor * low:g} and {factor * high:g} {unit}".removesuffix(" -"))
-    if gaps:
-        times = "" if len(gaps) == 1 else f"at {len(gaps)} places, the first "
-        hint = "" if scene.harmonic_balance.tolerance is not None else f": it needs {MORE} there"
-        yield (
-            f"stability changes {times}between {gaps[0]}, without a bifurcation of the balanced "
-            f"equations{hint}"
-        )
+        solution = found.solution(peak)
+        reason = floquet(solution.structure, solution).reason
+        yield "the stability is undecided at all points" + (f" ({reason})" if reason else "")
     if not found.complete:
         yield f"the curve ended early: {found.status}"
 

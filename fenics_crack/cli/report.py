@@ -27,7 +27,6 @@ from fenics_crack.cli.pictures import draw_run, draw_scene
 from fenics_crack.cli.scenes import harmonics_in_words
 from fenics_crack.cli.sweep_pictures import draw_sweep
 from fenics_crack.curves.curve import ResponseCurve, parameter_axis
-from fenics_crack.curves.estimates import displacement_errors
 from fenics_crack.draw import html
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import header, kind_of, read_scene, versions
@@ -313,7 +312,7 @@ def _of_curve(run: Run[ResponseCurve], pictures: list[str]) -> _Found:
         states = ("stable", "unstable", "undecided")
         shares = [f"{np.mean(found.verdicts == state):.0%} {state}" for state in states]
         facts.append(f"Of {len(found)} points {', '.join(shares)}.")
-    inexact = displacement_errors(found) > LARGE_ERROR
+    inexact = found.displacement_errors > LARGE_ERROR
     if inexact.any():
         ends = factor * found.values[inexact]
         facts.append(

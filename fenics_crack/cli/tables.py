@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,9 +17,11 @@ from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QU
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.run import Run
 from fenics_crack.study.watched import Watched
-from fenics_crack.sweep.result import SweepResult
 from fenics_crack.table import UNITS, Table, quantity, with_frequency, with_unit
 from fenics_crack.time.march import TimeHistory
+
+if TYPE_CHECKING:
+    from fenics_crack.sweep.result import SweepResult
 
 __all__ = [
     "SHORT_CURVE",

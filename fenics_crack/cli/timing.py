@@ -22,8 +22,10 @@ from fenics_crack.table import Table, counted, speed_axis
 __all__ = ["timing"]
 
 
-def timing(scene: Scene, source: Path | None, folder: Path, console: Console) -> Exit:
-    """Compute arrival times or read them, and fit a vibration to them."""
+def timing(
+    scene: Scene, source: ArrivalTimes | Path | None, folder: Path, console: Console
+) -> Exit:
+    """Compute arrival times unless they are measured, and fit a vibration to them."""
     with console.stage("arrival times"):
         arrivals, run = arrivals_of(scene, source, console.comm)
     on_root(console.comm, lambda: _write_arrivals(arrivals, scene, folder))

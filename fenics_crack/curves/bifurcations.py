@@ -4,9 +4,9 @@ Between two points of a curve lies
 
 - a fold, where the parameter turns back: t_p changes its sign;
 - a branch point, where another branch crosses: :mod:`arclength` tells it by the sign of det J, so
-  only where J is formed (:data:`fenics_crack.balance.coupled.MATRIX_FREE`);
-- a period doubling, where a Floquet multiplier passes through -1: det(I + M) changes its sign;
-- a Neimark-Sacker point, where a pair of multipliers leaves the unit circle anywhere else.
+  only where J is formed (:data:`fenics_crack.balance.coupled.MATRIX_FREE`).
+
+Where multipliers leave the unit circle is asked when the curve is judged (:func:`judge_curve`).
 
 Sources: Keller, in Applications of Bifurcation Theory, 1977; Seydel, Practical Bifurcation and
 Stability Analysis, chapters 4, 5 and 7.
@@ -33,18 +33,16 @@ from fenics_crack.balance.bordered import (
 from fenics_crack.balance.coupled import CoupledSystem
 from fenics_crack.balance.family import Family
 from fenics_crack.balance.fourier import stretched
-from fenics_crack.balance.problem import Problem
+from fenics_crack.balance.linearisation import System
 from fenics_crack.balance.rounding import least_residual, stiffness_times_compliance
 from fenics_crack.curves.curve import Bifurcation
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.stability.piecewise_flow import LeadingMultiplier, PiecewiseFlow
 
 __all__ = [
     "Special",
     "attainable",
+    "first_aside",
     "first_of_branch",
-    "flow_of",
-    "multipliers_cross",
     "odd_rows",
     "turns_or_branches",
 ]
@@ -70,12 +68,6 @@ def attainable(family: Family, parameter: float, tolerance: float) -> float:
     return max(tolerance, least_residual(4.0 * slope))
 
 
-def flow_of(problem: Problem) -> PiecewiseFlow:
-    """The flow whose multipliers a curve asks for; it takes the curve's unknowns."""
-    above = None if problem.residual is None else problem.cutoff
-    return PiecewiseFlow(problem.structure, problem.contact, above)
-
-
 def turns_or_branches(family: Family, before: PathPoint, after: PathPoint) -> Special:
     """Folds between two points, and branch points where the sign of det J is known."""
     found = []
@@ -86,35 +78,6 @@ def turns_or_branches(family: Family, before: PathPoint, after: PathPoint) -> Sp
         fold = find_between(family, (before, after), None, sharp)
         fold = fold or locate(family, before, after, lambda at: at.tangent.p, sharp)
         found.append(("fold", fold))
-    return found
-
-
-def multipliers_cross(
-    family: Family,
-    before: tuple[PathPoint, LeadingMultiplier],
-    after: tuple[PathPoint, LeadingMultiplier],
-    ask: Callable[[Callable[[PiecewiseFlow, np.ndarray, float], float], np.ndarray, float], float],
-) -> Special:
-    """Where multipliers cross the unit circle at -1, or as a pair, between two points.
-
-    ``ask`` asks the flow at an unknown and a value of the parameter.
-    """
-    (first, old), (second, new) = before, after
-
-    def where(what: Callable[[PiecewiseFlow, np.ndarray, float], float]) -> PathPoint:
-        def test(at: PathPoint) -> float:
-            return ask(what, at.unknown, family.value(at.parameter))
-
-        sharp = attainable(family, second.parameter, 1e-11)
-        return locate(family, first, second, test, sharp)
-
-    found = []
-    if old.doubling * new.doubling < 0.0:
-        found.append(("period_doubling", where(PiecewiseFlow.doubling)))
-    unstable = new if old.stable else old
-    left = old.stable != new.stable and old.doubling == new.doubling
-    if left and unstable.value.imag > 0.0:
-        found.append(("neimark_sacker", where(PiecewiseFlow.growth)))
     return found
 
 
@@ -150,16 +113,35 @@ def first_of_branch(
     away = _across(family, unknown, parameter, doubled=factor > 1)
     start = PathPoint(unknown, parameter, 0, away)
     sharp = attainable(family, parameter, 1e-9)
-    for share in (0.1, 0.03, 0.3, 0.01, 1.0):
-        step = share * longest_step
-        found = correct(family, start, step, sharp, reach=longest_step)
-        if found is not None and distance(family, start, found) < 3.0 * step:
-            change, rise = found.unknown - unknown, found.parameter - parameter
-            return found, Tangent(change, rise, away.weight)
+
+    def near(found: PathPoint, step: float) -> bool:
+        return distance(family, start, found) < 3.0 * step
+
+    found = first_aside(family, start, longest_step, sharp, near)
+    if found is not None:
+        change, rise = found.unknown - unknown, found.parameter - parameter
+        return found, Tangent(change, rise, away.weight)
     raise ConvergenceError(
         f"branch from {bifurcation.kind} at {family.name} = {bifurcation.value:g}: "
         "no point of another branch was found next to it"
     )
+
+
+def first_aside(
+    system: System,
+    start: PathPoint,
+    longest_step: float,
+    tolerance: float,
+    is_new: Callable[[PathPoint, float], bool],
+) -> PathPoint | None:
+    """The first solution found across a branch, at a step from one of it along that one's tangent,
+    that is on a new branch; None where there is none within the longest step."""
+    for share in (0.1, 0.03, 0.3, 0.01, 1.0):
+        step = share * longest_step
+        found = correct(system, start, step, tolerance, reach=longest_step)
+        if found is not None and is_new(found, step):
+            return found
+    return None
 
 
 def _across(family: Family, unknown: np.ndarray, parameter: float, doubled: bool) -> Tangent:

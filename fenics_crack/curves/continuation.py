@@ -2,8 +2,8 @@
 
 Pseudo-arc-length continuation (:mod:`arclength`) of the condensed equations (:mod:`family`). Only
 the small or reduced structure is touched at a point, in closed form: a curve costs the same on any
-mesh. Along it, folds, period doublings and Neimark-Sacker points are located by root finding,
-branch points by steps that shrink towards them (:mod:`bifurcations`).
+mesh. Along it folds are located by root finding, branch points by steps that shrink towards them
+(:mod:`bifurcations`). Verdicts come after it (:mod:`exact`).
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import TypeVar
 
 import numpy as np
 
@@ -40,13 +39,13 @@ from fenics_crack.curves.bifurcations import (
     Special,
     attainable,
     first_of_branch,
-    flow_of,
-    multipliers_cross,
     odd_rows,
     turns_or_branches,
 )
+from fenics_crack.curves.by_waves import FOLLOWED
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.doubled import DoubledStart
+from fenics_crack.curves.exact import verified
 from fenics_crack.curves.points import CurvePoint, Points
 from fenics_crack.curves.resume import check_resumed, directions, point_towards
 from fenics_crack.errors import InputError, check_count, check_number
@@ -54,11 +53,10 @@ from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
-from fenics_crack.stability.piecewise_flow import PiecewiseFlow
+from fenics_crack.motion.flow import exact_flow
 
 __all__ = ["LONGEST", "Continuation"]
 
-Answer = TypeVar("Answer")
 LONGEST = 0.05
 """Longest step, unless another one is asked for."""
 SHORTEST = 0.1
@@ -105,10 +103,7 @@ class Continuation:
         error, looked at every fourth point, stays near or below this, between the problem's
         ``harmonics`` and 100. Where there is no solution with that many H grows by less.
     stability : bool
-        Compute the leading Floquet multiplier at every point, and locate where multipliers leave
-        the unit circle: through -1, or the leading ones as a pair. They are those of the truncated
-        equations; :func:`judge_curve` judges the curve by exact orbits, which
-        :func:`continue_frequency` does instead where it can.
+        Judge ``curve`` each time that it is taken (:func:`judge_curve`).
     longest_step : float
         Longest step, relative to the range of the parameter and to the size of the solution; at
         most 1.
@@ -169,12 +164,13 @@ class Continuation:
             problem = replace(problem, structure=reduced)
             if isinstance(initial, PeriodicSolution):  # its gaps are all that is used
                 initial = replace(initial, structure=reduced)
+        if stability and is_rigid(problem.contact):
+            exact_flow(problem.structure, problem.contact)
         self._tolerance, self._least = tolerance, problem.harmonics
         self._longest, self._most, self._back = longest_step, most_points, turning_back
         if 0.0 < start < end and parameter in ("omega", "damping", "speed"):  # not to 0
             self._back = min(turning_back, 0.9 * start / (end - start))
-        self._flow: PiecewiseFlow | None = None
-        self._points, self._at_once = Points(), False
+        self._points, self._at_once, self._judged = Points(), False, stability
         self._special: list[tuple[str, float, np.ndarray]] = []
         self._branch = False
         self._towards: Tangent | None = None
@@ -187,11 +183,9 @@ class Continuation:
 
         if isinstance(initial, ResponseCurve):
             self._family = family_of(problem.with_harmonics(int(initial.harmonics[-1])))
-            self._flow = flow_of(self._family.problem) if stability else None
             self._take_over(initial)
         elif isinstance(initial, Bifurcation | DoubledStart):
             self._family, self._branch = family_of(problem), True
-            self._flow = flow_of(self._family.problem) if stability else None
             if isinstance(initial, Bifurcation):
                 begun, self._towards = first_of_branch(self._family, initial, longest_step)
             else:
@@ -200,16 +194,18 @@ class Continuation:
         else:
             found = _first_solution(problem, family_of, initial, tolerance)
             self._family, unknown, iterations = found
-            self._flow = flow_of(self._family.problem) if stability else None
             self._points.append(self._known(unknown, self._family.value(0.0), iterations))
 
     @property
     def curve(self) -> ResponseCurve:
-        """All points so far."""
+        """All points so far; judged with ``stability=True``."""
+        return verified(self.followed) if self._judged else self.followed
+
+    @property
+    def followed(self) -> ResponseCurve:
+        """All points so far, without verdicts."""
         points, problem = self._points, self._family.problem
-        counts, multipliers = points.harmonics, None
-        if self._flow is not None:
-            multipliers = np.array([multiplier.value for multiplier in points.multipliers])
+        counts = points.harmonics
         curve = ResponseCurve(
             structure=problem.structure,
             contact=problem.contact,
@@ -225,7 +221,6 @@ class Continuation:
             status=self.status,
             samples=problem.samples,
             subharmonic=problem.subharmonic,
-            multipliers=multipliers,
             branch=self._branch,
             static_above=None if problem.residual is None else problem.cutoff,
         )
@@ -282,10 +277,6 @@ class Continuation:
                 return before, self._shorter(point)
             point = end or point
             found = self._point(point)
-            last = self._points.last.multiplier
-            if last is not None and found.multiplier is not None:
-                sides = (before, last), (point, found.multiplier)
-                special += multipliers_cross(family, *sides, self._ask)
             if special:
                 found = self._with_special(found, special)
             if self._tolerance is not None and len(self._points) % EVERY == 0:
@@ -323,7 +314,7 @@ class Continuation:
     def _notable(self, before: PathPoint, stretch: Sequence[PathPoint]) -> Sequence[int]:
         """Places of the points up to which the curve may fold, meet another one, close or end; all
         places where it does not grow at once, or where more is asked at every point."""
-        asked = self._flow is not None or self._tolerance is not None or self._branch
+        asked = self._tolerance is not None or self._branch
         enough = len(self._points) + len(stretch) > self._most
         if not self._at_once or asked or enough or not isinstance(stretch, Stretch):
             return range(len(stretch))
@@ -360,27 +351,10 @@ class Continuation:
         return self._known(point.unknown, self._family.value(point.parameter), point.iterations)
 
     def _known(self, unknown: np.ndarray, value: float, iterations: int) -> CurvePoint:
-        multiplier = None
-        if self._flow is not None:
-            multiplier = self._ask(PiecewiseFlow.leading, unknown, value)
-        return CurvePoint(value, self._omega(value), unknown, iterations, multiplier=multiplier)
+        return CurvePoint(value, self._omega(value), unknown, iterations)
 
     def _omega(self, value: float) -> float:
         return self._family.omega(value)
-
-    def _ask(
-        self,
-        what: Callable[[PiecewiseFlow, np.ndarray, float], Answer],
-        unknown: np.ndarray,
-        value: float,
-    ) -> Answer:
-        """What the flow at a point says."""
-        assert self._flow is not None
-        family, flow = self._family, self._flow
-        if family.name in ("stiffness", "damping", "speed"):
-            problem = family.at(value)
-            flow = flow.varied(problem.structure, problem.contact)
-        return what(flow, unknown, self._omega(value) / family.problem.subharmonic)
 
     def _truncation(self, point: PathPoint) -> float:
         at = self._family.linearise(point.unknown, point.parameter)
@@ -497,7 +471,9 @@ class Continuation:
         for index, value in enumerate(curve.values):
             found = self._known(curve.unknown(index), float(value), int(curve.iterations[index]))
             self._points.append(replace(found, truncation=float(curve.truncation[index])))
-        self._special = [(b.kind, b.value, b.unknown) for b in curve.bifurcations]
+        self._special = [
+            (b.kind, b.value, b.unknown) for b in curve.bifurcations if b.kind in FOLLOWED
+        ]
         self._branch, self._least = curve.branch, int(curve.harmonics.min())
         self._towards, self._origin = directions(self._family, curve)
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem
 from fenics_crack.balance.coupled import CoupledPoint
+from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.family import FAMILIES
 from fenics_crack.balance.fourier import evaluate, resized
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
@@ -47,6 +49,8 @@ PARAMETERS = {
 
 PHASES = 2.0 * np.pi * np.arange(256) / 256
 """Of a period, at which points of a curve are looked at."""
+SPREAD = 40
+"""Points at which the error along a curve is estimated first."""
 
 
 def parameter_axis(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
@@ -170,7 +174,7 @@ class ResponseCurve(Tabular):
         imaginary part; with ``stability=True``. Of exact orbits it is interpolated between some of
         them, and nan where none is the point's own (:func:`judge_curve`).
     undecided : (n,) bool or None
-        Where exact orbits leave the stability open (:func:`judge_curve`); None: not judged.
+        Where the stability is left open (:func:`judge_curve`); None: not judged.
     branch : bool
         Whether :func:`follow_branch` has followed it.
     static_above : float or None
@@ -287,10 +291,26 @@ class ResponseCurve(Tabular):
         )
 
     @cached_property
-    def known_errors(self) -> dict[int, float]:
-        """Estimated errors of the displacement at the load at points where they are known, once
-        ``displacement_errors`` has been asked."""
-        return {}
+    def displacement_errors(self) -> np.ndarray:
+        """Estimated error of the displacement at the load at every point, relative to its root mean
+        square (:attr:`fenics_crack.ErrorReport.displacement`): (n,).
+
+        What one Newton step on the exact flow predicts, where there is one: at points spread evenly
+        along the curve, and at those on both sides of where a warning begins to be due; elsewhere
+        it is interpolated.
+        """
+        known: dict[int, float] = {}
+        asked = set(np.linspace(0, len(self) - 1, SPREAD).astype(int).tolist())
+        while asked:
+            for place in asked:
+                known[place] = self.solution(place, search=False).report.displacement
+            asked = {
+                (first + last) // 2
+                for first, last in pairwise(sorted(known))
+                if last - first > 1 and (known[first] > LARGE_ERROR) != (known[last] > LARGE_ERROR)
+            }
+        places = sorted(known)
+        return np.interp(np.arange(len(self)), places, [known[place] for place in places])
 
     @property
     def solutions(self) -> list[PeriodicSolution]:

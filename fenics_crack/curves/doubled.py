@@ -8,7 +8,7 @@ doubling M v = -v, and with twice the period,
     F_2(x, p) = z(2 T; x, p) / |z_0| - x = 0,
 
 a second branch leaves in the direction (v, 0). It is followed by arc-length, and at its points the
-Fourier coefficients of the gap are where Newton's method begins: with as many harmonics as were
+Fourier coefficients of the orbits are where Newton's method begins: with as many harmonics as were
 asked for, then with twice as many, and so on. What is found is a start if it is nearer to the orbit
 than half of what tells this from the old branch, the odd harmonics.
 
@@ -19,40 +19,33 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import PathPoint, Tangent, correct, distance, solve_in_plane
-from fenics_crack.balance.exact_orbits import judged_by_orbits
+from fenics_crack.balance.bordered import PathPoint, Tangent, distance, solve_in_plane
 from fenics_crack.balance.family import FrequencyFamily
-from fenics_crack.balance.fourier import balanced
+from fenics_crack.balance.nearby import orbit_next_to
 from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.balance.problem import Problem
-from fenics_crack.curves.bifurcations import attainable, odd_rows
+from fenics_crack.curves.bifurcations import attainable, first_aside, odd_rows
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
+from fenics_crack.curves.orbit_branch import STRAIGHT, TOLERANCE
 from fenics_crack.errors import ConvergenceError
+from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit
-from fenics_crack.stability.refinement import refine_bifurcation
 
 __all__ = ["DoubledStart", "next_to_doubled_orbits"]
 
-SAME = 1e-6
-"""Of the frequency, relative: how far the doubling may move when it is located anew."""
-NEAREST, REACH = 6, 0.03
-"""Points of the curve from which it is, next to its own solution, and how far away."""
-ASIDE = (1e-3, 3e-4, 3e-3, 1e-4, 1e-2)
-"""Distances from the doubling at which the first orbit of twice the period is looked for."""
-LONGEST, MOST, SHARP = 0.05, 30, 1e-9
-"""Steps along the branch of exact orbits, how many, and |F| / |x| of these."""
-JOINED = 1e-6
-"""Share of the odd harmonics below which the orbit has half the period again."""
-MOST_HARMONICS, MOST_UNKNOWNS = 320, 700
-"""Of the equations that are tried: above, each would take a second."""
-EVERY = 3
-"""Orbits to the next one that is tried with more harmonics than were asked for."""
+NEAREST, SAME = 6, 1e-3
+"""Points of the curve from which the orbit of the doubling is sought, and how well its multiplier
+is known."""
 NEAR = 0.5
 """Distance from the orbit, relative to its odd harmonics."""
+MOST, MOST_UNKNOWNS = 30, 700
+"""Orbits along the branch, and unknowns of the equations that are tried next to them: more would
+take a second each time."""
 
 
 @dataclass(frozen=True)
@@ -64,117 +57,108 @@ class DoubledStart:
     towards: Tangent
 
 
-@dataclass(frozen=True)
-class _Orbit:
-    """An exact orbit of twice the period: load frequency, and gap (n, n_pairs) [m] in time."""
-
-    omega: float
-    gap: np.ndarray
-
-
 def next_to_doubled_orbits(
-    curve: ResponseCurve, bifurcation: Bifurcation, problem: Problem, span: tuple[float, float]
+    curve: ResponseCurve,
+    bifurcation: Bifurcation,
+    problem: Problem,
+    span: tuple[float, float],
+    longest_step: float,
 ) -> DoubledStart | None:
     """Where the branch from a confirmed period doubling of a curve over the load's frequency can
-    be entered; ``problem``: with twice the period. None where the exact flow is not at hand.
+    be entered; ``problem``: with twice the period. None where there is no exact flow.
 
     Raises
     ------
     ConvergenceError
         The exact orbits have the branch, and the equations have no solution next to it.
     """
-    known = bifurcation.confirmed and bifurcation.kind == "period_doubling"
-    if not known or curve.parameter != "omega" or not judged_by_orbits(problem):
+    if not bifurcation.confirmed or curve.parameter != "omega":
         return None
-    family = FrequencyFamily(problem, *span)
-    doubling = _located(curve, bifurcation)
-    if family.problem.residual is not None or doubling is None:
-        return None
-    orbits = list(_branch(problem, *doubling, span))
-    for harmonics in _ladder(problem):
-        family = FrequencyFamily(problem.with_harmonics(harmonics), *span)
-        tried = orbits[:: 1 if harmonics == problem.harmonics else EVERY]
-        for number, orbit in enumerate(tried[:-1]):
-            found = _next_to(family, orbit)
-            if found is not None:
-                ahead = _rows(family, tried[number + 1]), tried[number + 1].omega
-                rise = family.parameter(ahead[1]) - found.parameter
-                weight = 1.0 / family.inner(found.unknown, found.unknown)
-                towards = Tangent(ahead[0] - _rows(family, orbit), rise, weight)
-                return DoubledStart(family.problem, found, towards)
+    doubling = _at_doubling(curve, bifurcation)
+    orbits = [] if doubling is None else list(_branch(doubling, longest_step, span))
     if not orbits:
         return None
-    ends = sorted(orbit.omega for orbit in (orbits[0], orbits[-1]))
+    ladder = _ladder(problem)
+    for harmonics in ladder:
+        family = FrequencyFamily(problem.with_harmonics(harmonics), *span)
+        for orbit, ahead in pairwise(orbits):
+            found = _next_to(family, orbit)
+            if found is not None:
+                change = _rows(family, ahead) - _rows(family, orbit)
+                rise = family.parameter(ahead.omega) - found.parameter
+                weight = 1.0 / family.inner(found.unknown, found.unknown)
+                towards = Tangent(change, rise, weight)
+                return DoubledStart(family.problem, found, towards)
+    ends = sorted((orbits[0].omega, orbits[-1].omega))
     raise ConvergenceError(
         f"branch from period_doubling at omega = {bifurcation.value:g}: the exact orbits have it, "
-        f"next to {ends[0]:g} to {ends[1]:g} rad/s, but no solution with up to "
-        f"{_ladder(problem)[-1]} harmonics was found next to them"
+        f"next to {ends[0]:g} to {ends[1]:g} rad/s, but no solution with up to {ladder[-1]} "
+        "harmonics was found next to them"
     )
 
 
 def _ladder(problem: Problem) -> list[int]:
     """Numbers of harmonics with which the branch is looked for."""
     counts = [problem.harmonics]
-    most = min(MOST_HARMONICS, MOST_UNKNOWNS // (2 * problem.structure.n_pairs))
-    while problem.samples is None and 2 * counts[-1] <= most:
+    pairs = problem.structure.n_pairs
+    while problem.samples is None and 4 * counts[-1] * pairs <= MOST_UNKNOWNS:
         counts.append(2 * counts[-1])
     return counts
 
 
-def _located(curve: ResponseCurve, one: Bifurcation) -> tuple[float, PeriodicOrbit] | None:
-    """Frequency and exact orbit of a doubling, from its own solution or from waves of the curve
-    next to it; None where another one is found instead."""
+def _at_doubling(curve: ResponseCurve, one: Bifurcation) -> PeriodicOrbit | None:
+    """The exact orbit of a doubling, from the motions of the curve next to it; None where there is
+    no flow, or where these lead to other orbits."""
+    flow = flow_of(curve.structure, curve.contact)
+    if flow is None:
+        return None
     near = np.argsort(np.abs(curve.omega - one.exact), kind="stable")[:NEAREST]
-    for place in (None, *map(int, near)):
-        start = one
-        if place is not None:
-            known = one.kind, float(one.exact), curve.unknown(place)
-            [start] = curve.expand_bifurcations([known])
-        try:
-            found = refine_bifurcation(start, reach=REACH)
-        except ConvergenceError:
-            continue
-        if abs(found[0] / one.exact - 1.0) < SAME:
-            return found
+    for motion in curve.motions(near):
+        orbit = orbit_next_to(flow, one.exact, flow.state(*motion), curve.subharmonic)
+        if orbit is not None and np.abs(orbit.multipliers + 1.0).min() <= SAME:
+            return orbit
     return None
 
 
 def _branch(
-    problem: Problem, omega: float, orbit: PeriodicOrbit, span: tuple[float, float]
-) -> Iterator[_Orbit]:
+    doubling: PeriodicOrbit, longest_step: float, span: tuple[float, float]
+) -> Iterator[PeriodicOrbit]:
     """The exact orbits of twice the period that follow a doubling, within the frequencies asked
-    for, until they have half the period again."""
-    half = FlowOrbits(orbit.flow, omega, orbit.state, problem.subharmonic // 2)
-    orbits = FlowOrbits(orbit.flow, omega, orbit.state, problem.subharmonic)
-    monodromy = half.linearise(half.start, 1.0).monodromy
+    for."""
+    periods = 2 * doubling.subharmonic
+    orbits = FlowOrbits(doubling.flow, doubling.omega, doubling.state, periods)
+    monodromy = orbits.scale[:, None] * doubling.monodromy / orbits.scale
     across = np.linalg.svd(np.eye(len(monodromy)) + monodromy)[2][-1]
     begin = PathPoint(orbits.start, 1.0, 0, Tangent(across, 0.0, 1.0))
+
+    def is_new(found: PathPoint, step: float) -> bool:
+        omega, period = found.parameter * doubling.omega, doubling.period / found.parameter
+        moved = doubling.flow.advance(orbits.state(found.unknown), omega, period).state
+        return bool(np.linalg.norm(orbits.unknown(moved) - found.unknown) > step)
+
     try:
-        for aside in ASIDE:
-            found = correct(orbits, begin, aside, SHARP, reach=LONGEST)
-            if found is not None and distance(orbits, begin, found) < 3.0 * aside:
-                break
-        else:
+        found = first_aside(orbits, begin, longest_step, TOLERANCE, is_new)
+        if found is None:
             return
-        stepping = Stepping(0.5 * aside, LONGEST, 1e-9, MOST, SHARP, least_cosine=0.9)
-        way = Tangent(found.unknown - orbits.start, found.parameter - 1.0, 1.0)
-        for point in follow_path(orbits, found.unknown, found.parameter, stepping, way):
-            gap = orbits.gap(point.unknown, point.parameter, 8 * MOST_HARMONICS)
-            apart = np.linalg.norm(gap - np.roll(gap, len(gap) // 2, axis=0))
-            at = point.parameter * omega
-            if not min(span) < at < max(span) or apart < JOINED * np.linalg.norm(gap):
+        away = Tangent(found.unknown - begin.unknown, found.parameter - 1.0, 1.0)
+        first = distance(orbits, begin, found)
+        stepping = Stepping(first, longest_step, most=MOST, least_cosine=STRAIGHT, span=(0.0, 2.0))
+        for point in follow_path(orbits, found.unknown, found.parameter, stepping, away):
+            inside = min(span) < point.parameter * doubling.omega < max(span)
+            if not inside or not is_new(point, TOLERANCE):
                 return
-            yield _Orbit(at, gap)
+            yield orbits.orbit(point)
     except ConvergenceError:  # pairs that chatter without end
         return
 
 
-def _rows(family: FrequencyFamily, orbit: _Orbit) -> np.ndarray:
-    """Fourier coefficients of an orbit's gap with the harmonics of a family."""
-    return balanced(orbit.gap, family.problem.harmonics)
+def _rows(family: FrequencyFamily, orbit: PeriodicOrbit) -> np.ndarray:
+    """What an orbit is in the unknowns of a family."""
+    known, residual = orbit.coefficients(family.problem.harmonics), family.problem.residual
+    return known.gap if residual is None else known.gap + known.force @ residual
 
 
-def _next_to(family: FrequencyFamily, orbit: _Orbit) -> PathPoint | None:
+def _next_to(family: FrequencyFamily, orbit: PeriodicOrbit) -> PathPoint | None:
     """The solution of the equations next to an orbit, and not to one of half its period."""
     guess, parameter, odd = _rows(family, orbit), family.parameter(orbit.omega), odd_rows(family)
     found = solve_in_plane(

@@ -17,19 +17,20 @@ import numpy as np
 import scipy.optimize
 
 from fenics_crack.balance.bordered import solve_at
-from fenics_crack.balance.exact_orbits import FEW_PAIRS
 from fenics_crack.balance.family import FAMILIES
-from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.judgement import BELIEVED, FARTHEST
 from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.curves.bifurcations import attainable
+from fenics_crack.curves.by_waves import FOLLOWED, judged_by_waves, place_on
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.orbit_branch import ALIKE, EVERY, Crossing, Node, OrbitBranch
 from fenics_crack.curves.varied_orbits import VariedOrbits
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.motion.flow import exact_flow
+from fenics_crack.model.contact import is_piecewise_linear, is_rigid
+from fenics_crack.motion.flow import Budget, exact_flow
+from fenics_crack.motion.orbit import PIECES
 from fenics_crack.stability.floquet import floquet
-from fenics_crack.stability.shooting import leaves
+from fenics_crack.stability.shooting import attract_little, leaves
 from fenics_crack.stages import begin
 
 __all__ = ["judge_curve", "verified"]
@@ -38,10 +39,11 @@ SURE = 1e-6
 """Distance of the leading multiplier from the unit circle that decides, at least."""
 NO_DOUBT = 0.01
 """Distance of an orbit from its point at which nothing else is asked."""
-SAME = 1e-4
-"""Distance between two orbits that are one."""
 IDENTICAL = 1e-6
 """Of p: bifurcations of one kind that lie within are the same one."""
+BUDGET = Budget(pieces=PIECES // 10)
+"""Of a motion: ten may take what a search for an orbit may. Where none of some points' keeps to it,
+no orbits are sought."""
 SINGLY = 40
 """Points left undecided that are judged one by one, as a solution is (:func:`floquet`)."""
 NEARBY = 0.02
@@ -58,22 +60,18 @@ class _Judge:
         [first] = curve.motions(np.zeros(1, dtype=int))
         if curve.parameter == "omega":
             flow, omega = exact_flow(curve.structure, curve.contact), float(curve.omega[0])
-            self.system = FlowOrbits(flow, omega, flow.state(*first), curve.subharmonic)
+            self.system = FlowOrbits(flow, omega, flow.state(*first), curve.subharmonic, BUDGET)
             self.parameters = curve.omega / omega
         else:
             values = curve.values
             ends = float(values[0]), float(values[np.argmax(np.abs(values - values[0]))])
             family = FAMILIES[curve.parameter](curve.problem, *ends)
-            self.system = VariedOrbits(family, *first)
+            self.system = VariedOrbits(family, *first, BUDGET)
             self.parameters = np.array([family.parameter(value) for value in values])
             self._family = family
         self._own: dict[float, bool] = {}
-        self._few = not curve.structure.light_lips and curve.structure.n_pairs <= FEW_PAIRS
-        # Next to a doubling the old orbit is as near as the new one.
-        self._doubled = curve.subharmonic > 1
-        every = 1 if self._doubled else EVERY
-        self._apart = 0.5 * every
-        self.branch = OrbitBranch(self.system, self.parameters, self._motions, every)
+        self._few = attract_little(curve.structure)
+        self.branch = OrbitBranch(self.system, self.parameters, self._motions)
         self._judge()
 
     def value(self, parameter: float) -> float:
@@ -92,7 +90,7 @@ class _Judge:
         """Judge nodes next to points, some points apart, and others between those that differ."""
         asked: list[Node] = []
         for one in self.branch.nodes:
-            if one.away >= 0.0 and (not asked or one.place - asked[-1].place >= self._apart):
+            if one.away >= 0.0 and (not asked or one.place - asked[-1].place >= 0.5 * EVERY):
                 asked.append(one)
         tried: set[int] = set()
         while asked:
@@ -112,7 +110,7 @@ class _Judge:
         doubtful = []
         for one in nodes:
             self._own[one.place] = True
-            if one.away > NO_DOUBT or self._doubled:
+            if one.away > NO_DOUBT:
                 doubtful.append(one)
         if not doubtful:
             return
@@ -122,20 +120,14 @@ class _Judge:
             gap = self.system.gap(one.unknown, one.parameter, len(wave))
             size = float(np.linalg.norm(gap + clearance))
             off = float(np.linalg.norm(gap - wave)) / (size or 1.0)
-            if off > NO_DOUBT or self._doubled:
+            if off > NO_DOUBT:
                 self._own[one.place] = self._is_own(one, int(place), off)
 
     def _is_own(self, node: Node, place: int, off: float) -> bool:
         """Whether a solution is judged by a node's orbit."""
         solution = self._curve.solution(place, search=False)
-        if not self._doubled:
-            near = off <= min(BELIEVED * solution.judged.prediction, FARTHEST)
-            return near and not (self._few and self._left(node, place))
-        orbit = solution.judged.orbit
-        if orbit is None or floquet(solution.structure, solution).verdict == "undecided":
-            return False
-        moved = self.system.unknown(orbit.state) - node.unknown
-        return bool(np.linalg.norm(moved) <= SAME * np.linalg.norm(node.unknown))
+        near = off <= min(BELIEVED * solution.judged.prediction, FARTHEST)
+        return near and not (self._few and self._left(node, place))
 
     def _left(self, node: Node, place: int) -> bool:
         """Whether the exact motion that begins with a point leaves the stable orbit next to it."""
@@ -213,10 +205,14 @@ def _between(
 def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     """Judge a curve over any parameter by the branch of exact orbits along it.
 
+    Laws that are not linear in contact have no exact orbits: their points are judged one by one, as
+    :func:`floquet` does, and period doublings and Neimark-Sacker points are where multipliers of
+    the waves leave the unit circle, unconfirmed.
+
     Parameters
     ----------
     curve : ResponseCurve
-        Followed with or without ``stability=True``, with a law that is linear in contact or rigid.
+        Followed with or without ``stability=True``.
 
     Returns
     -------
@@ -239,14 +235,20 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     InputError
         As :func:`fenics_crack.shoot`.
     """
+    if not (is_piecewise_linear(curve.contact) or is_rigid(curve.contact)):
+        return judged_by_waves(curve)
     begin("stability by exact orbits")
+    if not _affordable(curve):
+        nothing = np.full(len(curve), np.nan + 0j)
+        return replace(curve, multipliers=nothing, undecided=np.ones(len(curve), dtype=bool))
     judge = _Judge(curve)
     crossings = _distinct(judge.branch.crossings())
-    multipliers = judge.points(crossings)
+    # Next to the end of a branch of twice the period the old orbit is as near as the new one.
+    doubled = curve.subharmonic % 2 == 0
+    multipliers = np.full(len(curve), np.nan + 0j) if doubled else judge.points(crossings)
     undecided = np.isnan(multipliers)
-    special = _special(curve, judge, crossings, undecided)
     left = np.flatnonzero(undecided)
-    if len(left) <= SINGLY:
+    if doubled or len(left) <= SINGLY:
         for place in map(int, left):
             solution = curve.solution(place, search=False)
             alone = floquet(solution.structure, solution)
@@ -254,16 +256,34 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
                 value = complex(alone.multipliers[0])
                 multipliers[place] = complex(value.real, abs(value.imag))
                 undecided[place] = False
+    special = _special(curve, judge, crossings, undecided)
     return replace(curve, bifurcations=special, multipliers=multipliers, undecided=undecided)
 
 
+def _affordable(curve: ResponseCurve) -> bool:
+    """Whether the motion of some point is followed within the budget."""
+    for place in np.unique([0, len(curve) // 2, len(curve) - 1]):
+        wave = curve.solution(int(place), search=False)
+        assert wave.contact is not None
+        flow = exact_flow(wave.structure, wave.contact)
+        try:
+            flow.advance(wave.judged.states[0], wave.omega, wave.period, budget=BUDGET)
+        except ConvergenceError:
+            continue
+        return True
+    return False
+
+
 def verified(curve: ResponseCurve) -> ResponseCurve:
-    """The same curve with the verdicts and bifurcations of :func:`judge_curve`, and those of the
-    truncated equations that the orbits refute, unconfirmed."""
+    """The same curve with the verdicts and bifurcations of :func:`judge_curve`, and of pairs with
+    mass those of the truncated equations that the orbits refute, unconfirmed."""
     judged = judge_curve(curve)
+    if curve.structure.light_lips:
+        return judged
     kept = {id(one.unknown) for one in judged.bifurcations}
-    refuted = [one for one in curve.bifurcations if id(one.unknown) not in kept]
-    special = sorted([*judged.bifurcations, *refuted], key=lambda one: _place(curve, one))
+    had = [one for one in curve.bifurcations if one.kind in FOLLOWED]
+    refuted = [one for one in had if id(one.unknown) not in kept]
+    special = sorted([*judged.bifurcations, *refuted], key=lambda one: place_on(curve, one))
     return replace(judged, bifurcations=tuple(special))
 
 
@@ -271,7 +291,7 @@ def _special(
     curve: ResponseCurve, judge: _Judge, crossings: list[Crossing], undecided: np.ndarray
 ) -> tuple[Bifurcation, ...]:
     """Bifurcations of the orbits at their places on the curve, and those without an orbit."""
-    special = [(_place(curve, one), one) for one in curve.bifurcations]
+    special = [(place_on(curve, one), one) for one in curve.bifurcations]
     values = [judge.value(crossing.parameter) for crossing in crossings]
     near = _matched(curve, list(zip(crossings, values, strict=True)), special)
     found: list[tuple[float, Bifurcation]] = []
@@ -346,11 +366,3 @@ def _solution_at(curve: ResponseCurve, place: int, value: float) -> tuple[float,
     if found is None or np.linalg.norm(found.unknown - unknown) > ALIKE * np.linalg.norm(unknown):
         return near, unknown
     return value, found.unknown
-
-
-def _place(curve: ResponseCurve, one: Bifurcation) -> int:
-    """The point of a curve nearest to a bifurcation of it."""
-    unknown = resized(one.unknown, curve.unknowns.shape[1] // 2)
-    sizes = np.linalg.norm(curve.unknowns - unknown, axis=(1, 2)) / np.linalg.norm(unknown)
-    wide = float(np.ptp(curve.values)) or 1.0
-    return int(np.argmin(np.hypot(sizes, (curve.values - one.value) / wide)))

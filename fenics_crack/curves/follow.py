@@ -9,13 +9,11 @@ from typing import Any, TypedDict, Unpack
 
 from tqdm import tqdm
 
-from fenics_crack.balance.exact_orbits import FEW_PAIRS
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.continuation import LONGEST, Continuation
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.doubled import next_to_doubled_orbits
-from fenics_crack.curves.exact import judge_curve, verified
 from fenics_crack.curves.points import CurvePoint
 from fenics_crack.curves.resume import same_problem
 from fenics_crack.errors import (
@@ -25,8 +23,7 @@ from fenics_crack.errors import (
     check_omega,
     check_options,
 )
-from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
-from fenics_crack.model.modal import is_small
+from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
 from fenics_crack.stages import begin
 from fenics_crack.table import RPM
@@ -222,18 +219,19 @@ def follow_branch(
         subharmonic=doubled * curve.subharmonic,
     )
     given: dict[str, Any] = {**options}
-    stability = _judged_later(structure, curve.contact, given)
     try:
         growing = Continuation(problem, curve.parameter, start, end, **given, initial=bifurcation)
     except ConvergenceError:
-        begun = next_to_doubled_orbits(curve, bifurcation, problem, (start, end))
+        begun = next_to_doubled_orbits(
+            curve, bifurcation, problem, (start, end), options.get("longest_step", LONGEST)
+        )
         if begun is None:
             raise
         growing = Continuation(begun.problem, curve.parameter, start, end, **given, initial=begun)
-        branch = _run(growing, progress, throw, stability=stability)
+        branch = _run(growing, progress, throw)
         note = f", begun next to the exact orbit at {branch.omega[0]:.6g} rad/s"
         return replace(branch, status=branch.status + note)
-    return _run(growing, progress, throw, stability=stability)
+    return _run(growing, progress, throw)
 
 
 def _between(
@@ -251,34 +249,32 @@ def _between(
     followed from the end to the start, or from between them, and begins with the solution met
     there."""
     check_options(options, CurveOptions.__annotations__)
-    options = {**options}
-    stability = _judged_later(structure, contact, options)
     growing = _continuation(structure, omega, contact, span, options)
     if options.get("initial") is not None or options.get("resume") is not None:
-        return _run(growing, progress, throw, stability=stability)
+        return _run(growing, progress, throw)
     parameter, start, end = span
     longest = options.get("longest_step", LONGEST)
 
     def again() -> Continuation | None:
         ways = [(1.0, share) for share in SHORTER]  # long steps may miss the turns to the start
-        points = max(MANY_POINTS, TIMES * len(growing.curve))
+        first = growing.followed
+        points = max(MANY_POINTS, TIMES * len(first))
         for place, share in [*ways, *((place, 1.0) for place in BETWEEN)]:
             given: CurveOptions = {**options, "longest_step": share * longest}
             begun = start + place * (end - start)
-            reduced = growing.curve.structure
             given["most_points"] = min(points, options.get("most_points", points))
-            plain: CurveOptions = {**given, "stability": False}
-            met = _followed(reduced, omega, contact, (parameter, begun, start), plain)
+            met = _followed(first.structure, omega, contact, (parameter, begun, start), given)
             if met is None:
                 continue
-            given["initial"] = met.curve.solution(len(met.curve) - 1)
-            other = _followed(reduced, omega, contact, span, given)
+            last = met.followed
+            given["initial"] = last.solution(len(last) - 1)
+            other = _followed(first.structure, omega, contact, span, given)
             if other is not None:
                 other.status += ", not by the first solution found at its start"
                 return other
         return None
 
-    return _run(growing, progress, throw, again, stability=stability)
+    return _run(growing, progress, throw, again)
 
 
 def _followed(
@@ -324,22 +320,6 @@ def _continuation(
     return Continuation(problem, *span, initial=resume, **given)
 
 
-def _is_judged(structure: Structure, contact: ContactLaw) -> bool:
-    """Whether curves are judged by exact orbits: with few pairs that have mass, or lips without
-    mass, and a law that these can take. They need no multipliers of waves."""
-    if structure.light_lips or not is_small(structure):  # as it will be reduced
-        return is_piecewise_linear(contact) or is_rigid(contact)
-    return structure.n_pairs <= FEW_PAIRS and is_piecewise_linear(contact)
-
-
-def _judged_later(structure: Structure, contact: ContactLaw, options: Any) -> bool:
-    """Whether verdicts are asked for; the options go on without them where orbits give them."""
-    asked = bool(options.get("stability"))
-    if asked and _is_judged(structure, contact):
-        del options["stability"]
-    return asked
-
-
 def _where(parameter: str, point: CurvePoint, count: int) -> str:
     """A point of a curve in words: load frequency or other parameter, and how many there are."""
     where = f"{point.value:.6g}"
@@ -356,13 +336,11 @@ def _run(
     progress: bool,
     throw: bool,
     again: Callable[[], Continuation | None] | None = None,
-    *,
-    stability: bool,
 ) -> ResponseCurve:
-    """Follow to the end, where the curve comes back to its start from another solution there, and
-    judge the curve."""
+    """Follow to the end, where the curve comes back to its start from another solution there; the
+    curve, judged if that is asked for."""
     begin("")
-    hidden = not progress or growing.curve.structure.whole.comm.rank != 0
+    hidden = not progress or growing.followed.structure.whole.comm.rank != 0
     bar = tqdm(total=100.0, desc="curve", unit="%", disable=hidden, bar_format=BAR)
     try:
         _follow(growing, bar)
@@ -377,9 +355,6 @@ def _run(
     finally:
         bar.close()
     curve = growing.curve
-    if stability and _is_judged(curve.structure, curve.contact):
-        with_mass = not curve.structure.light_lips
-        curve = verified(curve) if with_mass else judge_curve(curve)
     if throw and not curve.complete:
         raise ConvergenceError(
             f"curve in {curve.parameter} from {curve.values[0]:g}: {curve.status} at "
@@ -393,7 +368,7 @@ def _follow(growing: Continuation, bar: Any) -> None:
     if bar.disable:
         growing.run()
         return
-    parameter = growing.curve.parameter
+    parameter = growing.followed.parameter
     for count, point in enumerate(growing, 1):
         bar.set_postfix_str(_where(parameter, point, count), refresh=False)
         bar.update(max(0.0, 100.0 * growing.progress() - bar.n))

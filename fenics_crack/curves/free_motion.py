@@ -65,7 +65,7 @@ class Equilibrium:
         compliance = ModalCompliance(structure, 0.0, np.zeros((1, structure.n_local)))
         search = Search(ROUNDING)
         system = CondensedSystem(compliance, contact_integrals(contact, 0))
-        found = search.penalty(system, system.linear)
+        found = search.penalty(system)
         assert isinstance(found, CondensedPoint)
         if not search.converged:
             raise ConvergenceError(f"equilibrium without load: {search.status}", search.history)

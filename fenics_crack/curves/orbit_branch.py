@@ -24,7 +24,7 @@ Source: Seydel, Practical Bifurcation and Stability Analysis, chapters 4, 5 and 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -35,8 +35,7 @@ import scipy.optimize
 from fenics_crack.balance.bordered import PathPoint, Tangent, step_in_plane, tangent_of
 from fenics_crack.balance.orbits import FlowOrbits, OrbitPoint
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.motion.orbit import eigenvalues
-from fenics_crack.stability.piecewise_flow import doubling_test
+from fenics_crack.motion.orbit import doubling_test, eigenvalues
 
 __all__ = ["KINDS", "Crossing", "Node", "OrbitBranch"]
 
@@ -113,12 +112,15 @@ class Crossing:
         Along the curve, in points.
     located : bool
         Whether all orbits were found that its place needs.
+    orbit : PathPoint or None
+        There, where it is located.
     """
 
     kind: str
     parameter: float
     place: float
     located: bool
+    orbit: PathPoint | None = None
 
 
 class OrbitBranch:
@@ -132,6 +134,10 @@ class OrbitBranch:
         p of the curve's points.
     motions : callable
         x of the motions of points, by their numbers: (m, 2n).
+    every : int
+        Points from one node to the next.
+    known : sequence of Node
+        Some that are known.
 
     Attributes
     ----------
@@ -145,12 +151,13 @@ class OrbitBranch:
         parameters: np.ndarray,
         motions: Callable[[np.ndarray], np.ndarray],
         every: int = EVERY,
+        known: Sequence[Node] = (),
     ) -> None:
         self.system, self._parameters, self._motions = system, parameters, motions
         self._known: dict[int, np.ndarray] = {}
         self._turning = _near_turns(parameters)
         self._given_up: set[tuple[float, float]] = set()
-        self.nodes: list[Node] = []
+        self.nodes: list[Node] = list(known)
         last = len(parameters) - 1
         first = np.unique(np.append(np.arange(0, last, every), last))
         beside = (first[:, None] + [-1, 0, 1]).ravel()
@@ -346,16 +353,17 @@ class OrbitBranch:
 
     # --- bifurcations -----------------------------------------------------------------------------
 
-    def crossings(self) -> list[Crossing]:
-        """The bifurcations, in the order of the branch."""
+    def crossings(self, near: float = 1e-3) -> list[Crossing]:
+        """The bifurcations, in the order of the branch; located to 1e-10 of the parameter, and to a
+        part of a segment."""
         return [
             found
             for first, last in pairwise(self.nodes)
             if last.place - first.place <= EVERY
-            for found in self._on(first, last)
+            for found in self._on(first, last, near)
         ]
 
-    def _on(self, first: Node, last: Node) -> Iterator[Crossing]:
+    def _on(self, first: Node, last: Node, near: float) -> Iterator[Crossing]:
         """Those of a segment."""
         change = np.subtract(last.outside, first.outside)
         if change[0] % 2 == 0 and change[1] % 2 == 0 and change @ (1, 1, 2) == 0:
@@ -363,31 +371,40 @@ class OrbitBranch:
         simple = np.abs(change).sum() == 1
         for kind, step in zip(KINDS, change, strict=True):
             if step % 2 and (simple or kind != "neimark_sacker"):
-                share, parameter, located = self._located(kind, first, last)
+                share, found, located = self._located(kind, first, last, near)
                 place = first.place + share * (last.place - first.place)
-                yield Crossing(kind, parameter, place, located)
+                parameter = 0.5 * (first.parameter + last.parameter)
+                if found is not None:
+                    parameter = found.parameter
+                yield Crossing(kind, parameter, place, located, found if located else None)
 
-    def _located(self, kind: str, first: Node, last: Node) -> tuple[float, float, bool]:
+    def _located(
+        self, kind: str, first: Node, last: Node, near: float
+    ) -> tuple[float, PathPoint | None, bool]:
         """Where a test function vanishes on a segment, and True; where it was smallest, and False,
         where an orbit is missed, or it has one sign, or jumps past zero."""
-        test, met = self._test(kind, first, last), []
+        test = self._test(kind, first, last)
+        met: list[tuple[float, float, PathPoint]] = []
 
         def value(share: float) -> float:
             found = self.between(first, last, share, True)
             if found is None:
                 raise ConvergenceError("no orbit")
             value = test(found)
-            met.append((abs(value), share, found.parameter))
+            met.append((abs(value), share, found))
             return value
 
         rise = abs(last.parameter - first.parameter) / max(abs(first.parameter), 1e-300)
         try:
-            scipy.optimize.brentq(value, 0.0, 1.0, xtol=min(1e-3, 1e-10 / max(rise, 1e-10)))
+            scipy.optimize.brentq(value, 0.0, 1.0, xtol=min(near, 1e-10 / max(rise, 1e-10)))
+            sizes = [size for size, _, _ in met]
+            smooth = min(sizes) <= SMOOTH * max(sizes)
         except (ConvergenceError, ValueError):
-            if not met:
-                return 0.5, 0.5 * (first.parameter + last.parameter), False
-            return (*min(met)[1:], False)
-        return (*min(met)[1:], min(met)[0] <= SMOOTH * max(met)[0])
+            smooth = False
+        if not met:
+            return 0.5, None, False
+        _, share, found = min(met, key=lambda one: one[0])
+        return share, found, smooth
 
     def _test(self, kind: str, first: Node, last: Node) -> Callable[[PathPoint], float]:
         """A function that changes its sign at a bifurcation on a segment."""

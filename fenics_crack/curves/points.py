@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from fenics_crack.balance.fourier import resized
-from fenics_crack.stability.piecewise_flow import LeadingMultiplier
 
 __all__ = ["CurvePoint", "Points"]
 
@@ -28,8 +27,6 @@ class CurvePoint:
         Newton iterations.
     truncation : float
         Estimated error of the harmonics left out, or nan where it was not estimated.
-    multiplier : LeadingMultiplier or None
-        The Floquet multiplier of largest modulus; with ``stability=True``.
     bifurcations : tuple of (str, float)
         Kinds and parameters of the special points since the point before.
     """
@@ -39,7 +36,6 @@ class CurvePoint:
     unknown: np.ndarray
     iterations: int
     truncation: float = math.nan
-    multiplier: LeadingMultiplier | None = None
     bifurcations: tuple[tuple[str, float], ...] = ()
 
 
@@ -48,8 +44,8 @@ class Points:
 
     Attributes
     ----------
-    values, omega, iterations, truncation, multipliers : lists
-        As those of :class:`CurvePoint`; multipliers only where they are known.
+    values, omega, iterations, truncation : lists
+        As those of :class:`CurvePoint`.
     """
 
     def __init__(self) -> None:
@@ -57,7 +53,6 @@ class Points:
         self.omega: list[float] = []
         self.iterations: list[int] = []
         self.truncation: list[float] = []
-        self.multipliers: list[LeadingMultiplier] = []
         self._unknowns: list[np.ndarray] = []  # each of some points: (n, 2H+1, n_pairs)
         self._last: CurvePoint | None = None
 
@@ -71,8 +66,6 @@ class Points:
         self.iterations.append(point.iterations)
         self.truncation.append(point.truncation)
         self._unknowns.append(point.unknown[None])
-        if point.multiplier is not None:
-            self.multipliers.append(point.multiplier)
         self._last = point
 
     def extend(

@@ -24,8 +24,9 @@ from fenics_crack.balance.family import FrequencyFamily
 from fenics_crack.balance.fourier import from_complex, to_complex
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.rounding import least_residual
-from fenics_crack.curves.bifurcations import attainable, flow_of
+from fenics_crack.curves.bifurcations import attainable
 from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.curves.exact import verified
 from fenics_crack.errors import ConvergenceError, InputError, check_count
 from fenics_crack.model.contact import repeated
 from fenics_crack.model.modal import all_modes
@@ -53,10 +54,7 @@ def filled(curve: ResponseCurve) -> ResponseCurve:
 
 
 def refine_curve(curve: ResponseCurve, between: int | None = None) -> ResponseCurve:
-    """Return a curve in frequency with more points between each two.
-
-    New points have the multipliers of the truncated equations: a curve that was judged by exact
-    orbits (:func:`judge_curve`) is to be judged again.
+    """Return a curve in frequency with more points between each two; judged if it was.
 
     Parameters
     ----------
@@ -263,15 +261,7 @@ def _merged(
         return np.concatenate([old, new])[order]
 
     omega = both(curve.omega, omegas[good])
-    multipliers = curve.multipliers
-    if multipliers is not None:
-        flow = flow_of(curve.problem)
-        more = [
-            flow.leading(unknown[: 2 * count + 1], at / curve.subharmonic).value
-            for unknown, count, at in zip(unknowns[good], counts[good], omegas[good], strict=True)
-        ]
-        multipliers = both(multipliers, np.array(more))
-    return replace(
+    merged = replace(
         curve,
         values=omega,
         omega=omega,
@@ -279,6 +269,7 @@ def _merged(
         harmonics=both(curve.harmonics, counts[good]),
         iterations=both(curve.iterations, iterations[good]),
         truncation=both(curve.truncation, np.full(good.sum(), np.nan)),
-        multipliers=multipliers,
+        multipliers=None,
         undecided=None,
     )
+    return merged if curve.multipliers is None else verified(merged)

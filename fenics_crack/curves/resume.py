@@ -17,7 +17,7 @@ from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
 
-__all__ = ["check_resumed", "directions", "point_towards", "same_problem"]
+__all__ = ["check_resumed", "chord", "directions", "point_towards", "same_problem"]
 
 UNFINISHED = "a ResponseCurve that is not complete"
 
@@ -58,9 +58,9 @@ def directions(family: Family, curve: ResponseCurve) -> tuple[Tangent | None, Pa
     """
     if len(curve) < 2:
         return None, None
-    towards, origin = _chord(family, curve, -2, -1), None
+    towards, origin = chord(family, curve, -2, -1), None
     if len(curve.unknown(0)) == len(curve.unknown(-1)):
-        away = _chord(family, curve, 0, 1)
+        away = chord(family, curve, 0, 1)
         origin = point_towards(family, curve.unknown(0), float(curve.values[0]), away)
     return towards, origin
 
@@ -76,7 +76,7 @@ def point_towards(
     return PathPoint(unknown, parameter, 0, tangent)
 
 
-def _chord(family: Family, curve: ResponseCurve, first: int, second: int) -> Tangent:
+def chord(family: Family, curve: ResponseCurve, first: int, second: int) -> Tangent:
     """From one point of a curve to another."""
     after = curve.unknown(second)
     before = resized(curve.unknown(first), len(after) // 2)

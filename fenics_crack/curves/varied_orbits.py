@@ -6,7 +6,7 @@ import numpy as np
 
 from fenics_crack.balance.family import Family
 from fenics_crack.balance.orbits import FlowOrbits, OrbitPoint
-from fenics_crack.motion.flow import ContactFlow, Motion, exact_flow
+from fenics_crack.motion.flow import Budget, ContactFlow, Motion, exact_flow
 
 __all__ = ["VariedOrbits"]
 
@@ -17,11 +17,14 @@ DIFFERENCE = 1e-6
 class VariedOrbits(FlowOrbits):
     """F(x, p) of the exact flows along a family, p its parameter; x in the modes of p = 0."""
 
-    def __init__(self, family: Family, displacement: np.ndarray, velocity: np.ndarray) -> None:
+    def __init__(
+        self, family: Family, displacement: np.ndarray, velocity: np.ndarray, budget: Budget
+    ) -> None:
         self._family = family
         first = family.at(family.start)
         flow = exact_flow(first.structure, first.contact)
-        super().__init__(flow, first.omega, flow.state(displacement, velocity), first.subharmonic)
+        state = flow.state(displacement, velocity)
+        super().__init__(flow, first.omega, state, first.subharmonic, budget)
         self._there = 0.0, flow, np.eye(flow.size)
 
     def _at(self, parameter: float) -> tuple[ContactFlow, np.ndarray]:
@@ -37,7 +40,8 @@ class VariedOrbits(FlowOrbits):
         flow, change = self._at(parameter)
         omega = self._family.omega(self._family.value(parameter))
         period = 2.0 * np.pi * self.subharmonic / omega
-        return flow.advance(change @ self.state(unknown), omega, period, instants=instants * period)
+        state = change @ self.state(unknown)
+        return flow.advance(state, omega, period, instants=instants * period, budget=self.budget)
 
     def moved(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
         motion = self._motion(unknown, parameter, np.zeros(0))

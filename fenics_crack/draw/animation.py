@@ -42,8 +42,14 @@ SECONDS = 3.0
 """Duration of the animation."""
 TINT = "#f5d6c1"
 """Background of the wave while the lips touch: light orange."""
+PAGE = (640, 740)
+"""Width and height [pixels]."""
 PLATE = (0.01, 0.275, 0.83, 0.60)
 """Its place on the page: left, bottom, width, height."""
+FINER = 2
+"""Pixels of the plate's drawing for one of the page, each way, which smooths it."""
+BESIDE = 20
+"""Pixels of the page beside the moving plate, for dots and arrows."""
 INK = {"lips": "#000000", "contact": COLOURS["orange"], "load": COLOURS["pink"], "rest": "#8a8a8a"}
 
 
@@ -146,7 +152,7 @@ class _Plate:
     """The plate in a plotter, to be moved from frame to frame."""
 
     def __init__(self, plotter: Any, fields: PeriodFields) -> None:
-        self.fields, self.plotter = fields, plotter
+        self.fields = fields
         self.colours = _Colours(fields)
         mesh = fields.mesh
         self.height = 1e-3 * mesh.size  # of lines above the plate
@@ -164,6 +170,12 @@ class _Plate:
         clamped = mesh.boundary[mesh.clamped[mesh.boundary].all(axis=1)]
         if len(clamped):
             add(edge_lines(mesh, clamped, height=self.height), color=INK["rest"], line_width=9)
+        dots = {"style": "points", "point_size": 16, "render_points_as_spheres": True}
+        self.marks = {}
+        for name, options in (("contact", dots), ("load", {})):
+            mark = pyvista.PolyData(np.zeros((1, 3)))
+            self.marks[name] = mark, add(mark, color=INK[name], **options)
+        self.starts, self.arrows = _load_arrows(fields)
         plotter.view_xy()
         plotter.enable_parallel_projection()
 
@@ -173,21 +185,28 @@ class _Plate:
         self.surface.copy_from(self._surface(frame))
         for edges, line in self.lines:
             line.copy_from(edge_lines(mesh, edges, displacement, self.height))
-        self.plotter.remove_actor(("contact", "load"), render=False)
-        flat: dict[str, Any] = {"lighting": False, "reset_camera": False, "render": False}
         closed = np.flatnonzero(self.fields.force[frame] > 0.0)
+        dots = None
         if len(closed):
             nodes = self.fields.pair_nodes[:, closed]
             middle = nodes.T @ (mesh.points + displacement) / nodes.sum(axis=0)[:, None]
             above = np.pad(middle, ((0, 0), (0, 1)), constant_values=2.0 * self.height)
-            dots = {"point_size": 16, "render_points_as_spheres": True}
-            self.plotter.add_points(above, name="contact", color=INK["contact"], **dots, **flat)
-        start, arrow = _load_arrow(self.fields, frame)
+            dots = pyvista.PolyData(above)
+        self._mark("contact", dots)
+        start, arrow = self.starts[frame], self.arrows[frame]
+        head = None
         if np.any(arrow):
             place = {"start": (*start, 2.0 * self.height), "direction": (*arrow, 0.0)}
             form = {"tip_length": 0.45, "tip_radius": 0.16, "shaft_radius": 0.055, "scale": "auto"}
             head = pyvista.Arrow(**place, **form)
-            self.plotter.add_mesh(head, name="load", color=INK["load"], **flat)
+        self._mark("load", head)
+
+    def _mark(self, name: str, mesh: pyvista.PolyData | None) -> None:
+        """Show a mark in another form, or not at all."""
+        shown, actor = self.marks[name]
+        actor.SetVisibility(mesh is not None)
+        if mesh is not None:
+            shown.copy_from(mesh)
 
     def _surface(self, frame: int) -> Any:
         grid = moved_grid(self.fields.mesh, self.fields.shown(frame))
@@ -195,18 +214,18 @@ class _Plate:
         return grid.extract_surface(algorithm=None)
 
 
-def _load_arrow(fields: PeriodFields, frame: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where the load acts on the magnified plate and an arrow along it, both (2,) [m].
+def _load_arrows(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
+    """Where the load acts on the magnified plate and arrows along it, both (n, 2) [m].
 
-    The arrow is an eighth of the plate long where the load is largest in the period.
+    The longest arrow is an eighth of the plate.
     """
     total = fields.load.sum(axis=1)
     share = np.abs(fields.load).sum(axis=(0, 2))
     largest = np.linalg.norm(total, axis=1).max()
     if largest == 0.0:
-        return np.zeros(2), np.zeros(2)
-    places = fields.mesh.points + fields.shown(frame)
-    return share @ places / share.sum(), fields.mesh.size / 8.0 * total[frame] / largest
+        return np.zeros_like(total), np.zeros_like(total)
+    places = fields.mesh.points + fields.magnification * fields.displacement
+    return share @ places / share.sum(), fields.mesh.size / 8.0 * total / largest
 
 
 def _with_slider(plotter: Any, solution: PeriodicSolution, fields: PeriodFields) -> Any:
@@ -276,7 +295,7 @@ def _caption(solution: PeriodicSolution, fields: PeriodFields) -> str:
 
 def _write(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> None:
     """Draw all frames and write the GIF."""
-    plotter = off_screen_plotter(window_size=(1200, 1040))
+    plotter = off_screen_plotter(window_size=_window(fields))
     plotter.render_window.SetMultiSamples(0)  # the page shrinks what it draws, which smooths it
     plate = _Plate(plotter, fields)
     _look_at_all(plotter, fields)
@@ -311,15 +330,28 @@ def _palette(colours: _Colours) -> Image.Image:
     return palette
 
 
-def _look_at_all(plotter: Any, fields: PeriodFields, room: float = 1.03) -> None:
-    """Set the camera so that the plate stays in the picture for the whole period."""
+def _window(fields: PeriodFields) -> tuple[int, int]:
+    """Width and height of the plate's drawing [pixels]: no more than it needs of its place."""
+    low, high = _reach(fields)
+    room = np.multiply(PLATE[2:], PAGE)
+    needed = (high - low) * min((room - 2 * BESIDE) / (high - low)) + 2 * BESIDE
+    width, height = FINER * np.floor(needed).astype(int)
+    return int(width), int(height)
+
+
+def _reach(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
+    """The corners (2,) of what the plate and its load cover in the whole period [m]."""
     moved = fields.mesh.points + fields.magnification * fields.displacement
     every = [fields.mesh.points, *moved]
     if np.any(fields.load):
-        frames = range(len(fields.time))
-        every.append(np.array([np.sum(_load_arrow(fields, frame), axis=0) for frame in frames]))
-    points, size, camera = np.concatenate(every), fields.mesh.size, plotter.camera
-    low, high = points.min(axis=0), points.max(axis=0)
+        every.append(np.add(*_load_arrows(fields)))
+    points = np.concatenate(every)
+    return points.min(axis=0), points.max(axis=0)
+
+
+def _look_at_all(plotter: Any, fields: PeriodFields, room: float = 1.03) -> None:
+    """Set the camera so that the plate stays in the picture for the whole period."""
+    (low, high), size, camera = _reach(fields), fields.mesh.size, plotter.camera
     width, height = plotter.window_size
     middle = 0.5 * (low + high)
     camera.focal_point, camera.position = (*middle, 0.0), (*middle, 10.0 * size)
@@ -341,7 +373,7 @@ class _Page:
 
     def __init__(self, solution: PeriodicSolution, fields: PeriodFields, colours: _Colours) -> None:
         self.loads = fields.time * solution.omega / (2.0 * np.pi)
-        self.figure = Figure(figsize=(6.4, 7.4), dpi=100, facecolor="white")
+        self.figure = Figure(figsize=np.divide(PAGE, 100), dpi=100, facecolor="white")
         self.canvas = FigureCanvasAgg(self.figure)
         title = "Breathing crack" if len(fields.mesh.lips) else "Vibrating plate"
         centred = {"ha": "center", "va": "center"}
@@ -364,12 +396,10 @@ class _Page:
         for artist in (self.line, self.dot, self.text):
             self.figure.draw_artist(artist)
         page = Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3].copy())
-        left, bottom, wide, high = np.array(PLATE) * np.tile(page.size, 2)
-        share = min(wide / plate.shape[1], high / plate.shape[0])
-        size = round(share * plate.shape[1]), round(share * plate.shape[0])
-        small = Image.fromarray(plate).resize(size, Image.Resampling.HAMMING)
-        middle = left + 0.5 * wide, page.size[1] - bottom - 0.5 * high
-        page.paste(small, (round(middle[0] - 0.5 * size[0]), round(middle[1] - 0.5 * size[1])))
+        left, bottom, wide, high = np.array(PLATE) * np.tile(PAGE, 2)
+        small = Image.fromarray(plate).reduce(FINER)
+        middle = left + 0.5 * wide, PAGE[1] - bottom - 0.5 * high
+        page.paste(small, (round(middle[0] - small.width / 2), round(middle[1] - small.height / 2)))
         return page
 
     def _legend(self, fields: PeriodFields) -> None:

@@ -20,7 +20,7 @@ from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
-from matplotlib.ticker import Formatter, FuncFormatter, LogFormatter
+from matplotlib.ticker import Formatter, FuncFormatter, LogFormatter, NullLocator
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError
@@ -110,6 +110,7 @@ def label_axis(axis: Axis, quantity: str, unit: str) -> None:
     if axis.get_scale() != "log":
         axis.set_major_formatter(FuncFormatter(lambda x, _: _plain(round(factor * x, 12))))
     elif high > MANY * low:
+        axis.set_minor_locator(NullLocator())
         axis.set_major_formatter(FuncFormatter(lambda x, _: _power(factor * x)))
     else:  # few decades: labels within them, too
         axis.set_major_formatter(_Decades(factor))

@@ -135,7 +135,7 @@ class PeriodFields:
     def stress(self) -> np.ndarray:
         """Stresses xx, yy, xy: (n, n_nodes, 3) [Pa]."""
         assert self.material is not None
-        return np.array([nodal_stress(self.mesh, u, self.material) for u in self.displacement])
+        return nodal_stress(self.mesh, self.displacement, self.material)
 
     def grid(self, frame: int) -> pyvista.UnstructuredGrid:
         """The magnified mesh of a frame with the point fields of :func:`write_period`."""
@@ -157,11 +157,13 @@ class PeriodFields:
 
 
 def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) -> np.ndarray:
-    """Plane stresses xx, yy, xy of nodal displacements (n_nodes, 2) [m]: (n_nodes, 3) [Pa]."""
-    grid = moved_grid(mesh)
-    grid["displacement"] = np.pad(displacement, ((0, 0), (0, 1)))
-    gradient = grid.compute_derivative("displacement", gradient="gradient")["gradient"]
-    strain = np.column_stack([gradient[:, 0], gradient[:, 4], gradient[:, 1] + gradient[:, 3]])
+    """Plane stresses xx, yy, xy of nodal displacements (..., n_nodes, 2) [m]: (..., n_nodes, 3)
+    [Pa]; of many at once, as they are components of one field."""
+    columns, grid = np.moveaxis(displacement, -2, 0), moved_grid(mesh)
+    grid["displacement"] = columns.reshape(len(columns), -1)
+    found = grid.compute_derivative("displacement", gradient="gradient")["gradient"]
+    slope = np.moveaxis(found.reshape(*columns.shape, 3), 0, -3)
+    strain = np.stack([slope[..., 0, 0], slope[..., 1, 1], slope[..., 0, 1] + slope[..., 1, 0]], -1)
     nu = material.poisson
     plane = np.array([[1.0, nu, 0.0], [nu, 1.0, 0.0], [0.0, 0.0, 0.5 * (1.0 - nu)]])
     return strain @ (material.young / (1.0 - nu**2) * plane)

@@ -9,11 +9,9 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.signal import find_peaks
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.curves.curve import ResponseCurve, parameter_axis
-from fenics_crack.curves.estimates import displacement_errors
 from fenics_crack.curves.refine import filled
 from fenics_crack.draw.figure import COLOURS, FIRST, finish, label_axis, make_axes
 from fenics_crack.errors import InputError
@@ -104,7 +102,7 @@ def _draw_parts(
     """Draw the parts of a curve by their stability and estimated error."""
     known = curve.multipliers is not None
     states = curve.verdicts if known else np.full(len(x), "stable")
-    inexact = displacement_errors(curve) > LARGE_ERROR
+    inexact = curve.displacement_errors > LARGE_ERROR
     if label:
         axes.plot([], [], color=ink, lw=1.8, label=label, gid=FIRST)
     for state, style in STYLES.items():
@@ -179,6 +177,8 @@ def _mark_superharmonics(
     axes: Axes, curve: ResponseCurve, dof: int, amplitude: np.ndarray, factor: float
 ) -> None:
     """Write at each peak the order of its largest harmonic, if that is above the load's."""
+    from scipy.signal import find_peaks  # takes as long to load as matplotlib
+
     style = {"ha": "center", "fontsize": 8, "color": COLOURS["grey"]}
     peaks, _ = find_peaks(np.log10(np.maximum(amplitude, 1e-300)), prominence=0.05)
     for peak, sizes in zip(peaks, _harmonic_amplitudes(curve, dof)[peaks], strict=True):

@@ -21,10 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.errors import InputError
+from fenics_crack.errors import FEW_MODES, InputError
 from fenics_crack.identification.interpolation import Cube
 from fenics_crack.identification.measurements import Measurement
-from fenics_crack.model.bilinear import FEW
 from fenics_crack.scene.scene import Scene
 from fenics_crack.sweep.file import CONVERGED, ORDERS
 from fenics_crack.sweep.result import SweepResult
@@ -93,7 +92,7 @@ class Part:
     def basis(self) -> np.ndarray:
         """Root of s, and the bilinear frequencies [Hz], which :meth:`Feature.scale` needs, at all
         nodes: (n, 1 + modes); 1 for s without a crack, nan where there is no frequency."""
-        modes = range(1, FEW + 1)
+        modes = range(1, FEW_MODES + 1)
         tied, opened = (
             np.stack([self.natural(lips, mode) for mode in modes], axis=1)
             for lips in ("tied", "open")

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
-from fenics_crack.errors import InputError, check_count, check_number, reading
-from fenics_crack.model.bilinear import FEW
+from fenics_crack.errors import FEW_MODES, InputError, check_count, check_number, reading
 from fenics_crack.outside import text_of
 from fenics_crack.scene.fields import LARGEST, OR_ZERO, SMALLEST
 from fenics_crack.table import Tabular, counted
@@ -86,9 +85,9 @@ class Measurement:
         check_number("measurements.value", self.value, -math.inf if at_probe else 0.0)
         check_number("measurements.deviation", self.deviation, 0.0, above=True)
         if self.natural:
-            whole = isinstance(self.mode, int) and 1 <= self.mode <= FEW
+            whole = isinstance(self.mode, int) and 1 <= self.mode <= FEW_MODES
             if not whole:
-                allowed = f"a whole number from 1 to {FEW} with {self.quantity}"
+                allowed = f"a whole number from 1 to {FEW_MODES} with {self.quantity}"
                 raise InputError("measurements.mode", self.mode, allowed)
             if not math.isnan(self.frequency) or self.point:
                 key = "point" if self.point else "frequency"

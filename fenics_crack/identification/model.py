@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from fenics_crack.errors import FEW_MODES
 from fenics_crack.identification.features import Feature, Part
 from fenics_crack.identification.interpolation import Interpolation
 from fenics_crack.identification.measurements import Measurement
 from fenics_crack.identification.probes import Passages
-from fenics_crack.model.bilinear import FEW
 from fenics_crack.scene.scene import Scene
 
 __all__ = ["Model", "Prediction", "Quantities"]
@@ -74,7 +74,7 @@ class Model:
         """What might be measured: natural frequencies, and ratios of harmonics at the points and
         load frequencies of the sweep."""
         kinds = [f"frequency_{lips}" for lips in ("open", "tied", "resonance")]
-        rows = [Measurement(k, 1.0, 1.0, mode=mode + 1) for k in kinds for mode in range(FEW)]
+        rows = [Measurement(k, 1.0, 1.0, mode=mode + 1) for k in kinds for mode in range(FEW_MODES)]
         sweep, ratios = self.coarse.sweep, ("ratio_2_1", "ratio_3_1")
         seen = ["", *sweep.scene.point_names]
         for load, point, ratio in itertools.product(sweep.axes[-1].values, seen, ratios):

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import write
@@ -96,7 +96,7 @@ class Identification(Tabular):
         likelihood, x = self._branch.likelihood, self.posterior.best[1][None]
         total = float(np.sum(likelihood.whitened(x)[0] ** 2))
         count = len(likelihood.values) - likelihood.quantities(x).free.shape[2]
-        return total, float(chi2.sf(total, max(count, 1)))
+        return total, float(chdtrc(max(count, 1), total))
 
     @property
     def alternatives(self) -> list[tuple[dict[str, Any], float]]:

@@ -81,22 +81,11 @@ static int set_parameter(point *at, double parameter)
     return 0;
 }
 
-/* R_k, or from harmonic `above` on p R_k. */
-static const double *share_of_compliance(point *at)
-{
-    const int above = at->of.above, block = 2 * at->of.pairs * at->of.pairs;
-    if (!above) return at->of.compliance;
-    for (int i = 0; i < (at->of.harmonics + 1) * block && !at->formed; i++)
-        at->compliance[i] = (i < above * block ? 1.0 : at->parameter) * at->of.compliance[i];
-    at->formed = 1;
-    return at->compliance;
-}
-
 /* R at the parameter: R_k = P^T (h_k P). */
 static const double *compliance_of(point *at)
 {
     const int pairs = at->of.pairs, modes = at->of.modes;
-    if (!modes) return share_of_compliance(at);
+    if (!modes) return at->of.compliance;
     for (int k = 0; k <= at->of.harmonics && !at->formed; k++) {
         const double *h = at->receptance + 2 * k * modes, *shape = at->of.shapes;
         double *block = at->compliance + 2 * (size_t)k * pairs * pairs, *scaled = at->scaled;
@@ -279,10 +268,6 @@ static void by_parameter(equations *own, double *found)
         respond(of->harmonics, pairs, compliance_of(at), at->force, at->change);
         for (int i = 0; i < at->unknowns; i++) found[i] += of->growth * at->change[i];
     }
-    if (of->above) { /* R b from there on */
-        respond(of->harmonics, pairs, of->compliance, at->force, at->change);
-        for (int i = (2 * of->above - 1) * pairs; i < at->unknowns; i++) found[i] += at->change[i];
-    }
     if (!modes || (of->omega_rate == 0.0 && of->damping_rate == 0.0)) return;
     /* - P^T h_k (dZ_k/dp) h_k (P b - l), with dZ_kj/dp = -2 k^2 w w' + i k (w' d + w d') c_j. */
     for (int k = 0; k <= of->harmonics; k++) {
@@ -312,7 +297,7 @@ point *new_point(const condensed *given)
     at->own = (equations){(int)n,        evaluate,    residual_at,  solve,          by_parameter,
                           determinant_sign, has_factors, solve_nearly, apply_jacobian};
     at->waves = room(2 * H * (cells / 4 + 1)), at->stiffness = room(p);
-    at->compliance = room(m || given->above ? 2 * (H + 1) * p * p : 0), at->linear = room(n);
+    at->compliance = room(m ? 2 * (H + 1) * p * p : 0), at->linear = room(n);
     at->receptance = room(2 * (H + 1) * m), at->loads = room(rows * m), at->across = room(m * p);
     at->drive = room(rows * m), at->answer = room(rows * m), at->other = room(rows * m);
     at->rates = room(2 * (H + 1) * m), at->scaled = room(2 * m * p), at->change = room(n);

@@ -10,7 +10,6 @@
  *
  *     k(p)     = k e^{growth p},
  *     R_k(p)   = R_k,  or  P^T h_k P            with h_kj = 1 / (s_j - (k w)^2 + i k w d c_j),
- *                or for k >= above > 0  p R_k,
  *     g_lin(p) = linear + p linear_rate  +  P^T h_k l_k,
  *     w(p)     = omega + p omega_rate,          d(p) = damping + p damping_rate.
  *
@@ -18,7 +17,7 @@
  * the other. All arrays are the caller's, and stay.
  */
 typedef struct {
-    int harmonics, pairs, modes, above;       /* 0 modes where R is given; above: then only */
+    int harmonics, pairs, modes;              /* 0 modes where R is given */
     double growth;
     const double *stiffness;                  /* k: (pairs) */
     const double *linear, *linear_rate;       /* (2H+1, pairs) */

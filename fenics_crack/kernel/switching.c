@@ -1,4 +1,12 @@
-/* Certified switching instants: fenics_crack/balance/switching.py says why it is done so. */
+/* Certified switching instants, every sign change of real trigonometric polynomials.
+ *
+ * A grid alone misses pairs of roots between its points, where a pair of lips only grazes. Here a
+ * cell [a, a + w] is settled by a bound or not at all. With |g''| <= M = sum_k k^2 (|a_k| + |b_k|),
+ *
+ * - equal signs and min(|g(a)|, |g(a + w)|) > M w^2 / 8: no root, g lies that close to its chord;
+ * - opposite signs and |g(a + w) - g(a)| > M w^2 / 2: one root, g' keeps its sign;
+ * - else the cell is divided, until all that could be missed is an excursion below 1e-14 times the
+ *   largest |g|. */
 #include "switching.h"
 
 #include <math.h>
@@ -207,8 +215,10 @@ int switching_instants(int harmonics, int pairs, const double *gap, const double
     return failed ? -1 : count;
 }
 
-int closed_means(int harmonics, int pairs, const double *gap, const double *waves, int highest,
-                 double *means)
+/* Means of exp(i m theta), m = 0 to highest, over the closed part of the period: complex numbers
+ * (pairs, highest + 1). Returns -1 without memory. */
+static int closed_means(int harmonics, int pairs, const double *gap, const double *waves,
+                        int highest, double *means)
 {
     search s;
     const int failed = prepare(&s, harmonics, pairs);

@@ -19,11 +19,6 @@ void switching_waves(int harmonics, double *waves);
 int switching_instants(int harmonics, int pairs, const double *gap, const double *waves, int room,
                        double *theta, double *closing, signed char *closed);
 
-/* Means of exp(i m theta), m = 0 to highest, over the closed part of the period: complex numbers
- * (pairs, highest + 1). Returns -1 without memory. */
-int closed_means(int harmonics, int pairs, const double *gap, const double *waves, int highest,
-                 double *means);
-
 /* Coefficients of the forces k max(g, 0), (2H+1, pairs), and their derivative by the gap's
  * coefficients, (pairs, 2H+1, 2H+1). stiffness: (pairs); means: room for (pairs, 2H+1) complex
  * numbers. Returns -1 without memory. */

@@ -16,14 +16,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from fenics_crack.errors import FEW_MODES
 from fenics_crack.model.modes import n_tied_modes, solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.table import Tabular, counted
 
-__all__ = ["FEW", "BilinearFrequencies", "bilinear_frequencies", "tied_frequencies"]
-
-FEW = 6
-"""Lowest modes that are looked at."""
+__all__ = ["BilinearFrequencies", "bilinear_frequencies", "tied_frequencies"]
 
 
 @dataclass(frozen=True, repr=False)
@@ -105,7 +103,7 @@ def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
 
 
 def _bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
-    count = min(FEW, structure.n_modes)
+    count = min(FEW_MODES, structure.n_modes)
     return BilinearFrequencies(
         solve_modes(structure, count).omega, tied_frequencies(structure, count)
     )

@@ -48,7 +48,7 @@ from fenics_crack.model.coupled import ActiveSets
 from fenics_crack.model.modal import AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
 
-__all__ = ["ExponentialFlow", "Steps"]
+__all__ = ["ExponentialFlow", "Steps", "transition"]
 
 
 class ExponentialFlow:
@@ -107,7 +107,7 @@ class ExponentialFlow:
         """Everything that depends on the length of a step."""
         modes, (count, pairs) = self.modes, self.modes.pairs.shape
         self.step_size = h = 2.0 * np.pi / self.omega / self.steps
-        moved, held = _transition(modes, h)
+        moved, held = transition(modes, h)
         pushed = 0.5 * held  # Gamma
         self.gap_rows = np.hstack([modes.pairs.T, np.zeros((pairs, count))])
         moved_gap = modes.pairs.T @ pushed[:count]
@@ -229,7 +229,7 @@ class Steps:
         return self._flow.tangent(self.closed)
 
 
-def _transition(modes: AllModes, h: float) -> tuple[np.ndarray, np.ndarray]:
+def transition(modes: AllModes, h: float) -> tuple[np.ndarray, np.ndarray]:
     """E, and the response to unit forces on the pairs that are held over the step (2n, n_pairs).
 
     Where damping leaves the modes uncoupled E is given by the diagonals of its blocks, (4, n),

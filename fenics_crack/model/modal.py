@@ -15,7 +15,7 @@ from fenics_crack.model.reduced import MasslessStructure, massless
 from fenics_crack.model.run_up import RunUpStructure
 from fenics_crack.model.structure import Structure
 
-__all__ = ["SMALL", "AllModes", "all_modes", "between_pairs", "flow_matrix", "is_small"]
+__all__ = ["SMALL", "AllModes", "all_modes", "is_small"]
 
 NUDGE = 1e-10
 """Of the square of a frequency, by which an undamped resonance without load is avoided."""
@@ -260,22 +260,3 @@ def _in_modes(structure: Structure, squares: np.ndarray, shapes: np.ndarray) -> 
 def _dense(matrix: Any) -> np.ndarray:
     """A PETSc matrix on one rank as an array."""
     return np.asarray(matrix.getValues(range(matrix.size[0]), range(matrix.size[1])))
-
-
-def between_pairs(modes: AllModes, stiffness: np.ndarray) -> np.ndarray:
-    """Phi^T B k B^T Phi of contact springs on the pairs, (n_pairs,), or a matrix of springs between
-    them: (n, n)."""
-    if stiffness.ndim == 1:
-        return (modes.pairs * stiffness) @ modes.pairs.T
-    return modes.pairs @ stiffness @ modes.pairs.T
-
-
-def flow_matrix(modes: AllModes, stiffness: np.ndarray, scale: float) -> np.ndarray:
-    """A of z' = A z, z = (s q, q'), with contact springs as in :func:`between_pairs`: (2n, 2n)."""
-    count = len(modes.squares)
-    matrix = np.zeros((2 * count, 2 * count))
-    matrix[:count, count:] = scale * np.eye(count)
-    contact = between_pairs(modes, stiffness)
-    matrix[count:, :count] = -(np.diag(modes.squares) + contact) / scale
-    matrix[count:, count:] = -(np.diag(modes.damping) if modes.damping.ndim == 1 else modes.damping)
-    return matrix

@@ -34,8 +34,8 @@ from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples
 from fenics_crack.table import Described, counted
 
 __all__ = [
-    "INSTANTS", "OrbitCoefficients", "PeriodicOrbit", "Prediction", "eigenvalues", "find_orbit",
-    "predict",
+    "INSTANTS", "PIECES", "OrbitCoefficients", "PeriodicOrbit", "Prediction", "doubling_test",
+    "eigenvalues", "find_orbit", "predict",
 ]  # fmt: skip
 
 FLOWS, SHORTEST = 20, 1e-3
@@ -126,8 +126,7 @@ class PeriodicOrbit(Described):
     @cached_property
     def multipliers(self) -> np.ndarray:
         """Floquet multipliers, largest modulus first: (2 n_modes,) complex."""
-        values = eigenvalues(self.monodromy)
-        return values[np.argsort(-np.abs(values), kind="stable")]
+        return eigenvalues(self.monodromy)
 
     def by_omega(self) -> np.ndarray:
         """d(z(T) - z(0)) / d omega with z(0) held: (2 n_modes,)."""
@@ -344,12 +343,18 @@ def _goes_on(before: float, after: float, goal: float) -> bool:
 
 
 def eigenvalues(matrix: np.ndarray) -> np.ndarray:
-    """All of a monodromy matrix; straight from LAPACK, for small matrices a tenth of NumPy's
-    time."""
+    """All of a monodromy matrix, largest modulus first; straight from LAPACK, for small matrices a
+    tenth of NumPy's time."""
     if not np.isfinite(matrix).all():
         raise np.linalg.LinAlgError("the monodromy matrix is not finite")
     real, imaginary, _, _, info = dgeev(matrix, compute_vl=0, compute_vr=0)
     if info:
         raise np.linalg.LinAlgError("eigenvalues of the monodromy matrix do not converge")
     found: np.ndarray = real + 1j * imaginary
-    return found
+    return found[np.argsort(-np.abs(found), kind="stable")]
+
+
+def doubling_test(monodromy: np.ndarray) -> float:
+    """det(I + M): changes its sign where a multiplier passes through -1."""
+    sign, logarithm = np.linalg.slogdet(np.eye(len(monodromy)) + monodromy)
+    return float(sign * np.exp(min(logarithm, 500.0)))

@@ -252,6 +252,12 @@ class Scene:
         """Whether there is a load beside the force at ``excitation.point``."""
         return bool(self.loads) or self.base is not None or self.structure is not None
 
+    def given(self, name: str) -> Any:
+        """A table that a command cannot do without; InputError where there is none."""
+        if getattr(self, name) is None:
+            raise InputError(name, None, "given for this command: a table")
+        return getattr(self, name)
+
     @property
     def speed(self) -> float:
         """Of the rotor [rad/s]; 0 where there is none."""

@@ -17,18 +17,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from fenics_crack.balance.exact_orbits import FEW_PAIRS
 from fenics_crack.balance.judgement import BELIEVED, UNKNOWN, Judgement
 from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.balance.solution import PeriodicSolution, Stability
-from fenics_crack.errors import InputError
+from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import ContactLaw, check_law
-from fenics_crack.model.modal import is_small
+from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit, eigenvalues
 from fenics_crack.stability.hill import hill_root
-from fenics_crack.stability.piecewise_flow import PiecewiseFlow
-from fenics_crack.stability.shooting import CLOSE, leaves, moving_below
+from fenics_crack.stability.linear_flow import monodromy
+from fenics_crack.stability.shooting import CLOSE, attract_little, leaves
 
 __all__ = ["Stability", "floquet"]
 
@@ -106,10 +105,8 @@ def _by_orbit(judged: Judgement) -> Stability:
 
 def _doubt(orbit: PeriodicOrbit, judged: Judgement) -> str:
     """What speaks against the stability of a stable orbit next to a wave, "" if nothing does: that
-    the motion from there leaves it, or a pair grazes. Of few pairs with mass, as next to grazing
-    such orbits attract little, and many have a pair there."""
-    structure = judged.wave.structure
-    if structure.light_lips or structure.n_pairs > FEW_PAIRS:
+    the motion from there leaves it, or a pair grazes, where such orbits attract little."""
+    if not attract_little(judged.wave.structure):
         return ""
     if _grazes(orbit, judged):
         return "a pair just touches, or just does not, within the error"
@@ -149,16 +146,18 @@ def _along_the_wave(judged: Judgement, reason: str) -> Stability:
     values = np.full(judged.flow.size, np.nan + 0j)
     if judged.predicted is not None:
         values = eigenvalues(judged.predicted.monodromy)
-        values = values[np.argsort(-np.abs(values), kind="stable")]
     return Stability(values, "undecided", np.nan, reason=reason)
 
 
 def _by_hill(structure: Structure, solution: PeriodicSolution, contact: ContactLaw) -> Stability:
     """By the root of Hill's determinant next to the leading multiplier of the flow along the wave;
     how far these are apart is the uncertainty."""
-    above = solution.static_above
-    flow = PiecewiseFlow(structure, contact, above and moving_below(structure, above))
-    values = flow.multipliers(solution.slow_gap_coefficients, solution.base_omega)
+    gap, above = solution.slow_gap_coefficients, solution.static_above
+    try:
+        values = eigenvalues(monodromy(structure, contact, gap, solution.base_omega, above))
+    except ConvergenceError as error:
+        unknown = np.full(2 * len(all_modes(structure).squares), np.nan + 0j)
+        return Stability(unknown, "undecided", np.nan, reason=str(error))
     root = abs(hill_root(structure, solution, contact, values[0]))
     off = float(abs(root - abs(values[0])))
     verdict, reason = "stable" if root < 1.0 else "unstable", ""

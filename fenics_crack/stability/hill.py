@@ -13,11 +13,11 @@ from __future__ import annotations
 import numpy as np
 import scipy.optimize
 
-from fenics_crack.balance.contact_integrals import SampledIntegrals, closed_means
+from fenics_crack.balance.contact_integrals import SampledIntegrals
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.model.contact import ContactLaw, is_piecewise_linear
+from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import AllModes, all_modes
 from fenics_crack.model.structure import Structure
 
@@ -109,10 +109,6 @@ def _stiffness_means(solution: PeriodicSolution, contact: ContactLaw) -> np.ndar
         stiffness = integrals.linearise(gap).tangent.stiffness
         found = np.fft.rfft(stiffness, axis=0)[: highest + 1].conj() / len(stiffness)
         return np.moveaxis(found, 0, -1)
-    if is_piecewise_linear(contact):
-        springs = np.broadcast_to(np.asarray(contact.stiffness, float), gap.shape[1:])
-        means = closed_means(gap, highest)
-        return springs[:, None] * means
     samples = max(1024, 8 * highest)
     sampled = SampledIntegrals(contact, highest, samples)
     slopes = contact.tangent(sampled.sample(resized(gap, highest)))

@@ -11,25 +11,24 @@ from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError, check_count
 from fenics_crack.model.contact import ContactLaw
-from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import exact_flow
 from fenics_crack.motion.orbit import PeriodicOrbit
 from fenics_crack.time.march import initial_state
 
-__all__ = ["CLOSE", "PeriodicOrbit", "leaves", "moving_below", "orbits_near", "shoot"]
+__all__ = ["CLOSE", "PeriodicOrbit", "attract_little", "leaves", "orbits_near", "shoot"]
 
 CLOSE, FOLLOWED, AWAY = 1e-3, 30, 3.0
 """Distance of a solution from its stable orbit to which the motion that begins with the solution
 need not be followed; periods that it is followed else, and how many times farther away than the
 linearised motion it has then left its orbit."""
-MOVING = 60
-"""Modes along whose motion a wave's multipliers are computed."""
+FEW_PAIRS = 4
 
 
-def moving_below(structure: Structure, static_above: float) -> float:
-    """Frequency [rad/s] above which modes answer at once, so that few move."""
-    return min(static_above, all_modes(structure).above_lowest(MOVING))
+def attract_little(structure: Structure) -> bool:
+    """Whether stable orbits that nearly graze may attract little: those of few pairs with mass.
+    With many, a pair is about to touch in most of them, and the others decide."""
+    return not structure.light_lips and structure.n_pairs <= FEW_PAIRS
 
 
 def leaves(

@@ -16,7 +16,6 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.balance.solver import Solver
 from fenics_crack.balance.to_tolerance import FEWEST, FIRST_MODES, solve_to_tolerance
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.curves.follow import continue_frequency, continue_parameter
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.files.results import Result, type_of, unpack
 from fenics_crack.files.store import read
@@ -179,6 +178,8 @@ def follow_curve(
     scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: bool = False
 ) -> Run[ResponseCurve]:
     """Response curve of the table ``[curve]`` (collective); it may end early."""
+    from fenics_crack.curves.follow import continue_frequency, continue_parameter
+
     table, balance = scene.curve, scene.harmonic_balance
     if table is None:
         raise InputError("curve", None, "given for this command: a table with start and stop")

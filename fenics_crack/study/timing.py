@@ -26,7 +26,7 @@ __all__ = ["arrivals_of", "engine_order", "vibration_in"]
 
 
 def arrivals_of(
-    scene: Scene, source: Path | None, comm: MPI.Comm = MPI.COMM_WORLD
+    scene: Scene, source: ArrivalTimes | Path | None, comm: MPI.Comm = MPI.COMM_WORLD
 ) -> tuple[ArrivalTimes, Run[Result] | None]:
     """Arrival times by the table ``[tip_timing]`` of a scene, and the vibration that they are
     computed from; None of measured ones (collective).
@@ -35,18 +35,18 @@ def arrivals_of(
     ----------
     scene : Scene
         With the table.
-    source : path, optional
-        A CSV file, which is read; or a result of ``solve`` or ``curve``, whose own scene says how
-        it turns. Default: the steady vibration of the scene, which is solved.
+    source : ArrivalTimes or path, optional
+        Measured ones; or a result of ``solve`` or ``curve``, whose own scene says how it turns.
+        Default: the steady vibration of the scene, which is solved.
 
     Raises
     ------
     InputError
         The scene has no such table, the source is something else, or as :func:`tip_timing`.
     """
-    table = _table_of(scene)
-    if source is not None and source.suffix.lower() != ".h5":
-        return ArrivalTimes.from_csv(source, tip_radius=table.tip_radius), None
+    if isinstance(source, ArrivalTimes):
+        return source, None
+    table = scene.given("tip_timing")
     run: Run[Result] = solve(scene, comm) if source is None else load_run(source, comm)
     result = run.result
     if not isinstance(result, PeriodicSolution | ResponseCurve):
@@ -77,7 +77,7 @@ def vibration_in(scene: Scene, arrivals: ArrivalTimes) -> TipFit | TipTrack:
     InputError
         As :func:`fit_order`, :func:`fit_frequency` and :func:`track_order`.
     """
-    table = _table_of(scene)
+    table = scene.given("tip_timing")
     if not arrivals.steady:
         return track_order(
             arrivals,
@@ -92,12 +92,6 @@ def vibration_in(scene: Scene, arrivals: ArrivalTimes) -> TipFit | TipTrack:
     return fit_order(
         arrivals, table.orders, harmonics=table.fitted_harmonics, subharmonic=table.subharmonic
     )
-
-
-def _table_of(scene: Scene) -> TipTiming:
-    if scene.tip_timing is None:
-        raise InputError("tip_timing", None, "given for this command: a table")
-    return scene.tip_timing
 
 
 def _turning(table: TipTiming, run: Run) -> dict[str, Any]:

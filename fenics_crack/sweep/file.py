@@ -29,10 +29,9 @@ from typing import Any
 import h5py
 import numpy as np
 
-from fenics_crack.errors import InputError, WriteError
+from fenics_crack.errors import FEW_MODES, InputError, WriteError
 from fenics_crack.files import store
 from fenics_crack.files.units import about
-from fenics_crack.model.bilinear import FEW
 from fenics_crack.outside import LARGEST
 from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES
 from fenics_crack.scene.scene import Scene
@@ -69,7 +68,7 @@ def of_load(quantity: str) -> str:
 NATURAL = {
     f"omega_{lips}_{mode}": (f"natural frequency {mode}, lips {lips}", "rad/s")
     for lips in ("open", "tied")
-    for mode in range(1, FEW + 1)
+    for mode in range(1, FEW_MODES + 1)
 }
 """Words and unit of the natural frequencies that are kept of each case."""
 AT_POINTS = {name: unit for name, (_, unit) in OF_POINTS.items() if name != "ratio_half_1"}

@@ -51,7 +51,7 @@ from fenics_crack.model.complementarity import solve_complementarity
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.coupled import ActiveSets
 from fenics_crack.model.factor import weighted_sum
-from fenics_crack.model.modal import all_modes, between_pairs, is_small
+from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import by_columns, largest_frequency
 from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure
@@ -92,7 +92,7 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
     if is_small(structure):
         modes = all_modes(structure)
         springs = np.broadcast_to(0.0 if rigid else contact.stiffness, structure.n_pairs)
-        tied = np.diag(modes.squares) + between_pairs(modes, springs)
+        tied = np.diag(modes.squares) + (modes.pairs * springs) @ modes.pairs.T
         highest = float(np.sqrt(np.linalg.eigvalsh(tied)[-1]))
     else:
         highest = largest_frequency(structure if rigid else structure.tied(contact.stiffness))

@@ -6,11 +6,11 @@ from helpers import random_stiffness
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
+from switching import switching_instants
 from test_contact_integrals import grazing_gaps, random_gaps
 
 from fenics_crack.balance.active_sets import Intervals, contact_intervals
 from fenics_crack.balance.fourier import evaluate, to_complex
-from fenics_crack.balance.switching import switching_instants
 from fenics_crack.model.coupled import ActiveSets
 
 

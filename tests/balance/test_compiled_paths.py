@@ -22,10 +22,10 @@ from fenics_crack.balance.bordered import (
     tangent_of,
 )
 from fenics_crack.balance.compiled import CompiledSystem
-from fenics_crack.balance.condensed import CondensedSystem, HigherHarmonics, respond_to_columns
+from fenics_crack.balance.condensed import respond_to_columns
 from fenics_crack.balance.contact_integrals import ExactIntegrals
 from fenics_crack.balance.family import FAMILIES, Family
-from fenics_crack.balance.fourier import evaluate, resized, sampled, to_complex
+from fenics_crack.balance.fourier import evaluate, sampled, to_complex
 from fenics_crack.balance.linearisation import Linearisation, System
 from fenics_crack.curves.continuation import Continuation
 
@@ -217,42 +217,6 @@ def assert_same_path(family: Family, start: np.ndarray, stepping: Stepping, coun
         assert one.iterations == other.iterations
         assert one.crosses_branch == other.crosses_branch
     assert compared > 10
-
-
-@pytest.mark.parametrize("kept", [1, 3])
-def test_path_in_the_harmonics(kept: int) -> None:
-    """From a solution with few harmonics to that with more, the same way in the kernel."""
-    structure, law = chain(), fc.UnilateralPenalty(np.array([3.0, 8.0, 20.0]))
-    problem = fc.Problem(structure, 0.83, law, 6)
-    few = fc.solve_harmonic_balance(
-        structure, 0.83, law, harmonics=kept, residual_tolerance=1e-12
-    ).gap_coefficients
-    system = problem.system(problem.compliance())
-    assert isinstance(system, CondensedSystem)
-    higher = HigherHarmonics(system, kept)
-    start = must(solve_at(higher, resized(few, 6), 0.0, tolerance=1e-12)).unknown
-    assert np.allclose(start[: 2 * kept + 1], few, rtol=0.0, atol=1e-9 * np.abs(few).max())
-    kernel = higher.compiled
-    assert kernel is not None
-    gap, right = np.random.default_rng(kept).normal(size=(2, *start.shape))
-    for parameter in (0.0, 0.3, 1.1):
-        expected, found = higher.linearise(gap, parameter), kernel.linearise(gap, parameter)
-        for one, other in (
-            (found.residual, expected.residual),
-            (found.by_parameter, expected.by_parameter),
-            (found.solve(right), expected.solve(right)),
-        ):
-            assert np.allclose(one, other, rtol=0.0, atol=1e-10 * np.abs(other).max())
-        assert found.sign == expected.sign
-    stepping = Stepping(first=0.1, longest=0.3)
-    ways = [
-        list(islice(follow_path(path, start, 0.0, stepping), 8)) for path in (higher, Plain(higher))
-    ]
-    for one, other in zip(*ways, strict=True):
-        assert one.parameter == pytest.approx(other.parameter, abs=1e-9)
-        assert np.allclose(one.unknown, other.unknown, rtol=0.0, atol=1e-8)
-    end = must(solve_at(higher, ways[0][-1].unknown, 1.0, tolerance=1e-12)).unknown
-    assert np.linalg.norm(system.linearise(end).residual) < 1e-11 * np.linalg.norm(end)
 
 
 @pytest.mark.parametrize("least_damping", [None, 0.05])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from helpers import log_slope, relative
 from scipy.integrate import quad
+from switching import switching_instants
 
 from fenics_crack.balance.contact_integrals import (
     ContactIntegrals,
@@ -15,7 +16,6 @@ from fenics_crack.balance.contact_integrals import (
     default_samples,
 )
 from fenics_crack.balance.fourier import evaluate, resized, to_complex
-from fenics_crack.balance.switching import switching_instants
 from fenics_crack.model.contact import ContactLaw, SmoothedPenalty, UnilateralPenalty
 
 STIFFNESS = np.array([2.0, 30.0, 0.5, 7.0])

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-
-from fenics_crack.balance.switching import Switching, switching_instants
+from switching import Switching, switching_instants
 
 HARMONICS = range(1, 61)
 DECAYS = (0.0, 1.0, 2.0, 4.0)

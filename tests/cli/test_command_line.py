@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import ROOT
+from helpers import MPI_ENVIRONMENT, ROOT
 
 import fenics_crack as fc
 from fenics_crack.cli.command_line import main
@@ -23,15 +23,14 @@ from fenics_crack.cli.undamped import in_words
 from fenics_crack.fem.plate import write_msh
 from fenics_crack.study import run as study_run
 
-ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+ENVIRONMENT = os.environ | MPI_ENVIRONMENT | {"PYTHONPATH": str(ROOT)}
 PAPER = ROOT / "demos" / "paper_plate.toml"
 PROGRAM = [sys.executable, "-m", "fenics_crack"]
 
 
 def run(folder: Path, *words: str, ranks: int = 1) -> subprocess.CompletedProcess[str]:
     """The program in a folder, on one rank or more."""
-    launcher = [] if ranks == 1 else ["mpirun", "--allow-run-as-root", "--oversubscribe", "-n"]
-    start = [*launcher, str(ranks)] if launcher else []
+    start = [] if ranks == 1 else ["mpirun", "-n", str(ranks)]
     return subprocess.run(
         [*start, *PROGRAM, *words], cwd=folder, env=ENVIRONMENT, capture_output=True, text=True,
         timeout=300,

@@ -10,11 +10,12 @@ import pytest
 
 import fenics_crack as fc
 from fenics_crack.balance.error_report import ErrorReport
-from fenics_crack.cli import commands, judgements, tables
+from fenics_crack.cli import judgements, tables
 from fenics_crack.cli.command_line import main
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.study.remarks import remarks_on_scene
 from fenics_crack.study.run import follow_curve, solve
+from fenics_crack.sweep import result
 from fenics_crack.sweep.file import COLUMNS, CONVERGED, FAILED
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.table import Table
@@ -115,7 +116,7 @@ def test_sweep_fits_on_one_screen(
 ) -> None:
     """31 x 6 cases in at most 40 lines of 120 columns, with the largest response of each length."""
     found = swept(scene, tmp_path / "sweep.h5")
-    monkeypatch.setattr(commands, "run_sweep", lambda *given, **options: found)
+    monkeypatch.setattr(result, "run_sweep", lambda *given, **options: found)
     path = tmp_path / "scene.toml"
     path.write_text(found.scene.as_toml())
     assert main(["sweep", str(path), "--output", str(tmp_path)]) == 3

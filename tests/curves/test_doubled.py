@@ -31,14 +31,34 @@ def test_branch_by_way_of_exact_orbits(stiffness: float, harmonics: int, doubled
     assert branch.complete and "begun next to the exact orbit" in branch.status
     assert branch.subharmonic == 2 and branch.harmonics[0] == doubled
     assert branch.omega[0] > one.exact and branch.omega[-1] == 3.0
-    for place in np.linspace(0, len(branch) - 1, 4).astype(int):
-        solution = branch.solution(int(place))
+    for omega in np.linspace(2.85, 3.0, 4):
+        solution = branch.solution(int(np.argmin(np.abs(branch.omega - omega))))
         orbit = fc.shoot(curve.structure, solution)
         halves = orbit.gap - np.roll(orbit.gap, len(orbit.gap) // 2, axis=0)
         assert np.linalg.norm(halves) > 0.1 * np.linalg.norm(orbit.gap)
         wave = solution.gap(np.arange(len(orbit.gap)) * solution.period / len(orbit.gap))
         off = np.linalg.norm(wave - orbit.gap) / np.linalg.norm(orbit.gap)
         assert off < 3.0 * solution.judged.errors()[0] < 0.5
+
+
+def test_a_pair_without_mass_has_the_same_branch() -> None:
+    """A rigid stop behind a spring without mass is the stiff stop: the same orbits lead to it."""
+    curve, one = doubling_of_stiff_stop(300.0, 6)
+    branch = fc.follow_branch(curve, one)
+    structure = fc.Structure.from_matrices(
+        np.diag([1.0, 0.25]), np.diag([1.0, 300.0]), [1.0, 1.0], force_cos=[1.0, 0.0],
+        damping=np.diag([0.1, 0.0]),
+    )  # fmt: skip
+    structure = fc.reduce_structure(structure, modes=1, method="massless")
+    curve = fc.continue_frequency(
+        structure, 2.2, 3.0, fc.UnilateralConstraint(), harmonics=6, stability=True
+    )
+    [same] = [b for b in curve.bifurcations if b.kind == "period_doubling" and b.confirmed]
+    assert same.exact == pytest.approx(one.exact, rel=1e-9)
+    found = fc.follow_branch(curve, same)
+    assert found.status == branch.status
+    assert found.omega == pytest.approx(branch.omega, rel=1e-7)
+    assert found.amplitude(0) == pytest.approx(branch.amplitude(0), rel=1e-6)
 
 
 def test_unconfirmed_doubling_is_not_looked_for() -> None:
@@ -68,3 +88,11 @@ def test_motion_that_leaves_its_orbit_is_not_called_stable() -> None:
             verdicts[str(verdict)] += 1
             assert verdict == "undecided" or not campaign.leaves(case, solution, orbit)
     assert min(verdicts.values()) > 0
+
+
+def test_ends_are_judged_as_single_solutions() -> None:
+    """One mass, k R = 122, which was called stable next to an end where its own orbit has a
+    multiplier of 8: no verdict contradicts floquet, nor the exact flow."""
+    rows = campaign.findings(51, campaign.draw(51, 13, family="ends"))
+    assert len(rows) == 6 and not any(row["judgement"] == campaign.WRONG for row in rows), rows
+    assert {"stable", "unstable"} <= {row["verdict"] for row in rows}

@@ -7,7 +7,6 @@ from helpers import Cubic, chain, oscillator
 import fenics_crack as fc
 from fenics_crack.balance.bordered import Tangent
 from fenics_crack.curves import refine
-from fenics_crack.stability.piecewise_flow import PiecewiseFlow
 
 
 def assert_solutions(curve: fc.ResponseCurve, every: int) -> None:
@@ -91,21 +90,26 @@ def test_several_pairs_and_kinds_of_contact() -> None:
         assert_solutions(fine, 17)
 
 
-def test_harmonics_and_multipliers_come_along() -> None:
-    """Of two neighbours the larger H, and multipliers at the new points too."""
-    structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(1.0)
+@pytest.mark.parametrize("law", [fc.UnilateralPenalty(1.0), fc.SmoothedPenalty(1.0, 5.0)])
+def test_harmonics_and_verdicts_come_along(law: fc.UnilateralPenalty | fc.SmoothedPenalty) -> None:
+    """Of two neighbours the larger H, and verdicts at the new points too: those of single
+    solutions."""
+    structure = oscillator(0.1, 1.0)
     growing = fc.Continuation(
-        fc.Problem(structure, 0.4, law, 4), "omega", 0.4, 2.5, tolerance=1e-3, stability=True
+        fc.Problem(structure, 0.8, law, 4), "omega", 0.8, 1.6, tolerance=1e-2, stability=True
     )
-    assert all(point.multiplier is not None for point in growing)
-    coarse = growing.curve  # not judged by exact orbits
+    growing.run()
+    coarse = growing.curve
     fine = fc.refine_curve(coarse, 2)
-    assert set(fine.harmonics) == set(coarse.harmonics)
-    assert fine.multipliers is not None and np.all(np.isfinite(fine.multipliers))
+    assert set(fine.harmonics) == set(coarse.harmonics) and len(fine) > 2.5 * len(coarse)
+    assert [one.kind for one in fine.bifurcations] == [one.kind for one in coarse.bifurcations]
+    assert fine.multipliers is not None and fc.refine_curve(growing.followed, 2).multipliers is None
     for index in range(0, len(fine), 9):
-        wave, base_omega = fine.unknown(index), float(fine.omega[index])
-        largest = abs(PiecewiseFlow(structure, law).multipliers(wave, base_omega)[0])
-        assert abs(fine.multipliers[index]) == pytest.approx(largest, rel=1e-6)
+        alone = fc.floquet(structure, fine.solution(index))
+        assert fine.verdicts[index] in (alone.verdict, "undecided")
+        if not isinstance(law, fc.UnilateralPenalty):  # those of orbits are interpolated
+            assert abs(fine.multipliers[index]) == pytest.approx(abs(alone.multipliers[0]))
+    assert np.mean(fine.verdicts == "undecided") < 0.1
     assert_solutions(fine, 11)
 
 

@@ -8,9 +8,7 @@ import pytest
 import scipy.linalg
 from helpers import (
     OMEGA_0,
-    chain,
     chain_stiffness,
-    dense_matrices,
     oscillator,
     period_two_orbit,
     random_stiffness,
@@ -20,10 +18,8 @@ from scipy.integrate import solve_ivp
 
 import fenics_crack as fc
 from fenics_crack.balance import judgement
-from fenics_crack.model.modal import all_modes, flow_matrix
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.stability.floquet import floquet
-from fenics_crack.stability.piecewise_flow import PiecewiseFlow
 
 NEW = Path(fc.__file__).parent / "cli" / "new_scene.toml"
 BLADE = Path(__file__).parents[2] / "demos" / "blade.toml"
@@ -152,56 +148,6 @@ def test_verdict_agrees_with_exact_motion(paper_scene: fc.Scene, ratio: float) -
         assert (rate < 1.0) == (found.verdict == "stable"), (stiffness, omega, found, rate)
         assert rate == pytest.approx(np.abs(orbit.multipliers[0]), rel=0.15)
     assert set(verdicts) == {"stable", "unstable"}
-
-
-@pytest.mark.parametrize("damping", ["modal", "matrix", "overdamped"])
-def test_monodromy_is_a_product_of_exponentials(damping: str) -> None:
-    """Three pairs with clearances, and modes that do not oscillate at all."""
-    structure = chain("matrix" if damping == "matrix" else "modal")
-    if damping == "overdamped":
-        mass, _, stiffness = dense_matrices(structure)
-        structure = fc.Structure.from_matrices(
-            mass, stiffness, structure.gap.toarray(), force_cos=structure.force[1],
-            damping=fc.ModalDamping([1.5] * 4 + [0.1] * 6), clearance=structure.clearance,
-        )  # fmt: skip
-    law = fc.UnilateralPenalty(np.array([3.0, 5.0, 9.0]))
-    solution = fc.solve_harmonic_balance(structure, 1.1, law, harmonics=9)
-    flow = PiecewiseFlow(structure, law)
-    times = np.linspace(0.0, solution.period, 40001)
-    closed = solution.gap(0.5 * (times[1:] + times[:-1])) > 0.0
-    ends = np.flatnonzero(np.any(closed[1:] != closed[:-1], axis=1)) + 1
-    assert len(ends) >= 2
-    exact = np.eye(2 * structure.n_dofs)
-    modes, starts = all_modes(structure), [0, *ends]
-    scale = np.sqrt(modes.squares.max())
-    for start, end in zip(starts, [*ends, len(closed)], strict=True):
-        matrix = flow_matrix(modes, closed[start] * law.stiffness, scale)
-        exact = scipy.linalg.expm((times[end] - times[start]) * matrix) @ exact
-    found = flow.monodromy(solution.gap_coefficients, solution.base_omega)
-    assert relative(found, exact) < 1e-3  # of the grid's instants
-    product = np.prod(flow.multipliers(solution.gap_coefficients, solution.base_omega))
-    trace = np.trace(matrix[structure.n_dofs :, structure.n_dofs :])
-    assert product == pytest.approx(np.exp(solution.period * trace), rel=1e-9)
-
-
-@pytest.mark.parametrize("stiffness", [1e9, 1e11])
-@pytest.mark.parametrize("ratio", [0.01, 0.001])
-def test_leading_multiplier(paper_scene: fc.Scene, ratio: float, stiffness: float) -> None:
-    """Sought alone it is the first of all, over the whole range of frequencies."""
-    plate = fc.build_structure(paper_scene.replace({"damping.ratio": ratio}))
-    law = fc.UnilateralPenalty(stiffness)
-    flow, stable = PiecewiseFlow(plate, law), []
-    for omega in np.linspace(1000.0, 9500.0, 15):
-        # Not only orbits: whatever the gap, it has its monodromy matrix.
-        solution = fc.solve_harmonic_balance(plate, omega, law, harmonics=20, throw=False)
-        every = flow.multipliers(solution.gap_coefficients, omega)
-        found = flow.leading(solution.gap_coefficients, omega)
-        assert np.abs(found.value) == pytest.approx(np.abs(every[0]), rel=1e-8)
-        assert found.stable == (np.abs(every[0]) < 1.0)
-        signs = np.sign(1.0 + every[np.abs(every.imag) < 1e-12 * np.abs(every)].real)
-        assert found.doubling == np.prod(signs)
-        stable.append(found.stable)
-    assert not all(stable)
 
 
 def test_poor_truncation_is_not_decided(paper_structure: fc.Structure) -> None:

@@ -12,6 +12,7 @@ from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack.balance.solution import Stability
+from fenics_crack.curves import follow
 from fenics_crack.study import run as study_run
 
 RIGID = {"contact.law": "unilateral", "contact.stiffness": None}
@@ -111,7 +112,7 @@ def test_curves_are_followed(
 ) -> None:
     """Also without penetration where lips have no mass; else that is refused."""
     asked: list[Any] = []
-    monkeypatch.setattr(study_run, "continue_frequency", lambda *given, **rest: asked.append(given))
+    monkeypatch.setattr(follow, "continue_frequency", lambda *given, **rest: asked.append(given))
     scene = scene.replace(law | {"curve.start": 1500.0, "curve.stop": 1600.0})
     run = study_run.follow_curve(scene, MPI.COMM_SELF)
     assert asked == [(run.structure, 1500.0, 1600.0, run.contact)]

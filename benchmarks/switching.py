@@ -1,29 +1,21 @@
-"""Switching instants: every sign change of real trigonometric polynomials, certified.
+"""Switching instants as the contact integrals find them: every sign change of real trigonometric
+polynomials, certified.
 
     g(theta) = Re sum_{k=0}^{H} G_k exp(i k theta),      theta = omega t in [0, 2 pi)
 
-A grid alone misses pairs of roots between its points, where a pair of lips only grazes. Here a cell
-[a, a + w] is settled by a bound or not at all. With |g''| <= M = sum_k k^2 (|a_k| + |b_k|),
-
-- equal signs and min(|g(a)|, |g(a + w)|) > M w^2 / 8: no root, g lies that close to its chord;
-- opposite signs and |g(a + w) - g(a)| > M w^2 / 2: one root, g' keeps its sign;
-- else the cell is divided, until all that could be missed is an excursion below 1e-14 times the
-  largest |g|.
-
-Roots are polished by Halley's method. The search is compiled (``kernel/switching.c``).
+The search is compiled (``kernel/switching.c``). Here its instants are laid open, for tests and for
+the harmonic balance of increments.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
+from fenics_crack.balance.contact_integrals import grid_waves
 from fenics_crack.balance.fourier import from_complex
 from fenics_crack.kernel import doubles, kernel, signs
-
-__all__ = ["Switching", "grid_waves", "switching_instants"]
 
 
 @dataclass(frozen=True)
@@ -71,11 +63,3 @@ def _of_one(gap: np.ndarray, closed: np.ndarray) -> tuple[np.ndarray, np.ndarray
     if count < 0:
         raise MemoryError("switching instants")
     return theta[:count], closing[:count]
-
-
-@lru_cache(maxsize=64)
-def grid_waves(harmonics: int) -> np.ndarray:
-    """Waves on the first grid of the search, as the kernel takes them."""
-    waves = np.empty((harmonics, 2, kernel.switching_cells(harmonics) // 4 + 1))
-    kernel.switching_waves(harmonics, doubles(waves))
-    return waves

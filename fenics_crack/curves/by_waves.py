@@ -1,0 +1,107 @@
+"""Verdicts along curves of laws without an exact flow: of the waves themselves, point by point.
+
+Each point of the curve is judged as a single solution is (:func:`floquet`). Between two points lies
+
+- a period doubling where another number of multipliers lies beyond -1: det(I + M) changes its sign;
+- a Neimark-Sacker point where the leading pair leaves the unit circle otherwise.
+
+It is located on the path between them (:func:`locate`).
+
+Source: Seydel, Practical Bifurcation and Stability Analysis, chapters 4 and 7.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from fenics_crack.balance.bordered import PathPoint, locate
+from fenics_crack.balance.family import FAMILIES, Family
+from fenics_crack.balance.fourier import resized
+from fenics_crack.curves.bifurcations import attainable
+from fenics_crack.curves.curve import Bifurcation, ResponseCurve
+from fenics_crack.curves.resume import chord, point_towards
+from fenics_crack.motion.orbit import doubling_test, eigenvalues
+from fenics_crack.stability.floquet import Stability, floquet
+from fenics_crack.stability.linear_flow import monodromy
+from fenics_crack.stages import begin
+
+__all__ = ["FOLLOWED", "judged_by_waves", "place_on"]
+
+FOLLOWED = "fold", "branch_point"
+"""Kinds of bifurcations that a curve has before it is judged."""
+
+
+def judged_by_waves(curve: ResponseCurve) -> ResponseCurve:
+    """The same curve with verdicts, and with bifurcations where multipliers of its waves leave the
+    unit circle."""
+    begin("stability of each point")
+    solutions = (curve.solution(place, search=False) for place in range(len(curve)))
+    found = [floquet(one.structure, one) for one in solutions]
+    special = [one for one in curve.bifurcations if one.kind in FOLLOWED]
+    for place in range(len(curve) - 1):
+        kind = _crossed(*found[place : place + 2])
+        if kind is not None:
+            special += curve.expand_bifurcations([(kind, *_located(curve, place, kind))])
+    special.sort(key=lambda one: place_on(curve, one))
+    multipliers = np.array([one.multipliers[0] for one in found])
+    return replace(
+        curve,
+        bifurcations=tuple(special),
+        multipliers=multipliers.real + 1j * np.abs(multipliers.imag),
+        undecided=np.array([one.verdict == "undecided" for one in found]),
+    )
+
+
+def _crossed(before: Stability, after: Stability) -> str | None:
+    """The kind of what lies between two points."""
+    sides = [one.multipliers for one in (before, after)]
+    beyond, outside = (
+        [int(np.count_nonzero(among(values))) for values in sides]
+        for among in (lambda mu: (mu.imag == 0.0) & (mu.real < -1.0), lambda mu: np.abs(mu) > 1.0)
+    )
+    if not np.all(np.isfinite([values[0] for values in sides])):
+        return None
+    if beyond[0] % 2 != beyond[1] % 2:
+        return "period_doubling"
+    leaving = sides[0] if outside[0] else sides[1]
+    pair = bool(outside[0]) != bool(outside[1]) and leaving[0].imag != 0.0
+    return "neimark_sacker" if pair else None
+
+
+def _located(curve: ResponseCurve, place: int, kind: str) -> tuple[float, np.ndarray]:
+    """Value of the parameter and unknown of a bifurcation behind a point."""
+    count = int(max(curve.harmonics[place : place + 2]))
+    farthest = int(np.argmax(np.abs(curve.values - curve.values[0])))
+    ends = float(curve.values[0]), float(curve.values[farthest])
+    family = FAMILIES[curve.parameter](curve.problem.with_harmonics(count), *ends)
+    way = chord(family, curve, place, place + 1)
+    before, after = (
+        point_towards(family, resized(curve.unknown(one), count), float(curve.values[one]), way)
+        for one in (place, place + 1)
+    )
+
+    def test(at: PathPoint) -> float:
+        matrix = _monodromy(family, at)
+        if kind == "period_doubling":
+            return doubling_test(matrix)
+        return float(np.abs(eigenvalues(matrix)[0])) - 1.0
+
+    found = locate(family, before, after, test, attainable(family, after.parameter, 1e-11))
+    return family.value(found.parameter), found.unknown
+
+
+def _monodromy(family: Family, at: PathPoint) -> np.ndarray:
+    """M of the wave at a point."""
+    problem = family.at(family.value(at.parameter))
+    above = None if problem.residual is None else problem.cutoff
+    return monodromy(problem.structure, problem.contact, at.unknown, problem.base_omega, above)
+
+
+def place_on(curve: ResponseCurve, one: Bifurcation) -> int:
+    """The point of a curve nearest to a bifurcation of it."""
+    unknown = resized(one.unknown, curve.unknowns.shape[1] // 2)
+    sizes = np.linalg.norm(curve.unknowns - unknown, axis=(1, 2)) / np.linalg.norm(unknown)
+    wide = float(np.ptp(curve.values)) or 1.0
+    return int(np.argmin(np.hypot(sizes, (curve.values - one.value) / wide)))
