@@ -168,8 +168,10 @@ class Judgement:
             return "its pairs open and close too often to be followed; lips without mass do less so"
         if self.orbit is None and self.prediction < FAR:
             return "no exact orbit was found next to it; with more harmonics one may be"
-        if self.orbit is None or self.distance <= BELIEVED * self.prediction:
-            return f"the harmonics left out change it by {self.errors()[0]:.0%}; take more"
+        if self.orbit is None:
+            return f"the harmonics left out change it by {self.prediction:.0%}; take more"
+        if self.distance <= BELIEVED * self.prediction:
+            return f"its exact orbit is {self.distance:.1%} away; take more harmonics"
         return (
             f"the exact orbit next to it is another one, {self.distance:.1%} away where "
             f"{self.prediction:.1%} were predicted; more harmonics tell these apart"
