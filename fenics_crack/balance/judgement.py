@@ -117,9 +117,11 @@ class Judgement:
     @property
     def accepted(self) -> bool:
         """Whether the orbit is the wave's own."""
-        return self.of_orbit or self.distance <= max(
-            min(BELIEVED * self.prediction, FARTHEST), CLOSE
-        )
+        return self.of_orbit or self.admits(self.distance)
+
+    def admits(self, distance: float) -> bool:
+        """Whether an orbit so far away is the wave's own."""
+        return distance <= max(min(BELIEVED * self.prediction, FARTHEST), CLOSE)
 
     @property
     def affordable(self) -> bool:

@@ -149,7 +149,8 @@ class FlowOrbits(CompiledPaths):
 
     def moved(self, unknown: np.ndarray, parameter: float) -> np.ndarray:
         """x after a period."""
-        return self.unknown(self._motion(unknown, parameter, np.zeros(0)).state)
+        self._evaluate(unknown, parameter)
+        return unknown + self._residual()
 
     def followed(self, periods: int) -> np.ndarray:
         """The start after some periods of the response, nearer to what attracts it: (2n,)."""
@@ -197,9 +198,14 @@ class FlowOrbits(CompiledPaths):
         if outcome != kernel.FOUND:
             raise ConvergenceError("orbits: the motion over a period cannot be followed")
 
-    def _found(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
+    def _residual(self) -> np.ndarray:
+        """F where it was evaluated last."""
         residual = np.empty(self.shape)
         self._equations.residual(self._equations, doubles(residual))
+        return residual
+
+    def _found(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
+        residual = self._residual()
         events = int(kernel.switches_of(self._point))
 
         def return_there() -> None:

@@ -15,7 +15,7 @@ from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem
 from fenics_crack.balance.coupled import CoupledPoint
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.balance.family import FAMILIES
+from fenics_crack.balance.family import FAMILIES, Family
 from fenics_crack.balance.fourier import evaluate, resized
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
 from fenics_crack.balance.problem import Problem
@@ -402,14 +402,20 @@ class ResponseCurve(Tabular):
     def _linearised(self, places: np.ndarray | None = None) -> Iterator[tuple[int, CondensedPoint]]:
         """The equations at all points, or some, with their numbers; not in order."""
         wanted = np.arange(len(self)) if places is None else places
-        for count in np.unique(self.harmonics):
-            problem = self.problem.with_harmonics(int(count))
-            family = FAMILIES[self.parameter](
-                problem, float(self.values[0]), float(self.values[-1])
-            )
+        for count in np.unique(self.harmonics[wanted]):
+            family = self._families.get(int(count))
+            if family is None:
+                problem = self.problem.with_harmonics(int(count))
+                ends = float(self.values[0]), float(self.values[-1])
+                family = self._families[int(count)] = FAMILIES[self.parameter](problem, *ends)
             for index in wanted[self.harmonics[wanted] == count]:
                 system = family.system(float(self.values[index]))
                 yield int(index), system.linearise(self.unknown(index))
+
+    @cached_property
+    def _families(self) -> dict[int, Family]:
+        """The equations with each number of harmonics, once they are known."""
+        return {}
 
     def expand_bifurcations(
         self, special: list[tuple[str, float, np.ndarray]]

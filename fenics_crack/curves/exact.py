@@ -18,12 +18,11 @@ import scipy.optimize
 
 from fenics_crack.balance.bordered import solve_at
 from fenics_crack.balance.family import FAMILIES
-from fenics_crack.balance.judgement import BELIEVED, FARTHEST
 from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.curves.bifurcations import attainable
 from fenics_crack.curves.by_waves import FOLLOWED, judged_by_waves, place_on
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
-from fenics_crack.curves.orbit_branch import ALIKE, EVERY, Crossing, Node, OrbitBranch
+from fenics_crack.curves.orbit_branch import ALIKE, EVERY, Crossing, Node, OrbitBranch, blended
 from fenics_crack.curves.varied_orbits import VariedOrbits
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import is_piecewise_linear, is_rigid
@@ -126,8 +125,7 @@ class _Judge:
     def _is_own(self, node: Node, place: int, off: float) -> bool:
         """Whether a solution is judged by a node's orbit."""
         solution = self._curve.solution(place, search=False)
-        near = off <= min(BELIEVED * solution.judged.prediction, FARTHEST)
-        return near and not (self._few and self._left(node, place))
+        return solution.judged.admits(off) and not (self._few and self._left(node, place))
 
     def _left(self, node: Node, place: int) -> bool:
         """Whether the exact motion that begins with a point leaves the stable orbit next to it."""
@@ -136,24 +134,29 @@ class _Judge:
 
     # --- points -----------------------------------------------------------------------------------
 
-    def points(self, crossings: list[Crossing]) -> np.ndarray:
+    def points(self) -> np.ndarray:
         """Leading multiplier of each point; nan where no orbit is its own."""
         nodes, found = self.branch.nodes, np.full(len(self._curve), np.nan + 0j)
         pairs = [two for two in pairwise(nodes) if self.branch.linked(*two)]
-        starts = np.array([first.place for first, _ in pairs])
+        places, values = (
+            np.array([[getattr(one, name) for one in two] for two in pairs]).reshape(-1, 2)
+            for name in ("place", "parameter")
+        )
+        rises, lengths = values[:, 1] - values[:, 0], places[:, 1] - places[:, 0]
         ways = _ways(self.parameters)
+        begins, ends = (
+            np.searchsorted(places[:, 0], np.arange(len(found)) + side) for side in (-EVERY, EVERY)
+        )
+        rises[rises == 0.0] = np.nan
         for place in np.flatnonzero(self._accepted()):
-            parameter, best = self.parameters[place], np.inf
-            begin = int(np.searchsorted(starts, place - EVERY))
-            end = int(np.searchsorted(starts, place + EVERY))
-            for first, last in pairs[begin:end]:
-                rise = last.parameter - first.parameter
-                share = (parameter - first.parameter) / rise if rise else 0.0
-                off = abs(first.place + share * (last.place - first.place) - place)
-                same_way = ways[place] * rise > 0.0
-                if same_way and -1e-9 <= share <= 1.0 + 1e-9 and off < best:
-                    value = _between(first, last, share, parameter, crossings)
-                    best, found[place] = off, np.nan if value is None else value
+            near = slice(begins[place], ends[place])
+            share = (self.parameters[place] - values[near, 0]) / rises[near]
+            fits = (ways[place] * rises[near] > 0.0) & (np.abs(share - 0.5) <= 0.5 + 1e-9)
+            if fits.any():
+                off = np.abs(places[near, 0] + share * lengths[near] - place)
+                best = int(np.argmin(np.where(fits, off, np.inf)))
+                first, last = pairs[begins[place] + best]
+                found[place] = _between(first, last, float(share[best]))
         return found
 
     def _accepted(self) -> np.ndarray:
@@ -176,29 +179,20 @@ def _ways(parameters: np.ndarray) -> np.ndarray:
     return np.where(ways[1:] == ways[:-1], ways[1:], 0.0)
 
 
-def _between(
-    first: Node, last: Node, share: float, parameter: float, crossings: list[Crossing]
-) -> complex | None:
-    """Leading multiplier on a segment: of the modulus between those of its ends, on the side of 1
-    that the bifurcations between say."""
-    moduli = [float(np.abs(one.leading[0])) for one in (first, last)]
-    modulus = (1.0 - share) * moduli[0] + share * moduli[1]
-    near = first if share < 0.5 else last
-    unstable = sum(first.outside) > 0
-    if first.outside != last.outside:
-        met = [one for one in crossings if first.place <= one.place <= last.place]
-        if not met or not all(one.located for one in met):
-            return None
-        passed = sum((one.parameter - parameter) * (one.parameter - first.parameter) < 0.0
-                     for one in met)  # fmt: skip
-        if passed not in (0, len(met)):
-            return None
-        near = last if passed else first
-        unstable = sum(near.outside) > 0
-    modulus = max(modulus, 1.0 + 2.0 * SURE) if unstable else min(modulus, 1.0 - 2.0 * SURE)
-    if abs(abs(near.leading[0]) - 1.0) <= SURE and share in (0.0, 1.0):
-        return None
-    direction = complex(near.leading[0]) / max(abs(near.leading[0]), 1e-300)
+def _between(first: Node, last: Node, share: float) -> complex:
+    """Leading multiplier on a segment, on the side of 1 of the ends that are no bifurcations; nan
+    where these differ, or do not tell it from 1."""
+    sides = [one for one in (first, last) if one.crossing is None]
+    largest = [float(np.abs(one.leading[0])) for one in sides]
+    if len({size > 1.0 for size in largest}) != 1 or min(abs(s - 1.0) for s in largest) <= SURE:
+        return complex(np.nan)
+    modulus = float(blended(first, last, share)[0])
+    if largest[0] > 1.0:
+        modulus = max(modulus, 1.0 + 2.0 * SURE)
+    else:
+        modulus = min(modulus, 1.0 - 2.0 * SURE)
+    near = complex(sides[0 if share < 0.5 else -1].leading[0])
+    direction = near / max(abs(near), 1e-300)
     return modulus * complex(direction.real, abs(direction.imag))
 
 
@@ -242,10 +236,10 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
         nothing = np.full(len(curve), np.nan + 0j)
         return replace(curve, multipliers=nothing, undecided=np.ones(len(curve), dtype=bool))
     judge = _Judge(curve)
-    crossings = _distinct(judge.branch.crossings())
+    crossings = _distinct(judge.branch.locate())
     # Next to the end of a branch of twice the period the old orbit is as near as the new one.
     doubled = curve.subharmonic % 2 == 0
-    multipliers = np.full(len(curve), np.nan + 0j) if doubled else judge.points(crossings)
+    multipliers = np.full(len(curve), np.nan + 0j) if doubled else judge.points()
     undecided = np.isnan(multipliers)
     left = np.flatnonzero(undecided)
     if doubled or len(left) <= SINGLY:

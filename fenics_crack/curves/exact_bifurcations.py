@@ -22,15 +22,7 @@ from fenics_crack.balance.arclength import Stepping, follow_path
 from fenics_crack.balance.bordered import PathPoint, solve_in_plane, tangent_of
 from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.orbit_branch import (
-    ALIKE,
-    KINDS,
-    STRAIGHT,
-    TOLERANCE,
-    Crossing,
-    Node,
-    OrbitBranch,
-)
+from fenics_crack.curves.orbit_branch import ALIKE, KINDS, STRAIGHT, TOLERANCE, Node, OrbitBranch
 from fenics_crack.errors import ConvergenceError, InputError, check_number
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
@@ -117,11 +109,12 @@ def refine_bifurcation(
         chunk=1, span=(1.0 - reach, 1.0 + reach),
     )  # fmt: skip
     ways = start.tangent, start.tangent.reversed()
-    sides = [_crossings(orbits, replace(start, tangent=way), stepping) for way in ways]
-    for met in chain.from_iterable(zip_longest(*sides, fillvalue=())):
-        for one in met:
-            if one.kind == kind and one.orbit is not None:
-                return one.orbit.parameter * solution.omega, orbits.orbit(one.orbit)
+    sides = [_met(orbits, replace(start, tangent=way), stepping) for way in ways]
+    for node in chain.from_iterable(chain.from_iterable(zip_longest(*sides, fillvalue=()))):
+        assert node.crossing is not None
+        if node.crossing.kind == kind and node.crossing.located:
+            found = PathPoint(node.unknown, node.parameter, start.iterations, node.tangent)
+            return node.parameter * solution.omega, orbits.orbit(found)
     raise ConvergenceError(
         f"refinement: no {kind.replace('_', ' ')} of exact orbits within "
         f"{100.0 * reach:g} % of {solution.omega:g} rad/s"
@@ -144,20 +137,17 @@ def _orbit_next_to(orbits: FlowOrbits) -> PathPoint | None:
     return replace(found, tangent=tangent_of(orbits, found.unknown, found.at))
 
 
-def _crossings(
-    orbits: FlowOrbits, start: PathPoint, stepping: Stepping
-) -> Iterator[list[Crossing]]:
+def _met(orbits: FlowOrbits, start: PathPoint, stepping: Stepping) -> Iterator[list[Node]]:
     """The bifurcations of each segment of the branch, from an orbit along its tangent."""
     lowest, highest = stepping.span
     path = follow_path(orbits, start.unknown, start.parameter, stepping, start.tangent)
-    known: list[Node] = []
     try:
         for ends in pairwise(chain([start], path)):
             parameters = np.array([one.parameter for one in ends])
             unknowns = np.array([one.unknown for one in ends])
-            branch = OrbitBranch(orbits, parameters, unknowns.__getitem__, 1, known)
-            yield branch.crossings(CLOSE)
-            known = [replace(one, place=0.0) for one in branch.nodes if one.place == 1.0]
+            branch = OrbitBranch(orbits, parameters, unknowns.__getitem__, every=1)
+            branch.locate(CLOSE)
+            yield [one for one in branch.nodes if one.crossing is not None]
             if not lowest < ends[1].parameter < highest:
                 return
     except ConvergenceError:  # pairs chatter without end

@@ -2,31 +2,35 @@
 
 Next to every eighth point of the curve an orbit F(x, p) = 0 (:mod:`fenics_crack.balance.orbits`) is
 found by Newton's method, from the point's own motion and what had to be added to that of the node
-before: at the point's parameter, or, next to folds, in the plane across the curve. A node has the
-tangent of the branch and the leading multipliers mu of its orbit, and of all multipliers
+before, and with that node's derivative as long as steps with it shrink fast: at the point's
+parameter, or, next to folds, in the plane across the curve. A node has the tangent of the branch
+and the leading multipliers mu of its orbit, and of all multipliers
 
     r = number of real mu > 1,    d = number of real mu < -1,    c = pairs with |mu| > 1.
 
 A segment between two nodes is halved, by the orbit next to Hermite's cubic through both, where the
-chord disagrees with their tangents, where the moduli at a node are not those between its
-neighbours', to half of their distance from 1, and where r, d and c change by more than one.
+chord disagrees with their tangents, and where the moduli at a node are not those between its
+neighbours', to half of their distance from 1. Where a pair becomes real, moduli have a corner, but
+its sum and its product are smooth: these are looked at then. A segment on which nothing changes is
+halved, too, where moduli that went on as they came would pass 1 before its middle; and one on which
+several of r, d and c change, until each changes by itself.
 Then a fold (or a branch point) lies on a segment where r changes, a period doubling where d does, a
 Neimark-Sacker point where c does. It is found by Brent's method on
 
-    t_p (the tangent's),    det(I + M),    |mu| - 1 of the pair that leaves.
+    t_p (the tangent's),    the product of 1 + mu,    |mu| - 1 of the pair that leaves,
 
-Two real multipliers outside that meet and become a pair are no bifurcation.
+and becomes a node. Two real multipliers outside that meet and become a pair are no bifurcation.
 
-What is not seen: two crossings of one kind on one segment.
+What is not seen: two crossings of one kind on one segment that do not announce themselves.
 
 Source: Seydel, Practical Bifurcation and Stability Analysis, chapters 4, 5 and 7.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -35,7 +39,7 @@ import scipy.optimize
 from fenics_crack.balance.bordered import PathPoint, Tangent, step_in_plane, tangent_of
 from fenics_crack.balance.orbits import FlowOrbits, OrbitPoint
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.motion.orbit import doubling_test, eigenvalues
+from fenics_crack.motion.orbit import eigenvalues
 
 __all__ = ["KINDS", "Crossing", "Node", "OrbitBranch"]
 
@@ -46,8 +50,6 @@ NARROWEST = 1.0 / 32.0
 """Segment that is not halved any more, in points of the curve."""
 TOLERANCE, SHARP = 1e-8, 1e-12
 """|F| / |x| of nodes, and of bifurcations."""
-SAME = 1e-6
-"""Of a state, how far away a derivative may be that serves a node."""
 ITERATIONS, PATIENCE, SHRINKING = 12, 3, 0.1
 """Newton steps to an orbit, how many may together fail to shrink the residual, and by how much a
 step has to shrink it that another one with the same derivative may follow."""
@@ -63,12 +65,14 @@ STRAIGHT = 0.8
 LEADING = 8
 """Multipliers that are kept."""
 FITTING, RESOLVED = 0.5, 0.02
-"""Of the distance of a modulus from 1, and of no less, what it may be off its neighbours' mean."""
-FULL, COLUMNS, SQUARINGS, TURNS = 60, 24, 4, 8
+"""Of the distance of a modulus from 1, and of no less, what it may be off that between others."""
+FULL, COLUMNS, SQUARINGS, TURNS = 60, 24, 4, 9
 """Up to so many multipliers, all are computed at once; else those of M in the span of some columns
 that M^16 has turned
 to the leading ones some times, where these leave less than EXACT."""
 EXACT = 1e-6
+ALONE = 1e-4
+"""Of a point, how near bifurcations may lie to each other."""
 SMOOTH = 0.25
 """Of a test function's largest value, what may be left where it vanishes."""
 
@@ -87,8 +91,14 @@ class Node:
         Multipliers of largest modulus, in their order; all where there are fewer.
     outside : tuple of int
         r, d and c.
+    pairs : (k, 2)
+        Sums and products of the multipliers that are pairs, or were or will be.
     away : float
         From the motion of its point, relative; nan where it has none.
+    at : OrbitPoint or None
+        The equations there, while orbits beside it are looked for.
+    crossing : Crossing or None
+        The bifurcation that it is.
     """
 
     place: float
@@ -97,7 +107,15 @@ class Node:
     tangent: Tangent
     leading: np.ndarray
     outside: tuple[int, int, int]
+    pairs: np.ndarray
     away: float = np.nan
+    at: OrbitPoint | None = None
+    crossing: Crossing | None = None
+
+    @property
+    def rest(self) -> Node:
+        """What is kept."""
+        return replace(self, at=None)
 
 
 @dataclass(frozen=True)
@@ -112,15 +130,12 @@ class Crossing:
         Along the curve, in points.
     located : bool
         Whether all orbits were found that its place needs.
-    orbit : PathPoint or None
-        There, where it is located.
     """
 
     kind: str
     parameter: float
     place: float
     located: bool
-    orbit: PathPoint | None = None
 
 
 class OrbitBranch:
@@ -134,10 +149,6 @@ class OrbitBranch:
         p of the curve's points.
     motions : callable
         x of the motions of points, by their numbers: (m, 2n).
-    every : int
-        Points from one node to the next.
-    known : sequence of Node
-        Some that are known.
 
     Attributes
     ----------
@@ -151,23 +162,58 @@ class OrbitBranch:
         parameters: np.ndarray,
         motions: Callable[[np.ndarray], np.ndarray],
         every: int = EVERY,
-        known: Sequence[Node] = (),
     ) -> None:
         self.system, self._parameters, self._motions = system, parameters, motions
         self._known: dict[int, np.ndarray] = {}
-        self._turning = _near_turns(parameters)
-        self._given_up: set[tuple[float, float]] = set()
-        self.nodes: list[Node] = list(known)
+        self._turn = _to_turns(parameters)
+        self.nodes: list[Node] = []
         last = len(parameters) - 1
-        first = np.unique(np.append(np.arange(0, last, every), last))
-        beside = (first[:, None] + [-1, 0, 1]).ravel()
-        self._know(np.unique(np.clip(beside, 0, last)))
-        for place in first:
-            self.anchor(int(place))
-        while self._halved():
-            pass
+        places = np.unique(np.append(np.arange(0, last, every), last))
+        self._know(places)
+        self._follow([int(place) for place in places])
 
     # --- nodes ------------------------------------------------------------------------------------
+
+    def _follow(self, places: list[int]) -> None:
+        """Nodes next to some points, and between these where they lie too far apart."""
+        held: list[Node] = []
+        bent = False
+        for place in places:
+            found = self._next_to(place, held[-1:])
+            if found is None:
+                continue
+            held.append(found)
+            if len(held) == 3:
+                before, bent = bent, not _fits(*held)
+                self._fill(held[0], held[1], before or bent)
+                del held[0]
+        if len(held) == 2:
+            self._fill(held[0], held[1], bent)
+        self.nodes += [one.rest for one in held[-1:]]
+
+    def _fill(self, first: Node, last: Node, bent: bool) -> None:
+        """A node, and those behind it up to another one: halves, as long as multipliers at a middle
+        are not those between its neighbours', or these do not lie on one smooth line."""
+        middle, width = None, last.place - first.place
+        if width > EVERY or (width > NARROWEST and (bent or not self.linked(first, last))):
+            middle = self._middle(first, last)
+        if middle is None:
+            self.nodes.append(first.rest)
+            return
+        bent = not _fits(first, middle, last)
+        self._fill(first, middle, bent)
+        self._fill(middle, last, bent)
+
+    def _middle(self, first: Node, last: Node) -> Node | None:
+        """A node between two others; None where none is found."""
+        middle = 0.5 * (first.place + last.place)
+        whole = round(middle)
+        inside = first.place < whole < last.place
+        if not inside or self.linked(first, last):
+            found = self.between(first, last, 0.5, first.at)
+            if found is not None:
+                return self._node(middle, found, _chord(first, last))
+        return self._next_to(whole, [first, last]) if inside else None
 
     def motion(self, place: int) -> np.ndarray:
         """x of the motion of a point."""
@@ -176,40 +222,44 @@ class OrbitBranch:
 
     def anchor(self, place: int) -> Node | None:
         """The node next to a point of the curve; None where none is found."""
-        number = self._number(place)
+        number = int(np.searchsorted([one.place for one in self.nodes], place))
         there = [one for one in self.nodes[number : number + 1] if one.place == place]
         if there and there[0].away >= 0.0:
             return there[0]
+        node = self._next_to(place, self.nodes[max(0, number - 1) : number + 1])
+        if node is not None:
+            self.nodes[number : number + len(there)] = [node.rest]
+        return node
+
+    def _next_to(self, place: int, beside: list[Node]) -> Node | None:
+        """The orbit next to a point, with those of some nodes known."""
         motion, parameter = self.motion(place), float(self._parameters[place])
-        starts = [motion]
-        beside = [one for one in self.nodes[max(0, number - 1) : number + 1] if one.away >= 0.0]
-        beside = [one for one in beside if abs(one.place - place) <= EVERY]
+        starts: list[tuple[np.ndarray, OrbitPoint | None]] = [(motion, None)]
+        beside = [one for one in beside if one.away >= 0.0 and abs(one.place - place) <= EVERY]
         if beside:
             near = min(beside, key=lambda one: abs(one.place - place))
-            starts.insert(0, motion + near.unknown - self.motion(round(near.place)))
-        chord = self._chord(place)
-        planes = [chord] if self._turning[place] else [None, chord]
-        for start in starts:
-            for plane in planes:
-                found = self._solved(start, parameter, plane)
+            corrected = motion + near.unknown - self.motion(round(near.place))
+            starts.insert(0, (corrected, near.at))
+        for start, at in starts:
+            for plane in [self._chord] if self._turn[place] <= 2 else [None, self._chord]:
+                found = self._solved(start, parameter, plane and plane(place), at)
                 if found is None:
                     continue
                 away = float(np.linalg.norm(found.unknown - motion) / np.linalg.norm(motion))
                 if away <= ALIKE:
-                    node = self._node(place, found, chord, away)
-                    self.nodes[number : number + len(there)] = [node]
-                    return node
+                    return self._node(place, found, self._ahead(place), away)
         return None
 
     def between(
-        self, first: Node, last: Node, share: float, sharp: bool = False
+        self, first: Node, last: Node, share: float, at: OrbitPoint | None, sharp: bool = False
     ) -> PathPoint | None:
-        """The orbit next to the cubic through two nodes, in the plane across their chord."""
+        """The orbit next to the cubic through two nodes, in the plane across their chord; ``at``:
+        one whose derivative may serve."""
         chord = _chord(first, last)
         if chord is None:
             return None
         steep = min(abs(one.tangent.p) for one in (first, last)) < FLAT
-        found = self._solved(*_cubic(first, last, share), chord if steep else None, sharp)
+        found = self._solved(*_cubic(first, last, share), chord if steep else None, at, sharp)
         if found is None:
             return None
         size = np.linalg.norm(first.unknown - last.unknown)
@@ -232,9 +282,6 @@ class OrbitBranch:
         if new:
             self._known.update(zip(new, self._motions(np.array(new)), strict=True))
 
-    def _number(self, place: float) -> int:
-        return int(np.searchsorted([one.place for one in self.nodes], place))
-
     def _chord(self, place: int) -> Tangent | None:
         """Along the curve at one of its points."""
         ends = max(0, place - 1), min(len(self._parameters) - 1, place + 1)
@@ -242,29 +289,49 @@ class OrbitBranch:
         rise = float(self._parameters[ends[1]] - self._parameters[ends[0]])
         return _direction(after - before, rise, self.motion(place))
 
+    def _ahead(self, place: int) -> Tangent | None:
+        """A direction onwards: far from where the parameter turns, its own."""
+        if self._turn[place] <= EVERY:
+            return self._chord(place)
+        ends = max(0, place - 1), min(len(self._parameters) - 1, place + 1)
+        rise = float(self._parameters[ends[1]] - self._parameters[ends[0]])
+        return Tangent(np.zeros_like(self.motion(place)), float(np.sign(rise)), 1.0)
+
     def _solved(
-        self, unknown: np.ndarray, parameter: float, plane: Tangent | None, sharp: bool = False
+        self,
+        unknown: np.ndarray,
+        parameter: float,
+        plane: Tangent | None,
+        at: OrbitPoint | None,
+        sharp: bool = False,
     ) -> PathPoint | None:
-        """Newton's method in a plane, or at a given parameter, with one derivative for as long as
-        steps with it shrink fast; unless the orbit is wanted sharply, a near one is its own."""
-        guess, goal = (
-            parameter,
-            (SHARP if sharp else TOLERANCE) * max(float(np.linalg.norm(unknown)), 1e-300),
-        )
+        """Newton's method in a plane, or at a given parameter; first, if it is given, with the
+        derivative ``at`` another point."""
+        found = at and self._newton(unknown, parameter, plane, at, sharp)
+        return found or self._newton(unknown, parameter, plane, None, sharp)
+
+    def _newton(
+        self,
+        unknown: np.ndarray,
+        parameter: float,
+        plane: Tangent | None,
+        used: OrbitPoint | None,
+        sharp: bool,
+    ) -> PathPoint | None:
+        """With one derivative for as long as steps with it shrink fast."""
+        guess, size = parameter, max(float(np.linalg.norm(unknown)), 1e-300)
+        goal = (SHARP if sharp else TOLERANCE) * size
         slope, sizes = None, [np.inf]
         try:
-            at = used = self.system.linearise(unknown, parameter)
+            at = self.system.linearise(unknown, parameter)
             for _ in range(ITERATIONS):
                 size = float(np.linalg.norm(at.residual))
                 if size <= goal:
                     flat = plane or Tangent(np.zeros_like(unknown), 1.0, 0.0)
-                    moved = np.linalg.norm(unknown - used.unknown)
-                    if not sharp and moved <= SAME * np.linalg.norm(unknown):
-                        at = used
                     return PathPoint(unknown, parameter, len(sizes), flat, at=at)
                 if not size < max(sizes[-PATIENCE:]):
                     return None
-                if size > SHRINKING * sizes[-1]:
+                if used is None or size > SHRINKING * sizes[-1]:
                     used, slope = at, None
                 change, shift = -used.solve(at.residual), 0.0
                 if plane is not None:
@@ -279,7 +346,7 @@ class OrbitBranch:
             pass
         return None
 
-    @property
+    @cached_property
     def _width(self) -> float:
         return max(1.0, float(np.ptp(self._parameters)))
 
@@ -287,144 +354,104 @@ class OrbitBranch:
         self, place: float, found: PathPoint, ahead: Tangent | None, away: float = np.nan
     ) -> Node:
         at = orbit_of(found)
+        values = _multipliers(at.monodromy)
         tangent = tangent_of(self.system, found.unknown, at)
         if ahead is not None and tangent.along(ahead, self.system) < 0.0:
             tangent = tangent.reversed()
-        values = _multipliers(at.monodromy)
+        leading = values[:LEADING]
         return Node(
-            place, found.unknown, found.parameter, tangent, values[:LEADING], _outside(values), away
-        )
-
-    # --- where they lie closer --------------------------------------------------------------------
-
-    def _halved(self) -> bool:
-        """Whether segments had to be halved, and were."""
-        wanted = self._wanted()
-        any_new = False
-        for first, last in wanted:
-            self._given_up.add((first.place, last.place))
-            any_new |= self._halve(first, last)
-        return any_new
-
-    def _wanted(self) -> list[tuple[Node, Node]]:
-        """Segments that are too long."""
-        found, off = [], self._misfits()
-        for number, (first, last) in enumerate(pairwise(self.nodes)):
-            width = last.place - first.place
-            if width <= NARROWEST or (first.place, last.place) in self._given_up:
-                continue
-            change = np.abs(np.subtract(first.outside, last.outside))
-            smooth = self.linked(first, last) and max(off[number : number + 2]) <= FITTING
-            if not smooth or change.sum() > 1:
-                found.append((first, last))
-        return found
-
-    def _misfits(self) -> np.ndarray:
-        """How far moduli are off the line between those of both neighbours, relative to what they
-        differ from 1: (n_nodes,)."""
-        found = np.zeros(len(self.nodes))
-        if len(self.nodes) < 3:
-            return found
-        moduli = np.array([np.abs(one.leading) for one in self.nodes])
-        lengths = np.array([self._length(*two) for two in pairwise(self.nodes)])
-        share = (lengths[:-1] / np.maximum(lengths[:-1] + lengths[1:], 1e-300))[:, None]
-        line = (1.0 - share) * moduli[:-2] + share * moduli[2:]
-        near = np.min(np.abs(1.0 - np.array([moduli[:-2], moduli[1:-1], moduli[2:]])), axis=0)
-        off = np.abs(moduli[1:-1] - line) / np.maximum(near, RESOLVED)
-        found[1:-1] = np.nanmax(off, axis=1, initial=0.0)
-        return found
-
-    def _length(self, first: Node, last: Node) -> float:
-        change = last.unknown - first.unknown
-        square = first.tangent.weight * (change @ change)
-        return float(np.sqrt(square + (last.parameter - first.parameter) ** 2))
-
-    def _halve(self, first: Node, last: Node) -> bool:
-        """Whether a node between two others has been found."""
-        middle = 0.5 * (first.place + last.place)
-        whole = round(middle)
-        if first.place < whole < last.place and not self.linked(first, last):
-            return self.anchor(whole) is not None
-        found = self.between(first, last, 0.5)
-        if found is None:
-            return first.place < whole < last.place and self.anchor(whole) is not None
-        self.nodes.insert(self._number(middle), self._node(middle, found, _chord(first, last)))
-        return True
+            place, found.unknown, found.parameter, tangent, leading, _outside(values),
+            _paired(leading), away, at,
+        )  # fmt: skip
 
     # --- bifurcations -----------------------------------------------------------------------------
 
-    def crossings(self, near: float = 1e-3) -> list[Crossing]:
-        """The bifurcations, in the order of the branch; located to 1e-10 of the parameter, and to a
-        part of a segment."""
-        return [
-            found
-            for first, last in pairwise(self.nodes)
-            if last.place - first.place <= EVERY
-            for found in self._on(first, last, near)
-        ]
+    def locate(self, near: float = 1e-3) -> list[Crossing]:
+        """The bifurcations, in the order of the branch, to 1e-10 of the parameter and to a part of
+        a segment; from now on they are nodes of it."""
+        self._look_between()
+        found: list[Node] = []
+        for first, last in pairwise(self.nodes):
+            found.append(first)
+            if last.place - first.place <= EVERY:
+                found += self._on(first, last, near)
+        self.nodes = [*found, *self.nodes[-1:]]
+        return [one.crossing for one in self.nodes if one.crossing is not None]
 
-    def _on(self, first: Node, last: Node, near: float) -> Iterator[Crossing]:
-        """Those of a segment."""
+    def _look_between(self) -> None:
+        """Halve segments between whose ends nothing seems to change, but behind which moduli went
+        so that they would pass 1 before the middle."""
+        number, nodes = 0, self.nodes
+        while number + 1 < len(nodes):
+            first, last = nodes[number : number + 2]
+            middle = None
+            threes = [nodes[max(0, number - 1) : number + 2], nodes[number : number + 3][::-1]]
+            wide = NARROWEST < last.place - first.place <= EVERY
+            if wide and any(len(three) == 3 and _pass_one(*three) for three in threes):
+                found = self.between(first, last, 0.5, None)
+                if found is not None:
+                    place = 0.5 * (first.place + last.place)
+                    middle = self._node(place, found, _chord(first, last))
+            if middle is None:
+                number += 1
+            else:
+                nodes.insert(number + 1, middle.rest)
+                number = max(0, number - 1)
+
+    def _on(self, first: Node, last: Node, near: float) -> Iterator[Node]:
+        """Those of a segment; where they are several it is halved until each is alone."""
         change = np.subtract(last.outside, first.outside)
         if change[0] % 2 == 0 and change[1] % 2 == 0 and change @ (1, 1, 2) == 0:
             return
-        simple = np.abs(change).sum() == 1
+        if np.abs(change).sum() > 1 and last.place - first.place > ALONE:
+            found = self.between(first, last, 0.5, first.at)
+            if found is not None:
+                place = 0.5 * (first.place + last.place)
+                middle = self._node(place, found, _chord(first, last))
+                yield from self._on(first, middle, near)
+                yield middle.rest
+                yield from self._on(middle, last, near)
+                return
         for kind, step in zip(KINDS, change, strict=True):
-            if step % 2 and (simple or kind != "neimark_sacker"):
-                share, found, located = self._located(kind, first, last, near)
-                place = first.place + share * (last.place - first.place)
-                parameter = 0.5 * (first.parameter + last.parameter)
-                if found is not None:
-                    parameter = found.parameter
-                yield Crossing(kind, parameter, place, located, found if located else None)
+            if step % 2:
+                yield self._located(kind, first, last, near).rest
 
-    def _located(
-        self, kind: str, first: Node, last: Node, near: float
-    ) -> tuple[float, PathPoint | None, bool]:
-        """Where a test function vanishes on a segment, and True; where it was smallest, and False,
-        where an orbit is missed, or it has one sign, or jumps past zero."""
-        test = self._test(kind, first, last)
-        met: list[tuple[float, float, PathPoint]] = []
-
-        def value(share: float) -> float:
-            found = self.between(first, last, share, True)
-            if found is None:
-                raise ConvergenceError("no orbit")
-            value = test(found)
-            met.append((abs(value), share, found))
-            return value
-
-        rise = abs(last.parameter - first.parameter) / max(abs(first.parameter), 1e-300)
-        try:
-            scipy.optimize.brentq(value, 0.0, 1.0, xtol=min(near, 1e-10 / max(rise, 1e-10)))
-            sizes = [size for size, _, _ in met]
-            smooth = min(sizes) <= SMOOTH * max(sizes)
-        except (ConvergenceError, ValueError):
-            smooth = False
-        if not met:
-            return 0.5, None, False
-        _, share, found = min(met, key=lambda one: one[0])
-        return share, found, smooth
-
-    def _test(self, kind: str, first: Node, last: Node) -> Callable[[PathPoint], float]:
-        """A function that changes its sign at a bifurcation on a segment."""
+    def _located(self, kind: str, first: Node, last: Node, close: float) -> Node:
+        """Where a test function vanishes on a segment; not located: where it was smallest, as an
+        orbit is missed, or it has one sign, or jumps past zero."""
         pairs, chord = max(first.outside[2], last.outside[2]), _chord(first, last)
-        assert chord is not None
+        met: list[tuple[float, float, Node]] = []
 
-        def turning(found: PathPoint) -> float:
-            tangent = tangent_of(self.system, found.unknown, orbit_of(found))
-            onwards = tangent.along(chord, self.system) >= 0.0
-            return tangent.p if onwards else -tangent.p
-
-        def doubling(found: PathPoint) -> float:
-            return doubling_test(orbit_of(found).monodromy)
-
-        def pair(found: PathPoint) -> float:
-            values = _multipliers(orbit_of(found).monodromy)
-            sizes = np.abs(values[values.imag > 0.0])
+        def test(one: Node) -> float:
+            if kind == KINDS[0]:
+                return one.tangent.p
+            if kind == KINDS[1]:
+                return float(np.prod(1.0 + one.pairs.sum(axis=1)))
+            sizes = np.abs(one.leading[one.leading.imag > 0.0])
             return float(sizes[pairs - 1]) - 1.0 if len(sizes) >= pairs else -1.0
 
-        return {KINDS[0]: turning, KINDS[1]: doubling, KINDS[2]: pair}[kind]
+        def value(share: float) -> float:
+            if share in (0.0, 1.0):
+                one = last if share else first
+            else:
+                near = met[-1][2].at if met else first.at
+                found = self.between(first, last, share, near, True)
+                if found is None:
+                    raise ConvergenceError("no orbit")
+                place = first.place + share * (last.place - first.place)
+                one = self._node(place, found, chord)
+                met.append((abs(test(one)), share, one))
+            return test(one)
+
+        located, largest = False, max(abs(test(first)), abs(test(last)))
+        rise = abs(last.parameter - first.parameter) / max(abs(first.parameter), 1e-300)
+        try:
+            scipy.optimize.brentq(value, 0.0, 1.0, xtol=min(close, 1e-10 / max(rise, 1e-10)))
+            located = min(met)[0] <= SMOOTH * largest
+        except (ConvergenceError, ValueError):
+            pass
+        one = min(met)[2] if met else first
+        return replace(one, crossing=Crossing(kind, one.parameter, one.place, located))
 
 
 def orbit_of(found: PathPoint) -> OrbitPoint:
@@ -458,12 +485,12 @@ def _cubic(first: Node, last: Node, share: float) -> tuple[np.ndarray, float]:
     return unknown, parameter
 
 
-def _near_turns(parameters: np.ndarray) -> np.ndarray:
-    """Whether the parameter turns back at a point or at the next one on either side: (n,) bool."""
+def _to_turns(parameters: np.ndarray) -> np.ndarray:
+    """Points from each point to the nearest one where the parameter turns back: (n,)."""
     ahead = np.sign(np.diff(parameters))
     turns = np.flatnonzero(ahead[1:] != ahead[:-1]) + 1
-    near = np.abs(np.arange(len(parameters))[:, None] - turns)
-    return np.asarray(np.min(near, 1, initial=9) <= 2)
+    places = np.arange(len(parameters))
+    return np.asarray(np.abs(places[:, None] - turns).min(1, initial=len(places)))
 
 
 def _multipliers(monodromy: np.ndarray) -> np.ndarray:
@@ -487,7 +514,7 @@ def _leading(matrix: np.ndarray) -> np.ndarray | None:
         power = power @ power
     for turn in range(1, TURNS + 1):
         columns = np.linalg.qr(power @ columns)[0]
-        if turn % 2:
+        if turn % 3:
             continue
         image = matrix @ columns
         values, vectors = np.linalg.eig(columns.T @ image)
@@ -497,6 +524,69 @@ def _leading(matrix: np.ndarray) -> np.ndarray | None:
         if np.linalg.norm(left, axis=0).max() <= EXACT and abs(values[order[-1]]) < 1.0:
             return values[order] + 0j
     return None
+
+
+def _paired(values: np.ndarray) -> np.ndarray:
+    """Sums and products of pairs, largest product first: of conjugate multipliers, and of real ones
+    of one sign, which leave a pair and meet again; one that is left has zero beside it."""
+    upper = values[values.imag > 0.0]
+    sums, products = [2.0 * upper.real], [np.abs(upper) ** 2]
+    for sign in (1.0, -1.0):
+        real = values.real[(values.imag == 0.0) & (sign * values.real > 0.0)]
+        if len(real) % 2:
+            real = np.insert(real, len(real) // 2 + 1, 0.0)
+        outer, inner = real[: len(real) // 2], real[: len(real) // 2 - 1 : -1]
+        sums.append(outer + inner)
+        products.append(outer * inner)
+    found = np.column_stack([np.concatenate(sums), np.concatenate(products)])
+    return found[np.argsort(-found[:, 1], kind="stable")]
+
+
+def blended(first: Node, last: Node, share: float) -> np.ndarray:
+    """Moduli between two nodes, largest first: those between, or, where a pair becomes real and
+    they have a corner, of pairs with the sums and products between."""
+    alike = [np.sign(one.leading.real[one.leading.imag == 0.0]).sum() for one in (first, last)]
+    ends = (np.abs(one.leading) for one in (first, last))
+    if alike[0] != alike[1] or len(first.pairs) != len(last.pairs):
+        ends = (one.pairs for one in (first, last))
+    begin, end = ends
+    count = min(len(begin), len(end))
+    found = (1.0 - share) * begin[:count] + share * end[:count]
+    if found.ndim == 1:
+        return found
+    half = 0.5 * found[:, 0]
+    root = np.sqrt(half**2 - found[:, 1] + 0j)
+    return -np.sort(-np.abs(np.concatenate([half + root, half - root])))
+
+
+def _fits(first: Node, middle: Node, last: Node) -> bool:
+    """Whether the moduli at a node are those between its neighbours', to a part of what they
+    differ from 1."""
+    lengths = [_length(first, middle), _length(middle, last)]
+    line = blended(first, last, lengths[0] / max(sum(lengths), 1e-300))
+    three = [np.abs(one.leading) for one in (first, middle, last)]
+    count = min(len(line), *map(len, three))
+    moduli = np.array([one[:count] for one in three])
+    near = np.abs(1.0 - moduli).min(axis=0)
+    off = np.abs(moduli[1] - line[:count])
+    return bool(np.all(off <= FITTING * np.maximum(near, RESOLVED)))
+
+
+def _pass_one(before: Node, first: Node, last: Node) -> bool:
+    """Whether moduli that go on behind a node as they came would pass 1 half on the way to the
+    next, where they are on the same side of it."""
+    three = [np.abs(one.leading) - 1.0 for one in (before, first, last)]
+    count = min(map(len, three))
+    came, here, next_one = (one[:count] for one in three)
+    ahead = 0.5 * _length(first, last) / max(_length(before, first), 1e-300)
+    beyond = here + ahead * (here - came)
+    return bool(np.any((here * next_one > 0.0) & (here * beyond < 0.0)))
+
+
+def _length(first: Node, last: Node) -> float:
+    change = last.unknown - first.unknown
+    square = first.tangent.weight * (change @ change)
+    return float(np.sqrt(square + (last.parameter - first.parameter) ** 2))
 
 
 def _outside(values: np.ndarray) -> tuple[int, int, int]:

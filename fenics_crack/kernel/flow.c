@@ -8,8 +8,8 @@
 #include "sets.h"
 
 /* ORDER: of the series. BUCKETS: of sets. ANSWERS: of complementarity problems that are kept. TURNS:
- * to a root. */
-enum { ORDER = 38, TERMS = ORDER + 1, BUCKETS = 4096, ANSWERS = 64, TURNS = 100 };
+ * to a root. BLOCK: numbers that a processor works on together. */
+enum { ORDER = 38, TERMS = ORDER + 1, BUCKETS = 4096, ANSWERS = 64, TURNS = 100, BLOCK = 8 };
 
 /* Length of a piece and of a step of the search for events, times the largest frequency; last
  * terms relative to the largest at the end of a piece; what rounding leaves of an answer; when
@@ -65,11 +65,21 @@ WIDE static void add_rows(int count, int n, const double *restrict rows,
                           const double *restrict weights, double *restrict sum)
 {
     int k = 0;
+    if (n == 1) {
+        *sum += dot(count, rows, weights);
+        return;
+    }
     for (; k + 3 < count; k += 4, rows += 4L * n) {
         const double a = weights[k], b = weights[k + 1], c = weights[k + 2], d = weights[k + 3];
         const double *one = rows + n, *two = one + n, *three = two + n;
         for (int i = 0; i < n; i++)
             sum[i] += (a * rows[i] + b * one[i]) + (c * two[i] + d * three[i]);
+    }
+    if (k + 2 < count) {
+        const double a = weights[k], b = weights[k + 1], c = weights[k + 2];
+        for (int i = 0; i < n; i++)
+            sum[i] += (a * rows[i] + b * rows[n + i]) + c * rows[2L * n + i];
+        return;
     }
     for (; k < count; k++, rows += n)
         for (int i = 0; i < n; i++) sum[i] += weights[k] * rows[i];
@@ -79,7 +89,6 @@ WIDE static void add_rows(int count, int n, const double *restrict rows,
 WIDE static void evaluate(int n, const double *restrict terms, double at, double *restrict value,
                           double *restrict slope)
 {
-    enum { BLOCK = 8 };
     for (int first = 0; first < n; first += BLOCK) {
         const int count = n - first < BLOCK ? n - first : BLOCK;
         double v[BLOCK] = {0.0}, d[BLOCK] = {0.0};
@@ -337,27 +346,49 @@ static double falls(const flow *f, int pair, double low, double high, const doub
     return zero_of(f, pair, 0, low, high);
 }
 
+/* Values and slopes (BLOCK, p) of answers at as many instants, for fewer pairs than that. */
+WIDE static void look_ahead(const flow *f, const double *restrict at, double *restrict value,
+                            double *restrict slope)
+{
+    const int p = f->of.pairs;
+    for (int i = 0; i < p; i++) {
+        const double *row = f->answers + (long)ORDER * p + i;
+        double v[BLOCK] = {0.0}, d[BLOCK] = {0.0};
+        for (int n = ORDER; n >= 0; n--, row -= p)
+            for (int k = 0; k < BLOCK; k++) {
+                d[k] = d[k] * at[k] + v[k];
+                v[k] = v[k] * at[k] + *row;
+            }
+        for (int k = 0; k < BLOCK; k++) value[k * p + i] = v[k], slope[k * p + i] = d[k];
+    }
+}
+
 /* The first pair that changes its state, and when; -1: none before `end`. */
 static int next_event(flow *f, double step, double end, double *when)
 {
-    const int p = f->of.pairs;
-    double *value = f->value, *slope = f->slope;
-    memcpy(value + p, f->answers, bytes(p));
-    memcpy(slope + p, f->answers + p, bytes(p));
-    for (int k = 1; p && (k - 1) * step < end; k++) {
-        const double low = (k - 1) * step, high = smaller(k * step, end);
-        int found = -1;
-        memcpy(value, value + p, bytes(p));
-        memcpy(slope, slope + p, bytes(p));
-        evaluate(p, f->answers, high, value + p, slope + p);
-        for (int i = 0; i < p; i++) {
-            if (value[p + i] >= 0.0 && !(slope[i] < 0.0 && slope[p + i] > 0.0)) continue;
-            const double root = falls(f, i, low, high, value + i, slope + i);
-            if (isnan(root) || (found >= 0 && root >= *when)) continue;
-            found = i;
-            *when = root;
+    const int p = f->of.pairs, many = p < BLOCK ? BLOCK : 1;
+    double values[(BLOCK + 1) * BLOCK], slopes[(BLOCK + 1) * BLOCK], at[BLOCK + 1] = {0.0};
+    double *value = many > 1 ? values : f->value, *slope = many > 1 ? slopes : f->slope;
+    memcpy(value, f->answers, bytes(p));
+    memcpy(slope, f->answers + p, bytes(p));
+    for (int first = 0; p && first * step < end; first += many) {
+        for (int k = 0; k < many; k++) at[k + 1] = smaller((first + k + 1) * step, end);
+        if (many > 1) look_ahead(f, at + 1, value + p, slope + p);
+        else evaluate(p, f->answers, at[1], value + p, slope + p);
+        for (int k = 0; k < many && at[k] < end; k++) {
+            int found = -1;
+            for (int i = k * p; i < (k + 1) * p; i++) {
+                if (value[p + i] >= 0.0 && !(slope[i] < 0.0 && slope[p + i] > 0.0)) continue;
+                const double root = falls(f, i - k * p, at[k], at[k + 1], value + i, slope + i);
+                if (isnan(root) || (found >= 0 && root >= *when)) continue;
+                found = i - k * p;
+                *when = root;
+            }
+            if (found >= 0) return found;
         }
-        if (found >= 0) return found;
+        at[0] = at[many];
+        memcpy(value, value + many * p, bytes(p));
+        memcpy(slope, slope + many * p, bytes(p));
     }
     return -1;
 }
@@ -623,6 +654,33 @@ static void exponential_of(const flow *f, const known *a, double unit, double le
     }
 }
 
+/* product = exp product of an interval in which no pair is closed: each mode swings by itself,
+ * b'' + c b' + k b = 0 with b(0) = 0, b'(0) = 1. */
+static void swing(const flow *f, double unit, double length, double *product)
+{
+    const int m = f->of.modes;
+    const double t = unit * length;
+    for (int i = 0; i < m; i++) {
+        const double c = f->of.damping[i] / unit, k = f->of.squares[i] / (unit * unit);
+        const double square = k - 0.25 * c * c, w = sqrt(fabs(square));
+        const double fall = exp((square > 0.0 ? -0.5 * c : w - 0.5 * c) * t);
+        double b = fall * t, rate = fall;
+        if (square > 0.0) b = fall * sin(w * t) / w, rate *= cos(w * t);
+        else if (w > 0.0) {
+            const double lost = expm1(-2.0 * w * t);
+            b = -fall * lost / (2.0 * w), rate *= 1.0 + 0.5 * lost;
+        }
+        rate -= 0.5 * c * b;
+        const double stay = rate + c * b;
+        double *restrict q = product + (long)i * 2 * m, *restrict v = q + 2L * m * m;
+        for (int j = 0; j < 2 * m; j++) {
+            const double before = q[j];
+            q[j] = stay * before + b * v[j];
+            v[j] = rate * v[j] - b * k * before;
+        }
+    }
+}
+
 int flow_tangent(flow *f, const flow_track *track, double *product)
 {
     const int m = f->of.modes;
@@ -638,6 +696,10 @@ int flow_tangent(flow *f, const flow_track *track, double *product)
     for (int k = 0; k < track->intervals; k++) {
         const known *a = find(f, track->sets + (long)k * f->of.pairs);
         if (!a) return FLOW_MEMORY;
+        if (!a->size && !f->of.coupled) {
+            swing(f, unit, track->lengths[k], product);
+            continue;
+        }
         exponential_of(f, a, unit, track->lengths[k], &r);
         memcpy(r.product, product, bytes(4 * square));
         multiply_matrices(2 * m, 2 * m, 2 * m, r.change, r.product, 1.0, product);

@@ -21,7 +21,7 @@ def test_nodes_are_orbits_of_one_branch() -> None:
     folds, and r, d and c change where bifurcations are alone."""
     curve = fc.continue_frequency(two_masses(), 0.6, 0.9, fc.UnilateralPenalty(100.0), harmonics=30)
     judge = _Judge(curve)
-    nodes, system = judge.branch.nodes, judge.system
+    crossings, nodes, system = judge.branch.locate(), judge.branch.nodes, judge.system
     linked = [judge.branch.linked(*two) for two in pairwise(nodes)]
     assert np.mean(linked) > 0.97  # beside a fold of the curve nodes may come back a little
     for one in nodes[::5]:
@@ -34,9 +34,8 @@ def test_nodes_are_orbits_of_one_branch() -> None:
         assert np.abs(one.leading[:count]) == pytest.approx(
             np.abs(orbit.multipliers[:count]), abs=1e-3
         )
-    crossings = judge.branch.crossings()
     assert all(one.located for one in crossings)
-    for first, last in pairwise(nodes):
+    for first, last in pairwise([one for one in nodes if one.crossing is None]):
         between = [one for one in crossings if first.place <= one.place <= last.place]
         assert (first.outside != last.outside) == bool(between)
 
@@ -56,6 +55,23 @@ def test_doublings_that_the_truncated_equations_lack(soft_plate: fc.Structure) -
     unstable = (curve.omega > low) & (curve.omega < high)
     assert np.array_equal(curve.verdicts == "unstable", unstable)
     assert set(curve.verdicts) == {"stable", "unstable"}
+
+
+def test_two_bifurcations_next_to_each_other(soft_plate: fc.Structure) -> None:
+    """A pair comes back into the unit circle, meets at -1, and one of it leaves again within 0.1
+    rad/s: orbits at both frequencies have a multiplier on the circle."""
+    law = fc.UnilateralPenalty(1e9)
+    curve = fc.continue_frequency(soft_plate, 1700.0, 1725.0, law, harmonics=20, stability=True)
+    found = {one.kind: one.exact for one in curve.bifurcations if 1712.0 < one.exact < 1713.0}
+    assert set(found) == {"neimark_sacker", "period_doubling"}
+    assert 0.05 < found["period_doubling"] - found["neimark_sacker"] < 0.15
+    for kind, omega in found.items():
+        near = fc.solve_harmonic_balance(soft_plate, omega, law, harmonics=40)
+        values = fc.shoot(soft_plate, near).multipliers
+        if kind == "period_doubling":
+            assert np.abs(values + 1.0).min() < 1e-5
+        else:
+            assert abs(values[0].imag) > 0.01 and abs(values[0]) == pytest.approx(1.0, abs=1e-6)
 
 
 @pytest.mark.parametrize(

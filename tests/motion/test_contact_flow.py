@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.linalg
 from helpers import DAMPINGS, Cubic, chain, oscillator, relative
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -213,3 +214,22 @@ def test_who_has_a_flow() -> None:
     assert flow_of(heavy, RIGID) is None
     assert flow_of(heavy, Cubic(1.0)) is None
     assert flow_of(heavy, fc.SmoothedPenalty(1.0, 1.0)) is None
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.1, 2.0, 2.0 + 1e-9, 4.0])
+def test_derivative_while_all_pairs_are_open(damping: float) -> None:
+    """The exponential of the flow's matrix, also with critical and more damping."""
+    structure = fc.Structure.from_matrices(
+        np.eye(2), np.diag([1.0, 0.0]), [1.0, 0.0], force_cos=[1.0, 0.0], clearance=1e9,
+        damping=damping * np.eye(2),
+    )  # fmt: skip
+    flow = known(structure, fc.UnilateralPenalty(1.0))
+    assert flow.modes.damping.ndim == 1
+    matrix = np.block(
+        [
+            [np.zeros((2, 2)), np.eye(2)],
+            [-np.diag(flow.modes.squares), -np.diag(flow.modes.damping)],
+        ]
+    )
+    tangent = flow.advance(thrown(flow), 0.3, 20.0).track.tangent
+    assert tangent == pytest.approx(scipy.linalg.expm(20.0 * matrix), abs=1e-9)
