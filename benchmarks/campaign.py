@@ -14,8 +14,9 @@ any of them can be repeated by itself (``--family plate --first N --cases 1``). 
     reduction   the reduction's estimated error against the orbit with twice the modes
 
 The judge is :mod:`reference_flow`, which shares no code with the package and knows no harmonics:
-orbits next to the answer; where there is none, next to where the exact motion is after 3, 10, 30
-and 100 periods, and next to solutions with two and four times the harmonics. An orbit is the
+orbits next to the answer; where there is none, next to the one that the answer goes by, to where
+the exact motion is after 3, 10, 30 and 100 periods, and to solutions with two and four times the
+harmonics. An orbit is the
 answer's own within three times the estimate, or within three times one Newton step of the whole
 wave (``pred``). The error is the distance of the gaps from that orbit of the same reduced
 structure, relative to B^T u. Of a verdict: the modulus of the exact leading multiplier, and for
@@ -128,10 +129,13 @@ def exact_orbit(case: Case, found: fc.PeriodicSolution) -> tuple[Orbit | None, f
 def _starts(
     case: Case, found: fc.PeriodicSolution, flow: ReferenceFlow
 ) -> Iterator[Callable[[], np.ndarray]]:
-    """The answer's own state, where the exact motion is after some periods, and the states of
-    solutions with two and four times its harmonics."""
+    """The answer's own state, that of the orbit it goes by, where the exact motion is after some
+    periods, and the states of solutions with two and four times its harmonics."""
     state = flow.states_of(found, np.zeros(1))[0]
     yield lambda: state
+    if found.judged.flow is not None and (known := found.judged.orbit) is not None:
+        shape, rate = np.split(known.state, 2) @ known.flow.modes.shapes.T
+        yield lambda: flow.state(shape, rate)
     for periods in (3, 10):
         yield lambda periods=periods: flow.settled(  # type: ignore[misc]
             state, found.omega, found.period, periods
@@ -211,11 +215,9 @@ def judge(
     )  # fmt: skip
     if not found.converged:
         row.remark = found.status
-        if "that of the reduced structure given" in found.status:
-            row.judgement = LIMITED
         return row
     if estimate(found) > LARGE and verdict != "stable":
-        row.judgement = TOO_LARGE
+        row.judgement, row.remark = TOO_LARGE, found.judged.reason
         return row
     orbit, row.true = exact_orbit(case, found)
     row.pred = float("nan") if orbit is None else _pred(case, found)
@@ -248,9 +250,9 @@ def _judgement(
         another = row.pred <= near and row.true > TIMES * row.pred
         return (OPEN, "another orbit") if another else (WRONG, "error")
     if row.true > row.asked:
-        return WRONG, "tolerance"
+        return missed(found)
     if row.verdict == "undecided":
-        return UNDECIDED, ""
+        return UNDECIDED, fc.floquet(found.structure, found).reason
     if row.verdict == "-":
         return RIGHT, ""
     if abs(row.exact - 1.0) <= SURE:
@@ -260,6 +262,13 @@ def _judgement(
     if row.verdict == "stable" and row.true > NEAR and leaves(case, found, orbit):
         return WRONG, "leaves"
     return RIGHT, ""
+
+
+def missed(found: fc.PeriodicSolution) -> tuple[str, str]:
+    """A tolerance that is not met, with an error that is as stated: whether it says so."""
+    if "what limits it: " not in found.status:
+        return WRONG, "tolerance"
+    return LIMITED if "what limits it: modes" in found.status else UNCONVERGED, found.status
 
 
 def _verdict(found: fc.PeriodicSolution) -> str:
@@ -293,15 +302,18 @@ def wholes(case: Case) -> Iterator[Finding]:
         case.structure, case.omega, case.law, tolerance=case.tolerance, throw=False
     )
     spent = time.process_time() - begun
-    row = judge(case, found, "tolerance, modes", "-", case.tolerance, spent)
+    row = judge(case, found, "tolerance, modes", "-", seconds=spent)
+    row.asked = case.tolerance
     if row.judgement == RIGHT:
         off = _with_more_modes(case, found, case.structure)
         row.true = float("nan") if off is None else off[1]
         row.estimate = found.report.total
         if off is None:
             row.judgement, row.remark = OPEN, "no orbit with twice the modes"
+        elif row.true > max(TIMES * row.estimate, ROUNDING):
+            row.judgement, row.remark = WRONG, "error"
         elif row.true > case.tolerance:
-            row.judgement, row.remark = WRONG, "tolerance"
+            row.judgement, row.remark = missed(found)
     yield row
 
 
@@ -352,7 +364,7 @@ def followed(case: Case, reach: float = 0.1, stability: bool = True) -> fc.Respo
 def peaks(case: Case) -> Iterator[Finding]:
     """The point of a curve where lips move most."""
     curve = followed(case, PEAK, stability=False)
-    sizes = [np.linalg.norm(curve.solution(i).gap_coefficients[1:]) for i in range(len(curve))]
+    sizes = np.linalg.norm(curve.gap_coefficients[:, 1:], axis=(1, 2))
     begun = time.process_time()
     found = curve.solution(int(np.argmax(sizes)))
     verdict = _verdict(found)

@@ -1,6 +1,7 @@
 """Cases of benchmarks/campaign.py whose answers were wrong and passed for right."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import campaign
@@ -9,6 +10,7 @@ import pytest
 
 import fenics_crack as fc
 from fenics_crack.balance.error_report import UNKNOWN
+from fenics_crack.motion.orbit import find_orbit
 
 WERE_WRONG = {
     66: "estimate of 0.8 % where the exact orbit is 9.5 % away: Newton's second step in the wider "
@@ -17,8 +19,7 @@ WERE_WRONG = {
 }
 NOT_KNOWN = {
     412: "estimate of 0.3 % by two steps, the second a tenth of the first, where orbits are 1.2 "
-    "and 1.4 % away, to neither of which Newton's method leads",
-    553: "estimate of 7 %, the exact orbit is 40 % away: the second step a quarter of the first",
+    "and 1.4 % away, to neither of which Newton's method leads"
 }
 BY_EXACT_ORBITS = {
     23: "a tolerance of 1 % missed by 8 % of it: the steps never end",
@@ -51,7 +52,7 @@ def test_is_right(number: int) -> None:
 
 @pytest.mark.parametrize("number", NOT_KNOWN)
 def test_error_is_said_to_be_unknown(number: int) -> None:
-    """Neither steps nor an exact orbit tell the error: it is not small, and no tolerance is met."""
+    """Neither steps nor an exact orbit tell the error: it is not small."""
     (row,) = campaign.findings(1, campaign.draw(1, number))
     assert row["judgement"] in (campaign.TOO_LARGE, campaign.UNCONVERGED), row
     assert row["estimate"] >= UNKNOWN
@@ -101,7 +102,7 @@ def test_backbone_and_its_errors(seed: int, number: int, most: float) -> None:
 
 def test_two_short_steps_next_to_grazing_are_not_enough() -> None:
     """Two steps, the second 0.007 and 0.03 of the first, estimated 1.2 and 1.6 %; Newton's method
-    goes in circles there, and the nearest exact orbits are 18 and 5 % away."""
+    goes in circles there, and the nearest exact orbits are 18 and 2.5 % away."""
     case = campaign.draw(1, 375)
     span = 0.9 * case.omega, 1.1 * case.omega
     curve = fc.continue_frequency(
@@ -111,7 +112,7 @@ def test_two_short_steps_next_to_grazing_are_not_enough() -> None:
         found = curve.solution(int(np.argmin(np.abs(curve.omega - omega))))
         assert found.omega == pytest.approx(omega, rel=1e-4)
         orbit, off = campaign.exact_orbit(case, found)
-        assert orbit is not None and 0.05 < off < 3.0 * found.report.total
+        assert orbit is not None and 0.02 < off < 3.0 * found.report.total
 
 
 def test_point_next_to_a_fold_is_not_judged_by_an_orbit_at_another_frequency() -> None:
@@ -154,6 +155,23 @@ def test_case_follows_from_its_seed_and_number(family: str, pairs: tuple[int, in
     assert one.structure.light_lips == (family == "plate")
 
 
+def test_tolerance_that_says_that_it_is_missed() -> None:
+    """It is no wrong answer unless its stated error is; one that does not say so is."""
+    case = campaign.draw(1, 1, "solution")
+    found = fc.solve_harmonic_balance(case.structure, case.omega, case.law, harmonics=5)
+    assert found.report.truncation == pytest.approx(8.5e-3, rel=0.05)
+
+    def judged(status: str, share: float = 1.0) -> str:
+        report = replace(found.report, truncation=share * found.report.truncation)
+        told = replace(found, status=status, report=report)
+        return campaign.judge(case, told, "tolerance", "-", 1e-9).judgement
+
+    missed = "solved; error 1 %, asked 1e-09; what limits it: "
+    assert judged(missed + "modes") == campaign.LIMITED
+    assert judged(missed + "harmonics") == campaign.UNCONVERGED
+    assert judged("converged") == judged(missed + "modes", 0.1) == campaign.WRONG
+
+
 def test_run_goes_on_and_is_added_up(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A case is a line; one that was not finished is asked again. Of a wrong answer, a tolerance
     that is met and a verdict far from its orbit the table says so."""
@@ -173,3 +191,35 @@ def test_run_goes_on_and_is_added_up(tmp_path: Path, capsys: pytest.CaptureFixtu
     campaign.summarise([kept | {"rows": [row, wrong]}])
     printed = capsys.readouterr().out
     assert "few" in printed and "Wrong" in printed
+
+
+@pytest.mark.parametrize("number", [13, 30, 65])
+def test_orbit_by_a_path_from_another_frequency(number: int) -> None:
+    """Newton's method leads to none from the solution; the judge's flow repeats the one that is
+    found, and it is as far away as predicted."""
+    case = campaign.draw(171, number, "solution")
+    found = fc.solve_harmonic_balance(
+        case.structure, case.omega, case.law, harmonics=case.harmonics
+    )
+    judged = found.judged
+    assert judged.flow is not None and judged.orbit is not None and judged.accepted
+    assert find_orbit(judged.flow, case.omega, judged.states[0]) is None
+    flow, orbit = case.flow(case.structure), judged.orbit
+    shape, rate = np.split(orbit.state, 2)
+    state = flow.state(judged.flow.modes.shapes @ shape, judged.flow.modes.shapes @ rate)
+    after = flow.advance(state, case.omega, 0.0, orbit.period).state
+    assert np.linalg.norm(after - state) < 1e-8 * np.linalg.norm(state)
+    assert 0.5 < found.report.truncation / judged.prediction < 2.0
+
+
+def test_large_error_is_stated_as_predicted() -> None:
+    """Where no orbit is sought, with a reason that says what to do. Two steps estimated 7 %, the
+    second a quarter of the first; the exact orbit is 40 % away."""
+    case = campaign.draw(1, 553)
+    found = fc.solve_harmonic_balance(
+        case.structure, case.omega, case.law, harmonics=case.harmonics
+    )
+    assert found.report.truncation == pytest.approx(found.judged.prediction)
+    assert 0.4 < found.report.truncation < UNKNOWN
+    reason = fc.floquet(case.structure, found).reason
+    assert reason.startswith("the harmonics left out change it by") and "take more" in reason

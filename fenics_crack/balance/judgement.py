@@ -22,7 +22,7 @@ __all__ = ["AFFORDABLE", "BELIEVED", "FARTHEST", "STILL", "UNKNOWN", "Judgement"
 
 BELIEVED, FARTHEST, FAR = 3.0, 0.1, 0.3
 """Times the error predicted, beyond which an orbit is another one; the distance beyond which it
-judges nothing, and a prediction no estimate; and the prediction from which on none is sought."""
+judges nothing; and the prediction from which on none is sought: the harmonics do not do."""
 UNKNOWN = 1.0
 """An error that is not known."""
 AFFORDABLE = 240
@@ -131,13 +131,13 @@ class Judgement:
 
     def errors(self, *, search: bool = True) -> tuple[float, float]:
         """Of the gap, and of the displacement at the load in the direction of each of its parts:
-        the distance to the wave's own orbit; what is predicted where none is looked for; else, and
-        where the prediction is large, :data:`UNKNOWN`. A search that fails contradicts the one step
-        that predicts: next to grazing the orbit may be 15 times as far away."""
+        the distance to the wave's own orbit; what is predicted where none is looked for; else
+        :data:`UNKNOWN`, which is also the most. A search that fails contradicts the one step that
+        predicts: next to grazing the orbit may be 15 times as far away."""
         if search and (self.of_orbit or self.distance <= max(BELIEVED * self.prediction, CLOSE)):
             return self.distance, self._away_at_load
-        if self.prediction < FARTHEST and not search:
-            return self.prediction, self._predicted_at_load
+        if self.prediction < UNKNOWN and not (search and self.prediction < FAR):
+            return self.prediction, min(self._predicted_at_load, UNKNOWN)
         return UNKNOWN, UNKNOWN
 
     @property
@@ -168,13 +168,15 @@ class Judgement:
             return ""
         if self.predicted is None:
             return "its pairs open and close too often to be followed; lips without mass do less so"
-        if not self.prediction < FAR:
-            return f"the harmonics left out change it by {self.prediction:.0%}"
+        if self.orbit is None and self.prediction < FAR:
+            return "no exact orbit was found next to it; with more harmonics one may be"
         if self.orbit is None:
-            return "no exact orbit was found next to it"
+            return f"the harmonics left out change it by {self.prediction:.0%}; take more"
+        if self.distance <= BELIEVED * self.prediction:
+            return f"its exact orbit is {self.distance:.1%} away; take more harmonics"
         return (
-            "the exact orbit next to it is another one, or far: "
-            f"{self.distance:.1%} away where {self.prediction:.1%} were predicted"
+            f"the exact orbit next to it is another one, {self.distance:.1%} away where "
+            f"{self.prediction:.1%} were predicted; more harmonics tell these apart"
         )
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import chain, pairwise
+
 import numpy as np
 
-from fenics_crack.balance.bordered import solve_in_plane
+from fenics_crack.balance.arclength import Stepping, follow_path
+from fenics_crack.balance.bordered import PathPoint, solve_in_plane, tangent_of
 from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.orbits import FlowOrbits, recurrences
 from fenics_crack.errors import ConvergenceError
@@ -18,6 +21,10 @@ CLOSED = 1e-10
 """How closely an orbit repeats itself."""
 PARTS = 32
 """Of the period, whose starts' states are corrected together."""
+APART = 1e-3 * 2.0 ** np.array([0, 1, -1, 2, -2, 3, -3, 4, 5])
+"""Of the frequency, to both sides, where orbits are sought that a path leads from."""
+BACK = 100
+"""Points of that path."""
 
 WANDERING, PASSED, SETTLING = 1000, 100, 60
 """Periods that a motion is followed for, its nearest recurrences from which an orbit is sought, and
@@ -50,20 +57,53 @@ def predicted(
 def orbit_next_to(
     flow: ContactFlow, omega: float, start: np.ndarray, subharmonic: int = 1
 ) -> PeriodicOrbit | None:
-    """The orbit next to a state: by steps that shrink the step to follow, or else the residual.
-    None where these lead to none."""
+    """The orbit next to a state: by steps that shrink the step to follow, or else the residual; or
+    by the path of orbits from another frequency, sought from the same state. None where these lead
+    to none.
+
+    Where stiff pairs open and close many times, an orbit is found only from very near: at some
+    frequencies by chance, and the path goes on from there.
+    """
     orbit = find_orbit(flow, omega, start, subharmonic=subharmonic)
     if orbit is not None:
         return orbit
     orbits = FlowOrbits(flow, omega, start, subharmonic)
     try:
-        found = solve_in_plane(
+        shorter = solve_in_plane(
             orbits, orbits.start, 1.0, None,
             tolerance=CLOSED, iterations=20, least_damping=1e-3, patience=6,
         )  # fmt: skip
     except ConvergenceError:
-        return None
-    return None if found is None else orbits.orbit(found)
+        shorter = None
+    if shorter is not None:
+        return orbits.orbit(shorter)
+    share = min(1.0, (FEW / flow.size) ** 2)
+    for apart in APART[: int(np.ceil(share * len(APART)))]:
+        for at in (omega * (1.0 + apart), omega * (1.0 - apart)):
+            found = find_orbit(flow, at, start, subharmonic=subharmonic)
+            if found is not None and (orbit := _back(found, omega)) is not None:
+                return orbit
+    return None
+
+
+def _back(found: PeriodicOrbit, omega: float) -> PeriodicOrbit | None:
+    """The first orbit of a frequency on the path from another one; None where it is not met."""
+    orbits = FlowOrbits(found.flow, found.omega, found.state, found.subharmonic)
+    start, end = orbits.start, omega / found.omega
+    tangent = tangent_of(orbits, start, orbits.linearise(start, 1.0))
+    stepping = Stepping(first=0.1 * abs(end - 1.0), most=BACK)
+    towards = tangent if end > 1.0 else tangent.reversed()
+    path = follow_path(orbits, start, 1.0, stepping, towards)
+    try:
+        for before, after in pairwise(chain([PathPoint(start, 1.0, 0, tangent)], path)):
+            rise, left = after.parameter - before.parameter, end - before.parameter
+            if abs(left) <= abs(rise) and left * rise > 0.0:
+                between = before.unknown + left / rise * (after.unknown - before.unknown)
+                state = orbits.state(between)
+                return find_orbit(found.flow, omega, state, subharmonic=found.subharmonic)
+    except (ConvergenceError, np.linalg.LinAlgError):
+        pass
+    return None
 
 
 def recurring(
