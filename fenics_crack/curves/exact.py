@@ -22,7 +22,15 @@ from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.curves.bifurcations import attainable
 from fenics_crack.curves.by_waves import FOLLOWED, judged_by_waves, place_on
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
-from fenics_crack.curves.orbit_branch import ALIKE, EVERY, Crossing, Node, OrbitBranch, blended
+from fenics_crack.curves.orbit_branch import (
+    ALIKE,
+    EVERY,
+    Crossing,
+    Node,
+    OrbitBranch,
+    blended,
+    cubic,
+)
 from fenics_crack.curves.varied_orbits import VariedOrbits
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import is_piecewise_linear, is_rigid
@@ -48,6 +56,10 @@ SINGLY = 40
 NEARBY = 0.02
 """Of the parameter, relative: how far a bifurcation of the truncated equations may lie from that of
 the orbits which confirms it."""
+
+
+_Part = tuple[Node, Node, float]
+"""Of a segment between two nodes."""
 
 
 class _Judge:
@@ -135,29 +147,34 @@ class _Judge:
     # --- points -----------------------------------------------------------------------------------
 
     def points(self) -> np.ndarray:
-        """Leading multiplier of each point; nan where no orbit is its own."""
+        """Leading multiplier of each point; nan where no orbit is its own. Where orbits at its
+        value of the parameter lie on both sides of a fold it is that of the nearest one."""
         nodes, found = self.branch.nodes, np.full(len(self._curve), np.nan + 0j)
         pairs = [two for two in pairwise(nodes) if self.branch.linked(*two)]
         places, values = (
             np.array([[getattr(one, name) for one in two] for two in pairs]).reshape(-1, 2)
             for name in ("place", "parameter")
         )
-        rises, lengths = values[:, 1] - values[:, 0], places[:, 1] - places[:, 0]
-        ways = _ways(self.parameters)
+        rises = values[:, 1] - values[:, 0]
+        rises[rises == 0.0] = np.nan
         begins, ends = (
             np.searchsorted(places[:, 0], np.arange(len(found)) + side) for side in (-EVERY, EVERY)
         )
-        rises[rises == 0.0] = np.nan
         for place in np.flatnonzero(self._accepted()):
             near = slice(begins[place], ends[place])
-            share = (self.parameters[place] - values[near, 0]) / rises[near]
-            fits = (ways[place] * rises[near] > 0.0) & (np.abs(share - 0.5) <= 0.5 + 1e-9)
-            if fits.any():
-                off = np.abs(places[near, 0] + share * lengths[near] - place)
-                best = int(np.argmin(np.where(fits, off, np.inf)))
-                first, last = pairs[begins[place] + best]
-                found[place] = _between(first, last, float(share[best]))
+            shares = (self.parameters[place] - values[near, 0]) / rises[near]
+            fits = np.flatnonzero(np.abs(shares - 0.5) <= 0.5 + 1e-9)
+            there = [(*pairs[begins[place] + one], float(shares[one])) for one in fits]
+            if there:
+                found[place] = _between(*self._nearest(int(place), there))
         return found
+
+    def _nearest(self, place: int, there: list[_Part]) -> _Part:
+        """The part of a segment whose orbit is nearest to the motion of a point."""
+        if len(there) == 1:
+            return there[0]
+        motion = self.branch.motion(place)
+        return min(there, key=lambda part: float(np.linalg.norm(cubic(*part)[0] - motion)))
 
     def _accepted(self) -> np.ndarray:
         """Whether the orbits on both sides of a point are the points' own: (n,) bool."""
@@ -168,15 +185,6 @@ class _Judge:
         before = np.clip(np.searchsorted(self._anchors, places, "right") - 1, 0, None)
         after = np.clip(np.searchsorted(self._anchors, places), None, len(own) - 1)
         return np.asarray(own[before] & own[after])
-
-
-def _ways(parameters: np.ndarray) -> np.ndarray:
-    """Direction of the parameter at each point, 0 where it turns: (n,)."""
-    ahead = np.sign(np.diff(parameters))
-    if not len(ahead):
-        return np.ones(len(parameters))
-    ways = np.concatenate([ahead[:1], ahead, ahead[-1:]])
-    return np.where(ways[1:] == ways[:-1], ways[1:], 0.0)
 
 
 def _between(first: Node, last: Node, share: float) -> complex:

@@ -41,7 +41,7 @@ from fenics_crack.balance.orbits import FlowOrbits, OrbitPoint
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.orbit import eigenvalues
 
-__all__ = ["KINDS", "Crossing", "Node", "OrbitBranch"]
+__all__ = ["KINDS", "Crossing", "Node", "OrbitBranch", "blended", "cubic"]
 
 KINDS = "fold", "period_doubling", "neimark_sacker"
 EVERY = 8
@@ -259,7 +259,7 @@ class OrbitBranch:
         if chord is None:
             return None
         steep = min(abs(one.tangent.p) for one in (first, last)) < FLAT
-        found = self._solved(*_cubic(first, last, share), chord if steep else None, at, sharp)
+        found = self._solved(*cubic(first, last, share), chord if steep else None, at, sharp)
         if found is None:
             return None
         size = np.linalg.norm(first.unknown - last.unknown)
@@ -471,7 +471,7 @@ def _chord(first: Node, last: Node) -> Tangent | None:
     return _direction(last.unknown - first.unknown, last.parameter - first.parameter, first.unknown)
 
 
-def _cubic(first: Node, last: Node, share: float) -> tuple[np.ndarray, float]:
+def cubic(first: Node, last: Node, share: float) -> tuple[np.ndarray, float]:
     """Hermite's cubic through two nodes."""
     change, rise = last.unknown - first.unknown, last.parameter - first.parameter
     length = np.sqrt(first.tangent.weight * (change @ change) + rise**2)

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from fenics_crack import InputError, Scene
 from fenics_crack.scene.fields import Axis
 
-GONE = object()
+GONE = type("Gone", (), {"__repr__": lambda self: "gone"})()
 """Stands for a key or a table that is left out."""
 
 GOOD_TOML = """
