@@ -121,6 +121,15 @@ def test_point_next_to_a_fold_is_not_judged_by_an_orbit_at_another_frequency() -
     assert len(rows) > 2 and campaign.WRONG not in {row["judgement"] for row in rows}
 
 
+def test_point_next_to_a_fold_has_the_verdict_of_the_nearest_orbit() -> None:
+    """A plate: called stable by the orbit on its own side, 11 % away; the one behind the fold is
+    unstable, and nearer."""
+    rows = campaign.findings(71, campaign.draw(71, 555, family="plate"))
+    verdicts = [row["verdict"] for row in rows if row["what"] == "point"]
+    assert campaign.WRONG not in {row["judgement"] for row in rows}
+    assert "unstable" in verdicts and len(verdicts) == 5
+
+
 def test_curve_from_between_its_ends() -> None:
     """The first solutions at the start and at the end lie on curves that turn back; one between
     them lies on a curve that reaches both."""
