@@ -6,8 +6,8 @@ near       a given solution, or the linear one; and where shortened steps lead f
 fewer      instead of the linear one, with many unknowns or pairs that are seen through a static
            compliance (:mod:`coupled`): the solution with half the harmonics, which comes from that
            with half of those, and so on
-marched    a motion after 40, 160 and 520 periods of exponential steps in time, for laws that are
-           piecewise linear; pairs that are seen through a static compliance begin with it
+marched    a motion after 40, 160 and 520 periods of exponential steps in time: with it pairs begin
+           that are seen through a static compliance, where their law is piecewise linear
 path       where a path of solutions passes the problem, followed by arc-length through its folds,
            from where the solution is unique and close to the linear one: in the contact stiffness,
            in the softness in series with pairs that are seen through a static compliance, or from a
@@ -47,7 +47,7 @@ from fenics_crack.balance.rounding import (
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear, is_rigid
 from fenics_crack.model.flow import ExponentialFlow
-from fenics_crack.model.modal import all_modes, is_small
+from fenics_crack.model.modal import all_modes
 from fenics_crack.stages import begin
 
 __all__ = ["Search"]
@@ -118,8 +118,7 @@ class Search:
     ) -> Linearisation:
         """Solve for a law that gives the force from the gap; return the equations there.
 
-        ``problem`` is given where its motion can be marched, and with it the same equations
-        ``with_harmonics`` of another number.
+        ``problem`` is given with the same equations ``with_harmonics`` of another number.
         Raises InputError where the contact is so stiff that rounding leaves nothing of its force.
         """
         law = system.integrals.law
@@ -133,11 +132,10 @@ class Search:
             starts.append(self._fewer(with_harmonics, problem, 0.0))
         else:
             starts.append(self._full(system, system.linear if start is None else start, 0.0))
-        if problem is not None and is_small(problem.structure) and is_piecewise_linear(law):
-            starts.append(self._marched(system, problem, 0.0))
-        soft = min(0.0, float(np.log(SOFT / product)))
+        soft = float(np.log(SOFT / max(product, SOFT)))
         path = self._path(system, system.linear, (soft, 0.0), WIDE)
-        return self._solve(system, 0.0, [*starts, ("path in the contact stiffness", path)])
+        starts.append(("path in the contact stiffness", path))
+        return self._solve(system, 0.0, starts)
 
     def coupled(
         self,
@@ -149,7 +147,7 @@ class Search:
         system = with_harmonics(problem.harmonics)
         starts = [] if start is None else [self._full(system, start, 1.0)]
         if is_piecewise_linear(problem.contact) or is_rigid(problem.contact):
-            starts.append(self._marched(system, problem, 1.0))
+            starts.append(self._marched(system, problem))
         starts.append(self._fewer(with_harmonics, problem, 1.0))
         soft = system.softened(system.enough)
         path = self._path(soft, soft.linear, (0.0, 1.0), NARROW)
@@ -187,7 +185,7 @@ class Search:
                         break
                 outcome = "converged" if self.converged else "failed"
                 self.attempts.append(f"{name}: {outcome} ({self.iterations - before} iterations)")
-                if self.converged or self._spent:
+                if self.converged:
                     break
             self.history += newton.history
         return at or system.linearise(np.zeros(system.shape), parameter)
@@ -242,17 +240,13 @@ class Search:
 
         return "from fewer harmonics", guesses()
 
-    def _marched(
-        self, system: CondensedSystem | CoupledSystem, problem: Problem, parameter: float
-    ) -> Start:
-        """The gap of a motion after more and more periods, the slow one where pairs are coupled."""
+    def _marched(self, system: CoupledSystem, problem: Problem) -> Start:
+        """The slow gap of a motion after more and more periods."""
 
         def guesses() -> Iterator[np.ndarray]:
             harmonics, periods = problem.harmonics, problem.subharmonic
             steps = 1 << max(8, (8 * harmonics // periods).bit_length())
-            above = all_modes(problem.structure).above_lowest(MOVING)
-            if problem.residual is not None:
-                above = min(problem.cutoff, above)
+            above = min(problem.cutoff, all_modes(problem.structure).above_lowest(MOVING))
             try:
                 flow = ExponentialFlow(
                     problem.structure, problem.omega, problem.contact, steps, static_above=above
@@ -263,10 +257,8 @@ class Search:
                         for _ in range(more):
                             state = flow.advance(state, PERIODS * periods).states[-1]
                         last = flow.advance(state, periods)
-                        gap = last.gap
-                    if problem.residual is not None:
-                        gap = gap + last.forces[:-1] @ problem.residual
-                    yield from self._near(system, balanced(gap, harmonics), parameter)
+                        slow = last.gap + last.forces[:-1] @ system.residual
+                    yield from self._near(system, balanced(slow, harmonics), 1.0)
             except ConvergenceError:
                 return
 

@@ -293,7 +293,7 @@ class ResponseCurve(Tabular):
     @cached_property
     def displacement_errors(self) -> np.ndarray:
         """Estimated error of the displacement at the load at every point, relative to its root mean
-        square (:attr:`fenics_crack.ErrorReport.displacement`): (n,).
+        square, as ``displacement`` of :class:`fenics_crack.ErrorReport`: (n,).
 
         What one Newton step on the exact flow predicts, where there is one: at points spread evenly
         along the curve, and at those on both sides of where a warning begins to be due; elsewhere
