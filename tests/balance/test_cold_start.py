@@ -1,6 +1,5 @@
 """Solutions from a cold start, and the paths that lead to them."""
 
-import time
 from collections.abc import Callable
 from itertools import islice
 from typing import Any
@@ -179,12 +178,9 @@ def test_each_start_is_needed(
 
 
 def test_a_search_ends_and_says_what_to_do() -> None:
-    """294 unknowns, hardly damped: a quarter of the iterations takes at most a quarter of 10 s of
-    processor time; what was tried, and what to do."""
+    """294 unknowns, hardly damped, by a quarter of the iterations: what was tried, and what to do."""
     problem = fc.Problem(stopped_chain(6, 2e-4), 0.3, fc.UnilateralPenalty(1e3), 24)
-    began = time.process_time()
     search, solution = Solver(problem).attempt(None, patient=False, reported=False)
-    assert time.process_time() - began < 2.5
     assert not search.converged and not solution.converged
     told = solution.status.split("; ")
     assert [attempt.split(" (")[0] for attempt in told[:2]] == [
