@@ -690,7 +690,7 @@ class Run:
             except ProcessLookupError:
                 pass
         self.process.wait()
-        deadline = time.monotonic() + 20.0
+        deadline = time.monotonic() + 120.0
         while any(_is_running(pid) for pid in pids):
             assert time.monotonic() < deadline
             time.sleep(0.01)
