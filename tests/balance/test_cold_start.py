@@ -178,7 +178,7 @@ def test_each_start_is_needed(
 
 
 def test_a_search_ends_and_says_what_to_do() -> None:
-    """294 unknowns, hardly damped, by a quarter of the iterations: what was tried, and what to do."""
+    """294 unknowns, hardly damped, by a quarter of the iterations: what was tried, what to do."""
     problem = fc.Problem(stopped_chain(6, 2e-4), 0.3, fc.UnilateralPenalty(1e3), 24)
     search, solution = Solver(problem).attempt(None, patient=False, reported=False)
     assert not search.converged and not solution.converged
