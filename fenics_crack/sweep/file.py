@@ -196,8 +196,6 @@ class SweepFile:
             raise WriteError("path", str(self._path), allowed)
         try:
             self._put("state", index, np.full(len(state), PENDING))
-            for name, values in columns.items():
-                self._put(name, index, values)
             for name, arrays in waves.items():
                 if name in self._places:
                     rows, pairs = max(map(len, arrays)), self._places[name].shape[-1]
@@ -205,6 +203,8 @@ class SweepFile:
                     for row, array in zip(padded, arrays, strict=True):
                         row[: array.shape[0], : array.shape[1]] = array
                     self._put(name, index, padded)
+            for name, values in columns.items():  # the checksum last, which confirms a case
+                self._put(name, index, values)
             self._put("state", index, state)
         except OSError as error:
             raise not_written("path", self._path, error) from None
