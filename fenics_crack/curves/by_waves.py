@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from fenics_crack.balance.bordered import PathPoint, locate
-from fenics_crack.balance.family import FAMILIES, Family
+from fenics_crack.balance.family import Family
 from fenics_crack.balance.fourier import resized
 from fenics_crack.curves.bifurcations import attainable
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
@@ -73,9 +73,7 @@ def _crossed(before: Stability, after: Stability) -> str | None:
 def _located(curve: ResponseCurve, place: int, kind: str) -> tuple[float, np.ndarray]:
     """Value of the parameter and unknown of a bifurcation behind a point."""
     count = int(max(curve.harmonics[place : place + 2]))
-    farthest = int(np.argmax(np.abs(curve.values - curve.values[0])))
-    ends = float(curve.values[0]), float(curve.values[farthest])
-    family = FAMILIES[curve.parameter](curve.problem.with_harmonics(count), *ends)
+    family = curve.equations(count)
     way = chord(family, curve, place, place + 1)
     before, after = (
         point_towards(family, resized(curve.unknown(one), count), float(curve.values[one]), way)

@@ -403,14 +403,20 @@ class ResponseCurve(Tabular):
         """The equations at all points, or some, with their numbers; not in order."""
         wanted = np.arange(len(self)) if places is None else places
         for count in np.unique(self.harmonics[wanted]):
-            family = self._families.get(int(count))
-            if family is None:
-                problem = self.problem.with_harmonics(int(count))
-                ends = float(self.values[0]), float(self.values[-1])
-                family = self._families[int(count)] = FAMILIES[self.parameter](problem, *ends)
+            family = self.equations(int(count))
             for index in wanted[self.harmonics[wanted] == count]:
                 system = family.system(float(self.values[index]))
                 yield int(index), system.linearise(self.unknown(index))
+
+    def equations(self, harmonics: int) -> Family:
+        """The truncated equations with so many harmonics, along the parameter: from its value at
+        the first point to the one farthest from there."""
+        if harmonics not in self._families:
+            farthest = int(np.argmax(np.abs(self.values - self.values[0])))
+            ends = float(self.values[0]), float(self.values[farthest])
+            problem = self.problem.with_harmonics(harmonics)
+            self._families[harmonics] = FAMILIES[self.parameter](problem, *ends)
+        return self._families[harmonics]
 
     @cached_property
     def _families(self) -> dict[int, Family]:

@@ -17,7 +17,6 @@ import numpy as np
 import scipy.optimize
 
 from fenics_crack.balance.bordered import solve_at
-from fenics_crack.balance.family import FAMILIES
 from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.curves.bifurcations import attainable
 from fenics_crack.curves.by_waves import FOLLOWED, judged_by_waves, place_on
@@ -74,11 +73,9 @@ class _Judge:
             self.system = FlowOrbits(flow, omega, flow.state(*first), curve.subharmonic, BUDGET)
             self.parameters = curve.omega / omega
         else:
-            values = curve.values
-            ends = float(values[0]), float(values[np.argmax(np.abs(values - values[0]))])
-            family = FAMILIES[curve.parameter](curve.problem, *ends)
+            family = curve.equations(curve.problem.harmonics)
             self.system = VariedOrbits(family, *first, BUDGET)
-            self.parameters = np.array([family.parameter(value) for value in values])
+            self.parameters = np.array([family.parameter(value) for value in curve.values])
             self._family = family
         self._own: dict[float, bool] = {}
         self._few = attract_little(curve.structure)
@@ -356,9 +353,7 @@ def _solution_at(curve: ResponseCurve, place: int, value: float) -> tuple[float,
     """The solution of the curve's equations where the orbits bifurcate, or that of the nearest
     point where none is near: value and unknown."""
     unknown, near = curve.unknown(place), float(curve.values[place])
-    problem = curve.problem.with_harmonics(len(unknown) // 2)
-    ends = float(curve.values[0]), float(curve.values[-1])
-    family = FAMILIES[curve.parameter](problem, *ends)
+    family = curve.equations(len(unknown) // 2)
     try:
         parameter = family.parameter(value)
         sharp = attainable(family, parameter, 1e-9)
