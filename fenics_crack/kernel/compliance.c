@@ -179,8 +179,9 @@ void rate_of_answer(compliance *at, double *found)
     multiply_matrices(rows, modes, pairs, at->answer, of->shapes, 1.0, found);
 }
 
-double largest_row(compliance *at)
+double largest_row(compliance *at, double parameter)
 {
+    if (set_parameter(at, parameter)) return INFINITY;
     const int pairs = at->of.pairs, rows = (at->of.harmonics + 1) * pairs;
     const double *matrices = matrices_of(at);
     double largest = 0.0;

@@ -34,8 +34,8 @@ void answer_to(compliance *at, const double *force, double *found);
 void rate_of_answer(compliance *at, double *found);
 /* R b alone. */
 void respond_at(compliance *at, const double *force, double *gap);
-/* Largest sum of |R_k| over a row of it. */
-double largest_row(compliance *at);
+/* Largest sum of |R_k| over a row of it at a parameter; infinite where the structure is singular. */
+double largest_row(compliance *at, double parameter);
 
 /* R b of coefficients b (2H+1, pairs), from R (H+1, pairs, pairs), complex. */
 void respond(int harmonics, int pairs, const double *matrices, const double *force, double *gap);

@@ -58,7 +58,7 @@ static int evaluate(equations *own, const double *gap, double parameter)
 double largest_compliance(point *at, double parameter)
 {
     at->common.factored = 0; /* what has been evaluated holds no longer */
-    return set_parameter(at->seen, parameter) ? INFINITY : largest_row(at->seen);
+    return largest_row(at->seen, parameter);
 }
 
 static void residual_at(const equations *own, double *found)
