@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from itertools import chain, pairwise
-
 import numpy as np
 
 from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import PathPoint, solve_in_plane, tangent_of
 from fenics_crack.balance.fourier import evaluate
-from fenics_crack.balance.orbits import FlowOrbits, recurrences
+from fenics_crack.balance.orbits import FlowOrbits, Homotopy, recurrences
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.flow import ContactFlow
 from fenics_crack.motion.orbit import PeriodicOrbit, Prediction, find_orbit, predict
@@ -17,15 +14,10 @@ from fenics_crack.stages import begin
 
 __all__ = ["PARTS", "orbit_next_to", "predicted", "recurring", "wave_states"]
 
-CLOSED = 1e-10
-"""How closely an orbit repeats itself."""
 PARTS = 32
 """Of the period, whose starts' states are corrected together."""
-APART = 1e-3 * 2.0 ** np.array([0, 1, -1, 2, -2, 3, -3, 4, 5])
-"""Of the frequency, to both sides, where orbits are sought that a path leads from."""
-BACK = 100
-"""Points of that path."""
-
+POINTS = 300
+"""Of the homotopy to an orbit, at most."""
 WANDERING, PASSED, SETTLING = 1000, 100, 60
 """Periods that a motion is followed for, its nearest recurrences from which an orbit is sought, and
 the least periods, of large states."""
@@ -57,50 +49,32 @@ def predicted(
 def orbit_next_to(
     flow: ContactFlow, omega: float, start: np.ndarray, subharmonic: int = 1
 ) -> PeriodicOrbit | None:
-    """The orbit next to a state: by steps that shrink the step to follow, or else the residual; or
-    by the path of orbits from another frequency, sought from the same state. None where these lead
-    to none.
+    """The orbit next to a state: by Newton's method, or else where the homotopy from the state
+    leads; None where these lead to none.
 
-    Where stiff pairs open and close many times, an orbit is found only from very near: at some
-    frequencies by chance, and the path goes on from there.
+    Where stiff pairs open and close many times, Newton's method finds an orbit only from very near.
     """
     orbit = find_orbit(flow, omega, start, subharmonic=subharmonic)
-    if orbit is not None:
-        return orbit
-    orbits = FlowOrbits(flow, omega, start, subharmonic)
-    try:
-        shorter = solve_in_plane(
-            orbits, orbits.start, 1.0, None,
-            tolerance=CLOSED, iterations=20, least_damping=1e-3, patience=6,
-        )  # fmt: skip
-    except ConvergenceError:
-        shorter = None
-    if shorter is not None:
-        return orbits.orbit(shorter)
-    share = min(1.0, (FEW / flow.size) ** 2)
-    for apart in APART[: int(np.ceil(share * len(APART)))]:
-        for at in (omega * (1.0 + apart), omega * (1.0 - apart)):
-            found = find_orbit(flow, at, start, subharmonic=subharmonic)
-            if found is not None and (orbit := _back(found, omega)) is not None:
-                return orbit
-    return None
+    return orbit or _by_homotopy(FlowOrbits(flow, omega, start, subharmonic))
 
 
-def _back(found: PeriodicOrbit, omega: float) -> PeriodicOrbit | None:
-    """The first orbit of a frequency on the path from another one; None where it is not met."""
-    orbits = FlowOrbits(found.flow, found.omega, found.state, found.subharmonic)
-    start, end = orbits.start, omega / found.omega
-    tangent = tangent_of(orbits, start, orbits.linearise(start, 1.0))
-    stepping = Stepping(first=0.1 * abs(end - 1.0), most=BACK)
-    towards = tangent if end > 1.0 else tangent.reversed()
-    path = follow_path(orbits, start, 1.0, stepping, towards)
+def _by_homotopy(orbits: FlowOrbits) -> PeriodicOrbit | None:
+    """The first orbit on the path from the start of some; None where it is not met in so many
+    points, fewer of large states."""
+    share = min(1.0, (FEW / orbits.flow.size) ** 2)
+    before, parameter = orbits.start, 0.0
+    stepping = Stepping(first=0.05, longest=0.3, most=int(np.ceil(share * POINTS)))
     try:
-        for before, after in pairwise(chain([PathPoint(start, 1.0, 0, tangent)], path)):
-            rise, left = after.parameter - before.parameter, end - before.parameter
-            if abs(left) <= abs(rise) and left * rise > 0.0:
-                between = before.unknown + left / rise * (after.unknown - before.unknown)
-                state = orbits.state(between)
-                return find_orbit(found.flow, omega, state, subharmonic=found.subharmonic)
+        for point in follow_path(Homotopy(orbits), before, parameter, stepping):
+            if (parameter - 1.0) * (point.parameter - 1.0) <= 0.0:
+                part = (1.0 - parameter) / (point.parameter - parameter)
+                state = orbits.state(before + part * (point.unknown - before))
+                found = find_orbit(orbits.flow, orbits.omega, state, subharmonic=orbits.subharmonic)
+                if found is not None:
+                    return found
+            before, parameter = point.unknown, point.parameter
+            if parameter < 0.0:  # it has left the path
+                break
     except (ConvergenceError, np.linalg.LinAlgError):
         pass
     return None
