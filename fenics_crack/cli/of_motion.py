@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.error_report import UNKNOWN
-from fenics_crack.balance.fourier import balanced
 from fenics_crack.balance.indicators import contact_extremes, indicators_of
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import (
@@ -26,6 +25,7 @@ from fenics_crack.cli.account import (
 from fenics_crack.cli.scenes import remark_on
 from fenics_crack.model.bilinear import bilinear_frequencies
 from fenics_crack.model.modes import Modes
+from fenics_crack.numerics.fourier import balanced
 from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, SHORT
 from fenics_crack.scene.tables import Integration
 from fenics_crack.study.key_figures import highest_omega

@@ -12,11 +12,11 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import coo_matrix
 
-from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.tables import Material
 
