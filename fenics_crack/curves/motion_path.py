@@ -33,6 +33,7 @@ class MotionPath:
 
     Attributes
     ----------
+    family : FreeMotion
     last : PathPoint
         The last one so far.
     ended : Ended or None
@@ -50,7 +51,7 @@ class MotionPath:
         max_steps: int,
         pass_over: bool = True,
     ) -> None:
-        self._family, self.last, self._end = family, start, end
+        self.family, self.last, self._end = family, start, end
         self._lowest, self._max_step, self._left = lowest, max_step, max_steps
         self._pass_over = pass_over
         self.ended: Ended | None = None
@@ -80,7 +81,7 @@ class MotionPath:
 
     def _along(self) -> Iterator[PathPoint]:
         """By arc-length, until steps in the parameter may lead on."""
-        family, here = self._family, self.last
+        family, here = self.family, self.last
         options = PathOptions(
             initial_step=0.2 * self._max_step,
             max_step=self._max_step,
@@ -106,7 +107,7 @@ class MotionPath:
 
         The sign of det J changes where an odd number of tongues has been passed.
         """
-        family, left = self._family, self._end - here.parameter
+        family, left = self.family, self._end - here.parameter
         at = here.at or family.linearise(here.unknown, here.parameter)
         slope = -at.solve(at.by_parameter)
         near = family.near(here.unknown)
