@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.orbits import FlowOrbits, Homotopy, recurrences
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.flow import ContactFlow
 from fenics_crack.motion.orbit import PeriodicOrbit, Prediction, find_orbit, predict
+from fenics_crack.numerics.bordered import point_on_path
+from fenics_crack.numerics.fourier import evaluate
+from fenics_crack.numerics.path import Path, PathOptions, Target
 from fenics_crack.stages import begin
 
 __all__ = ["PARTS", "orbit_next_to", "predicted", "recurring", "wave_states"]
 
 PARTS = 32
 """Of the period, whose starts' states are corrected together."""
-POINTS = 300
-"""Of the homotopy to an orbit, at most."""
+POINTS, STEP = 300, 0.3
+"""Of the homotopy to an orbit, at most; and the longest step."""
 WANDERING, PASSED, SETTLING = 1000, 100, 60
 """Periods that a motion is followed for, its nearest recurrences from which an orbit is sought, and
 the least periods, of large states."""
@@ -59,25 +60,21 @@ def orbit_next_to(
 
 
 def _by_homotopy(orbits: FlowOrbits) -> PeriodicOrbit | None:
-    """The first orbit on the path from the start of some; None where it is not met in so many
-    points, fewer of large states."""
+    """The orbit to which the path from the start of some leads; None where that takes too long."""
+    homotopy = Homotopy(orbits)
     share = min(1.0, (FEW / orbits.flow.size) ** 2)
-    before, parameter = orbits.start, 0.0
-    stepping = Stepping(first=0.05, longest=0.3, most=int(np.ceil(share * POINTS)))
+    options = PathOptions(
+        STEP, max_step=STEP, max_steps=int(np.ceil(share * POINTS)), span=(0.0, 2.0)
+    )
     try:
-        for point in follow_path(Homotopy(orbits), before, parameter, stepping):
-            if (parameter - 1.0) * (point.parameter - 1.0) <= 0.0:
-                part = (1.0 - parameter) / (point.parameter - parameter)
-                state = orbits.state(before + part * (point.unknown - before))
-                found = find_orbit(orbits.flow, orbits.omega, state, subharmonic=orbits.subharmonic)
-                if found is not None:
-                    return found
-            before, parameter = point.unknown, point.parameter
-            if parameter < 0.0:  # it has left the path
-                break
+        start = point_on_path(homotopy, orbits.start, 0.0)
+        met = Path(homotopy, start, options, [Target(1.0)]).run()
     except (ConvergenceError, np.linalg.LinAlgError):
-        pass
-    return None
+        return None
+    if met is None:
+        return None
+    state = orbits.state(met.unknown)
+    return find_orbit(orbits.flow, orbits.omega, state, subharmonic=orbits.subharmonic)
 
 
 def recurring(
