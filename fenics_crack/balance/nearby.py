@@ -17,8 +17,8 @@ __all__ = ["PARTS", "orbit_next_to", "predicted", "recurring", "wave_states"]
 
 PARTS = 32
 """Of the period, whose starts' states are corrected together."""
-POINTS, STEP = 300, 0.3
-"""Of the homotopy to an orbit, at most; and the longest step."""
+SWITCHES, STEP = 100_000, 0.3
+"""Openings and closings that a homotopy to an orbit may pass, a second or two; its longest step."""
 WANDERING, PASSED, SETTLING = 1000, 100, 60
 """Periods that a motion is followed for, its nearest recurrences from which an orbit is sought, and
 the least periods, of large states."""
@@ -61,11 +61,9 @@ def orbit_next_to(
 
 def _by_homotopy(orbits: FlowOrbits) -> PeriodicOrbit | None:
     """The orbit to which the path from the start of some leads; None where that takes too long."""
-    homotopy = Homotopy(orbits)
     share = min(1.0, (FEW / orbits.flow.size) ** 2)
-    options = PathOptions(
-        STEP, max_step=STEP, max_steps=int(np.ceil(share * POINTS)), span=(0.0, 2.0)
-    )
+    homotopy = Homotopy(orbits, int(share * SWITCHES))
+    options = PathOptions(STEP, max_step=STEP, max_steps=SWITCHES, span=(0.0, 2.0))
     try:
         start = point_on_path(homotopy, orbits.start, 0.0)
         met = Path(homotopy, start, options, [Target(1.0)]).run()

@@ -256,14 +256,25 @@ class _HomotopyPoint(DenseLinearisation):
 
 
 class Homotopy:
-    """p (z(T) - a) - (z - a) = 0 in the unknowns x of some orbits, a being their start."""
+    """p (z(T) - a) - (z - a) = 0 in the unknowns x of some orbits, a being their start.
 
-    def __init__(self, orbits: FlowOrbits) -> None:
-        self._orbits, self.shape = orbits, orbits.shape
+    Attributes
+    ----------
+    left : int
+        Switching instants that may still be passed.
+    """
+
+    def __init__(self, orbits: FlowOrbits, most: int) -> None:
+        self._orbits, self.shape, self.left = orbits, orbits.shape, most
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> _HomotopyPoint:
-        """The equations at a point; raises as :meth:`FlowOrbits.linearise`."""
-        return _HomotopyPoint(self._orbits.linearise(unknown, 1.0), parameter, self._orbits.start)
+        """The equations at a point; raises as :meth:`FlowOrbits.linearise`, and where all switching
+        instants have been passed."""
+        at = self._orbits.linearise(unknown, 1.0)
+        self.left -= at.events + 1
+        if self.left < 0:
+            raise ConvergenceError("orbits: the homotopy takes too long")
+        return _HomotopyPoint(at, parameter, self._orbits.start)
 
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
         """Inner product."""
