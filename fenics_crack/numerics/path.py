@@ -88,7 +88,7 @@ class PathOptions:
     min_step: float = 1e-7
     """The path ends where steps would be shorter."""
     max_steps: int = 1000
-    rtol: float = 1e-8
+    rtol: float = 1e-9
     """|F| / |x| of the points; where steps are short, they are solved for more sharply."""
     min_cosine: float = 0.5
     """Of the angle between neighbouring tangents."""
