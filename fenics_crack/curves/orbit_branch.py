@@ -36,7 +36,7 @@ from itertools import pairwise
 import numpy as np
 import scipy.optimize
 
-from fenics_crack.balance.bordered import PathPoint, Tangent, step_in_plane, tangent_of
+from fenics_crack.balance.bordered import Tangent, step_in_plane, tangent_of
 from fenics_crack.balance.orbits import FlowOrbits, OrbitPoint
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.orbit import eigenvalues
@@ -48,11 +48,14 @@ EVERY = 8
 """Points of a curve from one node to the next."""
 NARROWEST = 1.0 / 32.0
 """Segment that is not halved any more, in points of the curve."""
-TOLERANCE, SHARP = 1e-8, 1e-12
+TOLERANCE, SHARP = 1e-6, 1e-12
 """|F| / |x| of nodes, and of bifurcations."""
 ITERATIONS, PATIENCE, SHRINKING = 12, 3, 0.1
 """Newton steps to an orbit, how many may together fail to shrink the residual, and by how much a
 step has to shrink it that another one with the same derivative may follow."""
+MOVED, TELLS = 1e-3, 0.1
+"""Way from the state of a derivative to the orbit, relative, beyond which it has not the orbit's
+multipliers; and of the distance of these from 1, beyond which it does not tell them from 1."""
 ALIKE = 0.5
 """Farthest orbit from the motion of its point, in the norm of the energy, where fast modes that a
 wave leaves out weigh; whether it is the point's own is asked later."""
@@ -95,8 +98,6 @@ class Node:
         Sums and products of the multipliers that are pairs, or were or will be.
     away : float
         From the motion of its point, relative; nan where it has none.
-    at : OrbitPoint or None
-        The equations there, while orbits beside it are looked for.
     crossing : Crossing or None
         The bifurcation that it is.
     """
@@ -109,13 +110,17 @@ class Node:
     outside: tuple[int, int, int]
     pairs: np.ndarray
     away: float = np.nan
-    at: OrbitPoint | None = None
     crossing: Crossing | None = None
 
-    @property
-    def rest(self) -> Node:
-        """What is kept."""
-        return replace(self, at=None)
+    @cached_property
+    def moduli(self) -> np.ndarray:
+        """Of the leading multipliers."""
+        return np.abs(self.leading)
+
+    @cached_property
+    def real(self) -> float:
+        """How many more of them are positive than negative, of those that are real."""
+        return float(np.sign(self.leading.real[self.leading.imag == 0.0]).sum())
 
 
 @dataclass(frozen=True)
@@ -136,6 +141,16 @@ class Crossing:
     parameter: float
     place: float
     located: bool
+
+
+@dataclass(frozen=True)
+class _Orbit:
+    """An orbit that was found: the equations there, and those whose derivative led to it."""
+
+    unknown: np.ndarray
+    parameter: float
+    at: OrbitPoint
+    used: OrbitPoint
 
 
 class OrbitBranch:
@@ -189,7 +204,7 @@ class OrbitBranch:
                 del held[0]
         if len(held) == 2:
             self._fill(held[0], held[1], bent)
-        self.nodes += [one.rest for one in held[-1:]]
+        self.nodes += [one for one in held[-1:]]
 
     def _fill(self, first: Node, last: Node, bent: bool) -> None:
         """A node, and those behind it up to another one: halves, as long as multipliers at a middle
@@ -198,7 +213,7 @@ class OrbitBranch:
         if width > EVERY or (width > NARROWEST and (bent or not self.linked(first, last))):
             middle = self._middle(first, last)
         if middle is None:
-            self.nodes.append(first.rest)
+            self.nodes.append(first)
             return
         bent = not _fits(first, middle, last)
         self._fill(first, middle, bent)
@@ -210,7 +225,7 @@ class OrbitBranch:
         whole = round(middle)
         inside = first.place < whole < last.place
         if not inside or self.linked(first, last):
-            found = self.between(first, last, 0.5, first.at)
+            found = self.between(first, last, 0.5)
             if found is not None:
                 return self._node(middle, found, _chord(first, last))
         return self._next_to(whole, [first, last]) if inside else None
@@ -228,21 +243,17 @@ class OrbitBranch:
             return there[0]
         node = self._next_to(place, self.nodes[max(0, number - 1) : number + 1])
         if node is not None:
-            self.nodes[number : number + len(there)] = [node.rest]
+            self.nodes[number : number + len(there)] = [node]
         return node
 
     def _next_to(self, place: int, beside: list[Node]) -> Node | None:
         """The orbit next to a point, with those of some nodes known."""
         motion, parameter = self.motion(place), float(self._parameters[place])
-        starts: list[tuple[np.ndarray, OrbitPoint | None]] = [(motion, None)]
         beside = [one for one in beside if one.away >= 0.0 and abs(one.place - place) <= EVERY]
-        if beside:
-            near = min(beside, key=lambda one: abs(one.place - place))
-            corrected = motion + near.unknown - self.motion(round(near.place))
-            starts.insert(0, (corrected, near.at))
-        for start, at in starts:
+        starts = [motion, motion + self._missing(place, beside)] if beside else [motion]
+        for start in starts[::-1]:
             for plane in [self._chord] if self._turn[place] <= 2 else [None, self._chord]:
-                found = self._solved(start, parameter, plane and plane(place), at)
+                found = self._newton(start, parameter, plane and plane(place))
                 if found is None:
                     continue
                 away = float(np.linalg.norm(found.unknown - motion) / np.linalg.norm(motion))
@@ -250,16 +261,29 @@ class OrbitBranch:
                     return self._node(place, found, self._ahead(place), away)
         return None
 
+    def _missing(self, place: int, beside: list[Node]) -> np.ndarray:
+        """What is to be added to the motion of a point, as it was at nodes beside it: on the line
+        through two of them."""
+        first, last = beside[0], beside[-1]
+        share = (place - first.place) / max(last.place - first.place, 1e-300)
+        begin, end = (one.unknown - self.motion(round(one.place)) for one in (first, last))
+        return np.asarray(begin + share * (end - begin))
+
     def between(
-        self, first: Node, last: Node, share: float, at: OrbitPoint | None, sharp: bool = False
-    ) -> PathPoint | None:
-        """The orbit next to the cubic through two nodes, in the plane across their chord; ``at``:
-        one whose derivative may serve."""
+        self,
+        first: Node,
+        last: Node,
+        share: float,
+        tolerance: float = TOLERANCE,
+        used: OrbitPoint | None = None,
+    ) -> _Orbit | None:
+        """The orbit next to the cubic through two nodes, in the plane across their chord."""
         chord = _chord(first, last)
         if chord is None:
             return None
         steep = min(abs(one.tangent.p) for one in (first, last)) < FLAT
-        found = self._solved(*cubic(first, last, share), chord if steep else None, at, sharp)
+        plane = chord if steep else None
+        found = self._newton(*cubic(first, last, share), plane, tolerance, used)
         if found is None:
             return None
         size = np.linalg.norm(first.unknown - last.unknown)
@@ -297,45 +321,31 @@ class OrbitBranch:
         rise = float(self._parameters[ends[1]] - self._parameters[ends[0]])
         return Tangent(np.zeros_like(self.motion(place)), float(np.sign(rise)), 1.0)
 
-    def _solved(
-        self,
-        unknown: np.ndarray,
-        parameter: float,
-        plane: Tangent | None,
-        at: OrbitPoint | None,
-        sharp: bool = False,
-    ) -> PathPoint | None:
-        """Newton's method in a plane, or at a given parameter; first, if it is given, with the
-        derivative ``at`` another point."""
-        found = at and self._newton(unknown, parameter, plane, at, sharp)
-        return found or self._newton(unknown, parameter, plane, None, sharp)
-
     def _newton(
         self,
         unknown: np.ndarray,
         parameter: float,
         plane: Tangent | None,
-        used: OrbitPoint | None,
-        sharp: bool,
-    ) -> PathPoint | None:
-        """With one derivative for as long as steps with it shrink fast."""
-        guess, size = parameter, max(float(np.linalg.norm(unknown)), 1e-300)
-        goal = (SHARP if sharp else TOLERANCE) * size
+        tolerance: float = TOLERANCE,
+        used: OrbitPoint | None = None,
+    ) -> _Orbit | None:
+        """Newton's method in a plane, or at a given parameter, with the derivative at the guess, or
+        one given, for as long as steps with it shrink fast."""
+        guess, length = parameter, max(float(np.linalg.norm(unknown)), 1e-300)
         slope, sizes = None, [np.inf]
         try:
             at = self.system.linearise(unknown, parameter)
             for _ in range(ITERATIONS):
                 size = float(np.linalg.norm(at.residual))
-                if size <= goal:
-                    flat = plane or Tangent(np.zeros_like(unknown), 1.0, 0.0)
-                    return PathPoint(unknown, parameter, len(sizes), flat, at=at)
+                if size <= tolerance * length:
+                    return _Orbit(unknown, parameter, at, used or at)
                 if not size < max(sizes[-PATIENCE:]):
                     return None
                 if used is None or size > SHRINKING * sizes[-1]:
                     used, slope = at, None
                 change, shift = -used.solve(at.residual), 0.0
+                slope = -used.solve(used.by_parameter) if slope is None else slope
                 if plane is not None:
-                    slope = -used.solve(used.by_parameter) if slope is None else slope
                     change, shift = step_in_plane(plane, change, slope, self.system.inner)
                 unknown, parameter = unknown + change, parameter + shift
                 if not abs(parameter - guess) <= REACH * self._width:
@@ -351,17 +361,23 @@ class OrbitBranch:
         return max(1.0, float(np.ptp(self._parameters)))
 
     def _node(
-        self, place: float, found: PathPoint, ahead: Tangent | None, away: float = np.nan
+        self, place: float, found: _Orbit, ahead: Tangent | None, away: float = np.nan
     ) -> Node:
-        at = orbit_of(found)
+        """A node, by the derivative that led to it while that is as good as its own."""
+        at, size = found.used, float(np.linalg.norm(found.unknown))
+        moved = float(np.linalg.norm(found.unknown - at.unknown)) / size
+        if moved > MOVED:
+            at = found.at
         values = _multipliers(at.monodromy)
-        tangent = tangent_of(self.system, found.unknown, at)
+        if at is not found.at and moved > TELLS * np.abs(np.abs(values) - 1.0).min():
+            values = _multipliers(found.at.monodromy)
+        tangent = tangent_of(self.system, found.unknown, found.used)
         if ahead is not None and tangent.along(ahead, self.system) < 0.0:
             tangent = tangent.reversed()
         leading = values[:LEADING]
         return Node(
             place, found.unknown, found.parameter, tangent, leading, _outside(values),
-            _paired(leading), away, at,
+            _paired(leading), away,
         )  # fmt: skip
 
     # --- bifurcations -----------------------------------------------------------------------------
@@ -388,14 +404,14 @@ class OrbitBranch:
             threes = [nodes[max(0, number - 1) : number + 2], nodes[number : number + 3][::-1]]
             wide = NARROWEST < last.place - first.place <= EVERY
             if wide and any(len(three) == 3 and _pass_one(*three) for three in threes):
-                found = self.between(first, last, 0.5, None)
+                found = self.between(first, last, 0.5)
                 if found is not None:
                     place = 0.5 * (first.place + last.place)
                     middle = self._node(place, found, _chord(first, last))
             if middle is None:
                 number += 1
             else:
-                nodes.insert(number + 1, middle.rest)
+                nodes.insert(number + 1, middle)
                 number = max(0, number - 1)
 
     def _on(self, first: Node, last: Node, near: float) -> Iterator[Node]:
@@ -404,23 +420,24 @@ class OrbitBranch:
         if change[0] % 2 == 0 and change[1] % 2 == 0 and change @ (1, 1, 2) == 0:
             return
         if np.abs(change).sum() > 1 and last.place - first.place > ALONE:
-            found = self.between(first, last, 0.5, first.at)
+            found = self.between(first, last, 0.5)
             if found is not None:
                 place = 0.5 * (first.place + last.place)
                 middle = self._node(place, found, _chord(first, last))
                 yield from self._on(first, middle, near)
-                yield middle.rest
+                yield middle
                 yield from self._on(middle, last, near)
                 return
         for kind, step in zip(KINDS, change, strict=True):
             if step % 2:
-                yield self._located(kind, first, last, near).rest
+                yield self._located(kind, first, last, near)
 
     def _located(self, kind: str, first: Node, last: Node, close: float) -> Node:
         """Where a test function vanishes on a segment; not located: where it was smallest, as an
         orbit is missed, or it has one sign, or jumps past zero."""
         pairs, chord = max(first.outside[2], last.outside[2]), _chord(first, last)
         met: list[tuple[float, float, Node]] = []
+        used: OrbitPoint | None = None
 
         def test(one: Node) -> float:
             if kind == KINDS[0]:
@@ -431,15 +448,16 @@ class OrbitBranch:
             return float(sizes[pairs - 1]) - 1.0 if len(sizes) >= pairs else -1.0
 
         def value(share: float) -> float:
+            nonlocal used
             if share in (0.0, 1.0):
                 one = last if share else first
             else:
-                near = met[-1][2].at if met else first.at
-                found = self.between(first, last, share, near, True)
+                found = self.between(first, last, share, SHARP, used)
                 if found is None:
                     raise ConvergenceError("no orbit")
+                used = found.at
                 place = first.place + share * (last.place - first.place)
-                one = self._node(place, found, chord)
+                one = self._node(place, replace(found, used=used), chord)
                 met.append((abs(test(one)), share, one))
             return test(one)
 
@@ -452,12 +470,6 @@ class OrbitBranch:
             pass
         one = min(met)[2] if met else first
         return replace(one, crossing=Crossing(kind, one.parameter, one.place, located))
-
-
-def orbit_of(found: PathPoint) -> OrbitPoint:
-    """The equations at an orbit."""
-    assert isinstance(found.at, OrbitPoint)
-    return found.at
 
 
 def _direction(change: np.ndarray, rise: float, at: np.ndarray) -> Tangent | None:
@@ -545,39 +557,47 @@ def _paired(values: np.ndarray) -> np.ndarray:
 def blended(first: Node, last: Node, share: float) -> np.ndarray:
     """Moduli between two nodes, largest first: those between, or, where a pair becomes real and
     they have a corner, of pairs with the sums and products between."""
-    alike = [np.sign(one.leading.real[one.leading.imag == 0.0]).sum() for one in (first, last)]
-    ends = (np.abs(one.leading) for one in (first, last))
-    if alike[0] != alike[1] or len(first.pairs) != len(last.pairs):
-        ends = (one.pairs for one in (first, last))
-    begin, end = ends
-    count = min(len(begin), len(end))
-    found = (1.0 - share) * begin[:count] + share * end[:count]
-    if found.ndim == 1:
-        return found
+    if first.real == last.real and len(first.pairs) == len(last.pairs):
+        return _line(first.moduli, last.moduli, share)
+    found = _line(first.pairs, last.pairs, share)
     half = 0.5 * found[:, 0]
     root = np.sqrt(half**2 - found[:, 1] + 0j)
     return -np.sort(-np.abs(np.concatenate([half + root, half - root])))
+
+
+def _line(begin: np.ndarray, end: np.ndarray, share: float) -> np.ndarray:
+    """Between two arrays, as far as both go."""
+    count = min(len(begin), len(end))
+    return np.asarray((1.0 - share) * begin[:count] + share * end[:count])
 
 
 def _fits(first: Node, middle: Node, last: Node) -> bool:
     """Whether the moduli at a node are those between its neighbours', to a part of what they
     differ from 1."""
     lengths = [_length(first, middle), _length(middle, last)]
-    line = blended(first, last, lengths[0] / max(sum(lengths), 1e-300))
-    three = [np.abs(one.leading) for one in (first, middle, last)]
-    count = min(len(line), *map(len, three))
-    moduli = np.array([one[:count] for one in three])
-    near = np.abs(1.0 - moduli).min(axis=0)
-    off = np.abs(moduli[1] - line[:count])
-    return bool(np.all(off <= FITTING * np.maximum(near, RESOLVED)))
+    share = lengths[0] / max(sum(lengths), 1e-300)
+    count = min(len(one.moduli) for one in (first, middle, last))
+    moduli = np.array([one.moduli[:count] for one in (first, middle, last)])
+    allowed = FITTING * np.maximum(np.abs(1.0 - moduli).min(axis=0), RESOLVED)
+
+    def off(line: np.ndarray) -> np.ndarray:
+        common = min(len(line), count)
+        return np.abs(moduli[1, :common] - line[:common]) > allowed[:common]
+
+    return not (
+        np.any(off(_line(first.moduli, last.moduli, share)))
+        and np.any(off(blended(first, last, share)))
+    )
 
 
 def _pass_one(before: Node, first: Node, last: Node) -> bool:
     """Whether moduli that go on behind a node as they came would pass 1 half on the way to the
     next, where they are on the same side of it."""
-    three = [np.abs(one.leading) - 1.0 for one in (before, first, last)]
+    three = [one.moduli - 1.0 for one in (before, first, last)]
     count = min(map(len, three))
     came, here, next_one = (one[:count] for one in three)
+    if not np.any(here * next_one > 0.0):
+        return False
     ahead = 0.5 * _length(first, last) / max(_length(before, first), 1e-300)
     beyond = here + ahead * (here - came)
     return bool(np.any((here * next_one > 0.0) & (here * beyond < 0.0)))
