@@ -13,12 +13,12 @@ from test_compiled_paths import RANGES, SEEDS, Plain, random_gap
 
 import fenics_crack as fc
 from fenics_crack.balance import coupled
-from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import solve_at
 from fenics_crack.balance.compiled import CompiledCoupled
 from fenics_crack.balance.coupled import CoupledSystem
 from fenics_crack.balance.family import FAMILIES, Family
-from fenics_crack.balance.linearisation import Linearisation
+from fenics_crack.numerics.bordered import solve_at
+from fenics_crack.numerics.linearisation import Linearisation
+from fenics_crack.numerics.path import Stepping, follow_path
 
 LAWS = ("rigid", "penalty", "stiff")
 
