@@ -10,10 +10,10 @@ and the leading multipliers mu of its orbit, and of all multipliers
 
 A segment between two nodes is halved, by the orbit next to Hermite's cubic through both, where the
 chord disagrees with their tangents, and where the moduli at a node are not those between its
-neighbours', to half of their distance from 1. Where a pair becomes real, moduli have a corner, but
-its sum and its product are smooth: these are looked at then. A segment on which nothing changes is
-halved, too, where moduli that went on as they came would pass 1 before its middle; and one on which
-several of r, d and c change, until each changes by itself.
+neighbours', to half of their distance from 1, nor those of pairs whose sums and products are: where
+a pair becomes real, moduli have a corner, but its sum and its product are smooth. A segment on
+which nothing changes is halved, too, where moduli that went on as they came would pass 1 before its
+middle; and one on which several of r, d and c change, until each changes by itself.
 Then a fold (or a branch point) lies on a segment where r changes, a period doubling where d does, a
 Neimark-Sacker point where c does. It is found by Brent's method on
 
@@ -39,7 +39,7 @@ import scipy.optimize
 from fenics_crack.balance.orbits import FlowOrbits, OrbitPoint
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.orbit import eigenvalues
-from fenics_crack.numerics.bordered import Tangent, step_in_plane, tangent_of
+from fenics_crack.numerics.bordered import PathPoint, Tangent, step_in_plane, tangent_of
 
 __all__ = ["KINDS", "Crossing", "Node", "OrbitBranch", "blended", "cubic"]
 
@@ -48,14 +48,11 @@ EVERY = 8
 """Points of a curve from one node to the next."""
 NARROWEST = 1.0 / 32.0
 """Segment that is not halved any more, in points of the curve."""
-TOLERANCE, SHARP = 1e-6, 1e-12
+TOLERANCE, SHARP = 1e-8, 1e-12
 """|F| / |x| of nodes, and of bifurcations."""
 ITERATIONS, PATIENCE, SHRINKING = 12, 3, 0.1
 """Newton steps to an orbit, how many may together fail to shrink the residual, and by how much a
 step has to shrink it that another one with the same derivative may follow."""
-MOVED, TELLS = 1e-3, 0.1
-"""Way from the state of a derivative to the orbit, relative, beyond which it has not the orbit's
-multipliers; and of the distance of these from 1, beyond which it does not tell them from 1."""
 ALIKE = 0.5
 """Farthest orbit from the motion of its point, in the norm of the energy, where fast modes that a
 wave leaves out weigh; whether it is the point's own is asked later."""
@@ -98,6 +95,8 @@ class Node:
         Sums and products of the multipliers that are pairs, or were or will be.
     away : float
         From the motion of its point, relative; nan where it has none.
+    at : OrbitPoint or None
+        The equations there, while orbits beside it are looked for.
     crossing : Crossing or None
         The bifurcation that it is.
     """
@@ -110,6 +109,7 @@ class Node:
     outside: tuple[int, int, int]
     pairs: np.ndarray
     away: float = np.nan
+    at: OrbitPoint | None = None
     crossing: Crossing | None = None
 
     @cached_property
@@ -121,6 +121,11 @@ class Node:
     def real(self) -> float:
         """How many more of them are positive than negative, of those that are real."""
         return float(np.sign(self.leading.real[self.leading.imag == 0.0]).sum())
+
+    @property
+    def rest(self) -> Node:
+        """What is kept."""
+        return replace(self, at=None)
 
 
 @dataclass(frozen=True)
@@ -141,16 +146,6 @@ class Crossing:
     parameter: float
     place: float
     located: bool
-
-
-@dataclass(frozen=True)
-class _Orbit:
-    """An orbit that was found: the equations there, and those whose derivative led to it."""
-
-    unknown: np.ndarray
-    parameter: float
-    at: OrbitPoint
-    used: OrbitPoint
 
 
 class OrbitBranch:
@@ -204,7 +199,7 @@ class OrbitBranch:
                 del held[0]
         if len(held) == 2:
             self._fill(held[0], held[1], bent)
-        self.nodes += [one for one in held[-1:]]
+        self.nodes += [one.rest for one in held[-1:]]
 
     def _fill(self, first: Node, last: Node, bent: bool) -> None:
         """A node, and those behind it up to another one: halves, as long as multipliers at a middle
@@ -213,7 +208,7 @@ class OrbitBranch:
         if width > EVERY or (width > NARROWEST and (bent or not self.linked(first, last))):
             middle = self._middle(first, last)
         if middle is None:
-            self.nodes.append(first)
+            self.nodes.append(first.rest)
             return
         bent = not _fits(first, middle, last)
         self._fill(first, middle, bent)
@@ -225,7 +220,7 @@ class OrbitBranch:
         whole = round(middle)
         inside = first.place < whole < last.place
         if not inside or self.linked(first, last):
-            found = self.between(first, last, 0.5)
+            found = self.between(first, last, 0.5, first.at)
             if found is not None:
                 return self._node(middle, found, _chord(first, last))
         return self._next_to(whole, [first, last]) if inside else None
@@ -243,17 +238,21 @@ class OrbitBranch:
             return there[0]
         node = self._next_to(place, self.nodes[max(0, number - 1) : number + 1])
         if node is not None:
-            self.nodes[number : number + len(there)] = [node]
+            self.nodes[number : number + len(there)] = [node.rest]
         return node
 
     def _next_to(self, place: int, beside: list[Node]) -> Node | None:
         """The orbit next to a point, with those of some nodes known."""
         motion, parameter = self.motion(place), float(self._parameters[place])
+        starts: list[tuple[np.ndarray, OrbitPoint | None]] = [(motion, None)]
         beside = [one for one in beside if one.away >= 0.0 and abs(one.place - place) <= EVERY]
-        starts = [motion, motion + self._missing(place, beside)] if beside else [motion]
-        for start in starts[::-1]:
+        if beside:
+            near = min(beside, key=lambda one: abs(one.place - place))
+            corrected = motion + near.unknown - self.motion(round(near.place))
+            starts.insert(0, (corrected, near.at))
+        for start, at in starts:
             for plane in [self._chord] if self._turn[place] <= 2 else [None, self._chord]:
-                found = self._newton(start, parameter, plane and plane(place))
+                found = self._solved(start, parameter, plane and plane(place), at)
                 if found is None:
                     continue
                 away = float(np.linalg.norm(found.unknown - motion) / np.linalg.norm(motion))
@@ -261,29 +260,16 @@ class OrbitBranch:
                     return self._node(place, found, self._ahead(place), away)
         return None
 
-    def _missing(self, place: int, beside: list[Node]) -> np.ndarray:
-        """What is to be added to the motion of a point, as it was at nodes beside it: on the line
-        through two of them."""
-        first, last = beside[0], beside[-1]
-        share = (place - first.place) / max(last.place - first.place, 1e-300)
-        begin, end = (one.unknown - self.motion(round(one.place)) for one in (first, last))
-        return np.asarray(begin + share * (end - begin))
-
     def between(
-        self,
-        first: Node,
-        last: Node,
-        share: float,
-        tolerance: float = TOLERANCE,
-        used: OrbitPoint | None = None,
-    ) -> _Orbit | None:
-        """The orbit next to the cubic through two nodes, in the plane across their chord."""
+        self, first: Node, last: Node, share: float, at: OrbitPoint | None, sharp: bool = False
+    ) -> PathPoint | None:
+        """The orbit next to the cubic through two nodes, in the plane across their chord; ``at``:
+        one whose derivative may serve."""
         chord = _chord(first, last)
         if chord is None:
             return None
         steep = min(abs(one.tangent.p) for one in (first, last)) < FLAT
-        plane = chord if steep else None
-        found = self._newton(*cubic(first, last, share), plane, tolerance, used)
+        found = self._solved(*cubic(first, last, share), chord if steep else None, at, sharp)
         if found is None:
             return None
         size = np.linalg.norm(first.unknown - last.unknown)
@@ -321,31 +307,45 @@ class OrbitBranch:
         rise = float(self._parameters[ends[1]] - self._parameters[ends[0]])
         return Tangent(np.zeros_like(self.motion(place)), float(np.sign(rise)), 1.0)
 
+    def _solved(
+        self,
+        unknown: np.ndarray,
+        parameter: float,
+        plane: Tangent | None,
+        at: OrbitPoint | None,
+        sharp: bool = False,
+    ) -> PathPoint | None:
+        """Newton's method in a plane, or at a given parameter; first, if it is given, with the
+        derivative ``at`` another point."""
+        found = at and self._newton(unknown, parameter, plane, at, sharp)
+        return found or self._newton(unknown, parameter, plane, None, sharp)
+
     def _newton(
         self,
         unknown: np.ndarray,
         parameter: float,
         plane: Tangent | None,
-        tolerance: float = TOLERANCE,
-        used: OrbitPoint | None = None,
-    ) -> _Orbit | None:
-        """Newton's method in a plane, or at a given parameter, with the derivative at the guess, or
-        one given, for as long as steps with it shrink fast."""
-        guess, length = parameter, max(float(np.linalg.norm(unknown)), 1e-300)
+        used: OrbitPoint | None,
+        sharp: bool,
+    ) -> PathPoint | None:
+        """With one derivative for as long as steps with it shrink fast."""
+        guess, size = parameter, max(float(np.linalg.norm(unknown)), 1e-300)
+        goal = (SHARP if sharp else TOLERANCE) * size
         slope, sizes = None, [np.inf]
         try:
             at = self.system.linearise(unknown, parameter)
             for _ in range(ITERATIONS):
                 size = float(np.linalg.norm(at.residual))
-                if size <= tolerance * length:
-                    return _Orbit(unknown, parameter, at, used or at)
+                if size <= goal:
+                    flat = plane or Tangent(np.zeros_like(unknown), 1.0, 0.0)
+                    return PathPoint(unknown, parameter, len(sizes), flat, at=at)
                 if not size < max(sizes[-PATIENCE:]):
                     return None
                 if used is None or size > SHRINKING * sizes[-1]:
                     used, slope = at, None
                 change, shift = -used.solve(at.residual), 0.0
-                slope = -used.solve(used.by_parameter) if slope is None else slope
                 if plane is not None:
+                    slope = -used.solve(used.by_parameter) if slope is None else slope
                     change, shift = step_in_plane(plane, change, slope, self.system.inner)
                 unknown, parameter = unknown + change, parameter + shift
                 if not abs(parameter - guess) <= REACH * self._width:
@@ -361,23 +361,17 @@ class OrbitBranch:
         return max(1.0, float(np.ptp(self._parameters)))
 
     def _node(
-        self, place: float, found: _Orbit, ahead: Tangent | None, away: float = np.nan
+        self, place: float, found: PathPoint, ahead: Tangent | None, away: float = np.nan
     ) -> Node:
-        """A node, by the derivative that led to it while that is as good as its own."""
-        at, size = found.used, float(np.linalg.norm(found.unknown))
-        moved = float(np.linalg.norm(found.unknown - at.unknown)) / size
-        if moved > MOVED:
-            at = found.at
+        at = orbit_of(found)
         values = _multipliers(at.monodromy)
-        if at is not found.at and moved > TELLS * np.abs(np.abs(values) - 1.0).min():
-            values = _multipliers(found.at.monodromy)
-        tangent = tangent_of(self.system, found.unknown, found.used)
+        tangent = tangent_of(self.system, found.unknown, at)
         if ahead is not None and tangent.along(ahead, self.system) < 0.0:
             tangent = tangent.reversed()
         leading = values[:LEADING]
         return Node(
             place, found.unknown, found.parameter, tangent, leading, _outside(values),
-            _paired(leading), away,
+            _paired(leading), away, at,
         )  # fmt: skip
 
     # --- bifurcations -----------------------------------------------------------------------------
@@ -404,14 +398,14 @@ class OrbitBranch:
             threes = [nodes[max(0, number - 1) : number + 2], nodes[number : number + 3][::-1]]
             wide = NARROWEST < last.place - first.place <= EVERY
             if wide and any(len(three) == 3 and _pass_one(*three) for three in threes):
-                found = self.between(first, last, 0.5)
+                found = self.between(first, last, 0.5, None)
                 if found is not None:
                     place = 0.5 * (first.place + last.place)
                     middle = self._node(place, found, _chord(first, last))
             if middle is None:
                 number += 1
             else:
-                nodes.insert(number + 1, middle)
+                nodes.insert(number + 1, middle.rest)
                 number = max(0, number - 1)
 
     def _on(self, first: Node, last: Node, near: float) -> Iterator[Node]:
@@ -420,24 +414,23 @@ class OrbitBranch:
         if change[0] % 2 == 0 and change[1] % 2 == 0 and change @ (1, 1, 2) == 0:
             return
         if np.abs(change).sum() > 1 and last.place - first.place > ALONE:
-            found = self.between(first, last, 0.5)
+            found = self.between(first, last, 0.5, first.at)
             if found is not None:
                 place = 0.5 * (first.place + last.place)
                 middle = self._node(place, found, _chord(first, last))
                 yield from self._on(first, middle, near)
-                yield middle
+                yield middle.rest
                 yield from self._on(middle, last, near)
                 return
         for kind, step in zip(KINDS, change, strict=True):
             if step % 2:
-                yield self._located(kind, first, last, near)
+                yield self._located(kind, first, last, near).rest
 
     def _located(self, kind: str, first: Node, last: Node, close: float) -> Node:
         """Where a test function vanishes on a segment; not located: where it was smallest, as an
         orbit is missed, or it has one sign, or jumps past zero."""
         pairs, chord = max(first.outside[2], last.outside[2]), _chord(first, last)
         met: list[tuple[float, float, Node]] = []
-        used: OrbitPoint | None = None
 
         def test(one: Node) -> float:
             if kind == KINDS[0]:
@@ -448,16 +441,15 @@ class OrbitBranch:
             return float(sizes[pairs - 1]) - 1.0 if len(sizes) >= pairs else -1.0
 
         def value(share: float) -> float:
-            nonlocal used
             if share in (0.0, 1.0):
                 one = last if share else first
             else:
-                found = self.between(first, last, share, SHARP, used)
+                near = met[-1][2].at if met else first.at
+                found = self.between(first, last, share, near, True)
                 if found is None:
                     raise ConvergenceError("no orbit")
-                used = found.at
                 place = first.place + share * (last.place - first.place)
-                one = self._node(place, replace(found, used=used), chord)
+                one = self._node(place, found, chord)
                 met.append((abs(test(one)), share, one))
             return test(one)
 
@@ -470,6 +462,12 @@ class OrbitBranch:
             pass
         one = min(met)[2] if met else first
         return replace(one, crossing=Crossing(kind, one.parameter, one.place, located))
+
+
+def orbit_of(found: PathPoint) -> OrbitPoint:
+    """The equations at an orbit."""
+    assert isinstance(found.at, OrbitPoint)
+    return found.at
 
 
 def _direction(change: np.ndarray, rise: float, at: np.ndarray) -> Tangent | None:
