@@ -264,7 +264,7 @@ def _measurements(
 
 def verification(scene: Scene, folder: Path, console: Console) -> Exit:
     """What mesh, modes, harmonics and samples contribute to the error of the steady vibration."""
-    from fenics_crack.study.verify import verify
+    from fenics_crack.study.verification import verify
 
     with console.stage("verification"):
         found = verify(scene, console.comm)

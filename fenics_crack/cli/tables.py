@@ -15,8 +15,8 @@ from fenics_crack.model.bilinear import BilinearFrequencies, bilinear_frequencie
 from fenics_crack.model.run_up import RunUpStructure
 from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES
 from fenics_crack.scene.scene import Scene
+from fenics_crack.study.prepare import Watched
 from fenics_crack.study.run import Run
-from fenics_crack.study.watched import Watched
 from fenics_crack.table import UNITS, Table, quantity, with_frequency, with_unit
 from fenics_crack.time.march import TimeHistory
 

@@ -16,7 +16,7 @@ from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.curves.backbone import Backbone
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
-from fenics_crack.files.modes_file import pack_modes, unpack_modes
+from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.files.store import Stored, check_shapes, read, write
 from fenics_crack.model.contact import ContactLaw, UnilateralConstraint, is_rigid
 from fenics_crack.model.matrices import LARGEST
@@ -24,6 +24,7 @@ from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
+from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.time.march import TimeHistory
 
@@ -132,6 +133,69 @@ def _motion(result: Result, watched: Mapping[str, np.ndarray]) -> Parts:
     kind = "displacement" if isinstance(result, TimeHistory) else "coefficients"
     motion = np.stack(list(watched.values()), axis=-1)
     return {"watched": list(watched), f"watched_{kind}": motion}
+
+
+# --- modes ----------------------------------------------------------------------------------------
+
+
+def _pack_modes(modes: Modes) -> Parts:
+    """Datasets of the modes; those of a structure without a mesh by its dofs (collective)."""
+    whole = modes.structure.whole
+    if whole.nodes is None:
+        by_dof = gather_rows(whole.comm, modes.structure.expand(modes.shapes.T).T)
+        return {"omega": modes.omega, "shapes": by_dof.T}
+    mesh = NodalMesh(modes.structure)
+    shapes = mesh.field(modes.structure.expand(modes.shapes.T))
+    return {"omega": modes.omega, "nodes": _marks(mesh), "shapes": shapes}
+
+
+def _unpack_modes(parts: Parts, structure: Structure, contact: Law = None) -> Modes:
+    """Modes from these datasets, on any number of ranks (collective).
+
+    Raises
+    ------
+    InputError
+        The structure has other nodes, or another number of dofs.
+    """
+    check_shapes(parts, {"omega": (len(parts["shapes"]),)})
+    if structure.whole.nodes is None:
+        return _modes_of_dofs(parts, structure.whole)
+    mesh, whole = NodalMesh(structure), structure.whole
+    assert whole.nodes is not None
+    marks = _marks(mesh)
+    from scipy.spatial import cKDTree  # takes a while, and is needed here alone
+
+    omega, shapes, then = parts["omega"], parts["shapes"], parts["nodes"]
+    check_shapes(parts, {"shapes": (len(omega), len(then), 2), "nodes": (-1, 4)})
+    distance, place = cKDTree(then).query(marks)
+    same = len(then) == len(marks) and len(set(place)) == len(place)
+    if not same or distance.max() > 1e-6 * mesh.size:
+        raise InputError("structure", f"{len(marks)} nodes", f"that of the file, {len(then)}")
+    first = whole.comm.exscan(len(whole.nodes.points)) or 0
+    mine = shapes[:, place[first : first + len(whole.nodes.points)]]
+    free = whole.nodes.dofs >= 0
+    rows = np.zeros((len(omega), whole.n_local))
+    rows[:, whole.nodes.dofs[free] - whole.first_dof] = mine[:, free]
+    return Modes(omega, rows.T, whole)
+
+
+def _modes_of_dofs(parts: Parts, whole: Structure) -> Modes:
+    """Modes of a structure without a mesh."""
+    shapes = parts["shapes"]
+    if "nodes" in parts or shapes.ndim != 2 or shapes.shape[1] != whole.n_dofs:
+        raise InputError("structure", f"{whole.n_dofs} dofs", f"that of the file, {shapes.shape}")
+    own = slice(whole.first_dof, whole.first_dof + whole.n_local)
+    return Modes(parts["omega"], shapes[:, own].T, whole)
+
+
+def _marks(mesh: NodalMesh) -> np.ndarray:
+    """Position of each node and mean midpoint of its cells, which tells the lips apart: (n, 4)."""
+    sums, counts = np.zeros((len(mesh.points), 2)), np.zeros((len(mesh.points), 1))
+    middles = mesh.points[mesh.cells].mean(axis=1)
+    for nodes in mesh.cells.T:
+        np.add.at(sums, nodes, middles)
+        np.add.at(counts, nodes, 1.0)
+    return np.hstack([mesh.points, sums / counts])
 
 
 # --- solutions ------------------------------------------------------------------------------------
@@ -354,7 +418,7 @@ _ARRAYS = {"multipliers": "bifuc", "harmonics": "iu", "undecided": "b", "jumps":
 """Kinds of the types of arrays, where not every real one will do."""
 
 _FORMS: dict[type[Result], tuple[Pack, Unpack]] = {
-    Modes: (pack_modes, _checked(Modes, unpack_modes)),
+    Modes: (_pack_modes, _checked(Modes, _unpack_modes)),
     PeriodicSolution: (_pack_solution, _checked(PeriodicSolution, _unpack_solution)),
     ResponseCurve: (_pack_curve, _checked(ResponseCurve, _unpack_curve)),
     Backbone: (_pack_backbone, _checked(Backbone, _unpack_backbone)),

@@ -18,7 +18,7 @@ import fenics_crack as fc
 from fenics_crack import ConvergenceError, InputError, Scene
 from fenics_crack.cli.command_line import main
 from fenics_crack.stages import listening
-from fenics_crack.study import verify as module
+from fenics_crack.study import verification as module
 from fenics_crack.study.prepare import Study
 from fenics_crack.study.run import Run, solve_prepared
 
