@@ -28,7 +28,7 @@ from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.time.march import TimeHistory
 
-__all__ = ["Result", "check_gap", "check_pairs", "load", "save", "type_of", "unpack"]
+__all__ = ["Result", "load", "save", "solution_from", "type_of", "unpack"]
 
 Result = Modes | PeriodicSolution | ResponseCurve | Backbone | TimeHistory
 Law = ContactLaw | None
@@ -212,12 +212,33 @@ def _pack_solution(solution: PeriodicSolution) -> Parts:
 
 
 def _unpack_solution(parts: Parts, structure: Structure, contact: Law) -> PeriodicSolution:
-    gap, force = parts["gap_coefficients"], parts["force_coefficients"]
+    gap = parts["gap_coefficients"]
     shape = len(gap) | 1, gap.shape[-1]
     check_shapes(parts, {"gap_coefficients": shape, "force_coefficients": shape})
     check_shapes(parts, {"multipliers": (max(np.size(parts.get("multipliers")), 1),)})
-    check_pairs(structure, gap)
+    _check_pairs(structure, gap)
     _take_law(parts, contact)
+    return solution_from(parts, structure, contact)
+
+
+def solution_from(parts: Parts, structure: Structure, contact: Law) -> PeriodicSolution:
+    """A solution from its waves, its errors and what else belongs to it (collective).
+
+    Parameters
+    ----------
+    parts : dict
+        The fields of the solution but for its displacement, which follows from the force; those of
+        its stability; of its report as ``error_truncation``; and the ``weight`` of a constraint.
+    structure, contact : Structure, ContactLaw or None
+        Those with which it was found.
+
+    Raises
+    ------
+    InputError
+        The structure is another one.
+    """
+    gap, force = parts["gap_coefficients"], parts["force_coefficients"]
+    _check_pairs(structure, gap)
     if is_rigid(contact):
         contact = UnilateralConstraint(parts.pop("weight", None))
     report = ErrorReport(**{f.name: parts.pop(f"error_{f.name}") for f in fields(ErrorReport)})
@@ -237,18 +258,18 @@ def _unpack_solution(parts: Parts, structure: Structure, contact: Law) -> Period
         **parts,
     )
     if solution.converged:
-        check_gap(structure, displacement, gap, max(1e-6, 10.0 * report.residual))
+        _check_gap(structure, displacement, gap, max(1e-6, 10.0 * report.residual))
     return solution
 
 
-def check_pairs(structure: Structure, gaps: np.ndarray) -> None:
+def _check_pairs(structure: Structure, gaps: np.ndarray) -> None:
     """Raise InputError unless gaps (..., n_pairs) have as many pairs as the structure."""
     if gaps.shape[-1] != structure.n_pairs:
         allowed = f"one with {gaps.shape[-1]} pairs"
         raise InputError("structure", f"{structure.n_pairs} pairs", allowed)
 
 
-def check_gap(
+def _check_gap(
     structure: Structure, displacement: np.ndarray, gap: np.ndarray, tolerance: float
 ) -> None:
     """Raise InputError unless displacement and gap coefficients agree (collective)."""
@@ -277,7 +298,7 @@ def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseC
         structure = reduce_structure(structure, method="massless")
     _take_law(parts, contact)
     unknowns, harmonics, kinds = parts["unknowns"], parts["harmonics"], parts["kinds"]
-    check_pairs(structure, unknowns)
+    _check_pairs(structure, unknowns)
     along = [f.name for f in fields(ResponseCurve) if "np.ndarray" in str(f.type)]
     shapes: Shapes = dict.fromkeys(along, (len(unknowns),))
     shapes["unknowns"] = len(unknowns), unknowns.shape[1] | 1, structure.n_pairs
@@ -299,7 +320,7 @@ def _unpack_curve(parts: Parts, structure: Structure, contact: Law) -> ResponseC
     exact = parts.pop("exact_values", np.full(len(special), np.nan))
     curve = ResponseCurve(**(known | parts))
     first = curve.solution(0)
-    check_gap(first.structure, first.displacement_coefficients, first.gap_coefficients, 1e-4)
+    _check_gap(first.structure, first.displacement_coefficients, first.gap_coefficients, 1e-4)
     bifurcations = tuple(
         replace(one, exact=float(at))
         for one, at in zip(curve.expand_bifurcations(special), exact, strict=True)

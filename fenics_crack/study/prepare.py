@@ -169,7 +169,7 @@ def _at_another_speed(scene: Scene, like: Study) -> Structure | None:
 
 
 def reduced(study: Study) -> Study:
-    """A study of a whole structure, reduced as its scene says (collective).
+    """A study, reduced as its scene says unless it has been reduced (collective).
 
     Raises
     ------
@@ -177,6 +177,8 @@ def reduced(study: Study) -> Study:
         As :func:`check_memory_of` and :func:`reduce_structure`.
     """
     scene, whole = study.scene, study.structure
+    if whole.whole is not whole:
+        return study
     check_memory_of(scene, whole)
     table = reduction_of(scene, whole)
     if table is None:

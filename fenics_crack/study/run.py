@@ -124,7 +124,7 @@ def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution
 
 
 def solve_prepared(whole: Study) -> Run[PeriodicSolution]:
-    """The same of a scene that is prepared, not reduced (collective)."""
+    """The same of a scene that is prepared; reduced, if its modes are chosen (collective)."""
     scene, law = whole.scene, whole.contact
     omega, table = scene.excitation.omega, scene.harmonic_balance
     if law is None:

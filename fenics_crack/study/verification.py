@@ -22,6 +22,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
+import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.contact_integrals import default_samples
@@ -306,22 +307,23 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
         study = prepare(scene, comm, whole=True)
         own = solve_prepared(study)
         if scene.harmonic_balance.tolerance is not None and own.result.converged:
-            study = replace(study, scene=_settled(own))
-            own = solve_prepared(study)
+            own = solve_prepared(_varied(own, _settled(own)))
     if not own.result.converged:
         raise ConvergenceError(f"{OWN}: {own.result.status}")
     study = replace(study, scene=_settled(own))
     log = _Log()
     first = log.level(OWN, own)
+    # What is made finer, from the study that the finer scenes share but for a mesh.
+    causes = ((_meshes, None), (_modes, study), (_harmonics, own), (_samples, own))
     parts, counts = {}, {}
     absent: dict[str, str] = {}
     unknown: dict[str, str] = {}
-    for cause, ways in zip(CAUSES, (_meshes, _modes, _harmonics, _samples), strict=True):
+    for cause, (ways, shared) in zip(CAUSES, causes, strict=True):
         found = ways(study)
         if isinstance(found, str):
             (unknown if cause == "mesh" else absent)[cause] = found
             continue
-        levels = [first.counted(found.counts[0]), *log.levels(study, found)]
+        levels = [first.counted(found.counts[0]), *log.levels(found, shared, comm)]
         if len(levels) == 1:
             unknown[cause] = "no finer run has converged"
             continue
@@ -334,6 +336,11 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
     return Verification(
         study.scene, first.values, first.units, parts, counts, absent, unknown, failures, verdicts
     )
+
+
+def _varied(study: Study, scene: Scene) -> Study:
+    """Another scene of the same mesh, and with the same reduction where the study is reduced."""
+    return Study(scene, study.structure, study.contact, study.watched)
 
 
 def _settled(run: Run[PeriodicSolution]) -> Scene:
@@ -467,16 +474,19 @@ class _Log:
 
     failures: list[str] = field(default_factory=list)
     verdicts: dict[str, str] = field(default_factory=dict)
+    known: tuple[Structure, np.ndarray] | None = None
+    """The last structure, and its natural frequencies [rad/s]."""
 
-    def levels(self, study: Study, ways: _Ways) -> Iterator[_Level]:
+    def levels(self, ways: _Ways, shared: Study | None, comm: MPI.Comm) -> Iterator[_Level]:
         """The finer runs that converge (collective)."""
         for (name, scene), count in zip(ways.finer.items(), ways.counts[1:], strict=True):
             with within(name):
                 try:
-                    varied = replace(study, scene=scene)
-                    if count is None:
-                        varied = prepare(scene, study.structure.comm, whole=True)
-                    run = solve_prepared(varied)
+                    if shared is None:
+                        study = prepare(scene, comm, whole=True)
+                    else:
+                        study = _varied(shared, scene)
+                    run = solve_prepared(study)
                     if run.result.converged:
                         yield self.level(name, run).counted(count)
                     else:
@@ -490,10 +500,11 @@ class _Log:
         if stability is not None and stability.verdict != "stable":
             self.verdicts[name] = stability.verdict
         values, units = _answer(run)
-        omega = solve_modes(whole, min(FREQUENCIES, whole.n_modes)).omega
+        if self.known is None or self.known[0] is not whole:
+            self.known = whole, solve_modes(whole, min(FREQUENCIES, whole.n_modes)).omega
         factor, _, unit = frequency_axis(run.scene.in_hertz)
         kind = "frequency" if run.scene.in_hertz else "omega"
-        for mode, value in enumerate(omega, 1):
+        for mode, value in enumerate(self.known[1], 1):
             values[f"{kind}_open_{mode}"] = factor * float(value)
             units[f"{kind}_open_{mode}"] = unit
         return _Level(values, units, *_elements(run.scene, whole))

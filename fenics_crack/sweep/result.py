@@ -32,14 +32,14 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.condensed import default_weight
-from fenics_crack.balance.error_report import LARGE_ERROR, ErrorReport
+from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import InputError
-from fenics_crack.files.results import check_gap, check_pairs
+from fenics_crack.files.results import solution_from
 from fenics_crack.files.store import header
-from fenics_crack.model.contact import UnilateralConstraint, is_rigid
+from fenics_crack.model.contact import is_rigid
 from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.quantities import OF_POINTS, QUANTITIES
@@ -274,29 +274,23 @@ class SweepResult(Tabular):
         if law is None:
             return solve_linear(structure, omega, harmonics=case.harmonic_balance.harmonics)
         gap, force = read_waves(self.path, place)
-        check_pairs(structure, gap)
         problem = Problem(structure, omega, law, len(gap) // 2)
-        compliance = problem.compliance()
+        parts: dict[str, Any] = {
+            "omega": omega,
+            "subharmonic": 1,
+            "gap_coefficients": gap,
+            "force_coefficients": force,
+            "static_above": None if problem.residual is None else problem.cutoff,
+            "status": str(self["status"][place]),
+            "iterations": int(self["iterations"][place]),
+            "error_penetration": float(self["penetration_share"][place]),
+            "error_displacement": 0.0,
+        }
+        for name in ("residual", "truncation", "sampling", "reduction"):
+            parts[f"error_{name}"] = float(self[f"{name}_error"][place])
         if is_rigid(law) and problem.residual is None:
-            law = UnilateralConstraint(default_weight(compliance))
-        names = ("residual", "truncation", "sampling", "reduction")
-        errors = {name: float(self[f"{name}_error"][place]) for name in names}
-        displacement = compliance.displacement(force)
-        check_gap(structure, displacement, gap, max(1e-6, 10.0 * errors["residual"]))
-        solution = PeriodicSolution(
-            structure,
-            omega,
-            law,
-            displacement,
-            gap,
-            force,
-            status=str(self["status"][place]),
-            iterations=int(self["iterations"][place]),
-            report=ErrorReport(**errors, penetration=float(self["penetration_share"][place])),
-            static_above=None if problem.residual is None else problem.cutoff,
-        )
-        compliance.destroy()
-        return solution
+            parts["weight"] = default_weight(problem.compliance())
+        return solution_from(parts, structure, law)
 
     def _place(self, index: tuple[int, ...] | int) -> tuple[int, ...]:
         """The place of a case that converged."""
