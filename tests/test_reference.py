@@ -6,14 +6,12 @@ import sys
 import zlib
 from pathlib import Path
 
-import pytest
 from helpers import ROOT
 from numpydoc.validate import validate
 
 import fenics_crack as fc
 
 
-@pytest.mark.slow
 def test_site_builds_and_names_everything(tmp_path: Path) -> None:
     """Sphinx warns of text that it cannot read and of references that lead nowhere."""
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "docs", str(tmp_path)]

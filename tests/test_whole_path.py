@@ -16,8 +16,6 @@ from PIL import Image
 from fenics_crack.cli import pictures
 from fenics_crack.cli.command_line import main
 
-pytestmark = pytest.mark.slow
-
 BREATHING = "breathing crack resonates near [Hz]"
 LOADS = {"weak": 1.0, "middle": 10.0, "strong": 100.0}
 """Forces in newtons: of the least, the preload keeps the crack closed."""

@@ -18,7 +18,6 @@ from fenics_crack.balance.solver import Solver
 FREQUENCIES = np.linspace(0.3, 2.0, 300)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("harmonics", [5, 10, 20])
 @pytest.mark.parametrize("stiffness", [1.0, 10.0, 100.0, 1000.0])
 def test_bilinear_oscillator(stiffness: float, harmonics: int) -> None:
@@ -44,7 +43,6 @@ def test_bilinear_oscillator(stiffness: float, harmonics: int) -> None:
         )
 
 
-@pytest.mark.slow
 def test_breathing_plate(breathing_plate: fc.Structure) -> None:
     """18 pairs on the reduced structure, soft and stiff, H = 5 and 10, 1000 to 3000 rad/s."""
     reduced = fc.reduce_structure(breathing_plate)

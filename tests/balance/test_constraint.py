@@ -138,7 +138,6 @@ def test_constraint_on_the_papers_data(paper_structure: fc.Structure) -> None:
         assert solution.contact_force(t).max() > 10.0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("harmonics", [5, 10])
 def test_constraint_over_the_frequencies(paper_structure: fc.Structure, harmonics: int) -> None:
     """The paper's data at 1000 to 3000 rad/s in steps of 100, every one from a cold start."""

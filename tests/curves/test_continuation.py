@@ -193,7 +193,6 @@ def test_frequency_derivative() -> None:
         assert np.allclose(slope, exact, rtol=1e-6, atol=1e-7 * np.abs(exact).max())
 
 
-@pytest.mark.slow
 def test_paper_plate_over_three_resonances(soft_plate: fc.Structure) -> None:
     """k = 1e9 and 1e11, xi = 0.01, past the third natural frequency; reduced equals whole."""
     corner = soft_plate.find_dof((0.1, 0.1), "x")

@@ -317,7 +317,6 @@ fc.identify(scene, folder / "m.csv", folder=folder)
 """
 
 
-@pytest.mark.slow
 def test_killed_sweep_goes_on(scene: fc.Scene, tmp_path: Path) -> None:
     """kill -9 of both ranks: what was solved stays as it is, the rest is added."""
     measured(scene, {"crack.length": 0.015, "crack.height": 0.11}, 1).to_csv(tmp_path / "m.csv")

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from helpers import DEMOS
+from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack import ConvergenceError, InputError, Scene
@@ -215,16 +216,13 @@ def test_bad_input() -> None:
         fc.draw_verification(found, axes=[None])
 
 
+def stated(scene: Scene, comm: MPI.Comm) -> tuple[list[float], dict[str, tuple[int, int, int]]]:
+    """Values with their totals, and what was counted (collective)."""
+    found = fc.verify(scene, comm)
+    return [round(row[2] + row[6], 2) for row in found.totals().rows], found.counts
+
+
 @pytest.mark.mpi
-def test_two_ranks(mpirun: Callable[..., str], tmp_path: Path) -> None:
+def test_two_ranks(on_ranks: Callable[..., Any]) -> None:
     """They share each mesh, and state the same."""
-    path = tmp_path / "plate.toml"
-    path.write_text(plate().as_toml())
-    program = f"""
-import fenics_crack as fc
-found = fc.verify(fc.Scene.load({str(path)!r}))
-from mpi4py import MPI
-if MPI.COMM_WORLD.rank == 0:
-    print([round(row[2] + row[6], 2) for row in found.totals().rows], found.counts)
-"""
-    assert mpirun(program, 2) == mpirun(program, 1)
+    assert on_ranks(stated, plate()) == stated(plate(), MPI.COMM_SELF)
