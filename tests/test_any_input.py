@@ -26,9 +26,9 @@ from hypothesis import HealthCheck, Phase, example, given, settings
 from hypothesis import strategies as st
 
 import fenics_crack as fc
-from fenics_crack import ConvergenceError, InputError, Scene
+from fenics_crack import ConvergenceError, InputError, Run, Scene
 from fenics_crack.fem.plate import write_msh
-from fenics_crack.study.run import Run, find_modes, solve
+from fenics_crack.study.run import find_modes, solve
 
 SEEDS = st.integers(0, 10**6)
 LONGEST = 20

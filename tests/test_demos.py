@@ -76,14 +76,10 @@ def test_sweep_over_two_ranks(mpirun: Callable[..., str], tmp_path: Path) -> Non
     program = f"""
 import sys
 sys.path.insert(0, {str(DEMOS)!r})
-import dataclasses
 from pathlib import Path
 import fenics_crack as fc
 import sweep
-from fenics_crack.scene.tables import Sweep
-scene = dataclasses.replace(
-    fc.Scene.load(sweep.SCENE), sweep=Sweep.from_mapping({{"over": {over!r}}})
-)
+scene = fc.Scene.load(sweep.SCENE).replace({{"sweep.over": {over!r}}})
 sweep.main(Path({str(tmp_path)!r}), scene)
 """
     assert "6 of 6 cases converged" in mpirun(program, 2)

@@ -12,10 +12,11 @@ from pathlib import Path
 
 import pytest
 from helpers import MPI_ENVIRONMENT, ROOT
+from surroundings import main
 
 import fenics_crack as fc
 import fenics_crack.scene.scene
-from fenics_crack.cli.command_line import main, parser
+from fenics_crack.cli.command_line import parser
 from fenics_crack.scene import tables
 
 SHELL = re.compile(r"```sh\n(.*?)```", re.S)

@@ -14,13 +14,13 @@ from helpers import ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fenics_crack import UnilateralPenalty
 from fenics_crack.balance.active_sets import contact_intervals
 from fenics_crack.balance.compiled import CompiledSystem
 from fenics_crack.balance.condensed import respond, respond_to_columns
 from fenics_crack.balance.contact_integrals import ExactIntegrals
 from fenics_crack.kernel import doubles, ints, shaped, signs
 from fenics_crack.model.complementarity import solve_complementarity
-from fenics_crack.model.contact import UnilateralPenalty
 from fenics_crack.model.coupled import ActiveSets
 
 OTHERS = [

@@ -12,6 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import fenics_crack as fc
+from fenics_crack import Continuation
 from fenics_crack.balance.arclength import Stepping, follow_path
 from fenics_crack.balance.bordered import (
     PathPoint,
@@ -27,7 +28,6 @@ from fenics_crack.balance.contact_integrals import ExactIntegrals
 from fenics_crack.balance.family import FAMILIES, Family
 from fenics_crack.balance.fourier import evaluate, sampled, to_complex
 from fenics_crack.balance.linearisation import Linearisation, System
-from fenics_crack.curves.continuation import Continuation
 
 SEEDS = st.integers(0, 2**32 - 1)
 RANGES = {

@@ -23,6 +23,7 @@ from laboratory import solve_form
 from mpi4py import MPI
 
 import fenics_crack as fc
+from fenics_crack import Problem
 from fenics_crack.balance import condensed
 from fenics_crack.balance.compliance import (
     FactoredCompliance,
@@ -34,7 +35,6 @@ from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, Cons
 from fenics_crack.balance.contact_integrals import contact_integrals
 from fenics_crack.balance.fourier import to_complex
 from fenics_crack.balance.linearisation import determinant_sign
-from fenics_crack.balance.problem import Problem
 
 # --- condensed and full ---------------------------------------------------------------------------
 

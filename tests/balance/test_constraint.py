@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 import scipy.optimize
-from helpers import log_slope, oscillator, relative
+from helpers import evaluate, log_slope, mean_square, oscillator, relative, resized
 
 import fenics_crack as fc
-from fenics_crack.balance.error_report import mean_square
-from fenics_crack.balance.fourier import evaluate, resized
 
 COUNTS = (5, 10, 20, 40, 80)
 

@@ -28,6 +28,7 @@ from incremental import incremental_system
 from laboratory import BlockSystem, solve_form
 
 import fenics_crack as fc
+from fenics_crack import ContactLaw, Problem
 from fenics_crack.balance.compliance import (
     FactoredCompliance,
     dynamic_compliance,
@@ -36,8 +37,6 @@ from fenics_crack.balance.compliance import (
 from fenics_crack.balance.condensed import CondensedSystem, respond_to_columns
 from fenics_crack.balance.contact_integrals import SampledIntegrals, contact_integrals
 from fenics_crack.balance.fourier import evaluate
-from fenics_crack.balance.problem import Problem
-from fenics_crack.model.contact import ContactLaw
 
 # --- the high-dimensional form is collocation -----------------------------------------------------
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from fenics_crack import UnilateralPenalty
 from fenics_crack.balance.contact_integrals import SampledIntegrals
 from fenics_crack.balance.fourier import (
     balanced,
@@ -13,7 +14,6 @@ from fenics_crack.balance.fourier import (
     sampled,
     to_complex,
 )
-from fenics_crack.model.contact import UnilateralPenalty
 
 HARMONICS = 6
 PAIRS = 3

@@ -10,9 +10,9 @@ from helpers import chain, dense_matrices, oscillator, relative, two_masses
 from laboratory import BlockSystem
 
 import fenics_crack as fc
+from fenics_crack import ContactLaw
 from fenics_crack.balance.compliance import FactoredCompliance, load_coefficients
 from fenics_crack.balance.contact_integrals import contact_integrals
-from fenics_crack.model.contact import ContactLaw
 
 NAN, INF = float("nan"), float("inf")
 

@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import MPI_ENVIRONMENT, ROOT
+from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.cli.command_line import main
 from fenics_crack.cli.undamped import in_words
 from fenics_crack.fem.plate import write_msh
 from fenics_crack.study import run as study_run

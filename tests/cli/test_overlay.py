@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import DEMOS
+from surroundings import main
 
 from fenics_crack.cli import overlay, sweep_pictures
-from fenics_crack.cli.command_line import main
 
 SCENE = str(DEMOS / "paper_plate.toml")
 LOADS = (50.0, 100.0, 200.0)

@@ -14,10 +14,10 @@ import scipy.linalg
 from mpi4py import MPI
 from numpy.polynomial import Polynomial
 from rotating import DENSITY, HEIGHT, STRIP, UNIT, WIDTH, YOUNG, cracked, strip
+from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
-from fenics_crack.cli.command_line import main
 from fenics_crack.fem.assembly import assemble
 from fenics_crack.model.modes import times
 from fenics_crack.model.rotation import static_state

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 from helpers import MPI_ENVIRONMENT, ROOT
 from mpi4py import MPI
+from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.cli.command_line import main
+from fenics_crack import SweepResult
 from fenics_crack.identification.identify import remarks_on
-from fenics_crack.sweep.result import SweepResult
 
 PLATE = """
 geometry = { width = 0.1, height = 0.2, thickness = 0.01 }

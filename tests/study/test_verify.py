@@ -14,14 +14,13 @@ from typing import Any
 import pytest
 from helpers import DEMOS
 from mpi4py import MPI
+from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack import ConvergenceError, InputError, Scene
-from fenics_crack.cli.command_line import main
+from fenics_crack import ConvergenceError, InputError, Run, Scene, Study
 from fenics_crack.stages import listening
 from fenics_crack.study import verify as module
-from fenics_crack.study.prepare import Study
-from fenics_crack.study.run import Run, solve_prepared
+from fenics_crack.study.run import solve_prepared
 
 PLATE: dict[str, Any] = {
     "geometry": {"width": 0.1, "height": 0.1, "thickness": 1.0},

@@ -23,17 +23,15 @@ from rotating import cracked
 
 import fenics_crack as fc
 import fenics_crack.study.prepare
+from fenics_crack import Scene, SweepResult, prepare, run_sweep
 from fenics_crack.errors import WriteError
 from fenics_crack.fem.assembly import assemble
-from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Sweep
-from fenics_crack.study.prepare import prepare
 from fenics_crack.sweep import case as sweep_case
 from fenics_crack.sweep import file as sweep_file
 from fenics_crack.sweep import jobs as sweep_jobs
 from fenics_crack.sweep import result as sweep
 from fenics_crack.sweep.file import COLUMNS, SweepFile
-from fenics_crack.sweep.result import SweepResult, run_sweep
 
 Over = Mapping[str, Any]
 SOFT = {"damping.ratio": 0.01, "contact.stiffness": 1e9}
