@@ -51,6 +51,15 @@ def draw_arrivals(
         Title of the picture.
     in_rpm : bool
         Speeds of a run-up in revolutions per minute, else in rad/s.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Examples
+    --------
+    >>> figure = fc.draw_arrivals(arrivals, path="arrivals.png")
     """
     [panel] = make_axes(axes, path)
     pace, *over = speed_axis(in_rpm)
@@ -86,10 +95,19 @@ def draw_tip_fit(
     path, title
         As of :func:`draw_arrivals`.
 
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
     Raises
     ------
     InputError
         The number of axes is wrong.
+
+    Examples
+    --------
+    >>> figure = fc.draw_tip_fit(fc.fit_order(arrivals), arrivals, path="fit.png")
     """
     upper, lower = make_axes(axes, path, 2, size=(7.0, 7.0))
     loads = max(1, round(1.0 / fit.multiples[0]))  # load periods of a response
@@ -153,6 +171,15 @@ def draw_tip_track(
         As of :func:`draw_arrivals`.
     in_hertz : bool
         Frequencies in Hz, not rad/s.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Examples
+    --------
+    >>> figure = fc.draw_tip_track(fc.track_order(arrivals, 6), path="track.png")
     """
     [panel] = make_axes(axes, path)
     factor, name, unit = frequency_axis(in_hertz)

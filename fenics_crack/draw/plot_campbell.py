@@ -42,10 +42,20 @@ def draw_campbell(
     in_hertz, in_rpm : bool
         Frequencies in Hz, else in rad/s; speeds in revolutions per minute, else in rad/s.
 
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
     Raises
     ------
     InputError
         An order is not a whole number >= 1.
+
+    Examples
+    --------
+    >>> diagram = fc.campbell(blade, [0.0, 150.0, 300.0], count=2)
+    >>> figure = fc.draw_campbell(diagram, orders=[1, 2, 3], path="campbell.png")
     """
     for order in orders:
         check_count("orders", order, 1)

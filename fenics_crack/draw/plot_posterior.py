@@ -46,10 +46,20 @@ def draw_posterior(
     axes, path, title
         As of :func:`draw_waves`.
 
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
     Raises
     ------
     InputError
         These are not two of the unknowns.
+
+    Examples
+    --------
+    >>> found = fc.load("identify.h5")  # doctest: +SKIP
+    >>> figure = fc.draw_posterior(found, path="posterior.png")  # doctest: +SKIP
     """
     for name, key in (("x", x), ("y", y)):
         if key not in found.unknown or x == y:

@@ -40,6 +40,16 @@ def draw_verification(
         Made by :func:`verify`.
     axes, path, title
         As of :func:`draw_waves`, with two panels.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Examples
+    --------
+    >>> found = fc.verify(scene)  # doctest: +SKIP
+    >>> figure = fc.draw_verification(found, path="verification.png")  # doctest: +SKIP
     """
     left, right = make_axes(axes, path, 2, columns=2, size=(12.0, 5.6))
     if found.causes:

@@ -178,7 +178,7 @@ def test_refining_the_mesh_does_not_change_the_physics(paper_scene: Scene) -> No
         made = plate(paper_scene, columns)
         assert made.pair_areas is not None
         per_pair = per_pair or per_area * float(made.pair_areas.mean())
-        reduced = reduce_structure(made)
+        reduced = reduce_structure(made, modes=20, method="massless")
         for name, table in (
             ("area", contact(stiffness_per_area=per_area)),
             ("pair", contact(stiffness=per_pair)),
