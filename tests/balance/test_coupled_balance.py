@@ -13,8 +13,8 @@ import fenics_crack as fc
 from fenics_crack import integrate_exponential
 from fenics_crack.balance import coupled
 from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
-from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.search import Search
+from fenics_crack.numerics.fourier import resized
 
 RIGID = fc.UnilateralConstraint()
 LAWS = {

@@ -36,7 +36,7 @@ from fenics_crack.balance.compliance import (
 )
 from fenics_crack.balance.condensed import CondensedSystem, respond_to_columns
 from fenics_crack.balance.contact_integrals import SampledIntegrals, contact_integrals
-from fenics_crack.balance.fourier import evaluate
+from fenics_crack.numerics.fourier import evaluate
 
 # --- the high-dimensional form is collocation -----------------------------------------------------
 

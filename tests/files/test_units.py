@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack import Run
-from fenics_crack.balance.fourier import evaluate
+from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.study.run import follow_curve, integrate, solve
 
 COUNTS = {
