@@ -66,6 +66,10 @@ def save(
     InputError
         The file cannot be written, the modes have no mesh, or a time history is spread over
         several ranks.
+
+    Examples
+    --------
+    >>> fc.save(solution, "solution.h5", scene)
     """
     if type(result) not in _FORMS:
         names = ", ".join(kind.__name__ for kind in _FORMS)
@@ -88,10 +92,20 @@ def load(path: str | Path, structure: Structure, contact: Law = None) -> Result:
         Those with which it was found; for a curve, a structure with many dofs is reduced to lips
         without mass, as it was then. Modes and time histories need no law.
 
+    Returns
+    -------
+    Modes, PeriodicSolution, ResponseCurve, Backbone or TimeHistory
+        What was written.
+
     Raises
     ------
     InputError
         The file is not one of :func:`save`, or the structure or the law is another.
+
+    Examples
+    --------
+    >>> fc.save(solution, "solution.h5")
+    >>> again = fc.load("solution.h5", structure, contact)
     """
     return unpack(read(path, structure.comm), structure, contact)
 

@@ -105,12 +105,22 @@ def prepare(
         Of another scene, whose mesh and matrices are taken if the rotor's speed is all that
         differs.
 
+    Returns
+    -------
+    Study
+        Scene, structure and law, and the dofs that the scene watches.
+
     Raises
     ------
     InputError
         As :func:`build_structure` and :func:`reduce_structure`; a point of ``[output.points]`` is
         not near a node of its own; or solving the scene would take more than 80 % of the machine's
         memory.
+
+    Examples
+    --------
+    >>> plate = fc.prepare(scene)
+    >>> structure, contact = plate.structure, plate.contact
     """
     scene = with_crack_length(scene, comm)
     known = None if like is None else _at_another_speed(scene, like)
@@ -269,10 +279,19 @@ def contact_law(contact: Contact, structure: Structure | None = None) -> Contact
     structure : Structure, optional
         Needed for a stiffness per area.
 
+    Returns
+    -------
+    ContactLaw
+        Of all pairs.
+
     Raises
     ------
     InputError
         There is a stiffness per area, and no structure with areas.
+
+    Examples
+    --------
+    >>> law = fc.contact_law(scene.contact, structure)
     """
     if not isinstance(contact, Contact):
         raise InputError("contact", contact, "the contact table of a scene")

@@ -108,6 +108,11 @@ def run_sweep(
     InputError
         The scene has no sweep, no combination of its values is a scene, the number of ranks does
         not fit, a structure is too large and not to be reduced, or the file cannot be used.
+
+    Examples
+    --------
+    >>> swept = scene.replace({"sweep.over": {"excitation.omega": [1900.0, 2000.0]}})
+    >>> table = fc.run_sweep(swept, "sweep.h5")
     """
     ranks = _ranks_of_a_case(scene, comm)
     managers: list[Manager] = []
