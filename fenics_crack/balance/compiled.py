@@ -21,9 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import Struct, doubles, kernel, owned, shaped
-from fenics_crack.numerics.compiled import CompiledPaths
+from fenics_crack.numerics.equations import Equations
 from fenics_crack.numerics.linearisation import Linearisation
 
 __all__ = ["CompiledCoupled", "CompiledEquations", "CompiledSystem", "ModalPart"]
@@ -82,7 +81,7 @@ def seen_structure(
     )  # fmt: skip
 
 
-class CompiledEquations(CompiledPaths):
+class CompiledEquations(Equations):
     """Equations F(x, p) = 0 of the kernel at a point.
 
     Parameters
@@ -105,26 +104,20 @@ class CompiledEquations(CompiledPaths):
     ) -> None:
         self._given, self.shape, self._largest = given, shape, largest
         self._point = owned(make(given.at), free)
-        self._equations = equations(self._point)
+        self.table = equations(self._point)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
         """The equations at a point."""
         return CompiledPoint(self, shaped(unknown, *self.shape), parameter)
 
-    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
-        """Inner product."""
-        return float(np.vdot(first, second))
-
     def evaluated(self, at: CompiledPoint) -> Any:
         """The kernel's equations, evaluated at a point."""
         if self._last is not at:
-            self._last = None
-            outcome = self._equations.evaluate(self._equations, doubles(at.unknown), at.parameter)
-            self._check(outcome)
+            self.check(self.run(self.table.evaluate, doubles(at.unknown), at.parameter))
             self._last = at
-        return self._equations
+        return self.table
 
-    def _found(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
+    def found(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
         self._last = found = CompiledPoint(self, unknown, parameter)
         return found
 
@@ -133,15 +126,8 @@ class CompiledEquations(CompiledPaths):
         self._last = None
         found = float(self._largest(self._point, parameter))
         if not math.isfinite(found):
-            self._check(kernel.SINGULAR_STRUCTURE)
+            self.check(kernel.SINGULAR_STRUCTURE)
         return found
-
-    def _check(self, outcome: int) -> None:
-        """Raise ConvergenceError where the structure is singular, MemoryError without memory."""
-        if outcome == kernel.NO_MEMORY:
-            raise MemoryError("condensed equations")
-        if outcome == kernel.SINGULAR_STRUCTURE:
-            raise ConvergenceError("path: the structure is singular (an undamped resonance)")
 
 
 class CompiledSystem(CompiledEquations):
