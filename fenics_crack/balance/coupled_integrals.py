@@ -17,18 +17,18 @@ Of laws that are not piecewise linear, S is the tangent at every sample.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import ClassVar, Self
 
 import numpy as np
 import scipy.fft
 
 from fenics_crack.balance.active_sets import contact_intervals
-from fenics_crack.balance.contact_integrals import default_samples
+from fenics_crack.balance.contact_integrals import ContactForces, ContactIntegrals, default_samples
 from fenics_crack.balance.fourier import balanced, instants, sampled
 from fenics_crack.kernel import doubles, kernel
-from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
+from fenics_crack.model.contact import is_piecewise_linear, is_rigid
 from fenics_crack.model.coupled import ActiveSets, smooth_forces, unique_sets
 
 __all__ = ["CoupledForces", "CoupledIntegrals", "CoupledTangent"]
@@ -114,41 +114,27 @@ class CoupledTangent:
 
 
 @dataclass(frozen=True)
-class CoupledIntegrals:
-    """Coefficients of the contact forces of waves s (2H+1, n_pairs) behind R_inf.
+class CoupledIntegrals(ContactIntegrals):
+    """Contact forces of pairs that R_inf couples.
 
     Attributes
     ----------
-    law : ContactLaw
-        Of all pairs.
-    residual : (n_pairs, n_pairs) [m/N]
-        R_inf.
-    harmonics : int
-        H.
     samples : int or None
         Instants per period; None: exact integrals.
-    softness : float
-        Compliance put in series with every pair, in parts of ``unit``.
-    unit : float
-        Mean diagonal of R_inf + I/k [m/N].
     contact : ActiveSets
         Of R_inf + I/k and the softness.
     """
 
-    law: ContactLaw
-    residual: np.ndarray
-    harmonics: int
     samples: int | None = None
-    softness: float = 0.0
-    unit: float = field(init=False, repr=False, compare=False)
     contact: ActiveSets = field(init=False, repr=False, compare=False)
+    coupled: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
+        assert self.residual is not None
         compliance = self.residual.copy()
         diagonal = np.arange(len(compliance))
         if self.piecewise:
-            compliance[diagonal, diagonal] += 1.0 / np.asarray(self.law.stiffness, dtype=float)
-        object.__setattr__(self, "unit", float(np.mean(np.diag(compliance))))
+            compliance[diagonal, diagonal] += self.springs
         compliance[diagonal, diagonal] += self.softness * self.unit
         object.__setattr__(self, "contact", ActiveSets(compliance))
 
@@ -162,48 +148,48 @@ class CoupledIntegrals:
         """Whether they are exact integrals."""
         return self.piecewise and self.samples is None
 
-    def with_softness(self, softness: float) -> CoupledIntegrals:
-        """The same with another compliance in series."""
-        return self if softness == self.softness else replace(self, softness=softness)
-
-    def widened(self, harmonics: int) -> CoupledIntegrals:
-        """The same with more harmonics, and samples enough for them."""
+    def widened(self, harmonics: int) -> Self:
         samples = self.samples and max(self.samples, default_samples(harmonics))
         other = replace(self, harmonics=harmonics, samples=samples)
         object.__setattr__(other, "contact", self.contact)  # with the inverses known
         return other
 
     def forces(self, gap: np.ndarray) -> np.ndarray:
-        """lambda(s) at instants, of values (n, n_pairs): the same shape [N]."""
         if self.piecewise:
             return self.contact.solve(gap)[0]
         return smooth_forces(self.law, self.contact.compliance, gap)[0]
 
     def linearise(self, gap: np.ndarray) -> CoupledForces:
-        """The forces' coefficients and their derivatives."""
         return _ExactForces(self, gap) if self.exact else _SampledForces(self, gap)
 
 
-class CoupledForces(ABC):
-    """Coefficients of the contact forces of a wave s, and their derivatives.
+class CoupledForces(ContactForces):
+    """Forces that follow from the gaps of all pairs.
 
     Attributes
     ----------
-    force : (2H+1, n_pairs) [N]
     tangent : CoupledTangent
         By s.
     """
 
-    force: np.ndarray
     tangent: CoupledTangent
 
-    @abstractmethod
-    def by_softness(self) -> np.ndarray:
-        """Derivative of the coefficients by the softness."""
+    def apply(self, change: np.ndarray) -> np.ndarray:
+        return self.tangent.apply(change)
 
-    @abstractmethod
-    def by_stiffness(self) -> np.ndarray:
-        """Derivative of the coefficients by ln k."""
+    def identity_plus(self, matrices: np.ndarray, basis: np.ndarray | None = None) -> np.ndarray:
+        found = (self.tangent if basis is None else self.tangent.seen(basis)).matrix()
+        rows, pairs = found.shape[:2]
+        jacobian = np.empty_like(found)
+        even, odd = (found[first::2].reshape(rows // 2, pairs, -1) for first in (1, 2))
+        real, imaginary = matrices[1:].real, matrices[1:].imag
+        shape = (rows // 2, pairs, rows, pairs)
+        jacobian[0] = np.tensordot(matrices[0].real, found[0], 1)
+        jacobian[1::2] = (np.matmul(real, even) + np.matmul(imaginary, odd)).reshape(shape)
+        jacobian[2::2] = (np.matmul(real, odd) - np.matmul(imaginary, even)).reshape(shape)
+        whole = jacobian.reshape(rows * pairs, rows * pairs)
+        whole.flat[:: len(whole) + 1] += 1.0
+        return whole
 
 
 class _ExactForces(CoupledForces):
@@ -241,7 +227,7 @@ class _ExactForces(CoupledForces):
         return self._by_compliance(self._integrals.unit)
 
     def by_stiffness(self) -> np.ndarray:
-        return self._by_compliance(-1.0 / np.asarray(self._integrals.law.stiffness))
+        return self._by_compliance(-self._integrals.springs)
 
 
 class _SampledForces(CoupledForces):

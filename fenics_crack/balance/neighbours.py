@@ -23,8 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fenics_crack.balance.bordered import solve_at
-from fenics_crack.balance.condensed import CondensedSystem
-from fenics_crack.balance.coupled import CoupledSystem
+from fenics_crack.balance.contact_system import ContactSystem
 from fenics_crack.balance.family import FrequencyFamily
 from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.problem import Problem
@@ -37,7 +36,6 @@ from fenics_crack.balance.search import Search
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.balance.solver import Solver
 from fenics_crack.errors import MOST_HARMONICS, ConvergenceError
-from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import all_modes
 
 __all__ = ["Neighbours", "fewer_harmonics", "more_harmonics"]
@@ -165,8 +163,7 @@ def _error(solution: PeriodicSolution) -> float:
 
 def _can_be_followed(problem: Problem) -> bool:
     """Whether the problem belongs to a family along the frequency."""
-    projected = is_rigid(problem.contact) and problem.residual is None
-    return not projected and not all_modes(problem.structure).ill_conditioned
+    return not problem.projected and not all_modes(problem.structure).ill_conditioned
 
 
 def _unknown(problem: Problem, solution: PeriodicSolution) -> np.ndarray:
@@ -177,9 +174,9 @@ def _unknown(problem: Problem, solution: PeriodicSolution) -> np.ndarray:
     return resized(found, problem.harmonics)
 
 
-def _attainable(system: CondensedSystem | CoupledSystem, problem: Problem) -> float:
+def _attainable(system: ContactSystem, problem: Problem) -> float:
     """What rounding leaves of |F| / |x|; of coupled pairs :data:`SHARP`: their steps cost more."""
-    if isinstance(system, CoupledSystem):
+    if system.residual is not None:
         return max(SHARP, least_residual(4.0 * system.steepness(problem.contact)))
     check_stiffness(system.compliance, problem.contact)
     return least_residual(4.0 * stiffness_times_compliance(system.compliance, problem.contact))

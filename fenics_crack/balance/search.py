@@ -4,14 +4,13 @@ A start gives guesses, and from each of them full Newton steps are taken:
 
 near       a given solution, or the linear one; and where shortened steps lead from there
 fewer      instead of the linear one, with many unknowns or pairs that are seen through a static
-           compliance (:mod:`coupled`): the solution with half the harmonics, which comes from that
-           with half of those, and so on
+           compliance (:mod:`contact_system`): the solution with half the harmonics, which comes
+           from that with half of those, and so on
 marched    a motion after 40, 160 and 520 periods of exponential steps in time: with it pairs begin
            that are seen through a static compliance, where their law is piecewise linear
 path       where a path of solutions passes the problem, followed by arc-length through its folds,
            from where the solution is unique and close to the linear one: in the contact stiffness,
-           in the softness in series with pairs that are seen through a static compliance, or from a
-           penalty to the constraint (:class:`ConstraintSystem`)
+           or in the softness in series with pairs that are seen through a static compliance
 
 A path in the stiffness cannot return to soft contact: with enough steps it reaches every stiffness,
 unless solutions grow without bound. Several stiff pairs with little damping have thousands of folds
@@ -29,9 +28,7 @@ import numpy as np
 
 from fenics_crack.balance.arclength import Stepping, follow_path
 from fenics_crack.balance.bordered import solve_in_plane
-from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, ConstraintSystem
-from fenics_crack.balance.contact_integrals import ExactIntegrals
-from fenics_crack.balance.coupled import CoupledSystem
+from fenics_crack.balance.contact_system import ContactSystem
 from fenics_crack.balance.family import FrequencyFamily
 from fenics_crack.balance.fourier import balanced, resized
 from fenics_crack.balance.linearisation import Linearisation
@@ -45,7 +42,6 @@ from fenics_crack.balance.rounding import (
     stiffness_times_compliance,
 )
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear, is_rigid
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.model.modal import all_modes
 from fenics_crack.stages import begin
@@ -58,8 +54,6 @@ MANY = 100
 """Unknowns from which fewer harmonics are quicker than full steps from the linear solution."""
 STEPS, PATIENCE = 20, 8
 """Newton steps from a guess, and those of them that may together fail to halve the residual."""
-STIFF = 10.0
-"""Stiffness of the penalty, relative to eps, from which full steps to the constraint start."""
 RUNG = 1e-5
 """|F| / |x| of a solution with fewer harmonics."""
 PERIODS, MARCHED, MOVING = 40, (1, 3, 9), 40
@@ -111,10 +105,10 @@ class Search:
 
     def penalty(
         self,
-        system: CondensedSystem,
+        system: ContactSystem,
         start: np.ndarray | None = None,
         problem: Problem | None = None,
-        with_harmonics: Callable[[int], CondensedSystem] | None = None,
+        with_harmonics: Callable[[int], ContactSystem] | None = None,
     ) -> Linearisation:
         """Solve for a law that gives the force from the gap; return the equations there.
 
@@ -139,26 +133,19 @@ class Search:
 
     def coupled(
         self,
-        with_harmonics: Callable[[int], CoupledSystem],
+        with_harmonics: Callable[[int], ContactSystem],
         problem: Problem,
         start: np.ndarray | None,
     ) -> Linearisation:
         """Solve for pairs that are seen through a static compliance; return the equations there."""
         system = with_harmonics(problem.harmonics)
         starts = [] if start is None else [self._full(system, start, 1.0)]
-        if is_piecewise_linear(problem.contact) or is_rigid(problem.contact):
+        if system.integrals.coupled and system.integrals.exact:
             starts.append(self._marched(system, problem))
         starts.append(self._fewer(with_harmonics, problem, 1.0))
-        soft = system.softened(system.enough)
+        soft = system.softened()
         path = self._path(soft, soft.linear, (0.0, 1.0), NARROW)
         return self._solve(system, 1.0, [*starts, ("path in the softness", path)])
-
-    def constraint(self, system: ConstraintSystem, start: np.ndarray | None) -> Linearisation:
-        """Solve without penetration; return the equations there."""
-        starts = [] if start is None else [self._full(system, start, 1.0)]
-        starts.append((f"from a penalty of {STIFF:g} weights", self._penalised(system, STIFF)))
-        starts.append(("path from a penalty to the constraint", self._hardened(system)))
-        return self._solve(system, 1.0, starts)
 
     def along_frequency(self, family: FrequencyFamily, start: np.ndarray) -> Linearisation:
         """Along a family in the frequency, from near a solution at its start; return the equations
@@ -240,7 +227,7 @@ class Search:
 
         return "from fewer harmonics", guesses()
 
-    def _marched(self, system: CoupledSystem, problem: Problem) -> Start:
+    def _marched(self, system: ContactSystem, problem: Problem) -> Start:
         """The slow gap of a motion after more and more periods."""
 
         def guesses() -> Iterator[np.ndarray]:
@@ -257,6 +244,7 @@ class Search:
                         for _ in range(more):
                             state = flow.advance(state, PERIODS * periods).states[-1]
                         last = flow.advance(state, periods)
+                        assert system.residual is not None
                         slow = last.gap + last.forces[:-1] @ system.residual
                     yield from self._near(system, balanced(slow, harmonics), 1.0)
             except ConvergenceError:
@@ -290,31 +278,11 @@ class Search:
                 return
             before, parameter = point.unknown, point.parameter
 
-    def _penalised(self, system: ConstraintSystem, factor: float) -> Iterator[np.ndarray]:
-        """The unknowns that stand for the contact force of a penalty, relative to the weight."""
-        law = UnilateralPenalty(factor * system.weight)
-        integrals = ExactIntegrals(law, system.integrals.harmonics)
-        search = Search(self.tolerance, self.newton, 0.5 * self.share)
-        at = search.penalty(CondensedSystem(system.compliance, integrals))
-        self.iterations += search.iterations
-        self.history += search.history
-        self.attempts += [f"penalty of {factor:g} weights, {tried}" for tried in search.attempts]
-        if search.converged:
-            assert isinstance(at, CondensedPoint)
-            yield system.from_force(at.force)
-
-    def _hardened(self, system: ConstraintSystem) -> Iterator[np.ndarray]:
-        """Where the path from a penalty as stiff as the weight ends."""
-        for start in self._penalised(system, 1.0):
-            yield from self._path(system, start, (0.0, 1.0), NARROW)
-
 
 def _iterations(system: DistributedSystem) -> float:
     """How many a search may take: they cost like the square of the unknowns where the kernel has
-    them, and twice as much with the constraint."""
+    them."""
     dense = COMPILED * (300.0 / max(MANY, system.global_size)) ** 2
-    if isinstance(system, ConstraintSystem):
-        return 0.5 * min(COMPILED, dense)
     if getattr(system, "in_kernel", False):
         return dense
     return INTERPRETED if system.matrix_free else min(INTERPRETED, dense)

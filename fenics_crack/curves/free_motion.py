@@ -10,12 +10,8 @@ import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
 
 from fenics_crack.balance.compliance import ModalCompliance
-from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem
-from fenics_crack.balance.contact_integrals import (
-    ContactIntegrals,
-    apply_to_pairs,
-    contact_integrals,
-)
+from fenics_crack.balance.contact_integrals import PairIntegrals, apply_to_pairs, contact_integrals
+from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.linearisation import Linearisation, determinant_sign
 from fenics_crack.balance.rounding import EPSILON, ROUNDING
 from fenics_crack.balance.search import Search
@@ -64,9 +60,9 @@ class Equilibrium:
         self.frequencies = np.sqrt(squares)
         compliance = ModalCompliance(structure, 0.0, np.zeros((1, structure.n_local)))
         search = Search(ROUNDING)
-        system = CondensedSystem(compliance, contact_integrals(contact, 0))
+        system = ContactSystem(compliance, contact_integrals(contact, 0))
         found = search.penalty(system)
-        assert isinstance(found, CondensedPoint)
+        assert isinstance(found, ContactPoint)
         if not search.converged:
             raise ConvergenceError(f"equilibrium without load: {search.status}", search.history)
         self.gap = found.gap[0]
@@ -117,7 +113,7 @@ class FreeMotion(ABC):
 
     least_fundamental: float
 
-    def __init__(self, rest: Equilibrium, integrals: ContactIntegrals, reference: float) -> None:
+    def __init__(self, rest: Equilibrium, integrals: PairIntegrals, reference: float) -> None:
         self.rest, self.integrals, self.reference = rest, integrals, reference
         self.rounding = max(ROUNDING, EPSILON * rest.stiffness)
         self.harmonics = integrals.harmonics
@@ -162,7 +158,7 @@ class StiffnessMotion(FreeMotion):
     least_fundamental = 0.25
 
     def __init__(
-        self, rest: Equilibrium, integrals: ContactIntegrals, reference: float, energy: float
+        self, rest: Equilibrium, integrals: PairIntegrals, reference: float, energy: float
     ) -> None:
         super().__init__(rest, integrals, reference)
         self.energy = energy
@@ -264,11 +260,11 @@ class MotionPoint(Linearisation):
         gap = np.zeros((2 * len(rows) - 1, moved.shape[1]))
         gap[rows] = self.weights[:, None] * moved
         gap[0] += rest.gap
-        force, tangent = motion.integrals.linearise(gap)
-        self.force = force[rows]
+        found = motion.integrals.linearise(gap)
+        self.force = found.force[rows]
         self.force[0] -= rest.force
         self.force *= (share / scale) * self.weights[:, None]
-        self.tangent = share * tangent[:, rows[:, None], rows]
+        self.tangent = share * found.tangent[:, rows[:, None], rows]
         self.tangent *= np.outer(self.weights, self.weights)
         first, law = moved.sum(axis=0), rest.contact
         self.push = (share / scale) * (law.force(rest.gap + first) - rest.force)

@@ -18,8 +18,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from fenics_crack.balance.bordered import Tangent, solve_in_plane, step_in_plane
-from fenics_crack.balance.condensed import respond_to_columns
-from fenics_crack.balance.contact_integrals import contact_integrals
+from fenics_crack.balance.contact_integrals import contact_integrals, respond_to_columns
 from fenics_crack.balance.family import FrequencyFamily
 from fenics_crack.balance.fourier import from_complex, to_complex
 from fenics_crack.balance.problem import Problem
@@ -204,9 +203,9 @@ class _Points:
         self._matrices = modes.seen_by_pairs(self._receptance)
         law = repeated(problem.contact, len(omega))
         integrals = contact_integrals(law, problem.harmonics, problem.samples, problem.subharmonic)
-        force, tangent = integrals.linearise(gap.reshape(len(gap), -1))
-        self._tangent = tangent.reshape(len(omega), pairs, len(gap), len(gap))
-        drive = to_complex(force.reshape(gap.shape)) @ modes.pairs.T - system.load
+        found = integrals.linearise(gap.reshape(len(gap), -1))
+        self._tangent = found.tangent.reshape(len(omega), pairs, len(gap), len(gap))
+        drive = to_complex(found.force.reshape(gap.shape)) @ modes.pairs.T - system.load
         self._moved = modes.respond(self._receptance, drive)
         self._residual = gap + from_complex(self._moved @ modes.pairs)
         self._residual[0] += structure.clearance

@@ -5,7 +5,7 @@
 #include "equations.h"
 
 /* The loops of fenics_crack/balance/bordered.py and arclength.py, which say what is done and why,
- * for the equations in condensed.h and shooting.h. A point of a path has n unknowns, a parameter and
+ * for the equations in contact.h and shooting.h. A point of a path has n unknowns, a parameter and
  * a unit tangent (t_x, t_p) in the norm weight |x|^2 + p^2.
  */
 

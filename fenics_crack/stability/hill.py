@@ -105,7 +105,7 @@ def _stiffness_means(solution: PeriodicSolution, contact: ContactLaw) -> np.ndar
     coupled pairs (n_pairs, n_pairs, 2H+1)."""
     gap, highest = solution.slow_gap_coefficients, 2 * solution.harmonics
     if solution.residual is not None:
-        integrals = CoupledIntegrals(contact, solution.residual, solution.harmonics)
+        integrals = CoupledIntegrals(contact, solution.harmonics, residual=solution.residual)
         stiffness = integrals.linearise(gap).tangent.stiffness
         found = np.fft.rfft(stiffness, axis=0)[: highest + 1].conj() / len(stiffness)
         return np.moveaxis(found, 0, -1)

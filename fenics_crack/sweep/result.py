@@ -33,7 +33,6 @@ import numpy as np
 from mpi4py import MPI
 from mpi4py.futures import MPICommExecutor
 
-from fenics_crack.balance.condensed import default_weight
 from fenics_crack.balance.error_report import LARGE_ERROR, ErrorReport
 from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.problem import Problem
@@ -41,7 +40,6 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import InputError
 from fenics_crack.files.results import check_gap, check_pairs
 from fenics_crack.files.store import header
-from fenics_crack.model.contact import UnilateralConstraint, is_rigid
 from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.quantities import OF_POINTS, QUANTITIES
@@ -305,8 +303,7 @@ class SweepResult(Tabular):
         check_pairs(structure, gap)
         problem = Problem(structure, omega, law, len(gap) // 2)
         compliance = problem.compliance()
-        if is_rigid(law) and problem.residual is None:
-            law = UnilateralConstraint(default_weight(compliance))
+        law = problem.weighted(compliance).contact
         names = ("residual", "truncation", "sampling", "reduction")
         errors = {name: float(self[f"{name}_error"][place]) for name in names}
         displacement = compliance.displacement(force)

@@ -1,5 +1,6 @@
 """Fourier coefficients of contact forces that couple the pairs, and their derivatives."""
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -32,7 +33,7 @@ def residual(pairs: int, seed: int = 1) -> np.ndarray:
 def integrals(kind: str, harmonics: int, **options: Any) -> CoupledIntegrals:
     """Of three pairs under a law."""
     law, samples = LAWS[kind]
-    return CoupledIntegrals(law, residual(3), harmonics, samples, **options)
+    return CoupledIntegrals(law, harmonics, residual=residual(3), samples=samples, **options)
 
 
 def difference(function: Any, place: Any, step: Any) -> np.ndarray:
@@ -99,10 +100,10 @@ def test_samples_approach_the_exact_force_with_second_order(pairs: int, harmonic
     errors = np.zeros(len(counts))
     for seed in range(8):
         gap = random_gaps(harmonics, pairs, seed)
-        exact = CoupledIntegrals(RIGID, compliance, harmonics).linearise(gap).force
+        made = CoupledIntegrals(RIGID, harmonics, residual=compliance)
         for place, count in enumerate(counts):
-            found = CoupledIntegrals(RIGID, compliance, harmonics, int(count)).linearise(gap)
-            errors[place] += relative(found.force, exact) / 8.0
+            found = replace(made, samples=int(count)).force(gap)
+            errors[place] += relative(found, made.force(gap)) / 8.0
     assert log_slope(counts, errors) == pytest.approx(-2.0, abs=0.15)
     assert errors[-1] < 1e-6
 
@@ -116,10 +117,16 @@ def test_one_pair_is_a_penalty_behind_a_spring(stiffness: float, softness: float
     alone = ExactIntegrals(fc.UnilateralPenalty(1.0 / (compliance * (1.0 + softness))), 7)
     for seed in range(4):
         gap = random_gaps(7, 1, seed)
-        forces = CoupledIntegrals(law, np.full((1, 1), 0.4), 7, softness=softness).linearise(gap)
-        force, tangent = alone.linearise(gap)
-        assert relative(forces.force, force) < 1e-12
-        assert relative(forces.tangent.matrix()[:, 0, :, 0], tangent[0]) < 1e-11
+        seen: dict[str, Any] = {"residual": np.full((1, 1), 0.4), "softness": softness}
+        forces = CoupledIntegrals(law, 7, **seen).linearise(gap)
+        pair, spring = ExactIntegrals(law, 7, **seen).linearise(gap), alone.linearise(gap)
+        for found in (forces, pair):
+            assert relative(found.force, spring.force) < 1e-12
+        assert relative(forces.tangent.matrix()[:, 0, :, 0], spring.tangent[0]) < 1e-11
+        assert relative(pair.tangent, spring.tangent) < 1e-12
+        for name in ("by_softness", "by_stiffness"):
+            one, other = (getattr(found, name)() for found in (forces, pair))
+            assert np.allclose(one, other, rtol=1e-10, atol=1e-12)
 
 
 def test_grazing_contact_against_a_penalty() -> None:
@@ -129,7 +136,7 @@ def test_grazing_contact_against_a_penalty() -> None:
         for column in range(10):
             gap = gaps[:, [column]]
             for sign in (1.0, -1.0):
-                made = CoupledIntegrals(RIGID, np.eye(1), 4).linearise(sign * gap)
+                made = CoupledIntegrals(RIGID, 4, residual=np.eye(1)).linearise(sign * gap)
                 force = ExactIntegrals(fc.UnilateralPenalty(1.0), 4).force(sign * gap)
                 assert np.abs(made.force - force).max() < 1e-13
                 assert np.any(made.force) == (depth > 0.0 or sign < 0.0)
@@ -138,7 +145,7 @@ def test_grazing_contact_against_a_penalty() -> None:
 def test_smoothed_force_by_quadrature() -> None:
     """lambda(s(t)) of one pair times each wave, by QUADPACK."""
     law, compliance = fc.SmoothedPenalty(3.0, 4.0), np.full((1, 1), 0.2)
-    made, gap = CoupledIntegrals(law, compliance, 2), random_gaps(2, 1)
+    made, gap = CoupledIntegrals(law, 2, residual=compliance), random_gaps(2, 1)
     found = made.linearise(gap).force[:, 0]
 
     def force(t: float) -> float:
@@ -194,10 +201,10 @@ def test_derivatives_by_softness_and_stiffness(kind: str, softness: float) -> No
     if kind == "rigid":
         assert not np.any(forces.by_stiffness())
         return
-    law, samples = LAWS[kind]
+    law = made.law
 
     def scaled(logarithm: float) -> np.ndarray:
-        other = CoupledIntegrals(law.scaled(np.exp(logarithm)), residual(3), 5, samples)
+        other = made.of_law(law.scaled(np.exp(logarithm)))
         # Softness is measured in the compliance, which changes here: kept in metres per newton.
         kept = other.with_softness(softness * made.unit / other.unit)
         return kept.linearise(gap).force
@@ -218,9 +225,9 @@ def test_widened_keeps_the_forces() -> None:
 def test_many_pairs_and_sets() -> None:
     """Forty pairs, hundreds of sets: the forces of many samples, and the tangent along a change."""
     compliance, gap = residual(40), random_gaps(4, 40)
-    made = CoupledIntegrals(RIGID, compliance, 4)
+    made = CoupledIntegrals(RIGID, 4, residual=compliance)
     exact = made.linearise(gap)
-    fine = CoupledIntegrals(RIGID, compliance, 4, 1 << 13).linearise(gap)
+    fine = replace(made, samples=1 << 13).linearise(gap)
     assert relative(fine.force, exact.force) < 1e-5
     change = 1e-6 * np.random.default_rng(1).normal(size=gap.shape)
     slope = difference(lambda s: made.linearise(s).force, gap, change)

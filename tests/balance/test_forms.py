@@ -33,8 +33,12 @@ from fenics_crack.balance.compliance import (
     dynamic_compliance,
     load_coefficients,
 )
-from fenics_crack.balance.condensed import CondensedSystem, respond_to_columns
-from fenics_crack.balance.contact_integrals import SampledIntegrals, contact_integrals
+from fenics_crack.balance.contact_integrals import (
+    SampledIntegrals,
+    contact_integrals,
+    respond_to_columns,
+)
+from fenics_crack.balance.contact_system import ContactSystem
 from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.problem import Problem
 from fenics_crack.model.contact import ContactLaw
@@ -262,7 +266,7 @@ def test_contact_needs_more_than_alias_free_samples_of_a_cube(soft_plate: fc.Str
 
     def count(samples: int | None) -> int:
         integrals = contact_integrals(law, 3, samples)
-        return len(newton_roots(CondensedSystem(compliance, integrals), 100))
+        return len(newton_roots(ContactSystem(compliance, integrals), 100))
 
     assert count(7) == collocated_states(soft_plate, 2000.0, 1e11, 3) == 3
     assert count(13) > 1
@@ -377,7 +381,7 @@ def test_incremental_iterates_are_the_newton_iterates(law: str, samples: int | N
     load = load_coefficients(structure, harmonics, 1)
     compliance = FactoredCompliance(structure, omega, load)
     full = BlockSystem(compliance, contact_integrals(LAWS[law], harmonics, samples))
-    condensed = CondensedSystem(compliance, contact_integrals(LAWS[law], harmonics, samples))
+    condensed = ContactSystem(compliance, contact_integrals(LAWS[law], harmonics, samples))
     incremental = newton = full.linear.copy()
     gap, moved = condensed.linear.copy(), 0.0
     for _ in range(5):
