@@ -12,9 +12,9 @@ J of F(g) = g + R b(g) - g_lin at the solution, and a disturbance d of b,
 
 Truncation, and reduction where pairs are seen through a static compliance (:mod:`contact_system`),
 are what Newton's method changes with more harmonics, or with the modes of the larger basis, in as
-many steps as it takes until these are short against that. Where it does not settle, the truncation is
-the distance of the exact orbit next to the solution; where there is none, or it cannot be followed,
-the error is not known, which an estimate of 1 or more says.
+many steps as it takes until these are short against that. Where it does not settle, the truncation
+is the distance of the exact orbit next to the solution; where there is none, or it cannot be
+followed, the error is not known, which an estimate of 1 or more says.
 
 All are root mean squares over the period and the pairs, relative to that of B^T u.
 
