@@ -6,12 +6,11 @@ import re
 
 import numpy as np
 import pytest
-from fenics_crack.balance.condensed import respond
 from helpers import OMEGA_0, chain, oscillator, true_error
 
 import fenics_crack as fc
 from fenics_crack.balance.compliance import dynamic_compliance
-from fenics_crack.balance.contact_integrals import ExactIntegrals
+from fenics_crack.balance.contact_integrals import ExactIntegrals, respond
 from fenics_crack.balance.error_report import mean_square
 from fenics_crack.balance.fourier import resized
 

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.linalg
-from fenics_crack.balance.condensed import respond
 from helpers import Cubic, amplitudes, oscillator, random_stiffness, true_error, two_masses
 
 import fenics_crack as fc
 from fenics_crack.balance.bordered import PathPoint
 from fenics_crack.balance.compliance import ModalCompliance, load_coefficients
+from fenics_crack.balance.contact_integrals import respond
 from fenics_crack.balance.family import FAMILIES
 from fenics_crack.balance.fourier import from_complex
 from fenics_crack.curves.follow import continue_frequency
