@@ -22,9 +22,9 @@ import common
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import PathPoint, locate, tangent_of
 from fenics_crack.balance.orbits import FlowOrbits
+from fenics_crack.numerics.bordered import PathPoint, locate, tangent_of
+from fenics_crack.numerics.path import Stepping, follow_path
 
 SPAN = 2.0, 0.32
 SAME, NEAR, CLEARLY = 1e-6, 0.25, 3.0

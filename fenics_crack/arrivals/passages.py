@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial.polynomial import polyval
 
-from fenics_crack.balance.fourier import from_complex, sampled
+from fenics_crack.numerics.fourier import from_complex, sampled
 
 __all__ = ["Rotor", "TipMotion", "passing_angles"]
 

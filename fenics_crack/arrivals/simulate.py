@@ -9,11 +9,11 @@ import numpy as np
 
 from fenics_crack.arrivals.arrival_times import MOST_PASSAGES, ArrivalTimes, check_probes
 from fenics_crack.arrivals.passages import Rotor, TipMotion, passing_angles
-from fenics_crack.balance.fourier import to_complex
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.model.matrices import numbers
+from fenics_crack.numerics.fourier import to_complex
 
 __all__ = ["tip_timing"]
 

@@ -41,10 +41,10 @@ from mpi4py import MPI
 from fenics_crack.balance.compiled import SHARP, CompiledEquations, ModalPart
 from fenics_crack.balance.compliance import Compliance, WidenedCompliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, LowRank, respond
-from fenics_crack.balance.krylov import gmres
-from fenics_crack.balance.linearisation import DenseLinearisation, solve_factored
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
+from fenics_crack.numerics.krylov import gmres
+from fenics_crack.numerics.linearisation import DenseLinearisation, solve_factored
 
 __all__ = ["ContactPoint", "ContactSystem", "default_weight"]
 

@@ -1,4 +1,4 @@
-"""Families of the condensed equations along one parameter, as :mod:`arclength` follows them.
+"""Families of the condensed equations along one parameter, as :mod:`path` follows them.
 
     F(g, v) = g - g_lin(v) + R(v) b(g, v) = 0,        v = v_start + p (v_end - v_start)
 

@@ -6,13 +6,13 @@ from itertools import chain, pairwise
 
 import numpy as np
 
-from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import PathPoint, solve_in_plane, tangent_of
-from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.orbits import FlowOrbits, recurrences
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.flow import ContactFlow
 from fenics_crack.motion.orbit import PeriodicOrbit, Prediction, find_orbit, predict
+from fenics_crack.numerics.bordered import PathPoint, solve_in_plane, tangent_of
+from fenics_crack.numerics.fourier import evaluate
+from fenics_crack.numerics.path import Stepping, follow_path
 from fenics_crack.stages import begin
 
 __all__ = ["PARTS", "orbit_next_to", "predicted", "recurring", "wave_states"]

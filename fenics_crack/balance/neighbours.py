@@ -22,21 +22,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fenics_crack.balance.bordered import solve_at
 from fenics_crack.balance.contact_system import ContactSystem
 from fenics_crack.balance.family import FrequencyFamily
-from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.rounding import (
-    check_stiffness,
-    least_residual,
-    stiffness_times_compliance,
-)
+from fenics_crack.balance.rounding import check_stiffness, stiffness_times_compliance
 from fenics_crack.balance.search import Search
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.balance.solver import Solver
 from fenics_crack.errors import MOST_HARMONICS, ConvergenceError
 from fenics_crack.model.modal import all_modes
+from fenics_crack.numerics.bordered import solve_at
+from fenics_crack.numerics.fourier import resized
+from fenics_crack.numerics.rounding import least_residual
 
 __all__ = ["Neighbours", "fewer_harmonics", "more_harmonics"]
 

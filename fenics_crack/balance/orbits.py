@@ -16,13 +16,13 @@ from functools import cached_property
 
 import numpy as np
 
-from fenics_crack.balance.bordered import PathPoint
-from fenics_crack.balance.compiled import CompiledPaths
-from fenics_crack.balance.linearisation import DenseLinearisation
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import Struct, doubles, kernel, owned
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion
 from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit, eigenvalues
+from fenics_crack.numerics.bordered import PathPoint
+from fenics_crack.numerics.compiled import CompiledPaths
+from fenics_crack.numerics.linearisation import DenseLinearisation
 
 __all__ = ["FlowOrbits", "OrbitPoint", "recurrences"]
 

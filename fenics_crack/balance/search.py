@@ -26,24 +26,19 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import solve_in_plane
 from fenics_crack.balance.contact_system import ContactSystem
 from fenics_crack.balance.family import FrequencyFamily
-from fenics_crack.balance.fourier import balanced, resized
-from fenics_crack.balance.linearisation import Linearisation
-from fenics_crack.balance.newton import DistributedSystem, KernelNewton, Newton
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.rounding import (
-    ROUNDING,
-    SOFT,
-    check_stiffness,
-    least_residual,
-    stiffness_times_compliance,
-)
+from fenics_crack.balance.rounding import SOFT, check_stiffness, stiffness_times_compliance
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.model.modal import all_modes
+from fenics_crack.numerics.bordered import solve_in_plane
+from fenics_crack.numerics.fourier import balanced, resized
+from fenics_crack.numerics.linearisation import Linearisation
+from fenics_crack.numerics.newton import DistributedSystem, KernelNewton, Newton
+from fenics_crack.numerics.path import Stepping, follow_path
+from fenics_crack.numerics.rounding import ROUNDING, least_residual
 from fenics_crack.stages import begin
 
 __all__ = ["Search"]

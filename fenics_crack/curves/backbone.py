@@ -48,7 +48,6 @@ from typing import Any, ClassVar, TypedDict, Unpack
 import numpy as np
 from tqdm import tqdm
 
-from fenics_crack.balance.bordered import PathPoint
 from fenics_crack.balance.contact_integrals import contact_integrals
 from fenics_crack.balance.error_report import CALM, UNKNOWN, ErrorReport, mean_square
 from fenics_crack.balance.solution import PeriodicSolution
@@ -66,6 +65,7 @@ from fenics_crack.model.contact import ContactLaw, check_law
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.bordered import PathPoint
 from fenics_crack.table import Tabular, counted, with_frequency
 
 __all__ = ["Backbone", "BackboneOptions", "follow_backbone"]

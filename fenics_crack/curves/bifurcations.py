@@ -3,7 +3,7 @@
 Between two points of a curve lies
 
 - a fold, where the parameter turns back: t_p changes its sign;
-- a branch point, where another branch crosses: :mod:`arclength` tells it by the sign of det J, so
+- a branch point, where another branch crosses: :mod:`path` tells it by the sign of det J, so
   only where J is formed (:data:`fenics_crack.balance.coupled.MATRIX_FREE`).
 
 Where multipliers leave the unit circle is asked when the curve is judged (:func:`judge_curve`).
@@ -21,7 +21,10 @@ from dataclasses import replace
 import numpy as np
 import scipy.linalg
 
-from fenics_crack.balance.bordered import (
+from fenics_crack.balance.family import Family
+from fenics_crack.curves.curve import Bifurcation
+from fenics_crack.errors import ConvergenceError
+from fenics_crack.numerics.bordered import (
     PathPoint,
     Tangent,
     correct,
@@ -30,12 +33,9 @@ from fenics_crack.balance.bordered import (
     locate,
     tangent_of,
 )
-from fenics_crack.balance.family import Family
-from fenics_crack.balance.fourier import stretched
-from fenics_crack.balance.linearisation import System
-from fenics_crack.balance.rounding import least_residual
-from fenics_crack.curves.curve import Bifurcation
-from fenics_crack.errors import ConvergenceError
+from fenics_crack.numerics.fourier import stretched
+from fenics_crack.numerics.linearisation import System
+from fenics_crack.numerics.rounding import least_residual
 
 __all__ = [
     "Special",

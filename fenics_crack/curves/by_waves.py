@@ -16,13 +16,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from fenics_crack.balance.bordered import PathPoint, locate
 from fenics_crack.balance.family import Family
-from fenics_crack.balance.fourier import resized
 from fenics_crack.curves.bifurcations import attainable
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.resume import chord, point_towards
 from fenics_crack.motion.orbit import doubling_test, eigenvalues
+from fenics_crack.numerics.bordered import PathPoint, locate
+from fenics_crack.numerics.fourier import resized
 from fenics_crack.stability.floquet import Stability, floquet
 from fenics_crack.stability.linear_flow import monodromy
 from fenics_crack.stages import begin

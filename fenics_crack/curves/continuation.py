@@ -1,6 +1,6 @@
 """Response curves: solutions followed over a parameter, through resonances, folds and branches.
 
-Pseudo-arc-length continuation (:mod:`arclength`) of the condensed equations (:mod:`family`). Only
+Pseudo-arc-length continuation (:mod:`path`) of the condensed equations (:mod:`family`). Only
 the small or reduced structure is touched at a point, in closed form: a curve costs the same on any
 mesh. Along it folds are located by root finding, branch points by steps that shrink towards them
 (:mod:`bifurcations`). Verdicts come after it (:mod:`exact`).
@@ -14,21 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fenics_crack.balance.arclength import Stepping, follow_stretches
-from fenics_crack.balance.bordered import (
-    MIN_DAMPING,
-    PathPoint,
-    Tangent,
-    distance,
-    find_between,
-    land,
-    solve_at,
-    solve_in_plane,
-    step_along,
-)
-from fenics_crack.balance.compiled import Stretch
 from fenics_crack.balance.family import FAMILIES, Family
-from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.harmonic_balance import check_initial
 from fenics_crack.balance.memory import check_memory
 from fenics_crack.balance.neighbours import fewer_harmonics, more_harmonics
@@ -54,6 +40,20 @@ from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import exact_flow
+from fenics_crack.numerics.bordered import (
+    MIN_DAMPING,
+    PathPoint,
+    Tangent,
+    distance,
+    find_between,
+    land,
+    solve_at,
+    solve_in_plane,
+    step_along,
+)
+from fenics_crack.numerics.compiled import Stretch
+from fenics_crack.numerics.fourier import resized
+from fenics_crack.numerics.path import Stepping, follow_stretches
 
 __all__ = ["LONGEST", "Continuation"]
 

@@ -15,7 +15,6 @@ from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.family import FAMILIES, Family
-from fenics_crack.balance.fourier import evaluate, resized
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
@@ -23,6 +22,7 @@ from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.fourier import evaluate, resized
 from fenics_crack.table import (
     Described,
     Tabular,

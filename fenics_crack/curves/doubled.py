@@ -23,8 +23,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import PathPoint, Tangent, distance, solve_in_plane
 from fenics_crack.balance.family import FrequencyFamily
 from fenics_crack.balance.nearby import orbit_next_to
 from fenics_crack.balance.orbits import FlowOrbits
@@ -35,6 +33,8 @@ from fenics_crack.curves.orbit_branch import STRAIGHT, TOLERANCE
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit
+from fenics_crack.numerics.bordered import PathPoint, Tangent, distance, solve_in_plane
+from fenics_crack.numerics.path import Stepping, follow_path
 
 __all__ = ["DoubledStart", "next_to_doubled_orbits"]
 

@@ -16,7 +16,6 @@ from itertools import pairwise
 import numpy as np
 import scipy.optimize
 
-from fenics_crack.balance.bordered import solve_at
 from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.curves.bifurcations import attainable
 from fenics_crack.curves.by_waves import FOLLOWED, judged_by_waves, place_on
@@ -35,6 +34,7 @@ from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import is_piecewise_linear, is_rigid
 from fenics_crack.motion.flow import Budget, exact_flow
 from fenics_crack.motion.orbit import PIECES
+from fenics_crack.numerics.bordered import solve_at
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.stability.shooting import attract_little, leaves
 from fenics_crack.stages import begin

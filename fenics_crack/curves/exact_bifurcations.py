@@ -18,8 +18,6 @@ from typing import Protocol
 
 import numpy as np
 
-from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import PathPoint, solve_in_plane, tangent_of
 from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.orbit_branch import ALIKE, KINDS, STRAIGHT, TOLERANCE, Node, OrbitBranch
@@ -27,6 +25,8 @@ from fenics_crack.errors import ConvergenceError, InputError, check_number
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
+from fenics_crack.numerics.bordered import PathPoint, solve_in_plane, tangent_of
+from fenics_crack.numerics.path import Stepping, follow_path
 from fenics_crack.stability.shooting import orbits_near
 
 __all__ = ["refine_bifurcation"]

@@ -13,8 +13,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from fenics_crack.balance.bordered import PathPoint
-from fenics_crack.balance.fourier import resized, to_complex
 from fenics_crack.balance.rounding import SOFT
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.free_motion import (
@@ -26,6 +24,8 @@ from fenics_crack.curves.free_motion import (
 )
 from fenics_crack.curves.motion_path import alike, follow_motions, land_motion, solve_motion
 from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.numerics.bordered import PathPoint
+from fenics_crack.numerics.fourier import resized, to_complex
 
 __all__ = ["ELSEWHERE", "first_motion"]
 

@@ -12,13 +12,13 @@ from scipy.linalg.lapack import dgetrf, dgetrs
 from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.contact_integrals import PairIntegrals, apply_to_pairs, contact_integrals
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
-from fenics_crack.balance.linearisation import Linearisation, determinant_sign
-from fenics_crack.balance.rounding import EPSILON, ROUNDING
 from fenics_crack.balance.search import Search
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import AllModes, all_modes
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.linearisation import Linearisation, determinant_sign
+from fenics_crack.numerics.rounding import EPSILON, ROUNDING
 
 __all__ = [
     "EnergyMotion",

@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import PathPoint, land, solve_at
 from fenics_crack.curves.free_motion import FreeMotion
+from fenics_crack.numerics.bordered import PathPoint, land, solve_at
+from fenics_crack.numerics.path import Stepping, follow_path
 
 __all__ = ["alike", "follow_motions", "land_motion", "solve_motion"]
 

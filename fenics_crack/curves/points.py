@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fenics_crack.balance.fourier import resized
+from fenics_crack.numerics.fourier import resized
 
 __all__ = ["CurvePoint", "Points"]
 

@@ -17,18 +17,18 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from fenics_crack.balance.bordered import Tangent, solve_in_plane, step_in_plane
 from fenics_crack.balance.contact_integrals import contact_integrals, respond_to_columns
 from fenics_crack.balance.family import FrequencyFamily
-from fenics_crack.balance.fourier import from_complex, to_complex
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.rounding import least_residual
 from fenics_crack.curves.bifurcations import attainable
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.exact import verified
 from fenics_crack.errors import ConvergenceError, InputError, check_count
 from fenics_crack.model.contact import repeated
 from fenics_crack.model.modal import all_modes
+from fenics_crack.numerics.bordered import Tangent, solve_in_plane, step_in_plane
+from fenics_crack.numerics.fourier import from_complex, to_complex
+from fenics_crack.numerics.rounding import least_residual
 
 __all__ = ["filled", "refine_curve"]
 

@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from fenics_crack.balance.bordered import PathPoint, Tangent, tangent_of
 from fenics_crack.balance.family import Family
-from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.problem import Problem
 from fenics_crack.curves.bifurcations import attainable
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.bordered import PathPoint, Tangent, tangent_of
+from fenics_crack.numerics.fourier import resized
 
 __all__ = ["check_resumed", "chord", "directions", "point_towards", "same_problem"]
 
@@ -52,7 +52,7 @@ def check_resumed(curve: ResponseCurve, family: Family) -> None:
 
 
 def directions(family: Family, curve: ResponseCurve) -> tuple[Tangent | None, PathPoint | None]:
-    """Where a curve goes on from its last point, and its first point as :mod:`arclength` has it.
+    """Where a curve goes on from its last point, and its first point as :mod:`path` has it.
 
     The latter only where both have the same harmonics.
     """

@@ -9,11 +9,11 @@ import pytest
 from helpers import oscillator
 
 import fenics_crack as fc
-from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import PathPoint, solve_at
-from fenics_crack.balance.linearisation import DenseLinearisation
 from fenics_crack.balance.search import Search
 from fenics_crack.balance.solver import Solver
+from fenics_crack.numerics.bordered import PathPoint, solve_at
+from fenics_crack.numerics.linearisation import DenseLinearisation
+from fenics_crack.numerics.path import Stepping, follow_path
 
 FREQUENCIES = np.linspace(0.3, 2.0, 300)
 

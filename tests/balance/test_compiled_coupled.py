@@ -13,11 +13,11 @@ from test_compiled_paths import RANGES, SEEDS, Plain, random_gap
 
 import fenics_crack as fc
 from fenics_crack.balance import contact_system
-from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import solve_at
 from fenics_crack.balance.compiled import CompiledEquations
 from fenics_crack.balance.family import FAMILIES, Family
-from fenics_crack.balance.linearisation import Linearisation
+from fenics_crack.numerics.bordered import solve_at
+from fenics_crack.numerics.linearisation import Linearisation
+from fenics_crack.numerics.path import Stepping, follow_path
 
 LAWS = ("rigid", "penalty", "stiff")
 

@@ -12,8 +12,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import fenics_crack as fc
-from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import (
+from fenics_crack.balance.compiled import CompiledEquations
+from fenics_crack.balance.contact_integrals import ExactIntegrals, respond_to_columns
+from fenics_crack.balance.family import FAMILIES, Family
+from fenics_crack.curves.continuation import Continuation
+from fenics_crack.numerics.bordered import (
     PathPoint,
     find_between,
     solve_at,
@@ -21,12 +24,9 @@ from fenics_crack.balance.bordered import (
     step_along,
     tangent_of,
 )
-from fenics_crack.balance.compiled import CompiledEquations
-from fenics_crack.balance.contact_integrals import ExactIntegrals, respond_to_columns
-from fenics_crack.balance.family import FAMILIES, Family
-from fenics_crack.balance.fourier import evaluate, sampled, to_complex
-from fenics_crack.balance.linearisation import Linearisation, System
-from fenics_crack.curves.continuation import Continuation
+from fenics_crack.numerics.fourier import evaluate, sampled, to_complex
+from fenics_crack.numerics.linearisation import Linearisation, System
+from fenics_crack.numerics.path import Stepping, follow_path
 
 SEEDS = st.integers(0, 2**32 - 1)
 RANGES = {

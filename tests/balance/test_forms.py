@@ -39,9 +39,9 @@ from fenics_crack.balance.contact_integrals import (
     respond_to_columns,
 )
 from fenics_crack.balance.contact_system import ContactSystem
-from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.problem import Problem
 from fenics_crack.model.contact import ContactLaw
+from fenics_crack.numerics.fourier import evaluate
 
 # --- the high-dimensional form is collocation -----------------------------------------------------
 

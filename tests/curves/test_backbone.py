@@ -12,8 +12,8 @@ from helpers import Cubic, chain, chain_stiffness, dense, log_slope, oscillator
 
 import fenics_crack as fc
 from fenics_crack.balance.contact_integrals import contact_integrals
-from fenics_crack.balance.linearisation import System
 from fenics_crack.curves import backbone, free_motion
+from fenics_crack.numerics.linearisation import System
 
 HARMONICS = (10, 20, 40, 80)
 

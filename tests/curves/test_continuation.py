@@ -11,12 +11,12 @@ import scipy.linalg
 from helpers import Cubic, amplitudes, oscillator, random_stiffness, true_error, two_masses
 
 import fenics_crack as fc
-from fenics_crack.balance.bordered import PathPoint
 from fenics_crack.balance.compliance import ModalCompliance, load_coefficients
 from fenics_crack.balance.contact_integrals import respond
 from fenics_crack.balance.family import FAMILIES
-from fenics_crack.balance.fourier import from_complex
 from fenics_crack.curves.follow import continue_frequency
+from fenics_crack.numerics.bordered import PathPoint
+from fenics_crack.numerics.fourier import from_complex
 
 
 def folds(curve: fc.ResponseCurve) -> list[float]:

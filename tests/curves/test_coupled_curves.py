@@ -10,10 +10,10 @@ import pytest
 from helpers import chain, oscillator
 
 import fenics_crack as fc
-from fenics_crack.balance.arclength import Stepping, follow_path
 from fenics_crack.balance.family import FAMILIES
 from fenics_crack.balance.solver import Solver
 from fenics_crack.curves.bifurcations import attainable
+from fenics_crack.numerics.path import Stepping, follow_path
 
 RIGID = fc.UnilateralConstraint()
 STEEL = """

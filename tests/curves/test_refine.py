@@ -5,8 +5,8 @@ import pytest
 from helpers import Cubic, chain, oscillator
 
 import fenics_crack as fc
-from fenics_crack.balance.bordered import Tangent
 from fenics_crack.curves import refine
+from fenics_crack.numerics.bordered import Tangent
 
 
 def assert_solutions(curve: fc.ResponseCurve, every: int) -> None:

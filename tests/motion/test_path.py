@@ -7,11 +7,11 @@ import pytest
 from helpers import chain, relative
 
 import fenics_crack as fc
-from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import solve_in_plane
 from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.motion.flow import Budget, flow_of
 from fenics_crack.motion.orbit import find_orbit
+from fenics_crack.numerics.bordered import solve_in_plane
+from fenics_crack.numerics.path import Stepping, follow_path
 
 RIGID = fc.UnilateralConstraint()
 

@@ -7,8 +7,8 @@ import pytest
 from helpers import oscillator
 
 import fenics_crack as fc
-from fenics_crack.balance.bordered import PathPoint, locate, solve_in_plane, tangent_of
 from fenics_crack.balance.orbits import FlowOrbits
+from fenics_crack.numerics.bordered import PathPoint, locate, solve_in_plane, tangent_of
 from fenics_crack.stability.shooting import orbits_near
 
 

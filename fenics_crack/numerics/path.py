@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fenics_crack.balance.bordered import (
+from fenics_crack.numerics.bordered import (
     PathPoint,
     Tangent,
     compiled,
@@ -33,7 +33,7 @@ from fenics_crack.balance.bordered import (
     distance,
     tangent_of,
 )
-from fenics_crack.balance.linearisation import Linearisation, System
+from fenics_crack.numerics.linearisation import Linearisation, System
 
 __all__ = ["Stepping", "follow_path", "follow_stretches"]
 

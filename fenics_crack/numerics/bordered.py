@@ -22,7 +22,7 @@ compiled loop (``benchmarks/curves.py --only newton``, 21 unknowns).
 
 For systems that the kernel has (:mod:`compiled`) it takes the same steps, compiled.
 
-Sources: those of :mod:`arclength`.
+Sources: those of :mod:`path`.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from typing import Any, Protocol
 import numpy as np
 import scipy.optimize
 
-from fenics_crack.balance.linearisation import Linearisation, System
 from fenics_crack.errors import ConvergenceError
+from fenics_crack.numerics.linearisation import Linearisation, System
 
 __all__ = [
     "MIN_DAMPING",
@@ -124,7 +124,7 @@ class Compiled(Protocol):
     def follow(
         self, known: list[PathPoint], orientation: float, step: float, stepping: Any
     ) -> tuple[Sequence[PathPoint], float, float]:
-        """Many steps of :func:`fenics_crack.balance.arclength.follow_path`."""
+        """Many steps of :func:`fenics_crack.numerics.path.follow_path`."""
 
     def find_between(
         self, ends: tuple[PathPoint, PathPoint], target: float | None, tolerance: float, near: float
