@@ -36,7 +36,7 @@ from fenics_crack.model.modal import all_modes
 from fenics_crack.numerics.bordered import solve_in_plane
 from fenics_crack.numerics.fourier import balanced, resized
 from fenics_crack.numerics.linearisation import Linearisation
-from fenics_crack.numerics.newton import DistributedSystem, KernelNewton, Newton
+from fenics_crack.numerics.newton import DistributedSystem, KernelNewton, Newton, newton_of
 from fenics_crack.numerics.path import Stepping, follow_path
 from fenics_crack.numerics.rounding import ROUNDING, least_residual
 from fenics_crack.stages import begin
@@ -70,8 +70,6 @@ class Search:
 
     tolerance: float
     """|F| / |x| at which a solution is accepted; raised to what rounding allows."""
-    newton: type[Newton | KernelNewton] = Newton
-    """By which a solution is found from a guess."""
     share: float = 1.0
     """Of the iterations that may be taken."""
     converged: bool = False
@@ -79,7 +77,8 @@ class Search:
     iterations: int = 0
     """Newton iterations, all attempts together."""
     history: list[float] = field(default_factory=list)
-    """|F| of every Newton iteration with all harmonics."""
+    """|F| of every iteration by SNES: where the kernel has the equations, of a last attempt that
+    failed."""
     attempts: list[str] = field(default_factory=list)
     """What was tried and how it ended."""
     _rounding: float = ROUNDING
@@ -154,7 +153,7 @@ class Search:
         """The equations where Newton's method arrives, or where it was last."""
         self._most = self.share * _iterations(system)
         at: Linearisation | None = None
-        with self.newton(system) as newton:
+        with newton_of(system) as newton:
             for name, guesses in starts:
                 begin(name)
                 before = self.iterations
@@ -170,7 +169,12 @@ class Search:
                 if self.converged:
                     break
             self.history += newton.history
-        return at or system.linearise(np.zeros(system.shape), parameter)
+        at = at or system.linearise(np.zeros(system.shape), parameter)
+        if not self.converged and isinstance(newton, KernelNewton):  # for the record
+            with Newton(system) as newton:
+                at, self.converged, _ = newton.solve(at.unknown, parameter, self.tolerance, STEPS)
+                self.history += newton.history
+        return at
 
     @property
     def _spent(self) -> bool:

@@ -10,14 +10,12 @@ import numpy as np
 
 from fenics_crack.balance.compliance import Compliance, narrowed
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
-from fenics_crack.balance.family import Family
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.search import Search
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.numerics.fourier import resized, stretched
 from fenics_crack.numerics.linearisation import Linearisation
-from fenics_crack.numerics.newton import KernelNewton
 
 __all__ = ["Solver"]
 
@@ -35,9 +33,11 @@ class Solver:
     throw: bool = True
     """Raise ConvergenceError if nothing converged; else return the last iterate."""
 
-    def solve(self, initial: PeriodicSolution | None = None) -> PeriodicSolution:
+    def solve(
+        self, initial: PeriodicSolution | None = None, *, reported: bool = True
+    ) -> PeriodicSolution:
         """Solve from a solution nearby, or from the linear one (collective)."""
-        search, solution = self.attempt(initial)
+        search, solution = self.attempt(initial, reported=reported)
         if self.throw and not search.converged:
             raise ConvergenceError(
                 f"harmonic balance at {self.problem.omega:g} rad/s, "
@@ -55,22 +55,10 @@ class Solver:
         with self.compliance() as compliance:
             problem = self.problem.weighted(compliance)
             at = replace(self, problem=problem).find(search, compliance, initial)
-            assert isinstance(at, ContactPoint)
+            if not isinstance(at, ContactPoint):  # the kernel's
+                at = problem.system(compliance).linearise(at.unknown)
             found = solution_of(problem, at, status=search.status, reported=reported)
             return search, replace(found, converged=search.converged, iterations=search.iterations)
-
-    def solve_in_kernel(
-        self, family: Family, initial: PeriodicSolution | None
-    ) -> tuple[np.ndarray, int] | None:
-        """The unknowns at a family's start, where this problem is its own, and the iterations that
-        they took: by the same attempts, compiled, without PETSc and an error report. None where the
-        kernel does not have the equations, or does not find a solution."""
-        system = family.system(family.start)
-        if system.residual is not None or not system.in_kernel:
-            return None
-        search = Search(self.residual_tolerance, KernelNewton)
-        at = self.find(search, system.compliance, initial)
-        return (at.unknown, search.iterations) if search.converged else None
 
     @contextmanager
     def compliance(self) -> Iterator[Compliance]:

@@ -493,9 +493,7 @@ def _first_solution(
         if initial is not None:
             check_initial(first, initial)
         solver = Solver(first)
-        if tolerance is None and (quick := solver.solve_in_kernel(family, initial)) is not None:
-            return family, *quick
-        initial = solver.solve(initial)
+        initial = solver.solve(initial, reported=tolerance is not None)
         more = more_harmonics(count, initial.report.truncation, tolerance)
         if more is None:
             return family, initial.slow_gap_coefficients, initial.iterations
