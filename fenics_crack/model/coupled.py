@@ -33,7 +33,7 @@ from fenics_crack.kernel import doubles, kernel, owned, shaped, signs
 from fenics_crack.model.complementarity import by_least_squares
 from fenics_crack.model.contact import ContactLaw
 
-__all__ = ["ActiveSets", "is_regular", "smooth_forces", "unique_sets"]
+__all__ = ["ActiveSets", "is_regular", "smooth_forces"]
 
 MAX_KEPT = 2**28
 """Bytes of inverses that are kept."""
@@ -49,17 +49,6 @@ def is_regular(matrix: np.ndarray) -> bool:
     """Whether a symmetric matrix is positive definite, and not badly scaled."""
     values = np.linalg.eigvalsh(matrix)
     return not len(values) or bool(values[0] > REGULAR * values[-1] > 0.0)
-
-
-def unique_sets(closed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Different rows of sets (n, n_pairs) in the order in which they come: (m, n_pairs), and which
-    of them each row is: (n,)."""
-    packed = np.packbits(np.ascontiguousarray(closed), axis=1)
-    packed = np.ascontiguousarray(packed)
-    keys = packed.view([("", packed.dtype)] * packed.shape[1]).ravel()
-    _, first, which = np.unique(keys, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    return closed[first[order]], np.argsort(order)[which.ravel()]
 
 
 class ActiveSets:
