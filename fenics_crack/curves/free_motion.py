@@ -11,7 +11,7 @@ from scipy.linalg.lapack import dgetrf, dgetrs
 
 from fenics_crack.balance.compliance import ModalCompliance
 from fenics_crack.balance.contact_integrals import PairIntegrals, apply_to_pairs, contact_integrals
-from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
+from fenics_crack.balance.contact_system import ContactSystem
 from fenics_crack.balance.search import Search
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import ContactLaw
@@ -62,10 +62,9 @@ class Equilibrium:
         search = Search(ROUNDING)
         system = ContactSystem(compliance, contact_integrals(contact, 0))
         found = search.penalty(system)
-        assert isinstance(found, ContactPoint)
         if not search.converged:
             raise ConvergenceError(f"equilibrium without load: {search.status}", search.history)
-        self.gap = found.gap[0]
+        self.gap = found.unknown[0]
         self.force = contact.force(self.gap)
         self.modal = -(self.modes.pairs @ self.force) / squares
         held = _work(contact, np.zeros_like(self.gap), self.gap, 0.0 * self.force)
