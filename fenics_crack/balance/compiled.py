@@ -18,9 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import Struct, doubles, kernel, owned, shaped
-from fenics_crack.numerics.compiled import CompiledPaths
+from fenics_crack.numerics.equations import Equations
 from fenics_crack.numerics.linearisation import Linearisation
 
 __all__ = ["SHARP", "CompiledEquations", "ModalPart"]
@@ -79,7 +78,7 @@ def seen_structure(
     )  # fmt: skip
 
 
-class CompiledEquations(CompiledPaths):
+class CompiledEquations(Equations):
     """F(s, p) = 0 of contact pairs.
 
     Parameters
@@ -131,26 +130,20 @@ class CompiledEquations(CompiledPaths):
             basis=None if basis is None else shaped(basis, pairs, gaps),
         )  # fmt: skip
         self._point = owned(kernel.new_contact_point(self._given.at), kernel.free_contact_point)
-        self._equations = kernel.equations_of_contact(self._point)
+        self.table = kernel.equations_of_contact(self._point)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
         """The equations at a point."""
         return CompiledPoint(self, shaped(unknown, *self.shape), parameter)
 
-    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
-        """Inner product."""
-        return float(np.vdot(first, second))
-
     def evaluated(self, at: CompiledPoint) -> Any:
         """The kernel's equations, evaluated at a point."""
         if self._last is not at:
-            self._last = None
-            outcome = self._equations.evaluate(self._equations, doubles(at.unknown), at.parameter)
-            self._check(outcome)
+            self.check(self.run(self.table.evaluate, doubles(at.unknown), at.parameter))
             self._last = at
-        return self._equations
+        return self.table
 
-    def _found(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
+    def found(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
         self._last = found = CompiledPoint(self, unknown, parameter)
         return found
 
@@ -159,15 +152,8 @@ class CompiledEquations(CompiledPaths):
         self._last = None
         found = float(kernel.largest_moving(self._point, parameter))
         if not math.isfinite(found):
-            self._check(kernel.SINGULAR_STRUCTURE)
+            self.check(kernel.SINGULAR_STRUCTURE)
         return found
-
-    def _check(self, outcome: int) -> None:
-        """Raise ConvergenceError where the structure is singular, MemoryError without memory."""
-        if outcome == kernel.NO_MEMORY:
-            raise MemoryError("contact equations")
-        if outcome == kernel.SINGULAR_STRUCTURE:
-            raise ConvergenceError("path: the structure is singular (an undamped resonance)")
 
 
 class CompiledPoint(Linearisation):

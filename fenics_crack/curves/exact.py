@@ -17,7 +17,6 @@ import numpy as np
 import scipy.optimize
 
 from fenics_crack.balance.orbits import FlowOrbits
-from fenics_crack.curves.bifurcations import attainable
 from fenics_crack.curves.by_waves import FOLLOWED, judged_by_waves, place_on
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.orbit_branch import (
@@ -356,7 +355,7 @@ def _solution_at(curve: ResponseCurve, place: int, value: float) -> tuple[float,
     family = curve.equations(len(unknown) // 2)
     try:
         parameter = family.parameter(value)
-        sharp = attainable(family, parameter, 1e-9)
+        sharp = max(1e-9, family.rounding(parameter))
         found = solve_at(family, unknown, parameter, tolerance=sharp)
     except ConvergenceError:
         found = None

@@ -114,7 +114,6 @@ class FreeMotion(ABC):
 
     def __init__(self, rest: Equilibrium, integrals: PairIntegrals, reference: float) -> None:
         self.rest, self.integrals, self.reference = rest, integrals, reference
-        self.rounding = max(ROUNDING, EPSILON * rest.stiffness)
         self.harmonics = integrals.harmonics
         self.rows = cosine_rows(integrals.harmonics)
         self.order = (np.arange(integrals.harmonics + 1.0) * reference)[:, None] ** 2
@@ -145,6 +144,10 @@ class FreeMotion(ABC):
         """Share of the first harmonic in the square of z, the mean left out."""
         z = unknown[:-1].reshape(self.scale.shape)
         return float(np.sum(z[1] ** 2) / max(np.sum(z[1:] ** 2), 1e-300))
+
+    def rounding(self, parameter: float) -> float:
+        """What rounding leaves of |F| / |x|."""
+        return max(ROUNDING, EPSILON * self.rest.stiffness)
 
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
         """Inner product."""

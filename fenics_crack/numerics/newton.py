@@ -14,7 +14,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.numerics.bordered import compiled, solve_at
+from fenics_crack.numerics.bordered import solve_at
 from fenics_crack.numerics.krylov import RESTART
 from fenics_crack.numerics.linearisation import Linearisation, System
 
@@ -40,7 +40,8 @@ class DistributedSystem(System, Protocol):
 def newton_of(system: DistributedSystem) -> Newton | KernelNewton:
     """Newton's method for a system: in the kernel where that has it and no option is for SNES."""
     asked = PETSc.Options(OPTIONS_PREFIX).getAll()
-    return Newton(system) if asked or compiled(system) is None else KernelNewton(system)
+    compiled = getattr(system, "compiled", None)
+    return Newton(system) if asked or compiled is None else KernelNewton(system)
 
 
 class Newton:

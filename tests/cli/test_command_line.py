@@ -19,7 +19,7 @@ from helpers import MPI_ENVIRONMENT, ROOT
 
 import fenics_crack as fc
 from fenics_crack.cli.command_line import main
-from fenics_crack.cli.undamped import in_words
+from fenics_crack.cli.scenes import in_words
 from fenics_crack.fem.plate import write_msh
 from fenics_crack.study import run as study_run
 
