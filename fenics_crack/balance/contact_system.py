@@ -39,7 +39,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.compiled import SHARP, CompiledEquations, ModalPart
-from fenics_crack.balance.compliance import Compliance, WidenedCompliance
+from fenics_crack.balance.compliance import Compliance, ResizedCompliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, LowRank, respond
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
@@ -195,7 +195,7 @@ class ContactSystem:
 
     def widened(self, harmonics: int) -> ContactSystem:
         """The same equations with more harmonics, to the accuracy of an error estimate."""
-        compliance = WidenedCompliance(self.compliance, harmonics)
+        compliance = ResizedCompliance(self.compliance, harmonics)
         return ContactSystem(compliance, self.integrals.widened(harmonics))
 
 

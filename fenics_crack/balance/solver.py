@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
-from fenics_crack.balance.compliance import Compliance, narrowed
+from fenics_crack.balance.compliance import Compliance, ResizedCompliance
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.search import Search
@@ -80,8 +81,10 @@ class Solver:
         """The equations where a search arrives."""
         problem, start = self.problem, None
 
+        @cache
         def with_harmonics(harmonics: int) -> ContactSystem:
-            return problem.with_harmonics(harmonics).system(narrowed(compliance, harmonics))
+            few = ResizedCompliance(compliance, harmonics)
+            return problem.with_harmonics(harmonics).system(few)
 
         system = with_harmonics(problem.harmonics)
         if initial is not None:
