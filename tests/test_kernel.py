@@ -19,9 +19,8 @@ from fenics_crack.balance.compiled import CompiledEquations
 from fenics_crack.balance.contact_integrals import ExactIntegrals, respond, respond_to_columns
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.kernel import doubles, ints, shaped, signs
-from fenics_crack.model.complementarity import solve_complementarity
 from fenics_crack.model.contact import UnilateralPenalty
-from fenics_crack.model.coupled import ActiveSets
+from fenics_crack.model.coupled import ActiveSets, solve_complementarity
 
 CHECKED = "CHECKED_KERNEL"
 """Environment variable, set in a run with a kernel that checks its addresses."""

@@ -16,8 +16,8 @@ from petsc4py import PETSc
 
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import Struct
-from fenics_crack.model.complementarity import solve_complementarity
 from fenics_crack.model.contact import is_piecewise_linear, is_rigid
+from fenics_crack.model.coupled import solve_complementarity
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import by_columns, damped_modes, times
 from fenics_crack.time.march import March, Scheme, Window

@@ -9,8 +9,7 @@ from helpers import random_stiffness, relative
 
 import fenics_crack as fc
 from fenics_crack.model import coupled
-from fenics_crack.model.complementarity import by_least_squares
-from fenics_crack.model.coupled import ActiveSets, smooth_forces
+from fenics_crack.model.coupled import ActiveSets, by_least_squares, smooth_forces
 
 
 def badly_conditioned(rng: np.random.Generator, pairs: int, condition: float) -> np.ndarray:
