@@ -91,7 +91,7 @@ from fenics_crack.study.prepare import prepare as prepare
 from fenics_crack.study.run import Run as Run
 from fenics_crack.study.run import load_run as load_run
 from fenics_crack.study.verification import Verification as Verification
-from fenics_crack.study.verify import verify as verify
+from fenics_crack.study.verification import verify as verify
 from fenics_crack.sweep.result import SweepResult as SweepResult
 from fenics_crack.sweep.result import run_sweep as run_sweep
 from fenics_crack.time.central_differences import (

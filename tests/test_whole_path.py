@@ -12,11 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from surroundings import main
 
-from fenics_crack.cli.command_line import main
 from fenics_crack.draw import animation
-
-pytestmark = pytest.mark.slow
 
 BREATHING = "breathing crack resonates near [Hz]"
 LOADS = {"weak": 1.0, "middle": 10.0, "strong": 100.0}

@@ -68,10 +68,19 @@ def fit_order(
     subharmonic : int
         2: the response has twice the load's period, and harmonics 1/2, 1, ..., K/2 of the load.
 
+    Returns
+    -------
+    TipFit
+        The order, its harmonics with their standard errors, and other orders that fit alike.
+
     Raises
     ------
     InputError
         A value cannot be used, or these probes can measure none of the candidates.
+
+    Examples
+    --------
+    >>> fit = fc.fit_order(arrivals, range(1, 13))
     """
     tried, multiples = wanted(orders, harmonics, subharmonic)
     seen = np.isfinite(arrivals.time)

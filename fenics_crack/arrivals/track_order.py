@@ -87,10 +87,19 @@ def track_order(
     revolutions : int
         Fitted together.
 
+    Returns
+    -------
+    TipTrack
+        Amplitudes and phases with their standard errors, and the speed of each fit.
+
     Raises
     ------
     InputError
         A value cannot be used, or these probes cannot measure this order in so few revolutions.
+
+    Examples
+    --------
+    >>> track = fc.track_order(arrivals, 6)
     """
     _, multiples = wanted([order], harmonics, subharmonic)
     check_count("revolutions", revolutions, 1)

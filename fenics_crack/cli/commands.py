@@ -127,7 +127,7 @@ def campbell_diagram(
 
 def verification(scene: Scene, folder: Path, console: Console) -> bool:
     """What mesh, modes, harmonics and samples contribute to the error of the steady vibration."""
-    from fenics_crack.study.verify import verify
+    from fenics_crack.study.verification import verify
 
     with console.stage("verification"):
         found = verify(scene, console.comm)

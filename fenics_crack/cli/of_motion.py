@@ -29,8 +29,8 @@ from fenics_crack.numerics.fourier import balanced
 from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, SHORT
 from fenics_crack.scene.tables import Integration
 from fenics_crack.study.key_figures import highest_omega
+from fenics_crack.study.prepare import Watched
 from fenics_crack.study.run import Run
-from fenics_crack.study.watched import Watched
 from fenics_crack.table import Table, quantity
 from fenics_crack.time.march import TimeHistory
 

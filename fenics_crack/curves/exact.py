@@ -232,6 +232,11 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     ------
     InputError
         As :func:`fenics_crack.shoot`.
+
+    Examples
+    --------
+    >>> judged = fc.judge_curve(curve)
+    >>> verdicts = judged.verdicts
     """
     if not (is_piecewise_linear(curve.contact) or is_rigid(curve.contact)):
         return judged_by_waves(curve)

@@ -54,10 +54,20 @@ def draw_campbell(
     in_hertz, in_rpm : bool
         Frequencies in Hz, else in rad/s; speeds in revolutions per minute, else in rad/s.
 
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
     Raises
     ------
     InputError
         An order is not a whole number >= 1.
+
+    Examples
+    --------
+    >>> diagram = fc.campbell(blade, [0.0, 150.0, 300.0], count=2)
+    >>> figure = fc.draw_campbell(diagram, orders=[1, 2, 3], path="campbell.png")
     """
     for order in orders:
         check_count("orders", order, 1)
@@ -129,6 +139,15 @@ def draw_arrivals(
         Title of the picture.
     in_rpm : bool
         Speeds of a run-up in revolutions per minute, else in rad/s.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Examples
+    --------
+    >>> figure = fc.draw_arrivals(arrivals, path="arrivals.png")
     """
     [panel] = make_axes(axes, path)
     pace, *over = speed_axis(in_rpm)
@@ -164,10 +183,19 @@ def draw_tip_fit(
     path, title
         As of :func:`draw_arrivals`.
 
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
     Raises
     ------
     InputError
         The number of axes is wrong.
+
+    Examples
+    --------
+    >>> figure = fc.draw_tip_fit(fc.fit_order(arrivals), arrivals, path="fit.png")
     """
     upper, lower = make_axes(axes, path, 2, size=(7.0, 7.0))
     loads = max(1, round(1.0 / fit.multiples[0]))  # load periods of a response
@@ -231,6 +259,15 @@ def draw_tip_track(
         As of :func:`draw_arrivals`.
     in_hertz : bool
         Frequencies in Hz, not rad/s.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Examples
+    --------
+    >>> figure = fc.draw_tip_track(fc.track_order(arrivals, 6), path="track.png")
     """
     [panel] = make_axes(axes, path)
     factor, name, unit = frequency_axis(in_hertz)

@@ -52,10 +52,20 @@ def draw_posterior(
     axes, path, title
         As of :func:`draw_waves`.
 
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
     Raises
     ------
     InputError
         These are not two of the unknowns.
+
+    Examples
+    --------
+    >>> found = fc.load("identify.h5")  # doctest: +SKIP
+    >>> figure = fc.draw_posterior(found, path="posterior.png")  # doctest: +SKIP
     """
     for name, key in (("x", x), ("y", y)):
         if key not in found.unknown or x == y:
@@ -146,6 +156,16 @@ def draw_verification(
         Made by :func:`verify`.
     axes, path, title
         As of :func:`draw_waves`, with two panels.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Examples
+    --------
+    >>> found = fc.verify(scene)  # doctest: +SKIP
+    >>> figure = fc.draw_verification(found, path="verification.png")  # doctest: +SKIP
     """
     left, right = make_axes(axes, path, 2, columns=2, size=(12.0, 5.6))
     if found.causes:

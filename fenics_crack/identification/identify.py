@@ -72,6 +72,10 @@ def identify(
     InputError
         There are no unknowns, a measurement cannot be used or is not one of this scene, or as
         :func:`run_sweep`.
+
+    Examples
+    --------
+    >>> found = fc.identify(scene, "measured.csv", {"crack.length": [0.02, 0.04]})  # doctest: +SKIP
     """
     if unknown is not None:
         table = scene.identify or Identify.from_mapping({"unknown": unknown})

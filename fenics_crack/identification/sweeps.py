@@ -26,7 +26,7 @@ from fenics_crack.identification.model import Model
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Sweep
-from fenics_crack.study.finer import finer_mesh
+from fenics_crack.study.verification import finer_mesh
 from fenics_crack.sweep.result import SweepResult, run_sweep
 
 __all__ = ["Forward", "solve_forward"]

@@ -36,6 +36,11 @@ def integrate_events(
     omega, periods, **options
         As in :class:`fenics_crack.time.march.March`.
 
+    Returns
+    -------
+    TimeHistory
+        The last periods, sampled at equal steps.
+
     Raises
     ------
     InputError
@@ -43,6 +48,10 @@ def integrate_events(
         be used.
     ConvergenceError
         Pairs open and close without end.
+
+    Examples
+    --------
+    >>> history = fc.integrate_events(structure, 2000.0, contact, periods=2, initial=solution)
     """
     asked = March(structure, omega, contact, periods, steps_per_period, **options)
     return march(asked, _ByEvents(asked))

@@ -56,6 +56,10 @@ def integrate_exponential(
     ConvergenceError
         The load is on an undamped resonance, no contact forces of a step were found, or contact
         creates more than twice the energy put in.
+
+    Examples
+    --------
+    >>> history = fc.integrate_exponential(structure, 2000.0, contact, periods=2)
     """
     asked = March(structure, omega, contact, periods, steps_per_period, **options)
     return march(asked, _ByExponentials(asked))

@@ -7,19 +7,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.balance.error_report import ErrorReport
+from fenics_crack import ErrorReport, ResponseCurve, SweepResult
 from fenics_crack.cli.account import of_error, of_stability
-from fenics_crack.cli.command_line import main
 from fenics_crack.cli.of_curve import few_special_points
 from fenics_crack.cli.of_sweep import few_cases, warnings_of
-from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.study.remarks import remarks_on_scene
 from fenics_crack.study.run import follow_curve, solve
 from fenics_crack.sweep import result
 from fenics_crack.sweep.file import COLUMNS, CONVERGED, FAILED
-from fenics_crack.sweep.result import SweepResult
 from fenics_crack.table import Table
 
 ZERO = {"residual": 0.0, "truncation": 0.0, "sampling": 0.0, "reduction": 0.0, "penetration": 0.0}

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import DEMOS
+from surroundings import main
 
 from fenics_crack.cli import of_sweep, overlay
-from fenics_crack.cli.command_line import main
 from fenics_crack.draw import plot
 
 SCENE = str(DEMOS / "paper_plate.toml")

@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 from helpers import DEMOS
 from PIL import Image
+from surroundings import main
 
 from fenics_crack.cli import report as html
-from fenics_crack.cli.command_line import main
 from fenics_crack.draw import animation
 from fenics_crack.table import quantity
 from fenics_crack.version import VERSION

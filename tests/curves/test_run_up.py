@@ -12,13 +12,12 @@ from mpi4py import MPI
 from rotating import cracked
 
 import fenics_crack as fc
-from fenics_crack import InputError, Scene
+from fenics_crack import CurvePoint, InputError, Run, Scene
 from fenics_crack.balance.family import SpeedFamily
 from fenics_crack.cli.account import in_short
 from fenics_crack.cli.of_curve import curve_points, special_points
 from fenics_crack.curves.follow import _where
-from fenics_crack.curves.points import CurvePoint
-from fenics_crack.study.run import Run, follow_curve, solve
+from fenics_crack.study.run import follow_curve, solve
 from fenics_crack.table import RPM
 
 ORDER = 12
