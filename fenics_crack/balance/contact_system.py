@@ -53,13 +53,9 @@ LOW_RANK = 400
 IN_KERNEL = 2000
 """Those up to which the kernel follows paths: their Jacobian is dense there, but many points share
 its factors."""
-MATRIX_FREE, PRODUCTS = 350, 225
-"""The Jacobian is not formed for n unknowns of a step where n^3 is larger than 350^3, what GMRES
-costs in any case, and 225 (2H+1) n_pairs^2 for its products. Both ways take equally long with about
-300 to 350 unknowns of 18 pairs (measured with H = 8 to 40), and with 600 of 30 modes and 100 pairs.
-"""
-ROUGH = 1e-2
-"""Relative residual of GMRES in an estimate."""
+MATRIX_FREE = 350
+"""Unknowns of a step from which the Jacobian of coupled pairs is not formed. Both ways take equally
+long with about 300 to 350 unknowns of 18 pairs (measured with H = 8 to 40)."""
 
 ByParameter = Callable[["ContactPoint"], np.ndarray]
 
@@ -101,8 +97,7 @@ class ContactSystem:
         self.basis = compliance.basis if integrals.coupled else None
         """U, None where it is not needed."""
         size = rows * (pairs if self.basis is None else self.basis.shape[1])
-        many = size**3 > MATRIX_FREE**3 + PRODUCTS * rows * pairs**2
-        self.matrix_free = integrals.coupled and many
+        self.matrix_free = integrals.coupled and size > MATRIX_FREE
 
     @property
     def in_kernel(self) -> bool:
@@ -244,17 +239,9 @@ class ContactPoint(DenseLinearisation):
         return change + respond(self.system.moving, self.forces.apply(change))
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """J^-1 r, as sharply as GMRES finds it."""
-        return self._solve(right, SHARP)
-
-    def solve_roughly(self, right: np.ndarray) -> np.ndarray:
-        """J^-1 r to the accuracy of an error estimate."""
-        return self._solve(right, ROUGH)
-
-    def _solve(self, right: np.ndarray, tolerance: float) -> np.ndarray:
         system = self.system
         if system.matrix_free:
-            return gmres(self.apply, right, tolerance)
+            return gmres(self.apply, right, SHARP)
         factors = self._factors
         if system.basis is not None:
             drive = respond(system.moving, self.forces.apply(right)) @ system.basis

@@ -26,7 +26,7 @@ import numpy as np
 from fenics_crack.balance.contact_integrals import ContactForces, ContactIntegrals, default_samples
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import NULL, doubles, kernel, owned, shaped
-from fenics_crack.model.contact import is_piecewise_linear, is_rigid
+from fenics_crack.model.contact import is_unilateral
 from fenics_crack.model.coupled import ActiveSets, smooth_forces
 from fenics_crack.numerics.fourier import balanced, instants, sampled
 
@@ -61,7 +61,7 @@ class CoupledIntegrals(ContactIntegrals):
     @property
     def piecewise(self) -> bool:
         """Whether the forces are piecewise linear in s."""
-        return is_piecewise_linear(self.law) or is_rigid(self.law)
+        return is_unilateral(self.law)
 
     @property
     def exact(self) -> bool:

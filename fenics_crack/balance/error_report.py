@@ -268,7 +268,7 @@ def _goes_on(first: ContactPoint, step: np.ndarray, again: np.ndarray, known: np
     if np.linalg.norm(again) < SURE * np.linalg.norm(step):
         return True
     there = first.system.linearise(first.unknown + step + again)
-    third = first.solve_roughly(known - there.residual)
+    third = first.solve(known - there.residual)
     return bool(np.linalg.norm(third) < 0.5 * np.linalg.norm(again))
 
 
@@ -302,19 +302,19 @@ def _improvement(
         gap, force = point.gap - first.gap, (point.force - first.force)[:rows]
         return _Change(gap, force, better, settled)
 
-    step = first.solve_roughly(known - first.residual)
+    step = first.solve(known - first.residual)
     length = float(np.linalg.norm(step))
     if not length > NOTHING * np.linalg.norm(start):
         return _Change(first.gap_of(step), first.force_of(step)[:rows], better)
     point = system.linearise(start + step)
-    again = first.solve_roughly(known - point.residual)
+    again = first.solve(known - point.residual)
     if np.linalg.norm(again) < CALM * length and _goes_on(first, step, again, known):
         step = step + again
         return _Change(first.gap_of(step), first.force_of(step)[:rows], better)
     if start.size > SLOW and np.linalg.norm(again) > length:
         return change_to(point, settled=False)
     for _ in range(most):
-        step = point.solve_roughly(known - point.residual)
+        step = point.solve(known - point.residual)
         if not np.all(np.isfinite(step)):
             break
         point = system.linearise(point.unknown + step)

@@ -102,6 +102,12 @@ class Problem:
         default = BEYOND * self.harmonics * self.base_omega
         return default if self.static_above is None else self.static_above
 
+    @property
+    def static_cutoff(self) -> float | None:
+        """The same, None where pairs are not seen through a static compliance: what solutions keep
+        of it."""
+        return None if self.residual is None else self.cutoff
+
     @cached_property
     def residual(self) -> np.ndarray | None:
         """R_inf, the static compliance through which contact is seen; None where there is none.

@@ -215,7 +215,7 @@ def solution_of(
         at.force,
         problem.subharmonic,
         status=status,
-        static_above=None if problem.residual is None else problem.cutoff,
+        static_above=problem.static_cutoff,
     )
     if not reported:
         return found

@@ -217,7 +217,7 @@ class Continuation:
             samples=problem.samples,
             subharmonic=problem.subharmonic,
             branch=self._branch,
-            static_above=None if problem.residual is None else problem.cutoff,
+            static_above=problem.static_cutoff,
         )
         return replace(curve, bifurcations=curve.expand_bifurcations(self._special))
 

@@ -10,8 +10,6 @@
 #include "lapack.h"
 #include "switching.h"
 
-enum { FEW = 100 }; /* unknowns up to which factors are quicker than products */
-
 struct contact_point {
     dense common;
     contact_pairs of;
@@ -227,7 +225,7 @@ static int make_forces(contact_point *at)
         switching_waves(of->seen.harmonics, at->waves);
         return 0;
     }
-    own->products = !of->formed || own->unknowns > FEW;
+    own->products = !of->formed || own->unknowns > MANY;
     if (own->products) at->inverse = new_krylov(own->unknowns);
     at->forces = new_coupled_forces(of->seen.harmonics, of->seen.pairs);
     return !at->forces || (own->products && !at->inverse);

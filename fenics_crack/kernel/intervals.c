@@ -9,7 +9,6 @@
  * wrong pairs together; after how many events rounding is looked for. BLOCK: cells whose answers are
  * found together. */
 enum { DEGREE = 8, TERMS = DEGREE + 1, POINTS = 6, TOGETHER = 30, OFTEN = 32, BLOCK = 16 };
-static const double TWO_PI = 6.283185307179586476925;
 
 static double value_at(const double *c, int degree, double x)
 {

@@ -284,7 +284,7 @@ class SweepResult(Tabular):
             "subharmonic": 1,
             "gap_coefficients": gap,
             "force_coefficients": force,
-            "static_above": None if problem.residual is None else problem.cutoff,
+            "static_above": problem.static_cutoff,
             "status": str(self["status"][place]),
             "iterations": int(self["iterations"][place]),
             "error_penetration": float(self["penetration_share"][place]),

@@ -16,7 +16,7 @@ from petsc4py import PETSc
 
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import Struct
-from fenics_crack.model.contact import is_piecewise_linear, is_rigid
+from fenics_crack.model.contact import is_rigid, is_unilateral
 from fenics_crack.model.coupled import solve_complementarity
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import by_columns, damped_modes, times
@@ -30,7 +30,7 @@ BLOCK = 2**17
 
 def modal_steps(asked: March) -> bool:
     """Whether a march is the kernel's (:class:`ModalSteps`)."""
-    known = is_piecewise_linear(asked.contact) or is_rigid(asked.contact)
+    known = is_unilateral(asked.contact)
     return known and is_small(asked.structure)
 
 

@@ -78,7 +78,6 @@ def test_path_of_a_chain(name: str, formed: bool, monkeypatch: pytest.MonkeyPatc
     to rounding where J is formed, to what products leave where it is not."""
     if not formed:
         monkeypatch.setattr(contact_system, "MATRIX_FREE", 0)
-        monkeypatch.setattr(contact_system, "PRODUCTS", 0)
     family = coupled_family(name, "penalty", "modal", 5, 3, 4, 1)
     system = family.system(family.start)
     assert system.integrals.coupled and system.matrix_free != formed
@@ -102,7 +101,6 @@ def test_many_unknowns(limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """A rigid path through its folds, its solutions found by products and its sign by factors, or
     not at all: its points are solutions, and it ends where Python's ends."""
     monkeypatch.setattr(contact_system, "MATRIX_FREE", limit)
-    monkeypatch.setattr(contact_system, "PRODUCTS", 0)
     whole = chain("modal", pairs=3)
     structure = fc.reduce_structure(whole, modes=6, method="massless")
     problem = fc.Problem(structure, 0.83, fc.UnilateralConstraint(), 20)
