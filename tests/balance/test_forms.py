@@ -107,7 +107,7 @@ def test_tangent_on_few_samples(samples: int) -> None:
     law, rng = Cubic(1.0), np.random.default_rng(4)
     integrals = SampledIntegrals(law, 4, samples)
     gap, step = rng.normal(size=(9, 2)), 1e-5
-    tangent = integrals.linearise(gap)[1]
+    tangent = integrals.linearise(gap).tangent
     for column in range(9):
         change = np.zeros_like(gap)
         change[column] = step
@@ -361,7 +361,8 @@ def test_incremental_system_is_the_newton_system(
         u = rng.normal(size=(rows, structure.n_dofs))
         gap = u @ pairs
         gap[0] -= structure.clearance
-        force, tangent = integrals.linearise(gap)
+        at = integrals.linearise(gap)
+        force, tangent = at.force, at.tangent
         spread = np.einsum("np,pij,mp->injm", pairs, tangent, pairs)
         jacobian = linear + spread.reshape(linear.shape)
         residual = (linear @ u.ravel()).reshape(u.shape) + force @ pairs.T - load
