@@ -42,8 +42,7 @@ from fenics_crack.time.central_differences import (
     integrate_central_difference,
     stable_steps_per_period,
 )
-from fenics_crack.time.events import integrate_events
-from fenics_crack.time.exponential import integrate_exponential
+from fenics_crack.time.flows import integrate_events, integrate_exponential
 from fenics_crack.time.implicit import integrate_implicit
 from fenics_crack.time.march import TimeHistory
 

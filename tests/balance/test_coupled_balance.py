@@ -14,7 +14,7 @@ from fenics_crack.balance import coupled
 from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
 from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.search import Search
-from fenics_crack.time.exponential import integrate_exponential
+from fenics_crack.time.flows import integrate_exponential
 
 RIGID = fc.UnilateralConstraint()
 LAWS = {
