@@ -75,7 +75,7 @@ from fenics_crack.model.reduced import MasslessStructure as MasslessStructure
 from fenics_crack.model.reduced import ReducedStructure as ReducedStructure
 from fenics_crack.model.reduction import reduce_structure as reduce_structure
 from fenics_crack.model.run_up import RunUpStructure as RunUpStructure
-from fenics_crack.model.run_up_basis import run_up_structure as run_up_structure
+from fenics_crack.model.run_up import run_up_structure as run_up_structure
 from fenics_crack.model.structure import Structure as Structure
 from fenics_crack.scene.scene import Scene as Scene
 from fenics_crack.stability.floquet import floquet as floquet
