@@ -2,11 +2,11 @@
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes as ArrivalTimes
 from fenics_crack.arrivals.fit_frequency import fit_frequency as fit_frequency
+from fenics_crack.arrivals.fit_order import TipTrack as TipTrack
 from fenics_crack.arrivals.fit_order import fit_order as fit_order
+from fenics_crack.arrivals.fit_order import track_order as track_order
 from fenics_crack.arrivals.harmonics import TipFit as TipFit
 from fenics_crack.arrivals.simulate import tip_timing as tip_timing
-from fenics_crack.arrivals.track_order import TipTrack as TipTrack
-from fenics_crack.arrivals.track_order import track_order as track_order
 from fenics_crack.balance.error_report import ErrorReport as ErrorReport
 from fenics_crack.balance.harmonic_balance import solve_harmonic_balance as solve_harmonic_balance
 from fenics_crack.balance.harmonic_balance import solve_linear as solve_linear

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import NoReturn
 
 import numpy as np
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
-from fenics_crack.arrivals.harmonics import columns_of
+from fenics_crack.arrivals.harmonics import Candidates, columns_of
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.table import counted
 
 __all__ = [
-    "ALIKE",
     "LinearFit",
+    "compared",
     "fit_harmonics",
     "nominal_condition",
     "refuse",
     "rounding",
-    "smallest",
-    "unexplained",
     "wanted",
 ]
 
@@ -128,26 +126,77 @@ def rounding(arrivals: ArrivalTimes) -> float:
     return 1e-9 * motion + 4.0 * float(np.spacing(largest)) * arrivals.tip_radius
 
 
-def smallest(fits: Sequence[LinearFit], chosen: np.ndarray) -> int:
-    """Number of the fit that leaves least, of the chosen ones with about the smallest vibration."""
-    sizes = np.array([float(np.linalg.norm(fit.coefficients[1:])) for fit in fits])
-    small = chosen & (sizes <= 1.2 * sizes[chosen].min())
-    return int(np.argmin(np.where(small, [fit.total for fit in fits], np.inf)))
-
-
-def unexplained(
-    nominal: np.ndarray,
-    coefficients: np.ndarray,
-    order: float,
-    others: np.ndarray,
+def compared(
+    arrivals: ArrivalTimes,
+    orders: np.ndarray,
     multiples: np.ndarray,
+    variance_of: Callable[[LinearFit, float], float],
+    *,
+    hidden_too: bool = False,
+) -> tuple[Candidates, int, LinearFit, tuple[LinearFit, float]]:
+    """Orders that may explain arrivals, the number of the one that is taken and its fit; and the
+    fit that leaves least, with its order.
+
+    Of those that fit alike it is the one with the smallest vibration (within 20 %, the one that
+    leaves least).
+
+    Parameters
+    ----------
+    arrivals : ArrivalTimes
+        Of steady vibration.
+    orders : (n,)
+        Candidates.
+    multiples : (K,)
+        Harmonics.
+    variance_of : callable
+        The variance of a displacement [m^2] by the fit that leaves least, and its order.
+    hidden_too : bool
+        Whether one that these probes cannot measure is taken where no other fits alike.
+
+    Raises
+    ------
+    InputError
+        The columns of all candidates are dependent at these probes.
+    """
+    seen, radius = np.isfinite(arrivals.time), arrivals.tip_radius
+    angle, values = arrivals.angle[seen], arrivals.displacement[seen]
+    nominal = arrivals.nominal_angle[seen]
+    conditions = np.array([nominal_condition(nominal, one, multiples) for one in orders])
+    # Dependent columns stay so at the nominal angles; elsewhere they would fit noise.
+    dependent = np.isinf(conditions)
+    at_nominal = dependent & (not hidden_too)
+    fits = [
+        fit_harmonics(nominal if planned else angle, values, one, multiples, radius)
+        for one, planned in zip(orders, at_nominal, strict=True)
+    ]
+    hidden = dependent | ~np.array([fit.is_usable for fit in fits])
+    left_out = hidden & (not hidden_too)
+    if np.all(left_out):
+        refuse(arrivals, 2 * len(multiples) + 1)
+    sums = np.array([fit.total for fit in fits])
+    least = int(np.argmin(np.where(left_out, np.inf, sums)))
+    lowest = fits[least], float(orders[least])
+    limit = ALIKE * variance_of(*lowest)
+    alike = sums - sums[least] < limit
+    sizes = np.array([float(np.linalg.norm(fit.coefficients[1:])) for fit in fits])
+    known = alike & ~hidden if np.any(alike & ~hidden) else alike
+    small = known & (sizes <= 1.2 * sizes[known].min())
+    best = int(np.argmin(np.where(small, sums, np.inf)))
+    wave = columns_of(nominal, float(orders[best]), multiples) @ fits[best].coefficients
+    alike |= _unexplained(nominal, wave, orders, multiples) < limit
+    tried = Candidates(orders, np.sqrt(sums / len(values)), conditions, alike, hidden)
+    return tried, best, fits[best], lowest
+
+
+def _unexplained(
+    nominal: np.ndarray, wave: np.ndarray, orders: np.ndarray, multiples: np.ndarray
 ) -> np.ndarray:
-    """Of a fit at the nominal angles of the arrivals, the sum of squares that other orders do not
+    """The sum of squares of a wave at the nominal angles of the arrivals that orders do not
     explain: (n,) [m^2]. What tells aliases apart besides, that arrivals are not at these angles,
     is too little to rely on."""
-    wave, found = columns_of(nominal, order, multiples) @ coefficients, []
-    for other in others:
-        columns = columns_of(nominal, other, multiples)
+    found = []
+    for order in orders:
+        columns = columns_of(nominal, order, multiples)
         left = wave - columns @ np.linalg.lstsq(columns, wave, rcond=1e-10)[0]
         found.append(float(left @ left))
     return np.array(found)
