@@ -30,7 +30,7 @@ from matplotlib.figure import Figure
 
 import fenics_crack as fc
 from fenics_crack.balance.error_report import mean_square
-from fenics_crack.balance.fourier import resized
+from fenics_crack.numerics.fourier import resized
 
 DEMOS = Path(__file__).parents[1] / "demos"
 FOLDER = Path("output/benchmarks")

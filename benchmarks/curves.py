@@ -27,10 +27,10 @@ import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
 
 import fenics_crack as fc
-from fenics_crack.balance.bordered import solve_at
 from fenics_crack.balance.family import FrequencyFamily
-from fenics_crack.balance.newton import Newton
 from fenics_crack.draw.figure import COLOURS
+from fenics_crack.numerics.bordered import solve_at
+from fenics_crack.numerics.newton import Newton
 
 Pairs = list[tuple[np.ndarray, float]]
 TOLERANCE, MAX_ITERATIONS = 1e-9, 8

@@ -28,11 +28,11 @@ from switching import switching_instants
 
 from fenics_crack.balance.compliance import load_coefficients
 from fenics_crack.balance.contact_integrals import default_samples
-from fenics_crack.balance.fourier import evaluate, to_complex
 from fenics_crack.errors import InputError, check_count, check_omega
 from fenics_crack.model.contact import ContactLaw, UnilateralPenalty, check_law
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.fourier import evaluate, to_complex
 
 __all__ = ["incremental_system"]
 

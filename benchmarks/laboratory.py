@@ -31,13 +31,13 @@ from fenics_crack.balance.compliance import Compliance, FactoredCompliance
 from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, respond_to_columns
 from fenics_crack.balance.contact_integrals import ContactIntegrals, apply_to_pairs
 from fenics_crack.balance.harmonic_balance import check_initial
-from fenics_crack.balance.linearisation import Linearisation, determinant_sign
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.search import Search
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.balance.solver import Solver
 from fenics_crack.errors import InputError, check_number
 from fenics_crack.model.contact import is_rigid
+from fenics_crack.numerics.linearisation import Linearisation, determinant_sign
 
 __all__ = ["BlockSystem", "solve_form"]
 

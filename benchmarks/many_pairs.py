@@ -46,10 +46,10 @@ import scipy.sparse as sparse
 
 import fenics_crack as fc
 from fenics_crack.balance.family import Family
-from fenics_crack.balance.fourier import evaluate
 from fenics_crack.model.factor import Factor
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.model.reduced import MasslessStructure
+from fenics_crack.numerics.fourier import evaluate
 
 REFERENCE = 120
 NEW = Path(fc.__file__).parent / "cli" / "new_scene.toml"

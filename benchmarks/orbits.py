@@ -23,10 +23,10 @@ import common
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.nearby import orbit_next_to, predicted, wave_states
 from fenics_crack.motion.flow import ContactFlow, flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit
+from fenics_crack.numerics.fourier import evaluate
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "motion"))
 from reference import ReferenceFlow

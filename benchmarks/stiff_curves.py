@@ -16,15 +16,15 @@ at the same frequency, to 1e-6.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import common
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import PathPoint, locate, tangent_of
 from fenics_crack.balance.orbits import FlowOrbits
+from fenics_crack.numerics.bordered import PathPoint, point_on_path
+from fenics_crack.numerics.path import Crossing, Event, Fold, Path, PathOptions, Target
 
 SPAN = 2.0, 0.32
 SAME, NEAR, CLEARLY = 1e-6, 0.25, 3.0
@@ -112,28 +112,27 @@ def exact_branch(curve: fc.ResponseCurve) -> Branch:
     first = curve.solution(0).judged.orbit
     assert first is not None
     orbits = FlowOrbits(first.flow, first.omega, first.state, first.subharmonic)
-    tangent = tangent_of(orbits, orbits.start, orbits.linearise(orbits.start, 1.0))
-    down = curve.omega[-1] < curve.omega[0]
-    stepping = Stepping(
-        1e-3, 0.02, 1e-11, 5000, 1e-10, least_cosine=0.9, rounding=1e-12, span=(0.0, 2.0)
+    start = point_on_path(orbits, orbits.start, 1.0)
+    end = float(curve.omega[-1]) / orbits.omega
+    if end < 1.0:
+        start = replace(start, tangent=start.tangent.reversed())
+    options = PathOptions(
+        1e-3, 0.02, 1e-11, 5000, rtol=1e-10, min_cosine=0.9, rounding=1e-12, span=(0.0, 2.0)
     )
 
     def doubling(point: PathPoint) -> float:
         monodromy = orbits.linearise(point.unknown, point.parameter).monodromy
         return float(np.linalg.det(np.eye(len(monodromy)) + monodromy))
 
-    tests = {"fold": lambda point: point.tangent.p, "period_doubling": doubling}
-    special: dict[str, list[float]] = {}
+    tests: dict[str, Event] = {"fold": Fold(), "period_doubling": Crossing(doubling)}
+    special: dict[str, list[float]] = {kind: [] for kind in tests}
     points: list[PathPoint] = []
-    way = tangent.reversed() if down else tangent
-    for point in follow_path(orbits, orbits.start, 1.0, stepping, way):
-        for kind, test in tests.items() if points else ():
-            if test(points[-1]) * test(point) < 0.0:
-                there = locate(orbits, points[-1], point, test, 1e-11).parameter * orbits.omega
-                special.setdefault(kind, []).append(there)
-        points.append(point)
-        if (point.parameter * orbits.omega - curve.omega[-1]) * (1.0 if down else -1.0) < 0.0:
-            break
+    for stretch in Path(orbits, start, options, [*tests.values(), Target(end)]):
+        points += stretch
+        for event, at in stretch.met:
+            for kind, test in tests.items():
+                if event is test:
+                    special[kind].append(at.parameter * orbits.omega)
     multipliers = [
         abs(orbits.linearise(point.unknown, point.parameter).multipliers[0]) for point in points
     ]

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fenics_crack.balance.contact_integrals import grid_waves
-from fenics_crack.balance.fourier import from_complex
 from fenics_crack.kernel import doubles, kernel, signs
+from fenics_crack.numerics.fourier import from_complex
 
 
 @dataclass(frozen=True)

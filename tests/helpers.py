@@ -21,8 +21,8 @@ from fenics_crack.balance.compliance import dynamic_compliance
 from fenics_crack.balance.condensed import CondensedSystem
 from fenics_crack.balance.contact_integrals import SampledIntegrals
 from fenics_crack.balance.error_report import mean_square
-from fenics_crack.balance.fourier import resized
 from fenics_crack.files.store import digest, places, texts
+from fenics_crack.numerics.fourier import resized
 
 OMEGA_0 = 2.0 * np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
 """Natural frequency of the bilinear oscillator with kc = 1."""

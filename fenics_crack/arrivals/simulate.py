@@ -23,11 +23,11 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 
 from fenics_crack.arrivals.arrival_times import MOST_PASSAGES, ArrivalTimes, check_probes
-from fenics_crack.balance.fourier import from_complex, sampled, to_complex
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.model.matrices import numbers
+from fenics_crack.numerics.fourier import from_complex, sampled, to_complex
 
 __all__ = ["tip_timing"]
 

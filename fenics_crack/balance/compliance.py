@@ -20,11 +20,11 @@ import scipy.linalg
 
 from fenics_crack.balance.compiled import ModalPart
 from fenics_crack.balance.dynamic_stiffness import DynamicStiffness
-from fenics_crack.balance.fourier import from_complex, resized, to_complex
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import damped_modes, projected_damping, solve_modes
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.fourier import from_complex, resized, to_complex
 from fenics_crack.parallel import collect_garbage
 
 __all__ = [

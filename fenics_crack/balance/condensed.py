@@ -27,11 +27,11 @@ from mpi4py import MPI
 from fenics_crack.balance.compiled import CompiledSystem, ModalPart
 from fenics_crack.balance.compliance import Compliance, WidenedCompliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, ExactIntegrals, apply_to_pairs
-from fenics_crack.balance.linearisation import DenseLinearisation, factored, solve_factored
 from fenics_crack.balance.rounding import stiffness_times_compliance
 from fenics_crack.errors import InputError
 from fenics_crack.kernel import doubles, ints, kernel, shaped
 from fenics_crack.model.contact import ContactLaw, UnilateralPenalty
+from fenics_crack.numerics.linearisation import DenseLinearisation, factored, solve_factored
 
 __all__ = [
     "CondensedEquations",

@@ -26,9 +26,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from fenics_crack.balance.fourier import balanced, sampled
 from fenics_crack.kernel import doubles, kernel, shaped
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear
+from fenics_crack.numerics.fourier import balanced, sampled
 
 __all__ = [
     "ContactIntegrals",

@@ -33,9 +33,9 @@ from fenics_crack.balance.compiled import SHARP, CompiledCoupled, ModalPart
 from fenics_crack.balance.compliance import Compliance, WidenedCompliance
 from fenics_crack.balance.condensed import CondensedEquations, CondensedPoint, respond
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals, CoupledTangent
-from fenics_crack.balance.krylov import gmres
-from fenics_crack.balance.linearisation import solve_factored
 from fenics_crack.model.contact import ContactLaw
+from fenics_crack.numerics.krylov import gmres
+from fenics_crack.numerics.linearisation import solve_factored
 
 __all__ = ["MATRIX_FREE", "CoupledPoint", "CoupledSystem"]
 

@@ -26,10 +26,10 @@ import scipy.fft
 
 from fenics_crack.balance.active_sets import contact_intervals
 from fenics_crack.balance.contact_integrals import default_samples
-from fenics_crack.balance.fourier import balanced, instants, sampled
 from fenics_crack.kernel import doubles, kernel
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.coupled import ActiveSets, smooth_forces, unique_sets
+from fenics_crack.numerics.fourier import balanced, instants, sampled
 
 __all__ = ["CoupledForces", "CoupledIntegrals", "CoupledTangent"]
 

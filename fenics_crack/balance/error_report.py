@@ -29,7 +29,6 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.bordered import solve_in_plane
 from fenics_crack.balance.compliance import Compliance
 from fenics_crack.balance.condensed import (
     CondensedPoint,
@@ -46,7 +45,6 @@ from fenics_crack.balance.contact_integrals import (
 )
 from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
-from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.judgement import STILL, UNKNOWN, Judgement
 from fenics_crack.balance.more_modes import more_modes
 from fenics_crack.balance.problem import Problem
@@ -55,6 +53,8 @@ from fenics_crack.model.coupled import is_regular
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.bordered import solve_in_plane
+from fenics_crack.numerics.fourier import resized
 from fenics_crack.table import Described
 
 __all__ = [

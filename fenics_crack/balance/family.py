@@ -1,4 +1,4 @@
-"""Families of the condensed equations along one parameter, as :mod:`arclength` follows them.
+"""Families of the condensed equations along one parameter, as :mod:`path` follows them.
 
     F(g, v) = g - g_lin(v) + R(v) b(g, v) = 0,        v = v_start + p (v_end - v_start)
 
@@ -24,6 +24,7 @@ from fenics_crack.errors import InputError, check_number, check_omega
 from fenics_crack.model.contact import ContactLaw, is_rigid
 from fenics_crack.model.run_up import RunUpStructure
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.rounding import least_residual
 
 __all__ = ["FAMILIES", "Family", "FrequencyFamily"]
 
@@ -47,10 +48,14 @@ class Family(ABC):
         first = self.system(start)
         self.comm, self.shape, self.global_size = first.comm, first.shape, first.global_size
         self.matrix_free = first.matrix_free
-        self._counts: np.ndarray | None = None
+        self.counts: np.ndarray | None = None
+        """How much unknowns count where turns of a path are judged. Of equations with so many
+        harmonics that J is not formed harmonic k counts 1 / k^2: where the phase of the motion
+        turns, that of harmonic k turns k times as far, and a tangent's high harmonics are not
+        small."""
         if self.matrix_free:
             order = (np.arange(self.shape[0]) + 1) // 2
-            self._counts = 1.0 / np.maximum(order, 1)[:, None] ** 2.0
+            self.counts = 1.0 / np.maximum(order, 1)[:, None] ** 2.0
         self._last = None
 
     @classmethod
@@ -142,13 +147,18 @@ class Family(ABC):
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
         return float(np.vdot(first, second))
 
-    def turning(self, first: np.ndarray, second: np.ndarray) -> float:
-        """Inner product by which turns of a path are judged. Of equations with so many harmonics
-        that J is not formed harmonic k counts 1 / k^2: where the phase of the motion turns, that of
-        harmonic k turns k times as far, and a tangent's high harmonics are not small."""
-        if self._counts is not None:
-            first = self._counts * first
-        return float(np.vdot(first, second))
+    def rounding(self, parameter: float) -> float:
+        """What rounding leaves of |F| / |x| near a point of a curve.
+
+        The largest slope of R lambda counts: k R, or less where pairs are seen through a static
+        compliance.
+        """
+        if self.compiled is not None:
+            largest = self.compiled.largest_compliance(parameter)
+        else:
+            moving = self.system(self.value(parameter)).moving
+            largest = float(np.abs(moving).sum(axis=2).max())
+        return least_residual(4.0 * largest * self.steepest_force)
 
     def _with_modes(
         self,

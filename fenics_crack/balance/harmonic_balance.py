@@ -11,7 +11,6 @@ import numpy as np
 
 from fenics_crack.balance.compliance import load_coefficients
 from fenics_crack.balance.dynamic_stiffness import DynamicStiffness
-from fenics_crack.balance.fourier import from_complex, to_complex
 from fenics_crack.balance.memory import check_memory
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
@@ -21,6 +20,7 @@ from fenics_crack.errors import InputError, check_count, check_number, check_ome
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.fourier import from_complex, to_complex
 
 __all__ = ["check_initial", "solve_harmonic_balance", "solve_linear"]
 

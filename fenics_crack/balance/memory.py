@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from fenics_crack.balance.krylov import RESTART
 from fenics_crack.errors import InputError
 from fenics_crack.model.memory import machine_memory
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.krylov import RESTART
 
 __all__ = ["check_memory"]
 

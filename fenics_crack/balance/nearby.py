@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from itertools import chain, pairwise
+from dataclasses import replace
 
 import numpy as np
 
-from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import PathPoint, solve_in_plane, tangent_of
-from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.orbits import FlowOrbits, recurrences
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.flow import ContactFlow
 from fenics_crack.motion.orbit import PeriodicOrbit, Prediction, find_orbit, predict
+from fenics_crack.numerics.bordered import point_on_path, solve_in_plane
+from fenics_crack.numerics.fourier import evaluate
+from fenics_crack.numerics.path import Path, PathOptions, Target
 from fenics_crack.stages import begin
 
 __all__ = ["PARTS", "orbit_next_to", "predicted", "recurring", "wave_states"]
@@ -89,21 +89,18 @@ def orbit_next_to(
 def _back(found: PeriodicOrbit, omega: float) -> PeriodicOrbit | None:
     """The first orbit of a frequency on the path from another one; None where it is not met."""
     orbits = FlowOrbits(found.flow, found.omega, found.state, found.subharmonic)
-    start, end = orbits.start, omega / found.omega
-    tangent = tangent_of(orbits, start, orbits.linearise(start, 1.0))
-    stepping = Stepping(first=0.1 * abs(end - 1.0), most=BACK)
-    towards = tangent if end > 1.0 else tangent.reversed()
-    path = follow_path(orbits, start, 1.0, stepping, towards)
+    end = omega / found.omega
     try:
-        for before, after in pairwise(chain([PathPoint(start, 1.0, 0, tangent)], path)):
-            rise, left = after.parameter - before.parameter, end - before.parameter
-            if abs(left) <= abs(rise) and left * rise > 0.0:
-                between = before.unknown + left / rise * (after.unknown - before.unknown)
-                state = orbits.state(between)
-                return find_orbit(found.flow, omega, state, subharmonic=found.subharmonic)
+        start = point_on_path(orbits, orbits.start, 1.0)
+        if end < 1.0:
+            start = replace(start, tangent=start.tangent.reversed())
+        options = PathOptions(0.1 * abs(end - 1.0), max_steps=BACK)
+        met = Path(orbits, start, options, [Target(end)]).run()
     except (ConvergenceError, np.linalg.LinAlgError):
-        pass
-    return None
+        return None
+    if met is None:
+        return None
+    return find_orbit(found.flow, omega, orbits.state(met.unknown), subharmonic=found.subharmonic)
 
 
 def recurring(

@@ -22,28 +22,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fenics_crack.balance.bordered import solve_at
-from fenics_crack.balance.condensed import CondensedSystem
-from fenics_crack.balance.coupled import CoupledSystem
 from fenics_crack.balance.family import FrequencyFamily
-from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.rounding import (
-    check_stiffness,
-    least_residual,
-    stiffness_times_compliance,
-)
 from fenics_crack.balance.search import Search
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.balance.solver import Solver
 from fenics_crack.errors import MOST_HARMONICS, ConvergenceError
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import all_modes
+from fenics_crack.numerics.bordered import solve_at
+from fenics_crack.numerics.fourier import resized
 
 __all__ = ["Neighbours", "fewer_harmonics", "more_harmonics"]
 
 SHARP, ACCEPTED = 1e-11, 1e-10
-"""|F| / |x| to which coupled pairs are corrected, and at which the end of a path is accepted."""
+"""|F| / |x| to which solutions are corrected, and at which the end of a path is accepted."""
 ITERATIONS = 10
 """Of Newton's method from a prediction."""
 SMALL = 0.05
@@ -121,10 +114,9 @@ class Neighbours:
         """Solve from another frequency; None where that does not lead there."""
         family = self._family_of(problem, last)
         start, omega = _unknown(family.problem, last), problem.omega
-        near = family.parameter(last.omega)
-        sharp = _attainable(family.system(omega), problem)
+        near, end = family.parameter(last.omega), family.parameter(omega)
+        sharp = max(SHARP, family.rounding(end))
         at = (family.compiled or family).linearise(start, near)
-        end = family.parameter(omega)
         guess = start - (end - near) * at.solve(at.by_parameter)
         found = solve_at(family, guess, end, tolerance=sharp, iterations=ITERATIONS)
         if found is not None:
@@ -137,8 +129,6 @@ class Neighbours:
             if not search.converged:
                 return None
             iterations, status = search.iterations, search.status
-            found = solve_at(family, unknown, end, tolerance=sharp, iterations=ITERATIONS)
-            unknown = unknown if found is None else found.unknown
         solution = solution_of(problem, family.system(omega).linearise(unknown), status=status)
         return replace(solution, iterations=iterations)
 
@@ -175,11 +165,3 @@ def _unknown(problem: Problem, solution: PeriodicSolution) -> np.ndarray:
     if problem.residual is not None:
         found = found + solution.force_coefficients @ problem.residual
     return resized(found, problem.harmonics)
-
-
-def _attainable(system: CondensedSystem | CoupledSystem, problem: Problem) -> float:
-    """What rounding leaves of |F| / |x|; of coupled pairs :data:`SHARP`: their steps cost more."""
-    if isinstance(system, CoupledSystem):
-        return max(SHARP, least_residual(4.0 * system.steepness(problem.contact)))
-    check_stiffness(system.compliance, problem.contact)
-    return least_residual(4.0 * stiffness_times_compliance(system.compliance, problem.contact))

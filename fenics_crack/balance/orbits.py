@@ -16,13 +16,13 @@ from functools import cached_property
 
 import numpy as np
 
-from fenics_crack.balance.bordered import PathPoint
-from fenics_crack.balance.compiled import CompiledPaths
-from fenics_crack.balance.linearisation import DenseLinearisation
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import Struct, doubles, kernel, owned
 from fenics_crack.motion.flow import Budget, ContactFlow, Motion
 from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit, eigenvalues
+from fenics_crack.numerics.bordered import PathPoint
+from fenics_crack.numerics.equations import Equations
+from fenics_crack.numerics.linearisation import DenseLinearisation
 
 __all__ = ["FlowOrbits", "OrbitPoint", "recurrences"]
 
@@ -73,7 +73,7 @@ def recurrences(passed: Sequence[np.ndarray] | np.ndarray, count: int) -> list[i
     return [-1, *map(int, np.argsort(apart, kind="stable")[:count])]
 
 
-class FlowOrbits(CompiledPaths):
+class FlowOrbits(Equations):
     """F(x, p) of the exact flow, in the kernel, x = w z / |w z_0| with the modes' frequencies w
     before displacements: by the energy. dF/dx = M - I and dF/dp are exact (``kernel/shooting.h``).
 
@@ -113,7 +113,7 @@ class FlowOrbits(CompiledPaths):
             scale=self.scale, pieces=self.budget.pieces, intervals=self.budget.intervals,
         )  # fmt: skip
         self._point = owned(kernel.new_shooting_point(given.at), kernel.free_shooting_point)
-        self._equations = kernel.equations_of_shooting(self._point)
+        self.table = kernel.equations_of_shooting(self._point)
 
     @property
     def compiled(self) -> FlowOrbits:
@@ -129,7 +129,7 @@ class FlowOrbits(CompiledPaths):
             The motion takes more than the budget allows, or is not finite.
         """
         self._evaluate(unknown, parameter)
-        return self._found(unknown, parameter)
+        return self.found(unknown, parameter)
 
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
         """Inner product."""
@@ -191,20 +191,17 @@ class FlowOrbits(CompiledPaths):
 
     def _evaluate(self, unknown: np.ndarray, parameter: float) -> None:
         assert unknown.shape == self.shape
-        self._last = None
         given = doubles(np.ascontiguousarray(unknown, dtype=float))
-        outcome = self._equations.evaluate(self._equations, given, parameter)
-        self._check(outcome)
-        if outcome != kernel.FOUND:
+        if not self.check(self.run(self.table.evaluate, given, parameter)):
             raise ConvergenceError("orbits: the motion over a period cannot be followed")
 
     def _residual(self) -> np.ndarray:
         """F where it was evaluated last."""
         residual = np.empty(self.shape)
-        self._equations.residual(self._equations, doubles(residual))
+        self.table.residual(self.table, doubles(residual))
         return residual
 
-    def _found(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
+    def found(self, unknown: np.ndarray, parameter: float) -> OrbitPoint:
         residual = self._residual()
         events = int(kernel.switches_of(self._point))
 
@@ -222,14 +219,10 @@ class FlowOrbits(CompiledPaths):
         def by_parameter() -> np.ndarray:
             slope = np.empty(self.shape)
             return_there()
-            self._equations.by_parameter(self._equations, doubles(slope))
+            self.table.by_parameter(self.table, doubles(slope))
             return slope
 
         found = OrbitPoint(unknown, residual, monodromy, by_parameter, events)
         known = weakref.ref(found)
         self._last = found
         return found
-
-    def _check(self, outcome: int) -> None:
-        if outcome == kernel.NO_MEMORY:
-            raise MemoryError("orbits")

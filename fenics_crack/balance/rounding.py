@@ -1,7 +1,7 @@
-"""What rounding leaves of a residual.
+"""What rounding leaves of the contact force.
 
 A gap rounded to eps |g| makes a contact force rounded to eps k |g|, which moves the gap by
-eps k R |g|: no residual can be smaller than that.
+eps k R |g|: no residual can be smaller than that (:mod:`fenics_crack.numerics.rounding`).
 """
 
 from __future__ import annotations
@@ -11,12 +11,10 @@ import numpy as np
 from fenics_crack.balance.compliance import Compliance
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
+from fenics_crack.numerics.rounding import EPSILON, MAX_ROUNDING
 
-__all__ = ["ROUNDING", "SOFT", "check_stiffness", "least_residual", "stiffness_times_compliance"]
+__all__ = ["SOFT", "check_stiffness", "stiffness_times_compliance"]
 
-EPSILON, ROUNDING = float(np.finfo(float).eps), 1e-13
-MAX_ROUNDING = 1e-5
-"""eps k R_0, of the static compliance, beyond which a stiffness is refused."""
 SOFT = 0.05
 """k R up to which contact is so soft that the solution is unique and close to the linear one."""
 
@@ -25,11 +23,6 @@ def stiffness_times_compliance(compliance: Compliance, law: ContactLaw) -> float
     """Largest k R over the harmonics."""
     largest = np.abs(compliance.matrices).sum(axis=2).max()
     return float(largest * np.max(law.stiffness))
-
-
-def least_residual(product: float) -> float:
-    """What rounding leaves of |F| / |x| where the largest k R is a ``product``."""
-    return max(ROUNDING, min(MAX_ROUNDING, EPSILON * product))
 
 
 def check_stiffness(compliance: Compliance, law: ContactLaw) -> None:

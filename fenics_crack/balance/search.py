@@ -8,7 +8,7 @@ fewer      instead of the linear one, with many unknowns or pairs that are seen 
            with half of those, and so on
 marched    a motion after 40, 160 and 520 periods of exponential steps in time: with it pairs begin
            that are seen through a static compliance, where their law is piecewise linear
-path       where a path of solutions passes the problem, followed by arc-length through its folds,
+path       where a path of solutions has the problem, followed by arc-length through its folds,
            from where the solution is unique and close to the linear one: in the contact stiffness,
            in the softness in series with pairs that are seen through a static compliance, or from a
            penalty to the constraint (:class:`ConstraintSystem`)
@@ -27,27 +27,22 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import solve_in_plane
 from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, ConstraintSystem
 from fenics_crack.balance.contact_integrals import ExactIntegrals
 from fenics_crack.balance.coupled import CoupledSystem
 from fenics_crack.balance.family import FrequencyFamily
-from fenics_crack.balance.fourier import balanced, resized
-from fenics_crack.balance.linearisation import Linearisation
-from fenics_crack.balance.newton import DistributedSystem, KernelNewton, Newton
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.rounding import (
-    ROUNDING,
-    SOFT,
-    check_stiffness,
-    least_residual,
-    stiffness_times_compliance,
-)
+from fenics_crack.balance.rounding import SOFT, check_stiffness, stiffness_times_compliance
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear, is_rigid
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.model.modal import all_modes
+from fenics_crack.numerics.bordered import point_on_path, solve_in_plane
+from fenics_crack.numerics.fourier import balanced, resized
+from fenics_crack.numerics.linearisation import Linearisation
+from fenics_crack.numerics.newton import DistributedSystem, KernelNewton, Newton
+from fenics_crack.numerics.path import Ended, Path, PathOptions, Target
+from fenics_crack.numerics.rounding import ROUNDING, least_residual
 from fenics_crack.stages import begin
 
 __all__ = ["Search"]
@@ -68,7 +63,7 @@ and modes that move in them."""
 FAR = 5.0
 """Distance of the parameter from its end value at which a path is abandoned; a path that begins
 farther away may go as far as its start."""
-WIDE, NARROW = Stepping(first=1.0, longest=2.0), Stepping(first=0.1, longest=0.3)
+WIDE, NARROW = PathOptions(1.0, max_step=2.0), PathOptions(0.1, max_step=0.3)
 """For paths in ln k, and for paths whose parameter runs from 0 to 1."""
 
 Start = tuple[str, Iterator[np.ndarray]]
@@ -269,26 +264,25 @@ class Search:
         system: DistributedSystem,
         start: np.ndarray,
         span: tuple[float, float],
-        stepping: Stepping,
+        options: PathOptions,
     ) -> Iterator[np.ndarray]:
-        """Where the path from near a start passes its end."""
+        """Where the path from near a start has its end."""
         first, end = span
         begun, arrived, count = KernelNewton(system).solve(start, first, self.tolerance, STEPS)
         self.iterations += count
         if not arrived:
             return
-        before, parameter = begun.unknown, first
-        stepping = replace(stepping, rounding=self._rounding, span=span, most=int(self._most))
-        for point in follow_path(system, before, first, stepping):
+        far = max(FAR, end - first)
+        options = replace(
+            options, rounding=self._rounding, max_steps=int(self._most), span=(end - far, end + far)
+        )
+        path = Path(system, point_on_path(system, begun.unknown, first), options, [Target(end)])
+        for point in path.points():
             self.iterations += point.iterations
-            if max(parameter, point.parameter) >= end:
-                share = (end - parameter) / (point.parameter - parameter)
-                yield before + share * (point.unknown - before)
-                yield before
-                yield point.unknown
-            if self._spent or abs(point.parameter - end) > max(FAR, end - first):
+            if self._spent:
                 return
-            before, parameter = point.unknown, point.parameter
+        if path.ended is Ended.MET:
+            yield path.last.unknown
 
     def _penalised(self, system: ConstraintSystem, factor: float) -> Iterator[np.ndarray]:
         """The unknowns that stand for the contact force of a penalty, relative to the weight."""

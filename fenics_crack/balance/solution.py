@@ -11,11 +11,11 @@ import numpy as np
 
 from fenics_crack.balance.condensed import CondensedPoint
 from fenics_crack.balance.error_report import ErrorReport, estimate_errors
-from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
 from fenics_crack.balance.judgement import Judgement
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.wave import Wave
+from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.table import Described, counted, quantity, with_frequency
 
 __all__ = ["PeriodicSolution", "Stability", "solution_of"]

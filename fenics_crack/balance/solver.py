@@ -18,14 +18,14 @@ from fenics_crack.balance.condensed import (
 )
 from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
 from fenics_crack.balance.family import Family
-from fenics_crack.balance.fourier import resized, stretched
-from fenics_crack.balance.linearisation import Linearisation
-from fenics_crack.balance.newton import KernelNewton
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.search import Search
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import is_rigid
+from fenics_crack.numerics.fourier import resized, stretched
+from fenics_crack.numerics.linearisation import Linearisation
+from fenics_crack.numerics.newton import KernelNewton
 
 __all__ = ["Solver"]
 

@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
-from fenics_crack.balance.fourier import evaluate
 from fenics_crack.model.contact import ContactLaw, force_in_time
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.fourier import evaluate
 
 __all__ = ["Wave"]
 

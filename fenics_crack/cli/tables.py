@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fenics_crack.balance.fourier import balanced
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, parameter_axis
 from fenics_crack.model.bilinear import BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.run_up import RunUpStructure
+from fenics_crack.numerics.fourier import balanced
 from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, QUANTITIES
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.run import Run

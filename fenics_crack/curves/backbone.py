@@ -48,13 +48,12 @@ from typing import Any, ClassVar, TypedDict, Unpack
 import numpy as np
 from tqdm import tqdm
 
-from fenics_crack.balance.bordered import PathPoint
 from fenics_crack.balance.contact_integrals import contact_integrals
 from fenics_crack.balance.error_report import CALM, UNKNOWN, ErrorReport, mean_square
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.first_motion import ELSEWHERE, first_motion
-from fenics_crack.curves.free_motion import EnergyMotion, Equilibrium, cosine_rows
-from fenics_crack.curves.motion_path import follow_motions, land_motion
+from fenics_crack.curves.free_motion import EnergyMotion, Equilibrium, MotionPoint, cosine_rows
+from fenics_crack.curves.motion_path import MotionPath
 from fenics_crack.errors import (
     ConvergenceError,
     InputError,
@@ -66,15 +65,27 @@ from fenics_crack.model.contact import ContactLaw, check_law
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.bordered import PathPoint, solve_at
+from fenics_crack.numerics.path import Ended
 from fenics_crack.table import Tabular, counted, with_frequency
 
 __all__ = ["Backbone", "BackboneOptions", "follow_backbone"]
 
+BEHIND = 0.02
+"""How far ln E may fall behind its start."""
+ENDS = {
+    Ended.MET: "reached the end",
+    Ended.LOST: "no motion at the very end",
+    Ended.LEFT: "the backbone turned back past its start",
+    Ended.MANY: "{most} points were not enough",
+    Ended.SHORT: Ended.SHORT.value,
+}
+"""What is said of a path that has ended."""
 FAR, PAST = 60, 1.25
 """Harmonics with which the truncation is judged at least, and relative to the highest mode's."""
-MANY, MOST = 1200, 8
+MANY, MOST = 1200, 10
 """Of the estimate of an error: unknowns to which harmonics may reach past the highest mode, and
-steps after the first two."""
+steps."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -177,11 +188,18 @@ class Backbone(Tabular):
         z[:kept] = modal * rest.frequencies / math.sqrt(2.0 * energy)
         known = motion.linearise(start, math.log(energy)).residual.copy()
         known[:-1].reshape(z.shape)[kept:] = 0.0
-        change = _improvement(motion, start, math.log(energy), known)
+        added = _Added(motion, known)
+        left = added.linearise(start, math.log(energy)).residual
+        sharp = CALM * float(np.linalg.norm(left) / np.linalg.norm(start))
+        found = solve_at(
+            added, start, math.log(energy),
+            tolerance=max(sharp, motion.rounding(math.log(energy))), iterations=MOST,
+        )  # fmt: skip
         wave = np.zeros((2 * harmonics + 1, self.structure.n_pairs))
         wave[motion.rows] = z @ motion.gap_rows
         size, truncation = mean_square(wave), UNKNOWN
-        if change is not None:
+        if found is not None:
+            change = found.unknown - start
             wave[motion.rows] = change[:-1].reshape(z.shape) @ motion.gap_rows
             moved = math.sqrt(mean_square(wave) / size) if size > 0.0 else 0.0
             truncation = min(moved, UNKNOWN)
@@ -358,40 +376,28 @@ class _Growing:
         form = "{l_bar}{bar}"
         bar = tqdm(total=100.0, desc="backbone", unit="%", disable=not shown, bar_format=form)
         start, most = self.found[0].parameter, options["most_points"]
-        pass_over = not options["internal_resonances"]
-        path = follow_motions(self.family, self.found[0], options["longest_step"], most, pass_over)
+        path = MotionPath(
+            self.family, self.found[0], self.end, lowest=start - BEHIND,
+            max_step=options["longest_step"], max_steps=most,
+            pass_over=not options["internal_resonances"],
+        )  # fmt: skip
         try:
             for point in path:
-                if self._ends(point):
-                    break
+                self.found.append(replace(point, at=None))
                 share = (point.parameter - start) / (self.end - start)
                 bar.update(max(0.0, 100.0 * share - bar.n))
-            else:
-                if len(self.found) > most:
-                    self.status = f"{most} points were not enough"
+            assert path.ended is not None
+            self.status = ENDS[path.ended].format(most=most)
+            if path.ended is Ended.MET:
+                family = self.family
+                self.complete = family.fundamental(path.last.unknown) > family.least_fundamental
+                self.status = self.status if self.complete else ELSEWHERE
         except KeyboardInterrupt:
             self.interrupted, self.status = True, "interrupted"
         except ConvergenceError as error:
             self.status = str(error)
         finally:
             bar.close()
-
-    def _ends(self, point: PathPoint) -> bool:
-        """Take a point; whether it was the last."""
-        family = self.family
-        if point.parameter >= self.end:
-            landed = land_motion(family, self.found[-1], point, self.end)
-            self.status = "no motion at the very end"
-            if landed is not None:
-                self.found.append(landed)
-                self.complete = family.fundamental(landed.unknown) > family.least_fundamental
-                self.status = "reached the end" if self.complete else ELSEWHERE
-            return True
-        self.found.append(replace(point, at=None))
-        if point.parameter < self.found[0].parameter - 0.02:
-            self.status = "the backbone turned back past its start"
-            return True
-        return False
 
     def backbone(self, structure: Structure, mode: int, samples: int | None) -> Backbone:
         """The points so far as displacements."""
@@ -417,26 +423,15 @@ class _Growing:
         )
 
 
-def _improvement(
-    motion: EnergyMotion, start: np.ndarray, parameter: float, known: np.ndarray
-) -> np.ndarray | None:
-    """How far Newton's method goes until its steps are small against that, at least two of them, by
-    the residual without what is ``known`` at the start; None where they do not get there.
+class _Added:
+    """The equations of a motion with more harmonics, less what they leave of those that it has."""
 
-    The second step takes the first Jacobian; where it is not short, Newton's own steps follow.
-    """
-    at = motion.linearise(start, parameter)
-    step = at.solve(known - at.residual)
-    unknown = start + step
-    again = at.solve(known - motion.linearise(unknown, parameter).residual)
-    if np.linalg.norm(again) <= CALM * np.linalg.norm(step):
-        return np.asarray(step + again)
-    for _ in range(MOST):
-        at = motion.linearise(unknown, parameter)
-        step = at.solve(known - at.residual)
-        if not np.all(np.isfinite(step)):
-            break
-        unknown = unknown + step
-        if np.linalg.norm(step) < CALM * np.linalg.norm(unknown - start):
-            return unknown - start
-    return None
+    def __init__(self, motion: EnergyMotion, known: np.ndarray) -> None:
+        self._motion, self._known = motion, known
+        self.inner = motion.inner
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> MotionPoint:
+        """At a point."""
+        at = self._motion.linearise(unknown, parameter)
+        at.residual = at.residual - self._known
+        return at

@@ -1,12 +1,9 @@
-"""Special points of a curve: what they are, where they lie, and the branch that begins there.
+"""Where another branch begins at a special point of a curve.
 
-Between two points of a curve lies
-
-- a fold, where the parameter turns back: t_p changes its sign;
-- a branch point, where another branch crosses: :mod:`arclength` tells it by the sign of det J, so
-  only where J is formed (:data:`fenics_crack.balance.coupled.MATRIX_FREE`).
-
-Where multipliers leave the unit circle is asked when the curve is judged (:func:`judge_curve`).
+Folds and branch points are found as the curve is followed (:mod:`fenics_crack.numerics.path`); the
+latter by the sign of det J, so only where J is formed
+(:data:`fenics_crack.balance.coupled.MATRIX_FREE`). Where multipliers leave the unit circle is asked
+when the curve is judged (:func:`judge_curve`).
 
 Sources: Keller, in Applications of Bifurcation Theory, 1977; Seydel, Practical Bifurcation and
 Stability Analysis, chapters 4, 5 and 7.
@@ -21,62 +18,14 @@ from dataclasses import replace
 import numpy as np
 import scipy.linalg
 
-from fenics_crack.balance.bordered import (
-    PathPoint,
-    Tangent,
-    correct,
-    distance,
-    find_between,
-    locate,
-    tangent_of,
-)
 from fenics_crack.balance.family import Family
-from fenics_crack.balance.fourier import stretched
-from fenics_crack.balance.linearisation import System
-from fenics_crack.balance.rounding import least_residual
 from fenics_crack.curves.curve import Bifurcation
 from fenics_crack.errors import ConvergenceError
+from fenics_crack.numerics.bordered import PathPoint, Tangent, correct, distance, tangent_of
+from fenics_crack.numerics.fourier import stretched
+from fenics_crack.numerics.linearisation import System
 
-__all__ = [
-    "Special",
-    "attainable",
-    "first_aside",
-    "first_of_branch",
-    "odd_rows",
-    "turns_or_branches",
-]
-
-Special = list[tuple[str, PathPoint]]
-
-
-def attainable(family: Family, parameter: float, tolerance: float) -> float:
-    """A tolerance of |F| / |x|, or what rounding leaves of it near a point of a curve.
-
-    The largest slope of R lambda counts: k R, or less where pairs are seen through a static
-    compliance.
-    """
-    if family.compiled is not None:
-        largest = family.compiled.largest_compliance(parameter)
-    else:
-        moving = family.system(family.value(parameter)).moving
-        largest = float(np.abs(moving).sum(axis=2).max())
-    return max(tolerance, least_residual(4.0 * largest * family.steepest_force))
-
-
-def turns_or_branches(family: Family, before: PathPoint, after: PathPoint) -> Special:
-    """Folds between two points, and branch points where the sign of det J is known."""
-    found = []
-    if after.crosses_branch:
-        found.append(("branch_point", after))
-    if after.tangent.p * before.tangent.p < 0.0:
-        sharp = attainable(family, after.parameter, 1e-11)
-        fold = find_between(family, (before, after), None, sharp)
-        fold = fold or locate(family, before, after, lambda at: at.tangent.p, sharp)
-        found.append(("fold", fold))
-    return found
-
-
-# --- branches -------------------------------------------------------------------------------------
+__all__ = ["first_aside", "first_of_branch", "odd_rows"]
 
 
 def odd_rows(family: Family) -> np.ndarray:
@@ -107,7 +56,7 @@ def first_of_branch(
     parameter = family.parameter(bifurcation.value)
     away = _across(family, unknown, parameter, doubled=factor > 1)
     start = PathPoint(unknown, parameter, 0, away)
-    sharp = attainable(family, parameter, 1e-9)
+    sharp = max(1e-9, family.rounding(parameter))
 
     def near(found: PathPoint, step: float) -> bool:
         return distance(family, start, found) < 3.0 * step

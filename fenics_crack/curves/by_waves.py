@@ -5,7 +5,7 @@ Each point of the curve is judged as a single solution is (:func:`floquet`). Bet
 - a period doubling where another number of multipliers lies beyond -1: det(I + M) changes its sign;
 - a Neimark-Sacker point where the leading pair leaves the unit circle otherwise.
 
-It is located on the path between them (:func:`locate`).
+It is located on the path between them (:class:`fenics_crack.numerics.path.Crossing`).
 
 Source: Seydel, Practical Bifurcation and Stability Analysis, chapters 4 and 7.
 """
@@ -16,13 +16,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from fenics_crack.balance.bordered import PathPoint, locate
 from fenics_crack.balance.family import Family
-from fenics_crack.balance.fourier import resized
-from fenics_crack.curves.bifurcations import attainable
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
-from fenics_crack.curves.resume import chord, point_towards
+from fenics_crack.curves.resume import chord
 from fenics_crack.motion.orbit import doubling_test, eigenvalues
+from fenics_crack.numerics.bordered import PathPoint, point_on_path
+from fenics_crack.numerics.fourier import resized
+from fenics_crack.numerics.path import Crossing
 from fenics_crack.stability.floquet import Stability, floquet
 from fenics_crack.stability.linear_flow import monodromy
 from fenics_crack.stages import begin
@@ -75,8 +75,10 @@ def _located(curve: ResponseCurve, place: int, kind: str) -> tuple[float, np.nda
     count = int(max(curve.harmonics[place : place + 2]))
     family = curve.equations(count)
     way = chord(family, curve, place, place + 1)
-    before, after = (
-        point_towards(family, resized(curve.unknown(one), count), float(curve.values[one]), way)
+    first, last = (
+        point_on_path(
+            family, resized(curve.unknown(one), count), family.parameter(curve.values[one]), way
+        )
         for one in (place, place + 1)
     )
 
@@ -86,7 +88,8 @@ def _located(curve: ResponseCurve, place: int, kind: str) -> tuple[float, np.nda
             return doubling_test(matrix)
         return float(np.abs(eigenvalues(matrix)[0])) - 1.0
 
-    found = locate(family, before, after, test, attainable(family, after.parameter, 1e-11))
+    found = Crossing(test).locate(family, (first, last), family.rounding(last.parameter))
+    assert found is not None
     return family.value(found.parameter), found.unknown
 
 

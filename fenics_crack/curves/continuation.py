@@ -1,6 +1,6 @@
 """Response curves: solutions followed over a parameter, through resonances, folds and branches.
 
-Pseudo-arc-length continuation (:mod:`arclength`) of the condensed equations (:mod:`family`). Only
+Pseudo-arc-length continuation (:mod:`path`) of the condensed equations (:mod:`family`). Only
 the small or reduced structure is touched at a point, in closed form: a curve costs the same on any
 mesh. Along it folds are located by root finding, branch points by steps that shrink towards them
 (:mod:`bifurcations`). Verdicts come after it (:mod:`exact`).
@@ -9,51 +9,53 @@ mesh. Along it folds are located by root finding, branch points by steps that sh
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from fenics_crack.balance.arclength import Stepping, follow_stretches
-from fenics_crack.balance.bordered import (
-    MIN_DAMPING,
-    PathPoint,
-    Tangent,
-    distance,
-    find_between,
-    land,
-    solve_at,
-    solve_in_plane,
-    step_along,
-)
-from fenics_crack.balance.compiled import Stretch
 from fenics_crack.balance.family import FAMILIES, Family
-from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.harmonic_balance import check_initial
 from fenics_crack.balance.memory import check_memory
 from fenics_crack.balance.neighbours import fewer_harmonics, more_harmonics
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.balance.solver import Solver
-from fenics_crack.curves.bifurcations import (
-    Special,
-    attainable,
-    first_of_branch,
-    odd_rows,
-    turns_or_branches,
-)
+from fenics_crack.curves.bifurcations import first_of_branch, odd_rows
 from fenics_crack.curves.by_waves import FOLLOWED
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.doubled import DoubledStart
 from fenics_crack.curves.exact import verified
 from fenics_crack.curves.points import CurvePoint, Points
-from fenics_crack.curves.resume import check_resumed, directions, point_towards
+from fenics_crack.curves.resume import check_resumed, directions
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import exact_flow
+from fenics_crack.numerics.bordered import (
+    MIN_DAMPING,
+    PathPoint,
+    Tangent,
+    distance,
+    point_on_path,
+    solve_in_plane,
+)
+from fenics_crack.numerics.fourier import resized
+from fenics_crack.numerics.linearisation import System
+from fenics_crack.numerics.path import (
+    BranchPoint,
+    Closed,
+    Ended,
+    Ends,
+    Event,
+    Fold,
+    Path,
+    PathOptions,
+    Stretch,
+    Target,
+)
 
 __all__ = ["LONGEST", "Continuation"]
 
@@ -61,14 +63,8 @@ LONGEST = 0.05
 """Longest step, unless another one is asked for."""
 SHORTEST = 0.1
 """Of steps, relative to what rounding leaves of the residual: shorter ones resolve nothing."""
-LANDING = 1e-4
-"""Distance along the path from which the solution at the end is solved for."""
-LANDINGS = 4
-"""How often the end is sought again by shorter steps."""
-CHUNK = 64
-"""Points that the kernel follows in one call."""
-NEAR_ORIGIN = 0.9
-"""Cosine of the angle between a step and the way to the first point above which both may meet."""
+RTOL, STRAIGHT = 1e-9, 0.85
+"""|F| / |x| of points, and the cosine of the angle between neighbouring tangents."""
 EVERY = 4
 """Points between two looks at the truncation."""
 
@@ -175,7 +171,6 @@ class Continuation:
         self._branch = False
         self._towards: Tangent | None = None
         self._origin: PathPoint | None = None
-        self._landings = 0
         self.complete, self.returned, self.status = False, False, "not begun"
 
         def family_of(problem: Problem) -> Family:
@@ -190,11 +185,11 @@ class Continuation:
                 begun, self._towards = first_of_branch(self._family, initial, longest_step)
             else:
                 begun, self._towards = initial.point, initial.towards
-            self._points.append(self._point(begun))
+            self._begin(begun.unknown, self._family.value(begun.parameter), begun.iterations)
         else:
             found = _first_solution(problem, family_of, initial, tolerance)
             self._family, unknown, iterations = found
-            self._points.append(self._known(unknown, self._family.value(0.0), iterations))
+            self._begin(unknown, self._family.value(0.0), iterations)
 
     @property
     def curve(self) -> ResponseCurve:
@@ -232,16 +227,15 @@ class Continuation:
 
     def __iter__(self) -> Iterator[CurvePoint]:
         """Yield the first point, or the last one of a resumed curve, and all that follow."""
-        last = self._points.last
+        last, family = self._points.last, self._family
         yield last
         if self.complete:
             return
-        here = point_towards(self._family, last.unknown, last.value, self._towards)
-        self._origin = self._origin or here
-        self.status = "the steps became too short"
-        step: float | None = 0.2 * self._longest
-        while step is not None and not self.complete:
-            here, step = yield from self._follow(here, step)
+        here = point_on_path(family, last.unknown, family.parameter(last.value), self._towards)
+        self._origin, self.status = self._origin or here, "under way"
+        way: tuple[PathPoint, float] | None = (here, 0.2 * self._longest)
+        while way is not None:
+            way = yield from self._follow(*way)
 
     def run(self) -> None:
         """Follow to the end: as iterating over all points does, but faster, since those between
@@ -255,111 +249,71 @@ class Continuation:
 
     def _follow(
         self, here: PathPoint, step: float
-    ) -> Generator[CurvePoint, None, tuple[PathPoint, float | None]]:
+    ) -> Generator[CurvePoint, None, tuple[PathPoint, float] | None]:
         """Follow the path with one number of harmonics; return where and how to go on, or None."""
-        family = self._family
-        rounding = attainable(family, here.parameter, 0.0)
-        stepping = Stepping(
-            first=step,
-            longest=self._longest,
-            shortest=max(1e-10, SHORTEST * rounding),
-            most=self._most,
-            tolerance=max(1e-9, rounding),
-            least_cosine=0.85,
-            rounding=rounding,
-            chunk=CHUNK if self._tolerance is None else EVERY,
-        )
-        path = follow_stretches(family, here.unknown, here.parameter, stepping, here.tangent)
-        for before, point in self._neighbours(here, path):
-            special = turns_or_branches(family, before, point)
-            ended, end = self._ended(before, point)
-            if ended and end is None:
-                return before, self._shorter(point)
-            point = end or point
-            found = self._point(point)
-            if special:
-                found = self._with_special(found, special)
-            if self._tolerance is not None and len(self._points) % EVERY == 0:
-                found = replace(found, truncation=self._truncation(point))
-            self._points.append(found)
-            self._towards = point.tangent
-            yield found
-            if ended:
-                return here, None
-            if len(self._points) > self._most:
-                self.status = f"{self._most} points were not enough"
-                return here, None
-            if (again := self._with_other_harmonics(point, found.truncation)) is not None:
-                self._towards = again.tangent
-                return again, max(0.1 * point.length, 1e-3 * self._longest)
-        return here, None
-
-    def _neighbours(
-        self, here: PathPoint, path: Iterable[Sequence[PathPoint]]
-    ) -> Iterator[tuple[PathPoint, PathPoint]]:
-        """Neighbours on a path behind a point. Where the curve grows at once, only those between
-        which something may happen; other points are recorded."""
-        before = here
+        path, asked = self._path(here, step), self._tolerance is not None
         for stretch in path:
-            begin = 0
-            for place in self._notable(before, stretch):
-                if begin < place:
-                    before = self._record(stretch[begin:place])
-                point = stretch[place]
-                yield before, point
-                before, begin = point, place + 1
-            if begin < len(stretch):
-                before = self._record(stretch[begin:])
+            for part in [stretch] if self._at_once and not asked else stretch.singly():
+                point, at = self._record(part), part[-1]
+                if asked and len(self._points) % EVERY == 0:
+                    point = self._with_truncation(point, at)
+                yield point
+                if (again := self._with_other_harmonics(at, point.truncation)) is not None:
+                    self._towards = again.tangent
+                    return again, max(0.1 * at.length, 1e-3 * self._longest)
+        assert path.ended is not None
+        self.complete, self.status = path.event is not None, path.status
+        self.returned = path.ended is Ended.LEFT or isinstance(path.event, Closed)
+        if path.ended is Ended.LEFT:
+            self.status = "the curve turned back past its start"
+        if path.ended is Ended.MANY:
+            self.status = f"{self._most} points were not enough"
+        return None
 
-    def _notable(self, before: PathPoint, stretch: Sequence[PathPoint]) -> Sequence[int]:
-        """Places of the points up to which the curve may fold, meet another one, close or end; all
-        places where it does not grow at once, or where more is asked at every point."""
-        asked = self._tolerance is not None or self._branch
-        enough = len(self._points) + len(stretch) > self._most
-        if not self._at_once or asked or enough or not isinstance(stretch, Stretch):
-            return range(len(stretch))
-        parameters = np.append(before.parameter, stretch.parameters)
-        slopes = np.append(before.tangent.p, stretch.slopes)
-        found = (slopes[1:] * slopes[:-1] < 0.0) | (stretch.crossings > 0)
-        found |= (parameters[1:] >= 1.0) | (parameters[1:] < -self._back)
-        if self._origin is not None:
-            near = np.abs(parameters[:-1] - self._origin.parameter) <= stretch.lengths / NEAR_ORIGIN
-            near[1:] &= stretch.ways_to(self._origin)[:-1] > 0.0  # not while it leaves
-            found |= near
-        places: list[int] = np.flatnonzero(found).tolist()
-        return places
+    def _path(self, here: PathPoint, step: float) -> Path:
+        """The path behind a point, to where the curve ends."""
+        events: list[Event] = [Fold(), BranchPoint(), Target(1.0)]
+        if self._branch:
+            events.append(Target(0.0))
+            if np.any(odd := odd_rows(self._family)):
+                events.append(_Joined(odd))
+        if self._origin is not None and self._origin.unknown.shape == here.unknown.shape:
+            events.append(Closed(self._origin))
+        shortest = SHORTEST * self._family.rounding(here.parameter)
+        options = PathOptions(
+            initial_step=step,
+            max_step=self._longest,
+            min_step=max(1e-10, shortest),
+            max_steps=self._most + 1 - len(self._points),
+            rtol=RTOL,
+            min_cosine=STRAIGHT,
+            at_once=EVERY if self._tolerance is not None else PathOptions.at_once,
+            span=(-self._back, np.inf),
+        )
+        return Path(self._family, here, options, events)
 
-    def _record(self, points: Sequence[PathPoint]) -> PathPoint:
-        """Take up points between which nothing happens, and return the last one."""
-        assert isinstance(points, Stretch)
-        values = [self._family.value(place) for place in points.parameters.tolist()]
-        omega = map(self._omega, values)
+    def _record(self, points: Stretch) -> CurvePoint:
+        """Take up points, and what lies before the last of them; return that one."""
+        value = self._family.value
+        values = [value(place) for place in points.parameters.tolist()]
+        omega = map(self._family.omega, values)
         self._points.extend(values, omega, points.unknowns, points.iterations.tolist())
-        last = points[-1]
-        self._towards = last.tangent
-        return last
+        special = [
+            (event.kind, value(at.parameter), at.unknown) for event, at in points.met if event.kind
+        ]
+        self._special += special
+        self._towards = points[-1].tangent
+        met = tuple((kind, place) for kind, place, _ in special)
+        return replace(self._points.last, bifurcations=met)
 
-    def _with_special(self, point: CurvePoint, special: Special) -> CurvePoint:
-        """A point, with what lies between it and the one before recorded."""
-        found = [(kind, self._family.value(at.parameter), at.unknown) for kind, at in special]
-        self._special += found
-        return replace(point, bifurcations=tuple((kind, value) for kind, value, _ in found))
+    # --- other harmonics --------------------------------------------------------------------------
 
-    # --- one point --------------------------------------------------------------------------------
-
-    def _point(self, point: PathPoint) -> CurvePoint:
-        return self._known(point.unknown, self._family.value(point.parameter), point.iterations)
-
-    def _known(self, unknown: np.ndarray, value: float, iterations: int) -> CurvePoint:
-        return CurvePoint(value, self._omega(value), unknown, iterations)
-
-    def _omega(self, value: float) -> float:
-        return self._family.omega(value)
-
-    def _truncation(self, point: PathPoint) -> float:
+    def _with_truncation(self, found: CurvePoint, point: PathPoint) -> CurvePoint:
+        """The last point with the estimated error of the harmonics left out."""
         at = self._family.linearise(point.unknown, point.parameter)
-        problem = self._family.at(self._family.value(point.parameter))
-        return solution_of(problem, at, status="", search=False).report.truncation
+        solution = solution_of(self._family.at(found.value), at, status="", search=False)
+        self._points.truncation[-1] = truncation = solution.report.truncation
+        return replace(found, truncation=truncation)
 
     def _with_other_harmonics(self, point: PathPoint, truncation: float) -> PathPoint | None:
         """The point with H raised or lowered by the truncation's estimate, by less where that has
@@ -385,7 +339,7 @@ class Continuation:
         count = family.problem.harmonics
         tangent = replace(point.tangent, x=resized(point.tangent.x, count))
         start = replace(point, unknown=resized(point.unknown, count), tangent=tangent)
-        sharp = attainable(family, point.parameter, 1e-9)
+        sharp = max(RTOL, family.rounding(point.parameter))
         for damping in (None, MIN_DAMPING):
             found = solve_in_plane(
                 family, start.unknown, start.parameter, tangent,
@@ -395,82 +349,18 @@ class Continuation:
                 return found
         return None
 
-    # --- where it ends ----------------------------------------------------------------------------
-
-    def _ended(self, before: PathPoint, point: PathPoint) -> tuple[bool, PathPoint | None]:
-        """Whether the curve ends here, and its last point if that is not the one before."""
-        parameter = point.parameter
-        end = 1.0 if parameter >= 1.0 else 0.0 if self._branch and parameter <= 0.0 else None
-        if end is not None:
-            landed = self._land(before, point, end)
-            self.complete = landed is not None
-            self.status = "reached the end" if self.complete else "no solution at the very end"
-            return True, landed
-        if parameter < -self._back:
-            self.returned, self.status = True, "the curve turned back past its start"
-            return True, None
-        if self._closes(before, point):
-            self.complete, self.returned, self.status = True, True, "closed loop"
-            return True, self._origin
-        if self._joins(before, point):
-            self.complete, self.status = True, "joined the branch that it left"
-            return True, None
-        return False, None
-
-    def _land(self, before: PathPoint, point: PathPoint, end: float) -> PathPoint | None:
-        """The solution at the end, from along the path as near as to it as possible."""
-        family, sharp = self._family, attainable(self._family, end, 1e-10)
-
-        def solve(near: np.ndarray) -> PathPoint | None:
-            return solve_at(family, near, end, tolerance=sharp)
-
-        near = find_between(family, (before, point), end, sharp, LANDING)
-        if near is not None and (found := solve(near.unknown)) is not None:
-            return replace(found, tangent=near.tangent)
-        return land(before, point, end, solve)
-
-    def _shorter(self, point: PathPoint) -> float | None:
-        """The step with which the end is sought once more, where a point beyond it did not lead to
-        it: a long step may have met another part of the path."""
-        if self.returned or self._branch or self._landings == LANDINGS or point.parameter < 1.0:
-            return None
-        self._landings += 1
-        return 0.25 * point.length
-
-    def _closes(self, before: PathPoint, point: PathPoint) -> bool:
-        """Whether the first point lies between two others."""
-        family, origin, tangent = self._family, self._origin, before.tangent
-        if origin is None or len(self._points) < 4 or origin.unknown.shape != point.unknown.shape:
-            return False
-        if abs(origin.parameter - before.parameter) > point.length / NEAR_ORIGIN:
-            return False  # as will be seen below, but at once
-        back, rise = origin.unknown - before.unknown, origin.parameter - before.parameter
-        along = tangent.weight * family.inner(back, tangent.x) + rise * tangent.p
-        if not 0.0 < along <= point.length:
-            return False
-        if along < NEAR_ORIGIN * distance(family, before, origin):
-            return False
-        met = step_along(family, before, along, attainable(family, before.parameter, 1e-9))
-        if met is None or met.tangent.along(origin.tangent, family) < 0.9:
-            return False
-        off = family.inner(met.unknown - origin.unknown, met.unknown - origin.unknown)
-        return off < 1e-10 * family.inner(origin.unknown, origin.unknown)
-
-    def _joins(self, before: PathPoint, point: PathPoint) -> bool:
-        """Whether what tells a branch from the one that it left has changed its sign."""
-        if not self._branch or before.unknown.shape != point.unknown.shape:
-            return False
-        odd = odd_rows(self._family)
-        return bool(np.any(odd)) and float(np.vdot(before.unknown[odd], point.unknown[odd])) < 0.0
-
     # --- going on ---------------------------------------------------------------------------------
+
+    def _begin(self, unknown: np.ndarray, value: float, iterations: int) -> None:
+        """Take up a point that does not come from the path."""
+        self._points.extend([value], [self._family.omega(value)], unknown[None], [iterations])
 
     def _take_over(self, curve: ResponseCurve) -> None:
         """Begin with the points of another curve, on its way."""
         check_resumed(curve, self._family)
         for index, value in enumerate(curve.values):
-            found = self._known(curve.unknown(index), float(value), int(curve.iterations[index]))
-            self._points.append(replace(found, truncation=float(curve.truncation[index])))
+            self._begin(curve.unknown(index), float(value), int(curve.iterations[index]))
+            self._points.truncation[-1] = float(curve.truncation[index])
         self._special = [
             (b.kind, b.value, b.unknown) for b in curve.bifurcations if b.kind in FOLLOWED
         ]
@@ -500,6 +390,23 @@ def _first_solution(
         if more is None:
             return family, initial.slow_gap_coefficients, initial.iterations
         problem = problem.with_harmonics(more)
+
+
+class _Joined(Event):
+    """Where what tells a branch from the one that it left changes its sign; the branch ends with
+    the point before."""
+
+    terminal, told = True, "joined the branch that it left"
+
+    def __init__(self, odd: np.ndarray) -> None:
+        self._odd = odd
+
+    def between(self, points: Stretch) -> np.ndarray:
+        odd = points.unknowns[:, self._odd].reshape(len(points), -1)
+        return np.asarray(np.einsum("ij,ij->i", odd[1:], odd[:-1]) < 0.0)
+
+    def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
+        return ends[0]
 
 
 def _check_rigid(problem: Problem, parameter: str) -> None:

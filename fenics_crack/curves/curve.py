@@ -16,7 +16,6 @@ from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem
 from fenics_crack.balance.coupled import CoupledPoint
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.family import FAMILIES, Family
-from fenics_crack.balance.fourier import evaluate, resized
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
@@ -24,6 +23,7 @@ from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw, force_in_time
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.fourier import evaluate, resized
 from fenics_crack.table import (
     Described,
     Tabular,

@@ -23,18 +23,24 @@ from itertools import pairwise
 
 import numpy as np
 
-from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import PathPoint, Tangent, distance, solve_in_plane
 from fenics_crack.balance.family import FrequencyFamily
 from fenics_crack.balance.nearby import orbit_next_to
 from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.balance.problem import Problem
-from fenics_crack.curves.bifurcations import attainable, first_aside, odd_rows
+from fenics_crack.curves.bifurcations import first_aside, odd_rows
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.orbit_branch import STRAIGHT, TOLERANCE
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit
+from fenics_crack.numerics.bordered import (
+    PathPoint,
+    Tangent,
+    distance,
+    point_on_path,
+    solve_in_plane,
+)
+from fenics_crack.numerics.path import Path, PathOptions
 
 __all__ = ["DoubledStart", "next_to_doubled_orbits"]
 
@@ -141,11 +147,14 @@ def _branch(
         if found is None:
             return
         away = Tangent(found.unknown - begin.unknown, found.parameter - 1.0, 1.0)
-        first = distance(orbits, begin, found)
-        stepping = Stepping(first, longest_step, most=MOST, least_cosine=STRAIGHT, span=(0.0, 2.0))
-        for point in follow_path(orbits, found.unknown, found.parameter, stepping, away):
-            inside = min(span) < point.parameter * doubling.omega < max(span)
-            if not inside or not is_new(point, TOLERANCE):
+        start = point_on_path(orbits, found.unknown, found.parameter, away)
+        low, high = sorted(omega / doubling.omega for omega in span)
+        options = PathOptions(
+            distance(orbits, begin, found), longest_step, max_steps=MOST, min_cosine=STRAIGHT,
+            span=(low, high),
+        )  # fmt: skip
+        for point in Path(orbits, start, options).points():
+            if not is_new(point, TOLERANCE):
                 return
             yield orbits.orbit(point)
     except ConvergenceError:  # pairs that chatter without end
@@ -163,7 +172,7 @@ def _next_to(family: FrequencyFamily, orbit: PeriodicOrbit) -> PathPoint | None:
     guess, parameter, odd = _rows(family, orbit), family.parameter(orbit.omega), odd_rows(family)
     found = solve_in_plane(
         family, guess, parameter, None,
-        tolerance=attainable(family, parameter, 1e-9), iterations=20, patience=6,
+        tolerance=max(1e-9, family.rounding(parameter)), iterations=20, patience=6,
     )  # fmt: skip
     if found is None:
         return None

@@ -16,9 +16,7 @@ from itertools import pairwise
 import numpy as np
 import scipy.optimize
 
-from fenics_crack.balance.bordered import solve_at
 from fenics_crack.balance.orbits import FlowOrbits
-from fenics_crack.curves.bifurcations import attainable
 from fenics_crack.curves.by_waves import FOLLOWED, judged_by_waves, place_on
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.orbit_branch import (
@@ -35,6 +33,7 @@ from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import is_piecewise_linear, is_rigid
 from fenics_crack.motion.flow import Budget, exact_flow
 from fenics_crack.motion.orbit import PIECES
+from fenics_crack.numerics.bordered import solve_at
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.stability.shooting import attract_little, leaves
 from fenics_crack.stages import begin
@@ -356,7 +355,7 @@ def _solution_at(curve: ResponseCurve, place: int, value: float) -> tuple[float,
     family = curve.equations(len(unknown) // 2)
     try:
         parameter = family.parameter(value)
-        sharp = attainable(family, parameter, 1e-9)
+        sharp = max(1e-9, family.rounding(parameter))
         found = solve_at(family, unknown, parameter, tolerance=sharp)
     except ConvergenceError:
         found = None

@@ -18,8 +18,6 @@ from typing import Protocol
 
 import numpy as np
 
-from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import PathPoint, solve_in_plane, tangent_of
 from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.orbit_branch import ALIKE, KINDS, STRAIGHT, TOLERANCE, Node, OrbitBranch
@@ -27,6 +25,8 @@ from fenics_crack.errors import ConvergenceError, InputError, check_number
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
+from fenics_crack.numerics.bordered import PathPoint, solve_in_plane, tangent_of
+from fenics_crack.numerics.path import Path, PathOptions
 from fenics_crack.stability.shooting import orbits_near
 
 __all__ = ["refine_bifurcation"]
@@ -104,15 +104,17 @@ def refine_bifurcation(
         raise ConvergenceError(
             f"refinement: no exact orbit near the solution at {solution.omega:g} rad/s"
         )
-    stepping = Stepping(
-        0.1 * longest_step, longest_step, tolerance=TOLERANCE, least_cosine=STRAIGHT,
-        chunk=1, span=(1.0 - reach, 1.0 + reach),
+    far = reach + longest_step
+    options = PathOptions(
+        0.1 * longest_step, longest_step, rtol=TOLERANCE, min_cosine=STRAIGHT, at_once=1,
+        span=(1.0 - far, 1.0 + far),
     )  # fmt: skip
     ways = start.tangent, start.tangent.reversed()
-    sides = [_met(orbits, replace(start, tangent=way), stepping) for way in ways]
+    sides = [_met(orbits, replace(start, tangent=way), options) for way in ways]
     for node in chain.from_iterable(chain.from_iterable(zip_longest(*sides, fillvalue=()))):
         assert node.crossing is not None
-        if node.crossing.kind == kind and node.crossing.located:
+        within = abs(node.parameter - 1.0) <= reach
+        if node.crossing.kind == kind and node.crossing.located and within:
             found = PathPoint(node.unknown, node.parameter, start.iterations, node.tangent)
             return node.parameter * solution.omega, orbits.orbit(found)
     raise ConvergenceError(
@@ -137,18 +139,15 @@ def _orbit_next_to(orbits: FlowOrbits) -> PathPoint | None:
     return replace(found, tangent=tangent_of(orbits, found.unknown, found.at))
 
 
-def _met(orbits: FlowOrbits, start: PathPoint, stepping: Stepping) -> Iterator[list[Node]]:
+def _met(orbits: FlowOrbits, start: PathPoint, options: PathOptions) -> Iterator[list[Node]]:
     """The bifurcations of each segment of the branch, from an orbit along its tangent."""
-    lowest, highest = stepping.span
-    path = follow_path(orbits, start.unknown, start.parameter, stepping, start.tangent)
+    path = Path(orbits, start, options)
     try:
-        for ends in pairwise(chain([start], path)):
+        for ends in pairwise(chain([start], path.points())):
             parameters = np.array([one.parameter for one in ends])
             unknowns = np.array([one.unknown for one in ends])
             branch = OrbitBranch(orbits, parameters, unknowns.__getitem__, every=1)
             branch.locate(CLOSE)
             yield [one for one in branch.nodes if one.crossing is not None]
-            if not lowest < ends[1].parameter < highest:
-                return
     except ConvergenceError:  # pairs chatter without end
         return

@@ -13,8 +13,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from fenics_crack.balance.bordered import PathPoint
-from fenics_crack.balance.fourier import resized, to_complex
 from fenics_crack.balance.rounding import SOFT
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.free_motion import (
@@ -24,8 +22,11 @@ from fenics_crack.curves.free_motion import (
     FreeMotion,
     StiffnessMotion,
 )
-from fenics_crack.curves.motion_path import alike, follow_motions, land_motion, solve_motion
+from fenics_crack.curves.motion_path import MotionPath, alike, solve_motion
 from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.numerics.bordered import PathPoint
+from fenics_crack.numerics.fourier import resized, to_complex
+from fenics_crack.numerics.path import Ended
 
 __all__ = ["ELSEWHERE", "first_motion"]
 
@@ -103,17 +104,12 @@ def _from_linear_mode(family: StiffnessMotion, mode: int) -> PathPoint:
         raise ConvergenceError(f"backbone of mode {mode}: no motion with soft contact")
     if soft == 0.0:
         return first
-    last, furthest = first, soft
-    for motion in follow_motions(family, first, 1.0, 400, True):
-        if motion.parameter >= 0.0:
-            landed = land_motion(family, last, motion, 0.0)
-            if landed is not None:
-                if family.fundamental(landed.unknown) < family.least_fundamental:
-                    raise ConvergenceError(f"backbone of mode {mode}: {ELSEWHERE}")
-                return landed
-        if motion.parameter < soft - 5.0:
-            break
-        last, furthest = motion, max(furthest, motion.parameter)
+    path = MotionPath(family, first, 0.0, lowest=soft - 5.0, max_step=1.0, max_steps=400)
+    furthest = max((motion.parameter for motion in path), default=soft)
+    if path.ended is Ended.MET:
+        if family.fundamental(path.last.unknown) < family.least_fundamental:
+            raise ConvergenceError(f"backbone of mode {mode}: {ELSEWHERE}")
+        return path.last
     raise ConvergenceError(
         f"backbone of mode {mode}: the path in the contact stiffness came as far as "
         f"{math.exp(furthest):.2g} of it; fewer harmonics have fewer internal resonances, "
@@ -164,15 +160,10 @@ def _all_together(family: StiffnessMotion, unknown: np.ndarray, harmonics: int) 
     last = solve_motion(faded, _padded(unknown, faded), 0.0)
     if last is None:
         return None
-    for motion in follow_motions(faded, last, LONGEST, MOST, True):
-        if motion.parameter >= 1.0:
-            landed = land_motion(faded, last, motion, 1.0)
-            seen = landed and solve_motion(family, landed.unknown, 0.0)
-            return seen if seen and _is_it(family, seen, seen.unknown) else None
-        if motion.parameter < -0.5:
-            break
-        last = motion
-    return None
+    path = MotionPath(faded, last, 1.0, lowest=-0.5, max_step=LONGEST, max_steps=MOST)
+    landed = path.run()
+    seen = landed and solve_motion(family, landed.unknown, 0.0)
+    return seen if seen and _is_it(family, seen, seen.unknown) else None
 
 
 def _padded(unknown: np.ndarray, family: FreeMotion) -> np.ndarray:

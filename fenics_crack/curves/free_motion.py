@@ -16,13 +16,13 @@ from fenics_crack.balance.contact_integrals import (
     apply_to_pairs,
     contact_integrals,
 )
-from fenics_crack.balance.linearisation import Linearisation, determinant_sign
-from fenics_crack.balance.rounding import EPSILON, ROUNDING
 from fenics_crack.balance.search import Search
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import AllModes, all_modes
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.linearisation import Linearisation, determinant_sign
+from fenics_crack.numerics.rounding import EPSILON, ROUNDING
 
 __all__ = [
     "EnergyMotion",
@@ -119,7 +119,6 @@ class FreeMotion(ABC):
 
     def __init__(self, rest: Equilibrium, integrals: ContactIntegrals, reference: float) -> None:
         self.rest, self.integrals, self.reference = rest, integrals, reference
-        self.rounding = max(ROUNDING, EPSILON * rest.stiffness)
         self.harmonics = integrals.harmonics
         self.rows = cosine_rows(integrals.harmonics)
         self.order = (np.arange(integrals.harmonics + 1.0) * reference)[:, None] ** 2
@@ -150,6 +149,10 @@ class FreeMotion(ABC):
         """Share of the first harmonic in the square of z, the mean left out."""
         z = unknown[:-1].reshape(self.scale.shape)
         return float(np.sum(z[1] ** 2) / max(np.sum(z[1:] ** 2), 1e-300))
+
+    def rounding(self, parameter: float) -> float:
+        """What rounding leaves of |F| / |x|."""
+        return max(ROUNDING, EPSILON * self.rest.stiffness)
 
     def inner(self, first: np.ndarray, second: np.ndarray) -> float:
         """Inner product."""

@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import PathPoint, land, solve_at
 from fenics_crack.curves.free_motion import FreeMotion
+from fenics_crack.numerics.bordered import PathPoint, point_on_path, solve_at
+from fenics_crack.numerics.path import Ended, Path, PathOptions, Target
 
-__all__ = ["alike", "follow_motions", "land_motion", "solve_motion"]
+__all__ = ["MotionPath", "alike", "solve_motion"]
 
 FAST = 0.5
 """Rate of the parameter along a path at which arc-length is left again."""
@@ -20,96 +20,121 @@ FAST = 0.5
 
 def solve_motion(family: FreeMotion, guess: np.ndarray, parameter: float) -> PathPoint | None:
     """The motion near a guess at a parameter, or None."""
-    tolerance = max(1e-12, family.rounding)
+    tolerance = max(1e-12, family.rounding(parameter))
     return solve_at(family, guess, parameter, tolerance=tolerance, iterations=11)
 
 
-def follow_motions(
-    family: FreeMotion, here: PathPoint, longest_step: float, most_steps: int, pass_over: bool
-) -> Iterator[PathPoint]:
-    """Yield the points that follow a solution; ``crosses_branch`` where a tongue was passed over.
+class MotionPath:
+    """The motions that follow one, up to that at a parameter: iterate over it once.
 
-    Steps in the parameter itself pass over tongues; where there is none to a motion of the same
-    shape, arc-length leads on.
+    Steps in the parameter itself pass over tongues, unless these are to be followed; where there is
+    none to a motion of the same shape, arc-length leads on. ``crosses_branch`` tells where a tongue
+    was passed over.
+
+    Attributes
+    ----------
+    family : FreeMotion
+    last : PathPoint
+        The last one so far.
+    ended : Ended or None
+        How it has ended, if it has.
     """
-    count, step = 0, 0.2 * longest_step
-    while count < most_steps:
-        ahead = _step(family, here, step, longest_step) if pass_over else None
-        if ahead is not None:
-            count += 1
-            step = ahead.parameter - here.parameter
-            step = min(longest_step, (1.7 if ahead.iterations <= 4 else 1.0) * step)
-            here = ahead
-            yield here
-            continue
-        stepping = Stepping(
-            first=0.2 * longest_step,
-            longest=longest_step,
-            shortest=1e-10,
-            most=most_steps - count,
-            tolerance=1e-10,
-            least_cosine=0.85,
-            rounding=family.rounding,
+
+    def __init__(
+        self,
+        family: FreeMotion,
+        start: PathPoint,
+        end: float,
+        *,
+        lowest: float,
+        max_step: float,
+        max_steps: int,
+        pass_over: bool = True,
+    ) -> None:
+        self.family, self.last, self._end = family, start, end
+        self._lowest, self._max_step, self._left = lowest, max_step, max_steps
+        self._pass_over = pass_over
+        self.ended: Ended | None = None
+
+    def run(self) -> PathPoint | None:
+        """The motion at the end; None where the path does not lead there."""
+        for _ in self:
+            pass
+        return self.last if self.ended is Ended.MET else None
+
+    def __iter__(self) -> Iterator[PathPoint]:
+        step = 0.2 * self._max_step
+        while self.ended is None:
+            before = self.last
+            ahead = self._step(before, step) if self._pass_over else None
+            if ahead is None:
+                yield from self._along()
+                continue
+            self.last, self._left = ahead, self._left - 1
+            step = ahead.parameter - before.parameter
+            step = min(self._max_step, (1.7 if ahead.iterations <= 4 else 1.0) * step)
+            if ahead.parameter == self._end:
+                self.ended = Ended.MET
+            elif not self._left:
+                self.ended = Ended.MANY
+            yield ahead
+
+    def _along(self) -> Iterator[PathPoint]:
+        """By arc-length, until steps in the parameter may lead on."""
+        family, here = self.family, self.last
+        options = PathOptions(
+            initial_step=0.2 * self._max_step,
+            max_step=self._max_step,
+            min_step=1e-10,
+            max_steps=self._left,
+            rtol=1e-10,
+            min_cosine=0.85,
+            span=(self._lowest, np.inf),
         )
-        for point in follow_path(family, here.unknown, here.parameter, stepping):
-            count += 1
+        start = point_on_path(family, here.unknown, here.parameter)
+        path = Path(family, start, options, [Target(self._end)])
+        for point in path.points():
+            self.last, self._left = point, self._left - 1
             yield point
             outside = point.tangent.p > FAST and point.parameter > here.parameter
             whole = family.fundamental(point.unknown) > family.least_fundamental
-            if pass_over and outside and whole:
-                here = point
-                break
-        else:
-            return
+            if self._pass_over and outside and whole and path.ended is None:
+                return
+        self.ended = path.ended
 
+    def _step(self, here: PathPoint, step: float) -> PathPoint | None:
+        """A motion of the same shape further on, about a step away; None where there is none.
 
-def _step(
-    family: FreeMotion, here: PathPoint, step: float, longest_step: float
-) -> PathPoint | None:
-    """A motion of the same shape further on, about a step away; None where there is none.
-
-    The sign of det J changes where an odd number of tongues has been passed.
-    """
-    at = here.at or family.linearise(here.unknown, here.parameter)
-    slope = -at.solve(at.by_parameter)
-    near = family.near(here.unknown)
-    # What grows on this side of a resonance has the opposite sign on the other one.
-    across = np.where(near & (slope * here.unknown > 0.0), -here.unknown, here.unknown)
-    slope[near] = 0.0
-    steepness = math.sqrt(float(slope @ slope) / float(here.unknown @ here.unknown))
-    step = min(step, longest_step / math.hypot(1.0, steepness))
-    trials = (
-        *((here.unknown, factor, 0.99) for factor in (1.0, 0.5, 0.25)),
-        *((across, factor, 0.95) for factor in (0.25, 0.5, 1.0, 2.0, 4.0)),
-        *((here.unknown, factor, 0.99) for factor in (0.1, 0.03, 0.01)),
-    )
-    for base, factor, cosine in trials:
-        guess = base + factor * step * slope
-        found = solve_motion(family, guess, here.parameter + factor * step)
-        if found is None or family.fundamental(found.unknown) < family.least_fundamental:
-            continue
-        if alike(found.unknown, guess, cosine):
-            assert found.at is not None
-            return replace(found, crosses_branch=found.at.sign != at.sign)
-    return None
+        The sign of det J changes where an odd number of tongues has been passed.
+        """
+        family, left = self.family, self._end - here.parameter
+        at = here.at or family.linearise(here.unknown, here.parameter)
+        slope = -at.solve(at.by_parameter)
+        near = family.near(here.unknown)
+        # What grows on this side of a resonance has the opposite sign on the other one.
+        across = np.where(near & (slope * here.unknown > 0.0), -here.unknown, here.unknown)
+        slope[near] = 0.0
+        steepness = math.sqrt(float(slope @ slope) / float(here.unknown @ here.unknown))
+        step = min(step, self._max_step / math.hypot(1.0, steepness), left)
+        trials = (
+            *((here.unknown, factor, 0.99) for factor in (1.0, 0.5, 0.25)),
+            *((across, factor, 0.95) for factor in (0.25, 0.5, 1.0, 2.0, 4.0)),
+            *((here.unknown, factor, 0.99) for factor in (0.1, 0.03, 0.01)),
+        )
+        for base, factor, cosine in trials:
+            rise = min(factor * step, left)
+            parameter = self._end if rise == left else here.parameter + rise
+            guess = base + rise * slope
+            found = solve_motion(family, guess, parameter)
+            if found is None or family.fundamental(found.unknown) < family.least_fundamental:
+                continue
+            if alike(found.unknown, guess, cosine):
+                assert found.at is not None
+                return replace(found, crosses_branch=found.at.sign != at.sign)
+        return None
 
 
 def alike(unknown: np.ndarray, other: np.ndarray, cosine: float) -> bool:
     """Whether two motions have the same shape."""
     one, two = unknown[:-1], other[:-1]
     return bool(one @ two > cosine * np.linalg.norm(one) * np.linalg.norm(two))
-
-
-def land_motion(
-    family: FreeMotion, before: PathPoint, after: PathPoint, end: float
-) -> PathPoint | None:
-    """The motion at a parameter between those of two others; None if not found."""
-
-    def of_that_shape(nearby: np.ndarray) -> PathPoint | None:
-        found = solve_motion(family, nearby, end)
-        return found if found and alike(found.unknown, nearby, 0.9) else None
-
-    landed = land(before, after, end, of_that_shape)
-    return landed and replace(
-        landed, iterations=after.iterations, crosses_branch=after.crosses_branch, at=None
-    )

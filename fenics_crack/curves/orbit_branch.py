@@ -36,10 +36,10 @@ from itertools import pairwise
 import numpy as np
 import scipy.optimize
 
-from fenics_crack.balance.bordered import PathPoint, Tangent, step_in_plane, tangent_of
 from fenics_crack.balance.orbits import FlowOrbits, OrbitPoint
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.orbit import eigenvalues
+from fenics_crack.numerics.bordered import PathPoint, Tangent, step_in_plane, tangent_of
 
 __all__ = ["KINDS", "Crossing", "Node", "OrbitBranch", "blended", "cubic"]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fenics_crack.balance.fourier import resized
+from fenics_crack.numerics.fourier import resized
 
 __all__ = ["CurvePoint", "Points"]
 
@@ -54,19 +54,9 @@ class Points:
         self.iterations: list[int] = []
         self.truncation: list[float] = []
         self._unknowns: list[np.ndarray] = []  # each of some points: (n, 2H+1, n_pairs)
-        self._last: CurvePoint | None = None
 
     def __len__(self) -> int:
         return len(self.values)
-
-    def append(self, point: CurvePoint) -> None:
-        """One more."""
-        self.values.append(point.value)
-        self.omega.append(point.omega)
-        self.iterations.append(point.iterations)
-        self.truncation.append(point.truncation)
-        self._unknowns.append(point.unknown[None])
-        self._last = point
 
     def extend(
         self,
@@ -75,23 +65,20 @@ class Points:
         unknowns: np.ndarray,
         iterations: Iterable[int],
     ) -> None:
-        """Many more of which nothing else is known, with unknowns (n, 2H+1, n_pairs)."""
+        """More, with unknowns (n, 2H+1, n_pairs)."""
         self.values += values
         self.omega += omega
         self.iterations += iterations
         self.truncation += [math.nan] * len(unknowns)
         self._unknowns.append(unknowns)
-        self._last = None
 
     @property
     def last(self) -> CurvePoint:
         """The last one."""
-        if self._last is None:
-            unknown = self._unknowns[-1][-1]
-            self._last = CurvePoint(
-                self.values[-1], self.omega[-1], unknown, self.iterations[-1], self.truncation[-1]
-            )
-        return self._last
+        return CurvePoint(
+            self.values[-1], self.omega[-1], self._unknowns[-1][-1], self.iterations[-1],
+            self.truncation[-1],
+        )  # fmt: skip
 
     @property
     def harmonics(self) -> np.ndarray:

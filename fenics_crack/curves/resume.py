@@ -7,17 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from fenics_crack.balance.bordered import PathPoint, Tangent, tangent_of
 from fenics_crack.balance.family import Family
-from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.problem import Problem
-from fenics_crack.curves.bifurcations import attainable
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.bordered import PathPoint, Tangent, point_on_path
+from fenics_crack.numerics.fourier import resized
 
-__all__ = ["check_resumed", "chord", "directions", "point_towards", "same_problem"]
+__all__ = ["check_resumed", "chord", "directions", "same_problem"]
 
 UNFINISHED = "a ResponseCurve that is not complete"
 
@@ -47,12 +46,12 @@ def check_resumed(curve: ResponseCurve, family: Family) -> None:
         raise InputError("start", span[0], f"where the resumed curve starts, {first:g}")
     unknown, parameter = curve.unknown(-1), family.parameter(last)
     residual = float(np.linalg.norm(family.linearise(unknown, parameter).residual))
-    if not residual <= attainable(family, parameter, 1e-6) * np.linalg.norm(unknown):
+    if not residual <= max(1e-6, family.rounding(parameter)) * np.linalg.norm(unknown):
         raise InputError("resume", "a curve of another problem", "of this structure and law")
 
 
 def directions(family: Family, curve: ResponseCurve) -> tuple[Tangent | None, PathPoint | None]:
-    """Where a curve goes on from its last point, and its first point as :mod:`arclength` has it.
+    """Where a curve goes on from its last point, and its first point as :mod:`path` has it.
 
     The latter only where both have the same harmonics.
     """
@@ -61,19 +60,9 @@ def directions(family: Family, curve: ResponseCurve) -> tuple[Tangent | None, Pa
     towards, origin = chord(family, curve, -2, -1), None
     if len(curve.unknown(0)) == len(curve.unknown(-1)):
         away = chord(family, curve, 0, 1)
-        origin = point_towards(family, curve.unknown(0), float(curve.values[0]), away)
+        parameter = family.parameter(float(curve.values[0]))
+        origin = point_on_path(family, curve.unknown(0), parameter, away)
     return towards, origin
-
-
-def point_towards(
-    family: Family, unknown: np.ndarray, value: float, towards: Tangent | None
-) -> PathPoint:
-    """A point with its tangent, in a direction that is known roughly."""
-    parameter = family.parameter(value)
-    tangent = tangent_of(family, unknown, family.linearise(unknown, parameter))
-    if towards is not None and tangent.along(towards, family) < 0.0:
-        tangent = tangent.reversed()
-    return PathPoint(unknown, parameter, 0, tangent)
 
 
 def chord(family: Family, curve: ResponseCurve, first: int, second: int) -> Tangent:

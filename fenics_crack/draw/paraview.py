@@ -17,13 +17,13 @@ import numpy as np
 import pyvista
 from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
-from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.draw.nodal import moved_grid
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.parallel import gather_rows, on_root
 from fenics_crack.scene.tables import Material
 from fenics_crack.stages import begin

@@ -10,7 +10,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.draw.figure import (
     ABOVE,
@@ -21,6 +20,7 @@ from fenics_crack.draw.figure import (
     make_axes,
 )
 from fenics_crack.errors import InputError
+from fenics_crack.numerics.fourier import evaluate
 
 __all__ = ["draw_orbits", "draw_spectra", "draw_spectrum"]
 

@@ -20,7 +20,18 @@ except ImportError as error:  # pragma: no cover
         "the compiled kernel of fenics_crack is missing or broken: run 'sh install.sh'"
     ) from error
 
-__all__ = ["NULL", "Struct", "doubles", "ints", "kernel", "owned", "shaped", "signs", "table"]
+__all__ = [
+    "NULL",
+    "Struct",
+    "doubles",
+    "ffi",
+    "ints",
+    "kernel",
+    "owned",
+    "shaped",
+    "signs",
+    "table",
+]
 
 kernel: Any = lib
 """The functions of the C files, by their names."""

@@ -24,6 +24,17 @@ ROOT = HERE.parents[1]
 FLAGS = ["-std=c11", "-O3", "-fno-math-errno", "-ffp-contract=off", "-fvisibility=hidden"]
 """No contraction of products and sums: results do not depend on the processor. Names of functions
 are hidden: those of other libraries in the process do not get in their way."""
+CALLED_BACK = """
+extern "Python" {
+    int python_evaluate(equations *at, const double *x, double p);
+    void python_residual(const equations *at, double *found);
+    void python_solve(equations *at, double *x);
+    void python_by_parameter(equations *at, double *found);
+    double python_sign(equations *at);
+    double python_inner(const equations *at, const double *x, const double *y);
+}
+"""
+"""Functions of equations in Python (``numerics/equations.py``)."""
 SANITIZER = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g", "-O1"]
 
 
@@ -34,6 +45,7 @@ def builder_in(folder: Path, *, sanitize: bool = False) -> FFI:
     ffi, checks = FFI(), SANITIZER if sanitize else []
     for header in headers:  # cffi takes all but lines for the preprocessor
         ffi.cdef(re.sub(r"(?m)^#.*$", "", header.read_text(encoding="utf-8")))
+    ffi.cdef(CALLED_BACK)
     ffi.set_source(
         "fenics_crack.kernel._kernel",
         "\n".join(f'#include "{header.name}"' for header in headers),

@@ -3,7 +3,7 @@
 #define EQUATIONS_H
 
 /* What comes of an evaluation, or of a correction by Newton's method. */
-enum { FOUND, NOT_FOUND, SINGULAR_STRUCTURE, NO_MEMORY };
+enum { FOUND, NOT_FOUND, SINGULAR_STRUCTURE, NO_MEMORY, FAILED };
 
 /* The points of each kind begin with it; `at` is such a point. */
 typedef struct equations {
@@ -16,6 +16,9 @@ typedef struct equations {
     void (*by_parameter)(struct equations *at, double *found);        /* dF/dp there */
     double (*sign)(struct equations *at);  /* of det J there; NAN where it is not known: then turns */
     const double *counts;                  /* are judged with unknowns that count so much (n) */
+    /* Inner product of unknowns; NULL: x^T y. */
+    double (*inner)(const struct equations *at, const double *x, const double *y);
+    void *context; /* what equations in Python are made of (numerics/equations.py) */
     /* For points that share LU factors (broyden.h); NULL where they do not: whether J has been
      * factored at some point, x = J^-1 x with the J of the last such one, and J x there. */
     int (*has_factors)(const struct equations *at);

@@ -8,7 +8,7 @@
 enum {
     MANY = 100,              /* unknowns from which on points share LU factors */
     UNSURE = 8,              /* points whose sign of det J is not asked for, in a row */
-    DOUBTED = NO_MEMORY + 1, /* of points: they do not go with the next factors */
+    DOUBTED = FAILED + 1, /* of points: they do not go with the next factors */
     PATIENT = 32
 };
 #define ITERATIONS 0.05 /* with shared factors that take as long as new ones, per unknown */
@@ -17,10 +17,11 @@ enum {
 #define SHARP 1e-9      /* and of a tangent that tells where a path turns */
 #define LEVEL 1e-3      /* slope of a tangent below which it must be exact: the path may turn */
 
-static double inner(int n, const double *x, const double *y)
+static double inner(const equations *at, const double *x, const double *y)
 {
     double sum = 0.0;
-    for (int i = 0; i < n; i++) sum += x[i] * y[i];
+    if (at->inner) return at->inner(at, x, y);
+    for (int i = 0; i < at->unknowns; i++) sum += x[i] * y[i];
     return sum;
 }
 
@@ -44,8 +45,8 @@ static double tangent_at(equations *at, int n, double sharp, const double *x, do
                          double *weight)
 {
     slope_at(at, n, sharp, tangent);
-    *weight = 1.0 / fmax(inner(n, x, x), 1e-300);
-    const double slope = 1.0 / sqrt(*weight * inner(n, tangent, tangent) + 1.0);
+    *weight = 1.0 / fmax(inner(at, x, x), 1e-300);
+    const double slope = 1.0 / sqrt(*weight * inner(at, tangent, tangent) + 1.0);
     for (int i = 0; i < n; i++) tangent[i] *= slope;
     return slope;
 }
@@ -70,8 +71,8 @@ static int correct(equations *at, int n, double *x, double *p, const double *acr
         const int outcome = at->evaluate(at, x, *p);
         if (outcome != FOUND) return outcome;
         at->residual(at, F);
-        const double square = inner(n, F, F);
-        const double size = sqrt((across ? weight : 1.0 / fmax(inner(n, x, x), 1e-300)) * square);
+        const double square = inner(at, F, F);
+        const double size = sqrt((across ? weight : 1.0 / fmax(inner(at, x, x), 1e-300)) * square);
         if (size <= tolerance) return FOUND;
         if (!isfinite(size)) return NOT_FOUND;
         if (least_damping >= 0.0 && !(size < before)) { /* a shorter step */
@@ -92,8 +93,8 @@ static int correct(equations *at, int n, double *x, double *p, const double *acr
         shift = 0.0;
         if (across) {
             slope_at(at, n, STEP, rate);
-            const double along = weight * inner(n, across, rate) + slope + 1e-300; /* not 0 */
-            shift = -weight * inner(n, across, change) / along;
+            const double along = weight * inner(at, across, rate) + slope + 1e-300; /* not 0 */
+            shift = -weight * inner(at, across, change) / along;
             add(n, change, shift, rate);
             if (!(fabs(*p + shift - guess) <= reach)) return NOT_FOUND; /* another branch, or none */
         }
@@ -120,30 +121,29 @@ int solve_in_plane(equations *at, double *unknown, double *parameter, int border
 
 /* x, p += the quadratic and cubic terms of Hermite's polynomial through the last two points, in the
  * distance along the last tangent; none where these could not help. */
-static void bend(int n, const path *at, double step, double *x, double *p, double *room)
+static void bend(const equations *at, const path *points, double step, double *x, double *p,
+                 double *room)
 {
-    if (at->known < 2) return;
-    const int last = at->known - 1;
-    const double *here = at->unknowns + (size_t)last * n, *before = here - n;
-    const double *tangent = at->tangents + (size_t)last * n, *old = tangent - n;
-    const double weight = at->weights[last], slope = at->slopes[last];
-    const double old_slope = at->slopes[last - 1], rise = at->parameters[last] -
-                                                           at->parameters[last - 1];
-    double back = rise * slope;
-    for (int i = 0; i < n; i++) back += weight * (here[i] - before[i]) * tangent[i];
-    const double size = sqrt(weight * inner(n, old, old) + old_slope * old_slope);
-    const double along = (weight * inner(n, old, tangent) + old_slope * slope) / size;
+    if (points->known < 2) return;
+    const int n = at->unknowns, last = points->known - 1;
+    const double *here = points->unknowns + (size_t)last * n, *before = here - n;
+    const double *tangent = points->tangents + (size_t)last * n, *old = tangent - n;
+    const double weight = points->weights[last], slope = points->slopes[last];
+    const double old_slope = points->slopes[last - 1];
+    const double rise = points->parameters[last] - points->parameters[last - 1];
+    for (int i = 0; i < n; i++) room[i] = here[i] - before[i];
+    const double back = weight * inner(at, room, tangent) + rise * slope;
+    const double size = sqrt(weight * inner(at, old, old) + old_slope * old_slope);
+    const double along = (weight * inner(at, old, tangent) + old_slope * slope) / size;
     if (!(back > 0.0 && along > 0.5)) return;
     /* x(s) = x + s t + s^2 A + s^2 (s + back) B, by divided differences with double nodes. */
-    double far = 0.0, mean, second, third;
     for (int i = 0; i <= n; i++) {
         const double end = i < n ? tangent[i] : slope, start = i < n ? old[i] : old_slope;
-        mean = (i < n ? here[i] - before[i] : rise) / back;
-        second = (end - mean) / back;
-        third = (second - (mean - start / (size * along)) / back) / back;
+        const double mean = (i < n ? room[i] : rise) / back, second = (end - mean) / back;
+        const double third = (second - (mean - start / (size * along)) / back) / back;
         room[i] = step * step * (second + (step + back) * third);
-        far += (i < n ? weight : 1.0) * room[i] * room[i];
     }
+    const double far = weight * inner(at, room, room) + room[n] * room[n];
     if (far < 0.1 * step * step) add(n, x, 1.0, room), *p += room[n];
 }
 
@@ -164,7 +164,7 @@ static double product(const equations *at, double weight, const double *y, doubl
                       const double *z, double z_p)
 {
     const double *counts = at->counts;
-    double sum = counts ? 0.0 : inner(at->unknowns, y, z);
+    double sum = counts ? 0.0 : inner(at, y, z);
     for (int i = 0; i < at->unknowns && counts; i++) sum += counts[i] * y[i] * z[i];
     return weight * sum + y_p * z_p;
 }
@@ -208,7 +208,7 @@ static int renew(equations *at, int n, path *points, sharing *with)
     if (outcome != FOUND) return outcome;
     const double slope = tangent_onwards(at, n, points->orientation, x, tangent,
                                          points->slopes[last], with->here, points->weights + last);
-    const double along = points->weights[last] * inner(n, with->here, tangent);
+    const double along = points->weights[last] * inner(at, with->here, tangent);
     if (!(along + slope * points->slopes[last] > 0.0)) return DOUBTED;
     memcpy(tangent, with->here, n * sizeof(double)), points->slopes[last] = slope;
     with->sure = last, with->step = points->step, with->points = with->work = 0;
@@ -248,7 +248,7 @@ static int tangent_shared(equations *at, int n, const path *points, sharing *wit
     const double *before = points->unknowns + (size_t)last * n;
     broyden *by = &with->by;
     double *t = with->here;
-    *weight = 1.0 / fmax(inner(n, t, t), 1e-300);
+    *weight = 1.0 / fmax(inner(at, t, t), 1e-300);
     for (int i = 0; i <= n; i++) {
         const double moved = t[i] - (i < n ? before[i] : points->parameters[last]);
         t[i] = 2.0 * moved / points->step - by->across[i];
@@ -256,20 +256,20 @@ static int tangent_shared(equations *at, int n, const path *points, sharing *wit
     at->by_parameter(at, by->rate), at->apply(at, t, by->residual);
     add(n, by->residual, t[n], by->rate);
     if (!solve_by_former(at, by, t, TANGENT, &with->work)) return 0;
-    const double size = sqrt(*weight * inner(n, t, t) + t[n] * t[n]);
+    const double size = sqrt(*weight * inner(at, t, t) + t[n] * t[n]);
     for (int i = 0; i < n; i++) tangent[i] = t[i] / size;
     *slope = t[n] / size;
     return fabs(*slope) > LEVEL;
 }
 
 /* The prediction x, p of the next point. */
-static void predict(int n, const path *points, double *x, double *p, double *room)
+static void predict(const equations *at, const path *points, double *x, double *p, double *room)
 {
-    const int last = points->known - 1;
+    const int n = at->unknowns, last = points->known - 1;
     memcpy(x, points->unknowns + (size_t)last * n, n * sizeof(double));
     add(n, x, points->step, points->tangents + (size_t)last * n);
     *p = points->parameters[last] + points->step * points->slopes[last];
-    bend(n, points, points->step, x, p, room);
+    bend(at, points, points->step, x, p, room);
 }
 
 /* One step: FOUND, NOT_FOUND where the step is too long, SINGULAR_STRUCTURE, or DOUBTED where
@@ -288,7 +288,7 @@ static int advance(equations *at, int n, const stepping *how, path *points, shar
     int taken, crossing = 0, outcome = NOT_FOUND, work = with ? with->work : 0;
     int shared = with && !at->products && points->known > with->own && at->has_factors(at);
     while (shared && outcome == NOT_FOUND) {
-        predict(n, points, x, &p, room);
+        predict(at, points, x, &p, room);
         outcome = correct_shared(at, n, how, points, with, sharp, x, &p, &taken);
         if (outcome != NOT_FOUND) break;
         shared = with->sure < last; /* the others are worn out */
@@ -296,7 +296,7 @@ static int advance(equations *at, int n, const stepping *how, path *points, shar
         old_slope = points->slopes[last], outcome = NOT_FOUND, work = 0;
     }
     if (!shared) {
-        predict(n, points, x, &p, room);
+        predict(at, points, x, &p, room);
         outcome = correct(at, n, x, &p, old, old_slope, weight, sharp, how->iterations, reach,
                           how->least_damping, 0, &taken, room);
     }
@@ -319,7 +319,7 @@ static int advance(equations *at, int n, const stepping *how, path *points, shar
         turn_round(n, tangent, &slope);
     }
     for (int i = 0; i < n; i++) room[i] = x[i] - here[i];
-    const double rise = p - points->parameters[last], chord = inner(n, room, room);
+    const double rise = p - points->parameters[last], chord = inner(at, room, room);
     if (isnan(points->orientation) && /* lest a step across a narrow turn leads back */
         !(cosine_of(at, weight, room, rise, old, old_slope) > how->least_cosine &&
           cosine_of(at, own, room, rise, tangent, slope) > how->least_cosine))
@@ -422,10 +422,9 @@ static int between(equations *at, int n, const stepping *how, int most, const do
         const double *tangent = ends->tangents + (size_t)first * n;
         const double slope = ends->slopes[first], weight = ends->weights[first];
         const double p = ends->parameters[first], rise = ends->parameters[last] - p;
-        double length = 0.0;
-        for (int i = 0; i < n; i++) length += (there[i] - here[i]) * tangent[i];
-        length = weight * length + rise * slope;
-        const double onwards = weight * inner(n, ends->tangents + (size_t)last * n, tangent) +
+        for (int i = 0; i < n; i++) room[i] = there[i] - here[i];
+        const double length = weight * inner(at, room, tangent) + rise * slope;
+        const double onwards = weight * inner(at, ends->tangents + (size_t)last * n, tangent) +
                                ends->slopes[last] * slope;
         if (!(length > 0.0 && onwards > 0.0)) return NOT_FOUND;
         /* p(s) or dp/ds, of s / length */
@@ -447,7 +446,7 @@ static int between(equations *at, int n, const stepping *how, int most, const do
                                     how->least_damping, 0, ends->iterations + next, room);
         if (outcome != FOUND) return outcome;
         ends->slopes[next] = tangent_at(at, n, SHARP, x, ahead, ends->weights + next);
-        if (weight * inner(n, ahead, tangent) + ends->slopes[next] * slope < 0.0)
+        if (weight * inner(at, ahead, tangent) + ends->slopes[next] * slope < 0.0)
             turn_round(n, ahead, ends->slopes + next);
         const int before = target ? (ends->parameters[next] - *target) * (p - *target) > 0.0
                                   : ends->slopes[next] * slope > 0.0;

@@ -4,8 +4,7 @@
 
 #include "equations.h"
 
-/* The loops of fenics_crack/balance/bordered.py and arclength.py, which say what is done and why,
- * for the equations in condensed.h and shooting.h. A point of a path has n unknowns, a parameter and
+/* What is done and why is said in fenics_crack/numerics/bordered.py and path.py. A point of a path has n unknowns, a parameter and
  * a unit tangent (t_x, t_p) in the norm weight |x|^2 + p^2.
  */
 

@@ -28,7 +28,6 @@ __all__ = [
     "force_in_time",
     "is_piecewise_linear",
     "is_rigid",
-    "repeated",
 ]
 
 
@@ -187,21 +186,6 @@ def force_in_time(contact: ContactLaw, gap: np.ndarray, force: np.ndarray) -> np
         assert contact.weight is not None
         return np.maximum(0.0, contact.weight * gap + force)
     return contact.force(gap)
-
-
-def repeated(contact: ContactLaw, times: int) -> ContactLaw:
-    """The law of ``times`` equal structures side by side.
-
-    Raises
-    ------
-    InputError
-        The law differs from pair to pair and cannot be repeated.
-    """
-    if np.ndim(contact.stiffness) == 0:
-        return contact
-    if isinstance(contact, _Penalty):
-        return replace(contact, stiffness=np.tile(contact.stiffness, times))
-    raise InputError("contact", contact, "a law that is the same for all pairs")
 
 
 def check_law(structure: Structure, contact: Any, *, rigid: bool = False) -> None:

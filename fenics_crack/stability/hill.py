@@ -15,11 +15,11 @@ import scipy.optimize
 
 from fenics_crack.balance.contact_integrals import SampledIntegrals
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
-from fenics_crack.balance.fourier import resized
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import AllModes, all_modes
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.fourier import resized
 
 __all__ = ["hill_root"]
 

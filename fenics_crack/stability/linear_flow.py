@@ -17,13 +17,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenics_crack.balance.fourier import sampled
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.coupled import smooth_forces
 from fenics_crack.model.flow import transition
 from fenics_crack.model.modal import AllModes, all_modes
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.fourier import sampled
 
 __all__ = ["monodromy"]
 

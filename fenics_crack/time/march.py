@@ -12,12 +12,12 @@ from typing import Any, ClassVar
 import numpy as np
 from tqdm import tqdm
 
-from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError, InputError, check_count, check_number, check_omega
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.parallel import StopRequest, raise_together
 from fenics_crack.stages import begin
 from fenics_crack.table import counted

@@ -10,8 +10,8 @@ from switching import switching_instants
 from test_contact_integrals import grazing_gaps, random_gaps
 
 from fenics_crack.balance.active_sets import Intervals, contact_intervals
-from fenics_crack.balance.fourier import evaluate, to_complex
 from fenics_crack.model.coupled import ActiveSets
+from fenics_crack.numerics.fourier import evaluate, to_complex
 
 
 def coupled(pairs: int, seed: int = 1) -> ActiveSets:

@@ -9,11 +9,11 @@ import pytest
 from helpers import oscillator
 
 import fenics_crack as fc
-from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import PathPoint, solve_at
-from fenics_crack.balance.linearisation import DenseLinearisation
 from fenics_crack.balance.search import Search
 from fenics_crack.balance.solver import Solver
+from fenics_crack.numerics.bordered import PathPoint, point_on_path, solve_at
+from fenics_crack.numerics.linearisation import DenseLinearisation
+from fenics_crack.numerics.path import Ended, Path, PathOptions
 
 FREQUENCIES = np.linspace(0.3, 2.0, 300)
 
@@ -236,7 +236,8 @@ def follow(
     """x and p along the path up to p = end; every point lies on the curve."""
     points = []
     start = np.array([x, 2.0])
-    for point in islice(follow_path(plane, start, p, Stepping(0.05, longest)), 500):
+    path = Path(plane, point_on_path(plane, start, p), PathOptions(0.05, longest))
+    for point in islice(path.points(), 500):
         points.append(point)
         if point.parameter > end:
             break
@@ -250,8 +251,8 @@ def follow(
 def test_path_goes_round_a_circle(longest: float) -> None:
     """x^2 + p^2 = 1 from (1, 0): always on in the same sense, over both folds, again and again."""
     plane = Plane(lambda x, p: x * x + p * p - 1.0, lambda x, p: 2.0 * x, lambda x, p: 2.0 * p)
-    path = follow_path(plane, np.array([1.0, 2.0]), 0.0, Stepping(0.05, longest, most=150))
-    points = list(path)
+    start = point_on_path(plane, np.array([1.0, 2.0]), 0.0)
+    points = list(Path(plane, start, PathOptions(0.05, longest, max_steps=150)).points())
     assert len(points) == 150
     x = np.array([1.0, *(point.unknown[0] for point in points)])
     p = np.array([0.0, *(point.parameter for point in points)])
@@ -312,6 +313,8 @@ def test_path_stays_beside_a_parallel_branch(distance: float) -> None:
 def test_path_ends_where_there_is_no_more() -> None:
     """x = -p as far as p = 0, where the function ends: so does the path, by itself, close to it."""
     plane = Plane(lambda x, p: x + p if p < 0.0 else np.nan, lambda x, p: 1.0, lambda x, p: 1.0)
-    points = list(follow_path(plane, np.array([1.0, 2.0]), -1.0, Stepping(0.05, most=500)))
-    assert 3 < len(points) < 500
+    start = point_on_path(plane, np.array([1.0, 2.0]), -1.0)
+    path = Path(plane, start, PathOptions(0.05, max_steps=500))
+    points = list(path.points())
+    assert 3 < len(points) < 500 and path.ended is Ended.SHORT
     assert -1e-3 < points[-1].parameter < 0.0

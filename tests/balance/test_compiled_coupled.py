@@ -13,12 +13,12 @@ from test_compiled_paths import RANGES, SEEDS, Plain, random_gap
 
 import fenics_crack as fc
 from fenics_crack.balance import coupled
-from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import solve_at
 from fenics_crack.balance.compiled import CompiledCoupled
 from fenics_crack.balance.coupled import CoupledSystem
 from fenics_crack.balance.family import FAMILIES, Family
-from fenics_crack.balance.linearisation import Linearisation
+from fenics_crack.numerics.bordered import point_on_path, solve_at
+from fenics_crack.numerics.linearisation import Linearisation
+from fenics_crack.numerics.path import Ended, Path, PathOptions, Target
 
 LAWS = ("rigid", "penalty", "stiff")
 
@@ -86,9 +86,9 @@ def test_path_of_a_chain(name: str, formed: bool, monkeypatch: pytest.MonkeyPatc
     start = solve_at(Plain(family), system.linear, 0.0, tolerance=1e-12)
     assert start is not None
     close, slope = (1e-11, 1e-10) if formed else (1e-6, 1e-3)
-    stepping = Stepping(first=0.01, longest=0.2, shortest=1e-10)
+    options = PathOptions(0.01, max_step=0.2, min_step=1e-10)
     ways = [
-        list(islice(follow_path(way, start.unknown, 0.0, stepping), 12))
+        list(islice(Path(way, point_on_path(way, start.unknown, 0.0), options).points(), 12))
         for way in (family, Plain(family))
     ]
     for one, other in zip(*ways, strict=True):
@@ -112,18 +112,13 @@ def test_many_unknowns(limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
     start = begun.slow_gap_coefficients
     ends = []
     for system in (family, Plain(family)):
-        points = []
-        for point in follow_path(system, start, 0.0, Stepping(first=0.05, longest=0.3)):
-            points.append(point)
-            if point.parameter > 1.0:
-                break
-        assert points[-1].parameter > 1.0
-        for point in points:
+        begun = point_on_path(system, start, 0.0)
+        path = Path(system, begun, PathOptions(0.05, max_step=0.3), [Target(1.0)])
+        for point in path.points():
             at = family.linearise(point.unknown, point.parameter)
             assert np.linalg.norm(at.residual) < 2e-8 * np.linalg.norm(point.unknown)
-        found = solve_at(Plain(family), points[-1].unknown, 1.0, tolerance=1e-11)
-        assert found is not None
-        ends.append(found.unknown)
+        assert path.ended is Ended.MET and path.last.parameter == 1.0
+        ends.append(path.last.unknown)
     assert relative(ends[0], ends[1]) < 1e-8
 
 

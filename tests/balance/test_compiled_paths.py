@@ -12,22 +12,22 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import fenics_crack as fc
-from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import (
+from fenics_crack.balance.compiled import CompiledSystem
+from fenics_crack.balance.condensed import respond_to_columns
+from fenics_crack.balance.contact_integrals import ExactIntegrals
+from fenics_crack.balance.family import FAMILIES, Family
+from fenics_crack.curves.continuation import Continuation
+from fenics_crack.numerics.bordered import (
     PathPoint,
-    find_between,
+    point_on_path,
     solve_at,
     solve_in_plane,
     step_along,
     tangent_of,
 )
-from fenics_crack.balance.compiled import CompiledSystem
-from fenics_crack.balance.condensed import respond_to_columns
-from fenics_crack.balance.contact_integrals import ExactIntegrals
-from fenics_crack.balance.family import FAMILIES, Family
-from fenics_crack.balance.fourier import evaluate, sampled, to_complex
-from fenics_crack.balance.linearisation import Linearisation, System
-from fenics_crack.curves.continuation import Continuation
+from fenics_crack.numerics.fourier import evaluate, sampled, to_complex
+from fenics_crack.numerics.linearisation import Linearisation, System
+from fenics_crack.numerics.path import Fold, Path, PathOptions, Target
 
 SEEDS = st.integers(0, 2**32 - 1)
 RANGES = {
@@ -40,7 +40,7 @@ RANGES = {
 
 
 class Plain:
-    """A family, or another system, whose paths are left to Python."""
+    """A family, or another system, whose equations are left to Python."""
 
     def __init__(self, family: System) -> None:
         self._family = family
@@ -174,12 +174,12 @@ def test_equations_at_a_point(
 
 @pytest.mark.parametrize(("stiffness", "harmonics"), [(1.0, 3), (1.0, 10), (10.0, 6), (100.0, 5)])
 def test_path_of_the_oscillator(stiffness: float, harmonics: int) -> None:
-    """The kernel takes the steps that Python's loop takes, as many iterations for each."""
+    """Compiled equations take the steps that those in Python take, as many iterations for each."""
     law = fc.UnilateralPenalty(stiffness)
     family = FAMILIES["omega"](fc.Problem(oscillator(0.02, 0.1), 2.0, law, harmonics), 2.0, 0.3)
     start = fc.solve_harmonic_balance(oscillator(0.02, 0.1), 2.0, law, harmonics=harmonics)
-    stepping = Stepping(first=0.01, longest=0.1, shortest=1e-10, least_cosine=0.85)
-    assert_same_path(family, start.gap_coefficients, stepping, 150)
+    options = PathOptions(0.01, max_step=0.1, min_step=1e-10, min_cosine=0.85)
+    assert_same_path(family, start.gap_coefficients, options, 150)
 
 
 @pytest.mark.parametrize("name", list(RANGES))
@@ -191,17 +191,21 @@ def test_path_of_a_chain(name: str) -> None:
     start = fc.solve_harmonic_balance(
         first.structure, first.omega, first.contact, harmonics=4, residual_tolerance=1e-12
     )
-    stepping = Stepping(first=0.01, longest=0.5, shortest=1e-10)
-    assert_same_path(family, start.gap_coefficients, stepping, 40)
+    options = PathOptions(0.01, max_step=0.5, min_step=1e-10)
+    assert_same_path(family, start.gap_coefficients, options, 40)
 
 
-def assert_same_path(family: Family, start: np.ndarray, stepping: Stepping, count: int) -> None:
+def followed(
+    system: System, start: np.ndarray, options: PathOptions, count: int
+) -> list[PathPoint]:
+    """So many points of the path from p = 0 on."""
+    return list(islice(Path(system, point_on_path(system, start, 0.0), options).points(), count))
+
+
+def assert_same_path(family: Family, start: np.ndarray, options: PathOptions, count: int) -> None:
     """Followed both ways."""
     assert family.compiled is not None
-    ways = [
-        list(islice(follow_path(system, start, 0.0, stepping), count))
-        for system in (family, Plain(family))
-    ]
+    ways = [followed(system, start, options, count) for system in (family, Plain(family))]
     compared = 0
     for one, other in zip(*ways, strict=False):
         if other.length < 1e-4:  # at a sharp corner rounding counts
@@ -261,20 +265,21 @@ def test_fold_and_value_between_two_points() -> None:
     structure = oscillator(0.02, 0.1)
     family = FAMILIES["omega"](fc.Problem(structure, 2.0, law, 10), 2.0, 0.3)
     start = fc.solve_harmonic_balance(structure, 2.0, law, harmonics=10).gap_coefficients
-    stepping = Stepping(first=0.01, longest=0.2, shortest=1e-10, least_cosine=0.85)
-    points = list(islice(follow_path(family, start, 0.0, stepping), 90))
+    points = followed(
+        family, start, PathOptions(0.01, max_step=0.2, min_step=1e-10, min_cosine=0.85), 90
+    )
     pairs = list(pairwise(points))
     turning = [ends for ends in pairs if ends[0].tangent.p * ends[1].tangent.p < 0.0]
     assert len(turning) == 2
     for ends in turning:
-        fold = must(find_between(family, ends, None, 1e-11))
+        fold = must(Fold().locate(family, ends, 1e-11))
         assert abs(fold.tangent.p) < 1e-7
-        assert_same_point(fold, must(find_between(Plain(family), ends, None, 1e-11)))
+        assert_same_point(fold, must(Fold().locate(Plain(family), ends, 1e-11)))
     for first, last in pairs[10:90:20]:
         target = 0.3 * first.parameter + 0.7 * last.parameter
-        found = must(find_between(family, (first, last), target, 1e-11))
-        assert found.parameter == pytest.approx(target, abs=1e-7)
-        assert_same_point(found, must(find_between(Plain(family), (first, last), target, 1e-11)))
+        found = must(Target(target).locate(family, (first, last), 1e-11))
+        assert found.parameter == target
+        assert_same_point(found, must(Target(target).locate(Plain(family), (first, last), 1e-11)))
         at = family.linearise(found.unknown, found.parameter)
         assert np.linalg.norm(at.residual) < 1e-10 * np.linalg.norm(found.unknown)
 
@@ -331,17 +336,14 @@ def test_folds_of_a_stiff_curve() -> None:
 
 def test_path_of_many_unknowns() -> None:
     """144 unknowns, so that points share LU factors: points and tangents are on the path, and each
-    is where Python's loop, which factors J at every iteration, has one."""
+    is where equations in Python, whose J is factored at every iteration, have one."""
     structure, law = chain(pairs=3), fc.UnilateralPenalty(np.array([3.0, 8.0, 20.0]))
     family = FAMILIES["omega"](fc.Problem(structure, 1.4, law, 24), 1.4, 0.5)
     start = fc.solve_harmonic_balance(
         structure, 1.4, law, harmonics=24, residual_tolerance=1e-12
     ).gap_coefficients
-    stepping = Stepping(first=0.01, longest=0.05, tolerance=1e-9, least_cosine=0.85)
-    ways = [
-        list(islice(follow_path(system, start, 0.0, stepping), 100))
-        for system in (family, Plain(family))
-    ]
+    options = PathOptions(0.01, max_step=0.05, rtol=1e-9, min_cosine=0.85)
+    ways = [followed(system, start, options, 100) for system in (family, Plain(family))]
     for one, other in zip(*ways, strict=True):
         at = family.linearise(one.unknown, one.parameter)
         size, tangent = np.linalg.norm(one.unknown), one.tangent
@@ -369,11 +371,8 @@ def test_branch_crosses_a_path_of_many_unknowns() -> None:
         twins, 0.8, law, harmonics=25, residual_tolerance=1e-12
     ).gap_coefficients
     assert start.size == 102
-    stepping = Stepping(first=0.01, longest=0.05, shortest=1e-10, tolerance=1e-9, least_cosine=0.85)
-    ways = [
-        list(islice(follow_path(system, start, 0.0, stepping), 100))
-        for system in (family, Plain(family))
-    ]
+    options = PathOptions(0.01, max_step=0.05, min_step=1e-10, rtol=1e-9, min_cosine=0.85)
+    ways = [followed(system, start, options, 100) for system in (family, Plain(family))]
     crossings = [[point.parameter for point in way if point.crosses_branch] for way in ways]
     assert len(crossings[0]) == len(crossings[1]) == 2
     assert np.allclose(*crossings, rtol=0.0, atol=1e-6)

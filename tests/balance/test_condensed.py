@@ -32,9 +32,9 @@ from fenics_crack.balance.compliance import (
 )
 from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, ConstraintSystem
 from fenics_crack.balance.contact_integrals import contact_integrals
-from fenics_crack.balance.fourier import to_complex
-from fenics_crack.balance.linearisation import determinant_sign
 from fenics_crack.balance.problem import Problem
+from fenics_crack.numerics.fourier import to_complex
+from fenics_crack.numerics.linearisation import determinant_sign
 
 # --- condensed and full ---------------------------------------------------------------------------
 

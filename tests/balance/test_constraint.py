@@ -7,7 +7,7 @@ from helpers import log_slope, oscillator, relative
 
 import fenics_crack as fc
 from fenics_crack.balance.error_report import mean_square
-from fenics_crack.balance.fourier import evaluate, resized
+from fenics_crack.numerics.fourier import evaluate, resized
 
 COUNTS = (5, 10, 20, 40, 80)
 

@@ -15,8 +15,8 @@ from fenics_crack.balance.contact_integrals import (
     contact_integrals,
     default_samples,
 )
-from fenics_crack.balance.fourier import evaluate, resized, to_complex
 from fenics_crack.model.contact import ContactLaw, SmoothedPenalty, UnilateralPenalty
+from fenics_crack.numerics.fourier import evaluate, resized, to_complex
 
 STIFFNESS = np.array([2.0, 30.0, 0.5, 7.0])
 

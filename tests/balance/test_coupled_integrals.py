@@ -12,7 +12,7 @@ from test_contact_integrals import grazing_gaps, random_gaps
 import fenics_crack as fc
 from fenics_crack.balance.contact_integrals import ExactIntegrals
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
-from fenics_crack.balance.fourier import balanced, evaluate, sampled
+from fenics_crack.numerics.fourier import balanced, evaluate, sampled
 
 RIGID = fc.UnilateralConstraint()
 STIFFNESS = np.array([2.0, 300.0, 15.0])

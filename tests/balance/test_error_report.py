@@ -13,7 +13,7 @@ from fenics_crack.balance.compliance import dynamic_compliance
 from fenics_crack.balance.condensed import respond
 from fenics_crack.balance.contact_integrals import ExactIntegrals
 from fenics_crack.balance.error_report import mean_square
-from fenics_crack.balance.fourier import resized
+from fenics_crack.numerics.fourier import resized
 
 Contact = fc.UnilateralPenalty | fc.SmoothedPenalty | fc.UnilateralConstraint
 

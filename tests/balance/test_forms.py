@@ -35,9 +35,9 @@ from fenics_crack.balance.compliance import (
 )
 from fenics_crack.balance.condensed import CondensedSystem, respond_to_columns
 from fenics_crack.balance.contact_integrals import SampledIntegrals, contact_integrals
-from fenics_crack.balance.fourier import evaluate
 from fenics_crack.balance.problem import Problem
 from fenics_crack.model.contact import ContactLaw
+from fenics_crack.numerics.fourier import evaluate
 
 # --- the high-dimensional form is collocation -----------------------------------------------------
 

@@ -12,8 +12,9 @@ from helpers import Cubic, chain, chain_stiffness, dense, log_slope, oscillator
 
 import fenics_crack as fc
 from fenics_crack.balance.contact_integrals import contact_integrals
-from fenics_crack.balance.linearisation import System
-from fenics_crack.curves import backbone, free_motion
+from fenics_crack.curves import free_motion
+from fenics_crack.curves.motion_path import MotionPath
+from fenics_crack.numerics.linearisation import System
 
 HARMONICS = (10, 20, 40, 80)
 
@@ -379,15 +380,15 @@ def test_bad_arguments_and_unfinished_backbones() -> None:
 
 def test_interrupted_backbone(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C returns what was found."""
-    follow = backbone.follow_motions
+    follow = MotionPath.__iter__
 
-    def interrupted(*arguments: Any) -> Iterator[Any]:
-        path = follow(*arguments)
-        yield next(path)
-        if isinstance(arguments[0], free_motion.EnergyMotion):
+    def interrupted(path: MotionPath) -> Iterator[Any]:
+        points = follow(path)
+        yield next(points)
+        if isinstance(path.family, free_motion.EnergyMotion):
             raise KeyboardInterrupt
-        yield from path
+        yield from points
 
-    monkeypatch.setattr(backbone, "follow_motions", interrupted)
+    monkeypatch.setattr(MotionPath, "__iter__", interrupted)
     curve = fc.follow_backbone(two_masses(), fc.UnilateralPenalty(10.0), 1, 0.02, 1.0)
     assert (curve.complete, curve.status, len(curve.omega)) == (False, "interrupted", 2)

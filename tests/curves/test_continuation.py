@@ -11,12 +11,13 @@ import scipy.linalg
 from helpers import Cubic, amplitudes, oscillator, random_stiffness, true_error, two_masses
 
 import fenics_crack as fc
-from fenics_crack.balance.bordered import PathPoint
 from fenics_crack.balance.compliance import ModalCompliance, load_coefficients
 from fenics_crack.balance.condensed import respond
 from fenics_crack.balance.family import FAMILIES
-from fenics_crack.balance.fourier import from_complex
 from fenics_crack.curves.follow import continue_frequency
+from fenics_crack.numerics.bordered import PathPoint
+from fenics_crack.numerics.fourier import from_complex
+from fenics_crack.numerics.path import Target
 
 
 def folds(curve: fc.ResponseCurve) -> list[float]:
@@ -601,7 +602,7 @@ def test_load_does_not_pass_zero_without_clearance() -> None:
 
 def test_an_end_that_cannot_be_landed_on(monkeypatch: pytest.MonkeyPatch) -> None:
     """What was found until then is returned with its status, or comes with the error, judged."""
-    monkeypatch.setattr(fc.Continuation, "_land", lambda *_: None)
+    monkeypatch.setattr(Target, "locate", lambda *_: None)
     given: dict[str, Any] = {"harmonics": 5, "stability": True}
     law = fc.UnilateralPenalty(1.0)
     found = fc.continue_frequency(oscillator(), 1.0, 1.3, law, throw=False, **given)

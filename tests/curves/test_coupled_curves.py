@@ -10,10 +10,10 @@ import pytest
 from helpers import chain, oscillator
 
 import fenics_crack as fc
-from fenics_crack.balance.arclength import Stepping, follow_path
 from fenics_crack.balance.family import FAMILIES
 from fenics_crack.balance.solver import Solver
-from fenics_crack.curves.bifurcations import attainable
+from fenics_crack.numerics import path as paths
+from fenics_crack.numerics.bordered import point_on_path
 
 RIGID = fc.UnilateralConstraint()
 STEEL = """
@@ -231,8 +231,9 @@ def test_without_a_sign_no_way_back(number: int) -> None:
     begin, system = -1.0 - 0.013 * number, Circle()
     first = -system.linearise(np.zeros(3), begin).residual
     reached = begin
-    stepping = Stepping(first=0.1, longest=0.1, least_cosine=0.85, most=200)
-    for point in follow_path(system, first, begin, stepping):  # type: ignore[arg-type]
+    start = point_on_path(system, first, begin)  # type: ignore[arg-type]
+    options = paths.PathOptions(0.1, max_step=0.1, min_cosine=0.85, max_steps=200)
+    for point in paths.Path(system, start, options).points():  # type: ignore[arg-type]
         assert point.parameter > reached
         reached = point.parameter
     assert reached > 1.0
@@ -251,7 +252,7 @@ def test_rounding_does_not_grow_with_the_stiffness(plate: fc.Structure) -> None:
     sharp = []
     for law in (fc.UnilateralPenalty(1e12), fc.UnilateralPenalty(1e20), RIGID):
         family = FAMILIES["omega"](fc.Problem(plate, 9000.0, law, 5), *SPAN)
-        sharp.append(attainable(family, 0.5, 0.0))
+        sharp.append(family.rounding(0.5))
     assert sharp[1:] == pytest.approx(sharp[2] * np.ones(2)) and sharp[0] < sharp[2] < 1e-7
 
 

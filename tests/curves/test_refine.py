@@ -1,12 +1,12 @@
-"""Points put between those of a curve, all at once."""
+"""Points put between those of a curve."""
 
 import numpy as np
 import pytest
 from helpers import Cubic, chain, oscillator
 
 import fenics_crack as fc
-from fenics_crack.balance.bordered import Tangent
-from fenics_crack.curves import refine
+from fenics_crack.balance.family import FrequencyFamily
+from fenics_crack.numerics.bordered import solve_in_plane
 
 
 def assert_solutions(curve: fc.ResponseCurve, every: int) -> None:
@@ -66,12 +66,10 @@ def test_undamped_resonance_that_the_load_leaves_alone() -> None:
     law = fc.UnilateralPenalty(0.5)
     alone = fc.solve_harmonic_balance(structure, 0.7, law, harmonics=5)
     assert alone.converged
-    system = refine._Together(fc.Problem(structure, 0.7, law, 5), 1.0)
-    unknown = alone.gap_coefficients[:, None]
-    plane = Tangent(0.0 * unknown, np.ones((1, 1)), 1.0)  # type: ignore[arg-type]
-    found, omega, _ = system.correct(1.01 * unknown, np.array([[0.7]]), plane)
-    assert omega[0] == 0.7
-    np.testing.assert_allclose(found[:, 0], alone.gap_coefficients, rtol=1e-6, atol=1e-8)
+    family = FrequencyFamily(fc.Problem(structure, 0.7, law, 5), 0.7, 1.7)
+    found = solve_in_plane(family, 1.01 * alone.gap_coefficients, 0.0, None, tolerance=1e-9)
+    assert found is not None
+    np.testing.assert_allclose(found.unknown, alone.gap_coefficients, rtol=1e-6, atol=1e-8)
 
 
 def test_several_pairs_and_kinds_of_contact() -> None:
@@ -81,6 +79,7 @@ def test_several_pairs_and_kinds_of_contact() -> None:
         (fc.UnilateralPenalty(np.array([2.0, 5.0])), None),
         (fc.UnilateralPenalty(3.0), 256),
         (fc.SmoothedPenalty(np.array([3.0, 2.0]), 20.0), None),
+        (Cubic(np.array([1.0, 2.0])), None),
     ):
         coarse = fc.continue_frequency(
             structure, 0.5, 1.5, law, harmonics=4, samples=samples, longest_step=0.1
@@ -114,7 +113,7 @@ def test_harmonics_and_verdicts_come_along(law: fc.UnilateralPenalty | fc.Smooth
 
 
 def test_bad_arguments() -> None:
-    """Only curves in frequency, with some points, and laws that can be repeated."""
+    """Only curves in frequency, with some points."""
     structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(1.0)
     curve = fc.continue_frequency(structure, 1.0, 1.5, law)
     with pytest.raises(fc.InputError, match="between"):
@@ -125,6 +124,3 @@ def test_bad_arguments() -> None:
     short = fc.continue_frequency(structure, 1.0, 1.5, law, most_points=2, throw=False)
     with pytest.raises(fc.InputError, match="points"):
         fc.refine_curve(short, 1)
-    each = fc.continue_frequency(structure, 1.0, 1.5, Cubic(np.array([1.0])))
-    with pytest.raises(fc.InputError, match="contact"):
-        fc.refine_curve(each, 1)

@@ -11,7 +11,7 @@ from helpers import chain
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.balance.fourier import evaluate
+from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.study.run import Run, follow_curve, integrate, solve
 
 COUNTS = {

@@ -7,11 +7,11 @@ import pytest
 from helpers import chain, relative
 
 import fenics_crack as fc
-from fenics_crack.balance.arclength import Stepping, follow_path
-from fenics_crack.balance.bordered import solve_in_plane
 from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.motion.flow import Budget, flow_of
 from fenics_crack.motion.orbit import find_orbit
+from fenics_crack.numerics.bordered import point_on_path, solve_in_plane
+from fenics_crack.numerics.path import Path, PathOptions
 
 RIGID = fc.UnilateralConstraint()
 
@@ -37,8 +37,8 @@ def test_equations_of_a_path(light: bool) -> None:
     assert relative(at.assemble() @ change, (ends[0] - ends[1]) / (2.0 * step)) < 1e-6
     first = solve_in_plane(system, system.start, 1.0, None, tolerance=1e-11)
     assert first is not None
-    stepping = Stepping(first=0.01, longest=0.05, most=6, span=(0.9, 1.1))
-    points = list(follow_path(system, first.unknown, 1.0, stepping))
+    options = PathOptions(0.01, max_step=0.05, max_steps=6, span=(0.9, 1.1))
+    points = list(Path(system, point_on_path(system, first.unknown, 1.0), options).points())
     assert len(points) > 4
     for point in points:
         orbit = find_orbit(flow, point.parameter * 0.6, point.unknown / system.scale)

@@ -7,8 +7,9 @@ import pytest
 from helpers import oscillator
 
 import fenics_crack as fc
-from fenics_crack.balance.bordered import PathPoint, locate, solve_in_plane, tangent_of
 from fenics_crack.balance.orbits import FlowOrbits
+from fenics_crack.numerics.bordered import PathPoint, solve_in_plane, tangent_of
+from fenics_crack.numerics.path import Crossing
 from fenics_crack.stability.shooting import orbits_near
 
 
@@ -32,12 +33,8 @@ def test_slopes_against_differences() -> None:
     assert at.by_parameter == pytest.approx((one.residual - other.residual) / (2 * step), rel=1e-6)
 
 
-def test_history_of_a_solution_and_of_a_failure() -> None:
-    """Residuals fall quadratically; where they get no further, the closest one is named."""
-    system, sizes = orbits(), list[float]()
-    found = solve_in_plane(system, system.start, 1.0, None, tolerance=1e-12, history=sizes)
-    assert found is not None and len(sizes) == found.iterations >= 2
-    assert sizes[-1] < 1e-3 * sizes[0]
+def test_failure_names_the_closest_residual() -> None:
+    """Where residuals get no further."""
     law = fc.UnilateralPenalty(1.0)
     solution = fc.solve_harmonic_balance(oscillator(), 1.0, law, harmonics=5)
     with pytest.raises(fc.ConvergenceError, match=r"closest (0\.0e\+00|\d\.\de-1[2-9])"):
@@ -65,7 +62,8 @@ def test_point_between_two_is_judged_once() -> None:
         asked.append(point.parameter)
         return point.parameter - (before.parameter + 0.004 * tangent.p)
 
-    found = locate(system, before, after, test, 1e-12)
+    found = Crossing(test).locate(system, (before, after), 1e-12)
+    assert found is not None
     assert found.parameter == pytest.approx(before.parameter + 0.004 * tangent.p, rel=1e-11)
     assert len(set(asked)) == len(asked)
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from fenics_crack.balance.contact_integrals import SampledIntegrals
-from fenics_crack.balance.fourier import (
+from fenics_crack.model.contact import UnilateralPenalty
+from fenics_crack.numerics.fourier import (
     balanced,
     evaluate,
     from_complex,
@@ -13,7 +14,6 @@ from fenics_crack.balance.fourier import (
     sampled,
     to_complex,
 )
-from fenics_crack.model.contact import UnilateralPenalty
 
 HARMONICS = 6
 PAIRS = 3
@@ -50,7 +50,7 @@ def test_products_are_ffts(harmonics: int, monkeypatch: pytest.MonkeyPatch) -> N
     wave, other = np.random.default_rng(3).normal(size=(2, 2 * harmonics + 1, 4))
     found = []
     for limit in (10**6, 0):
-        monkeypatch.setattr("fenics_crack.balance.fourier.AS_MATRIX", limit)
+        monkeypatch.setattr("fenics_crack.numerics.fourier.AS_MATRIX", limit)
         count = instants(harmonics)
         assert count > 4 * harmonics
         values = sampled(wave, 300), sampled(other, count) * sampled(wave, count)

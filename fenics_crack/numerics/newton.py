@@ -14,10 +14,10 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
-from fenics_crack.balance.bordered import solve_at
-from fenics_crack.balance.krylov import RESTART
-from fenics_crack.balance.linearisation import Linearisation, System
 from fenics_crack.errors import ConvergenceError
+from fenics_crack.numerics.bordered import solve_at
+from fenics_crack.numerics.krylov import RESTART
+from fenics_crack.numerics.linearisation import Linearisation, System
 
 __all__ = ["DistributedSystem", "KernelNewton", "Newton"]
 

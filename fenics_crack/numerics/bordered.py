@@ -1,0 +1,215 @@
+"""Newton's method bordered by a plane: for solutions of F(x, p) = 0 along a path, and at a given p.
+
+A point of a path has a unit tangent (t_x, t_p) in the norm w |x|^2 + p^2, w = 1 / |x_0|^2. In the
+plane orthogonal to a tangent Newton's method solves
+
+    [ J    F_p ] [dx]     [F]
+    [ t_x  t_p ] [dp] = - [0],     by two solutions with J:
+
+    dx = a + dp b,    J a = -F,    J b = -F_p,    dp = - w <t_x, a> / (w <t_x, b> + t_p),
+
+or by one with the bordered matrix where J is not formed (GMRES needs two iterations more for it).
+At a fixed parameter the plane is p = const. (t_x = 0, t_p = 1), one solution is enough, and the
+method is Newton's own. Where the residual would grow, as where lips begin to touch and the Jacobian
+changes like a square root, the step is shortened.
+
+All paths are followed with this loop: response curves, paths to a cold start, backbones, and
+branches of exact orbits; refined curves take its step. It is the kernel's (``kernel/path.c``), for
+compiled equations and for those in Python (:mod:`equations`). Single solutions go through PETSc's
+SNES (:mod:`newton`), so that PETSc's options reach them; the first one of a curve goes through this
+loop where the kernel has its equations. Curves do not: SNES knows no border, and at given
+parameters, where none is needed, an iteration by SNES takes ten times as long as one by the
+compiled loop (``benchmarks/curves.py --only newton``, 21 unknowns).
+
+Sources: those of :mod:`path`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.kernel import doubles, ints, kernel, shaped
+from fenics_crack.numerics.equations import equations_of
+from fenics_crack.numerics.linearisation import Linearisation, System
+
+__all__ = [
+    "MAX_ITERATIONS",
+    "MIN_DAMPING",
+    "REACH",
+    "PathPoint",
+    "Tangent",
+    "correct",
+    "distance",
+    "point_on_path",
+    "solve_at",
+    "solve_in_plane",
+    "step_along",
+    "step_in_plane",
+    "tangent_of",
+]
+
+MAX_ITERATIONS = 8
+"""Of one correction."""
+MIN_DAMPING = 0.05
+"""Of a Newton step."""
+REACH = 3.0
+"""How far from its prediction the parameter may go, in steps."""
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """Unit tangent (t_x, t_p) in the norm weight |x|^2 + p^2."""
+
+    x: np.ndarray
+    p: float
+    weight: float
+
+    def reversed(self) -> Tangent:
+        """The opposite direction."""
+        return Tangent(-self.x, -self.p, self.weight)
+
+    def along(self, other: Tangent, system: System) -> float:
+        """Cosine of the angle to another tangent, in that one's norm."""
+        product = other.weight * system.inner(self.x, other.x) + self.p * other.p
+        length = other.weight * system.inner(self.x, self.x) + self.p**2
+        # No direction where the Jacobian is singular to rounding: the slope has overflowed.
+        return product / float(np.sqrt(length)) if length > 0.0 else 0.0
+
+
+@dataclass(frozen=True)
+class PathPoint:
+    """A point of a path, and the iterations that it took."""
+
+    unknown: np.ndarray
+    parameter: float
+    iterations: int
+    tangent: Tangent
+    """``tangent.p`` > 0 where the parameter grows along the path; the sign changes at folds."""
+    crosses_branch: bool = False
+    """Whether another branch has been crossed since the point before."""
+    at: Linearisation | None = field(default=None, repr=False, compare=False)
+    length: float = float("nan")
+    """Of the chord from the point before in that one's norm, where it is known."""
+
+
+def tangent_of(system: System, unknown: np.ndarray, at: Linearisation) -> Tangent:
+    """Tangent at a solution, towards growing p."""
+    slope = -at.solve(at.by_parameter)
+    weight = 1.0 / max(system.inner(unknown, unknown), 1e-300)
+    length = float(np.sqrt(weight * system.inner(slope, slope) + 1.0))
+    return Tangent(slope / length, 1.0 / length, weight)
+
+
+def point_on_path(
+    system: System, unknown: np.ndarray, parameter: float, towards: Tangent | None = None
+) -> PathPoint:
+    """A solution with its tangent, towards growing p or in a direction that is known roughly."""
+    tangent = tangent_of(system, unknown, system.linearise(unknown, parameter))
+    if towards is not None and tangent.along(towards, system) < 0.0:
+        tangent = tangent.reversed()
+    return PathPoint(unknown, parameter, 0, tangent)
+
+
+def solve_in_plane(
+    system: System,
+    unknown: np.ndarray,
+    parameter: float,
+    plane: Tangent | None,
+    *,
+    tolerance: float,
+    iterations: int = MAX_ITERATIONS,
+    reach: float = np.inf,
+    least_damping: float | None = MIN_DAMPING,
+    patience: int | None = None,
+) -> PathPoint | None:
+    """Newton's method in the plane across a tangent, or at a given parameter; None where it fails.
+
+    ``tolerance`` is |F| / |x| of the solution, |x| that of the tangent's point; ``reach``: how far
+    from the guess the parameter may go; ``least_damping``: how much a step may be shortened where
+    the residual would grow, None for full steps whatever it does; ``patience``: steps, at most 30,
+    that may together fail to halve |F| / |x|.
+    """
+    equations = equations_of(system, unknown.shape)
+    flat = plane or Tangent(np.zeros_like(unknown), 1.0, 0.0)
+    found, place = np.array(unknown, float, order="C"), np.array([parameter], float)
+    taken, across = np.zeros(1, np.intc), shaped(flat.x, *equations.shape)
+    outcome = equations.run(
+        kernel.solve_in_plane, doubles(shaped(found, *equations.shape)), doubles(place),
+        plane is not None, doubles(across), flat.p, flat.weight, tolerance, iterations, reach,
+        -1.0 if least_damping is None else least_damping, patience or 0, ints(taken),
+    )  # fmt: skip
+    if not equations.check(outcome):
+        return None
+    parameter = float(place[0])
+    return PathPoint(found, parameter, int(taken[0]), flat, at=equations.found(found, parameter))
+
+
+def step_in_plane(
+    plane: Tangent,
+    change: np.ndarray,
+    slope: np.ndarray,
+    inner: Callable[[np.ndarray, np.ndarray], Any],
+) -> tuple[np.ndarray, Any]:
+    """Newton's step (dx, dp) from a = -J^-1 F and b = -J^-1 F_p, of many points at once where the
+    plane holds arrays and ``inner`` gives one number for each."""
+    along = plane.weight * inner(plane.x, slope) + plane.p + 1e-300  # not 0
+    shift = -plane.weight * inner(plane.x, change) / along
+    return change + shift * slope, shift
+
+
+def correct(
+    system: System,
+    start: PathPoint,
+    step: float,
+    tolerance: float,
+    *,
+    tangent: Tangent | None = None,
+    bend: tuple[np.ndarray, float] | None = None,
+    reach: float | None = None,
+) -> PathPoint | None:
+    """The point of a path at a distance from another one; None where it is not found.
+
+    The prediction goes along ``tangent``, by default the point's own, plus ``bend``, a change of x
+    and of p. The parameter may then change by ``reach``, by default 3 steps.
+    """
+    tangent = tangent or start.tangent
+    unknown, parameter = start.unknown + step * tangent.x, start.parameter + step * tangent.p
+    if bend is not None:
+        unknown, parameter = unknown + bend[0], parameter + bend[1]
+    return solve_in_plane(
+        system, unknown, parameter, tangent, tolerance=tolerance, reach=reach or REACH * step
+    )
+
+
+def step_along(
+    system: System, start: PathPoint, step: float, tolerance: float = 1e-8
+) -> PathPoint | None:
+    """The same with the tangent there, which keeps its direction."""
+    found = correct(system, start, step, tolerance)
+    if found is None:
+        return None
+    assert found.at is not None
+    ahead = tangent_of(system, found.unknown, found.at)
+    onwards = ahead.along(start.tangent, system) >= 0.0
+    return replace(found, tangent=ahead if onwards else ahead.reversed())
+
+
+def solve_at(
+    system: System, unknown: np.ndarray, parameter: float, *, tolerance: float, iterations: int = 20
+) -> PathPoint | None:
+    """Full Newton steps from a guess at a given parameter; None where they do not converge."""
+    return solve_in_plane(
+        system, unknown, parameter, None,
+        tolerance=tolerance, iterations=iterations, least_damping=None,
+    )  # fmt: skip
+
+
+def distance(system: System, before: PathPoint, after: PathPoint) -> float:
+    """Length of the chord between two points in the norm of the first one."""
+    change = after.unknown - before.unknown
+    square = before.tangent.weight * system.inner(change, change)
+    return float(np.sqrt(square + (after.parameter - before.parameter) ** 2))

@@ -1,0 +1,164 @@
+"""Equations F(x, p) = 0 as the loops of the kernel take them.
+
+The kernel knows equations by a table of functions (``kernel/equations.h``). Compiled ones bring
+theirs; for a system in Python the table holds functions that call it back.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from functools import wraps
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.errors import ConvergenceError
+from fenics_crack.kernel import Struct, ffi, kernel
+from fenics_crack.numerics.linearisation import Linearisation, System
+
+__all__ = ["Equations", "equations_of"]
+
+
+class Equations(ABC):
+    """A system with its table.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        Of the unknowns.
+    table : the kernel's equations
+    many : bool
+        Whether one call follows many points of a path.
+    """
+
+    shape: tuple[int, ...]
+    table: Any
+    many = True
+    _last: Linearisation | None = None
+    """Where they have been evaluated."""
+
+    @abstractmethod
+    def linearise(self, unknown: np.ndarray, parameter: float) -> Linearisation:
+        """The system at a point."""
+
+    @abstractmethod
+    def found(self, unknown: np.ndarray, parameter: float) -> Linearisation:
+        """The system at a point that a loop has found, where it has just been evaluated."""
+
+    def run(self, loop: Any, *given: Any) -> int:
+        """What comes of a loop of the kernel."""
+        self._last = None
+        return int(loop(self.table, *given))
+
+    def check(self, outcome: int) -> bool:
+        """Whether something was found; raise what an outcome means besides."""
+        if outcome == kernel.NO_MEMORY:
+            raise MemoryError("equations of a path")
+        if outcome == kernel.SINGULAR_STRUCTURE:
+            raise ConvergenceError("path: the structure is singular (an undamped resonance)")
+        return outcome == kernel.FOUND
+
+
+def equations_of(system: System, shape: tuple[int, ...]) -> Equations:
+    """The kernel's equations of a system, its own ``compiled`` where it has them."""
+    found: Equations | None = getattr(system, "compiled", None)
+    return _Interpreted(system, shape) if found is None else found
+
+
+class _Interpreted(Equations):
+    """A system in Python."""
+
+    many = False
+
+    def __init__(self, system: System, shape: tuple[int, ...]) -> None:
+        self.shape, self._state = shape, _State(system, shape)
+        self._handle = ffi.new_handle(self._state)
+        size = int(np.prod(shape))
+        counts = getattr(system, "counts", None)
+        if counts is not None:
+            counts = np.ascontiguousarray(np.broadcast_to(counts, shape), dtype=float)
+        self._struct = Struct(
+            "equations", unknowns=size, context=self._handle, counts=counts,
+            evaluate=kernel.python_evaluate, residual=kernel.python_residual,
+            solve=kernel.python_solve, by_parameter=kernel.python_by_parameter,
+            sign=kernel.python_sign, inner=kernel.python_inner,
+        )  # fmt: skip
+        self.table = self._struct.at
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> Linearisation:
+        return self._state.system.linearise(unknown, parameter)
+
+    def found(self, unknown: np.ndarray, parameter: float) -> Linearisation:
+        return self._state.at
+
+    def check(self, outcome: int) -> bool:
+        failure, self._state.failure = self._state.failure, None
+        if failure is not None:
+            raise failure
+        return super().check(outcome)
+
+
+class _State:
+    """A system in Python where the kernel has evaluated it, and what it raised."""
+
+    at: Linearisation
+    failure: BaseException | None = None
+
+    def __init__(self, system: System, shape: tuple[int, ...]) -> None:
+        self.system, self._shape, self._bytes = system, shape, 8 * int(np.prod(shape))
+
+    def array(self, numbers: Any) -> np.ndarray:
+        """The kernel's numbers."""
+        return np.frombuffer(ffi.buffer(numbers, self._bytes)).reshape(self._shape)
+
+
+def _called_back(failed: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """For functions of the table: what they raise is kept until the loop has ended."""
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(function)
+        def call(table: Any, *given: Any) -> Any:
+            state: _State = ffi.from_handle(table.context)
+            try:
+                return failed if state.failure else function(state, *given)
+            except BaseException as error:  # KeyboardInterrupt too: C passes none on
+                state.failure = error
+                return failed
+
+        ffi.def_extern(name=f"python{function.__name__}")(call)
+        return call
+
+    return decorate
+
+
+@_called_back(kernel.FAILED)
+def _evaluate(state: _State, unknown: Any, parameter: float) -> int:
+    state.at = state.system.linearise(state.array(unknown).copy(), parameter)
+    return int(kernel.FOUND)
+
+
+@_called_back(None)
+def _residual(state: _State, found: Any) -> None:
+    state.array(found)[...] = state.at.residual
+
+
+@_called_back(None)
+def _solve(state: _State, right: Any) -> None:
+    both = state.array(right)
+    both[...] = state.at.solve(both.copy())
+
+
+@_called_back(None)
+def _by_parameter(state: _State, found: Any) -> None:
+    state.array(found)[...] = state.at.by_parameter
+
+
+@_called_back(np.nan)
+def _sign(state: _State) -> float:
+    return state.at.sign
+
+
+@_called_back(np.nan)
+def _inner(state: _State, first: Any, second: Any) -> float:
+    return state.system.inner(state.array(first), state.array(second))

@@ -1,0 +1,562 @@
+"""Pseudo-arc-length continuation of solutions F(x, p) = 0 along a parameter p, through its folds.
+
+A step of length h
+
+1. predicts   (x, p) + h (t_x, t_p) + the cubic terms that follow from the point before and its
+   tangent,
+2. corrects by Newton's method in the plane orthogonal to the tangent (:mod:`bordered`),
+3. is lengthened where few iterations were needed, and halved where they failed or where the path
+   was left, which a large angle between the new tangent and the old one shows. Of the two tangents
+   at a point the right one keeps the sign of t_p det J, which changes only where another branch
+   crosses. Where J is not formed its determinant is unknown: the tangent is taken that goes on at
+   the smaller angle, the chord must agree with both tangents, lest a step across a narrow turn
+   leads back, and branches that cross go unnoticed. There a system may judge angles by counting
+   some unknowns less (``counts``).
+
+The steps are the kernel's (``kernel/path.c``), many of them in one call where the equations are
+compiled (:mod:`equations`). What may happen between two points is an :class:`Event`: a fold, a
+value of the parameter that is sought, a path that closes, a branch that crosses, any function that
+vanishes. A path ends at those that are terminal.
+
+Source: Keller, in Applications of Bifurcation Theory, 1977; Seydel, Practical Bifurcation and
+Stability Analysis, chapter 4.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import overload
+
+import numpy as np
+import scipy.optimize
+
+from fenics_crack.errors import ConvergenceError
+from fenics_crack.kernel import NULL, Struct, doubles, kernel
+from fenics_crack.numerics.bordered import (
+    MAX_ITERATIONS,
+    MIN_DAMPING,
+    REACH,
+    PathPoint,
+    Tangent,
+    correct,
+    distance,
+    solve_at,
+    step_along,
+    tangent_of,
+)
+from fenics_crack.numerics.equations import equations_of
+from fenics_crack.numerics.linearisation import Linearisation, System
+from fenics_crack.numerics.rounding import ROUNDING
+
+__all__ = [
+    "BranchPoint",
+    "Closed",
+    "Crossing",
+    "Ended",
+    "Ends",
+    "Event",
+    "Fold",
+    "Path",
+    "PathOptions",
+    "Stretch",
+    "Target",
+]
+
+BRANCHING_STEP = 1e-3
+"""Share of the longest step below which a change of sign straight ahead means a branch crosses."""
+BACK = 0.9
+"""Cosine of an angle above which two directions are taken for one: back, or to a point before."""
+SHARP = 1e-11
+"""|F| / |x| of what is located between two points."""
+BETWEEN = 30
+"""Points tried for that."""
+NEAR = 1e-8
+"""Distance to a point of a path at which it counts as found: where the parameter turns, it is then
+known to the square of that."""
+LANDING = 1e-4
+"""Distance from which the solution at a target is solved for at its own value."""
+AGAIN = 4
+"""How often a target is sought by steps of a quarter, where a long one may have met another part of
+the path."""
+
+
+@dataclass(frozen=True)
+class PathOptions:
+    """How a path is followed, with steps measured in the norm of the tangent."""
+
+    initial_step: float
+    max_step: float = 1.0
+    min_step: float = 1e-7
+    """The path ends where steps would be shorter."""
+    max_steps: int = 1000
+    rtol: float = 1e-8
+    """|F| / |x| of the points; where steps are short, they are solved for more sharply."""
+    min_cosine: float = 0.5
+    """Of the angle between neighbouring tangents."""
+    rounding: float = ROUNDING
+    """Below which |F| / |x| does not fall, if the system does not tell (``rounding``)."""
+    at_once: int = 64
+    """Points that one call of the kernel follows at most."""
+    span: tuple[float, float] = (-np.inf, np.inf)
+    """Of the parameter: the path ends where it is left."""
+
+
+class Ended(Enum):
+    """How a path has ended."""
+
+    MET = "an event"
+    LOST = "no solution at the very end"
+    LEFT = "left the range of the parameter"
+    MANY = "more points than allowed"
+    SHORT = "the steps became too short"
+
+
+class Stretch(Sequence[PathPoint]):
+    """Points of a path in the kernel's arrays, one after the other; each is made where it is asked
+    for.
+
+    Attributes
+    ----------
+    unknowns : (n, *shape)
+    parameters, slopes, lengths : (n,)
+        p, its tangent's t_p, and the chord from the point before.
+    iterations : (n,) int
+    crossings : (n,) int
+        1 where another branch has been crossed since the point before.
+    met : list of (Event, PathPoint)
+        What lies between its last point and the one before it, and where.
+    """
+
+    def __init__(self, known: Sequence[PathPoint], room: int) -> None:
+        shape = known[0].unknown.shape
+        self.unknowns, self._tangents = np.zeros((room, *shape)), np.zeros((room, *shape))
+        self.parameters, self.slopes, self._weights, self.lengths = np.zeros((4, room))
+        self.iterations, self.crossings = np.zeros(room, np.intc), np.zeros(room, np.int8)
+        self.met: list[tuple[Event, PathPoint]] = []
+        for place, point in enumerate(known):
+            self.put(place, point)
+
+    def put(self, place: int, point: PathPoint) -> None:
+        """Set a point."""
+        self.unknowns[place], self._tangents[place] = point.unknown, point.tangent.x
+        self.parameters[place], self.slopes[place] = point.parameter, point.tangent.p
+        self._weights[place], self.lengths[place] = point.tangent.weight, point.length
+        self.iterations[place], self.crossings[place] = point.iterations, point.crosses_branch
+
+    def struct(self, known: int, **numbers: float) -> Struct:
+        """The kernel's path, of which so many points are known."""
+        return Struct(
+            "path", room=len(self), known=known, unknowns=self.unknowns,
+            parameters=self.parameters, tangents=self._tangents, slopes=self.slopes,
+            weights=self._weights, lengths=self.lengths, iterations=self.iterations,
+            crossings=self.crossings, **numbers,
+        )  # fmt: skip
+
+    def __len__(self) -> int:
+        return len(self.parameters)
+
+    def singly(self) -> Iterator[Stretch]:
+        """Each point by itself."""
+        for place in range(len(self)):
+            part = self[place : place + 1]
+            part.met = self.met if place == len(self) - 1 else []
+            yield part
+
+    def ways_to(self, point: PathPoint) -> np.ndarray:
+        """Distances from each point to another one along its tangent: (n,)."""
+        back = (point.unknown - self.unknowns).reshape(len(self), -1)
+        along = np.einsum("ij,ij->i", back, self._tangents.reshape(len(self), -1))
+        found: np.ndarray = self._weights * along
+        return found + (point.parameter - self.parameters) * self.slopes
+
+    @overload
+    def __getitem__(self, place: int) -> PathPoint: ...
+    @overload
+    def __getitem__(self, place: slice) -> Stretch: ...
+    def __getitem__(self, place: int | slice) -> PathPoint | Stretch:
+        if isinstance(place, slice):
+            part = object.__new__(Stretch)
+            arrays = {name: array for name, array in vars(self).items() if name != "met"}
+            vars(part).update({name: array[place] for name, array in arrays.items()}, met=[])
+            return part
+        tangent = Tangent(
+            self._tangents[place], float(self.slopes[place]), float(self._weights[place])
+        )
+        return PathPoint(
+            self.unknowns[place], float(self.parameters[place]), int(self.iterations[place]),
+            tangent, bool(self.crossings[place]), length=float(self.lengths[place]),
+        )  # fmt: skip
+
+
+# --- events ---------------------------------------------------------------------------------------
+
+Ends = tuple[PathPoint, PathPoint]
+"""Two neighbours on a path."""
+
+
+class Event(ABC):
+    """What may lie between two neighbours on a path.
+
+    Attributes
+    ----------
+    terminal : bool
+        Whether the path ends there,
+    told : str
+        and what is said then.
+    kind : str
+        What it is called if it is a special point.
+    """
+
+    terminal, told, kind = False, "", ""
+
+    @abstractmethod
+    def between(self, points: Stretch) -> np.ndarray:
+        """Whether it may lie behind each point but the last: (n-1,) bool."""
+
+    @abstractmethod
+    def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
+        """Where it is; None where it is not there, or is not found."""
+
+
+class BranchPoint(Event):
+    """Where another branch crosses; told by the sign of det J, by the point behind it."""
+
+    kind = "branch_point"
+
+    def between(self, points: Stretch) -> np.ndarray:
+        return np.asarray(points.crossings[1:] > 0)
+
+    def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
+        return ends[1]
+
+
+class Crossing(Event):
+    """Where a function of points vanishes, by Brent's method; the point met at which it is smallest
+    where that fails."""
+
+    def __init__(self, test: Callable[[PathPoint], float]) -> None:
+        self._test = test
+
+    def between(self, points: Stretch) -> np.ndarray:
+        values = np.array([self._test(point) for point in points])
+        return np.asarray(values[1:] * values[:-1] < 0.0)
+
+    def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
+        before, after = ends
+        met: list[tuple[float, PathPoint]] = []
+
+        def value(step: float) -> float:
+            point = before if step == 0.0 else step_along(system, before, step, rtol)
+            if point is None:
+                raise ConvergenceError("path: lost between two points")
+            met.append((self._test(point), point))
+            return met[-1][0]
+
+        length = distance(system, before, after)
+        for reach in (1.0, 1.2, 0.8, 1.5):  # along the tangent the other point is not quite as far
+            try:
+                scipy.optimize.brentq(value, 0.0, reach * length, xtol=1e-12, rtol=1e-12)
+                break
+            except (ConvergenceError, ValueError):
+                continue
+        else:
+            met.append((self._test(after), after))
+        return min(met, key=lambda found: abs(found[0]))[1]
+
+
+class Fold(Crossing):
+    """Where the parameter turns back."""
+
+    kind = "fold"
+
+    def __init__(self) -> None:
+        super().__init__(lambda point: point.tangent.p)
+
+    def between(self, points: Stretch) -> np.ndarray:
+        return np.asarray(points.slopes[1:] * points.slopes[:-1] < 0.0)
+
+    def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
+        return _between(system, ends, None, rtol, NEAR) or super().locate(system, ends, rtol)
+
+
+@dataclass(frozen=True)
+class Target(Event):
+    """Where the parameter has a value."""
+
+    parameter: float
+    terminal, told = True, "reached the end"
+
+    def between(self, points: Stretch) -> np.ndarray:
+        off = points.parameters - self.parameter
+        return np.asarray((off[:-1] != 0.0) & (off[1:] * off[:-1] <= 0.0))
+
+    def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
+        near = _between(system, ends, self.parameter, rtol, LANDING)
+        if near is None:
+            return None
+        found = solve_at(system, near.unknown, self.parameter, tolerance=rtol)
+        return found and replace(found, tangent=near.tangent)
+
+
+@dataclass(frozen=True)
+class Closed(Event):
+    """Where a path comes back to a point of it, by more than some steps."""
+
+    origin: PathPoint
+    terminal, told = True, "closed loop"
+
+    def between(self, points: Stretch) -> np.ndarray:
+        lengths = points.lengths[1:]
+        near = np.abs(points.parameters[:-1] - self.origin.parameter) <= lengths / BACK
+        ways = points.ways_to(self.origin)[:-1]
+        return np.asarray(near & (ways > 0.0) & (ways <= lengths))
+
+    def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
+        before, origin = ends[0], self.origin
+        chord = distance(system, before, origin)
+        along = Tangent(
+            origin.unknown - before.unknown,
+            origin.parameter - before.parameter,
+            before.tangent.weight,
+        ).along(before.tangent, system)
+        if along < BACK:
+            return None
+        met = step_along(system, before, along * chord, rtol)
+        if met is None or met.tangent.along(origin.tangent, system) < BACK:
+            return None
+        off = met.unknown - origin.unknown
+        same = system.inner(off, off) < 1e-10 * system.inner(origin.unknown, origin.unknown)
+        return origin if same else None
+
+
+def _between(
+    system: System, ends: Ends, target: float | None, rtol: float, near: float
+) -> PathPoint | None:
+    """The point between two others of a path where the parameter turns back, or where it is a
+    ``target``, to a distance; None where it is not found.
+
+    Where the next point is looked for follows from Hermite's cubic polynomial p(s) through the two
+    points that enclose it, with s along the tangent of the first one.
+    """
+    equations, found = equations_of(system, ends[0].unknown.shape), Stretch(ends, 3)
+    how = Struct(
+        "stepping", shortest=near, tolerance=rtol, reach=REACH, iterations=MAX_ITERATIONS,
+        least_damping=MIN_DAMPING,
+    )  # fmt: skip
+    wanted = NULL if target is None else doubles(np.array([target]))
+    path = found.struct(2)
+    outcome = equations.run(kernel.find_between, how.at, BETWEEN, wanted, path.at)
+    return found[path.at.known] if equations.check(outcome) else None
+
+
+# --- the path -------------------------------------------------------------------------------------
+
+
+class Path:
+    """The path from a solution on: iterate over it once, by stretches at whose ends something
+    happens, or by as many points as come together.
+
+    Parameters
+    ----------
+    system : System
+    start : PathPoint
+        Its tangent tells in which direction.
+    options : PathOptions
+    events : sequence of Event
+
+    Attributes
+    ----------
+    last : PathPoint
+        The last point so far.
+    ended : Ended or None
+        How it has ended, if it has.
+    event : Event or None
+        The terminal one that it has met.
+    """
+
+    def __init__(
+        self, system: System, start: PathPoint, options: PathOptions, events: Sequence[Event] = ()
+    ) -> None:
+        self._system, self._options, self._events = system, options, events
+        self._equations = equations_of(system, start.unknown.shape)
+        self.last = start
+        self.ended: Ended | None = None
+        self.event: Event | None = None
+        self._begin(start, options.initial_step)
+
+    @property
+    def status(self) -> str:
+        """How it has ended, in words."""
+        if self.event is not None:
+            return self.event.told
+        return "under way" if self.ended is None else self.ended.value
+
+    def points(self) -> Iterator[PathPoint]:
+        """One point after the other."""
+        for stretch in self:
+            yield from stretch
+
+    def run(self) -> PathPoint | None:
+        """The terminal event's point, all of the path at once; None where it meets none."""
+        for _ in self:
+            pass
+        return self.last if self.ended is Ended.MET else None
+
+    def __iter__(self) -> Iterator[Stretch]:
+        left, again = self._options.max_steps, AGAIN
+        while self.ended is None:
+            if not left:
+                self.ended = Ended.MANY
+                return
+            stretch = self._follow(left)
+            if len(stretch) == 1:
+                self.ended = Ended.SHORT
+                return
+            for found, place in self._eventful(stretch):
+                left -= len(found)
+                if place is None:
+                    self._remember(found)
+                elif not again:
+                    self.ended = Ended.LOST
+                else:  # back, and on by a shorter step
+                    again -= 1
+                    self._begin(stretch[place], 0.25 * float(stretch.lengths[place + 1]))
+                if len(found):
+                    self.last = found[-1]
+                    yield found
+                if place is not None or self.ended is not None:
+                    break
+
+    def _eventful(self, stretch: Stretch) -> Iterator[tuple[Stretch, int | None]]:
+        """The points behind the first one in parts that end where something happens; with the place
+        behind which a target was not found."""
+        lowest, highest = self._options.span
+        outside = (stretch.parameters[1:] < lowest) | (stretch.parameters[1:] > highest)
+        flags = np.array([event.between(stretch) for event in self._events], dtype=bool)
+        flags = flags.reshape(len(self._events), len(stretch) - 1)
+        begin = 1
+        for place in map(int, np.flatnonzero(flags.any(axis=0) | outside)):
+            ends = stretch[place], stretch[place + 1]
+            sharp = max(SHARP, self._rounding(ends[1]))
+            found = stretch[begin : place + 2]
+            for event, near in zip(self._events, flags[:, place], strict=True):
+                at = event.locate(self._system, ends, sharp) if near else None
+                if at is not None:
+                    found.met.append((event, at))
+                if at is not None and event.terminal:
+                    if at is ends[0]:
+                        found = stretch[begin : place + 1]
+                    else:
+                        found.put(-1, at)
+                    self.ended, self.event = Ended.MET, event
+                    yield found, None
+                    return
+                if near and at is None and isinstance(event, Target):
+                    yield stretch[begin : place + 1], place
+                    return
+            if outside[place]:
+                self.ended = Ended.LEFT
+                yield stretch[begin : place + 1], None
+                return
+            if found.met:
+                yield found, None
+                begin = place + 2
+        if begin < len(stretch):
+            yield stretch[begin:], None
+
+    # --- its steps --------------------------------------------------------------------------------
+
+    def _rounding(self, point: PathPoint) -> float:
+        """What rounding leaves of |F| / |x| there."""
+        of_system = getattr(self._system, "rounding", None)
+        return self._options.rounding if of_system is None else float(of_system(point.parameter))
+
+    def _begin(self, point: PathPoint, step: float) -> None:
+        """Go on from a point, with a step."""
+        at = self._equations.linearise(point.unknown, point.parameter)
+        self._known, self._step = [point], step
+        self._orientation = at.sign if point.tangent.p > 0.0 else -at.sign
+
+    def _remember(self, found: Stretch) -> None:
+        self._known = [*self._known, *found[-2:]][-2:]
+
+    def _follow(self, left: int) -> Stretch:
+        """The last point that is known, and those behind it, if no step is too short; no more than
+        are left."""
+        options, known = self._options, self._known
+        here, rounding = known[-1], self._rounding(known[-1])
+        targets = [event.parameter for event in self._events if isinstance(event, Target)]
+        bounds = [*options.span, *targets]
+        many = min(left, options.at_once if self._equations.many else 1)
+        found = Stretch(known, len(known) + many)
+        path = found.struct(len(known), step=self._step, orientation=self._orientation)
+        how = Struct(
+            "stepping", longest=options.max_step, shortest=options.min_step,
+            tolerance=max(options.rtol, rounding), rounding=rounding,
+            least_cosine=options.min_cosine, branching_step=BRANCHING_STEP, reach=REACH,
+            iterations=MAX_ITERATIONS, least_damping=MIN_DAMPING,
+            lowest=max(p for p in bounds if p <= here.parameter),
+            highest=min(p for p in bounds if p >= here.parameter),
+        )  # fmt: skip
+        outcome = self._equations.run(kernel.follow, how.at, path.at)
+        self._orientation, self._step = path.at.orientation, path.at.step
+        if path.at.known == len(known):
+            self._equations.check(outcome)
+            turned = self._round_corner(here)
+            if turned is None:
+                return found[len(known) - 1 : len(known)]
+            found.put(len(known), turned[0])
+            path.at.known, self._step = len(known) + 1, turned[1]
+        return found[len(known) - 1 : path.at.known]
+
+    def _onwards(self, unknown: np.ndarray, at: Linearisation, before: Tangent) -> Tangent:
+        """The tangent at a point along which the path goes on, behind one with another tangent."""
+        tangent = tangent_of(self._system, unknown, at)
+        if np.isnan(at.sign):  # unknown: not back again
+            onwards = self._cosine(tangent, before) >= 0.0
+        else:
+            onwards = at.sign == self._orientation
+        return tangent if onwards else tangent.reversed()
+
+    def _cosine(self, first: Tangent, second: Tangent) -> float:
+        """Of the angle between two directions, with unknowns that count as the system says."""
+        counts = getattr(self._system, "counts", None)
+
+        def product(one: Tangent, other: Tangent) -> float:
+            x = one.x if counts is None else counts * one.x
+            return second.weight * self._system.inner(x, other.x) + one.p * other.p
+
+        square = product(first, first) * product(second, second)
+        return product(first, second) / float(np.sqrt(square)) if square > 0.0 else 0.0
+
+    def _round_corner(self, here: PathPoint) -> tuple[PathPoint, float] | None:
+        """Leave a point where the path turns more sharply than steps can resolve: the next one, and
+        the step to it.
+
+        Where stiff contact begins to graze, the Jacobian changes by orders of magnitude over the
+        smallest distance. The direction in which the path goes on is that of the Jacobian just
+        behind the point; where the sign of its determinant is unknown, that or its opposite, unless
+        this leads straight back.
+        """
+        steps = self._options.max_step * 10.0 ** np.arange(-7.0, -1.5, 0.5)
+        for step in steps[steps >= self._options.min_step]:
+            behind = here.unknown + step * here.tangent.x
+            at = self._equations.linearise(behind, here.parameter + step * here.tangent.p)
+            turned = self._onwards(behind, at, here.tangent)
+            ways = [turned]
+            if np.isnan(self._orientation) and self._cosine(turned, here.tangent) < BACK:
+                ways.append(turned.reversed())
+            sharp = max(self._rounding(here), 1e-4 * step)
+            for way in ways:
+                found = correct(self._system, here, step, sharp, tangent=way)
+                if found is None:
+                    continue
+                assert found.at is not None
+                ahead = self._onwards(found.unknown, found.at, way)
+                if self._cosine(ahead, way) > 0.5:
+                    length = distance(self._system, here, found)
+                    return replace(found, tangent=ahead, length=length), float(step)
+        return None
