@@ -24,7 +24,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
-from fenics_crack.arrivals.harmonics import TipFit, columns_of, strengths
+from fenics_crack.arrivals.harmonics import TipFit, strengths
 from fenics_crack.arrivals.least_squares import (
     LinearFit,
     compared,
@@ -34,6 +34,7 @@ from fenics_crack.arrivals.least_squares import (
     wanted,
 )
 from fenics_crack.errors import InputError, check_count
+from fenics_crack.numerics.fourier import waves
 from fenics_crack.table import UNITS, Tabular, counted, with_frequency
 
 __all__ = ["TipTrack", "fit_order", "track_order"]
@@ -220,7 +221,7 @@ def track_order(
     seen = np.isfinite(values)
     count, values = seen.sum(axis=1), np.where(seen, values, 0.0)
     columns, planned = (
-        np.where(seen[..., None], columns_of(np.nan_to_num(part), order, multiples), 0.0)
+        np.where(seen[..., None], waves(order * np.nan_to_num(part), multiples), 0.0)
         for part in (angle, nominal)
     )
     enough = np.linalg.matrix_rank(planned, tol=1e-6) == unknowns

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.errors import InputError
+from fenics_crack.numerics.fourier import waves
 from fenics_crack.table import Tabular, quantity, with_frequency
 
-__all__ = ["Candidates", "TipFit", "columns_of", "strengths"]
+__all__ = ["Candidates", "TipFit", "strengths"]
 
 UNITS = {"omega": "rad/s", "frequency": "Hz", "phase": "rad", "residual": "m"}
 UNITS |= {"amplitude": "m", "amplitude_error": "m"}
@@ -163,7 +164,7 @@ class TipFit(Tabular):
 
     def displacement(self, angle: np.ndarray) -> np.ndarray:
         """The fitted vibration at rotor angles: (n,) [m]."""
-        return columns_of(np.asarray(angle), self.order, self.multiples) @ self.coefficients
+        return waves(self.order * np.asarray(angle), self.multiples) @ self.coefficients
 
     # --- shown ------------------------------------------------------------------------------------
 
@@ -198,14 +199,6 @@ class TipFit(Tabular):
                 shown = ", ".join(f"{one:.6g}" for one in orders[:6])
                 parts.append(f"{words}: {shown}{', ...' if len(orders) > 6 else ''}")
         return ", ".join(parts)
-
-
-def columns_of(angle: np.ndarray, order: float | np.ndarray, multiples: np.ndarray) -> np.ndarray:
-    """1, cos(m p alpha), sin(m p alpha), ... at angles (...): (..., 2K+1)."""
-    phase = np.multiply.outer(order * angle, multiples)
-    found = np.ones((*phase.shape[:-1], 2 * len(multiples) + 1))
-    found[..., 1::2], found[..., 2::2] = np.cos(phase), np.sin(phase)
-    return found
 
 
 def strengths(coefficients: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

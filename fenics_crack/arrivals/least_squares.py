@@ -9,8 +9,9 @@ from typing import NoReturn
 import numpy as np
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
-from fenics_crack.arrivals.harmonics import Candidates, columns_of
+from fenics_crack.arrivals.harmonics import Candidates
 from fenics_crack.errors import InputError, check_count, check_number
+from fenics_crack.numerics.fourier import waves
 from fenics_crack.table import counted
 
 __all__ = [
@@ -85,7 +86,7 @@ def fit_harmonics(
     -R W e (1 + u' / R). Least squares of e itself is what makes orders comparable: aliases of the
     same displacements have other slopes u'. Its weights, from the fit before, settle at once.
     """
-    columns, slope = columns_of(angle, order, multiples), np.ones_like(values)
+    columns, slope = waves(order * angle, multiples), np.ones_like(values)
     for _ in range(3):
         weights = 1.0 / np.maximum(slope, 0.1)
         weighted = weights[:, None] * columns
@@ -102,7 +103,7 @@ def fit_harmonics(
 def nominal_condition(angle: np.ndarray, order: float, multiples: np.ndarray) -> float:
     """Condition number of the columns at nominal angles (n,), scaled to length 1; inf where they
     are dependent."""
-    columns = columns_of(angle, order, multiples)
+    columns = waves(order * angle, multiples)
     sizes = np.linalg.norm(columns, axis=0)
     if len(columns) < len(sizes) or sizes.min() < 1e-8 * sizes.max():
         return np.inf
@@ -182,7 +183,7 @@ def compared(
     known = alike & ~hidden if np.any(alike & ~hidden) else alike
     small = known & (sizes <= 1.2 * sizes[known].min())
     best = int(np.argmin(np.where(small, sums, np.inf)))
-    wave = columns_of(nominal, float(orders[best]), multiples) @ fits[best].coefficients
+    wave = waves(float(orders[best]) * nominal, multiples) @ fits[best].coefficients
     alike |= _unexplained(nominal, wave, orders, multiples) < limit
     tried = Candidates(orders, np.sqrt(sums / len(values)), conditions, alike, hidden)
     return tried, best, fits[best], lowest
@@ -196,7 +197,7 @@ def _unexplained(
     is too little to rely on."""
     found = []
     for order in orders:
-        columns = columns_of(nominal, order, multiples)
+        columns = waves(order * nominal, multiples)
         left = wave - columns @ np.linalg.lstsq(columns, wave, rcond=1e-10)[0]
         found.append(float(left @ left))
     return np.array(found)

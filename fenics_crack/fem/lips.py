@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from fenics_crack.errors import InputError
 
-__all__ = ["Lip", "along", "boundary_edges", "check_mouths", "find_lips", "split_crack"]
+__all__ = ["Lip", "along", "cell_edges", "check_mouths", "find_lips", "split_crack"]
 
 PLUGIN = (
     "Plugin(Crack) of gmsh, run after meshing with Dimension = 1, PhysicalGroup = the tag of the "
@@ -135,8 +135,11 @@ def along(lips: Sequence[Lip], points: np.ndarray) -> tuple[np.ndarray, np.ndarr
 # --- what gmsh's plugin leaves --------------------------------------------------------------------
 
 
-def boundary_edges(cells: np.ndarray, corners: int, order: int) -> tuple[np.ndarray, np.ndarray]:
-    """Edges of one cell only, with all of their nodes in gmsh's order, and their cells."""
+def cell_edges(
+    cells: np.ndarray, corners: int, order: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Edges of cells, each once, with all of their nodes in gmsh's order: the corners first; a cell
+    of each, and how many cells have it."""
     steps = np.arange(corners)
     inner = corners + steps[:, None] * (order - 1) + np.arange(order - 1)
     turns = np.column_stack([steps, (steps + 1) % corners, inner])
@@ -144,8 +147,8 @@ def boundary_edges(cells: np.ndarray, corners: int, order: int) -> tuple[np.ndar
     _, first, uses = np.unique(
         np.sort(edges[:, :2], axis=1), axis=0, return_index=True, return_counts=True
     )
-    own = np.sort(first[uses == 1])
-    return edges[own], own // corners
+    place = np.argsort(first)
+    return edges[first[place]], first[place] // corners, uses[place]
 
 
 def split_crack(

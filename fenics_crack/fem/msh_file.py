@@ -20,7 +20,7 @@ import numpy as np
 
 from fenics_crack.errors import InputError
 from fenics_crack.fem.compat import gmsh
-from fenics_crack.fem.lips import boundary_edges, check_mouths, split_crack
+from fenics_crack.fem.lips import cell_edges, check_mouths, split_crack
 from fenics_crack.fem.mesh_checks import check_mesh
 from fenics_crack.outside import bytes_of, run_reader
 
@@ -151,7 +151,8 @@ def _with_lips(
         return curves
     corners = 3 if kind in _TRIANGLES else 4
     order = next(iter(curves.values())).shape[1] - 1 if curves else cracks[0].shape[1] - 1
-    edges, owners = boundary_edges(cells, corners, order)
+    edges, owners, uses = cell_edges(cells, corners, order)
+    edges, owners = edges[uses == 1], owners[uses == 1]
     place = np.zeros((int(numbers.max()) + 1, 2))
     place[numbers] = positions
     if cracks:

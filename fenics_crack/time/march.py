@@ -17,7 +17,7 @@ from fenics_crack.errors import ConvergenceError, InputError, check_count, check
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.fourier import evaluate
+from fenics_crack.numerics.fourier import evaluate, waves
 from fenics_crack.parallel import StopRequest, raise_together
 from fenics_crack.stages import begin
 from fenics_crack.table import counted
@@ -126,8 +126,7 @@ class March:
     @cached_property
     def waves(self) -> np.ndarray:
         """1, cos and sin of the load's phase at the instants of a period: (N, 3)."""
-        phase = 2.0 * np.pi * np.arange(self.steps_per_period) / self.steps_per_period
-        return np.column_stack([np.ones_like(phase), np.cos(phase), np.sin(phase)])
+        return waves(2.0 * np.pi * np.arange(self.steps_per_period) / self.steps_per_period)
 
     @cached_property
     def load(self) -> np.ndarray:
