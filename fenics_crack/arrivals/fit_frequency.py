@@ -20,8 +20,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
-from fenics_crack.arrivals.harmonics import TipFit
-from fenics_crack.arrivals.least_squares import LinearFit, compared, fit_harmonics, rounding
+from fenics_crack.arrivals.harmonics import LinearFit, TipFit, compared, fit_harmonics, rounding
 from fenics_crack.errors import InputError, check_count, check_number
 
 __all__ = ["fit_frequency"]
@@ -37,7 +36,7 @@ APART = 2.0
 """Minima nearer to a lower one, in units of the resolution, are its side lobes."""
 CHANCE = 1e-5
 """Probability of a vibration in the noise of one probe, above which there is none."""
-STEADY = 1e-6
+CONSTANT = 1e-6
 """Largest variation of the speed."""
 
 
@@ -72,7 +71,7 @@ def fit_frequency(arrivals: ArrivalTimes, low: float, high: float, *, harmonics:
     check_number("high", high, low, above=True)
     check_count("harmonics", harmonics, 1)
     speeds = arrivals.speed
-    if np.ptp(speeds) > STEADY * speeds.mean():
+    if np.ptp(speeds) > CONSTANT * speeds.mean():
         found = f"{speeds.min():.6g} to {speeds.max():.6g} rad/s"
         raise InputError("speed", found, "constant; fit_order and track_order allow a run-up")
     speed = float(2.0 * np.pi * len(arrivals) / (arrivals.marks[-1] - arrivals.marks[0]))

@@ -24,13 +24,14 @@ import numpy as np
 from scipy.special import fdtrc
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
-from fenics_crack.arrivals.harmonics import TipFit, strengths
-from fenics_crack.arrivals.least_squares import (
+from fenics_crack.arrivals.harmonics import (
     LinearFit,
+    TipFit,
     compared,
     nominal_condition,
     refuse,
     rounding,
+    strengths,
     wanted,
 )
 from fenics_crack.errors import InputError, check_count

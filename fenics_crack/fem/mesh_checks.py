@@ -18,7 +18,7 @@ from fenics_crack.fem.compat import gmsh
 
 __all__ = ["check_mesh"]
 
-ROUNDING = 1e-9
+TOLERANCE = 1e-9
 """Of a determinant relative to its largest value or to the square of the cell's size, and of an
 angle relative to 2 pi."""
 SAME = 1e-6
@@ -85,8 +85,8 @@ def _signs(kind: int, cells: np.ndarray, places: np.ndarray) -> np.ndarray:
     largest = np.maximum(-least, most)
     size = np.maximum(np.ptp(x, axis=1), np.ptp(y, axis=1))
     for found, wrong in (
-        ("a cell without area", largest <= ROUNDING * size**2),
-        ("a folded cell", np.minimum(-least, most) > ROUNDING * largest),
+        ("a cell without area", largest <= TOLERANCE * size**2),
+        ("a folded cell", np.minimum(-least, most) > TOLERANCE * largest),
     ):
         if np.any(wrong):
             place = places[cells[np.argmax(wrong)]].mean(axis=0)
@@ -130,7 +130,7 @@ def _check_angles(cells: np.ndarray, places: np.ndarray) -> None:
     angles = np.arctan2(np.abs(crossed), (ahead * back).sum(axis=2))
     sums = np.bincount(cells.ravel(), angles.ravel(), len(places))
     worst = int(np.argmax(sums))
-    if sums[worst] > 2.0 * np.pi * (1.0 + ROUNDING):
+    if sums[worst] > 2.0 * np.pi * (1.0 + TOLERANCE):
         allowed = "one of cells beside each other: these go round their node more than once"
         raise _refusal("cells that overlap", places[worst], allowed)
 

@@ -30,7 +30,7 @@ OFTEN_OFF = 0.3
 """Root of the mean square of what a resonance differs by from the bilinear frequency, over what
 lies between the frequencies with lips tied and open: of the first mode, and of others, near which
 the gap follows their neighbours, too."""
-ALIKE = 0.5
+TOGETHER = 0.5
 """Part of the variance left by the mesh, and of that of contact, which quantities have together."""
 
 
@@ -215,7 +215,7 @@ class Quantities:
         self, smooth: np.ndarray, left: np.ndarray, scatter: list[np.ndarray], slopes: np.ndarray
     ) -> np.ndarray:
         """Errors of the rows, each independent of the others: (m, q, r)."""
-        together, apart = np.sqrt(ALIKE), np.sqrt(1.0 - ALIKE)
+        together, apart = np.sqrt(TOGETHER), np.sqrt(1.0 - TOGETHER)
         found = []
         every = np.concatenate(scatter, axis=1)
         found.append(together * slopes @ every.transpose(0, 2, 1))

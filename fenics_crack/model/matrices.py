@@ -29,10 +29,9 @@ __all__ = [
     "with_springs",
 ]
 
-SYMMETRY_TOLERANCE = 1e-10
-ROUNDING = 1e-10
-"""Eigenvalues, relative to the largest K_ii / M_ii, that may be negative; sums of a mass's rows,
-relative to the largest, that are zero."""
+TOLERATED = 1e-10
+"""Asymmetry relative to a matrix's size; negative eigenvalues, to the largest K_ii / M_ii; sums of
+a mass's rows that are zero, to the largest."""
 LARGEST = 1e60
 """Of entries: numbers of scenes are up to 1e30, and those of their matrices products of two."""
 
@@ -185,7 +184,7 @@ def lumped_mass(mass: Any) -> Any:
     ones.set(1.0)
     mass.mult(ones, sums)
     smallest = sums.min()[1]
-    if smallest <= ROUNDING * sums.max()[1]:  # zero at a triangle's corners
+    if smallest <= TOLERATED * sums.max()[1]:  # zero at a triangle's corners
         allowed = "lumped only where every row sum is positive"
         raise InputError("mass", f"row sum {smallest:.3g}", allowed)
     shape = mass.local_size[0], mass.size[1]
@@ -208,7 +207,7 @@ def _check_symmetric(name: str, matrix: Any) -> None:
     difference.axpy(-1.0, matrix, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
     asymmetry = difference.norm(PETSc.NormType.INFINITY)
     difference.destroy()
-    if asymmetry > SYMMETRY_TOLERANCE * size:
+    if asymmetry > TOLERATED * size:
         raise InputError(name, f"asymmetric by {asymmetry / size:.1e}", "symmetric")
 
 
@@ -227,7 +226,7 @@ def _check_semidefinite(name: str, matrix: Any, mass: Any) -> None:
     quotients.pointwiseDivide(quotients, mass.getDiagonal())
     sizes = quotients.copy()
     sizes.abs()
-    shifted = weighted_sum(matrix, ROUNDING * sizes.max()[1], mass)
+    shifted = weighted_sum(matrix, TOLERATED * sizes.max()[1], mass)
     with Factor(shifted, symmetric=True) as factor:
         negative = factor.negative_pivots
     shifted.destroy()

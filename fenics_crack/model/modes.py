@@ -51,7 +51,8 @@ LIPS = ("open", "tied")
 SINGULAR = 1e-10
 """Squares of frequencies, relative to the smallest K_ii / M_ii, that are null pivots missed."""
 ROUNDING = 1e-14
-"""The same, relative to the largest K_ii / M_ii, of motions as a rigid body."""
+"""Relative to the largest: what counts as zero of squares of frequencies (to K_ii / M_ii), static
+responses, gaps, and couplings by damping."""
 
 DEPENDENT = 1e-10
 """Diagonal entries of a pivoted QR of B^T B, relative to the largest, that are none."""

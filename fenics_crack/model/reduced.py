@@ -41,7 +41,7 @@ __all__ = [
 
 RIGID_TIE = 1e-12
 """Eigenvalues of R_inf, relative to all of the pairs' static compliance, that are none."""
-BLOCK = 16
+AT_A_TIME = 16
 """Static solutions that are held at a time."""
 INSTEAD = "reduce with method = 'free_interface', or march by integrate_exponential"
 """What to do where a scheme needs mass at the lips."""
@@ -171,8 +171,8 @@ class ResidualFlexibility:
     def seen(self, factor: Factor, columns: sparse.spmatrix) -> np.ndarray:
         """Y^T G X of sparse forces Y (n_local, m): (m, n_sources) (collective)."""
         rows = [np.zeros((0, self.sources.shape[1]))]
-        for start in range(0, columns.shape[1], BLOCK):
-            block = columns[:, start : start + BLOCK]
+        for start in range(0, columns.shape[1], AT_A_TIME):
+            block = columns[:, start : start + AT_A_TIME]
             if self._held:  # and K^-1 exists: zeros are left out
                 moved = factor.solve_sparse(block)
             else:

@@ -38,6 +38,7 @@ from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDampin
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modal import SMALL
 from fenics_crack.model.modes import (
+    ROUNDING,
     check_damped_modes,
     damped_modes,
     damping_in,
@@ -64,13 +65,11 @@ RIGID = 1e-12
 """Squares of frequencies, relative to the highest, that are those of motions as a rigid body."""
 MODES = 50
 """Kept of a large structure whose modes are all damped."""
-ROUNDING = 1e-14
-"""Share of a static response that counts as none."""
 NEW, NEW_WEIGHT = 1e-8, 1e-12
 """Part of a static response that is not in the basis yet, and its weight, from which it is kept."""
 COUPLED = 1e-9
 """Damping between modes, relative to the largest of a mode, that is rounding of the projection."""
-FEW = 32
+WATCHED = 32
 """Loaded dofs whose static responses are computed beforehand."""
 
 
@@ -202,12 +201,12 @@ def _loaded_dofs(structure: Structure) -> np.ndarray:
     """Dofs under the load, at which its effect is watched, if they are few (collective)."""
     own = np.flatnonzero(np.any(structure.force != 0.0, axis=0)) + structure.first_dof
     found = gather_rows(structure.comm, own)
-    return found if len(found) <= FEW else found[:0]
+    return found if len(found) <= WATCHED else found[:0]
 
 
 def _without_rounding(compliance: np.ndarray, seen: np.ndarray, squares: np.ndarray) -> np.ndarray:
     """S without the forces that the kept modes carry alone, of which rounding leaves something."""
-    elastic = squares > 1e-12 * squares[-1]
+    elastic = squares > RIGID * squares[-1]
     carried = np.sum(seen[elastic] ** 2 / squares[elastic, None], axis=0)
     found = compliance.copy()
     lost = np.diag(compliance) <= ROUNDING * carried
