@@ -83,7 +83,7 @@ def fit_order(
     same = probe + len(arrivals.probes) * ((arrivals.first + turn) % subharmonic)
 
     def variance_of(fit: LinearFit, order: float) -> tuple[float, float]:
-        """With a whole order probes see the same points in every turn, and the misfit is known."""
+        """Variance and misfit; with a whole order probes see the same points in every turn."""
         found, chance = _variance(fit, same if order % 1.0 == 0.0 else None)
         return max(found, rounding(arrivals) ** 2), chance
 

@@ -133,7 +133,7 @@ class TipFit(Tabular):
 
     @property
     def amplitudes(self) -> np.ndarray:
-        """Of the harmonics: (K,) [m]."""
+        """Amplitudes of the harmonics: (K,) [m]."""
         return strengths(self.coefficients, self.covariance)[0]
 
     @property
@@ -154,7 +154,7 @@ class TipFit(Tabular):
 
     @property
     def does_not_fit(self) -> bool:
-        """Whether the misfit is below 0.001: harmonics are missing, or the order is wrong."""
+        """Tell whether the misfit is below 0.001: harmonics are missing, or the order is wrong."""
         return self.misfit < MISFIT
 
     def ratio(self, multiple: float = 2.0) -> tuple[float, float]:
@@ -284,7 +284,7 @@ class LinearFit:
 
     @property
     def is_usable(self) -> bool:
-        """Whether the tip moves forwards at all arrivals, and these tell all coefficients."""
+        """Tell whether the tip moves forwards at all arrivals, and these tell all coefficients."""
         columns = self.jacobian[:, :-1]
         return self.forwards and bool(np.linalg.matrix_rank(columns) == columns.shape[1])
 

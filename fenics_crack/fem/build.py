@@ -116,7 +116,7 @@ def _with_length(scene: Scene, length: float) -> Scene:
 
 
 def cache_folder() -> Path:
-    """Where the files are: ``$XDG_CACHE_HOME/fenics_crack``, by default in ``~/.cache``."""
+    """Folder of the files: ``$XDG_CACHE_HOME/fenics_crack``, by default in ``~/.cache``."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fenics_crack"
 
 

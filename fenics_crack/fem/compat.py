@@ -91,7 +91,7 @@ Without them it ends with words of its own, or DOLFINx loops for ever.
 
 
 def gmsh_is_running() -> bool:
-    """Whether gmsh is initialised; gmsh 4.8 cannot tell, which is taken as no."""
+    """Tell whether gmsh is initialised; gmsh 4.8 cannot tell, which is taken as no."""
     return bool(getattr(gmsh, "isInitialized", lambda: False)())
 
 

@@ -202,7 +202,7 @@ def split_crack(
 
 
 def _sides(edges: np.ndarray, pairs: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Which edge of each pair, 0 or 1, is on the lower lip."""
+    """Number, 0 or 1, of the edge of each pair that is on the lower lip."""
     count, flat = len(pairs), pairs.T.ravel()  # first ones, then their partners
     nodes, places = np.unique(edges[flat], return_inverse=True)
     places = places.reshape(-1, 2)
@@ -241,7 +241,7 @@ def check_mouths(
 
 
 def _rows_in(rows: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Which rows of pairs of nodes are among others."""
+    """Find the rows of pairs of nodes that are among others."""
     largest = 1 + max(int(rows.max(initial=0)), int(others.max(initial=0)))
     found: np.ndarray = np.isin(rows @ [largest, 1], others @ [largest, 1])
     return found

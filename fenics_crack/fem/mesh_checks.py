@@ -69,7 +69,7 @@ def _refusal(found: str, place: np.ndarray, allowed: str) -> InputError:
 
 
 def _signs(kind: int, cells: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Which way round each cell is numbered, 1 or -1, from the determinants at its nodes."""
+    """Direction in which each cell is numbered, 1 or -1, from the determinants at its nodes."""
     _, dimension, _, nodes, local, _ = gmsh.model.mesh.getElementProperties(kind)
     at = np.zeros((nodes, 3))
     at[:, :dimension] = np.reshape(local, (nodes, dimension))
@@ -138,7 +138,7 @@ def _check_angles(cells: np.ndarray, places: np.ndarray) -> None:
 def _parts(
     cells: np.ndarray, places: np.ndarray, clamp: np.ndarray, lips: np.ndarray
 ) -> tuple[int, np.ndarray]:
-    """How many parts there are that share no node, all of them clamped, and the part of each
+    """Number of parts that share no node, all of them clamped, and the part of each
     cell."""
     ones = np.ones(cells.size - len(cells), dtype=np.int8)
     ends = cells[:, :-1].ravel(), cells[:, 1:].ravel()

@@ -130,7 +130,7 @@ def _check(
     numbers: np.ndarray,
     positions: np.ndarray,
 ) -> None:
-    """As :func:`check_mesh`, for nodes by gmsh's numbers."""
+    """Check a mesh by :func:`check_mesh`, for nodes by gmsh's numbers."""
     lips = [curves[name][:, :2] for name in ("lower_lip", "upper_lip") if name in curves]
     parts = cells, np.unique(curves["clamp"]), np.concatenate([*lips, cells[:0, :2]])
     own, clamp, edges = (np.searchsorted(numbers, nodes) for nodes in parts)
@@ -194,7 +194,7 @@ def _cells(kind: int, nodes: list[np.ndarray]) -> np.ndarray:
 
 
 def _have_different_nodes(cells: np.ndarray) -> bool:
-    """Whether no cell has a node twice."""
+    """Tell whether no cell has a node twice."""
     ordered = np.sort(cells, axis=1)
     return not np.any(ordered[:, 1:] == ordered[:, :-1])
 

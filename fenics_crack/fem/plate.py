@@ -75,7 +75,7 @@ class PlateMesh:
 
     @property
     def cracked(self) -> bool:
-        """Whether there are two lips."""
+        """Tell whether there are two lips."""
         return "lower_lip" in self.groups
 
     def facets(self, group: str) -> np.ndarray:

@@ -110,7 +110,7 @@ def identify(
 
 
 def infer(forward: Forward, measurements: Measurements) -> Identification:
-    """What measurements tell, by a forward model that is solved for their load frequencies.
+    """Infer what measurements tell, by a forward model that is solved for their load frequencies.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def infer(forward: Forward, measurements: Measurements) -> Identification:
 
 
 def _likelihood(model: Model, bare: Mapping[str, Model], measurements: Measurements) -> Likelihood:
-    """Of measurements, with frequencies relative to those of the uncracked plate where known."""
+    """Likelihood of measurements, frequencies being relative to the uncracked plate where known."""
     calibration = _calibration(bare, measurements)
     rows = [row for row in measurements.rows if row.quantity != "frequency_uncracked"]
     values = np.array([row.value for row in rows])
@@ -146,7 +146,7 @@ def _likelihood(model: Model, bare: Mapping[str, Model], measurements: Measureme
 def _calibration(
     bare: Mapping[str, Model], measurements: Measurements
 ) -> dict[int, tuple[float, float]]:
-    """By modes: the model's frequency of the uncracked plate over the measured one, and the
+    """Calibration by modes: the model's frequency without a crack over the measured one, and the
     relative standard deviation of that."""
     rows = [row for row in measurements.rows if row.quantity == "frequency_uncracked"]
     if not rows:
@@ -162,7 +162,7 @@ def _calibration(
 
 
 def remarks_on(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
-    """What cannot be told whatever the numbers are."""
+    """Say what cannot be told whatever the numbers are."""
     assert scene.identify is not None
     sides = any(axis.key == "crack.edge" for axis in scene.identify.unknown)
     crack, rows = scene.crack, measurements.rows

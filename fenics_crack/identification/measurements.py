@@ -104,17 +104,17 @@ class Measurement:
 
     @property
     def natural(self) -> bool:
-        """Whether it is a natural frequency."""
+        """Tell whether it is a natural frequency."""
         return self.quantity in FREQUENCIES
 
     @property
     def shape(self) -> bool:
-        """Whether it is that of a motion, whatever its size."""
+        """Tell whether it is that of a motion, whatever its size."""
         return not self.natural and not self.quantity.startswith("harmonic")
 
     @property
     def name(self) -> str:
-        """In words: "frequency_open of mode 2", "ratio_2_1 at 250 Hz of tip.ux"."""
+        """Name in words: "frequency_open of mode 2", "ratio_2_1 at 250 Hz of tip.ux"."""
         if self.natural:
             return f"{self.quantity} of mode {self.mode}"
         where = f" of {self.point}" if self.point else ""
@@ -298,7 +298,7 @@ class Measurements(Tabular):
 
 
 def _is_one(value: Any) -> bool:
-    """Whether a standard deviation is given for all values at once."""
+    """Tell whether a standard deviation is given for all values at once."""
     return not isinstance(value, Iterable)
 
 

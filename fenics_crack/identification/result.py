@@ -71,7 +71,7 @@ class Identification(Tabular):
 
     @property
     def intervals(self) -> dict[str, tuple[float, float]]:
-        """What each unknown is between with a probability of 95 %."""
+        """Bounds of each unknown with a probability of 95 %."""
         found = self.posterior.interval
         return {key: found(place, SHARE) for place, key in enumerate(self.unknown)}
 
@@ -110,8 +110,8 @@ class Identification(Tabular):
         return found
 
     def contains(self, values: Mapping[str, Any], share: float = SHARE) -> bool:
-        """Whether given values of all unknowns are in the region that holds a share of the
-        probability.
+        """Tell whether given values of all unknowns are in the region that holds a share of
+        the probability.
 
         Raises
         ------
@@ -136,7 +136,7 @@ class Identification(Tabular):
         frequency_deviation: float = 1e-3,
         harmonic_deviation: float = 0.05,
     ) -> Worth:
-        """How much one more measurement would tell, from the Fisher information at the estimate.
+        """Worth of one more measurement, from the Fisher information at the estimate.
 
         Parameters
         ----------
@@ -225,7 +225,7 @@ class Identification(Tabular):
 
     @property
     def warnings(self) -> list[str]:
-        """What to be careful about: several cracks that fit, a misfit, an estimate at a bound."""
+        """Points to be careful about: several cracks that fit, a misfit, an estimate at a bound."""
         found = []
         others = self.alternatives
         if len(others) > 1:

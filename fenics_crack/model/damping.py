@@ -55,7 +55,7 @@ class ModalDamping:
         return replace(self, ratio=ratio)
 
     def of_kept(self, count: int) -> ModalDamping:
-        """That of so many modes that are kept: those beyond the damped ones by the last ratio."""
+        """Damping of so many kept modes: those beyond the damped ones by the last ratio."""
         if isinstance(self.ratio, float):
             return ModalDamping(self.ratio)
         ratio = list(self.ratio)[:count]
@@ -145,7 +145,7 @@ class RayleighDamping:
         return RayleighDamping(factor * self.mass, factor * self.stiffness)
 
     def of_kept(self, count: int) -> RayleighDamping:
-        """That of so many modes that are kept: its own."""
+        """Damping of so many kept modes: its own."""
         return self
 
     def rate(self, squares: np.ndarray) -> np.ndarray:

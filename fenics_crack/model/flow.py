@@ -10,7 +10,7 @@ a step of length h is exact for a force that is held over it, here the mean of t
     z_{n+1} = E z_n - Gamma (lambda_n + lambda_{n+1}),        E = exp(A h),
 
 2 Gamma being the response to unit forces that are held. The gap at its end is linear in the forces
-there, with Q z the gap of a state and R_inf what answers at once
+there, with Q z the gap of a state and R_inf the residual flexibility
 (:mod:`fenics_crack.model.coupled`),
 
     g_{n+1} = s_free - (R_inf + Q Gamma) lambda_{n+1},
@@ -212,7 +212,7 @@ class Steps:
 
     @property
     def gap(self) -> np.ndarray:
-        """At all instants but the last: (N, n_pairs) [m]."""
+        """Gap at all instants but the last: (N, n_pairs) [m]."""
         flow, count = self._flow, len(self.states) - 1
         instants = np.arange(count) % flow.steps
         moved = (self.states[:-1] - flow.steady[instants]) @ flow.gap_rows.T
@@ -220,7 +220,7 @@ class Steps:
 
     @property
     def switches(self) -> int:
-        """How often a pair opens or closes."""
+        """Number of times that a pair opens or closes."""
         return int(np.sum(self.closed[1:] != self.closed[:-1]))
 
     def monodromy(self) -> np.ndarray:

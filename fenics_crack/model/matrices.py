@@ -151,7 +151,7 @@ def _check_sizes(name: str, values: np.ndarray) -> None:
 def checked(
     mass: Any, stiffness: Any, gap: Any, forces: Mapping[str, Any], clearance: Any, comm: MPI.Comm
 ) -> dict[str, Any]:
-    """What :meth:`Structure.from_matrices` is given but for the damping, checked and distributed
+    """Check and distribute what :meth:`Structure.from_matrices` is given but for the damping
     (collective)."""
     mass = petsc_matrix("mass", mass, comm)
     comm, n, own = mass.comm.tompi4py(), mass.size[0], slice(*mass.owner_range)

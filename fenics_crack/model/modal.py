@@ -22,7 +22,7 @@ SMALL = 600
 
 
 def is_small(structure: Structure) -> bool:
-    """Whether a structure can be decomposed into all of its modes: few dofs on one rank, or
+    """Tell whether a structure can be decomposed into all of its modes: few dofs on one rank, or
     known by its modes."""
     few = structure.comm.size == 1 and structure.n_dofs <= SMALL
     return few or structure.light_lips
@@ -63,7 +63,7 @@ class AllModes:
 
     @property
     def ill_conditioned(self) -> bool:
-        """Whether rounding relative to the highest modes may spoil the lowest ones."""
+        """Tell whether rounding relative to the highest modes may spoil the lowest ones."""
         return not self.unconstrained and bool(self.squares[0] < 1e-12 * self.squares[-1])
 
     def receptance(

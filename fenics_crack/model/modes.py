@@ -137,7 +137,7 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
 
 
 def n_tied_modes(structure: Structure) -> int:
-    """How many modes there are with tied lips (collective)."""
+    """Number of modes with tied lips (collective)."""
     if structure.n_pairs == 0:
         return structure.n_modes
     known = structure.known_modes(tied=True)
@@ -157,7 +157,7 @@ def _independent_ties(structure: Structure) -> sparse.csc_matrix:
 
 
 def _space(structure: Structure, ties: Any) -> int:
-    """How many modes there are with mass everywhere."""
+    """Number of modes with mass everywhere."""
     return structure.n_dofs - (0 if ties is None else int(ties.shape[1]))
 
 
@@ -195,7 +195,7 @@ def modes_by(
 
 
 class _Inverse:
-    """What PETSc calls to apply a factor."""
+    """Context that PETSc calls to apply a factor."""
 
     def __init__(self, factor: Factor | TiedFactor) -> None:
         self._factor = factor
@@ -328,7 +328,7 @@ def mass_norms(structure: Structure, columns: np.ndarray) -> np.ndarray:
 def independent_part(
     structure: Structure, basis: np.ndarray, columns: np.ndarray, new: float, weight: float
 ) -> np.ndarray:
-    """What columns (n_local, m) add to an M-orthonormal basis, M-orthonormal (collective).
+    """Part of columns (n_local, m) that is new to an M-orthonormal basis, likewise (collective).
 
     Left out are columns of which less than a part ``new`` is new, and of what is left the
     directions whose weight in the Gram matrix is less than ``weight`` of the largest one.
@@ -418,7 +418,7 @@ def _damped_modes(structure: Structure) -> DampedModes:
 
 
 def check_damped_modes(structure: Structure) -> int:
-    """How many modes a structure's modal damping damps; InputError as :func:`damped_modes`."""
+    """Number of modes that modal damping damps; InputError as :func:`damped_modes`."""
     damping = structure.damping
     count: int = structure.n_modes if damping.modes is None else damping.modes
     if count > structure.n_modes:
@@ -430,7 +430,7 @@ def check_damped_modes(structure: Structure) -> int:
 
 
 def damped_range(structure: Structure) -> tuple[int, float] | None:
-    """How many modes are damped, and the highest frequency of one [rad/s] (collective).
+    """Number of damped modes, and the highest frequency of one [rad/s] (collective).
 
     None where no mode above it is left without damping, and where a damping matrix was given. Where
     projection has made a matrix of modal damping, the modes are those of the whole structure.

@@ -45,7 +45,7 @@ class Nodes:
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def find_dof(self, comm: MPI.Comm, point: Sequence[float], component: int | str) -> int:
-        """As :meth:`Structure.find_dof` (collective)."""
+        """Find a dof, as :meth:`Structure.find_dof` (collective)."""
         if component not in list(COMPONENTS):
             raise InputError("component", component, "0, 1, 'x' or 'y'")
         target = numbers(point)
@@ -90,7 +90,7 @@ class Nodes:
         return points[place], dofs[place]
 
     def dof_name(self, comm: MPI.Comm, dof: int) -> str:
-        """As :meth:`Structure.dof_name` (collective)."""
+        """Name a dof, as :meth:`Structure.dof_name` (collective)."""
         node, component = np.argwhere(gather_rows(comm, self.dofs) == dof)[0]
         x, y = np.round(gather_rows(comm, self.points)[node], 12) + 0.0  # no -1e-19
         return f"{'xy'[component]} displacement at ({x:.4g}, {y:.4g}) m"
@@ -98,7 +98,7 @@ class Nodes:
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Where the contact pairs of a structure are, crack by crack; the arrays are read-only.
+    """Places of the contact pairs of a structure, crack by crack; the arrays are read-only.
 
     Attributes
     ----------

@@ -1,7 +1,7 @@
 """Structures in the coordinates of a basis, u = T q: the same interface, few unknowns.
 
 :class:`ReducedStructure` has mass in all of its coordinates. In :class:`MasslessStructure` only the
-lowest modes Phi have mass; what they leave out answers at once (MacNeal, Computers & Structures 1,
+lowest modes Phi have mass; what they leave out is quasi-static (MacNeal, Computers & Structures 1,
 1971, 581),
 
     u = Phi q + G (f - B lambda),        G = K^-1 - Phi Lambda^-1 Phi^T,
@@ -218,7 +218,7 @@ class ResidualFlexibility:
 
 
 class MasslessInterface(ReducedStructure):
-    """Modes with mass, and what they leave out answering at once: :class:`MasslessStructure`, and
+    """Modes with mass, and what they leave out quasi-static: :class:`MasslessStructure`, and
     :class:`fenics_crack.model.run_up.RunUpStructure`.
 
     Attributes
@@ -238,7 +238,7 @@ class MasslessInterface(ReducedStructure):
 
     @property
     def n_modes(self) -> int:
-        """How many modes have mass."""
+        """Number of modes with mass."""
         return len(self.omega)
 
 
@@ -272,7 +272,7 @@ class MasslessStructure(MasslessInterface):
         static: ResidualFlexibility | None = None,
         reference: MasslessStructure | None = None,
     ) -> None:
-        """Of Phi^T B (n_modes, n_pairs), the load on all coordinates (3, n_dofs), and S."""
+        """Take Phi^T B (n_modes, n_pairs), the load on all coordinates (3, n_dofs), and S."""
         count, extra, shared = len(squares), len(compliance), whole.n_pairs
         omega = np.sqrt(np.maximum(squares, 0.0))
         stiffness = sparse.block_diag([sparse.diags(squares), compliance]).tocsr()
@@ -413,7 +413,7 @@ def _padded(damping: DampingRule | np.ndarray | None, extra: int) -> Any:
 
 
 def _pseudoinverse(compliance: np.ndarray) -> np.ndarray:
-    """Of S, whose units differ from load to pair: scaled to a unit diagonal first."""
+    """Invert S, whose units differ from load to pair: scaled to a unit diagonal first."""
     size = np.sqrt(np.maximum(np.diag(compliance), 0.0))
     scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
     scaled = scale[:, None] * compliance * scale

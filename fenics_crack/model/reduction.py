@@ -79,7 +79,7 @@ def reduce_structure(
     """Reduce a structure to a few coordinates (collective).
 
     The displacement is sought as u = T q. T holds the lowest modes with open lips, and what differs
-    with the method. "massless": what the modes leave out answers at once, by its statics, so lips
+    with the method. "massless": what the modes leave out answers quasi-statically, so lips
     have no mass (:class:`MasslessStructure`); for contact on many pairs. "free_interface": the
     static response to each pair's force and to the load. "craig_bampton": static shapes of unit
     gaps and of the load, the modes being those with tied pairs. "truncation": nothing else, so
@@ -215,7 +215,7 @@ def _without_rounding(compliance: np.ndarray, seen: np.ndarray, squares: np.ndar
 
 
 def _rule_of_all(structure: Structure) -> DampingRule | None:
-    """What damps all modes alike, and so those of the reduced structure: one ratio, or Rayleigh's
+    """Damping of all modes alike, also of those of the reduced structure: one ratio, or Rayleigh's
     coefficients; else None. InputError for too many ratios."""
     damping = structure.damping
     if isinstance(damping, RayleighDamping):

@@ -26,7 +26,7 @@ __all__ = ["Rotation", "static_state", "too_fast"]
 
 @dataclass(frozen=True)
 class Rotation:
-    """What rotation adds to a structure.
+    """Stiffness and load that rotation adds to a structure.
 
     Attributes
     ----------
@@ -108,5 +108,5 @@ def static_state(
 
 
 def too_fast(speed: float) -> str:
-    """What is allowed instead of a speed [rad/s] at which the plate is unstable."""
+    """Say what is allowed instead of a speed [rad/s] at which the plate is unstable."""
     return f"lower: the plate is unstable at {speed / RPM:.6g} rpm"

@@ -77,7 +77,7 @@ class Ritz:
 class RunUpStructure(MasslessInterface):
     """A rotating structure at one speed, in coordinates that do not depend on it.
 
-    Its lowest modes have mass; what they leave out answers at once, as in
+    Its lowest modes have mass; what they leave out is quasi-static, as in
     :class:`fenics_crack.MasslessStructure`.
 
     Attributes
@@ -134,7 +134,7 @@ class RunUpStructure(MasslessInterface):
         return f"{self.n_dofs} coordinates of {self.whole.n_dofs} dofs at {self.speed:g} rad/s"
 
     def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
-        """With open lips those that have mass, at this speed."""
+        """Modes with mass at this speed, for open lips."""
         return None if tied else (self.omega, self.shapes)
 
     def at_speed(self, speed: float) -> RunUpStructure:

@@ -144,7 +144,7 @@ def integrate_central_difference(
 
 
 class _ContactEnergy:
-    """What contact creates by its opening and closing between steps, and the energy put in.
+    """Energy that contact creates by opening and closing between steps, and the energy put in.
 
     Work over a step is force times half the displacement from the step before to the one after,
     for which the scheme balances kinetic and elastic energy exactly.
@@ -182,7 +182,7 @@ def _last_velocity(
 
 
 class _ModalDifferences(Scheme):
-    """Of a small structure in modal coordinates, by the kernel.
+    """State of a small structure in modal coordinates, marched by the kernel.
 
     What acts on the modes is "by mode": an array (n,) where the damping leaves them uncoupled, and
     a matrix (n, n) where it couples them.
@@ -246,7 +246,7 @@ class _ModalDifferences(Scheme):
         self.book(*self._energy.of(window))
 
     def _gap(self) -> np.ndarray:
-        """At the end of the march."""
+        """Gap at the end of the march."""
         return np.asarray(self._shape @ self._modes.pairs - self._asked.structure.clearance)
 
     def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
@@ -295,7 +295,7 @@ class _CentralDifferences(LoopedSteps):
         self._energy = _ContactEnergy(asked, self._start(*asked.start))
 
     def _response(self) -> tuple[np.ndarray, np.ndarray]:
-        """What unit forces on the pairs take from the increment (n_local, n_pairs), and from q."""
+        """Parts that unit forces on the pairs take from the increment (n_local, n_pairs) and q."""
         dt2 = self.step_size**2
         pairs = self.structure.gap.toarray()
         push = dt2 * by_columns(self._inverse.apply, self.structure.mass, pairs)

@@ -87,7 +87,7 @@ def integrate_exponential(
     TimeHistory
         ``created_energy`` is what is missing in the balance of energy, by the trapezoidal rule. A
         step between equal sets of closed pairs creates none; one in which a pair opens creates half
-        its last force times its opening, which is much where hardly anything answers at once.
+        its last force times its opening: much where hardly any residual flexibility is there.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def integrate_exponential(
 
 
 def _load_sizes(asked: March) -> np.ndarray:
-    """What turns coordinates under the load into displacements: those without mass are none, and
+    """Factors that make displacements of coordinates under the load: massless ones are none, and
     are compared by the work of the load."""
     if not asked.structure.light_lips:
         return np.ones(len(asked.load_rows))

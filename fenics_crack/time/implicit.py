@@ -287,7 +287,7 @@ class _GeneralisedAlpha(LoopedSteps):
         self.book(created, self._balance.put_in)
 
     def _energy(self) -> float:
-        """Of the motion, and of the law's springs."""
+        """Energy of the motion, and of the law's springs [J]."""
         energy = self._linear_energy(self._velocity[: self.structure.n_local])
         if not self.rigid:
             energy += float(_potential(self.contact, self._measured(self.displacement)).sum())

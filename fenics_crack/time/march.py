@@ -30,7 +30,7 @@ MEMORY_LIMIT = 2**31
 
 @dataclass(frozen=True)
 class March:
-    """What is marched, how far, from where, and what is kept of it; checked when made (collective).
+    """Request for a march: of what, how far, from where, and what is kept; checked (collective).
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ class March:
 
     @cached_property
     def load(self) -> np.ndarray:
-        """At these instants and rows: (N, rows) [N]."""
+        """Load at these instants and rows: (N, rows) [N]."""
         return np.asarray(self.waves @ self.structure.force[:, self.load_rows])
 
     @property
@@ -234,7 +234,7 @@ class Window:
 
 
 class Scheme(ABC):
-    """What :func:`march` needs of a scheme, which starts at time 0."""
+    """Scheme for :func:`march`, which starts at time 0."""
 
     name: ClassVar[str]
     remedy: ClassVar[str]
@@ -277,7 +277,7 @@ class EnergyBalance:
         self._work = 0.0
 
     def created(self, load_motion: np.ndarray, energy: float, lost: float) -> float:
-        """What is missing [J] after one more period: of the displacements where the load acts at
+        """Find what is missing [J] after one more period: of displacements where the load acts at
         its instants and its end (N + 1, rows), the energy there, and that lost so far."""
         work = np.sum(self._means * np.diff(load_motion, axis=0))
         gained = float(self._sum_over_ranks(np.array([work]))[0])

@@ -92,7 +92,7 @@ class LoopedSteps(Scheme):
         return float(structure.sum_over_ranks(np.array([energy]))[0])
 
     def _admissible(self, displacement: np.ndarray) -> np.ndarray:
-        """With a constraint, the displacement closest in the norm of M without penetration."""
+        """Displacement closest in the norm of M without penetration, with a constraint."""
         gap = self._measured(displacement)
         if not self.rigid or not np.any(gap > 0.0):
             return displacement
