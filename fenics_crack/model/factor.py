@@ -15,13 +15,15 @@ motions, and one for each tie (Benzi, Golub, Liesen, Acta Numerica 14, 2005, 1, 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
 from petsc4py import PETSc
 
-__all__ = ["Factor", "TiedFactor", "weighted_sum"]
+__all__ = ["Factor", "TiedFactor", "factored", "factored_sum", "weighted_sum"]
 
 
 def weighted_sum(first: Any, weight: float, second: Any) -> Any:
@@ -191,6 +193,22 @@ class TiedFactor:
 
     def __exit__(self, *exception: object) -> None:
         self.destroy()
+
+
+def factored(matrix: Any, ties: sparse.csc_matrix | None = None) -> Factor | TiedFactor:
+    """Factor a symmetric matrix, on the space of tied motions if there are ties (collective)."""
+    return Factor(matrix, symmetric=True) if ties is None else TiedFactor(matrix, ties)
+
+
+@contextmanager
+def factored_sum(
+    first: Any, weight: float, second: Any, ties: sparse.csc_matrix | None = None
+) -> Iterator[Any]:
+    """Factor the symmetric matrix first + weight * second, and free both (collective)."""
+    matrix = weighted_sum(first, weight, second)
+    with factored(matrix, ties) as factor:
+        yield factor
+    matrix.destroy()
 
 
 def _saddle_point(matrix: Any, ties: sparse.csc_matrix) -> Any:

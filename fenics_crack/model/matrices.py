@@ -12,7 +12,7 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenics_crack.errors import InputError, reading
-from fenics_crack.model.factor import Factor, weighted_sum
+from fenics_crack.model.factor import Factor, factored_sum, weighted_sum
 from fenics_crack.model.matrix_market import read_matrix_market
 from fenics_crack.parallel import gather_rows, raise_together
 from fenics_crack.table import counted
@@ -226,9 +226,7 @@ def _check_semidefinite(name: str, matrix: Any, mass: Any) -> None:
     quotients.pointwiseDivide(quotients, mass.getDiagonal())
     sizes = quotients.copy()
     sizes.abs()
-    shifted = weighted_sum(matrix, TOLERATED * sizes.max()[1], mass)
-    with Factor(shifted, symmetric=True) as factor:
+    with factored_sum(matrix, TOLERATED * sizes.max()[1], mass) as factor:
         negative = factor.negative_pivots
-    shifted.destroy()
     if negative:
         raise InputError(name, counted(negative, "negative eigenvalue"), "positive semidefinite")

@@ -86,14 +86,11 @@ class AllModes:
         singular = self.unconstrained & (omega == 0.0)
         if diagonal:
             impedance = stiffness + (1j * factor * omega)[:, None] * self.damping
-            tiny = np.abs(impedance) <= NUDGE * (np.abs(self.squares) + square)
-            if loaded is None:
-                tiny &= np.abs(impedance) <= 1e-15 * (np.abs(self.squares) + square)
-            else:
-                moved = tiny & ~loaded & (square > 0.0)
-                impedance = np.where(moved, NUDGE * (np.abs(self.squares) + square), impedance)
-                tiny &= ~moved & (np.abs(impedance) <= 1e-15 * (np.abs(self.squares) + square))
-            singular |= tiny.any(axis=1)
+            size = np.abs(self.squares) + square
+            if loaded is not None:
+                moved = (np.abs(impedance) <= NUDGE * size) & ~loaded & (square > 0.0)
+                impedance = np.where(moved, NUDGE * size, impedance)
+            singular |= (np.abs(impedance) <= 1e-15 * size).any(axis=1)
         else:
             impedance = 1j * factor * omega[:, None, None] * self.damping
             place = np.arange(len(self.squares))

@@ -21,7 +21,7 @@ from slepc4py import SLEPc
 
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
-from fenics_crack.model.factor import Factor, TiedFactor, weighted_sum
+from fenics_crack.model.factor import Factor, TiedFactor, factored, factored_sum
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.stages import begin
@@ -132,7 +132,7 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
     if known is not None:
         omega, shapes = known
         return Modes(omega[:count], shapes[:, :count], structure)
-    with _factor(structure.stiffness, ties) as factor:
+    with factored(structure.stiffness, ties) as factor:
         return modes_by(factor, structure, int(count), ties)
 
 
@@ -159,11 +159,6 @@ def _independent_ties(structure: Structure) -> sparse.csc_matrix:
 def _space(structure: Structure, ties: Any) -> int:
     """Number of modes with mass everywhere."""
     return structure.n_dofs - (0 if ties is None else int(ties.shape[1]))
-
-
-def _factor(matrix: Any, ties: Any) -> Factor | TiedFactor:
-    """The factor of a symmetric matrix, on the space of tied motions if there are ties."""
-    return Factor(matrix, symmetric=True) if ties is None else TiedFactor(matrix, ties)
 
 
 def modes_by(
@@ -234,11 +229,8 @@ def _nearest_zero(
         if np.abs(squares).min() > SINGULAR * scale:
             return squares, shapes
     shift = -1e-6 * scale
-    shifted = weighted_sum(structure.stiffness, -shift, structure.mass)
-    with _factor(shifted, ties) as other:
-        found = _krylov(other, structure, count, shift)
-    shifted.destroy()
-    return found
+    with factored_sum(structure.stiffness, -shift, structure.mass, ties) as other:
+        return _krylov(other, structure, count, shift)
 
 
 def krylov_vectors(count: int) -> int:
@@ -280,11 +272,8 @@ def _krylov(
 
 def _count_below(structure: Structure, square: float, ties: Any) -> int:
     """Number of modes with omega^2 < square: the negative pivots of K - square M (Sylvester)."""
-    shifted = weighted_sum(structure.stiffness, -square, structure.mass)
-    with _factor(shifted, ties) as factor:
-        count = factor.negative_pivots
-    shifted.destroy()
-    return count
+    with factored_sum(structure.stiffness, -square, structure.mass, ties) as factor:
+        return int(factor.negative_pivots)
 
 
 def largest_frequency(structure: Structure) -> float:

@@ -15,6 +15,7 @@ asked for.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -208,11 +209,9 @@ class ResidualFlexibility:
             mine = np.flatnonzero((own >= 0) & (own < structure.n_local))
             shape = structure.n_local, len(missing)
             units = sparse.csr_matrix((np.ones(len(mine)), (own[mine], mine)), shape)
-            if factor is None:
-                with Factor(structure.stiffness, symmetric=True) as factor:
-                    found = self.seen(factor, units)
-            else:
-                found = self.seen(factor, units)
+            stiffness = structure.stiffness
+            with nullcontext(factor) if factor else Factor(stiffness, symmetric=True) as known:
+                found = self.seen(known, units)
             self._measured |= dict(zip(missing, found, strict=True))
         return np.array([self._measured[dof] for dof in wanted])
 

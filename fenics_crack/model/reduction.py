@@ -35,7 +35,7 @@ import scipy.sparse as sparse
 
 from fenics_crack.errors import InputError
 from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
-from fenics_crack.model.factor import Factor, weighted_sum
+from fenics_crack.model.factor import Factor, factored_sum
 from fenics_crack.model.modal import SMALL
 from fenics_crack.model.modes import (
     ROUNDING,
@@ -241,10 +241,8 @@ def _regular(factor: Factor, structure: Structure) -> Iterator[Factor]:
         yield factor
         return
     elastic = modes_by(factor, structure, min(structure.n_dofs, 10)).omega[-1] ** 2
-    matrix = weighted_sum(structure.stiffness, elastic or 1.0, structure.mass)
-    with Factor(matrix, symmetric=True) as regular:
+    with factored_sum(structure.stiffness, elastic or 1.0, structure.mass) as regular:
         yield regular
-    matrix.destroy()
 
 
 def _reduced(
