@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sparse
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from fenics_crack.errors import InputError
@@ -203,6 +202,8 @@ def split_crack(
 
 def _sides(edges: np.ndarray, pairs: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Number, 0 or 1, of the edge of each pair that is on the lower lip."""
+    from scipy.sparse.csgraph import connected_components  # takes a while, for few meshes
+
     count, flat = len(pairs), pairs.T.ravel()  # first ones, then their partners
     nodes, places = np.unique(edges[flat], return_inverse=True)
     places = places.reshape(-1, 2)
