@@ -28,15 +28,15 @@ __all__ = ["fit_frequency"]
 FINER = 8
 """Orders tried within the resolution, 1 / revolutions."""
 MOST_ORDERS = 10**6
-AT_ONCE = 2**17
-"""Of them."""
+SCANNED = 2**17
+"""Orders solved together."""
 MINIMA = 40
 """Minima of the scan that are refined."""
 APART = 2.0
 """Minima nearer to a lower one, in units of the resolution, are its side lobes."""
 CHANCE = 1e-5
 """Probability of a vibration in the noise of one probe, above which there is none."""
-CONSTANT = 1e-6
+UNVARIED = 1e-6
 """Largest variation of the speed."""
 
 
@@ -71,7 +71,7 @@ def fit_frequency(arrivals: ArrivalTimes, low: float, high: float, *, harmonics:
     check_number("high", high, low, above=True)
     check_count("harmonics", harmonics, 1)
     speeds = arrivals.speed
-    if np.ptp(speeds) > CONSTANT * speeds.mean():
+    if np.ptp(speeds) > UNVARIED * speeds.mean():
         found = f"{speeds.min():.6g} to {speeds.max():.6g} rad/s"
         raise InputError("speed", found, "constant; fit_order and track_order allow a run-up")
     speed = float(2.0 * np.pi * len(arrivals) / (arrivals.marks[-1] - arrivals.marks[0]))
@@ -87,7 +87,7 @@ def fit_frequency(arrivals: ArrivalTimes, low: float, high: float, *, harmonics:
         allowed = f"between {1.0 / finest:.3g} and {MOST_ORDERS / finest:.3g} times the speed"
         raise InputError("high - low", high - low, allowed)
     grid = np.arange(begin, end)
-    pieces = np.array_split(grid.astype(int), -(-len(grid) // AT_ONCE))
+    pieces = np.array_split(grid.astype(int), -(-len(grid) // SCANNED))
     scanned = np.concatenate([_scan(arrivals, one, finest, harmonics) for one in pieces])
     if len(arrivals.probes) == 1:
         _check_varies(arrivals, values, float(scanned.min()), unknowns)

@@ -17,6 +17,7 @@ from fenics_crack.numerics.fourier import waves
 from fenics_crack.table import Tabular, counted, quantity, with_frequency
 
 __all__ = [
+    "MISFIT",
     "Candidates",
     "LinearFit",
     "TipFit",
@@ -32,7 +33,7 @@ __all__ = [
 UNITS = {"omega": "rad/s", "frequency": "Hz", "phase": "rad", "residual": "m"}
 UNITS |= {"amplitude": "m", "amplitude_error": "m"}
 MISFIT = 0.001
-"""Probability below which what is left is no chance."""
+"""Probability of a misfit below which a model does not explain what was measured."""
 ALIKE = 9.0
 """Two candidates fit alike if their sums of squares differ by less, in units of the variance:
 three standard deviations."""

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
+from fenics_crack.arrivals.harmonics import MISFIT
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import write
 from fenics_crack.identification.measurements import Measurement, Measurements
@@ -29,8 +30,6 @@ STRONG = 3.0
 """Logarithm of the ratio of evidences, 20 to 1, from which a hypothesis is preferred."""
 LEAST_PART = 0.03
 """Probability of a part of the region that is mentioned."""
-SURPRISING = 0.001
-"""Probability of the misfit below which the model does not explain the measurements."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -236,7 +235,7 @@ class Identification(Tabular):
             ]
             found.append(f"these cracks cannot be told apart: {'; '.join(told)}")
         total, chance = self.misfit
-        if chance < SURPRISING:
+        if chance < MISFIT:
             count = len(self._branch.likelihood.values)
             found.append(
                 f"no crack of this kind explains the measurements: chi^2 = {total:.3g} of {count}"

@@ -32,7 +32,7 @@ __all__ = ["RunUpStructure", "run_up_structure"]
 
 SPEEDS = 3
 """Speeds of a range whose bases are put together."""
-NEW = 1e-6
+INDEPENDENT = 1e-6
 """Part of a vector that is not in the basis yet, relative to it, from which it is kept."""
 
 
@@ -183,7 +183,7 @@ def run_up_structure(structure: Structure, start: float, stop: float, modes: int
     basis: np.ndarray = np.zeros((structure.n_local, 0))
     for speed in np.linspace(start, stop, SPEEDS):
         part = reduce_structure(rotation.at(float(speed)), modes=modes, method="free_interface")
-        new = independent_part(structure, basis, part.basis, NEW, NEW)
+        new = independent_part(structure, basis, part.basis, INDEPENDENT, INDEPENDENT)
         basis = np.hstack([basis, new])
     here = rotation.at(rotation.speed)
 
