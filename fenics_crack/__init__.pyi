@@ -36,10 +36,6 @@ from fenics_crack.draw.plot import draw_laws as draw_laws
 from fenics_crack.draw.plot import draw_map as draw_map
 from fenics_crack.draw.plot import draw_response as draw_response
 from fenics_crack.draw.plot import draw_waves as draw_waves
-from fenics_crack.draw.plot_arrivals import draw_arrivals as draw_arrivals
-from fenics_crack.draw.plot_arrivals import draw_tip_fit as draw_tip_fit
-from fenics_crack.draw.plot_arrivals import draw_tip_track as draw_tip_track
-from fenics_crack.draw.plot_campbell import draw_campbell as draw_campbell
 from fenics_crack.draw.plot_curve import draw_content as draw_content
 from fenics_crack.draw.plot_curve import draw_curve as draw_curve
 from fenics_crack.draw.plot_curve import draw_multipliers as draw_multipliers
@@ -48,8 +44,12 @@ from fenics_crack.draw.plot_mesh import draw_modes as draw_modes
 from fenics_crack.draw.plot_motion import draw_orbits as draw_orbits
 from fenics_crack.draw.plot_motion import draw_spectra as draw_spectra
 from fenics_crack.draw.plot_motion import draw_spectrum as draw_spectrum
-from fenics_crack.draw.plot_posterior import draw_posterior as draw_posterior
-from fenics_crack.draw.plot_verification import draw_verification as draw_verification
+from fenics_crack.draw.plot_rotor import draw_arrivals as draw_arrivals
+from fenics_crack.draw.plot_rotor import draw_campbell as draw_campbell
+from fenics_crack.draw.plot_rotor import draw_tip_fit as draw_tip_fit
+from fenics_crack.draw.plot_rotor import draw_tip_track as draw_tip_track
+from fenics_crack.draw.plot_study import draw_posterior as draw_posterior
+from fenics_crack.draw.plot_study import draw_verification as draw_verification
 from fenics_crack.errors import ConvergenceError as ConvergenceError
 from fenics_crack.errors import InputError as InputError
 from fenics_crack.fem.build import build_structure as build_structure
@@ -91,7 +91,7 @@ from fenics_crack.study.prepare import prepare as prepare
 from fenics_crack.study.run import Run as Run
 from fenics_crack.study.run import load_run as load_run
 from fenics_crack.study.verification import Verification as Verification
-from fenics_crack.study.verify import verify as verify
+from fenics_crack.study.verification import verify as verify
 from fenics_crack.sweep.result import SweepResult as SweepResult
 from fenics_crack.sweep.result import run_sweep as run_sweep
 from fenics_crack.time.central_differences import (

@@ -11,17 +11,15 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy: results to the bit need one number
 
 import importlib
-import pickle
-import shutil
 import subprocess
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import settings
-from surroundings import DEMOS, MPI_ENVIRONMENT
+from ranks import Ranks, command, environment
+from surroundings import DEMOS
 
 import fenics_crack as fc
 
@@ -44,12 +42,6 @@ def pytest_configure(config: pytest.Config) -> None:
     """Where tests are run, MPI starts before PETSc would start it."""
     if config.getoption("dist", "no") == "no":
         importlib.import_module("fenics_crack.parallel")
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files with slow tests first: at the end the processes have short ones to share."""
-    slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: item.path not in slow)
 
 
 @pytest.fixture(scope="session")
@@ -105,35 +97,17 @@ def breathing_plate() -> Structure:
 
 
 @pytest.fixture
-def mpirun(tmp_path: Path) -> Callable[..., str]:
-    """Run a Python program, source or file, on some ranks; return what it printed.
+def mpirun() -> Callable[..., str]:
+    """Run a Python program, source or file, on some ranks of its own; return what it printed.
 
     The program can import the test files. Where it fails, so does the test, and shows its output.
     """
-    launcher = shutil.which("mpirun")
-    if launcher is None:
-        pytest.skip("mpirun is not installed")
 
-    def run(program: str | Path, ranks: int = 2, timeout: float = 180.0) -> str:
-        if isinstance(program, str):
-            file = tmp_path / "program.py"
-            file.write_text(program)
-        else:
-            file = program
-        tests, package = Path(__file__).parent, Path(fc.__file__).parents[1]
-        inner = (item for item in tests.iterdir() if item.is_dir())
-        folders = [tests, *inner, tests.with_name("benchmarks"), package]
-        search = [*map(str, folders), os.environ.get("PYTHONPATH", "")]
+    def run(program: str | Path, ranks: int, timeout: float = 180.0) -> str:
         process = subprocess.Popen(
-            [launcher, "-n", str(ranks), sys.executable, str(file)],
-            env=os.environ
-            | MPI_ENVIRONMENT
-            | {"PYTHONPATH": os.pathsep.join(filter(None, search))},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+            command(program, ranks), env=environment(), stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
         try:
             output, errors = process.communicate(timeout=timeout)
             ended = f"exit code {process.returncode}"
@@ -147,27 +121,9 @@ def mpirun(tmp_path: Path) -> Callable[..., str]:
     return run
 
 
-@pytest.fixture
-def on_ranks(mpirun: Callable[..., str], tmp_path: Path) -> Callable[..., Any]:
-    """Call a function of a test file on two ranks; return what it returned on the first.
-
-    The arguments are the function's, but for its last one, the communicator.
-    """
-
-    def call(function: Callable[..., Any], *arguments: Any) -> Any:
-        given, found = tmp_path / "arguments.pickle", tmp_path / "found.pickle"
-        given.write_bytes(pickle.dumps(arguments))
-        mpirun(
-            "import pickle\n"
-            "from pathlib import Path\n"
-            "from mpi4py import MPI\n"
-            f"from {function.__module__} import {function.__name__} as function\n"
-            f"arguments = pickle.loads(Path({str(given)!r}).read_bytes())\n"
-            "assert MPI.COMM_WORLD.size == 2\n"
-            "found = function(*arguments, MPI.COMM_WORLD)\n"
-            "if MPI.COMM_WORLD.rank == 0:\n"
-            f"    Path({str(found)!r}).write_bytes(pickle.dumps(found))\n"
-        )
-        return pickle.loads(found.read_bytes())
-
-    return call
+@pytest.fixture(scope="session")
+def on_ranks(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., Any]]:
+    """Call a function of a test file on the two ranks that these tests share (`Ranks.call`)."""
+    shared = Ranks(tmp_path_factory.mktemp("ranks"))
+    yield shared.call
+    shared.end()

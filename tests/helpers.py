@@ -20,9 +20,7 @@ import fenics_crack as fc
 from fenics_crack.balance.compliance import dynamic_compliance
 from fenics_crack.balance.condensed import CondensedSystem
 from fenics_crack.balance.contact_integrals import SampledIntegrals
-from fenics_crack.balance.error_report import mean_square
 from fenics_crack.files.store import digest, places, texts
-from fenics_crack.numerics.fourier import resized
 
 OMEGA_0 = 2.0 * np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
 """Natural frequency of the bilinear oscillator with kc = 1."""
@@ -196,6 +194,24 @@ def period_two_orbit(harmonics: int) -> fc.PeriodicSolution:
         structure, omega, law, harmonics=harmonics, subharmonic=2,
         initial=replace(once, gap_coefficients=disturbed),
     )  # fmt: skip
+
+
+def resized(rows: np.ndarray, harmonics: int) -> np.ndarray:
+    """Coefficients a0, a1, b1, ... cut off or padded with zeros to a number of harmonics."""
+    padded = np.zeros((2 * harmonics + 1, *rows.shape[1:]))
+    padded[: len(rows)] = rows[: len(padded)]
+    return padded
+
+
+def mean_square(rows: np.ndarray) -> float:
+    """Of the wave with coefficients a0, a1, b1, ... over its period (Parseval)."""
+    return float(np.sum(rows[0] ** 2) + 0.5 * np.sum(rows[1:] ** 2))
+
+
+def evaluate(rows: np.ndarray, omega: float, time: np.ndarray) -> np.ndarray:
+    """a0 + a1 cos(W t) + b1 sin(W t) + ... at some times."""
+    phase = omega * np.multiply.outer(time, np.arange(1, len(rows) // 2 + 1))
+    return rows[0] + np.cos(phase) @ rows[1::2] + np.sin(phase) @ rows[2::2]
 
 
 def amplitudes(rows: np.ndarray) -> np.ndarray:

@@ -1,6 +1,11 @@
-"""Where the files of the project are, and how ranks are started; imports nothing that computes."""
+"""Where the files of the project are, the program, and how ranks are started.
+
+Imports nothing that computes.
+"""
 
 from pathlib import Path
+
+from fenics_crack.cli.command_line import main as main
 
 ROOT = Path(__file__).parents[1]
 DEMOS = ROOT / "demos"

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 from helpers import ROOT
+from surroundings import main
 from test_any_input import TINY
 
 from fenics_crack import Scene
-from fenics_crack.cli.command_line import main
 
 # fmt: off
 LISTS = {

@@ -25,7 +25,6 @@ def load(name: str) -> ModuleType:
     return module
 
 
-@pytest.mark.slow
 def test_paper_plate(tmp_path: Path) -> None:
     """The main job on fewer periods: frequencies, both cases, every figure and file."""
     summary = load("paper_plate").main(tmp_path, periods=120)
@@ -57,7 +56,6 @@ def test_paper_plate(tmp_path: Path) -> None:
         assert (tmp_path / name).exists()
 
 
-@pytest.mark.slow
 def test_breathing_plate(tmp_path: Path) -> None:
     """The fine mesh: about 4000 dofs, 18 pairs, a crack of about 0.0431 m, under 1 GB."""
     summary = load("breathing_plate").main(tmp_path)
@@ -72,21 +70,16 @@ def test_breathing_plate(tmp_path: Path) -> None:
 
 
 @pytest.mark.mpi
-@pytest.mark.slow
 def test_sweep_over_two_ranks(mpirun: Callable[..., str], tmp_path: Path) -> None:
     """Ranks share the cases; the table is whole and sorted, and a second run only draws."""
     over = {"crack.length": [0.03, 0.05], "excitation.omega": [1600.0, 1800.0, 2000.0]}
     program = f"""
 import sys
 sys.path.insert(0, {str(DEMOS)!r})
-import dataclasses
 from pathlib import Path
 import fenics_crack as fc
 import sweep
-from fenics_crack.scene.tables import Sweep
-scene = dataclasses.replace(
-    fc.Scene.load(sweep.SCENE), sweep=Sweep.from_mapping({{"over": {over!r}}})
-)
+scene = fc.Scene.load(sweep.SCENE).replace({{"sweep.over": {over!r}}})
 sweep.main(Path({str(tmp_path)!r}), scene)
 """
     assert "6 of 6 cases converged" in mpirun(program, 2)
@@ -104,7 +97,6 @@ sweep.main(Path({str(tmp_path)!r}), scene)
     assert (tmp_path / "table.csv").read_bytes() == before and (tmp_path / "map.png").exists()
 
 
-@pytest.mark.slow
 def test_resonances(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The curves through the first resonance: peaks between the open and the uncracked one.
 

@@ -12,16 +12,18 @@ from pathlib import Path
 
 import pytest
 from helpers import MPI_ENVIRONMENT, ROOT
+from surroundings import main
 
 import fenics_crack as fc
 import fenics_crack.scene.scene
-from fenics_crack.cli.command_line import main, parser
+from fenics_crack.cli.command_line import parser
 from fenics_crack.scene import tables
 
 SHELL = re.compile(r"```sh\n(.*?)```", re.S)
 PAGES = [
     ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")),
-    *sorted((ROOT / "docs" / "verification").glob("*.md")), ROOT / "benchmarks" / "README.md",
+    *sorted((ROOT / "docs" / "verification").glob("*.md")),
+    *sorted((ROOT / "docs" / "decisions").glob("*.md")), ROOT / "benchmarks" / "README.md",
 ]  # fmt: skip
 BLOCKS = [
     pytest.param(code, id=f"{page.name} {number}")
@@ -46,7 +48,6 @@ def in_a_process(words: list[str]) -> tuple[int, str, str]:
     return done.returncode, done.stdout, done.stderr
 
 
-@pytest.mark.slow
 @pytest.mark.mpi
 def test_shell_blocks_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 import time
@@ -23,13 +24,23 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize(("part", "count"), [("inputs", 44), ("structures", 40)])
+@pytest.mark.parametrize(("part", "count"), [("inputs", 22), ("structures", 20)])
 def test_every_input_ends_well(part: str, count: int, base: Path, tmp_path: Path) -> None:
     """With a result, a line about the input, or what did not converge."""
     found = [*fuzzing.attempts(part, range(count), 1, base, tmp_path)]
     assert not [one for one in found if one.wrong]
     counts = Counter(one.outcome for one in found)
     assert len(found) == count and min(counts["done"], counts["refused"]) > 4
+
+
+@pytest.mark.slow
+def test_inputs_for_an_hour(base: Path, tmp_path: Path) -> None:
+    """The same with as many inputs as there is time for, on each day others."""
+    until, seed = time.monotonic() + 3600.0, int(time.time()) // 86_400
+    for one in fuzzing.attempts("inputs", itertools.count(), seed, base, tmp_path):
+        assert not one.wrong, one
+        if time.monotonic() > until:
+            break
 
 
 def test_a_case_is_always_the_same(base: Path, tmp_path: Path) -> None:

@@ -17,8 +17,8 @@ from helpers import ROOT
 import fenics_crack as fc
 
 PACKAGE = ROOT / "fenics_crack"
-LONGEST_FUNCTION = 80
-"""Lines, docstring included."""
+LONGEST_FUNCTION = 70
+"""Lines without the docstring, which says what is returned and gives an example."""
 MAX_PARAMETERS = 10
 NEED_MPI_FIRST = {"petsc4py", "slepc4py", "dolfinx"}
 
@@ -122,7 +122,12 @@ def test_no_private_name_is_imported() -> None:
 
 def test_functions_are_short() -> None:
     """No function is longer than a page or two."""
-    lengths = {place: (node.end_lineno or 0) - node.lineno + 1 for place, node in functions()}
+    lengths = {}
+    for place, node in functions():
+        first = node.body[0]
+        told = ast.get_docstring(node) is not None
+        docstring = (first.end_lineno or 0) - first.lineno + 1 if told else 0
+        lengths[place] = (node.end_lineno or 0) - node.lineno + 1 - docstring
     assert not {place: n for place, n in lengths.items() if n > LONGEST_FUNCTION}
 
 

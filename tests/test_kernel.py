@@ -14,17 +14,14 @@ from helpers import ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fenics_crack import UnilateralPenalty
 from fenics_crack.balance.active_sets import contact_intervals
 from fenics_crack.balance.compiled import CompiledSystem
 from fenics_crack.balance.condensed import respond, respond_to_columns
 from fenics_crack.balance.contact_integrals import ExactIntegrals
 from fenics_crack.kernel import doubles, ints, shaped, signs
 from fenics_crack.model.complementarity import solve_complementarity
-from fenics_crack.model.contact import UnilateralPenalty
 from fenics_crack.model.coupled import ActiveSets
-
-CHECKED = "CHECKED_KERNEL"
-"""Environment variable, set in a run with a kernel that checks its addresses."""
 
 OTHERS = [
     ROOT / "tests" / name
@@ -112,16 +109,15 @@ def test_shapes_that_fit_are_not_copied() -> None:
     assert shaped(array, 3, 2, kind=complex).dtype == complex
 
 
+@pytest.mark.slow
 def test_with_checks_of_addresses(tmp_path: Path) -> None:
     """The tests above with a kernel that ends the process where it reads outside its arrays."""
-    if CHECKED in os.environ:
-        pytest.skip("this is that run")
     build = ROOT / "fenics_crack" / "kernel" / "build.py"
     subprocess.run([sys.executable, build, "--sanitize", tmp_path], check=True)
     library = subprocess.run(
         ["gcc", "-print-file-name=libasan.so"], check=True, capture_output=True, text=True
     ).stdout.strip()
-    known = {"LD_PRELOAD": library, "ASAN_OPTIONS": "detect_leaks=0", CHECKED: "1"}
+    known = {"LD_PRELOAD": library, "ASAN_OPTIONS": "detect_leaks=0"}
     done = subprocess.run(
         [sys.executable, "-c", WITH_CHECKS, tmp_path / "_kernel.abi3.so", __file__, *OTHERS],
         cwd=ROOT, env=os.environ | known, capture_output=True, text=True,

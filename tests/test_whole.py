@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 from helpers import DEMOS, ROOT
+from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.cli.command_line import main
 from fenics_crack.errors import WriteError
 from fenics_crack.fem import compat
 from fenics_crack.fem.plate import write_msh

@@ -12,11 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from surroundings import main
 
-from fenics_crack.cli import pictures
-from fenics_crack.cli.command_line import main
-
-pytestmark = pytest.mark.slow
+from fenics_crack.draw import animation
 
 BREATHING = "breathing crack resonates near [Hz]"
 LOADS = {"weak": 1.0, "middle": 10.0, "strong": 100.0}
@@ -33,7 +31,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     place = tmp_path_factory.mktemp("path")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(place)
-        patch.setattr(pictures, "animate_period", partial(pictures.animate_period, frames=4))
+        patch.setattr(animation, "animate_period", partial(animation.animate_period, frames=4))
         assert main(["new", "plate.toml", "--quiet"]) == 0
         yield place
 

@@ -66,6 +66,10 @@ def fit_frequency(arrivals: ArrivalTimes, low: float, high: float, *, harmonics:
     InputError
         A value cannot be used, the speed varies, there are too few arrivals, or those of a probe
         alone do not vary: a vibration of a whole order looks like none to it.
+
+    Examples
+    --------
+    >>> fit = fc.fit_frequency(arrivals, 1800.0, 2200.0)
     """
     check_number("low", low, 0.0, above=True)
     check_number("high", high, low, above=True)

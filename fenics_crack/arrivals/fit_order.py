@@ -72,10 +72,19 @@ def fit_order(
     subharmonic : int
         2: the response has twice the load's period, and harmonics 1/2, 1, ..., K/2 of the load.
 
+    Returns
+    -------
+    TipFit
+        The order, its harmonics with their standard errors, and other orders that fit alike.
+
     Raises
     ------
     InputError
         A value cannot be used, or these probes can measure none of the candidates.
+
+    Examples
+    --------
+    >>> fit = fc.fit_order(arrivals, range(1, 13))
     """
     tried, multiples = wanted(orders, harmonics, subharmonic)
     seen = np.isfinite(arrivals.time)
@@ -202,10 +211,19 @@ def track_order(
     revolutions : int
         Fitted together.
 
+    Returns
+    -------
+    TipTrack
+        Amplitudes and phases with their standard errors, and the speed of each fit.
+
     Raises
     ------
     InputError
         A value cannot be used, or these probes cannot measure this order in so few revolutions.
+
+    Examples
+    --------
+    >>> track = fc.track_order(arrivals, 6)
     """
     _, multiples = wanted([order], harmonics, subharmonic)
     check_count("revolutions", revolutions, 1)

@@ -95,11 +95,21 @@ def tip_timing(
     seed : int
         Of the noise.
 
+    Returns
+    -------
+    ArrivalTimes
+        Revolution by probe [s].
+
     Raises
     ------
     InputError
         A value cannot be used; the tip moves backwards and would pass a probe twice; the curve does
         not go from one speed to another, or is unstable on the way.
+
+    Examples
+    --------
+    >>> arrivals = fc.tip_timing(
+    ...     solution, tip, probes=[0.1, 0.5, 1.3, 3.1], tip_radius=0.4, order=6)
     """
     angles, shares = _places(probes, tip)
     check_number("tip_radius", tip_radius, 0.0, above=True)

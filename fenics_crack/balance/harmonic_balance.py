@@ -35,12 +35,21 @@ def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> P
     harmonics : int
         H; all beyond the first are zero.
 
+    Returns
+    -------
+    PeriodicSolution
+        Without contact force.
+
     Raises
     ------
     InputError
         omega or harmonics cannot be used.
     ConvergenceError
         An undamped structure is at resonance, or one that is not held has a mean load.
+
+    Examples
+    --------
+    >>> linear = fc.solve_linear(structure, 2000.0)
     """
     check_omega(omega)
     check_count("harmonics", harmonics, 1)
@@ -126,6 +135,11 @@ def solve_harmonic_balance(
     PETSc options with the prefix ``crack_hb_`` reach SNES, for example ``-crack_hb_snes_monitor``.
 
     Source: the paper, eqs 2 to 15, with the corrections listed in ``docs/theory.md``.
+
+    Examples
+    --------
+    >>> solution = fc.solve_harmonic_balance(structure, 2000.0, contact, harmonics=20)
+    >>> error = solution.report.total
     """
     check_number("residual_tolerance", residual_tolerance, 0.0, above=True)
     if tolerance is not None:

@@ -10,10 +10,10 @@ import signal
 import sys
 import traceback
 from collections.abc import Sequence
+from enum import IntEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from fenics_crack.cli.exit_codes import Exit
 from fenics_crack.errors import ConvergenceError, InputError, WriteError, check_count
 from fenics_crack.one_thread import alone
 from fenics_crack.version import VERSION
@@ -22,7 +22,6 @@ from fenics_crack.whole import FULL
 if TYPE_CHECKING:
     from fenics_crack.cli.console import Console
     from fenics_crack.cli.inputs import Inputs
-    from fenics_crack.scene.scene import Scene
 
 __all__ = ["main", "parser"]
 
@@ -75,6 +74,17 @@ Exit code: 0 done; 2 bad input; 3 something did not converge, or Ctrl-C has ende
 found, if anything, is in the files); 130 stopped by Ctrl-C; 1 a full disk, too little memory, or a
 fault of the program.
 """
+
+
+class Exit(IntEnum):
+    """Exit codes; ``--help`` and docs/program.md explain them."""
+
+    DONE = 0
+    FAULT = 1
+    BAD_INPUT = 2
+    NOT_CONVERGED = 3
+    STOPPED = 130
+    READER_GONE = 141
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -172,7 +182,8 @@ def _run(given: argparse.Namespace) -> Exit:
     """
     from fenics_crack.cli.inputs import read_inputs
 
-    inputs = None if any(name in os.environ for name in LAUNCHERS) else read_inputs(given)
+    launched = any(name in os.environ for name in LAUNCHERS)
+    inputs = None if launched else read_inputs(given)
     from mpi4py import MPI
 
     from fenics_crack.cli.console import Console
@@ -183,78 +194,85 @@ def _run(given: argparse.Namespace) -> Exit:
         _be_silent()
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # else PETSc ends the program if a reader leaves
     with alone():
-        inputs = inputs or on_root(comm, lambda: read_inputs(given))
+        if launched:
+            inputs = on_root(comm, lambda: read_inputs(given))
         console = Console(comm, given.format, given.quiet, given.verbose)
-        return _command(given, inputs, console)
+        return Exit.DONE if _command(given, inputs, console) else Exit.NOT_CONVERGED
 
 
-def _command(given: argparse.Namespace, inputs: Inputs, console: Console) -> Exit:
-    """Call a command."""
+def _command(given: argparse.Namespace, inputs: Inputs | None, console: Console) -> bool:
+    """Call a command; return whether all that it computed has converged."""
     from fenics_crack.cli.console import make_writable
 
-    comm = console.comm
     if given.command == "new":
         from fenics_crack.cli.scenes import new
 
-        return new(given.file, console)
-    if given.command == "plot":
-        from fenics_crack.cli import commands
-
-        first = given.results[0]
-        beside = first.parent if first.suffix != ".toml" else Path("output") / first.stem
-        folder = given.output or beside
-        make_writable(folder, comm)
-        return commands.plot(given.results, given.label, folder, console, show=given.show)
-    if given.command == "report":
-        from fenics_crack.cli import commands
-
-        return commands.report(given.results, given.output, console, given.words)
-    assert inputs.scene is not None
+        new(given.file, console)
+        return True
+    if inputs is None:
+        return _look_at(given, console)
     if given.command == "check":
         from fenics_crack.cli.scenes import check
 
-        return check(inputs.scene, console)
+        check(inputs.scene, console)
+        return True
     folder = given.output or Path("output") / given.scene.stem
-    make_writable(folder, comm)
+    make_writable(folder, console.comm)
     from fenics_crack.study.remarks import remarks_on_scene
 
     told = remarks_on_scene(inputs.scene)
     try:
-        return _compute(given, inputs.scene, inputs, folder, console)
+        return _compute(given, inputs, folder, console)
     except InputError:
         told = []  # one line about an error
         raise
     finally:
-        console.remarks(told)
+        console.notes(f"remark: {remark}" for remark in told)
 
 
-def _compute(
-    given: argparse.Namespace, scene: Scene, inputs: Inputs, folder: Path, console: Console
-) -> Exit:
+def _look_at(given: argparse.Namespace, console: Console) -> bool:
+    """Call a command that reads results."""
+    if given.command == "plot":
+        from fenics_crack.cli.commands import plot
+        from fenics_crack.cli.console import make_writable
+
+        first = given.results[0]
+        beside = first.parent if first.suffix != ".toml" else Path("output") / first.stem
+        folder = given.output or beside
+        make_writable(folder, console.comm)
+        plot(given.results, given.label, folder, console, show=given.show)
+        return True
+    from fenics_crack.cli.report import write_report
+    from fenics_crack.parallel import on_root
+
+    page = given.output or given.results[0].parent / "report.html"
+    words = ["fenics-crack", *given.words]
+    with console.stage("report"):
+        on_root(console.comm, lambda: write_report(given.results, page, words))
+    console.note(str(page))
+    return True
+
+
+def _compute(given: argparse.Namespace, inputs: Inputs, folder: Path, console: Console) -> bool:
     """Call a command that solves a scene."""
     from fenics_crack.cli import commands  # takes a while to import
 
-    if given.command == "modes":
-        if given.count is not None:
-            check_count("--count", given.count, 1)
-        return commands.modes(scene, given.count, folder, console)
+    scene, count = inputs.scene, vars(given).get("count")
+    if count is not None:
+        check_count("--count", count, 1)
     if given.command == "campbell":
-        count = 6 if given.count is None else given.count
-        return commands.campbell_diagram(scene, given.speeds, count, folder, console)
+        return commands.campbell_diagram(scene, given.speeds, count or 6, folder, console)
     if given.command == "identify":
-        measured, arrivals = inputs.measurements, inputs.arrivals
-        return commands.identification(scene, measured, arrivals, folder, console)
+        return commands.identification(inputs, folder, console)
     if given.command == "timing":
         from fenics_crack.cli.timing import timing
 
         return timing(scene, inputs.arrivals, folder, console)
-    work = {
-        "solve": commands.solution,
-        "verify": commands.verification,
-        "curve": commands.curve,
-        "sweep": commands.sweep,
-    }
-    return work.get(given.command, commands.integration)(scene, folder, console)
+    if given.command == "verify":
+        return commands.verification(scene, folder, console)
+    if given.command == "sweep":
+        return commands.sweep(scene, folder, console)
+    return commands.solved(given.command, scene, count, folder, console)
 
 
 # --- arguments ------------------------------------------------------------------------------------

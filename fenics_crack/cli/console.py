@@ -5,11 +5,10 @@ from __future__ import annotations
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from mpi4py import MPI
 
@@ -17,9 +16,6 @@ from fenics_crack.parallel import on_root
 from fenics_crack.stages import StageLines, listening
 from fenics_crack.table import Table
 from fenics_crack.whole import not_written
-
-if TYPE_CHECKING:
-    from fenics_crack.study.remarks import Remark
 
 __all__ = ["Console", "make_writable"]
 
@@ -56,10 +52,10 @@ class Console:
         for text in texts:
             self.warn(text)
 
-    def remarks(self, found: Sequence[Remark]) -> None:
-        """Print what is out of the usual in a scene."""
-        for remark in found:
-            self.note(f"remark: {remark}")
+    def notes(self, texts: Iterable[str]) -> None:
+        """Print remarks."""
+        for text in texts:
+            self.note(text)
 
     @contextmanager
     def timed(self, name: str) -> Iterator[None]:
@@ -76,18 +72,6 @@ class Console:
         lines = nullcontext() if self.quiet else listening(StageLines(kept=self.progress))
         with self.timed(name), lines:
             yield
-
-    def finish(self, folder: Path, name: str, shown: Table, rows: Table, summary: Table) -> None:
-        """Write rows as CSV and a summary as JSON; print a table, and where the files are."""
-
-        def write() -> None:
-            summary.save(folder / f"{name}.json")
-            rows.save(folder / f"{name}.csv")
-
-        on_root(self.comm, write)
-        self.table(shown)
-        result = folder / f"{name}.h5"
-        self.note(f"{result}, .csv, .json; pictures: fenics-crack plot {result}")
 
 
 def make_writable(folder: Path, comm: MPI.Comm) -> None:

@@ -22,15 +22,15 @@ __all__ = ["Inputs", "read_inputs"]
 
 @dataclass(frozen=True)
 class Inputs:
-    """What was read; None where the command is given no such thing."""
+    """What was read; None where the command is given no such thing beside its scene."""
 
-    scene: Scene | None = None
+    scene: Scene
     measurements: Measurements | None = None
     arrivals: ArrivalTimes | Path | None = None  # or the result from which they are computed
 
 
-def read_inputs(given: argparse.Namespace) -> Inputs:
-    """Read the text files that a command is given.
+def read_inputs(given: argparse.Namespace) -> Inputs | None:
+    """Read the text files that a command is given; None where it has no scene.
 
     Raises
     ------
@@ -38,7 +38,7 @@ def read_inputs(given: argparse.Namespace) -> Inputs:
         One of them cannot be used.
     """
     if "scene" not in given:
-        return Inputs()
+        return None
     scene = Scene.load(given.scene).replace(_changes(given.set))
     measured, seen = (getattr(given, name, None) for name in ("measurements", "arrivals"))
     if given.command == "identify" and measured is None and seen is None:

@@ -10,7 +10,7 @@ import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.cli.sweep_pictures import shown_axes
+from fenics_crack.cli.of_sweep import shown_axes
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.draw.figure import distinct_colours, figure_of, make_axes
 from fenics_crack.draw.plot import Wave, draw_response, draw_waves
@@ -25,13 +25,13 @@ from fenics_crack.sweep.file import KIND as SWEEP
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.table import with_unit
 
-__all__ = ["draw_overlay"]
+__all__ = ["draw_several"]
 
 MOST = 12
 """Results in one picture."""
 
 
-def draw_overlay(paths: Sequence[Path], labels: Sequence[str], folder: Path) -> list[Path]:
+def draw_several(paths: Sequence[Path], labels: Sequence[str], folder: Path) -> list[Path]:
     """Draw results of the same kind on the same axes; return the files.
 
     ``labels`` name the results; without any they are called by what differs between their scenes,

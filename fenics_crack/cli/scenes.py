@@ -1,20 +1,21 @@
-"""The commands before anything is solved: ``new`` and ``check``."""
+"""The commands before anything is solved, ``new`` and ``check``, and what they say of damping."""
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 from importlib import resources
 from pathlib import Path
 
 import numpy as np
+from mpi4py import MPI
 
 from fenics_crack.balance.memory import check_memory
 from fenics_crack.cli.console import Console
-from fenics_crack.cli.exit_codes import Exit
-from fenics_crack.cli.undamped import remark_on_whole
-from fenics_crack.errors import InputError
+from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import is_rigid
+from fenics_crack.model.modes import damped_range
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
@@ -25,14 +26,16 @@ from fenics_crack.sweep.plan import Plan
 from fenics_crack.table import RPM, Table, counted
 from fenics_crack.whole import write_whole
 
-__all__ = ["check", "harmonics_in_words", "new"]
+__all__ = [
+    "check", "draw_scene", "harmonics_in_words", "in_words", "new", "remark_on", "remark_on_sweep",
+]  # fmt: skip
 
 TURN = 2.0 * np.pi
 MAX_CHECKED = 10_000
 """Cases of a sweep that are checked before it is run."""
 
 
-def new(path: Path, console: Console) -> Exit:
+def new(path: Path, console: Console) -> None:
     """Write a commented scene to start from."""
 
     def write() -> None:
@@ -43,10 +46,9 @@ def new(path: Path, console: Console) -> Exit:
 
     on_root(console.comm, write)
     console.note(f"{path}: a scene to start from; now: fenics-crack check {path}")
-    return Exit.DONE
 
 
-def check(scene: Scene, console: Console) -> Exit:
+def check(scene: Scene, console: Console) -> None:
     """Mesh and assemble a scene; print what it has, its first frequencies, and what is unusual."""
     with console.stage("mesh and matrices"):
         study = prepare(scene, console.comm, whole=True)
@@ -74,11 +76,19 @@ def check(scene: Scene, console: Console) -> Exit:
         rows["cases of the sweep"] = scene.sweep.n_cases
         rows["of them impossible"] = on_root(console.comm, lambda: _impossible(scene))
     highest = max(highest_omega(scene, command) for command in ("solve", "curve", "sweep"))
-    remark = remark_on_whole(scene, whole, highest)
+    remark = _remark_on_whole(scene, whole, highest)
     console.table(Table(("what", "value"), [*rows.items()]))
     console.note(remark)
-    console.remarks(remarks_on(study.scene, figures))
-    return Exit.DONE
+    console.notes(f"remark: {remark}" for remark in remarks_on(study.scene, figures))
+
+
+def draw_scene(scene: Scene, folder: Path) -> list[Path]:
+    """Draw the mesh of a scene; return the file."""
+    from fenics_crack.draw.plot_mesh import draw_mesh
+
+    structure, file = prepare(scene, MPI.COMM_SELF, whole=True).structure, folder / "mesh.png"
+    draw_mesh(structure, path=file, title=f"{structure.n_dofs} degrees of freedom")
+    return [file]
 
 
 def _size(figures: KeyFigures) -> str:
@@ -187,3 +197,53 @@ def _impossible(scene: Scene) -> str:
     reasons = [case for case in map(plan.case, places) if isinstance(case, str)]
     more = f" of the first {MAX_CHECKED}" if np.prod(plan.shape) > MAX_CHECKED else ""
     return f"{len(reasons)}{more}" + (f": {reasons[0]}" if reasons else "")
+
+
+# --- harmonics that nothing damps -----------------------------------------------------------------
+
+
+def in_words(highest: float, damped: tuple[int, float] | None) -> str:
+    """What to say of harmonics up to a frequency [rad/s]; empty where all of them are damped.
+
+    ``damped``: how many modes are damped, and the highest frequency of one; None if all are
+    (:func:`damped_range`).
+    """
+    if damped is None or highest <= damped[1]:
+        return ""
+    count, end = damped
+    if count == 0:
+        return f"harmonics up to H w = {highest:g} rad/s: nothing damps what they excite"
+    modes = "the damped mode" if count == 1 else f"the {count} damped modes"
+    return (
+        f"harmonics up to H w = {highest:g} rad/s reach beyond {modes} ({end:g} rad/s): "
+        "nothing damps what they excite there"
+    )
+
+
+def remark_on(structure: Structure, highest: float) -> str:
+    """The same of a structure; empty without contact, which excites them (collective)."""
+    return in_words(highest, damped_range(structure)) if structure.n_pairs else ""
+
+
+def _remark_on_whole(scene: Scene, whole: Structure, highest: float) -> str:
+    """The same of a structure that the scene reduces before it is solved (collective)."""
+    table = reduction_of(scene, whole)
+    ratio = None if scene.damping is None else scene.damping.ratio
+    if table is not None and table.method == "massless" and ratio is not None:
+        if np.ravel(ratio)[-1] > 0.0:  # that of all further modes that are kept
+            return ""
+    return remark_on(whole, highest)
+
+
+def remark_on_sweep(scene: Scene, comm: MPI.Comm) -> str:
+    """The same of a sweep, from the modes of the plate as the scene has it (collective)."""
+    if scene.contact is None or scene.damping is None or scene.damping.of_all_modes:
+        return ""
+
+    def remark() -> str:
+        with contextlib.suppress(InputError, ConvergenceError):  # its cases may be others
+            plate = prepare(scene, MPI.COMM_SELF, whole=True).structure
+            return _remark_on_whole(scene, plate, highest_omega(scene, "sweep"))
+        return ""
+
+    return on_root(comm, remark)

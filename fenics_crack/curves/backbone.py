@@ -316,6 +316,10 @@ def follow_backbone(
         An argument cannot be used, or the structure can move as a rigid body.
     ConvergenceError
         No equilibrium or no first motion was found, or the end was not reached.
+
+    Examples
+    --------
+    >>> backbone = fc.follow_backbone(mass, fc.UnilateralPenalty(1.0), 1, 0.1, 1.0)
     """
     given = _complete(options)
     check_number("energy_start", energy_start, 0.0, above=True)

@@ -88,6 +88,10 @@ def refine_bifurcation(
     -----
     With few harmonics a curve has special points that are not there on exact orbits, or several
     where these have one: several of them may lead to the same point, or to none.
+
+    Examples
+    --------
+    >>> omega, orbit = fc.refine_bifurcation(doubling.bifurcations[0])
     """
     kind, solution = bifurcation.kind, bifurcation.solution
     if kind not in KINDS:

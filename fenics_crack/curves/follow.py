@@ -102,12 +102,21 @@ def continue_frequency(
         As :class:`.CurveOptions` lists them: harmonics, samples, subharmonic, initial, tolerance,
         stability, longest_step, most_points, turning_back, resume.
 
+    Returns
+    -------
+    ResponseCurve
+        From the start on; ``complete`` if it reached the end.
+
     Raises
     ------
     InputError
         An argument cannot be used.
     ConvergenceError
         No first point, or the end was not reached; what was found until then is its ``found``.
+
+    Examples
+    --------
+    >>> curve = fc.continue_frequency(structure, 1900.0, 2100.0, contact, harmonics=5)
     """
     check_omega(omega_start, "omega_start")
     return _between(
@@ -143,12 +152,22 @@ def continue_parameter(
     start, end : float
         Its values.
 
+    Returns
+    -------
+    ResponseCurve
+        From the start on; ``complete`` if it reached the end.
+
     Raises
     ------
     InputError
         An argument cannot be used.
     ConvergenceError
         No first point, or the end was not reached; what was found until then is its ``found``.
+
+    Examples
+    --------
+    >>> curve = fc.continue_parameter(
+    ...     structure, 2000.0, contact, "load", 1.0, 2.0, harmonics=5)
     """
     return _between(
         structure, omega, contact, (parameter, start, end),
@@ -185,12 +204,21 @@ def follow_branch(
     progress, throw, **options
         As in :func:`continue_frequency`; harmonics, samples and subharmonic follow from the curve.
 
+    Returns
+    -------
+    ResponseCurve
+        Of twice the period from a period doubling, else of the same.
+
     Raises
     ------
     InputError
         An argument cannot be used.
     ConvergenceError
         No branch was found, or its end was not reached; what was found is its ``found``.
+
+    Examples
+    --------
+    >>> branch = fc.follow_branch(doubling, doubling.bifurcations[0])
     """
     kinds = ("period_doubling", "branch_point")
     if not isinstance(curve, ResponseCurve):

@@ -51,12 +51,21 @@ def refine_curve(curve: ResponseCurve, between: int | None = None) -> ResponseCu
         curve has been followed by short steps. Those that Newton's method does not reach at once
         are left out.
 
+    Returns
+    -------
+    ResponseCurve
+        With the points of the first one among its own.
+
     Raises
     ------
     InputError
         The curve is in another parameter, or is too short.
     ConvergenceError
         A point lies at an undamped resonance that the load drives.
+
+    Examples
+    --------
+    >>> finer = fc.refine_curve(curve, between=2)
     """
     if between is not None:
         check_count("between", between, 1)

@@ -85,6 +85,10 @@ def animate_period(
     ------
     InputError
         The file is no .gif, the structure has no mesh, or an argument cannot be used.
+
+    Examples
+    --------
+    >>> magnification = fc.animate_period(solution, "crack.gif", frames=4)
     """
     if Path(path).suffix.lower() != ".gif":
         raise InputError("path", str(path), "a .gif file")
@@ -114,6 +118,10 @@ def show_period(
     ------
     InputError
         There is no screen, or as :func:`animate_period`.
+
+    Examples
+    --------
+    >>> fc.show_period(solution)  # doctest: +SKIP
     """
     fields = PeriodFields.of(solution, frames, magnification, material)
 

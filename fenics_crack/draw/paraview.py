@@ -50,6 +50,10 @@ def write_modes(modes: Modes, path: str | Path) -> None:
     ------
     InputError
         The structure has no mesh.
+
+    Examples
+    --------
+    >>> fc.write_modes(fc.solve_modes(structure, 2), "modes.vtu")
     """
     mesh = NodalMesh(modes.structure)
     shapes = mesh.field(modes.structure.expand(modes.shapes.T))
@@ -221,6 +225,10 @@ def write_period(
     contact stiffness is given per area. With a material: ``stress`` (xx, yy, xy) and ``von Mises
     stress`` [Pa] of plane stress. At the tip and under the point load they grow without bound as
     the mesh is refined.
+
+    Examples
+    --------
+    >>> magnification = fc.write_period(solution, "crack.pvd", frames=4)
     """
     begin(Path(path).name)
     fields = PeriodFields.of(solution, frames, magnification, material)

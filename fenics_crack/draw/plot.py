@@ -77,6 +77,17 @@ def draw_waves(
         Unit of the time axis; default: seconds.
     zero : str, optional
         Legend entry of a line at zero, for example "lips touch".
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Examples
+    --------
+    >>> time = np.linspace(0.0, solution.period, 200)
+    >>> wave = fc.Wave("tip", time, solution.displacement(time, [tip])[:, 0])
+    >>> figure = fc.draw_waves([wave], quantity="displacement", path="waves.png")
     """
     [panel] = make_axes(axes, path)
     for wave in waves:
@@ -114,6 +125,16 @@ def draw_laws(
         Positive where the pair penetrates.
     axes, path, title
         As of :func:`draw_waves`.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Examples
+    --------
+    >>> closing = np.linspace(-1e-6, 1e-6, 101)
+    >>> figure = fc.draw_laws({"penalty": contact}, closing, path="laws.png")
     """
     [panel] = make_axes(axes, path)
     styles = zip(laws.items(), COLOURS.values(), ("-", "--", ":", "-.", "-"), strict=False)
@@ -148,10 +169,19 @@ def draw_contact_map(
     instants : int
         In the period.
 
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
     Raises
     ------
     InputError
         The structure has fewer than two pairs, or does not know where they are.
+
+    Examples
+    --------
+    >>> figure = fc.draw_contact_map(solution, path="contact.png")
     """
     structure, law = solution.structure, solution.contact
     points = structure.pair_points
@@ -224,6 +254,16 @@ def draw_response(
         Where a curve has rings.
     unit : str
         Of the curves; lengths [m] are drawn in a readable multiple.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Examples
+    --------
+    >>> curves = {"tip": curve.amplitude(tip)}
+    >>> figure = fc.draw_response(curve.omega, curves, quantity="displacement", path="response.png")
     """
     [panel] = make_axes(axes, path)
     every = np.concatenate([np.ravel(found) for found in curves.values()])
@@ -273,10 +313,21 @@ def draw_map(
     doubtful : (m, n) bool, optional
         What is hatched: not stable, or with a large estimated error.
 
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
     Raises
     ------
     InputError
         The shapes do not fit, a quantity does not rise, or there is no finite value.
+
+    Examples
+    --------
+    >>> x, y = np.linspace(0.0, 1.0, 3), np.linspace(0.0, 1.0, 2)
+    >>> figure = fc.draw_map(
+    ...     x, y, np.outer(1.0 + y, x), x_label="x [m]", y_label="y [m]", value_label="z [m]")
     """
     x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     for name, swept in (("x", x), ("y", y)):

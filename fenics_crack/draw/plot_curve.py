@@ -74,6 +74,15 @@ def draw_curve(
     in_hertz : bool
         Load frequencies in Hz and speeds in rpm, those of ``behind`` and ``points`` too, which are
         given in rad/s.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Examples
+    --------
+    >>> figure = fc.draw_curve(curve, tip, in_hertz=True, path="curve.png")
     """
     [panel] = make_axes(axes, path)
     curve = filled(curve)
@@ -237,6 +246,15 @@ def draw_content(
         As of :func:`draw_curve`.
     highest : int
         Highest harmonic of the load that is drawn.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Examples
+    --------
+    >>> figure = fc.draw_content(curve, tip, highest=3, path="content.png")
     """
     [panel] = make_axes(axes, path)
     panel.set_yscale("log")
@@ -276,10 +294,19 @@ def draw_multipliers(
     axes, path, title, in_hertz
         As of :func:`draw_curve`.
 
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
     Raises
     ------
     InputError
         The curve was followed without ``stability=True``.
+
+    Examples
+    --------
+    >>> figure = fc.draw_multipliers(curve, path="multipliers.png")
     """
     if curve.multipliers is None:
         raise InputError("stability", False, "True when the curve is followed")

@@ -51,10 +51,19 @@ def draw_mesh(
     axes, path, title
         As of :func:`draw_waves`.
 
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
     Raises
     ------
     InputError
         The structure has no mesh.
+
+    Examples
+    --------
+    >>> figure = fc.draw_mesh(structure, path="mesh.png")
     """
     mesh = NodalMesh(structure)
     load = mesh.field(mesh.structure.force)
@@ -133,10 +142,19 @@ def draw_modes(
     columns : int
         Panels side by side in a new figure.
 
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
     Raises
     ------
     InputError
         The structure has no mesh, there is no such mode, or the number of axes is wrong.
+
+    Examples
+    --------
+    >>> figure = fc.draw_modes(fc.solve_modes(structure, 2), path="modes.png")
     """
     every = range(1, len(modes.omega) + 1)
     numbers = list(every if numbers is None else numbers)

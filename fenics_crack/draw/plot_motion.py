@@ -58,10 +58,19 @@ def draw_spectrum(
     title : str, optional
         Title of the picture.
 
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
     Raises
     ------
     InputError
         There is neither a pair nor a dof, or the number of axes is wrong.
+
+    Examples
+    --------
+    >>> figure = fc.draw_spectrum(solution, tip, path="spectrum.png")
     """
     lengths: dict[str, np.ndarray] = {}
     if solution.structure.n_pairs:
@@ -114,10 +123,19 @@ def draw_spectra(
     axes, path, title
         As of :func:`draw_spectrum`.
 
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
     Raises
     ------
     InputError
         The number of axes is wrong.
+
+    Examples
+    --------
+    >>> figure = fc.draw_spectra({"breathing": (solution, tip)}, path="spectra.png")
     """
     motions, gaps, places = {}, {}, set()
     for label, (solution, dof) in solutions.items():
@@ -198,10 +216,19 @@ def draw_orbits(
     instants : int
         Points of the orbit.
 
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
     Raises
     ------
     InputError
         As of :func:`draw_spectrum`.
+
+    Examples
+    --------
+    >>> figure = fc.draw_orbits(solution, tip, path="orbits.png")
     """
     closed = solution.contact_force(np.linspace(0.0, solution.period, instants + 1)) > 0.0
     orbits: list[tuple[np.ndarray, np.ndarray, str, str]] = []

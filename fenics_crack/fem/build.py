@@ -43,11 +43,20 @@ def build_structure(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Structure:
     comm : MPI.Comm
         Ranks that share the mesh.
 
+    Returns
+    -------
+    Structure
+        Whole; its rows are shared by the ranks.
+
     Raises
     ------
     InputError
         The mesh file or a matrix is unusable, the load is off the mesh or clamped, or the lips do
         not match.
+
+    Examples
+    --------
+    >>> whole = fc.build_structure(scene)
     """
     return assemble(with_crack_length(scene, comm), comm)
 
@@ -73,11 +82,21 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     comm : MPI.Comm
         Ranks that share the mesh.
 
+    Returns
+    -------
+    float
+        [m].
+
     Raises
     ------
     InputError
         No length between 1 % and 95 % of the width gives that frequency; for a crack inside, of the
         room around its center.
+
+    Examples
+    --------
+    >>> given = {"crack.length": None, "crack.first_omega": 4700.0}
+    >>> length = fc.find_crack_length(blade.replace(given))
     """
     crack, width = scene.crack, scene.geometry.width
     if crack is None or crack.first_omega is None or width is None:

@@ -31,8 +31,8 @@ from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Identify, Sweep
 from fenics_crack.stages import begin
-from fenics_crack.study.finer import finer_mesh
 from fenics_crack.study.remarks import is_proportional
+from fenics_crack.study.verification import finer_mesh
 from fenics_crack.sweep.result import SweepResult, run_sweep
 
 __all__ = ["Forward", "identify", "infer", "remarks_on", "solve_forward"]
@@ -88,6 +88,10 @@ def identify(
     InputError
         There are no unknowns, a measurement cannot be used or is not one of this scene, or as
         :func:`run_sweep`.
+
+    Examples
+    --------
+    >>> found = fc.identify(scene, "measured.csv", {"crack.length": [0.02, 0.04]})  # doctest: +SKIP
     """
     if unknown is not None:
         table = scene.identify or Identify.from_mapping({"unknown": unknown})

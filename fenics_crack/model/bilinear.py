@@ -94,10 +94,20 @@ def bilinear_frequencies(structure: Structure) -> BilinearFrequencies:
     structure : Structure
         Whole or reduced.
 
+    Returns
+    -------
+    BilinearFrequencies
+        Mode by mode, in ascending order [rad/s].
+
     Raises
     ------
     InputError, ConvergenceError
         As :func:`fenics_crack.solve_modes`.
+
+    Examples
+    --------
+    >>> natural = fc.bilinear_frequencies(structure)
+    >>> resonance = natural.omega_bilinear[0]
     """
     return structure.once(_bilinear_frequencies)
 

@@ -111,6 +111,11 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
     lips : "open" or "tied"
         What the lips of all cracks do.
 
+    Returns
+    -------
+    Modes
+        Mass-normalised, in ascending order.
+
     Raises
     ------
     InputError
@@ -118,6 +123,10 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
         tied), or the number of modes with mass, or the stiffness has a negative eigenvalue.
     ConvergenceError
         SLEPc found fewer modes than asked for.
+
+    Examples
+    --------
+    >>> modes = fc.solve_modes(structure, 3, lips="tied")
     """
     if lips not in LIPS:
         raise InputError("lips", lips, "one of " + ", ".join(map(repr, LIPS)))

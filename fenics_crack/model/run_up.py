@@ -170,10 +170,19 @@ def run_up_structure(structure: Structure, start: float, stop: float, modes: int
     modes : int
         How many modes of each speed are in the basis.
 
+    Returns
+    -------
+    RunUpStructure
+        For :func:`continue_parameter` over "speed".
+
     Raises
     ------
     InputError
         The structure does not rotate, its damping is a matrix, or a speed cannot be used.
+
+    Examples
+    --------
+    >>> rotor = fc.run_up_structure(fc.build_structure(blade), 100.0, 200.0, 4)
     """
     rotation = structure.rotation
     if rotation is None:

@@ -62,6 +62,11 @@ def floquet(
         Judge by the multipliers of the exact orbit next to the solution. Else those of the linear
         flow along its wave are returned, which judge nothing: "undecided".
 
+    Returns
+    -------
+    Stability
+        The multipliers, largest first, the verdict, and the reason where it is open.
+
     Raises
     ------
     InputError
@@ -71,6 +76,11 @@ def floquet(
     -----
     Sources: Leine and Nijmeijer, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, 2004,
     chapter 7; Lazarus and Thomas, Comptes Rendus Mecanique 338 (2010) 510-517.
+
+    Examples
+    --------
+    >>> stability = fc.floquet(structure, solution)
+    >>> verdict, reason = stability.verdict, stability.reason
     """
     if contact is None:
         contact = solution.contact

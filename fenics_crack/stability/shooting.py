@@ -85,12 +85,22 @@ def shoot(
     tolerance : float
         ``|z(T) - z(0)| / |z(0)|`` that is accepted.
 
+    Returns
+    -------
+    PeriodicOrbit
+        With its multipliers, gap and contact force.
+
     Raises
     ------
     InputError
         As :func:`integrate_events`.
     ConvergenceError
         No orbit nearby was found.
+
+    Examples
+    --------
+    >>> orbit = fc.shoot(structure, solution)
+    >>> distance = orbit.multipliers
     """
     law = contact if contact is not None else solution.contact
     assert law is not None

@@ -134,10 +134,19 @@ def campbell(
     comm : MPI.Comm
         Ranks that share the mesh.
 
+    Returns
+    -------
+    Campbell
+        Frequencies with lips open and tied at each speed.
+
     Raises
     ------
     InputError
         An argument cannot be used, or a speed is too high.
+
+    Examples
+    --------
+    >>> diagram = fc.campbell(blade, [0.0, 150.0, 300.0], count=2)
     """
     if scene.rotation is None:
         raise InputError("rotation", None, "given: a table with hub_radius")

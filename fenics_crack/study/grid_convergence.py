@@ -128,6 +128,11 @@ def grid_convergence(
     ------
     InputError
         These are not two or three finite values with different sizes.
+
+    Examples
+    --------
+    >>> found = fc.grid_convergence([0.5, 0.25, 0.125], [1.25, 1.0625, 1.015625])
+    >>> order, value = found.order, found.extrapolated
     """
     check_number("formal", formal, 0.0, above=True)
     h, f = numbers(sizes), numbers(values)

@@ -123,7 +123,7 @@ def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution
 
 
 def solve_prepared(whole: Study) -> Run[PeriodicSolution]:
-    """The same of a scene that is prepared, not reduced (collective)."""
+    """The same of a scene that is prepared; reduced, if its modes are chosen (collective)."""
     scene, law = whole.scene, whole.contact
     omega, table = scene.excitation.omega, scene.harmonic_balance
     if law is None:
@@ -307,11 +307,21 @@ def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
     comm : MPI.Comm
         Ranks that share the structure.
 
+    Returns
+    -------
+    Run
+        Scene, structure, law and result.
+
     Raises
     ------
     InputError
         The file is not a result with a scene, is a sweep, damaged or of an older version; or a file
         that its scene names has changed.
+
+    Examples
+    --------
+    >>> fc.save(solution, "solution.h5", scene)
+    >>> run = fc.load_run("solution.h5")
     """
     stored = read(path, comm)
     kind, scene = type_of(stored), stored.scene()

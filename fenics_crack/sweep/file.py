@@ -156,59 +156,43 @@ class SweepFile:
 
     def record(self, index: tuple[Any, ...], cases: Sequence[Mapping[str, Any]]) -> None:
         """Write those of some cases that are not complete: some of its columns each, and its waves
-        if it converged."""
-        left = np.flatnonzero(self.state[index] == PENDING)
-        for run in np.split(left, np.flatnonzero(np.diff(left) > 1) + 1):
-            if len(run):
-                self._record(_within(index, run), [cases[number] for number in run])
-
-    def _record(self, index: tuple[Any, ...], cases: Sequence[Mapping[str, Any]]) -> None:
-        columns = {
-            name: np.array([_stored(case.get(name, BLANKS[kind[0]])) for case in cases], kind)
-            for name, (_, kind) in self._columns.items()
-        }
-        waves = {name: [case.get(name, np.zeros((0, 0))) for case in cases] for name in WAVES}
-        state = np.array([CONVERGED if "gap" in case else FAILED for case in cases])
-        columns[WAVES_CHECKSUM] = np.array(
-            [_of_waves(*both) for both in zip(*waves.values(), strict=True)], "u4"
-        )
-        columns[CHECKSUM] = _of_cases(columns, list(columns), state)
-        self.write(index, state, columns, waves)
-
-    def write(
-        self,
-        index: tuple[Any, ...],
-        state: np.ndarray,
-        columns: Mapping[str, np.ndarray],
-        waves: Mapping[str, list[np.ndarray]],
-    ) -> None:
-        """Write some cases: all of their numbers, then their states, (n,) each.
-
-        ``index`` has one slice; ``waves`` are n arrays (2H+1, n_pairs), empty where a case failed.
+        if it converged.
 
         Raises
         ------
         InputError
             The disk is full, or the file is no longer where it was; what was written before stays.
         """
+        places = self._numbers[index]
+        left = np.flatnonzero(self.state.flat[places] == PENDING)
+        if len(left):
+            self.write(places[left], [cases[number] for number in left])
+
+    def write(self, places: np.ndarray, cases: Sequence[Mapping[str, Any]]) -> None:
+        """Write cases of some numbers (n,): all that is known of them, then their states."""
         if not self._is_there():
             allowed = "left alone while the sweep runs; it has been removed or replaced"
             raise WriteError("path", str(self._path), allowed)
+        state = np.array([CONVERGED if "gap" in case else FAILED for case in cases])
+        waves = {name: [case.get(name, np.zeros((0, 0))) for case in cases] for name in WAVES}
+        columns = {
+            name: np.array([_stored(case.get(name, BLANKS[kind[0]])) for case in cases], kind)
+            for name, (_, kind) in self._columns.items()
+        }
+        checksums = [_of_waves(*both) for both in zip(*waves.values(), strict=True)]
+        columns[WAVES_CHECKSUM] = np.array(checksums, "u4")
+        columns[CHECKSUM] = _of_cases(columns, list(columns), state)
         try:
-            self._put("state", index, np.full(len(state), PENDING))
+            self._put("state", places, np.full(len(state), PENDING))
             for name, arrays in waves.items():
                 if name in self._places:
-                    rows, pairs = max(map(len, arrays)), self._places[name].shape[-1]
-                    padded = np.full((len(arrays), rows, pairs), np.nan)
-                    for row, array in zip(padded, arrays, strict=True):
-                        row[: array.shape[0], : array.shape[1]] = array
-                    self._put(name, index, padded)
+                    self._put(name, places, _padded(arrays, self._places[name].shape[-1]))
             for name, values in columns.items():  # the checksum last, which confirms a case
-                self._put(name, index, values)
-            self._put("state", index, state)
+                self._put(name, places, values)
+            self._put("state", places, state)
         except OSError as error:
             raise not_written("path", self._path, error) from None
-        self.state[index] = state
+        self.state.flat[places] = state
 
     def close(self, *, remove: bool = False) -> None:
         """Close the file, or remove it; raises InputError where that tells of an error."""
@@ -219,12 +203,12 @@ class SweepFile:
         except OSError as error:
             raise not_written("path", self._path, error) from None
 
-    def _put(self, name: str, index: tuple[Any, ...], values: np.ndarray) -> None:
+    def _put(self, name: str, places: np.ndarray, values: np.ndarray) -> None:
         """Write the first values of some cases in a column or a wave."""
-        place = self._places[name]
-        size = place.size // self.state.size
-        for number, row in zip(self._numbers[index], values.astype(place.dtype), strict=True):
-            put(self._file, row.tobytes(), place.offset + int(number) * size)
+        column = self._places[name]
+        size = column.size // self.state.size
+        for number, row in zip(places, values.astype(column.dtype), strict=True):
+            put(self._file, row.tobytes(), column.offset + int(number) * size)
 
     def _is_there(self) -> bool:
         """Whether the name still leads to the file."""
@@ -277,14 +261,12 @@ class _Pieces:
         """Nothing to be done."""
 
 
-def _within(index: tuple[Any, ...], run: np.ndarray) -> tuple[Any, ...]:
-    """The index of a run of the cases that an index with one slice names."""
-    return tuple(
-        slice(part.start + int(run[0]), part.start + int(run[-1]) + 1)
-        if isinstance(part, slice)
-        else part
-        for part in index
-    )
+def _padded(arrays: list[np.ndarray], pairs: int) -> np.ndarray:
+    """Waves of some cases as one array, nan where one has fewer rows or pairs."""
+    found = np.full((len(arrays), max(map(len, arrays)), pairs), np.nan)
+    for whole, array in zip(found, arrays, strict=True):
+        whole[: array.shape[0], : array.shape[1]] = array
+    return found
 
 
 def _stored(value: Any) -> Any:

@@ -78,10 +78,19 @@ def stable_steps_per_period(structure: Structure, omega: float, contact: Contact
     structure, omega, contact
         As of :func:`integrate_central_difference`.
 
+    Returns
+    -------
+    int
+        Of :func:`integrate_central_difference`.
+
     Raises
     ------
     InputError
         An argument cannot be used, or the lips have no mass.
+
+    Examples
+    --------
+    >>> steps = fc.stable_steps_per_period(structure, 2000.0, contact)
     """
     check_mass(structure, INSTEAD)
     check_omega(omega)
@@ -120,6 +129,11 @@ def integrate_central_difference(
     steps_per_period : int
         At least :func:`stable_steps_per_period`.
 
+    Returns
+    -------
+    TimeHistory
+        The last periods.
+
     Raises
     ------
     InputError
@@ -132,6 +146,12 @@ def integrate_central_difference(
     Notes
     -----
     A motion that does not settle is a result, not an error: look at ``settled``.
+
+    Examples
+    --------
+    >>> steps = fc.stable_steps_per_period(structure, 2000.0, contact)
+    >>> history = fc.integrate_central_difference(
+    ...     structure, 2000.0, contact, periods=2, steps_per_period=steps)
     """
     asked = March(structure, omega, contact, periods, steps_per_period, **options)
     least = stable_steps_per_period(structure, omega, contact)

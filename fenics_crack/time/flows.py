@@ -42,6 +42,11 @@ def integrate_events(
     omega, periods, **options
         As in :class:`fenics_crack.time.march.March`.
 
+    Returns
+    -------
+    TimeHistory
+        The last periods, sampled at equal steps.
+
     Raises
     ------
     InputError
@@ -49,6 +54,10 @@ def integrate_events(
         be used.
     ConvergenceError
         Pairs open and close without end.
+
+    Examples
+    --------
+    >>> history = fc.integrate_events(structure, 2000.0, contact, periods=2, initial=solution)
     """
     asked = March(structure, omega, contact, periods, steps_per_period, **options)
     return march(asked, _ByEvents(asked))
@@ -96,6 +105,10 @@ def integrate_exponential(
     ConvergenceError
         The load is on an undamped resonance, no contact forces of a step were found, or contact
         creates more than twice the energy put in.
+
+    Examples
+    --------
+    >>> history = fc.integrate_exponential(structure, 2000.0, contact, periods=2)
     """
     asked = March(structure, omega, contact, periods, steps_per_period, **options)
     return march(asked, _ByExponentials(asked))

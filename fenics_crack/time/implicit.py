@@ -113,6 +113,11 @@ def integrate_implicit(
     Two columns of n_local numbers are kept for each pair.
 
     Source: Chung and Hulbert, Journal of Applied Mechanics 60 (1993) 371-375.
+
+    Examples
+    --------
+    >>> history = fc.integrate_implicit(
+    ...     structure, 2000.0, contact, periods=2, steps_per_period=400)
     """
     check_mass(structure, INSTEAD)
     check_number("spectral_radius", spectral_radius, 0.0)

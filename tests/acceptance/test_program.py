@@ -7,9 +7,9 @@ import judged
 import numpy as np
 import pytest
 from judged import NEW
+from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.cli.command_line import main
 
 
 def test_solution(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,11 +12,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import fenics_crack as fc
+from fenics_crack import Continuation
 from fenics_crack.balance.compiled import CompiledSystem
 from fenics_crack.balance.condensed import respond_to_columns
 from fenics_crack.balance.contact_integrals import ExactIntegrals
 from fenics_crack.balance.family import FAMILIES, Family
-from fenics_crack.curves.continuation import Continuation
 from fenics_crack.numerics.bordered import (
     PathPoint,
     point_on_path,

@@ -23,6 +23,7 @@ from laboratory import solve_form
 from mpi4py import MPI
 
 import fenics_crack as fc
+from fenics_crack import Problem
 from fenics_crack.balance import condensed
 from fenics_crack.balance.compliance import (
     FactoredCompliance,
@@ -32,7 +33,6 @@ from fenics_crack.balance.compliance import (
 )
 from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, ConstraintSystem
 from fenics_crack.balance.contact_integrals import contact_integrals
-from fenics_crack.balance.problem import Problem
 from fenics_crack.numerics.fourier import to_complex
 from fenics_crack.numerics.linearisation import determinant_sign
 

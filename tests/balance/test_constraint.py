@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 import scipy.optimize
-from helpers import log_slope, oscillator, relative
+from helpers import evaluate, log_slope, mean_square, oscillator, relative, resized
 
 import fenics_crack as fc
-from fenics_crack.balance.error_report import mean_square
-from fenics_crack.numerics.fourier import evaluate, resized
 
 COUNTS = (5, 10, 20, 40, 80)
 
@@ -138,7 +136,6 @@ def test_constraint_on_the_papers_data(paper_structure: fc.Structure) -> None:
         assert solution.contact_force(t).max() > 10.0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("harmonics", [5, 10])
 def test_constraint_over_the_frequencies(paper_structure: fc.Structure, harmonics: int) -> None:
     """The paper's data at 1000 to 3000 rad/s in steps of 100, every one from a cold start."""

@@ -8,6 +8,7 @@ from helpers import log_slope, relative
 from scipy.integrate import quad
 from switching import switching_instants
 
+from fenics_crack import ContactLaw, SmoothedPenalty, UnilateralPenalty
 from fenics_crack.balance.contact_integrals import (
     ContactIntegrals,
     ExactIntegrals,
@@ -15,7 +16,6 @@ from fenics_crack.balance.contact_integrals import (
     contact_integrals,
     default_samples,
 )
-from fenics_crack.model.contact import ContactLaw, SmoothedPenalty, UnilateralPenalty
 from fenics_crack.numerics.fourier import evaluate, resized, to_complex
 
 STIFFNESS = np.array([2.0, 30.0, 0.5, 7.0])

@@ -10,11 +10,11 @@ from helpers import DEMOS, chain, log_slope, relative, true_error
 from test_contact_integrals import random_gaps
 
 import fenics_crack as fc
+from fenics_crack import integrate_exponential
 from fenics_crack.balance import coupled
 from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
 from fenics_crack.balance.search import Search
 from fenics_crack.numerics.fourier import resized
-from fenics_crack.time.flows import integrate_exponential
 
 RIGID = fc.UnilateralConstraint()
 LAWS = {

@@ -28,6 +28,7 @@ from incremental import incremental_system
 from laboratory import BlockSystem, solve_form
 
 import fenics_crack as fc
+from fenics_crack import ContactLaw, Problem
 from fenics_crack.balance.compliance import (
     FactoredCompliance,
     dynamic_compliance,
@@ -35,8 +36,6 @@ from fenics_crack.balance.compliance import (
 )
 from fenics_crack.balance.condensed import CondensedSystem, respond_to_columns
 from fenics_crack.balance.contact_integrals import SampledIntegrals, contact_integrals
-from fenics_crack.balance.problem import Problem
-from fenics_crack.model.contact import ContactLaw
 from fenics_crack.numerics.fourier import evaluate
 
 # --- the high-dimensional form is collocation -----------------------------------------------------

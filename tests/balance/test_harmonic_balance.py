@@ -10,9 +10,9 @@ from helpers import chain, dense_matrices, oscillator, relative, two_masses
 from laboratory import BlockSystem
 
 import fenics_crack as fc
+from fenics_crack import ContactLaw
 from fenics_crack.balance.compliance import FactoredCompliance, load_coefficients
 from fenics_crack.balance.contact_integrals import contact_integrals
-from fenics_crack.model.contact import ContactLaw
 
 NAN, INF = float("nan"), float("inf")
 
@@ -146,7 +146,6 @@ def test_clearance_and_preload() -> None:
     assert not np.any(np.abs(closed.displacement_coefficients[3:]) > 1e-9)
 
 
-@pytest.mark.slow
 def test_cold_start_on_soft_contact_of_all_pairs(breathing_plate: fc.Structure) -> None:
     """breathing_plate, 18 pairs, k = 1e7 to 1e9, from the linear solution."""
     assert breathing_plate.n_pairs == 18

@@ -10,10 +10,10 @@ import pytest
 from helpers import chain, oscillator
 
 import fenics_crack as fc
+from fenics_crack import ContactLaw
 from fenics_crack.balance import neighbours
 from fenics_crack.balance.neighbours import Neighbours
 from fenics_crack.errors import MOST_HARMONICS
-from fenics_crack.model.contact import ContactLaw
 from fenics_crack.numerics.fourier import resized
 
 BLADE = chain("modal")

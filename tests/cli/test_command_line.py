@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import MPI_ENVIRONMENT, ROOT
+from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.cli.command_line import main
-from fenics_crack.cli.undamped import in_words
+from fenics_crack.cli.scenes import in_words
 from fenics_crack.fem.plate import write_msh
 from fenics_crack.study import run as study_run
 
@@ -43,7 +43,6 @@ def table(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-@pytest.mark.slow
 def test_numbers_are_those_of_the_library(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     """The program prints, stores and reads back what a script computes."""
     scene = fc.Scene.load(ROOT / "demos" / "paper_plate.toml").replace(
@@ -119,10 +118,10 @@ REMARKS = [
     ("solve damping.ratio=none damping.mass=20", ""),
     ("solve damping.modes=3 crack=none contact=none", ""),
     (
-        "curve damping.modes=3 curve.stability=false curve.start=1700 curve.stop=1720",
+        "curve damping.modes=3 curve.stability=false curve.start=1719 curve.stop=1720",
         "H w = 8600 rad/s reach",
     ),
-    ("curve damping.modes=3 curve.stability=false curve.start=1690 curve.stop=1710", ""),
+    ("curve damping.modes=3 curve.stability=false curve.start=1709 curve.stop=1710", ""),
     ("check damping.modes=3", "H w = 10000 rad/s reach beyond the 3 damped modes"),
     ("check damping.modes=3 excitation.omega=1700", ""),
     ("check damping.modes=3 excitation.omega=1700 curve.start=1 curve.stop=2e3", "H w = 10000 "),
@@ -146,8 +145,9 @@ def test_harmonics_that_nothing_damps(
     assert main(words) == 0
     said = [row for row in capsys.readouterr().err.splitlines() if "H w =" in row]
     assert len(said) == bool(expected) and expected in "".join(said)
-    assert main([*words, "--quiet"]) == 0
-    assert "H w =" not in capsys.readouterr().err
+    if expected:
+        assert main([*words, "--quiet"]) == 0
+        assert "H w =" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

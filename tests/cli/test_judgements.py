@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.balance.error_report import ErrorReport
-from fenics_crack.cli import judgements, tables
-from fenics_crack.cli.command_line import main
-from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack import ErrorReport, ResponseCurve, SweepResult
+from fenics_crack.cli.account import of_error, of_stability
+from fenics_crack.cli.of_curve import few_special_points
+from fenics_crack.cli.of_sweep import few_cases, warnings_of
 from fenics_crack.study.remarks import remarks_on_scene
 from fenics_crack.study.run import follow_curve, solve
 from fenics_crack.sweep import result
 from fenics_crack.sweep.file import COLUMNS, CONVERGED, FAILED
-from fenics_crack.sweep.result import SweepResult
 from fenics_crack.table import Table
 
 ZERO = {"residual": 0.0, "truncation": 0.0, "sampling": 0.0, "reduction": 0.0, "penetration": 0.0}
@@ -50,22 +50,22 @@ def test_advice_is_by_the_largest_part(
 ) -> None:
     """And is not what the scene does already."""
     report = ErrorReport(**(ZERO | {part: 0.2}))
-    [text] = judgements.of_error(scene.replace(changes), report, harmonics, " at 800 Hz")
+    [text] = of_error(scene.replace(changes), report, harmonics, " at 800 Hz")
     assert f"0.2 of the gap at 800 Hz, most of it by {part}" in text and advice in text
     small = ErrorReport(**(ZERO | {part: 0.02}))
-    assert not [*judgements.of_error(scene, small, harmonics)]
+    assert not [*of_error(scene, small, harmonics)]
 
 
 def test_undecided_orbit(scene: fc.Scene) -> None:
     """No advice to take more harmonics where a tolerance does, nor to damp what is damped."""
     undecided = fc.Stability(np.array([1.0 + 0j]), "undecided", np.nan)
     run: Any = SimpleNamespace(structure=None)
-    [text] = judgements.of_stability(scene, run, undecided)
+    [text] = of_stability(scene, run, undecided)
     assert text == "the orbit is undecided: a motion in time may leave it"
     undecided = replace(undecided, reason="no exact orbit was found next to it")
-    [text] = judgements.of_stability(scene, run, undecided)
+    [text] = of_stability(scene, run, undecided)
     assert text.startswith("the orbit is undecided (no exact orbit was found next to it): a motion")
-    [text] = judgements.of_stability(scene.replace(FIXED), run, undecided)
+    [text] = of_stability(scene.replace(FIXED), run, undecided)
     assert text.endswith("; more harmonics may decide it")
 
 
@@ -83,11 +83,11 @@ def test_five_bifurcations_at_most() -> None:
     rows += [(f"fold {number}", 0.0, float(number)) for number in range(14)]
     rows += [("stability lost after", 0.0, 99.0)] * 4
     run = curve_of(kinds, ["stable", "unstable"])
-    shown, hidden = tables.few_special_points(run, Table(("point", "omega", "amplitude [m]"), rows))
+    shown, hidden = few_special_points(run, Table(("point", "omega", "amplitude [m]"), rows))
     assert [row[0] for row in shown.rows[3:]] == [f"fold {n}" for n in (4, 6, 8, 10, 12)]
     assert hidden == 13
     few = Table(("point", "omega", "amplitude [m]"), rows[:4])
-    assert tables.few_special_points(curve_of(kinds[:1], ["stable"]), few) == (few, 0)
+    assert few_special_points(curve_of(kinds[:1], ["stable"]), few) == (few, 0)
 
 
 def swept(scene: fc.Scene, path: Path) -> SweepResult:
@@ -142,8 +142,8 @@ def test_verdicts_that_say_nothing_are_said_once(scene: fc.Scene, tmp_path: Path
     """All cases undecided: a line instead of a column."""
     found = swept(scene, tmp_path / "sweep.h5")
     found.columns["verdict"][:] = "undecided"
-    assert "verdict" not in tables.few_cases(found)[0].columns
-    assert "the stability is undecided in all cases" in [*judgements.of_cases(found)]
+    assert "verdict" not in few_cases(found)[0].columns
+    assert "the stability is undecided in all cases" in [*warnings_of(found)]
 
 
 def test_response_proportional_to_the_load(scene: fc.Scene) -> None:

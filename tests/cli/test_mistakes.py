@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 from helpers import ROOT
-
-from fenics_crack.cli.command_line import main
+from surroundings import main
 
 LINES = re.findall(
     r"^\| ([^|]+?) \| (`[^|]+`) \| ([^|]+?) \|$", (ROOT / "docs" / "mistakes.md").read_text(), re.M

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 from mpi4py import MPI
+from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.cli.command_line import main
-from fenics_crack.study.prepare import prepare
+from fenics_crack import prepare
 
 POINTS = {"tip": [0.1, 0.1], "side": [0.098, 0.0625]}
 

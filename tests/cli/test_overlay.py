@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import DEMOS
+from surroundings import main
 
-from fenics_crack.cli import overlay, sweep_pictures
-from fenics_crack.cli.command_line import main
+from fenics_crack.cli import of_sweep, overlay
+from fenics_crack.draw import plot
 
 SCENE = str(DEMOS / "paper_plate.toml")
 LOADS = (50.0, 100.0, 200.0)
@@ -107,9 +108,7 @@ def test_lines_and_maps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     """Two axes: few values of the second make lines, many a map, some both; words on the axes."""
     drawn: list[tuple[str, dict[str, Any]]] = []
     for name in ("draw_map", "draw_response"):
-        monkeypatch.setattr(
-            sweep_pictures, name, lambda *a, name=name, **how: drawn.append((name, how))
-        )
+        monkeypatch.setattr(plot, name, lambda *a, name=name, **how: drawn.append((name, how)))
     for count, expected in (
         (3, ["draw_response"]),
         (5, ["draw_response", "draw_map"]),
@@ -121,7 +120,7 @@ def test_lines_and_maps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
             fc_axis("excitation.frequency", (1.0, 2.0, 3.0, 4.0)),
             fc_axis("crack.length", lengths),
         )
-        page = sweep_pictures._Page([*axes], np.ones((4, count)), np.zeros((4, count), bool))
+        page = of_sweep._Page([*axes], np.ones((4, count)), np.zeros((4, count), bool))
         page.draw("largest opening", "m", tmp_path / "a.png", "")
         assert [name for name, _ in drawn] == expected
     assert drawn[0][1]["x_label"] == "load frequency [Hz]"
@@ -130,4 +129,4 @@ def test_lines_and_maps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
 
 def fc_axis(key: str, values: tuple[float, ...]) -> Any:
     """An axis of a sweep."""
-    return sweep_pictures.Axis(key, values)
+    return of_sweep.Axis(key, values)

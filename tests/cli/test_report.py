@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 from helpers import DEMOS
 from PIL import Image
+from surroundings import main
 
-from fenics_crack.cli import pictures
-from fenics_crack.cli.command_line import main
-from fenics_crack.draw import html
+from fenics_crack.cli import report as html
+from fenics_crack.draw import animation
 from fenics_crack.table import quantity
 from fenics_crack.version import VERSION
 
@@ -53,7 +53,7 @@ class Page(HTMLParser):
 def short_animations() -> Iterator[None]:
     """Of four frames instead of sixty."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pictures, "animate_period", partial(pictures.animate_period, frames=4))
+        patch.setattr(animation, "animate_period", partial(animation.animate_period, frames=4))
         yield
 
 

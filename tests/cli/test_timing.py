@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from surroundings import main
 from test_any_input import TINY
 
 import fenics_crack as fc
-from fenics_crack.cli.command_line import main
 
 RADIUS = 0.2
 PROBES = [10.0, 31.0, 67.0, 101.0, 148.0, 199.0, 243.0, 300.0]

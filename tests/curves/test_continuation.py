@@ -11,10 +11,10 @@ import scipy.linalg
 from helpers import Cubic, amplitudes, oscillator, random_stiffness, true_error, two_masses
 
 import fenics_crack as fc
+from fenics_crack import continue_frequency
 from fenics_crack.balance.compliance import ModalCompliance, load_coefficients
 from fenics_crack.balance.condensed import respond
 from fenics_crack.balance.family import FAMILIES
-from fenics_crack.curves.follow import continue_frequency
 from fenics_crack.numerics.bordered import PathPoint
 from fenics_crack.numerics.fourier import from_complex
 from fenics_crack.numerics.path import Target
@@ -194,7 +194,6 @@ def test_frequency_derivative() -> None:
         assert np.allclose(slope, exact, rtol=1e-6, atol=1e-7 * np.abs(exact).max())
 
 
-@pytest.mark.slow
 def test_paper_plate_over_three_resonances(soft_plate: fc.Structure) -> None:
     """k = 1e9 and 1e11, xi = 0.01, past the third natural frequency; reduced equals whole."""
     corner = soft_plate.find_dof((0.1, 0.1), "x")

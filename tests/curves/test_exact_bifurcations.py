@@ -84,7 +84,6 @@ def test_doublings_of_the_oscillator() -> None:
         assert (np.abs(fc.shoot(structure, solution).multipliers[0]) > 1.0) == unstable
 
 
-@pytest.mark.slow
 def test_paper_plate(soft_plate: fc.Structure) -> None:
     """All 50 modes, k = 1e9: 20 and 40 harmonics lead to the same points.
 

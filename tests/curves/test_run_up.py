@@ -12,12 +12,12 @@ from mpi4py import MPI
 from rotating import cracked
 
 import fenics_crack as fc
-from fenics_crack import InputError, Scene
+from fenics_crack import CurvePoint, InputError, Run, Scene
 from fenics_crack.balance.family import SpeedFamily
-from fenics_crack.cli import tables
+from fenics_crack.cli.account import in_short
+from fenics_crack.cli.of_curve import curve_points, special_points
 from fenics_crack.curves.follow import _where
-from fenics_crack.curves.points import CurvePoint
-from fenics_crack.study.run import Run, follow_curve, solve
+from fenics_crack.study.run import follow_curve, solve
 from fenics_crack.table import RPM
 
 ORDER = 12
@@ -98,7 +98,7 @@ def test_run_up_meets_structures_of_each_speed(run_up: Run[fc.ResponseCurve]) ->
 def test_natural_frequencies_are_those_of_each_speed(run_up: Run[fc.ResponseCurve]) -> None:
     """Columns of a run-up, and of its special points, against structures at their own speeds."""
     rotation = run_up.structure.whole.rotation
-    points, special = tables.curve_points(run_up), tables.special_points(run_up)
+    points, special = curve_points(run_up), special_points(run_up)
     for table, rows in ((points, points.rows[:: len(points.rows) // 5]), (special, special.rows)):
         for row in rows:
             told = dict(zip(table.columns, row, strict=True))
@@ -160,16 +160,16 @@ def test_run_up_in_the_scenes_unit(
     figure.draw_without_rendering()
     assert above.get_xlim() == pytest.approx(per_speed * np.array(panel.get_xlim()))
 
-    whole = tables.special_points(run)
+    whole = special_points(run)
     first = dict(zip(whole.columns, whole.rows[0], strict=True))
     given = first["speed [rad/s]"], first["rpm"]
     assert given == pytest.approx((560.0, 560.0 / RPM))
     assert first["omega [rad/s]"] == pytest.approx(12.0 * 560.0)
     assert first["frequency [Hz]"] == pytest.approx(12.0 * 560.0 / (2.0 * np.pi))
-    shown = tables.in_short(whole, run.scene, ()).columns
+    shown = in_short(whole, run.scene, ()).columns
     assert shown == (["point", "rpm", "frequency [Hz]"] if in_rpm else
                      ["point", "speed [rad/s]", "omega [rad/s]"])  # fmt: skip
-    assert tables.curve_points(run).columns[:4] == whole.columns[1:5]
+    assert curve_points(run).columns[:4] == whole.columns[1:5]
     point = CurvePoint(600.0, 7200.0, np.zeros((3, 1)), 1)
     bar = "5729.58 rpm, 600 rad/s; load 1145.92 Hz, 7 points"
     assert _where("speed", point, 7) == bar

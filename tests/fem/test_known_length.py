@@ -8,9 +8,8 @@ import pytest
 from helpers import DEMOS
 from mpi4py import MPI
 
+from fenics_crack import Scene, Structure
 from fenics_crack.fem import build
-from fenics_crack.model.structure import Structure
-from fenics_crack.scene.scene import Scene
 
 
 @pytest.fixture

@@ -12,10 +12,9 @@ import pytest
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack import InputError, Scene
+from fenics_crack import InputError, Scene, run_sweep
 from fenics_crack.fem.plate import write_msh
 from fenics_crack.study.run import find_modes, follow_curve, solve
-from fenics_crack.sweep.result import run_sweep
 
 WIDTH, HEIGHT, THICKNESS, DENSITY = 0.01, 0.4, 0.005, 7800.0
 STRIP: dict[str, Any] = {

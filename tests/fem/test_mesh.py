@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -532,17 +531,14 @@ def test_load_between_two_ranks(on_ranks: Callable[..., Any]) -> None:
     np.testing.assert_allclose(found, np.ones(len(points)), rtol=1e-9)
 
 
+def refusals(scene: Scene, comm: MPI.Comm) -> list[str]:
+    """The key that each rank is told to be wrong (collective)."""
+    with pytest.raises(InputError) as caught:
+        build_structure(scene, comm)
+    return comm.allgather(caught.value.key)
+
+
 @pytest.mark.mpi
-def test_errors_reach_every_rank(mpirun: Callable[..., str], tmp_path: Path) -> None:
+def test_errors_reach_every_rank(on_ranks: Callable[..., Any], tmp_path: Path) -> None:
     """A mesh file that only rank 0 reads is refused on every rank; no rank waits."""
-    scene = pickle.dumps(file_plate(tmp_path / "missing.msh"))
-    output = mpirun(
-        "import pickle\n"
-        "from fenics_crack import InputError, build_structure\n"
-        "try:\n"
-        f"    build_structure(pickle.loads({scene!r}))\n"
-        "except InputError as error:\n"
-        "    print(f'refused {error.key}\\n', end='', flush=True)\n",
-        timeout=60.0,
-    )
-    assert output.count("refused mesh.file") == 2
+    assert on_ranks(refusals, file_plate(tmp_path / "missing.msh")) == ["mesh.file"] * 2

@@ -14,10 +14,10 @@ import scipy.linalg
 from mpi4py import MPI
 from numpy.polynomial import Polynomial
 from rotating import DENSITY, HEIGHT, STRIP, UNIT, WIDTH, YOUNG, cracked, strip
+from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
-from fenics_crack.cli.command_line import main
 from fenics_crack.fem.assembly import assemble
 from fenics_crack.model.modes import times
 from fenics_crack.model.rotation import static_state
@@ -232,26 +232,20 @@ def test_check_tells_speed_and_opening(capsys: pytest.CaptureFixture[str], tmp_p
     assert met > 3.0 * scene.rotation.speed  # type: ignore[union-attr]
 
 
+def at_rest(scene: Scene, comm: MPI.Comm) -> list[float]:
+    """Two frequencies, the smallest gap and the sum of the contact forces (collective)."""
+    plate = fc.build_structure(scene, comm)
+    moved, pairs = static_state(plate, plate.force[0], plate.clearance)
+    gap = plate.apply_bt(moved[None])[0]
+    return [*fc.solve_modes(plate, 2).omega, gap.min(), pairs.sum()]
+
+
 @pytest.mark.mpi
-def test_ranks_share_the_mesh(mpirun: Callable[..., str]) -> None:
+def test_ranks_share_the_mesh(on_ranks: Callable[..., Any]) -> None:
     """Two ranks find the frequencies, the static opening and its forces of one."""
-    program = """
-import numpy as np
-import fenics_crack as fc
-from fenics_crack.model.rotation import static_state
-from rotating import cracked
-plate = fc.build_structure(cracked(150.0, -100.0))
-moved, pairs = static_state(plate, plate.force[0], plate.clearance)
-gap = plate.apply_bt(moved[None])[0]
-found = [*fc.solve_modes(plate, 2).omega, gap.min(), pairs.sum()]
-if plate.comm.rank == 0:
-    print("found", *(repr(float(value)) for value in found))
-"""
-    plate = fc.build_structure(cracked(150.0, -100.0), MPI.COMM_SELF)
-    gap, pairs = equilibrium(plate)
-    one = [*fc.solve_modes(plate, 2).omega, gap.min(), pairs.sum()]
-    two = [float(word) for word in mpirun(program, 2).split("found")[1].split()]
-    assert two == pytest.approx(one, rel=1e-8)
+    scene = cracked(150.0, -100.0)
+    equilibrium(fc.build_structure(scene, MPI.COMM_SELF))
+    assert on_ranks(at_rest, scene) == pytest.approx(at_rest(scene, MPI.COMM_SELF), rel=1e-8)
 
 
 def test_the_length_found_from_a_frequency_is_that_at_rest() -> None:

@@ -16,13 +16,13 @@ import numpy as np
 import pytest
 from helpers import DEMOS, ROOT, chain, changed
 from mpi4py import MPI
+from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.cli.command_line import main
+from fenics_crack import SweepResult, run_sweep
 from fenics_crack.files.store import header, read
 from fenics_crack.outside import run_reader, sha256
 from fenics_crack.scene.tables import Sweep
-from fenics_crack.sweep.result import SweepResult, run_sweep
 
 SCRIPT = 'SystemCall "touch PWNED";\n'
 """What gmsh runs where it takes a file for a script, in the folder of the program."""

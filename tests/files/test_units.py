@@ -11,8 +11,9 @@ from helpers import chain
 from mpi4py import MPI
 
 import fenics_crack as fc
+from fenics_crack import Run
 from fenics_crack.numerics.fourier import evaluate
-from fenics_crack.study.run import Run, follow_curve, integrate, solve
+from fenics_crack.study.run import follow_curve, integrate, solve
 
 COUNTS = {
     "branch", "complete", "converged", "harmonics", "iterations", "periods", "recorded_dofs",

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 from helpers import MPI_ENVIRONMENT, ROOT
 from mpi4py import MPI
+from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.cli.command_line import main
+from fenics_crack import SweepResult
 from fenics_crack.identification.identify import remarks_on
-from fenics_crack.sweep.result import SweepResult
 
 PLATE = """
 geometry = { width = 0.1, height = 0.2, thickness = 0.01 }
@@ -317,7 +317,6 @@ fc.identify(scene, folder / "m.csv", folder=folder)
 """
 
 
-@pytest.mark.slow
 def test_killed_sweep_goes_on(scene: fc.Scene, tmp_path: Path) -> None:
     """kill -9 of both ranks: what was solved stays as it is, the rest is added."""
     measured(scene, {"crack.length": 0.015, "crack.height": 0.11}, 1).to_csv(tmp_path / "m.csv")

@@ -10,9 +10,9 @@ from helpers import DAMPINGS, DEMOS, chain, dense_matrices, random_stiffness, re
 from mpi4py import MPI
 
 import fenics_crack as fc
+from fenics_crack import MasslessStructure
 from fenics_crack.balance.compliance import dynamic_compliance
 from fenics_crack.model.modal import all_modes, is_small
-from fenics_crack.model.reduced import MasslessStructure
 
 
 def reduced(structure: fc.Structure, modes: int) -> MasslessStructure:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from fenics_crack import UnilateralPenalty
 from fenics_crack.balance.contact_integrals import SampledIntegrals
-from fenics_crack.model.contact import UnilateralPenalty
 from fenics_crack.numerics.fourier import (
     balanced,
     evaluate,

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fenics_crack import InputError, Scene, run_sweep, solve_harmonic_balance
-from fenics_crack.study.prepare import prepare
+from fenics_crack import InputError, Scene, prepare, run_sweep, solve_harmonic_balance
 
 SECOND = {"cracks.1.center": 0.05, "cracks.1.height": 0.075, "cracks.1.length": 0.05}
 GRID = {"mesh.columns": 8, "mesh.rows": 8}

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import DEMOS
+from surroundings import main
 from test_scene import GONE, GOOD, GRADED, changed
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
-from fenics_crack.cli.command_line import main
 from fenics_crack.study.run import follow_curve
 from fenics_crack.sweep.plan import Plan
 from fenics_crack.table import frequency_axis

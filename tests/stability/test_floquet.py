@@ -17,9 +17,9 @@ from helpers import (
 from scipy.integrate import solve_ivp
 
 import fenics_crack as fc
+from fenics_crack import floquet
 from fenics_crack.balance import judgement
 from fenics_crack.motion.flow import flow_of
-from fenics_crack.stability.floquet import floquet
 
 NEW = Path(fc.__file__).parent / "cli" / "new_scene.toml"
 BLADE = Path(__file__).parents[2] / "demos" / "blade.toml"

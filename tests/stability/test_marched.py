@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from helpers import mean_square
 
 import fenics_crack as fc
-from fenics_crack.balance.error_report import mean_square
 
 RIGID = fc.UnilateralConstraint()
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rotating import CRACKED, UNIT, cracked, strip
+from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
-from fenics_crack.cli.command_line import main
 
 
 def test_frequencies_are_those_of_each_speed() -> None:

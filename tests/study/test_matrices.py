@@ -11,12 +11,11 @@ import scipy.io
 import scipy.sparse as sparse
 from helpers import DEMOS, relative
 from mpi4py import MPI
+from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack import InputError, Scene
-from fenics_crack.cli.command_line import main
+from fenics_crack import InputError, Scene, run_sweep
 from fenics_crack.study.run import find_modes, follow_curve, integrate, solve
-from fenics_crack.sweep.result import run_sweep
 
 LOAD = {"contact.stiffness": 1e9, "damping.ratio": 0.02, "harmonic_balance.harmonics": 5}
 CURVE = {"curve.start": 2000.0, "curve.stop": 2050.0, "curve.stability": False}

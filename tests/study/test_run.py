@@ -11,7 +11,7 @@ from helpers import relative
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.balance.solution import Stability
+from fenics_crack import Stability
 from fenics_crack.curves import follow
 from fenics_crack.study import run as study_run
 

@@ -11,9 +11,9 @@ from helpers import relative
 from motion.reference import ReferenceFlow
 from mpi4py import MPI
 from scipy.optimize import nnls
+from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.cli.command_line import main
 from fenics_crack.study.run import solve
 
 LAW = {"contact.stiffness": 1e9, "damping.ratio": 0.03}

@@ -12,10 +12,10 @@ from helpers import changed
 from mpi4py import MPI
 
 import fenics_crack as fc
+from fenics_crack import SweepResult, run_sweep
 from fenics_crack.scene.tables import Sweep
 from fenics_crack.study.run import solve
 from fenics_crack.sweep.file import AT_POINTS
-from fenics_crack.sweep.result import SweepResult, run_sweep
 
 REDUCED = {
     "mesh.columns": 4, "reduction.method": "massless", "reduction.modes": 12,

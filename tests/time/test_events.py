@@ -6,9 +6,8 @@ from helpers import dense_matrices, log_slope, oscillator, random_stiffness
 from scipy.linalg import expm
 
 import fenics_crack as fc
+from fenics_crack import floquet, integrate_events
 from fenics_crack.motion.flow import exact_flow
-from fenics_crack.stability.floquet import floquet
-from fenics_crack.time.flows import integrate_events
 
 
 @pytest.mark.parametrize("damping", ["none", "modal", "matrix"])

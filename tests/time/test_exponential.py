@@ -10,8 +10,8 @@ import scipy.optimize
 from helpers import DAMPINGS, chain, dense_matrices, free_bar, log_slope, oscillator, relative
 
 import fenics_crack as fc
+from fenics_crack import integrate_exponential
 from fenics_crack.model.modal import all_modes
-from fenics_crack.time.flows import integrate_exponential
 
 RIGID, PENALTY = fc.UnilateralConstraint(), fc.UnilateralPenalty(4.0)
 COUNTS = (64, 128, 256, 512, 1024)

@@ -1,0 +1,242 @@
+"""What there is to say of a result, once for all who ask: the terminal, files, a report.
+
+Each kind of result has a function that makes its :class:`Account`: ``of_motion.py`` of modes,
+vibrations and motions in time, ``of_curve.py`` and ``of_sweep.py`` of these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.balance.error_report import LARGE_ERROR, UNKNOWN, ErrorReport
+from fenics_crack.errors import MOST_HARMONICS
+from fenics_crack.model.modes import damped_range
+from fenics_crack.scene.quantities import QUANTITIES
+from fenics_crack.scene.scene import Scene
+from fenics_crack.stability.floquet import Stability
+from fenics_crack.study.run import Run
+from fenics_crack.table import Table, frequency_axis, quantity
+
+__all__ = [
+    "FINER",
+    "MORE",
+    "OTHERS",
+    "Account",
+    "frequency_in_words",
+    "in_one_unit",
+    "in_short",
+    "of_error",
+    "of_modes",
+    "of_stability",
+    "readable_rows",
+]
+
+MORE = "more harmonics (harmonic_balance.harmonics, or a tolerance that chooses them)"
+FINER = "a smaller harmonic_balance.tolerance"
+SHARE = "of the lips' motion"
+OTHERS = {
+    "periods": ("periods", "-"),
+    "steps_per_period": ("steps in a period", "-"),
+    "settled": ("change over the last period", "-"),
+    "created_energy": ("energy created", "-"),
+    "verdict": ("verdict", "-"),
+    "multiplier": ("largest multiplier", "-"),
+    "converged": ("converged", "-"),
+    "harmonics": ("harmonics", "-"),
+    "iterations": ("iterations", "-"),
+    "residual_error": ("estimated error: residual", SHARE),
+    "truncation_error": ("estimated error: truncation", SHARE),
+    "sampling_error": ("estimated error: sampling", SHARE),
+    "reduction_error": ("estimated error: reduction", SHARE),
+    "displacement_error": ("estimated error: displacement at the load", SHARE),
+    "total_error": ("estimated error: total", SHARE),
+    "penetration_share": ("penetration", SHARE),
+}
+"""Words and unit of what is printed of a solution or a motion beside the indicators."""
+ALWAYS = ("omega", "frequency", "verdict", "converged", "total_error")
+"""Printed whatever the scene chooses."""
+ROUNDING = 1e-15
+"""Lengths [m] and forces [N] up to this are written as 0."""
+
+
+@dataclass(frozen=True)
+class Account:
+    """What there is to say of a result.
+
+    Attributes
+    ----------
+    name : str
+        Of its files.
+    summary : Table
+        Everything in few numbers, the .json file.
+    rows : Table, optional
+        The .csv file; default: the summary.
+    shown : Table, optional
+        What is printed as text; default: the summary.
+    facts, notes, warnings : list of str
+        What was found, what else to know, what to doubt; the first fact says it in short.
+    verdict : (str, str)
+        Whether a vibration lasts; and "good", "bad" or "doubtful".
+    tables : dict of Table
+        Of a report, by their captions.
+    draw : callable
+        Draws its pictures into a folder; returns the files.
+    done : bool
+        False where something has not converged.
+    run : Run, optional
+        Where it comes from.
+    """
+
+    name: str
+    summary: Table
+    rows: Table | None = None
+    shown: Table | None = None
+    facts: Sequence[str] = ()
+    notes: Sequence[str] = ()
+    warnings: Sequence[str] = ()
+    verdict: tuple[str, str] | None = None
+    tables: Mapping[str, Table] = field(default_factory=dict)
+    draw: Callable[[Path], list[Path]] = lambda folder: []
+    done: bool = True
+    run: Run | None = None
+
+
+# --- sentences ------------------------------------------------------------------------------------
+
+
+def of_error(scene: Scene, report: ErrorReport, harmonics: int, where: str = "") -> Iterator[str]:
+    """A warning of a large estimated error, with what makes it smaller: by its largest part, and
+    never what the scene does already."""
+    if report.total <= LARGE_ERROR:
+        return
+    parts = ("truncation", "reduction", "sampling", "residual")
+    part = max(parts, key=lambda name: getattr(report, name))
+    if part == "truncation":
+        wanted = MORE
+        if scene.harmonic_balance.tolerance is not None:
+            wanted = FINER if harmonics < MOST_HARMONICS else "more damping: H is at its limit"
+    elif part == "reduction":
+        wanted = "more modes (reduction.modes)"
+    elif part == "sampling":
+        wanted = "more samples (harmonic_balance.samples)"
+    else:
+        rigid = scene.contact is not None and scene.contact.law == "unilateral"
+        softer = "softer contact, or contact.law = 'unilateral'"
+        wanted = f"{'a load that moves the lips more' if rigid else softer}: it is rounding"
+    if getattr(report, part) >= UNKNOWN:
+        unsettled = f"its estimate by {part} did not settle"
+        yield f"the error is unknown{where}, {unsettled}: it needs {wanted}"
+        return
+    yield (
+        f"the estimated error is {report.total:.2g} of the gap{where}, most of it by {part}: it "
+        f"needs {wanted}"
+    )
+
+
+def of_modes(scene: Scene, report: ErrorReport) -> str:
+    """What to do where a tolerance is not met by the modes that a scene names; else empty."""
+    tolerance, table = scene.harmonic_balance.tolerance, scene.reduction
+    if tolerance is None or table is None or table.modes is None:
+        return ""
+    if not report.reduction > tolerance:
+        return ""
+    return (
+        f"; raise reduction.modes = {table.modes}, or leave it out "
+        "(--set reduction.modes=none): solve chooses the modes then"
+    )
+
+
+def of_stability(scene: Scene, run: Run, stability: Stability | None) -> Iterator[str]:
+    """A warning of an orbit that is not known to be stable."""
+    if stability is None or stability.verdict == "stable":
+        return
+    because = f" ({stability.reason})" if stability.reason else ""
+    text = f"the orbit is {stability.verdict}{because}: a motion in time may leave it"
+    hints = []
+    if stability.verdict == "undecided":
+        if scene.harmonic_balance.tolerance is None:
+            hints.append("more harmonics")
+        table = scene.damping  # None: a matrix, which damps all modes or not
+        if table and not (table.of_all_modes or damped_range(run.structure) is None):
+            hints.append("damping of all modes (damping.modes = 'all')")
+    yield text + (f"; {' or '.join(hints)} may decide it" if hints else "")
+
+
+def frequency_in_words(scene: Scene, omega: float) -> str:
+    """A load frequency [rad/s] in the scene's unit."""
+    factor, _, unit = frequency_axis(scene.in_hertz)
+    return f"{factor * omega:.6g} {unit}"
+
+
+# --- what is printed of tables --------------------------------------------------------------------
+
+
+def in_short(table: Table, scene: Scene, default: Sequence[str]) -> Table:
+    """What is printed of a table: the quantities that the scene chooses, or the default, one of the
+    frequencies in rad/s and in Hz, and one of the speeds in rad/s and in rpm.
+
+    A table with a column "name" has a quantity in each row, another one in each column. What is not
+    a quantity is printed too, where quantities are columns or the scene does not choose.
+    """
+    chosen = None if scene.output is None else scene.output.quantities
+
+    def wanted(heading: str, unit: str) -> bool:
+        name = heading.partition(" [")[0].rpartition(".")[2]
+        if _is_twin(name, unit, scene):
+            return False
+        name = name.replace("frequency_", "omega_")
+        return name in (chosen or default) if name in QUANTITIES else True
+
+    if table.columns[0] == "name":
+        rows = [
+            row[1:]
+            for row in table.rows
+            if wanted(row[0], row[3])
+            and not (isinstance(row[2], float) and np.isnan(row[2]))
+            and (chosen is None or row[0] in ALWAYS or row[0] not in OTHERS)
+        ]
+        return Table(table.columns[1:], rows)
+    return _with_columns(table, wanted)
+
+
+def in_one_unit(table: Table, scene: Scene) -> Table:
+    """A table with one of the frequencies, in rad/s or in Hz, and one of the speeds, likewise."""
+    return _with_columns(
+        table, lambda heading, unit: not _is_twin(heading.partition(" [")[0], unit, scene)
+    )
+
+
+def _is_twin(name: str, unit: str, scene: Scene) -> bool:
+    """Whether a quantity is a frequency or a speed in the unit that the scene does not use."""
+    prefix, other = ("omega", "rad/s") if scene.in_hertz else ("frequency", "Hz")
+    speed = "speed" if scene.in_rpm else "rpm"
+    return name == speed or (name.startswith(prefix) and unit == other)
+
+
+def _with_columns(table: Table, wanted: Callable[[str, str], bool]) -> Table:
+    """The columns of a table that are wanted by their headings and units."""
+    headings = enumerate(table.columns)
+    kept = [n for n, name in headings if wanted(name, name.partition("[")[2].rstrip("]"))]
+    return Table([table.columns[n] for n in kept], [[row[n] for n in kept] for row in table.rows])
+
+
+def readable_rows(table: Table) -> Table:
+    """The known quantities of a table with a column "name" as one reads them: "7.916 µm", "5.7 % of
+    the lips' motion"."""
+    rows = [row[1:] for row in table.rows if row[2] == row[2]]
+    return Table(("quantity", "value"), [_readable(*row) for row in rows])
+
+
+def _readable(name: str, value: Any, unit: str) -> tuple[str, Any]:
+    known = isinstance(value, float) and np.isfinite(value)
+    if known and unit in ("m", "N"):
+        return name, quantity(value, unit) if abs(value) > ROUNDING else f"0 {unit}"
+    if known and unit.startswith("of "):
+        return name, f"{100.0 * value:.2g} % {unit}"
+    words = f"{value:.6g}" if known else {True: "yes", False: "no"}.get(value, value)
+    return name, words if unit in ("-", "1", "") else f"{words} {unit}"

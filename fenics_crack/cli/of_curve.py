@@ -1,0 +1,231 @@
+"""What there is to say of a response curve."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fenics_crack.balance.error_report import LARGE_ERROR
+from fenics_crack.balance.indicators import Indicators
+from fenics_crack.cli.account import Account, in_short, of_error
+from fenics_crack.cli.of_motion import with_hertz
+from fenics_crack.cli.scenes import remark_on
+from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, parameter_axis
+from fenics_crack.model.bilinear import BilinearFrequencies, bilinear_frequencies
+from fenics_crack.model.run_up import RunUpStructure
+from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS
+from fenics_crack.stability.floquet import floquet
+from fenics_crack.study.key_figures import highest_omega
+from fenics_crack.study.run import Run
+from fenics_crack.table import UNITS, Table, quantity, ranging, with_frequency, with_unit
+
+__all__ = ["account_of_curve", "curve_points", "few_special_points", "special_points"]
+
+ENDS = 3
+"""Rows of special points that are no bifurcations: start, end, largest."""
+SHOWN_POINTS = 5
+"""Special points that are printed beside these; the file has all."""
+LOOKED_AT = 8
+"""Points along a curve whose error is reported, beside the largest response."""
+SPEEDS = 9
+"""Of a run-up, at which natural frequencies are computed."""
+SHORT = ("amplitude", "ratio_2_1", "closed_share", "opening", "over_bilinear")
+"""Indicators printed of the special points where the scene does not choose: no wider than a
+terminal."""
+
+
+def account_of_curve(run: Run[ResponseCurve]) -> Account:
+    """A curve, its special points, its errors and its stability (collective)."""
+    found, scene = run.result, run.scene
+    special = special_points(run)
+    few, hidden = few_special_points(run, special)
+    notes = [remark_on(run.structure, highest_omega(scene, "curve"))]
+    if hidden:
+        what = "more bifurcations and changes of stability"
+        notes.insert(0, f"{hidden} {what}: curve.json")
+    if scene.harmonic_balance.tolerance is not None and run.structure.n_pairs:
+        notes.append(f"harmonics, by the truncation error: {ranging(found.harmonics)}")
+    return Account(
+        "curve",
+        special,
+        rows=curve_points(run),
+        shown=in_short(few, scene, SHORT),
+        facts=[*_facts(run)],
+        notes=notes,
+        warnings=[*_warnings(run)],
+        tables={"Special points": in_short(special, scene, SHORT)},
+        draw=lambda folder: _draw(run, folder),
+        done=bool(found.complete),
+        run=run,
+    )
+
+
+def _facts(run: Run[ResponseCurve]) -> Iterator[str]:
+    """The largest response, shares of stability, and where the error is large."""
+    found = run.result
+    factor, _, unit = parameter_axis(found.parameter, run.scene.in_hertz)
+    unit = f" {unit}".removesuffix(" -")
+    amplitude = found.amplitude(run.watched_dof)
+    peak = int(np.argmax(amplitude))
+    yield (
+        f"The largest response of the curve, {quantity(float(amplitude[peak]), 'm')} half "
+        f"peak-to-peak ({run.watched_name}), is at {factor * found.values[peak]:.6g}{unit}."
+    )
+    if found.multipliers is not None:
+        states = ("stable", "unstable", "undecided")
+        shares = [f"{np.mean(found.verdicts == state):.0%} {state}" for state in states]
+        yield f"Of {len(found)} points {', '.join(shares)}."
+    inexact = found.displacement_errors > LARGE_ERROR
+    if inexact.any():
+        ends = factor * found.values[inexact]
+        yield (
+            f"At {np.mean(inexact):.0%} of the points, between {ends.min():.6g} and "
+            f"{ends.max():.6g}{unit}, the estimated error of the displacement is above "
+            f"{LARGE_ERROR:.0%}; these are faint in the picture."
+        )
+
+
+def _warnings(run: Run[ResponseCurve]) -> Iterator[str]:
+    """A large error, a stability that is nowhere decided, and an early end."""
+    found, scene = run.result, run.scene
+    factor, _, unit = parameter_axis(found.parameter, scene.in_hertz)
+    peak = int(np.argmax(found.amplitude(run.watched_dof)))
+    looked_at = {peak, *np.linspace(0, len(found) - 1, LOOKED_AT).astype(int).tolist()}
+    reports = {index: found.solution(index).report for index in sorted(looked_at)}
+    worst = max(reports, key=lambda index: reports[index].total)
+    where = f" at {factor * found.values[worst]:g} {unit}".removesuffix(" -")
+    yield from of_error(scene, reports[worst], int(found.harmonics[worst]), where)
+    if _undecided(found):
+        solution = found.solution(peak)
+        reason = floquet(solution.structure, solution).reason
+        yield "the stability is undecided at all points" + (f" ({reason})" if reason else "")
+    if not found.complete:
+        yield f"the curve ended early: {found.status}"
+
+
+def _undecided(found: ResponseCurve) -> bool:
+    """Whether no point is known to be stable or unstable, though all were judged."""
+    return found.multipliers is not None and bool(np.all(found.verdicts == "undecided"))
+
+
+def _draw(run: Run[ResponseCurve], folder: Path) -> list[Path]:
+    from fenics_crack.draw.plot_curve import draw_content, draw_curve, draw_multipliers
+
+    found, dof, in_hertz = run.result, run.watched_dof, run.scene.in_hertz
+    title = f"{run.watched_name}, H = {ranging(found.harmonics)}"
+    files = [folder / "curve.png", folder / "curve_content.png"]
+    draw_curve(found, dof, path=files[0], title=title, in_hertz=in_hertz)
+    draw_content(found, dof, path=files[1], title=title, in_hertz=in_hertz)
+    if found.multipliers is not None:
+        files.append(folder / "curve_multipliers.png")
+        title = "Largest Floquet multiplier along the curve"
+        draw_multipliers(found, path=files[2], title=title, in_hertz=in_hertz)
+    return files
+
+
+# --- its points -----------------------------------------------------------------------------------
+
+
+def curve_points(run: Run[ResponseCurve]) -> Table:
+    """Every point of a curve with its indicators."""
+    table, found = run.result.table(), _along(run, run.result)
+    values = zip(*(column.tolist() for column in found.values()), strict=True)
+    rows = [[*row, *more] for row, more in zip(table.rows, values, strict=True)]
+    return Table((*table.columns, *found), rows)
+
+
+def special_points(run: Run[ResponseCurve]) -> Table:
+    """Ends, largest response of the first watched dof, bifurcations and changes of stability.
+
+    Of a curve over the load frequency both columns, rad/s and Hz; of a run-up also the speed, in
+    rad/s and rpm.
+    """
+    found, along = run.result, _along(run, run.result)
+    factor, _, unit = parameter_axis(found.parameter, run.scene.in_hertz)
+    special = _along(run, found.at_bifurcations) if found.bifurcations else {}
+
+    def at(index: int, columns: dict[str, np.ndarray] = along) -> list[float]:
+        return [float(column[index]) for column in columns.values()]
+
+    largest = int(np.argmax(found.amplitude(run.watched_dof)))
+    places = [("start", 0), ("end", -1), ("largest", largest)]
+    rows = [(name, found.values[index], at(index)) for name, index in places]
+    for number, point in enumerate(found.bifurcations, 1):
+        name = point.kind.replace("_", " ")
+        if found.undecided is not None:
+            exact = f", exact {factor * point.exact:.6g} {unit}".removesuffix(" -")
+            name += exact if point.confirmed else ", unconfirmed"
+        rows.append((name, point.value, at(number, special)))
+    if found.multipliers is not None:
+        for index in np.flatnonzero(found.verdicts[1:] != found.verdicts[:-1]):
+            after = found.verdicts[index + 1]
+            what = {"stable": "gained", "unstable": "lost", "undecided": "undecided"}[after]
+            rows.append((f"stability {what} after", found.values[index], at(index)))
+    if found.parameter not in ("omega", "speed"):
+        names = ("point", PARAMETERS[found.parameter], *along)
+        return Table(names, [(name, value, *more) for name, value, more in rows])
+    values = np.array([value for _, value, _ in rows])
+    axes = {found.parameter: values, "omega": values * (found.omega[0] / found.values[0])}
+    columns = with_frequency({name: axis.tolist() for name, axis in axes.items()})
+    both = [
+        (name, *at, *more)
+        for (name, _, more), at in zip(rows, zip(*columns.values(), strict=True), strict=True)
+    ]
+    headings = [with_unit(name, UNITS[name]) for name in columns]
+    return Table(("point", *headings, *along), both)
+
+
+def few_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table, int]:
+    """The first rows of :func:`special_points` and some others, and how many are left out.
+
+    Bifurcations come before changes of stability, those of the exact orbits before others, and of
+    alike ones those with the larger response. Where no point is decided, none changes.
+    """
+    found, rows = run.result, [*table.rows]
+    ends, others = rows[:ENDS], rows[ENDS:]
+    points = found.bifurcations
+    amplitude = next(n for n, name in enumerate(table.columns) if name.endswith("amplitude [m]"))
+    if _undecided(found):
+        others = others[: len(points)]
+
+    def weight(place: int) -> tuple[bool, bool, float]:
+        special = place < len(points)
+        return special, special and points[place].confirmed, others[place][amplitude]
+
+    kept = sorted(sorted(range(len(others)), key=weight, reverse=True)[:SHOWN_POINTS])
+    shown = [*ends, *(others[place] for place in kept)]
+    return Table(table.columns, shown), len(others) - len(kept)
+
+
+def _along(run: Run[ResponseCurve], curve: ResponseCurve) -> dict[str, np.ndarray]:
+    """Columns of indicators of the watched dofs, by their names with units: a value for every point
+    of a curve of the run."""
+    seen: Sequence[Indicators] = curve.measure([watched.dof for watched in run.watched])
+    found: dict[str, np.ndarray] = {}
+    for watched, indicators in zip(run.watched, seen, strict=True):
+        for name, (_, unit) in OF_POINTS.items():
+            found[with_unit(watched.column(name), unit)] = getattr(indicators, name)
+    for name, (_, unit) in OF_LIPS.items():
+        found[with_unit(name, unit)] = getattr(seen[0], name)
+    near = _natural_along(run, np.asarray(seen[0].omega)).nearest(seen[0].omega)
+    return found | {with_unit(name, unit): value for name, _, unit, value in with_hertz(near)}
+
+
+def _natural_along(run: Run[ResponseCurve], omega: np.ndarray) -> BilinearFrequencies:
+    """Natural frequencies; of a run-up those at the speeds where the load has some frequencies
+    (...) [rad/s]: (..., n). Squares are linear in W^2 between :data:`SPEEDS` of them."""
+    structure, found = run.structure, run.result
+    if not isinstance(structure, RunUpStructure):
+        return bilinear_frequencies(structure)
+    speed = omega * (found.values[0] / found.omega[0])
+    known = np.linspace(speed.min(), speed.max(), min(speed.size, SPEEDS))
+    there = [bilinear_frequencies(structure.at_speed(float(one))) for one in known]
+
+    def at_speeds(rows: list[np.ndarray]) -> np.ndarray:
+        columns = [np.interp(speed**2, known**2, row**2) for row in np.transpose(rows)]
+        return np.sqrt(np.stack(columns, axis=-1))
+
+    is_open, tied = ([getattr(one, f"omega_{kind}") for one in there] for kind in ("open", "tied"))
+    return BilinearFrequencies(at_speeds(is_open), at_speeds(tied))

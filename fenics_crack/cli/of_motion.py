@@ -1,0 +1,347 @@
+"""What there is to say of modes, of a steady vibration and of a motion in time."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.balance.error_report import UNKNOWN
+from fenics_crack.balance.indicators import contact_extremes, indicators_of
+from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.cli.account import (
+    OTHERS,
+    Account,
+    frequency_in_words,
+    in_short,
+    of_error,
+    of_modes,
+    of_stability,
+    readable_rows,
+)
+from fenics_crack.cli.scenes import remark_on
+from fenics_crack.model.bilinear import bilinear_frequencies
+from fenics_crack.model.modes import Modes
+from fenics_crack.numerics.fourier import balanced
+from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, SHORT
+from fenics_crack.scene.tables import Integration
+from fenics_crack.study.key_figures import highest_omega
+from fenics_crack.study.prepare import Watched
+from fenics_crack.study.run import Run
+from fenics_crack.table import Table, quantity
+from fenics_crack.time.march import TimeHistory
+
+__all__ = ["account_of_history", "account_of_modes", "account_of_solution", "with_hertz"]
+
+LAST_HARMONICS = 3
+"""Of the last period of a motion in time."""
+STYLES = (("orange", "--"), ("green", "-."), ("pink", ":"))
+"""Colour and line of the closing of one crack after the other."""
+
+Row = tuple[str, str, object, str]
+"""Name, words, value, unit."""
+
+
+def account_of_modes(run: Run[Modes]) -> Account:
+    """Natural frequencies and mode shapes with the crack open."""
+    found, table = run.result, run.result.table()
+    first = float(found.omega[0])
+    hertz = first / (2.0 * np.pi)
+
+    def draw(folder: Path) -> list[Path]:
+        from fenics_crack.draw.plot_mesh import draw_modes
+
+        if found.structure.whole.nodes is None:
+            return []
+        draw_modes(found, path=folder / "modes.png")
+        return [folder / "modes.png"]
+
+    fact = f"The first natural frequency with the crack open is {hertz:.5g} Hz ({first:.5g} rad/s)."
+    tables = {"Natural frequencies with the crack open": table}
+    return Account("modes", table, facts=[fact], tables=tables, draw=draw, run=run)
+
+
+# --- a steady vibration ---------------------------------------------------------------------------
+
+
+def account_of_solution(run: Run[PeriodicSolution]) -> Account:
+    """A solution, its error and its stability (collective)."""
+    found, scene = run.result, run.scene
+    table = _quantities(run, found.to_dict())
+    notes = [remark_on(run.structure, highest_omega(scene, "solve"))]
+    if found.converged and found.stability is None and run.structure.n_pairs:
+        notes.append(
+            "the stability is not judged, as that would take long: it is for a reduced structure, "
+            "with contact.law = 'unilateral' for lips without mass (reduction.method)"
+        )
+    tolerance = scene.harmonic_balance.tolerance
+    missed = tolerance is not None and found.report.total > tolerance
+    warnings = []
+    if not found.converged or missed:
+        failed = "" if found.converged else "not converged: "
+        warnings.append(f"{failed}{found.status}{of_modes(scene, found.report)}")
+    elif run.structure.n_pairs:
+        warnings += of_error(scene, found.report, found.harmonics)
+    if found.converged:
+        warnings += of_stability(scene, run, found.stability)
+    return Account(
+        "solution",
+        table,
+        rows=_solution_waves(run),
+        shown=in_short(table, scene, SHORT),
+        facts=[*_facts(run)],
+        verdict=_verdict(found),
+        notes=notes,
+        warnings=warnings,
+        tables={"In numbers": readable_rows(table)},
+        draw=lambda folder: _draw_solution(run, folder),
+        done=found.converged and not missed,
+        run=run,
+    )
+
+
+def _facts(run: Run[PeriodicSolution]) -> Iterator[str]:
+    """The response, and the error report sentence by sentence."""
+    found, report = run.result, run.result.report
+    size = quantity(found.amplitude(run.watched_dof), "m")
+    fact = f"At {frequency_in_words(run.scene, found.omega)} the {run.watched_name} is {size} half "
+    if not found.gap_coefficients.size:
+        yield f"{fact}peak-to-peak."
+        yield "There is no contact: the solution is exact for its mesh and modes."
+        return
+    values = found.to_dict()
+    yield (
+        f"{fact}peak-to-peak; the crack opens by {quantity(values['opening'], 'm')} and is closed "
+        f"for {values['closed_share']:.0%} of the period."
+    )
+    causes = {
+        "the harmonics left out": report.truncation,
+        "the modes left out": report.reduction,
+        "contact forces taken from samples": report.sampling,
+        "equations not solved exactly": report.residual,
+    }
+    name = max(causes, key=causes.__getitem__)
+    yield (
+        f"The motion of the lips is known to about {report.total:.2%}; most of that is due to "
+        f"{name} ({causes[name]:.2%})."
+    )
+    yield f"The displacement at the load is known to about {report.displacement:.2%}."
+    if report.penetration > 0.0:
+        yield (
+            f"The contact law lets the lips penetrate by {report.penetration:.2%} of their motion; "
+            "this belongs to the law, and is no error of its solution."
+        )
+
+
+def _verdict(found: PeriodicSolution) -> tuple[str, str]:
+    """Whether the vibration lasts, and the kind of this verdict."""
+    if not found.converged:
+        return "Not converged: there is no orbit to be judged.", "bad"
+    if found.stability is None:
+        return "The stability was not examined.", "doubtful"
+    size, reason = float(np.abs(found.stability.multipliers).max()), found.stability.reason
+    text, kind = {
+        "stable": ("Stable: a small disturbance dies out", "good"),
+        "unstable": ("Unstable: a small disturbance grows, and a motion in time leaves it", "bad"),
+    }.get(
+        found.stability.verdict, (f"Undecided: {reason or 'more harmonics may decide'}", "doubtful")
+    )
+    return f"{text} (largest multiplier {size:.6g}).", kind
+
+
+def _draw_solution(run: Run[PeriodicSolution], folder: Path) -> list[Path]:
+    from fenics_crack.draw.animation import animate_period
+    from fenics_crack.draw.plot import draw_contact_map
+    from fenics_crack.draw.plot_motion import draw_orbits, draw_spectrum
+
+    found = run.result
+    title = f"{frequency_in_words(run.scene, found.omega)}, H = {found.harmonics}"
+    if found.gap_coefficients.size:
+        error = found.report.total
+        title += ", error unknown" if error >= UNKNOWN else f", estimated error {100 * error:.2g} %"
+    if found.stability is not None:
+        title += f", {found.stability.verdict}"
+    if not found.converged:
+        title += ", NOT CONVERGED"
+    files = []
+
+    def file(name: str) -> Path:
+        files.append(folder / f"solution_{name}")
+        return files[-1]
+
+    dof, time = run.watched_dof, np.linspace(0.0, found.period, 801)
+    motion, gap = found.displacement(time, [dof])[:, 0], found.gap(time)
+    _draw_waves(run, time, motion, gap, found.period, path=file("waves.png"), title=title)
+    draw_spectrum(found, dof, path=file("spectrum.png"), title=title)
+    draw_orbits(found, dof, path=file("orbits.png"), title=title)
+    if found.structure.whole.nodes is not None:
+        if found.gap_coefficients.shape[1] > 1:
+            heading = "Where and when the crack is closed"
+            draw_contact_map(found, path=file("contact_map.png"), title=heading)
+        animate_period(found, file("breathing_crack.gif"), material=run.scene.material)
+    return files
+
+
+# --- a motion in time -----------------------------------------------------------------------------
+
+
+def account_of_history(run: Run[TimeHistory]) -> Account:
+    """A motion from rest, and whether it repeats (collective)."""
+    found, scene = run.result, run.scene
+    table = _quantities(run, vars(found) | contact_extremes(found.gap, found.contact_force))
+    asked = scene.integration or Integration()
+    change = f"a period changes it by {found.settled:.2g}"
+    facts = [f"The motion in time has settled after {found.periods} periods: {change}."]
+    warnings = []
+    if not found.settled <= asked.settle:
+        facts = [f"The motion in time was followed over {found.periods} periods."]
+        warnings = [
+            f"the motion has not settled after {found.periods} of {asked.periods} periods: "
+            f"{change}{_longer_period(found)}"
+        ]
+    motion = found.displacement([watched.dof for watched in run.watched])
+
+    def draw(folder: Path) -> list[Path]:
+        omega, file = scene.excitation.omega, folder / "integration_waves.png"
+        title = f"The last periods of {found.periods}, {frequency_in_words(scene, omega)}"
+        time, period = found.time - found.time[0], 2.0 * np.pi / omega
+        _draw_waves(run, time, motion[:, 0], found.gap, period, path=file, title=title)
+        return [file]
+
+    return Account(
+        "integration",
+        table,
+        rows=_waves(run, found.time, motion, found.gap, found.contact_force),
+        shown=in_short(table, scene, SHORT),
+        facts=facts,
+        warnings=warnings,
+        tables={"In numbers": readable_rows(table)},
+        draw=draw,
+        done=not warnings,
+        run=run,
+    )
+
+
+def _longer_period(found: TimeHistory) -> str:
+    """A hint why a motion has not settled: it may repeat after two or three load periods."""
+    waves = found.by_period(found.gap)
+    for count in range(2, len(waves)):
+        change = np.linalg.norm(waves[-1] - waves[-1 - count]) / np.linalg.norm(waves[-1])
+        if change < 0.1 * found.settled:
+            return f", {count} periods only by {change:.2g}: its period is {count} times the load's"
+    return "; it may need more of them (integration.periods), or be irregular"
+
+
+# --- their numbers --------------------------------------------------------------------------------
+
+
+def _quantities(run: Run[Any], values: Mapping[str, object]) -> Table:
+    """The numbers of a vibration or a motion: indicators of each watched dof, those of the lips,
+    natural frequencies, and others (collective)."""
+    omega = run.scene.excitation.omega if isinstance(run.result, TimeHistory) else run.result.omega
+    rows: list[Row] = [("omega", "omega", omega, "rad/s")]
+    rows.append(("frequency", "frequency", omega / (2.0 * np.pi), "Hz"))
+    for watched in run.watched:
+        rows += _of_point(watched, _indicators(run, watched.dof))
+    if not run.structure.n_pairs:  # no errors were estimated
+        values = {n: v for n, v in values.items() if not n.endswith(("_error", "_share"))}
+    rows += _named(OF_LIPS, values)
+    if run.structure.n_pairs and isinstance(run.result, PeriodicSolution):
+        near = bilinear_frequencies(run.structure).nearest(omega)
+        rows += (
+            (name, f"{words}, mode {near['mode']}", float(value), _shown(unit))
+            for name, words, unit, value in with_hertz(near)
+        )
+    return Table(("name", "quantity", "value", "unit"), [*rows, *_named(OTHERS, values)])
+
+
+def _indicators(run: Run[Any], dof: int) -> dict[str, object]:
+    """Those of a dof: of a solution, or of the last period of a motion in time."""
+    found = run.result
+    if isinstance(found, PeriodicSolution):
+        return found.indicators(dof).to_dict()
+    motion = found.displacement([dof])[:, 0]
+    waves = balanced(motion[-found.steps_per_period :], LAST_HARMONICS)
+    size = float(np.ptp(motion) / 2.0)
+    return indicators_of(run.scene.excitation.omega, waves, size, {}).to_dict()
+
+
+def _of_point(watched: Watched, values: Mapping[str, object]) -> list[Row]:
+    """What is known of a watched dof; the load's is said once."""
+    return [
+        (
+            watched.column(name),
+            f"{words}, {watched.words}" if watched.name or name == "amplitude" else words,
+            value,
+            unit,
+        )
+        for name, words, value, unit in _named(OF_POINTS, values)
+    ]
+
+
+def _named(known: Mapping[str, tuple[str, str]], values: Mapping[str, object]) -> list[Row]:
+    """Those of some values that have words and a unit."""
+    return [
+        (n, words, values[n], _shown(unit)) for n, (words, unit) in known.items() if n in values
+    ]
+
+
+def _shown(unit: str) -> str:
+    return "-" if unit == "1" else unit
+
+
+def with_hertz(near: Mapping[str, np.ndarray]) -> Iterator[tuple[str, str, str, np.ndarray]]:
+    """Names, words, units and values of natural frequencies: "omega_open", "frequency_open"..."""
+    for name, (words, unit) in OF_FREQUENCIES.items():
+        yield name, words, unit, near[name]
+        if unit == "rad/s":
+            yield name.replace("omega", "frequency"), words, "Hz", near[name] / (2.0 * np.pi)
+
+
+# --- their waves ----------------------------------------------------------------------------------
+
+
+def _solution_waves(run: Run[PeriodicSolution]) -> Table:
+    """One period of a solution."""
+    found = run.result
+    time = np.linspace(0.0, found.period, 401)
+    motion = found.displacement(time, [watched.dof for watched in run.watched])
+    return _waves(run, time, motion, found.gap(time), found.contact_force(time))
+
+
+def _waves(
+    run: Run, time: np.ndarray, motion: np.ndarray, gap: np.ndarray, force: np.ndarray
+) -> Table:
+    """Watched dofs, the mouths of the cracks and the contact force over time."""
+    columns = [f"{watched.words} [m]" for watched in run.watched]
+    values = [time, *motion.T]
+    if gap.size:
+        for words, wave in _closings(run, gap):
+            columns.append(f"{words} [m]")
+            values.append(wave)
+        columns.append("contact force, all pairs [N]")
+        values.append(force.sum(axis=1))
+    return Table(("time [s]", *columns), np.column_stack(values).tolist())
+
+
+def _closings(run: Run, gap: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+    """Where each crack is watched, and how far its lips close there."""
+    structure = run.structure.whole
+    for pair in structure.watched_pairs.values():
+        yield f"closing {structure.where(pair)}", gap[:, pair]
+
+
+def _draw_waves(
+    run: Run, time: np.ndarray, motion: np.ndarray, gap: np.ndarray, period: float, **file: Any
+) -> None:
+    """Draw the displacement of the load's dof and the gap at the mouth over time."""
+    from fenics_crack.draw.plot import Wave, draw_waves
+
+    waves, touch = [Wave(run.watched_name, time, motion)], None
+    if gap.size:
+        touch, styles = "lips touch", itertools.cycle(STYLES)
+        waves += [Wave(words, time, wave, *next(styles)) for words, wave in _closings(run, gap)]
+    draw_waves(waves, quantity="displacement", period=period, zero=touch, **file)

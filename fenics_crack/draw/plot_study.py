@@ -1,0 +1,232 @@
+"""Pictures of what is known: the posterior of measurements, and the errors of a verification."""
+
+from __future__ import annotations
+
+from itertools import cycle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from fenics_crack.draw.figure import COLOURS, distinct_colours, finish, label_axis, make_axes
+from fenics_crack.errors import InputError
+from fenics_crack.identification.posterior import trapezoid
+from fenics_crack.identification.result import Identification
+from fenics_crack.scene.words import key_in_words, unit_of
+from fenics_crack.study.grid_convergence import SAFE, GridConvergence
+from fenics_crack.study.verification import CAUSES, Verification
+
+__all__ = ["draw_posterior", "draw_verification"]
+
+SHARES = (0.5, 0.95, 0.999)
+"""Of the probability within each contour."""
+ROOM = 0.35
+"""Around the outermost contour, over its size."""
+EMPTY = 1e-300
+LEAST = 1e-4
+"""Contributions that are drawn, at least [%]."""
+MARKS = "osD^v<>ph*"
+
+
+def draw_posterior(
+    found: Identification,
+    x: str = "crack.length",
+    y: str = "crack.height",
+    *,
+    axes: Any = None,
+    path: str | Path | None = None,
+    title: str | None = None,
+) -> Figure:
+    """Draw the regions that hold 50, 95 and 99.9 % of the probability of two unknowns.
+
+    Whatever the other unknowns are. Each choice of an unknown that is a word, such as the edge of
+    the crack, has its own colour.
+
+    Parameters
+    ----------
+    found : Identification
+        Made by :func:`identify`.
+    x, y : str
+        The two unknowns.
+    axes, path, title
+        As of :func:`draw_waves`.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Raises
+    ------
+    InputError
+        These are not two of the unknowns.
+
+    Examples
+    --------
+    >>> found = fc.load("identify.h5")  # doctest: +SKIP
+    >>> figure = fc.draw_posterior(found, path="posterior.png")  # doctest: +SKIP
+    """
+    for name, key in (("x", x), ("y", y)):
+        if key not in found.unknown or x == y:
+            allowed = f"two different ones of {', '.join(found.unknown)}"
+            raise InputError(name, key, allowed)
+    [panel] = make_axes(axes, path, size=(6.0, 4.6))
+    first, second = (found.unknown.index(key) for key in (x, y))
+    posterior = found.posterior
+    grids = {}
+    for name, branch in posterior.branches.items():
+        right, up = branch.axes[first], branch.axes[second]
+        mass = posterior.pair(name, first, second)
+        grids[name] = right, up, mass, mass / np.multiply.outer(trapezoid(right), trapezoid(up))
+    levels = _levels(list(grids.values()))
+    ends = []
+    for (name, (right, up, _, density)), colour in zip(
+        grids.items(), distinct_colours(len(grids)), strict=True
+    ):
+        shown = np.log(np.maximum(density.T, EMPTY))
+        if shown.max() <= levels[0]:
+            continue
+        look: dict[str, Any] = {"colors": COLOURS.get(colour, colour)}
+        panel.contour(
+            right, up, shown, levels=levels, linewidths=[0.6, 1.2, 1.8], linestyles="solid", **look
+        )
+        for level in levels:
+            panel.contourf(right, up, shown, levels=[level, np.inf], alpha=0.2, **look)
+        label = f"50, 95 and 99.9 %{', ' if name else ''}{name}"
+        panel.plot([], [], color=look["colors"], lw=1.8, label=label)
+        within = np.argwhere(shown.T > levels[0])
+        for low, high in ((within.min(axis=0), within.max(axis=0)),):
+            ends += [(right[low[0]], up[low[1]]), (right[high[0]], up[high[1]])]
+    best = found.estimate
+    panel.plot(
+        best[x], best[y], "+", color="black", ms=10, mew=1.5, clip_on=False, label="estimate"
+    )
+    _set_limits(panel, np.array([*ends, (best[x], best[y])]), found, (first, second))
+    label_axis(panel.xaxis, key_in_words(x), unit_of(x))
+    label_axis(panel.yaxis, key_in_words(y), unit_of(y))
+    return finish(panel, path, title)
+
+
+def _levels(grids: list[tuple[np.ndarray, ...]]) -> list[float]:
+    """log of the density at the borders of the regions, outermost first."""
+    masses = np.concatenate([grid[2].ravel() for grid in grids])
+    logs = np.log(np.maximum(np.concatenate([grid[3].ravel() for grid in grids]), EMPTY))
+    order = np.argsort(-logs)
+    held = np.cumsum(masses[order])
+    places = [min(int(np.searchsorted(held, share)), len(order) - 1) for share in SHARES]
+    found = [float(logs[order[place]]) for place in places][::-1]
+    for number in (1, 2):  # of a region of one point, too
+        found[number] = max(found[number], found[number - 1] + 1e-6)
+    return found
+
+
+def _set_limits(
+    panel: Any, ends: np.ndarray, found: Identification, places: tuple[int, int]
+) -> None:
+    """Show the regions and some room around them, within the bounds."""
+    branch = next(iter(found.posterior.branches.values()))
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    for column, (place, change) in enumerate(
+        zip(places, (panel.set_xlim, panel.set_ylim), strict=True)
+    ):
+        axis = branch.axes[place]
+        least = 0.02 * (axis[-1] - axis[0])
+        room = ROOM * (high[column] - low[column]) + least
+        change(max(axis[0], low[column] - room), min(axis[-1], high[column] + room))
+
+
+def draw_verification(
+    found: Verification,
+    *,
+    axes: Any = None,
+    path: str | Path | None = None,
+    title: str | None = None,
+) -> Figure:
+    """Draw the distance of each quantity from its extrapolated value over the size of elements, or
+    of what else was varied first, and the contribution of each cause to its uncertainty.
+
+    The slope of a line is the observed order, which the legend has, too; quantities outside of the
+    asymptotic range have no line. In the second panel hollow marks stand for a factor of safety of
+    3, and black lines for the root of the sum of squares.
+
+    Parameters
+    ----------
+    found : Verification
+        Made by :func:`verify`.
+    axes, path, title
+        As of :func:`draw_waves`, with two panels.
+
+    Returns
+    -------
+    Figure
+        Of matplotlib, also where ``axes`` are given.
+
+    Examples
+    --------
+    >>> found = fc.verify(scene)  # doctest: +SKIP
+    >>> figure = fc.draw_verification(found, path="verification.png")  # doctest: +SKIP
+    """
+    left, right = make_axes(axes, path, 2, columns=2, size=(12.0, 5.6))
+    if found.causes:
+        _draw_orders(left, found, found.causes[0])
+    _draw_contributions(right, found)
+    finish(right, None, None)
+    return finish(left, path, title)
+
+
+def _draw_orders(panel: Any, found: Verification, cause: str) -> None:
+    """|f_i - f| over h, relative to those of the scene's own choice."""
+    colours, smallest, largest = cycle(COLOURS.values()), 1.0, LEAST
+    for (name, part), mark in zip(found.parts[cause].items(), cycle(MARKS), strict=False):
+        look = {"color": next(colours), "marker": mark, "ms": 5}
+        label = f"{name}, {_order(part)}"
+        away = np.abs(np.array(part.values) - part.extrapolated)
+        shares = np.array([100.0 * found.relative(name, distance) for distance in away])
+        sizes = np.array(part.sizes) / part.sizes[-1]
+        if part.is_asymptotic and np.all(shares > 0.0):
+            smallest, largest = min(smallest, sizes[0]), max(largest, shares.max())
+            panel.plot(sizes, shares, label=label, **look)
+        else:
+            panel.plot([], [], ls="", label=label, **look)
+    if smallest < 1.0:
+        ends = np.array([smallest, 1.0])
+        panel.plot(ends, 2.0 * largest * ends, color="black", ls=":", lw=1.2, label="first order")
+        ticks = np.array([smallest, np.sqrt(smallest), 1.0])
+        panel.set(xscale="log", yscale="log")
+        panel.set_xticks(ticks, labels=[f"{tick:.2g}" for tick in ticks])
+        panel.set_xticks([], minor=True)
+        label_axis(panel.yaxis, "distance from extrapolated", "%")
+    own = found.counts[cause][0]
+    text = f"{own} {cause} of the scene over their number"
+    if cause == "mesh":
+        text = f"size of elements over that of the scene's {own} elements"
+    panel.set_xlabel(text)
+
+
+def _order(part: GridConvergence) -> str:
+    return f"p = {part.order:.2g}" if np.isfinite(part.order) else part.behaviour
+
+
+def _draw_contributions(panel: Any, found: Verification) -> None:
+    """Relative uncertainties by quantity and cause."""
+    names = list(found.values)[::-1]
+    colours = dict(zip(CAUSES, COLOURS.values(), strict=False))
+    for place, name in enumerate(names):
+        total = 100.0 * found.relative(name, found.total(name))
+        if total > LEAST:
+            panel.plot([total, total], [place - 0.32, place + 0.32], color="black", lw=1.6)
+        for cause, error in found.contributions(name).items():
+            inside = found.parts[cause][name].factor == SAFE
+            share = 100.0 * found.relative(name, error)
+            if not share > LEAST:
+                continue
+            look = {"color": colours[cause], "mfc": colours[cause] if inside else "none"}
+            panel.plot(share, place, "o", ms=7, **look)
+    for cause in found.causes:
+        panel.plot([], [], "o", ms=7, color=colours[cause], label=cause)
+    panel.plot([], [], "o", ms=7, color="grey", mfc="none", label="factor of safety 3")
+    panel.plot([], [], color="black", lw=1.6, label="root of the sum of squares")
+    panel.set(xscale="log", yticks=range(len(names)), ylim=(-0.6, len(names) - 0.4))
+    panel.set_yticklabels(names)
+    label_axis(panel.xaxis, "uncertainty of the scene's own value", "%")
