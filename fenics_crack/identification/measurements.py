@@ -84,11 +84,6 @@ class Measurement:
         at_probe = self.quantity == "displacement"
         check_number("measurements.value", self.value, -math.inf if at_probe else 0.0)
         check_number("measurements.deviation", self.deviation, 0.0, above=True)
-        needed = ("mode",) if self.natural else ("frequency", "point", *["phase"] * at_probe)
-        for key in OPTIONAL:
-            given = getattr(self, key)
-            if key not in needed and given and not (isinstance(given, float) and math.isnan(given)):
-                raise InputError(f"measurements.{key}", given, f"left out with {self.quantity}")
         if self.natural:
             if not (isinstance(self.mode, int) and 1 <= self.mode <= FEW_MODES):
                 allowed = f"a whole number from 1 to {FEW_MODES} with {self.quantity}"
@@ -97,6 +92,11 @@ class Measurement:
             check_number("measurements.frequency", self.frequency, 0.0, above=True)
         if at_probe:
             check_number("measurements.phase", self.phase)
+        needed = ("mode",) if self.natural else ("frequency", "point", *["phase"] * at_probe)
+        for key in OPTIONAL:
+            given = getattr(self, key)
+            if key not in needed and given and not (isinstance(given, float) and math.isnan(given)):
+                raise InputError(f"measurements.{key}", given, f"left out with {self.quantity}")
         for key in ("value", "deviation", "frequency", "phase"):
             number = getattr(self, key)
             if not (math.isnan(number) or number == 0.0 or SMALLEST <= abs(number) <= LARGEST):
