@@ -7,65 +7,44 @@ No other module looks at a version.
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
-import ctypes.util
+import importlib.metadata
 import logging
-import os
-import signal
-import threading
+import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
+from types import ModuleType
 from typing import Any
 
-import basix
-import dolfinx
-import dolfinx.fem.petsc
-import dolfinx.geometry
-import dolfinx.io
-import dolfinx.plot
 import numpy as np
-import ufl
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from fenics_crack.mesher import gmsh
 from fenics_crack.model.memory import addresses_left
 
 
-@contextlib.contextmanager
-def kept_interrupts() -> Iterator[None]:
-    """Restore the handler of Ctrl-C afterwards: gmsh 4.8 replaces it and leaves it so.
-
-    gmsh also sets it where Python forbids that, in threads other than the main one: left out there.
-    """
-    handler, set_handler = signal.getsignal(signal.SIGINT), signal.signal
-
-    def set_in_main_thread(number: int, handler: Any) -> Any:
-        if threading.current_thread() is threading.main_thread():
-            return set_handler(number, handler)
-        return signal.getsignal(number)
-
-    signal.signal = set_in_main_thread  # type: ignore[assignment]
+@contextmanager
+def _versions_by_metadata() -> Iterator[None]:
+    """Spare UFL 2022.2 and FFCx 0.5 setuptools' pkg_resources, a tenth of a start: they ask it for
+    their own version and nothing else."""
+    asked = ModuleType("pkg_resources")
+    vars(asked)["get_distribution"] = importlib.metadata.distribution
+    before = sys.modules.setdefault("pkg_resources", asked)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, handler)
-        signal.signal = set_handler
+        if before is asked:
+            del sys.modules["pkg_resources"]
 
 
-def _load_gmsh() -> None:
-    """Load gmsh's library with its names bound to its own hundred libraries first: to look for them
-    among those of PETSc and DOLFINx before takes three times as long, a sixth of our start.
-
-    Not where libraries are preloaded, which want to be asked first.
-    """
-    if "LD_PRELOAD" not in os.environ and (path := ctypes.util.find_library("gmsh")):
-        with contextlib.suppress(OSError):  # the import below says so
-            ctypes.CDLL(path, mode=os.RTLD_DEEPBIND)
-
-
-with kept_interrupts():
-    _load_gmsh()
-    import gmsh
+with _versions_by_metadata():
+    import basix
+    import dolfinx
+    import dolfinx.fem.petsc
+    import dolfinx.geometry
+    import dolfinx.io
+    import dolfinx.plot
+    import ufl
 
 __all__ = [
     "assembled_matrix",
@@ -75,7 +54,6 @@ __all__ = [
     "geometry_dofmap",
     "gmsh",
     "gmsh_is_running",
-    "kept_interrupts",
     "model_to_mesh",
     "vtk_cells",
 ]
@@ -91,7 +69,7 @@ Without them it ends with words of its own, or DOLFINx loops for ever.
 
 
 def gmsh_is_running() -> bool:
-    """Tell whether gmsh is initialised; gmsh 4.8 cannot tell, which is taken as no."""
+    """Whether gmsh is initialised; gmsh 4.8 cannot tell, which is taken as no."""
     return bool(getattr(gmsh, "isInitialized", lambda: False)())
 
 
@@ -109,7 +87,7 @@ def model_to_mesh(model: Any, comm: MPI.Comm) -> tuple[Any, Any, Any]:
     return found.mesh, found.cell_tags, found.facet_tags
 
 
-@contextlib.contextmanager
+@contextmanager
 def _quiet_compiler() -> Iterator[None]:
     """Hold back what distutils tells of each form that is compiled, on the root logger itself.
 
