@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fenics_crack.errors import InputError
+from fenics_crack.table import TURN
 
 __all__ = [
     "LARGEST",
@@ -48,7 +49,6 @@ SMALLEST, LARGEST = 1e-30, 1e30
 """Magnitudes allowed in a scene: their products and squares neither overflow nor underflow."""
 SIZES = f"{SMALLEST:g} to {LARGEST:g}"
 OR_ZERO = f"(0, or of size {SIZES})"
-TURN = 2.0 * math.pi
 MAX_VALUES = 1_000_000
 """Values of one axis, at most."""
 
