@@ -24,6 +24,7 @@ from fenics_crack.errors import ConvergenceError
 from fenics_crack.numerics.bordered import PathPoint, Tangent, correct, distance, tangent_of
 from fenics_crack.numerics.fourier import stretched
 from fenics_crack.numerics.linearisation import System
+from fenics_crack.numerics.path import PathOptions
 
 __all__ = ["first_aside", "first_of_branch", "odd_rows"]
 
@@ -56,7 +57,7 @@ def first_of_branch(
     parameter = family.parameter(bifurcation.value)
     away = _across(family, unknown, parameter, doubled=factor > 1)
     start = PathPoint(unknown, parameter, 0, away)
-    sharp = max(1e-9, family.rounding(parameter))
+    sharp = max(PathOptions.rtol, family.rounding(parameter))
 
     def near(found: PathPoint, step: float) -> bool:
         return distance(family, start, found) < 3.0 * step

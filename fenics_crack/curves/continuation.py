@@ -63,8 +63,8 @@ LONGEST = 0.05
 """Longest step, unless another one is asked for."""
 SHORTEST = 0.1
 """Of steps, relative to what rounding leaves of the residual: shorter ones resolve nothing."""
-RTOL, STRAIGHT = 1e-9, 0.85
-"""|F| / |x| of points, and the cosine of the angle between neighbouring tangents."""
+STRAIGHT = 0.85
+"""Cosine of the angle between neighbouring tangents."""
 EVERY = 4
 """Points between two looks at the truncation."""
 
@@ -285,7 +285,6 @@ class Continuation:
             max_step=self._longest,
             min_step=max(1e-10, shortest),
             max_steps=self._most + 1 - len(self._points),
-            rtol=RTOL,
             min_cosine=STRAIGHT,
             at_once=EVERY if self._tolerance is not None else PathOptions.at_once,
             span=(-self._back, np.inf),
@@ -339,7 +338,7 @@ class Continuation:
         count = family.problem.harmonics
         tangent = replace(point.tangent, x=resized(point.tangent.x, count))
         start = replace(point, unknown=resized(point.unknown, count), tangent=tangent)
-        sharp = max(RTOL, family.rounding(point.parameter))
+        sharp = max(PathOptions.rtol, family.rounding(point.parameter))
         for damping in (None, MIN_DAMPING):
             found = solve_in_plane(
                 family, start.unknown, start.parameter, tangent,

@@ -172,7 +172,7 @@ def _next_to(family: FrequencyFamily, orbit: PeriodicOrbit) -> PathPoint | None:
     guess, parameter, odd = _rows(family, orbit), family.parameter(orbit.omega), odd_rows(family)
     found = solve_in_plane(
         family, guess, parameter, None,
-        tolerance=max(1e-9, family.rounding(parameter)), iterations=20, patience=6,
+        tolerance=max(PathOptions.rtol, family.rounding(parameter)), iterations=20, patience=6,
     )  # fmt: skip
     if found is None:
         return None

@@ -18,10 +18,10 @@ from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.curves.exact import verified
 from fenics_crack.errors import ConvergenceError, InputError, check_count
 from fenics_crack.numerics.bordered import Tangent, solve_in_plane
+from fenics_crack.numerics.path import PathOptions
 
 __all__ = ["filled", "refine_curve"]
 
-TOLERANCE = 1e-9
 STEPS, MAX_BETWEEN = 4, 1000
 PICTURE = 0.025
 """Largest distance between neighbours in a picture, relative to the range of the frequencies and to
@@ -97,7 +97,7 @@ def refine_curve(curve: ResponseCurve, between: int | None = None) -> ResponseCu
         rows = 2 * int(count) + 1
         problem = curve.problem.with_harmonics(int(count))
         family = FrequencyFamily(problem, problem.omega, problem.omega + span)
-        sharp = max(TOLERANCE, family.rounding(0.5))
+        sharp = max(PathOptions.rtol, family.rounding(0.5))
         for number in np.flatnonzero(counts == count):
             guess, slope = (spline(wanted[number], order) for order in (0, 1))
             unknown, across = (size * one[:-1].reshape(-1, pairs)[:rows] for one in (guess, slope))

@@ -123,7 +123,7 @@ class ContactFlow:
             self.gap += structure.apply_bt(structure.force @ modes.static_loads)
         self.gap[0] -= structure.clearance
         parts = Struct(
-            "flow_parts", modes=count, pairs=pairs, harmonics=1, coupled=modes.damping.ndim == 2,
+            "flow_parts", modes=count, pairs=pairs, coupled=modes.damping.ndim == 2,
             squares=_doubles(modes.squares), damping=_doubles(modes.damping),
             rows=_doubles(modes.pairs.T), compliance=_doubles(compliance), force=self.force,
             gap=self.gap, fastest=self.fastest, most=MAX_KEPT,
