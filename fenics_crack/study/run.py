@@ -31,6 +31,7 @@ from fenics_crack.scene.tables import Integration
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.stages import begin
 from fenics_crack.study.prepare import (
+    FEW_DOFS,
     Study,
     check_memory_of,
     modes_of,
@@ -51,8 +52,6 @@ __all__ = [
     "solve_prepared",
 ]  # fmt: skip
 
-FEW_DOFS = 100
-"""With more dofs, stability takes minutes unless the law is piecewise linear."""
 REFUSALS = (InputError, ConvergenceError, np.linalg.LinAlgError)
 """Errors that fail one run while others go on."""
 RECORDED_PERIODS = 4
@@ -139,7 +138,7 @@ def solve_prepared(whole: Study) -> Run[PeriodicSolution]:
     else:
         study, solution = _solve_to_tolerance(whole, law, table.tolerance)
     structure = study.structure
-    quick = is_piecewise_linear(law) or structure.n_dofs <= FEW_DOFS
+    quick = is_piecewise_linear(law) or structure.n_dofs <= FEW_DOFS  # else it takes minutes
     if is_rigid(law):
         quick = structure.light_lips
     if solution.converged and quick and is_small(structure):
