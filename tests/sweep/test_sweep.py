@@ -719,7 +719,7 @@ def test_killed_at_any_moment(
     scene, path = swept(paper_scene, LONG_OVER), tmp_path / "sweep.h5"
     random = np.random.default_rng(ranks)
     done, kills = [0], 0
-    for _ in range(3):
+    for _ in range(2):
         run = Run(scene, path, ranks)
         run.wait_for(done[-1])
         time.sleep(random.uniform(0.0, 0.3))
