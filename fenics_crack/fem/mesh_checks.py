@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from fenics_crack.errors import InputError
-from fenics_crack.fem.compat import gmsh
+from fenics_crack.mesher import gmsh
 
 __all__ = ["check_mesh"]
 

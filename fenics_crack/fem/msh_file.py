@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from fenics_crack.errors import InputError
-from fenics_crack.fem.compat import gmsh
 from fenics_crack.fem.lips import boundary_edges, check_mouths, split_crack
 from fenics_crack.fem.mesh_checks import check_mesh
+from fenics_crack.mesher import gmsh
 from fenics_crack.outside import bytes_of, run_reader
 
 __all__ = ["Names", "Point", "read_file"]

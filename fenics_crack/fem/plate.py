@@ -33,9 +33,9 @@ from mpi4py import MPI
 from fenics_crack.errors import InputError
 from fenics_crack.fem import compat
 from fenics_crack.fem.blocks import Interval, plate_blocks
-from fenics_crack.fem.compat import gmsh
 from fenics_crack.fem.lips import Lip, find_lips
 from fenics_crack.fem.msh_file import Point, read_file
+from fenics_crack.mesher import gmsh, kept_interrupts
 from fenics_crack.model.memory import machine_memory
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
@@ -119,7 +119,7 @@ def _gmsh_on_root(comm: MPI.Comm) -> Iterator[None]:
     if comm.rank != 0:
         yield
         return
-    with compat.kept_interrupts():
+    with kept_interrupts():
         started = not compat.gmsh_is_running()
         if started:
             gmsh.initialize(readConfigFiles=False)

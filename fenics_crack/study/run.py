@@ -18,7 +18,7 @@ from fenics_crack.balance.to_tolerance import FEWEST, FIRST_MODES, solve_to_tole
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.files.results import Result, type_of, unpack
-from fenics_crack.files.store import read
+from fenics_crack.files.store import Stored, read
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes, solve_modes
@@ -48,7 +48,7 @@ from fenics_crack.time.implicit import integrate_implicit
 from fenics_crack.time.march import TimeHistory
 
 __all__ = [
-    "REFUSALS", "Run", "find_modes", "follow_curve", "integrate", "load_run", "solve",
+    "REFUSALS", "Run", "find_modes", "follow_curve", "integrate", "load_run", "run_of", "solve",
     "solve_prepared",
 ]  # fmt: skip
 
@@ -324,10 +324,14 @@ def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
     >>> fc.save(solution, "solution.h5", scene)
     >>> run = fc.load_run("solution.h5")
     """
-    stored = read(path, comm)
+    return run_of(read(path, comm), comm)
+
+
+def run_of(stored: Stored, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
+    """The run of a file that has been read; raises as :func:`load_run` (collective)."""
     kind, scene = type_of(stored), stored.scene()
     if scene is None:
-        raise InputError("path", str(path), f"a {kind.KIND} saved with its scene")
+        raise InputError("path", str(stored.path), f"a {kind.KIND} saved with its scene")
     on_root(comm, lambda: stored.check_files(scene))
     if kind is ResponseCurve and scene.curve is not None:
         study = _prepare_curve(scene, comm)
