@@ -30,6 +30,7 @@ from fenics_crack.model.contact import ContactLaw, check_law, is_piecewise_linea
 from fenics_crack.model.coupled import is_regular
 from fenics_crack.model.modal import AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.fourier import waves
 
 __all__ = ["Budget", "ContactFlow", "Motion", "Samples", "exact_flow", "flow_of"]
 
@@ -315,9 +316,7 @@ class Samples:
         modes, structure = self.flow.modes, self.flow.structure
         found: np.ndarray = self.states[:, : len(modes.squares)] @ modes.shapes.T
         if modes.static_loads is not None and modes.static_pairs is not None:
-            phase = self.omega * self.time
-            waves = np.column_stack([np.ones_like(phase), np.cos(phase), np.sin(phase)])
-            found += waves @ (structure.force @ modes.static_loads)
+            found += waves(self.omega * self.time) @ (structure.force @ modes.static_loads)
             found -= self.force @ modes.static_pairs.T
         return found
 

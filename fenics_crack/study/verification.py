@@ -43,8 +43,6 @@ from fenics_crack.table import Table, Tabular, frequency_axis, with_unit
 __all__ = ["CAUSES", "Verification", "finer_mesh", "verify"]
 
 CAUSES = ("mesh", "modes", "harmonics", "samples")
-RUNS = 3
-"""Of each cause."""
 SHOWN, LEAST = 0.1, 1e-3
 """Shares of its total, and of a value, from which on a doubtful contribution is told."""
 SPREAD = "not in the asymptotic range, 3 times the spread is taken"
@@ -178,9 +176,9 @@ class Verification(Tabular):
         for cause, found in self.parts.items():
             part, counts = found[name], self.counts[cause]
             row: dict[str, Any] = shared | {"cause": cause, "behaviour": part.behaviour}
-            row |= {f"count_{n + 1}": math.nan for n in range(RUNS)}
+            row |= {f"count_{n + 1}": math.nan for n in range(len(COUNTS))}
             row |= {f"count_{n}": count for n, count in enumerate(counts, 1)}
-            row |= {f"value_{n + 1}": math.nan for n in range(RUNS)}
+            row |= {f"value_{n + 1}": math.nan for n in range(len(COUNTS))}
             row |= {f"value_{n}": value for n, value in enumerate(part.values[::-1], 1)}
             row |= {key: getattr(part, key) for key in ("order", "exponent", "factor")}
             yield row | {

@@ -38,7 +38,7 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import InputError
 from fenics_crack.files.results import solution_from
-from fenics_crack.files.store import header
+from fenics_crack.files.store import Stored, header
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.fields import Axis
@@ -54,6 +54,7 @@ from fenics_crack.sweep.file import (
     SweepFile,
     columns_of,
     of_load,
+    opened,
     read_columns,
     read_waves,
     shape_of,
@@ -141,7 +142,7 @@ def run_sweep(
     error = comm.bcast(managers[0].error_for_others if managers else None)
     if error is not None:
         raise (managers[0].error if managers else None) or error
-    return on_root(comm, lambda: SweepResult.load(path))
+    return on_root(comm, lambda: SweepResult.of(managers[0].file.stored))
 
 
 def _ranks_of_a_case(scene: Scene, comm: MPI.Comm) -> int:
@@ -199,8 +200,14 @@ class SweepResult(Tabular):
         InputError
             The file cannot be read, is damaged, or is not one of a sweep.
         """
-        scene, columns = read_columns(Path(path))
-        return cls(Path(path), scene, columns)
+        return cls.of(opened(Path(path)))
+
+    @classmethod
+    def of(cls, stored: Stored) -> SweepResult:
+        """The same of a file whose header is at hand."""
+        scene = stored.scene()
+        assert scene is not None
+        return cls(stored.path, scene, read_columns(stored, scene))
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.columns[name]
