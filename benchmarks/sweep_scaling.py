@@ -198,7 +198,7 @@ def cases(arguments: Arguments) -> None:
             found = []
             for number, solve in enumerate((by_itself, sweep_case.solve_chunk)):
                 started = time.process_time()
-                found.append(solve(geometry, chunk))
+                found.append(solve(geometry, chunk, True))
                 times[number] += time.process_time() - started
             for one, other in zip(*found, strict=True):
                 difference = np.abs(one["gap"] - other["gap"]).max()
@@ -213,7 +213,9 @@ def cases(arguments: Arguments) -> None:
     )
 
 
-def by_itself(geometry: sweep_case.Geometry, chunk: Chunk) -> list[sweep_case.Found]:
+def by_itself(
+    geometry: sweep_case.Geometry, chunk: Chunk, verdicts: bool
+) -> list[sweep_case.Found]:
     """The cases of a chunk by single solutions, each from its neighbour or, if that fails, from the
     linear solution."""
     found: list[sweep_case.Found] = []
@@ -225,7 +227,8 @@ def by_itself(geometry: sweep_case.Geometry, chunk: Chunk) -> list[sweep_case.Fo
             last = fc.solve_harmonic_balance(structure, omega, law, harmonics=10, initial=last)
         except fc.ConvergenceError:
             last = fc.solve_harmonic_balance(structure, omega, law, harmonics=10)
-        fc.floquet(structure, last)
+        if verdicts:
+            fc.floquet(structure, last)
         found.append(last.to_dict() | {"gap": last.gap_coefficients})
     return found
 

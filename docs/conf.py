@@ -56,10 +56,11 @@ def show_what_returns(
 def say_what_is_allowed(
     app: Sphinx, what: str, name: str, thing: object, options: object, lines: list[str]
 ) -> None:
-    """Below each key of a scene: the words of the error that any other value gets."""
+    """Below each key of a scene: the words of the error that any other value gets, and the unit."""
     kind, _, key = name.removeprefix("fenics_crack.scene.tables.").partition(".")
     if field := getattr(getattr(tables, kind, None), "__dataclass_fields__", {}).get(key):
-        lines += ["", f"Allowed: {field.metadata['allowed']}.", ""]
+        unit = f" [{field.metadata['unit']}]" if field.metadata["unit"] else ""
+        lines += ["", f"Allowed: {field.metadata['allowed']}{unit}.", ""]
 
 
 def setup(app: Sphinx) -> None:

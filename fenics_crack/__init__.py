@@ -4,7 +4,7 @@ Start with ``docs/recipes.md`` or ``demos/paper_plate.py``; equations and conven
 ``docs/theory.md``, and the reference is built from the docstrings (``docs/extend.md``).
 
 The names are those that ``__init__.pyi`` imports. Each is imported here when it is first used: who
-brings matrices needs neither DOLFINx nor gmsh, and who draws nothing no matplotlib.
+brings matrices needs neither DOLFINx nor gmsh, and who draws nothing neither VTK nor matplotlib.
 Functions called by these names run one at a time (:mod:`fenics_crack.one_thread`).
 """
 

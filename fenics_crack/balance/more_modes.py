@@ -23,6 +23,7 @@ from fenics_crack.model.modes import times
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.motion.flow import ContactFlow, flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit, Prediction
+from fenics_crack.numerics.fourier import waves
 
 __all__ = ["MoreModes", "more_modes"]
 
@@ -106,8 +107,7 @@ class MoreModes:
 
     def _waves(self, time: np.ndarray) -> np.ndarray:
         """Of the load: mean, cosine and sine."""
-        phase = self._judged.wave.omega * time
-        return np.column_stack([np.ones_like(phase), np.cos(phase), np.sin(phase)])
+        return waves(self._judged.wave.omega * time)
 
     @property
     def _time(self) -> np.ndarray:

@@ -37,7 +37,7 @@ from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear, is_rigid
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.model.modal import all_modes
-from fenics_crack.numerics.bordered import point_on_path, solve_in_plane
+from fenics_crack.numerics.bordered import point_on_path, solve_at, solve_in_plane
 from fenics_crack.numerics.fourier import balanced, resized
 from fenics_crack.numerics.linearisation import Linearisation
 from fenics_crack.numerics.newton import DistributedSystem, KernelNewton, Newton
@@ -224,10 +224,10 @@ class Search:
                 start = system.linear if found is None else resized(found, count)
                 for guess in self._near(system, start, parameter):
                     sharp = max(self.tolerance, RUNG)
-                    at, arrived, steps = KernelNewton(system).solve(guess, parameter, sharp, STEPS)
-                    self.iterations += steps
-                    if arrived:
-                        found = at.unknown
+                    point = solve_at(system, guess, parameter, tolerance=sharp, iterations=STEPS)
+                    self.iterations += STEPS if point is None else point.iterations
+                    if point is not None:
+                        found = point.unknown
                         break
             system = with_harmonics(counts[0])
             start = system.linear if found is None else resized(found, counts[0])
@@ -268,9 +268,9 @@ class Search:
     ) -> Iterator[np.ndarray]:
         """Where the path from near a start has its end."""
         first, end = span
-        begun, arrived, count = KernelNewton(system).solve(start, first, self.tolerance, STEPS)
-        self.iterations += count
-        if not arrived:
+        begun = solve_at(system, start, first, tolerance=self.tolerance, iterations=STEPS)
+        self.iterations += STEPS if begun is None else begun.iterations
+        if begun is None:
             return
         far = max(FAR, end - first)
         options = replace(

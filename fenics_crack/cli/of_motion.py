@@ -29,8 +29,8 @@ from fenics_crack.numerics.fourier import balanced
 from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, SHORT
 from fenics_crack.scene.tables import Integration
 from fenics_crack.study.key_figures import highest_omega
+from fenics_crack.study.prepare import Watched
 from fenics_crack.study.run import Run
-from fenics_crack.study.watched import Watched
 from fenics_crack.table import Table, quantity
 from fenics_crack.time.march import TimeHistory
 
@@ -92,7 +92,7 @@ def account_of_solution(run: Run[PeriodicSolution]) -> Account:
         table,
         rows=_solution_waves(run),
         shown=in_short(table, scene, SHORT),
-        facts=[*_facts(run)],
+        facts=_facts(run),
         verdict=_verdict(found),
         notes=notes,
         warnings=warnings,

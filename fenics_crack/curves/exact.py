@@ -34,6 +34,7 @@ from fenics_crack.model.contact import is_piecewise_linear, is_rigid
 from fenics_crack.motion.flow import Budget, exact_flow
 from fenics_crack.motion.orbit import PIECES
 from fenics_crack.numerics.bordered import solve_at
+from fenics_crack.numerics.path import PathOptions
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.stability.shooting import attract_little, leaves
 from fenics_crack.stages import begin
@@ -145,24 +146,20 @@ class _Judge:
     def points(self) -> np.ndarray:
         """Leading multiplier of each point; nan where no orbit is its own. Where orbits at its
         value of the parameter lie on both sides of a fold it is that of the nearest one."""
-        nodes, found = self.branch.nodes, np.full(len(self._curve), np.nan + 0j)
-        pairs = [two for two in pairwise(nodes) if self.branch.linked(*two)]
-        places, values = (
-            np.array([[getattr(one, name) for one in two] for two in pairs]).reshape(-1, 2)
-            for name in ("place", "parameter")
-        )
-        rises = values[:, 1] - values[:, 0]
-        rises[rises == 0.0] = np.nan
-        begins, ends = (
-            np.searchsorted(places[:, 0], np.arange(len(found)) + side) for side in (-EVERY, EVERY)
-        )
-        for place in np.flatnonzero(self._accepted()):
-            near = slice(begins[place], ends[place])
-            shares = (self.parameters[place] - values[near, 0]) / rises[near]
-            fits = np.flatnonzero(np.abs(shares - 0.5) <= 0.5 + 1e-9)
-            there = [(*pairs[begins[place] + one], float(shares[one])) for one in fits]
-            if there:
-                found[place] = _between(*self._nearest(int(place), there))
+        found = np.full(len(self._curve), np.nan + 0j)
+        accepted = self._accepted()
+        there: dict[int, list[_Part]] = {}
+        for first, last in pairwise(self.branch.nodes):
+            rise = last.parameter - first.parameter
+            if rise == 0.0 or not self.branch.linked(first, last):
+                continue
+            begin = max(0, int(np.ceil(first.place - EVERY)))
+            near = slice(begin, int(np.ceil(first.place + EVERY)))
+            shares = (self.parameters[near] - first.parameter) / rise
+            for one in np.flatnonzero((np.abs(shares - 0.5) <= 0.5 + 1e-9) & accepted[near]):
+                there.setdefault(begin + int(one), []).append((first, last, float(shares[one])))
+        for place, parts in there.items():
+            found[place] = _between(*self._nearest(place, parts))
         return found
 
     def _nearest(self, place: int, there: list[_Part]) -> _Part:
@@ -360,7 +357,7 @@ def _solution_at(curve: ResponseCurve, place: int, value: float) -> tuple[float,
     family = curve.equations(len(unknown) // 2)
     try:
         parameter = family.parameter(value)
-        sharp = max(1e-9, family.rounding(parameter))
+        sharp = max(PathOptions.rtol, family.rounding(parameter))
         found = solve_at(family, unknown, parameter, tolerance=sharp)
     except ConvergenceError:
         found = None

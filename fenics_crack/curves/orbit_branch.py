@@ -10,10 +10,10 @@ and the leading multipliers mu of its orbit, and of all multipliers
 
 A segment between two nodes is halved, by the orbit next to Hermite's cubic through both, where the
 chord disagrees with their tangents, and where the moduli at a node are not those between its
-neighbours', to half of their distance from 1. Where a pair becomes real, moduli have a corner, but
-its sum and its product are smooth: these are looked at then. A segment on which nothing changes is
-halved, too, where moduli that went on as they came would pass 1 before its middle; and one on which
-several of r, d and c change, until each changes by itself.
+neighbours', to half of their distance from 1, nor those of pairs whose sums and products are: where
+a pair becomes real, moduli have a corner, but its sum and its product are smooth. A segment on
+which nothing changes is halved, too, where moduli that went on as they came would pass 1 before its
+middle; and one on which several of r, d and c change, until each changes by itself.
 Then a fold (or a branch point) lies on a segment where r changes, a period doubling where d does, a
 Neimark-Sacker point where c does. It is found by Brent's method on
 
@@ -111,6 +111,16 @@ class Node:
     away: float = np.nan
     at: OrbitPoint | None = None
     crossing: Crossing | None = None
+
+    @cached_property
+    def moduli(self) -> np.ndarray:
+        """Of the leading multipliers."""
+        return np.abs(self.leading)
+
+    @cached_property
+    def real(self) -> float:
+        """How many more of them are positive than negative, of those that are real."""
+        return float(np.sign(self.leading.real[self.leading.imag == 0.0]).sum())
 
     @property
     def rest(self) -> Node:
@@ -545,39 +555,47 @@ def _paired(values: np.ndarray) -> np.ndarray:
 def blended(first: Node, last: Node, share: float) -> np.ndarray:
     """Moduli between two nodes, largest first: those between, or, where a pair becomes real and
     they have a corner, of pairs with the sums and products between."""
-    alike = [np.sign(one.leading.real[one.leading.imag == 0.0]).sum() for one in (first, last)]
-    ends = (np.abs(one.leading) for one in (first, last))
-    if alike[0] != alike[1] or len(first.pairs) != len(last.pairs):
-        ends = (one.pairs for one in (first, last))
-    begin, end = ends
-    count = min(len(begin), len(end))
-    found = (1.0 - share) * begin[:count] + share * end[:count]
-    if found.ndim == 1:
-        return found
+    if first.real == last.real and len(first.pairs) == len(last.pairs):
+        return _line(first.moduli, last.moduli, share)
+    found = _line(first.pairs, last.pairs, share)
     half = 0.5 * found[:, 0]
     root = np.sqrt(half**2 - found[:, 1] + 0j)
     return -np.sort(-np.abs(np.concatenate([half + root, half - root])))
+
+
+def _line(begin: np.ndarray, end: np.ndarray, share: float) -> np.ndarray:
+    """Between two arrays, as far as both go."""
+    count = min(len(begin), len(end))
+    return np.asarray((1.0 - share) * begin[:count] + share * end[:count])
 
 
 def _fits(first: Node, middle: Node, last: Node) -> bool:
     """Whether the moduli at a node are those between its neighbours', to a part of what they
     differ from 1."""
     lengths = [_length(first, middle), _length(middle, last)]
-    line = blended(first, last, lengths[0] / max(sum(lengths), 1e-300))
-    three = [np.abs(one.leading) for one in (first, middle, last)]
-    count = min(len(line), *map(len, three))
-    moduli = np.array([one[:count] for one in three])
-    near = np.abs(1.0 - moduli).min(axis=0)
-    off = np.abs(moduli[1] - line[:count])
-    return bool(np.all(off <= FITTING * np.maximum(near, RESOLVED)))
+    share = lengths[0] / max(sum(lengths), 1e-300)
+    count = min(len(one.moduli) for one in (first, middle, last))
+    moduli = np.array([one.moduli[:count] for one in (first, middle, last)])
+    allowed = FITTING * np.maximum(np.abs(1.0 - moduli).min(axis=0), RESOLVED)
+
+    def off(line: np.ndarray) -> np.ndarray:
+        common = min(len(line), count)
+        return np.abs(moduli[1, :common] - line[:common]) > allowed[:common]
+
+    return not (
+        np.any(off(_line(first.moduli, last.moduli, share)))
+        and np.any(off(blended(first, last, share)))
+    )
 
 
 def _pass_one(before: Node, first: Node, last: Node) -> bool:
     """Whether moduli that go on behind a node as they came would pass 1 half on the way to the
     next, where they are on the same side of it."""
-    three = [np.abs(one.leading) - 1.0 for one in (before, first, last)]
+    three = [one.moduli - 1.0 for one in (before, first, last)]
     count = min(map(len, three))
     came, here, next_one = (one[:count] for one in three)
+    if not np.any(here * next_one > 0.0):
+        return False
     ahead = 0.5 * _length(first, last) / max(_length(before, first), 1e-300)
     beyond = here + ahead * (here - came)
     return bool(np.any((here * next_one > 0.0) & (here * beyond < 0.0)))

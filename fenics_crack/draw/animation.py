@@ -8,27 +8,27 @@ gathered first; rank 0 draws.
 from __future__ import annotations
 
 import os
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyvista
 from matplotlib import colormaps
-from matplotlib.artist import Artist
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, ListedColormap, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import FancyArrowPatch
 from matplotlib.ticker import MaxNLocator
-from matplotlib.widgets import Slider
 from PIL import Image
+from vtkmodules.vtkInteractionWidgets import vtkSliderRepresentation2D, vtkSliderWidget
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.draw.figure import COLOURS
-from fenics_crack.draw.period import PeriodFields
-from fenics_crack.draw.plot_mesh import outline, triangles_of
+from fenics_crack.draw.nodal import edge_lines, moved_grid, off_screen_plotter
+from fenics_crack.draw.paraview import PeriodFields
 from fenics_crack.errors import InputError
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.tables import Material
@@ -42,12 +42,14 @@ SECONDS = 3.0
 """Duration of the animation."""
 TINT = "#f5d6c1"
 """Background of the wave while the lips touch: light orange."""
-PAGE = (6.4, 7.4)
-"""Width and height [in], of 100 pixels each."""
+PAGE = (640, 740)
+"""Width and height [pixels]."""
 PLATE = (0.01, 0.275, 0.83, 0.60)
-"""The place of the plate on the page: left, bottom, width, height."""
-ARROW = 0.125
-"""The longest arrow of the load, relative to the size of the structure."""
+"""Its place on the page: left, bottom, width, height."""
+FINER = 2
+"""Pixels of the plate's drawing for one of the page, each way, which smooths it."""
+BESIDE = 20
+"""Pixels of the page beside the moving plate, for dots and arrows."""
 INK = {"lips": "#000000", "contact": COLOURS["orange"], "load": COLOURS["pink"], "rest": "#8a8a8a"}
 
 
@@ -126,54 +128,194 @@ def show_period(
     def show() -> None:
         if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
             raise InputError("screen", None, "there (DISPLAY is set), or use animate_period")
-        from matplotlib import pyplot
-
-        try:
-            pyplot.switch_backend("TkAgg")
-        except ImportError as error:
-            raise InputError("screen", None, "used by Tk (python3-tk is installed)") from error
-        figure = pyplot.figure("fenics_crack", figsize=PAGE)
-        slider = _with_slider(figure, solution, fields)
-        pyplot.show(block=True)
+        plotter = pyvista.Plotter(title="fenics_crack", window_size=(900, 900))
+        slider = _with_slider(plotter, solution, fields)
+        plotter.show()
         del slider
 
     on_root(fields.mesh.structure.comm, show)
 
 
-def _with_slider(figure: Figure, solution: PeriodicSolution, fields: PeriodFields) -> Slider:
-    """Put the page and a slider into the figure of a window; return the slider, to be kept."""
-    page, count = _Page(figure, solution, fields), len(fields.time)
-    place = figure.add_axes((0.15, 0.005, 0.7, 0.02))
-    end = float(solution.subharmonic)
-    slider = Slider(place, "", 0.0, end, valinit=0.0, color=COLOURS["blue"])
-    slider.valtext.set_visible(False)
+# --- the plate ------------------------------------------------------------------------------------
+
+
+class _Colours:
+    """Colours in steps from 0 to the end of the scale, in a unit with a prefix."""
+
+    def __init__(self, fields: PeriodFields) -> None:
+        name, unit = fields.colour
+        end, highest = fields.colour_end, fields.colour_values.max()
+        self.factor, unit = readable(end, unit)
+        self.label = f"{name} [{unit}]"
+        ticks = MaxNLocator(16, steps=[1, 2, 2.5, 5, 10])
+        self.levels = ticks.tick_values(0.0, self.factor * end)
+        self.steps = len(self.levels) - 1
+        self.beyond = bool(self.factor * highest > self.levels[-1])
+        self.map = ListedColormap(colormaps["viridis"](np.linspace(0.0, 1.0, self.steps)))
+        ends = self.levels[0], self.levels[-1]
+        self.scale = {"cmap": self.map, "n_colors": self.steps, "clim": ends}
+
+
+class _Plate:
+    """The plate in a plotter, to be moved from frame to frame."""
+
+    def __init__(self, plotter: Any, fields: PeriodFields) -> None:
+        self.fields = fields
+        self.colours = _Colours(fields)
+        mesh = fields.mesh
+        self.height = 1e-3 * mesh.size  # of lines above the plate
+        self.surface = self._surface(0)
+        plotter.background_color = "white"
+        add = partial(plotter.add_mesh, lighting=False)
+        add(edge_lines(mesh, mesh.boundary, height=self.height), color=INK["rest"], line_width=2)
+        add(self.surface, scalars="shown", show_scalar_bar=False, **self.colours.scale)
+        self.lines = []
+        for edges, width in ((mesh.boundary, 2), (mesh.lips, 5)):
+            if len(edges):
+                line = edge_lines(mesh, edges, height=self.height)
+                self.lines.append((edges, line))
+                add(line, color=INK["lips"], line_width=width)
+        clamped = mesh.boundary[mesh.clamped[mesh.boundary].all(axis=1)]
+        if len(clamped):
+            add(edge_lines(mesh, clamped, height=self.height), color=INK["rest"], line_width=9)
+        dots = {"style": "points", "point_size": 16, "render_points_as_spheres": True}
+        self.marks = {}
+        for name, options in (("contact", dots), ("load", {})):
+            mark = pyvista.PolyData(np.zeros((1, 3)))
+            self.marks[name] = mark, add(mark, color=INK[name], **options)
+        self.starts, self.arrows = _load_arrows(fields)
+        plotter.view_xy()
+        plotter.enable_parallel_projection()
+
+    def move(self, frame: int) -> None:
+        """Show another frame."""
+        mesh, displacement = self.fields.mesh, self.fields.shown(frame)
+        self.surface.copy_from(self._surface(frame))
+        for edges, line in self.lines:
+            line.copy_from(edge_lines(mesh, edges, displacement, self.height))
+        closed = np.flatnonzero(self.fields.force[frame] > 0.0)
+        dots = None
+        if len(closed):
+            nodes = self.fields.pair_nodes[:, closed]
+            middle = nodes.T @ (mesh.points + displacement) / nodes.sum(axis=0)[:, None]
+            above = np.pad(middle, ((0, 0), (0, 1)), constant_values=2.0 * self.height)
+            dots = pyvista.PolyData(above)
+        self._mark("contact", dots)
+        start, arrow = self.starts[frame], self.arrows[frame]
+        head = None
+        if np.any(arrow):
+            place = {"start": (*start, 2.0 * self.height), "direction": (*arrow, 0.0)}
+            form = {"tip_length": 0.45, "tip_radius": 0.16, "shaft_radius": 0.055, "scale": "auto"}
+            head = pyvista.Arrow(**place, **form)
+        self._mark("load", head)
+
+    def _mark(self, name: str, mesh: pyvista.PolyData | None) -> None:
+        """Show a mark in another form, or not at all."""
+        shown, actor = self.marks[name]
+        actor.SetVisibility(mesh is not None)
+        if mesh is not None:
+            shown.copy_from(mesh)
+
+    def _surface(self, frame: int) -> Any:
+        grid = moved_grid(self.fields.mesh, self.fields.shown(frame))
+        grid["shown"] = self.colours.factor * self.fields.colour_values[frame]
+        return grid.extract_surface(algorithm=None)
+
+
+def _load_arrows(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
+    """Where the load acts on the magnified plate and arrows along it, both (n, 2) [m].
+
+    The longest arrow is an eighth of the plate.
+    """
+    total = fields.load.sum(axis=1)
+    share = np.abs(fields.load).sum(axis=(0, 2))
+    largest = np.linalg.norm(total, axis=1).max()
+    if largest == 0.0:
+        return np.zeros_like(total), np.zeros_like(total)
+    places = fields.mesh.points + fields.magnification * fields.displacement
+    return share @ places / share.sum(), fields.mesh.size / 8.0 * total / largest
+
+
+def _with_slider(plotter: Any, solution: PeriodicSolution, fields: PeriodFields) -> Any:
+    """Put the plate, its colours and the slider into a window; return the slider, to be kept.
+
+    VTK must format no number here: newer versions parse the format by a regular expression, which
+    crashes if DOLFINx was loaded first, because each brings its own part of libstdc++.
+    """
+    plate = _Plate(plotter, fields)
+    figure = Figure(facecolor="white")
+    _draw_bar(figure, (0.1, 0.05, 0.2, 0.87), plate.colours)
+    chart = pyvista.ChartMPL(figure, size=(0.14, 0.6), loc=(0.85, 0.25))
+    chart.border_color = "white"
+    plotter.add_chart(chart)
+    count, caption = len(fields.time), _caption(solution, fields)
 
     def turn(loads: float) -> None:
-        page.move(round(loads / end * count) % count)
-        figure.canvas.draw_idle()
+        frame = round(loads / solution.subharmonic * count) % count
+        plate.move(frame)
+        at = solution.subharmonic * frame / count
+        text = f"{caption}\ntime {at:.3f} load periods"
+        plotter.add_text(text, font_size=11, color="black", name="caption", render=False)
 
-    slider.on_changed(turn)
-    page.move(0)
-    return slider
+    slider = vtkSliderRepresentation2D()
+    slider.SetMinimumValue(0.0)
+    slider.SetMaximumValue(float(solution.subharmonic))
+    slider.SetValue(0.0)
+    slider.SetTitleText("time / load period")
+    slider.GetTitleProperty().ShadowOff()
+    for part, colour in (
+        (slider.GetTitleProperty(), "black"),
+        (slider.GetTubeProperty(), INK["rest"]),
+        (slider.GetCapProperty(), INK["rest"]),
+        (slider.GetSliderProperty(), COLOURS["blue"]),
+        (slider.GetSelectedProperty(), COLOURS["orange"]),
+    ):
+        part.SetColor(to_rgb(colour))
+    slider.SetTubeWidth(0.005)
+    slider.SetSliderWidth(0.03)
+    slider.SetSliderLength(0.02)
+    slider.ShowSliderLabelOff()
+    for place, x in ((slider.GetPoint1Coordinate(), 0.1), (slider.GetPoint2Coordinate(), 0.8)):
+        place.SetCoordinateSystemToNormalizedViewport()
+        place.SetValue(x, 0.09)
+    widget = vtkSliderWidget()
+    widget.SetInteractor(plotter.iren.interactor)
+    widget.SetRepresentation(slider)
+    widget.SetAnimationModeToJump()
+    widget.AddObserver("InteractionEvent", lambda *_: turn(slider.GetValue()))
+    widget.SetEnabled(True)
+    turn(0.0)
+    _look_at_all(plotter, fields, room=1.35)
+    return widget
+
+
+def _caption(solution: PeriodicSolution, fields: PeriodFields) -> str:
+    hertz = solution.omega / (2.0 * np.pi)
+    moves = "load" if np.any(fields.load) else "motion"
+    return (
+        f"{moves} at {solution.omega:.5g} rad/s ({hertz:.4g} Hz), "
+        f"displacement × {float(f'{fields.magnification:.3g}'):.10g}"
+    )
+
+
+# --- the animation --------------------------------------------------------------------------------
 
 
 def _write(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> None:
-    """Draw all frames and write the GIF: what moves is drawn over the rest, which is drawn once."""
-    figure = Figure(figsize=PAGE, dpi=100, facecolor="white")
-    canvas = FigureCanvasAgg(figure)
-    page = _Page(figure, solution, fields)
-    for artist in page.moving:
-        artist.set_animated(True)
-    canvas.draw()
-    still = canvas.copy_from_bbox(figure.bbox)
-    palette, shown = _palette(page.colours), []
+    """Draw all frames and write the GIF."""
+    plotter = off_screen_plotter(window_size=_window(fields))
+    plotter.render_window.SetMultiSamples(0)  # the page shrinks what it draws, which smooths it
+    plate = _Plate(plotter, fields)
+    _look_at_all(plotter, fields)
+    page = _Page(solution, fields, plate.colours)
+    pictures = []
     for frame in range(len(fields.time)):
-        canvas.restore_region(still)
-        page.move(frame)
-        for artist in page.moving:
-            figure.draw_artist(artist)
-        picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-        shown.append(picture.quantize(palette=palette, dither=Image.Dither.NONE))
+        plate.move(frame)
+        plotter.render()
+        pictures.append(page.draw(frame, plotter.screenshot(None, return_img=True)))
+    plotter.close()
+    palette = _palette(plate.colours)
+    shown = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     duration = max(20, 10 * round(100.0 * SECONDS / len(shown)))  # [ms], in steps of 10
     timing = {"duration": duration, "loop": 0, "comment": page.caption.encode("latin-1")}
     animation = BytesIO()
@@ -196,111 +338,79 @@ def _palette(colours: _Colours) -> Image.Image:
     return palette
 
 
-def _load_arrows(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
-    """Where the load acts on the magnified plate and arrows along it, both (n, 2) [m]."""
-    total = fields.load.sum(axis=1)
-    share = np.abs(fields.load).sum(axis=(0, 2))
-    largest = np.linalg.norm(total, axis=1).max()
-    if largest == 0.0:
-        return fields.places[:, 0], np.zeros_like(total)
-    return share @ fields.places / share.sum(), ARROW * fields.mesh.size / largest * total
+def _window(fields: PeriodFields) -> tuple[int, int]:
+    """Width and height of the plate's drawing [pixels]: no more than it needs of its place."""
+    low, high = _reach(fields)
+    room = np.multiply(PLATE[2:], PAGE)
+    needed = (high - low) * min((room - 2 * BESIDE) / (high - low)) + 2 * BESIDE
+    width, height = FINER * np.floor(needed).astype(int)
+    return int(width), int(height)
 
 
-class _Colours:
-    """Colours in steps from 0 to the end of the scale, in a unit with a prefix."""
+def _reach(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
+    """The corners (2,) of what the plate and its load cover in the whole period [m]."""
+    moved = fields.mesh.points + fields.magnification * fields.displacement
+    every = [fields.mesh.points, *moved]
+    if np.any(fields.load):
+        every.append(np.add(*_load_arrows(fields)))
+    points = np.concatenate(every)
+    return points.min(axis=0), points.max(axis=0)
 
-    def __init__(self, fields: PeriodFields) -> None:
-        name, unit = fields.colour
-        end, highest = fields.colour_end, fields.colour_values.max()
-        self.factor, unit = readable(end, unit)
-        self.label = f"{name} [{unit}]"
-        ticks = MaxNLocator(16, steps=[1, 2, 2.5, 5, 10])
-        self.levels = ticks.tick_values(0.0, self.factor * end)
-        self.beyond = bool(self.factor * highest > self.levels[-1])
-        self.map = ListedColormap(colormaps["viridis"](np.linspace(0.0, 1.0, len(self.levels) - 1)))
 
-    def draw_bar(self, figure: Figure) -> None:
-        """Draw the colour bar beside the plate."""
-        mapped = ScalarMappable(BoundaryNorm(self.levels, self.map.N), self.map)
-        ends = {"extend": "max" if self.beyond else "neither", "spacing": "proportional"}
-        place = figure.add_axes((0.845, 0.32, 0.03, 0.49))
-        bar = figure.colorbar(mapped, cax=place, ticks=self.levels[::2], **ends)
-        bar.set_label(self.label, fontsize=12)
-        bar.ax.tick_params(labelsize=11)
+def _look_at_all(plotter: Any, fields: PeriodFields, room: float = 1.03) -> None:
+    """Set the camera so that the plate stays in the picture for the whole period."""
+    (low, high), size, camera = _reach(fields), fields.mesh.size, plotter.camera
+    width, height = plotter.window_size
+    middle = 0.5 * (low + high)
+    camera.focal_point, camera.position = (*middle, 0.0), (*middle, 10.0 * size)
+    camera.parallel_scale = 0.5 * room * max(high[1] - low[1], (high[0] - low[0]) * height / width)
+    camera.clipping_range = (size, 20.0 * size)
+
+
+def _draw_bar(figure: Figure, place: tuple[float, float, float, float], colours: _Colours) -> None:
+    """Draw the colour bar at a place in a figure."""
+    mapped = ScalarMappable(BoundaryNorm(colours.levels, colours.steps), colours.map)
+    ends = {"extend": "max" if colours.beyond else "neither", "spacing": "proportional"}
+    bar = figure.colorbar(mapped, cax=figure.add_axes(place), ticks=colours.levels[::2], **ends)
+    bar.set_label(colours.label, fontsize=12)
+    bar.ax.tick_params(labelsize=11)
 
 
 class _Page:
-    """A page that shows a period: a caption, the plate, its colours, and a wave with a dot."""
+    """The page around the plate: caption, colours, and a wave with a moving dot."""
 
-    def __init__(self, figure: Figure, solution: PeriodicSolution, fields: PeriodFields) -> None:
-        self.figure, self.fields, self.colours = figure, fields, _Colours(fields)
+    def __init__(self, solution: PeriodicSolution, fields: PeriodFields, colours: _Colours) -> None:
         self.loads = fields.time * solution.omega / (2.0 * np.pi)
+        self.figure = Figure(figsize=np.divide(PAGE, 100), dpi=100, facecolor="white")
+        self.canvas = FigureCanvasAgg(self.figure)
         title = "Breathing crack" if len(fields.mesh.lips) else "Vibrating plate"
         centred = {"ha": "center", "va": "center"}
-        figure.text(0.5, 0.968, title, fontsize=16, weight="bold", **centred)
-        hertz = solution.omega / (2.0 * np.pi)
-        self.caption = (
-            f"{'load' if np.any(fields.load) else 'motion'} at {solution.omega:.5g} rad/s "
-            f"({hertz:.4g} Hz), displacement × {float(f'{fields.magnification:.3g}'):.10g}"
-        )
-        self.text = figure.text(0.06, 0.932, "", va="center", fontsize=12)
-        self.colours.draw_bar(figure)
-        self._legend()
-        self._plate()
-        self._wave(solution)
+        self.figure.text(0.5, 0.968, title, fontsize=16, weight="bold", **centred)
+        self.caption = _caption(solution, fields)
+        self.text = self.figure.text(0.06, 0.932, "", va="center", fontsize=12, animated=True)
+        _draw_bar(self.figure, (0.845, 0.32, 0.03, 0.49), colours)
+        self._legend(fields)
+        self._wave(solution, fields)
+        self.canvas.draw()
+        self.still = self.canvas.copy_from_bbox(self.figure.bbox)
 
-    @property
-    def moving(self) -> list[Artist]:
-        """What is drawn anew for each frame, in the order in which it is drawn."""
-        plate = [*self.axes.collections, *self.axes.lines, self.arrow]
-        return [*plate, self.line, self.dot, self.text]
-
-    def move(self, frame: int) -> None:
-        """Show another frame."""
-        fields, places, at = self.fields, self.fields.places[frame], self.loads[frame]
-        for band in [*self.axes.collections]:
-            band.remove()
-        look = {"levels": self.colours.levels, "cmap": self.colours.map, "antialiased": False}
-        values = self.colours.factor * fields.colour_values[frame]
-        self.axes.tricontourf(*places.T, self.triangles, values, extend="max", **look)
-        for line, edges in self.edges:
-            line.set_data(*outline(places, edges))
-        nodes = fields.pair_nodes[:, fields.force[frame] > 0.0]
-        self.dots.set_data(*(places.T @ nodes / nodes.sum(axis=0)))
-        start, arrow = self.starts[frame], self.arrows[frame]
-        share = float(np.linalg.norm(arrow) / (ARROW * fields.mesh.size))
-        self.arrow.set_positions(start, start + arrow)
-        self.arrow.set(mutation_scale=20.0 * share, lw=3.5 * share, visible=share > 0.0)
+    def draw(self, frame: int, plate: np.ndarray) -> Image.Image:
+        """The page of a frame: what moves is drawn over the rest, which is drawn once."""
+        self.canvas.restore_region(self.still)
+        at = self.loads[frame]
         self.dot.set_data([at], [self.values[frame]])
         self.line.set_xdata([at, at])
         self.text.set_text(f"{self.caption}, phase {360.0 * at:.0f}°")
+        for artist in (self.line, self.dot, self.text):
+            self.figure.draw_artist(artist)
+        page = Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3].copy())
+        left, bottom, wide, high = np.array(PLATE) * np.tile(PAGE, 2)
+        small = Image.fromarray(plate).reduce(FINER)
+        middle = left + 0.5 * wide, PAGE[1] - bottom - 0.5 * high
+        page.paste(small, (round(middle[0] - small.width / 2), round(middle[1] - small.height / 2)))
+        return page
 
-    def _plate(self) -> None:
-        """The plate at rest and moved, its marks, and room for the whole period."""
-        fields, mesh, axes = self.fields, self.fields.mesh, self.figure.add_axes(PLATE)
-        self.axes, self.triangles = axes, triangles_of(mesh)
-        clamped = mesh.boundary[mesh.clamped[mesh.boundary].all(axis=1)]
-        form: dict[str, Any] = {"solid_capstyle": "round", "zorder": 3}
-        for edges, width in ((mesh.boundary, 0.8), (clamped, 4.5)):
-            axes.plot(*outline(mesh.points, edges), color=INK["rest"], lw=width, **form)
-        self.edges = [
-            (axes.plot([], [], color=INK["lips"], lw=width, **form)[0], edges)
-            for edges, width in ((mesh.boundary, 1.0), (mesh.lips, 2.0))
-        ]
-        (self.dots,) = axes.plot([], [], "o", color=INK["contact"], ms=6, zorder=4)
-        self.starts, self.arrows = _load_arrows(fields)
-        head = {"arrowstyle": "-|>", "shrinkA": 0.0, "shrinkB": 0.0, "zorder": 5}
-        self.arrow = FancyArrowPatch((0.0, 0.0), (0.0, 0.0), color=INK["load"], **head)
-        axes.add_patch(self.arrow)
-        every = np.concatenate([mesh.points, *fields.places, self.starts + self.arrows])
-        low, high = every.min(axis=0), every.max(axis=0)
-        room = 0.03 * mesh.size
-        axes.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room))
-        axes.set_aspect("equal")
-        axes.axis("off")
-
-    def _legend(self) -> None:
-        fields = self.fields
+    def _legend(self, fields: PeriodFields) -> None:
         lines = (
             ("at rest", True, "rest", 1.5, None),
             ("clamped", fields.mesh.clamped.any(), "rest", 6, None),
@@ -317,8 +427,8 @@ class _Page:
         centre = {"loc": "center", "bbox_to_anchor": (0.5, 0.893)}
         self.figure.legend(handles=keys, ncol=5, fontsize=11, **centre, **spaces)
 
-    def _wave(self, solution: PeriodicSolution) -> None:
-        fields, axes = self.fields, self.figure.add_axes((0.15, 0.085, 0.82, 0.16))
+    def _wave(self, solution: PeriodicSolution, fields: PeriodFields) -> None:
+        axes = self.figure.add_axes((0.15, 0.085, 0.82, 0.16))
         time = np.linspace(0.0, solution.period, 401)
         loads = time * solution.omega / (2.0 * np.pi)
         if len(fields.areas):
@@ -338,8 +448,10 @@ class _Page:
         self.values = factor * self.values
         axes.axhline(0.0, color=COLOURS["grey"], lw=0.8)
         axes.plot(loads, factor * wave, color=COLOURS["blue"], lw=2)
-        self.line = axes.axvline(0.0, color=COLOURS["grey"], lw=1)
-        (self.dot,) = axes.plot([0.0], [0.0], "o", color="black", ms=8, clip_on=False)
+        moves = {"animated": True}
+        self.line = axes.axvline(0.0, color=COLOURS["grey"], lw=1, **moves)
+        dot = {"color": "black", "ms": 8, "clip_on": False, **moves}
+        (self.dot,) = axes.plot([0.0], [0.0], "o", **dot)
         axes.set_xlim(0.0, loads[-1])
         axes.margins(y=0.12)
         axes.set_xlabel("time / load period", fontsize=12)

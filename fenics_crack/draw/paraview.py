@@ -1,30 +1,35 @@
-"""Files for ParaView (VTK XML): mode shapes, and one period of the breathing crack.
+"""Files for ParaView: mode shapes and one period of the breathing crack (VTK XML).
 
-Rank 0 writes all nodes, also those of quadratic elements.
+Rank 0 writes all nodes, also those of quadratic elements. Stresses follow from the gradient of the
+displacement, which VTK takes in the cells at each node and averages; the lips have nodes of their
+own, so nothing is averaged across the crack.
 """
 
 from __future__ import annotations
 
 import itertools
-import struct
-import zlib
-from base64 import b64encode
-from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+import pyvista
+from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.draw.period import PeriodFields, magnifying, von_mises
+from fenics_crack.draw.nodal import moved_grid
+from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.modes import Modes
-from fenics_crack.parallel import on_root
+from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.fourier import evaluate
+from fenics_crack.parallel import gather_rows, on_root
 from fenics_crack.scene.tables import Material
 from fenics_crack.stages import begin
 from fenics_crack.whole import write_together, write_whole
 
-__all__ = ["write_modes", "write_period"]
+__all__ = ["PeriodFields", "nodal_stress", "von_mises", "write_modes", "write_period"]
 
 
 def write_modes(modes: Modes, path: str | Path) -> None:
@@ -54,14 +59,124 @@ def write_modes(modes: Modes, path: str | Path) -> None:
     shapes = mesh.field(modes.structure.expand(modes.shapes.T))
 
     def write() -> None:
-        fields, facts = {}, {}
+        grid = moved_grid(mesh)
         for number, (omega, shape) in enumerate(zip(modes.omega, shapes, strict=True), 1):
-            factor = magnifying(shape, mesh.size)
-            fields[f"mode {number}: {omega:.1f} rad/s"] = factor * shape
-            facts[f"magnification of mode {number}"] = factor
-        write_whole(path, _vtu(mesh, mesh.points, fields, facts))
+            factor = _tenth(shape, mesh.size)
+            grid[f"mode {number}: {omega:.1f} rad/s"] = np.pad(factor * shape, ((0, 0), (0, 1)))
+            grid.field_data[f"magnification of mode {number}"] = [factor]
+        write_whole(path, _vtu(grid))
 
     on_root(mesh.structure.comm, write)
+
+
+@dataclass(frozen=True)
+class PeriodFields:
+    """Nodal fields of a vibration at n instants of one period, on every rank."""
+
+    mesh: NodalMesh
+    time: np.ndarray  # (n,) [s], equally spaced from 0; the period itself is left out
+    displacement: np.ndarray  # (n, n_nodes, 2) [m], true to scale
+    force: np.ndarray  # (n, n_pairs) [N], of the contact
+    areas: np.ndarray  # (n_pairs,) [m^2], of one lip
+    load: np.ndarray  # (n, n_nodes, 2) [N]
+    pair_nodes: np.ndarray  # (n_nodes, n_pairs), 1 where a node belongs to a pair, else 0
+    magnification: float  # of the displacement in pictures
+    material: Material | None  # for stresses
+
+    @classmethod
+    def of(
+        cls,
+        solution: PeriodicSolution,
+        frames: int = 60,
+        magnification: float | None = None,
+        material: Material | None = None,
+    ) -> PeriodFields:
+        """The fields of a solution, arguments as of :func:`write_period` (collective)."""
+        check_count("frames", frames, 1)
+        if magnification is not None:
+            check_number("magnification", magnification, 0.0, above=True)
+        if material is not None and not isinstance(material, Material):
+            raise InputError("material", material, "that of a scene (scene.material), or None")
+        structure = solution.structure.whole
+        mesh = NodalMesh(structure)
+        time = np.arange(frames) * solution.period / frames
+        displacement = mesh.field(solution.displacement_field(time))
+        magnification = float(magnification or _tenth(displacement, mesh.size))
+        force, areas = solution.contact_force(time), structure.pair_areas
+        load = evaluate(mesh.field(structure.force).reshape(3, -1), solution.omega, time)
+        load = load.reshape(displacement.shape)
+        assert areas is not None
+        nodes = _nodes_of_pairs(structure)
+        return cls(mesh, time, displacement, force, areas, load, nodes, magnification, material)
+
+    def shown(self, frame: int) -> np.ndarray:
+        """The magnified displacement of a frame: (n_nodes, 2) [m]."""
+        return self.magnification * self.displacement[frame]
+
+    @property
+    def colour(self) -> tuple[str, str]:
+        """Name and unit of the field to colour by: with a material the von Mises stress."""
+        return ("von Mises stress", "Pa") if self.material else ("displacement", "m")
+
+    @cached_property
+    def colour_values(self) -> np.ndarray:
+        """That field, or the length of its vectors: (n, n_nodes)."""
+        if self.material is None:
+            return np.linalg.norm(self.displacement, axis=2)
+        return von_mises(self.stress)
+
+    @property
+    def colour_end(self) -> float:
+        """End of the colour scale of the whole period, which begins at 0.
+
+        The stresses of one node in 50 lie beyond: at the tip and under the load they are unbounded.
+        """
+        largest = self.colour_values.max(axis=0)
+        end = largest.max() if self.material is None else np.quantile(largest, 0.98)
+        return float(end) if end > 0.0 else 1.0
+
+    @cached_property
+    def stress(self) -> np.ndarray:
+        """Stresses xx, yy, xy: (n, n_nodes, 3) [Pa]."""
+        assert self.material is not None
+        return nodal_stress(self.mesh, self.displacement, self.material)
+
+    def grid(self, frame: int) -> pyvista.UnstructuredGrid:
+        """The magnified mesh of a frame with the point fields of :func:`write_period`."""
+        force, displacement = self.force[frame], self.displacement[frame]
+        grid = moved_grid(self.mesh, self.shown(frame))
+        closed = self.pair_nodes @ (force > 0.0)
+        grid["displacement"] = np.pad(displacement, ((0, 0), (0, 1)))
+        grid["contact state"] = np.where(self.pair_nodes.any(axis=1), np.minimum(closed, 1.0), -1.0)
+        grid["contact force"] = self.pair_nodes @ force
+        grid["contact pressure"] = self.pair_nodes @ (force / self.areas)
+        if self.material is not None:
+            grid["stress"] = self.stress[frame]
+            array = grid.GetPointData().GetAbstractArray("stress")
+            for component, name in enumerate(("xx", "yy", "xy")):
+                array.SetComponentName(component, name)
+            grid["von Mises stress"] = von_mises(self.stress[frame])
+        grid.field_data["magnification"] = [self.magnification]
+        return grid
+
+
+def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) -> np.ndarray:
+    """Plane stresses xx, yy, xy of nodal displacements (..., n_nodes, 2) [m]: (..., n_nodes, 3)
+    [Pa]; of many at once, as they are components of one field."""
+    columns, grid = np.moveaxis(displacement, -2, 0), moved_grid(mesh)
+    grid["displacement"] = columns.reshape(len(columns), -1)
+    found = grid.compute_derivative("displacement", gradient="gradient")["gradient"]
+    slope = np.moveaxis(found.reshape(*columns.shape, 3), 0, -3)
+    strain = np.stack([slope[..., 0, 0], slope[..., 1, 1], slope[..., 0, 1] + slope[..., 1, 0]], -1)
+    nu = material.poisson
+    plane = np.array([[1.0, nu, 0.0], [nu, 1.0, 0.0], [0.0, 0.0, 0.5 * (1.0 - nu)]])
+    return strain @ (material.young / (1.0 - nu**2) * plane)
+
+
+def von_mises(stress: np.ndarray) -> np.ndarray:
+    """Von Mises stress of plane stresses xx, yy, xy (..., 3): (...) [Pa]."""
+    xx, yy, xy = np.moveaxis(stress, -1, 0)
+    return np.asarray(np.sqrt(xx**2 - xx * yy + yy**2 + 3.0 * xy**2))
 
 
 def write_period(
@@ -133,7 +248,7 @@ def write_period(
         colours = {"field": field, "title": f"{field} [{unit}]", "end": fields.colour_end}
         colours["caption"] = f"displacement x {fields.magnification:.3g}"
         about = [(target, series), (script, STATE.format(**words, **colours))]
-        frames = ((target.parent / name, _frame(fields, n)) for n, name in enumerate(names))
+        frames = ((target.parent / name, _vtu(fields.grid(n))) for n, name in enumerate(names))
         write_together(itertools.chain(about, frames))
 
     on_root(fields.mesh.structure.comm, write)
@@ -183,65 +298,26 @@ scene.Loop = 1  # from now on; the play button starts it again
 """
 
 
-def _frame(fields: PeriodFields, frame: int) -> str:
-    """The magnified mesh of a frame with the point fields of :func:`write_period`."""
-    nodes, force = fields.pair_nodes, fields.force[frame]
-    closed = np.minimum(nodes @ (force > 0.0), 1.0)
-    shown = {
-        "displacement": fields.displacement[frame],
-        "contact state": np.where(nodes.any(axis=1), closed, -1.0),
-        "contact force": nodes @ force,
-        "contact pressure": nodes @ (force / fields.areas),
-    }
-    if fields.material is not None:
-        stress = fields.stress[frame]
-        shown |= {"stress": stress, "von Mises stress": von_mises(stress)}
-    facts = {"magnification": fields.magnification}
-    return _vtu(fields.mesh, fields.places[frame], shown, facts)
+def _vtu(grid: pyvista.UnstructuredGrid) -> str:
+    """The text of a .vtu file; VTK itself says nothing of a file that it cannot finish."""
+    writer = vtkXMLUnstructuredGridWriter()
+    writer.SetInputData(grid)
+    writer.SetDataModeToBinary()
+    writer.WriteToOutputStringOn()
+    writer.Write()
+    return str(writer.GetOutputString())
 
 
-COMPONENTS = {"stress": ("xx", "yy", "xy")}
-"""Names of the components of fields that are no vectors."""
+def _nodes_of_pairs(structure: Structure) -> np.ndarray:
+    """1 where a node belongs to a pair, else 0: (n_nodes, n_pairs) on every rank (collective)."""
+    assert structure.nodes is not None
+    dofs = structure.nodes.dofs
+    local = np.where(dofs >= 0, dofs - structure.first_dof, structure.n_local)
+    rows = np.vstack([structure.gap.toarray() != 0.0, np.zeros((1, structure.n_pairs))])
+    return gather_rows(structure.comm, rows[local].any(axis=1).astype(float))
 
 
-def _vtu(
-    mesh: NodalMesh,
-    places: np.ndarray,
-    fields: Mapping[str, np.ndarray],
-    facts: Mapping[str, float],
-) -> str:
-    """The text of a .vtu file: the mesh with its nodes at some places (n_nodes, 2), fields of its
-    nodes, vectors (n_nodes, 2) filled up with zeros, and single numbers."""
-    count, size = mesh.cells.shape
-    kinds = np.full(count, mesh.vtk_type, dtype=np.uint8)
-    single = (_array(name, np.array([fact]), NumberOfTuples=1) for name, fact in facts.items())
-    points = "".join(_array(name, field) for name, field in fields.items())
-    cells = (("connectivity", mesh.cells), ("offsets", size * np.arange(1, count + 1)))
-    rows = "".join(_array(name, part.ravel().astype("<i8")) for name, part in cells)
-    return (
-        '<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" '
-        'header_type="UInt64" compressor="vtkZLibDataCompressor">\n<UnstructuredGrid>\n'
-        f"<FieldData>\n{''.join(single)}</FieldData>\n"
-        f'<Piece NumberOfPoints="{len(places)}" NumberOfCells="{count}">\n'
-        f"<PointData>\n{points}</PointData>\n<Points>\n{_array('Points', places)}</Points>\n"
-        f"<Cells>\n{rows}{_array('types', kinds)}</Cells>\n"
-        "</Piece>\n</UnstructuredGrid>\n</VTKFile>\n"
-    )
-
-
-def _array(name: str, values: np.ndarray, **attributes: object) -> str:
-    """An array of a .vtu file, compressed: its sizes in bytes as one block, and its content."""
-    if values.shape[1:] == (2,):
-        values = np.pad(values, ((0, 0), (0, 1)))
-    if values.dtype.kind == "f":
-        values = values.astype("<f8")
-    kind = {"f8": "Float64", "i8": "Int64", "u1": "UInt8"}[values.dtype.str[1:]]
-    named = enumerate(COMPONENTS.get(name, ()))
-    attributes |= {"type": kind, "Name": name, "format": "binary"}
-    attributes |= {"NumberOfComponents": values.shape[1]} if values.ndim > 1 else {}
-    attributes |= {f"ComponentName{number}": component for number, component in named}
-    words = " ".join(f"{key}={quoteattr(str(value))}" for key, value in attributes.items())
-    content = values.tobytes()
-    packed = zlib.compress(content, 1)
-    sizes = struct.pack("<4Q", 1, len(content), 0, len(packed))
-    return f"<DataArray {words}>{(b64encode(sizes) + b64encode(packed)).decode()}</DataArray>\n"
+def _tenth(vectors: np.ndarray, size: float) -> float:
+    """Factor that makes the longest of some vectors (..., 2) a tenth of a size; 1 if all are 0."""
+    largest = np.linalg.norm(vectors, axis=-1).max()
+    return float(0.1 * size / largest) if largest > 0.0 else 1.0

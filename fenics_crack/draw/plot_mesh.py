@@ -17,7 +17,7 @@ from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.modes import Modes
 from fenics_crack.model.structure import Structure
 
-__all__ = ["draw_mesh", "draw_modes", "outline", "triangles_of"]
+__all__ = ["draw_mesh", "draw_modes"]
 
 TRIANGLES = {
     3: [(0, 1, 2)],
@@ -30,17 +30,6 @@ MOST_ARROWS = 40
 """Arrows of a load, at most."""
 LONGEST = 0.12
 """Of the arrows and of the displacements of modes, relative to the size of the structure."""
-
-
-def triangles_of(mesh: NodalMesh) -> np.ndarray:
-    """Nodes of the triangles into which the cells are cut: (n, 3)."""
-    return np.asarray(mesh.cells[:, TRIANGLES[mesh.cells.shape[1]]].reshape(-1, 3))
-
-
-def outline(places: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Some edges of nodes at places (n_nodes, 2) as one line with gaps between them: (2, n)."""
-    gaps = np.full((len(edges), 1, 2), np.nan)
-    return np.concatenate([places[edges], gaps], axis=1).reshape(-1, 2).T
 
 
 def draw_mesh(
@@ -190,7 +179,8 @@ def _mode_shape(axes: Axes, mesh: NodalMesh, shape: np.ndarray) -> None:
     """Draw a displacement (n_nodes, 2), magnified and coloured by its length."""
     amplitude = np.linalg.norm(shape, axis=1)
     moved = mesh.points + LONGEST * mesh.size / amplitude.max() * shape
-    axes.tripcolor(*moved.T, triangles_of(mesh), amplitude, shading="gouraud", cmap="viridis")
+    triangles = mesh.cells[:, TRIANGLES[mesh.cells.shape[1]]].reshape(-1, 3)
+    axes.tripcolor(*moved.T, triangles, amplitude, shading="gouraud", cmap="viridis")
     for edges, points, colour, width in (
         (mesh.edges, moved, "#777777", 0.3),
         (mesh.boundary, mesh.points, COLOURS["grey"], 0.6),

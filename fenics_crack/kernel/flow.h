@@ -10,18 +10,18 @@
  *
  * While the set A of closed pairs stays, lambda_A = S s_A, S = (D_AA)^-1, and the answers i = N_A s
  * (sets.h: forces of closed pairs, openings of the others) stay positive. An event is where one of
- * them does not. Loads f and l have rows of their mean and of the cosine and sine of the first K
- * multiples of a frequency omega, of which nothing else depends.
+ * them does not. Loads f and l have rows of their mean and of the cosine and sine of a frequency omega, of
+ * which nothing else depends.
  */
 typedef struct {
-    int modes, pairs, harmonics;
+    int modes, pairs;
     int coupled;              /* whether the damping couples the modes */
     const double *squares;    /* (m) Lambda */
     const double *damping;    /* (m) or (m, m) C */
     const double *rows;       /* (p, m) P^T */
     const double *compliance; /* (p, p) D */
-    const double *force;      /* (1 + 2 K, m) f */
-    const double *gap;        /* (1 + 2 K, p) l */
+    const double *force;      /* (3, m) f */
+    const double *gap;        /* (3, p) l */
     double fastest;           /* of the squares of all sets' frequencies the largest one's root */
     long most;                /* numbers of sets of closed pairs that are kept */
 } flow_parts;

@@ -13,7 +13,7 @@
  */
 typedef struct {
     flow *flow;
-    int modes, pairs, harmonics;
+    int modes, pairs;
     double omega, turns;   /* omega_0; 2 pi times the load's periods in one of the orbit */
     const double *scale;   /* (2 m) */
     int pieces, intervals;

@@ -30,6 +30,7 @@ from fenics_crack.model.contact import ContactLaw, check_law, is_piecewise_linea
 from fenics_crack.model.coupled import is_regular
 from fenics_crack.model.modal import AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.fourier import waves
 
 __all__ = ["Budget", "ContactFlow", "Motion", "Samples", "exact_flow", "flow_of"]
 
@@ -123,7 +124,7 @@ class ContactFlow:
             self.gap += structure.apply_bt(structure.force @ modes.static_loads)
         self.gap[0] -= structure.clearance
         parts = Struct(
-            "flow_parts", modes=count, pairs=pairs, harmonics=1, coupled=modes.damping.ndim == 2,
+            "flow_parts", modes=count, pairs=pairs, coupled=modes.damping.ndim == 2,
             squares=_doubles(modes.squares), damping=_doubles(modes.damping),
             rows=_doubles(modes.pairs.T), compliance=_doubles(compliance), force=self.force,
             gap=self.gap, fastest=self.fastest, most=MAX_KEPT,
@@ -315,9 +316,7 @@ class Samples:
         modes, structure = self.flow.modes, self.flow.structure
         found: np.ndarray = self.states[:, : len(modes.squares)] @ modes.shapes.T
         if modes.static_loads is not None and modes.static_pairs is not None:
-            phase = self.omega * self.time
-            waves = np.column_stack([np.ones_like(phase), np.cos(phase), np.sin(phase)])
-            found += waves @ (structure.force @ modes.static_loads)
+            found += waves(self.omega * self.time) @ (structure.force @ modes.static_loads)
             found -= self.force @ modes.static_pairs.T
         return found
 

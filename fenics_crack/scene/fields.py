@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fenics_crack.errors import InputError
+from fenics_crack.table import TURN
 
 __all__ = [
     "LARGEST",
@@ -27,16 +28,20 @@ __all__ = [
     "Table",
     "Vector",
     "at_least_one",
+    "between",
     "choice",
     "hertz",
     "holds",
     "meant",
     "named",
     "near",
+    "not_negative",
+    "number",
     "path",
     "positive",
     "radians",
     "twin",
+    "vector",
 ]
 
 Vector = tuple[float, float]
@@ -44,7 +49,6 @@ SMALLEST, LARGEST = 1e-30, 1e30
 """Magnitudes allowed in a scene: their products and squares neither overflow nor underflow."""
 SIZES = f"{SMALLEST:g} to {LARGEST:g}"
 OR_ZERO = f"(0, or of size {SIZES})"
-TURN = 2.0 * math.pi
 MAX_VALUES = 1_000_000
 """Values of one axis, at most."""
 
@@ -196,15 +200,44 @@ _READERS: dict[str, Callable[[object], Any]] = {
 
 
 def holds(
-    allowed: str, accepts: Callable[[Any], bool] = lambda value: True, default: Any = MISSING
+    allowed: str,
+    accepts: Callable[[Any], bool] = lambda value: True,
+    default: Any = MISSING,
+    unit: str = "",
+    **more: Any,
 ) -> Any:
-    """Field of values for which ``accepts`` is true, ``allowed`` in words."""
-    return field(default=default, metadata={"allowed": allowed, "accepts": accepts})
+    """Field of values for which ``accepts`` is true, ``allowed`` in words, with a unit."""
+    return field(
+        default=default, metadata={"allowed": allowed, "accepts": accepts, "unit": unit} | more
+    )
 
 
-def positive(default: Any = MISSING) -> Any:
+def number(default: Any = MISSING, unit: str = "") -> Any:
+    """Field of a finite number."""
+    return holds(f"a finite number {OR_ZERO}", default=default, unit=unit)
+
+
+def positive(default: Any = MISSING, unit: str = "") -> Any:
     """Field of a number > 0."""
-    return holds(f"a finite number > 0 ({SIZES})", lambda value: value > 0, default)
+    return holds(f"a finite number > 0 ({SIZES})", lambda value: value > 0, default, unit)
+
+
+def not_negative(default: Any = MISSING, unit: str = "") -> Any:
+    """Field of a number >= 0."""
+    return holds(f"a finite number >= 0 {OR_ZERO}", lambda value: value >= 0, default, unit)
+
+
+def between(least: str, most: str, default: Any, unit: str = "") -> Any:
+    """Field of a number between two, given as an error writes them."""
+    low, high = float(least), float(most)
+    allowed = f"a number from {least} to {most}"
+    return holds(allowed, lambda value: low <= value <= high, default, unit)
+
+
+def vector(letter: str, default: Any = None, unit: str = "") -> Any:
+    """Field of two numbers, which an error calls by a letter, and by x and y."""
+    allowed = f"[{letter}x, {letter}y], two finite numbers {OR_ZERO}"
+    return holds(allowed, default=default, unit=unit)
 
 
 def at_least_one(default: Any = MISSING) -> Any:
@@ -215,8 +248,7 @@ def at_least_one(default: Any = MISSING) -> Any:
 def choice(*words: str, default: Any = MISSING) -> Any:
     """Field of one of some words."""
     allowed = "one of " + ", ".join(map(repr, words))
-    told = {"allowed": allowed, "accepts": lambda value: value in words, "words": words}
-    return field(default=default, metadata=told)
+    return holds(allowed, lambda value: value in words, default, words=words)
 
 
 def hertz(
@@ -225,22 +257,20 @@ def hertz(
     accepts: Callable[[Any], bool] = lambda value: 0 < value <= 1e29,
 ) -> Any:
     """Field of frequencies [Hz], the twin of the key ``omega`` in rad/s."""
-    return twin(omega, TURN, allowed, accepts)
+    return twin(omega, TURN, allowed, accepts, "Hz")
 
 
-def twin(key: str, factor: float, allowed: str, accepts: Callable[[Any], bool]) -> Any:
+def twin(key: str, factor: float, allowed: str, accepts: Callable[[Any], bool], unit: str) -> Any:
     """Field of the same quantity as ``key`` in another unit: that key is ``factor`` times it.
 
     One of the two may be given; a table that is given the twin holds the other, too.
     """
-    told = {"allowed": allowed, "accepts": accepts, "twin": key, "factor": factor}
-    return field(default=None, metadata=told)
+    return holds(allowed, accepts, None, unit, twin=key, factor=factor)
 
 
-def path(allowed: str, default: Any = None) -> Any:
+def path(allowed: str, default: Any = None, unit: str = "") -> Any:
     """Field of the path of a file, relative to the scene's."""
-    told = {"allowed": allowed, "accepts": lambda value: value != "", "path": True}
-    return field(default=default, metadata=told)
+    return holds(allowed, lambda value: value != "", default, unit, path=True)
 
 
 def radians(frequency: Any) -> Any:
@@ -359,9 +389,10 @@ class Table:
         if not condition:
             raise InputError(self.name_of(key), getattr(self, key), allowed)
 
-    def given(self, key: str, allowed: str) -> Any:
+    def given(self, key: str, allowed: str = "") -> Any:
         """The value of a key that may not be left out."""
-        self.require(getattr(self, key) is not None, key, allowed)
+        told = allowed or f"given: {self.keys()[key].metadata['allowed']}"
+        self.require(getattr(self, key) is not None, key, told)
         return getattr(self, key)
 
     def leave_out(self, keys: Iterable[str], why: str) -> None:

@@ -19,7 +19,6 @@ from fenics_crack.outside import text_of
 from fenics_crack.scene.cracks import OF_PLATES, check_cracks
 from fenics_crack.scene.fields import Axis, Table, meant, named, near, radians
 from fenics_crack.scene.tables import (
-    EXTENT,
     Base,
     Contact,
     Crack,
@@ -42,7 +41,7 @@ from fenics_crack.scene.tables import (
 )
 from fenics_crack.table import RPM
 
-__all__ = ["LOOKED_AT", "Scene"]
+__all__ = ["LOOKED_AT", "Scene", "unit_of"]
 
 LOOKED_AT = ("curve", "integration", "sweep", "identify", "tip_timing", "output")
 """Tables that say what is looked at, and change nothing of it."""
@@ -159,7 +158,7 @@ class Scene:
 
     def _check_plate(self) -> None:
         geometry = self.geometry
-        width, height = (geometry.given(key, f"given: {EXTENT}") for key in ("width", "height"))
+        width, height = (geometry.given(key) for key in ("width", "height"))
         geometry.require(
             height / THINNEST <= width <= height * THINNEST,
             "width",
@@ -391,6 +390,13 @@ class Scene:
             elif tables is not None:
                 parts.append(tables.as_toml())
         return "\n".join(parts)
+
+
+def unit_of(name: str) -> str:
+    """The unit of the values of a key, "cracks.1.length"; empty if they have none."""
+    table, _, key = _parts(name)
+    known = _TABLES[table].keys() if table in _TABLES else {}
+    return str(known[key].metadata["unit"]) if key in known else ""
 
 
 # --- lists of tables ------------------------------------------------------------------------------

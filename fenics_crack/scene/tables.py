@@ -19,19 +19,22 @@ from fenics_crack.scene.fields import (
     Table,
     Vector,
     at_least_one,
+    between,
     choice,
     hertz,
     holds,
+    not_negative,
+    number,
     path,
     positive,
     radians,
     twin,
+    vector,
 )
 from fenics_crack.scene.quantities import QUANTITIES
 from fenics_crack.table import RPM
 
 __all__ = [
-    "EXTENT",
     "Base",
     "Contact",
     "Crack",
@@ -53,31 +56,19 @@ __all__ = [
     "TipTiming",
 ]
 
-EXTENT = "a number from 1e-6 to 1e6"
-NUMBER = f"a finite number {OR_ZERO}"
-NOT_NEGATIVE = f"a finite number >= 0 {OR_ZERO}"
-FORCE = f"[fx, fy], two finite numbers {OR_ZERO}"
-TRACTION = f"[tx, ty], two finite numbers {OR_ZERO}"
 KINDS = ("force", "pressure", "traction")
 """Of the loads at a point or on an edge."""
-ACCELERATION = f"[ax, ay], two finite numbers {OR_ZERO}"
-DISPLACEMENT = f"[ux, uy], two finite numbers {OR_ZERO}"
 LEAST_OF_AN_UNKNOWN = 4
 """Values that its interpolation needs."""
-STEEPEST = 1e6
-"""Largest ``mesh.grading``."""
 
 
 @dataclass(frozen=True)
 class Geometry(Table):
     """Rectangle [0, width] x [0, height], clamped along y = 0; a mesh file has its own shape."""
 
-    thickness: float = positive()
-    """[m]"""
-    width: float | None = holds(EXTENT, lambda value: 1e-6 <= value <= 1e6, None)
-    """[m]"""
-    height: float | None = holds(EXTENT, lambda value: 1e-6 <= value <= 1e6, None)
-    """[m]"""
+    thickness: float = positive(unit="m")
+    width: float | None = between("1e-6", "1e6", None, unit="m")
+    height: float | None = between("1e-6", "1e6", None, unit="m")
 
 
 @dataclass(frozen=True)
@@ -86,18 +77,18 @@ class Crack(Table):
 
     edge: str | None = choice("left", "right", default=None)
     """Edge of the plate at the crack's mouth; left out for a crack inside the plate."""
-    center: float | None = positive(None)
-    """x of the middle of a crack inside the plate [m]."""
-    height: float | None = positive(None)
-    """y of the crack [m]."""
-    length: float | None = positive(None)
-    """[m]; or let ``first_omega`` determine it."""
-    first_omega: float | None = positive(None)
-    """First natural frequency with the crack open [rad/s], from which the length is found."""
+    center: float | None = positive(None, unit="m")
+    """x of the middle of a crack inside the plate."""
+    height: float | None = positive(None, unit="m")
+    """y of the crack."""
+    length: float | None = positive(None, unit="m")
+    """Or let ``first_omega`` determine it."""
+    first_omega: float | None = positive(None, unit="rad/s")
+    """First natural frequency with the crack open, from which the length is found."""
     first_frequency: float | None = hertz("first_omega")
     """The same in Hz."""
-    clearance: float = holds(NUMBER, default=0.0)
-    """g0 >= 0: opening that closes before the lips touch; < 0: preload [m]."""
+    clearance: float = number(0.0, unit="m")
+    """g0 >= 0: opening that closes before the lips touch; < 0: preload."""
 
     def span(self, width: float) -> tuple[float, float]:
         """x of its left and its right end [m] in a plate of some width."""
@@ -112,12 +103,11 @@ class Crack(Table):
 class Material(Table):
     """Isotropic linear elastic."""
 
-    young: float = positive()
-    """Young's modulus E [Pa]."""
+    young: float = positive(unit="Pa")
+    """Young's modulus E."""
     poisson: float = holds("a finite number with -1 < nu < 0.5", lambda nu: -1.0 < nu < 0.5)
     """Poisson's ratio [-]."""
-    density: float = positive()
-    """[kg/m^3]"""
+    density: float = positive(unit="kg/m^3")
 
 
 @dataclass(frozen=True)
@@ -141,10 +131,8 @@ class Damping(Table):
         "'all' or a whole number >= 1", lambda value: value == "all" or value >= 1, "all"
     )
     """How many of the lowest modes are damped."""
-    mass: float | None = holds(NOT_NEGATIVE, lambda value: value >= 0, None)
-    """[1/s]"""
-    stiffness: float | None = holds(NOT_NEGATIVE, lambda value: value >= 0, None)
-    """[s]"""
+    mass: float | None = not_negative(None, unit="1/s")
+    stiffness: float | None = not_negative(None, unit="s")
     ratios: Vector | None = holds(
         "[xi_1, xi_2], two numbers from 0 to 1",
         lambda ratios: min(ratios) >= 0 and max(ratios) <= 1,
@@ -155,8 +143,8 @@ class Damping(Table):
         "[omega_1, omega_2], two different numbers > 0",
         lambda omegas: min(omegas) > 0 and omegas[0] != omegas[1],
         None,
+        unit="rad/s",
     )
-    """[rad/s]"""
     frequencies: Vector | None = hertz(
         "omegas",
         "[f_1, f_2], two different numbers > 0",
@@ -199,20 +187,17 @@ class Damping(Table):
 class Excitation(Table):
     """Point force f(t) = force_mean + force_cos cos(omega t) + force_sin sin(omega t)."""
 
-    omega: float = positive(None)
-    """Angular frequency [rad/s]; with an engine order, the one that follows from it."""
+    omega: float = positive(None, unit="rad/s")
+    """Angular frequency; with an engine order, the one that follows from it."""
     frequency: float | None = hertz("omega")
     """The same in Hz; one of the two is given, or an order."""
     order: int | None = at_least_one(None)
     """Engine order: omega is this many times ``rotation.speed``."""
-    point: Vector | None = holds(f"[x, y], two finite numbers {OR_ZERO}", default=None)
-    """[m]; a mesh file may give it instead by a physical point named ``load``."""
-    force_sin: Vector = holds(FORCE, default=(0.0, 0.0))
-    """[N]"""
-    force_cos: Vector = holds(FORCE, default=(0.0, 0.0))
-    """[N]"""
-    force_mean: Vector = holds(FORCE, default=(0.0, 0.0))
-    """[N]"""
+    point: Vector | None = vector("", unit="m")
+    """A mesh file may give it instead by a physical point named ``load``."""
+    force_sin: Vector = vector("f", (0.0, 0.0), unit="N")
+    force_cos: Vector = vector("f", (0.0, 0.0), unit="N")
+    force_mean: Vector = vector("f", (0.0, 0.0), unit="N")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -257,21 +242,17 @@ class Load(Table):
     pushes towards the plate.
     """
 
-    point: Vector | None = holds(f"[x, y], two finite numbers {OR_ZERO}", default=None)
-    """[m]"""
+    point: Vector | None = vector("", unit="m")
     edge: str | None = holds("'top', 'left', 'right', or a curve of the mesh file", default=None)
-    force_sin: Vector | None = holds(FORCE, default=None)
-    force_cos: Vector | None = holds(FORCE, default=None)
-    force_mean: Vector | None = holds(FORCE, default=None)
-    """[N]"""
-    pressure_sin: float | None = holds(NUMBER, default=None)
-    pressure_cos: float | None = holds(NUMBER, default=None)
-    pressure_mean: float | None = holds(NUMBER, default=None)
-    """[Pa]"""
-    traction_sin: Vector | None = holds(TRACTION, default=None)
-    traction_cos: Vector | None = holds(TRACTION, default=None)
-    traction_mean: Vector | None = holds(TRACTION, default=None)
-    """[Pa]"""
+    force_sin: Vector | None = vector("f", unit="N")
+    force_cos: Vector | None = vector("f", unit="N")
+    force_mean: Vector | None = vector("f", unit="N")
+    pressure_sin: float | None = number(None, unit="Pa")
+    pressure_cos: float | None = number(None, unit="Pa")
+    pressure_mean: float | None = number(None, unit="Pa")
+    traction_sin: Vector | None = vector("t", unit="Pa")
+    traction_cos: Vector | None = vector("t", unit="Pa")
+    traction_mean: Vector | None = vector("t", unit="Pa")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -310,14 +291,10 @@ class Base(Table):
     the frequency of the excitation.
     """
 
-    acceleration_sin: Vector | None = holds(ACCELERATION, default=None)
-    """[m/s^2]"""
-    acceleration_cos: Vector | None = holds(ACCELERATION, default=None)
-    """[m/s^2]"""
-    displacement_sin: Vector | None = holds(DISPLACEMENT, default=None)
-    """[m]"""
-    displacement_cos: Vector | None = holds(DISPLACEMENT, default=None)
-    """[m]"""
+    acceleration_sin: Vector | None = vector("a", unit="m/s^2")
+    acceleration_cos: Vector | None = vector("a", unit="m/s^2")
+    displacement_sin: Vector | None = vector("u", unit="m")
+    displacement_cos: Vector | None = vector("u", unit="m")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -356,17 +333,21 @@ class Rotation(Table):
     along the radius: Coriolis forces stand normal to the plane.
     """
 
-    hub_radius: float = holds(NOT_NEGATIVE, lambda value: value >= 0)
-    """Radius of the clamp [m]: the axis is at y = -hub_radius."""
+    hub_radius: float = not_negative(unit="m")
+    """Radius of the clamp: the axis is at y = -hub_radius."""
     speed: float = holds(
-        "a finite number >= 0 (0, or 1e-6 to 1e9)", lambda w: w == 0 or 1e-6 <= w <= 1e9, None
+        "a finite number >= 0 (0, or 1e-6 to 1e9)",
+        lambda w: w == 0 or 1e-6 <= w <= 1e9,
+        None,
+        unit="rad/s",
     )
-    """W, angular velocity of the rotor [rad/s]."""
+    """W, angular velocity of the rotor."""
     rpm: float | None = twin(
         "speed",
         RPM,
         "a finite number >= 0 (0, or 1e-5 to 9e9)",
         lambda w: w == 0 or 1e-5 <= w <= 9e9,
+        "rpm",
     )
     """The same in revolutions per minute; one of the two is given."""
 
@@ -379,14 +360,14 @@ class Rotation(Table):
 class Contact(Table):
     """Contact between the lips, pair by pair of nodes."""
 
-    stiffness: float | None = positive(None)
-    """Penalty stiffness k of one pair [N/m]; or give it per area."""
-    stiffness_per_area: float | None = positive(None)
-    """Penalty stiffness per area of the lip [N/m^3]: independent of the mesh."""
+    stiffness: float | None = positive(None, unit="N/m")
+    """Penalty stiffness k of one pair; or give it per area."""
+    stiffness_per_area: float | None = positive(None, unit="N/m^3")
+    """Penalty stiffness per area of the lip: independent of the mesh."""
     law: str = choice("penalty", "smoothed", "unilateral", default="penalty")
     """"unilateral": no penetration."""
-    sharpness: float | None = positive(None)
-    """s of the smoothed law [1/m]."""
+    sharpness: float | None = positive(None, unit="1/m")
+    """s of the smoothed law."""
     pairs: str = choice("all", "mouth", default="all")
     """Every pair of lip nodes, or of each crack only the one at the mouth, or in the middle of a
     crack inside the plate."""
@@ -452,13 +433,10 @@ class Mesh(Table):
     """Of a grid."""
     rows: int | None = at_least_one(None)
     """Of a grid."""
-    size: float | None = positive(None)
-    """[m]"""
+    size: float | None = positive(None, unit="m")
     lip_elements: int | None = at_least_one(None)
     """Of a graded mesh, along each lip."""
-    grading: float = holds(
-        f"a number from 1 to {STEEPEST:g}", lambda value: 1 <= value <= STEEPEST, default=4.0
-    )
+    grading: float = between("1", "1e+06", 4.0)
     """Of a graded mesh: size at the mouth over size at the tip."""
     file: str | None = path("the path of a .msh file")
     """Beside the scene's file, or with its whole path."""
@@ -495,9 +473,9 @@ class Structure(Table):
     force_mean: str | None = path("the path of a Matrix Market file: (n, 1)")
     """[N]"""
     clearance: float | str = path(
-        f"{NUMBER}, or the path of a Matrix Market file: (n_pairs, 1)", 0.0
+        f"a finite number {OR_ZERO}, or the path of a Matrix Market file: (n_pairs, 1)", 0.0, "m"
     )
-    """g0 of all pairs, or of each [m]; < 0: preload."""
+    """g0 of all pairs, or of each; < 0: preload."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -526,9 +504,9 @@ class Reduction(Table):
 class Curve(Table):
     """A response curve, followed through its folds by continuation."""
 
-    start: float = holds(NUMBER)
+    start: float = number()
     """As ``stop``."""
-    stop: float = holds(NUMBER)
+    stop: float = number()
     """Of the parameter: load frequencies [rad/s] or, with "frequency", [Hz]; factors of load,
     stiffness or damping; clearances added [m]; or, with an engine order, speeds of the rotor
     [rad/s] or, with "rpm", in revolutions per minute."""
@@ -629,10 +607,10 @@ class Identify(Table):
         "a list of finite numbers > 0", lambda values: min(values, default=1.0) > 0, ()
     )
     """Further load frequencies at which measuring is considered [Hz]."""
-    finer: float = holds("a number from 1 to 4", lambda value: 1 <= value <= 4, 2.0)
+    finer: float = between("1", "4", 2.0)
     """How much finer the mesh is, and how many more harmonics there are, in the few cases that
     correct the model and tell its error; 1: neither."""
-    harmonic_deviation: float = holds("a number from 0 to 1", lambda value: 0 <= value <= 1, 0.15)
+    harmonic_deviation: float = between("0", "1", 0.15)
     """Least standard deviation of computed harmonics of the crack, over their values: contact on a
     coarse mesh makes them uneven, and all of them together too large or too small."""
 
@@ -665,8 +643,8 @@ class TipTiming(Table):
     )
     """Where they stand [degrees], from the tip's place at a mark on the shaft, in the direction of
     rotation."""
-    tip_radius: float = positive()
-    """Distance of the tip from the axis [m]."""
+    tip_radius: float = positive(unit="m")
+    """Distance of the tip from the axis."""
     tangential: float = holds(
         f"a finite number other than 0 {OR_ZERO}", lambda share: share != 0.0, 1.0
     )
@@ -676,10 +654,10 @@ class TipTiming(Table):
     """Periods of the load in a revolution, without [rotation]."""
     revolutions: int = at_least_one(100)
     """How many are computed; of a run-up all together."""
-    noise: float = holds(NOT_NEGATIVE, lambda value: value >= 0, 0.0)
-    """Standard deviation of normal errors of the computed arrivals [s]."""
-    clock: float = holds(NOT_NEGATIVE, lambda value: value >= 0, 0.0)
-    """Resolution of the computed arrivals [s]; 0: none."""
+    noise: float = not_negative(0.0, unit="s")
+    """Standard deviation of normal errors of the computed arrivals."""
+    clock: float = not_negative(0.0, unit="s")
+    """Resolution of the computed arrivals; 0: none."""
     seed: int = holds("a whole number >= 0", lambda value: value >= 0, 0)
     """Of the noise."""
     orders: tuple[float, ...] = holds(

@@ -2,33 +2,15 @@
 
 from __future__ import annotations
 
-import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from fenics_crack.scene.scene import LOOKED_AT, Scene
+from fenics_crack.scene.scene import LOOKED_AT, Scene, unit_of
 from fenics_crack.table import quantity
 
 __all__ = ["WHOLE", "differences", "key_in_words", "unit_of", "value_in_words"]
 
-UNITS = {
-    "geometry.thickness": "m", "geometry.width": "m", "geometry.height": "m", "crack.height": "m",
-    "crack.length": "m", "crack.first_omega": "rad/s", "crack.first_frequency": "Hz",
-    "crack.clearance": "m", "crack.center": "m",
-    "material.young": "Pa", "material.density": "kg/m^3", "excitation.omega": "rad/s",
-    "excitation.frequency": "Hz", "damping.frequencies": "Hz",
-    "excitation.point": "m", "excitation.force_sin": "N", "excitation.force_cos": "N",
-    "excitation.force_mean": "N", "contact.stiffness": "N/m",
-    "contact.stiffness_per_area": "N/m^3", "contact.sharpness": "1/m", "mesh.size": "m",
-    "load.force_sin": "N", "load.force_cos": "N", "load.force_mean": "N",
-    "load.pressure_sin": "Pa", "load.pressure_cos": "Pa", "load.pressure_mean": "Pa",
-    "structure.clearance": "m", "base.acceleration_sin": "m/s^2", "base.acceleration_cos": "m/s^2",
-    "base.displacement_sin": "m", "base.displacement_cos": "m",
-    "rotation.speed": "rad/s", "rotation.rpm": "rpm", "rotation.hub_radius": "m",
-    "damping.mass": "1/s", "damping.stiffness": "s", "damping.omegas": "rad/s",
-}  # fmt: skip
-"""Of the keys that have one."""
 WORDS = {
     "excitation.omega": "load frequency",
     "excitation.frequency": "load frequency",
@@ -54,11 +36,6 @@ WORDS = {
 """Of the keys whose own words are not enough."""
 WHOLE = ("rad/s", "rpm", "Hz", "kg/m^3", "N/m^3", "1/m", "1/s", "s")
 """Units that take no prefix here."""
-
-
-def unit_of(key: str) -> str:
-    """The unit of a key's values; empty if they have none. [[cracks]] have the units of [crack]."""
-    return UNITS.get(re.sub(r"^(crack|load)s\.\d+", r"\1", key), "")
 
 
 def key_in_words(key: str) -> str:

@@ -11,7 +11,6 @@ Source: Lazarus and Thomas, Comptes Rendus Mecanique 338, 2010, 510-517.
 from __future__ import annotations
 
 import numpy as np
-import scipy.optimize
 
 from fenics_crack.balance.contact_integrals import SampledIntegrals
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
@@ -65,6 +64,8 @@ def hill_root(
                 return complex(np.nan)
             bordered[:size, :size] = matrix(exponent)
             return complex(np.linalg.solve(bordered, last)[-1])
+
+        import scipy.optimize  # takes a while, and smooth laws alone are judged here
 
         with np.errstate(invalid="ignore", divide="ignore"):  # NaN: too far from the start
             root, report = scipy.optimize.newton(

@@ -19,12 +19,14 @@ from fenics_crack.model.contact import (
 from fenics_crack.model.memory import machine_memory, reduction_memory, whole_memory
 from fenics_crack.model.reduction import MODES, reduce_structure
 from fenics_crack.model.structure import Structure
+from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import LOOKED_AT, Scene
 from fenics_crack.scene.tables import Contact, Reduction
-from fenics_crack.study.watched import Watched, watched_dofs
 
 __all__ = [
+    "FEW_DOFS",
     "Study",
+    "Watched",
     "check_memory_of",
     "contact_law",
     "law_of",
@@ -37,6 +39,32 @@ FEW_DOFS = 100
 """A structure with at most so many dofs is reduced only on request."""
 SHARE = 0.8
 """Of the machine's memory that may be used."""
+
+
+@dataclass(frozen=True)
+class Watched:
+    """A displacement that is watched.
+
+    Attributes
+    ----------
+    name : str
+        "tip.ux", with which the names of its quantities begin; empty for the load's.
+    words : str
+        "x displacement of tip".
+    dof : int
+        Of the whole structure.
+    distance : float [m]
+        From the point in the scene to the node that is watched.
+    """
+
+    name: str
+    words: str
+    dof: int
+    distance: float = 0.0
+
+    def column(self, quantity: str) -> str:
+        """The name of one of its quantities: "tip.ux.ratio_2_1", or "ratio_2_1"."""
+        return f"{self.name}.{quantity}" if self.name else quantity
 
 
 @dataclass(frozen=True)
@@ -98,9 +126,42 @@ def prepare(
     scene = with_crack_length(scene, comm)
     known = None if like is None else _at_another_speed(scene, like)
     structure = assemble(scene, comm) if known is None else known
-    watched = watched_dofs(scene, structure)
+    watched = _watched_dofs(scene, structure)
     study = Study(scene, structure, law_of(scene, structure), watched)
     return study if whole else reduced(study)
+
+
+def _watched_dofs(scene: Scene, structure: Structure) -> tuple[Watched, ...]:
+    """What a scene watches of its structure, not reduced (collective).
+
+    The points of ``[output.points]``, x before y, where they are free to move; without them what
+    the structure watches, or the dof that carries most of the load.
+
+    Raises
+    ------
+    InputError
+        A point is not near a node of its own, or the structure has no nodes.
+    """
+    points = () if scene.output is None else scene.output.points
+    if not points:
+        given = structure.watched
+        if given is None:
+            dof = structure.most_loaded()
+        else:
+            dof = int(np.argmax(gather_rows(structure.comm, np.abs(given))))
+        return (Watched("", structure.dof_name(dof), dof),)
+    found = []
+    for point in points:
+        key = f"output.points.{point.key}"
+        if structure.nodes is None:
+            raise InputError(key, point.values, "left out: the structure has no positions")
+        place, dofs = structure.nodes.nearest(structure.comm, key, point.values)
+        distance = float(np.linalg.norm(place - point.values).round(12))
+        for axis, dof in zip("xy", dofs, strict=True):
+            if dof >= 0:
+                words = f"{axis} displacement of {point.key}"
+                found.append(Watched(f"{point.key}.u{axis}", words, int(dof), distance))
+    return tuple(found)
 
 
 def _at_another_speed(scene: Scene, like: Study) -> Structure | None:
@@ -119,7 +180,7 @@ def _at_another_speed(scene: Scene, like: Study) -> Structure | None:
 
 
 def reduced(study: Study) -> Study:
-    """A study of a whole structure, reduced as its scene says (collective).
+    """A study, reduced as its scene says unless it has been reduced (collective).
 
     Raises
     ------
@@ -127,6 +188,8 @@ def reduced(study: Study) -> Study:
         As :func:`check_memory_of` and :func:`reduce_structure`.
     """
     scene, whole = study.scene, study.structure
+    if whole.whole is not whole:
+        return study
     check_memory_of(scene, whole)
     table = reduction_of(scene, whole)
     if table is None:

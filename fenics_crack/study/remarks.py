@@ -6,7 +6,7 @@ remarks. A remark forbids nothing: it names a key, its value, and what is usual.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.key_figures import KeyFigures, span_of
-from fenics_crack.table import RPM
+from fenics_crack.table import RPM, TURN
 
 __all__ = ["Remark", "is_proportional", "remarks_on", "remarks_on_scene"]
 
@@ -31,9 +31,10 @@ FASTEST = 1000.0
 LEAST_FREQUENCY = 0.02
 """Load frequency, relative to the first natural one, below which a scene is one of statics."""
 FORCES = ("force_mean", "force_cos", "force_sin")
-TURN = 2.0 * np.pi
 NEAR = 0.1
 """Relative distance at which a load frequency is taken to be meant for a natural one."""
+MM = {"mm": 1e-3}
+"""In metres."""
 MANY_MODES = 2000
 """Modes of a whole structure that take minutes."""
 SOFT, RIGID = 1.0, 1e6
@@ -75,56 +76,54 @@ def remarks_on(scene: Scene, figures: KeyFigures) -> list[Remark]:
 # --- of the scene alone ---------------------------------------------------------------------------
 
 
+def _unless_usual(
+    key: str, value: float, usual: tuple[float, float], text: str, units: Mapping[str, float] = MM
+) -> Remarks:
+    """A remark on a value that is not a usual one; and the first unit in which it would be, by the
+    factor to that of the key."""
+    if usual[0] <= value <= usual[1]:
+        return
+    for unit, factor in units.items():
+        if usual[0] <= factor * value <= usual[1]:
+            text += f"; in {unit}? then {factor * value:g}"
+            break
+    yield Remark(key, value, text)
+
+
 def _material(scene: Scene) -> Remarks:
     young, poisson, density = vars(scene.material).values()
-    if not YOUNG[0] <= young <= YOUNG[1]:
-        unit = ""
-        if 0.5 <= young <= 1500.0:
-            unit = f"; in GPa? then {young:g}e9"
-        elif 1e3 <= young <= 2e6:
-            unit = f"; in MPa? then {1e6 * young:g}"
-        text = f"in Pa, steel has 2.1e11, and most solids from 1e7 to 1.5e12{unit}"
-        yield Remark("material.young", young, text)
-    if not DENSITY[0] <= density <= DENSITY[1]:
-        unit = ""
-        if 0.05 <= density <= 25.0:
-            unit = f"; in g/cm^3? then {1e3 * density:g}"
-        elif 5e-11 <= density <= 2.5e-8:
-            unit = f"; in t/mm^3? then {1e12 * density:g}"
-        elif 5e-8 <= density <= 2.5e-5:
-            unit = f"; in kg/mm^3? then {1e9 * density:g}"
-        text = f"in kg/m^3, steel has 7850, and most solids from 50 to 25000{unit}"
-        yield Remark("material.density", density, text)
-    if not 0.0 <= poisson <= 0.49:
-        yield Remark("material.poisson", poisson, "most solids have 0 to 0.49, steel 0.3")
+    text = "in Pa, steel has 2.1e11, and most solids from 1e7 to 1.5e12"
+    yield from _unless_usual("material.young", young, YOUNG, text, {"GPa": 1e9, "MPa": 1e6})
+    text = "in kg/m^3, steel has 7850, and most solids from 50 to 25000"
+    units = {"g/cm^3": 1e3, "t/mm^3": 1e12, "kg/mm^3": 1e9}
+    yield from _unless_usual("material.density", density, DENSITY, text, units)
+    text = "most solids have 0 to 0.49, steel 0.3"
+    yield from _unless_usual("material.poisson", poisson, (0.0, 0.49), text, {})
 
 
 def _plate(scene: Scene) -> Remarks:
     geometry = scene.geometry
     sides = [(getattr(geometry, name), name) for name in ("width", "height")]
     given = [(side, name) for side, name in sides if side is not None]
-    if given and max(given)[0] > LARGEST_SIDE:
-        side, name = max(given)
-        text = f"a plate of {side:g} m; in mm? then {side / 1000.0:g}"
-        yield Remark(f"geometry.{name}", side, text)
+    for side, name in sorted(given)[-1:]:
+        largest = (0.0, LARGEST_SIDE)
+        yield from _unless_usual(f"geometry.{name}", side, largest, f"a plate of {side:g} m")
     shortest = min((side for side, _ in given), default=np.inf)
-    thickness = geometry.thickness  # 1 m is customary in plane problems
-    if thickness > min(shortest, LARGEST_SIDE) and thickness != 1.0:
+    thickness = geometry.thickness
+    if thickness != 1.0:  # which is customary in plane problems
+        usual = 0.0, min(shortest, LARGEST_SIDE)
         text = "thicker than the plate is wide or high"
-        if thickness <= 1000.0 * shortest:
-            text += f"; in mm? then {thickness / 1000.0:g}"
-        yield Remark("geometry.thickness", thickness, text)
+        yield from _unless_usual("geometry.thickness", thickness, usual, text)
     for name, crack in scene.all_cracks.items():
         share = (crack.length or np.nan) / (geometry.width or np.nan)
         if share < 0.01 or share > 0.9:
             text = f"{share:.3g} of the plate's width; 0.01 to 0.9 are usual"
             yield Remark(f"{name}.length", crack.length, text)
     size = scene.mesh.size
-    if size is not None and size > shortest / 2.0:
+    if size is not None:
         text = f"longer than half the plate's shorter side, {shortest:g} m"
-        if shortest / 2.0 < size <= 1000.0 * shortest and size / 1000.0 > shortest / 1000.0:
-            text += f"; in mm? then {size / 1000.0:g}"
-        yield Remark("mesh.size", size, text)
+        units = MM if size > shortest else {}
+        yield from _unless_usual("mesh.size", size, (0.0, shortest / 2.0), text, units)
 
 
 def _rotor(scene: Scene) -> Remarks:
@@ -132,10 +131,9 @@ def _rotor(scene: Scene) -> Remarks:
     if table is None:
         return
     hub, tip = table.hub_radius, table.hub_radius + (scene.geometry.height or 0.0)
-    if hub > LARGEST_SIDE:
-        text = f"a hub of {hub:g} m; in mm? then {hub / 1000.0:g}"
-        yield Remark("rotation.hub_radius", hub, text)
-    elif table.speed * tip > FASTEST:
+    key = "rotation.hub_radius"
+    yield from _unless_usual(key, hub, (0.0, LARGEST_SIDE), f"a hub of {hub:g} m")
+    if hub <= LARGEST_SIDE and table.speed * tip > FASTEST:
         key = "speed" if table.rpm is None else "rpm"
         text = f"the tip moves at {table.speed * tip:.3g} m/s, where the fastest have 700"
         if table.rpm is None and RPM * table.speed * tip <= FASTEST:
@@ -150,17 +148,13 @@ def _probes(scene: Scene) -> Remarks:
     if len(table.probes) > 1 and table.probes[-1] < TURN:
         text = f"all of them within {np.ptp(table.probes):.3g} degrees; in rad?"
         yield Remark("tip_timing.probes", list(table.probes), text)
-    radius, height = table.tip_radius, None if scene.structure else scene.geometry.height
-    least, most = 0.0, LARGEST_SIDE
+    height = None if scene.structure else scene.geometry.height
+    usual, text = (0.0, LARGEST_SIDE), "farther from the axis than a blade's tip"
     if rotation is not None and height is not None:
-        least, most = rotation.hub_radius, rotation.hub_radius + 2.0 * height
-    if not least <= radius <= most:
-        text = "farther from the axis than a blade's tip"
-        if rotation is not None and height is not None:
-            text = f"the plate is {least:g} to {least + height:g} m from the axis"
-        if least <= radius / 1000.0 <= most:
-            text += f"; in mm? then {radius / 1000.0:g}"
-        yield Remark("tip_timing.tip_radius", radius, text)
+        hub = rotation.hub_radius
+        usual = hub, hub + 2.0 * height
+        text = f"the plate is {hub:g} to {hub + height:g} m from the axis"
+    yield from _unless_usual("tip_timing.tip_radius", table.tip_radius, usual, text)
 
 
 def _damping(scene: Scene) -> Remarks:

@@ -1,4 +1,4 @@
-"""The cases of one geometry of a sweep: the structure that ranks exchange, and the solutions."""
+"""The cases of one geometry of a sweep: the structure that they share, and the solutions."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.balance.harmonic_balance import solve_linear
@@ -20,11 +19,7 @@ from fenics_crack.errors import InputError
 from fenics_crack.fem.assembly import clearance_of
 from fenics_crack.model.bilinear import BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.contact import is_rigid
-from fenics_crack.model.damping import DampingRule
-from fenics_crack.model.matrices import distributed
 from fenics_crack.model.modal import is_small
-from fenics_crack.model.nodes import Pairs
-from fenics_crack.model.reduced import MasslessStructure, ReducedStructure, massless
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
@@ -35,15 +30,19 @@ from fenics_crack.sweep.file import AT_POINTS, COLUMNS, PHASES, of_load
 from fenics_crack.sweep.plan import FORCES, Chunk
 from fenics_crack.table import with_frequency
 
-__all__ = ["Arrays", "Found", "Geometry", "Known", "all_failed", "build", "solve_chunk"]
+__all__ = ["Found", "Geometry", "all_failed", "build", "solve_chunk"]
 
 
 @dataclass(frozen=True)
-class Known:
-    """What is known of a geometry beside its structure.
+class Geometry:
+    """What cases share that differ in load, clearance, law and harmonics.
 
     Attributes
     ----------
+    study : Study
+        With a small structure without clearance.
+    unit_loads : bool
+        Whether its load has a sine part of 1 N in x and a cosine part of 1 N in y.
     crack_length : float [m]
         Of the first crack; nan where it is unknown.
     natural : BilinearFrequencies
@@ -55,103 +54,54 @@ class Known:
         The same by "tip.ux" of the named points.
     """
 
+    study: Study
+    unit_loads: bool
     crack_length: float
     natural: BilinearFrequencies
     load: np.ndarray | None
     watched: dict[str, np.ndarray]
 
-    @classmethod
-    def of(cls, study: Study) -> Known:
-        """Of a study whose structure is small (collective)."""
-        structure = study.structure
-        lengths = [crack.length for crack in study.scene.all_cracks.values()]
-        named = [watched for watched in study.watched if watched.name]
-        rows = np.zeros((0, structure.n_dofs))
-        if named:
-            rows = structure.values_at(np.eye(structure.n_dofs), [w.dof for w in named]).T
-        return cls(
-            lengths[0] if lengths and lengths[0] is not None else np.nan,
-            bilinear_frequencies(structure),
-            _watched(study.scene, structure),
-            {watched.name: row for watched, row in zip(named, rows, strict=True)},
-        )
-
-
-@dataclass(frozen=True)
-class Arrays:
-    """A small structure in plain arrays, to be sent to other ranks."""
-
-    reduced: bool
-    modes: int | None
-    """How many have mass, where the lips have none."""
-    mass: sparse.csr_matrix
-    stiffness: sparse.csr_matrix
-    gap: sparse.csr_matrix
-    damping: DampingRule | np.ndarray | None
-    force: np.ndarray
-    clearance: np.ndarray
-    pairs: Pairs
-    reference: Arrays | None
-
-    @classmethod
-    def of(cls, structure: Structure) -> Arrays:
-        """Take a structure apart."""
-        damping = structure.damping
-        if damping is not None and not isinstance(damping, DampingRule):
-            damping = _rows(damping).toarray()
-        reference = structure.reference if isinstance(structure, ReducedStructure) else None
-        return cls(
-            reduced=isinstance(structure, ReducedStructure),
-            modes=structure.n_modes if structure.light_lips else None,
-            mass=_rows(structure.mass),
-            stiffness=_rows(structure.stiffness),
-            gap=structure.gap,
-            damping=damping,
-            force=structure.force,
-            clearance=structure.clearance,
-            pairs=structure.pairs,
-            reference=None if reference is None else cls.of(reference),
-        )
-
+    @property
     def structure(self) -> Structure:
-        """Put it together again; a reduced one without its whole, in its own coordinates."""
-        damping = self.damping
-        if isinstance(damping, np.ndarray) and not self.reduced:
-            damping = distributed(damping, MPI.COMM_SELF)
-        plain = Structure(
-            distributed(self.mass, MPI.COMM_SELF),
-            distributed(self.stiffness, MPI.COMM_SELF),
-            self.gap,
-            force=self.force,
-            clearance=self.clearance,
-            damping=None if self.reduced else damping,
-            pairs=self.pairs,
-        )
-        if not self.reduced:
-            return plain
-        reference = None if self.reference is None else self.reference.structure()
-        assert reference is None or isinstance(reference, ReducedStructure)
-        squares = self.stiffness.diagonal()
-        if self.modes is not None:
-            return self._massless(plain, squares[: self.modes], reference)
-        return ReducedStructure(plain, np.eye(len(squares)), squares, self.damping, reference)
+        """Without clearance."""
+        return self.study.structure
 
-    def _massless(
-        self, plain: Structure, squares: np.ndarray, reference: ReducedStructure | None
-    ) -> MasslessStructure:
-        """One whose lips have no mass, of all of its coordinates as a plain structure."""
-        count, damping = len(squares), self.damping
-        if isinstance(damping, np.ndarray):
-            damping = damping[:count, :count]
-        return MasslessStructure(
-            plain,
-            squares,
-            damping,
-            self.gap[:count].toarray(),
-            self.force,
-            self.stiffness[count:, count:].toarray(),
-            reference=massless(reference),
-        )
+    def of_case(self, scene: Scene) -> Structure:
+        """The structure with the load and the clearance of a case."""
+        load: float | np.ndarray = 1.0
+        if self.unit_loads:
+            wanted = np.array([getattr(scene.excitation, name) for name in FORCES])
+            load = np.column_stack([np.zeros(len(FORCES)), wanted[:, ::-1]])
+        of_cracks = clearance_of(scene, self.structure.pairs) if scene.all_cracks else 0.0
+        return self.structure.varied(load=load, clearance=of_cracks)
+
+
+def build(scene: Scene, comm: MPI.Comm, unit_loads: bool, last: Geometry | None = None) -> Geometry:
+    """The geometry of a case; the mesh of the last one serves another speed of the rotor
+    (collective)."""
+    scene = scene.replace({f"{name}.clearance": 0.0 for name in scene.all_cracks})
+    if unit_loads:
+        units = {"force_mean": (0.0, 0.0), "force_cos": (0.0, 1.0), "force_sin": (1.0, 0.0)}
+        scene = scene.replace({f"excitation.{name}": value for name, value in units.items()})
+    study = prepare(scene, comm, like=None if last is None else last.study)
+    structure = study.structure
+    if not is_small(structure):
+        method = "off" if scene.reduction is None else scene.reduction.method
+        allowed = f"one that leaves fewer than {structure.n_dofs} coordinates"
+        raise InputError("reduction.method", method, allowed)
+    lengths = [crack.length for crack in study.scene.all_cracks.values()]
+    named = [watched for watched in study.watched if watched.name]
+    rows = np.zeros((0, structure.n_dofs))
+    if named:
+        rows = structure.values_at(np.eye(structure.n_dofs), [w.dof for w in named]).T
+    return Geometry(
+        study,
+        unit_loads,
+        lengths[0] if lengths and lengths[0] is not None else np.nan,
+        bilinear_frequencies(structure),
+        _watched(study.scene, structure),
+        {watched.name: row for watched, row in zip(named, rows, strict=True)},
+    )
 
 
 def _watched(scene: Scene, structure: Structure) -> np.ndarray | None:
@@ -168,46 +118,6 @@ def _watched(scene: Scene, structure: Structure) -> np.ndarray | None:
     dofs = np.flatnonzero(weights)
     seen = structure.values_at(np.eye(structure.n_dofs), dofs.tolist())
     return np.asarray(seen @ weights[dofs])
-
-
-def _rows(matrix: Any) -> sparse.csr_matrix:
-    """A PETSc matrix on one rank."""
-    starts, columns, values = matrix.getValuesCSR()
-    return sparse.csr_matrix((values, columns, starts), shape=matrix.size)
-
-
-def build(scene: Scene, comm: MPI.Comm, unit_loads: bool, last: Study | None = None) -> Geometry:
-    """The geometry of a case; the mesh of the last one serves another speed of the rotor
-    (collective)."""
-    scene = scene.replace({f"{name}.clearance": 0.0 for name in scene.all_cracks})
-    if unit_loads:
-        units = {"force_mean": (0.0, 0.0), "force_cos": (0.0, 1.0), "force_sin": (1.0, 0.0)}
-        scene = scene.replace({f"excitation.{name}": value for name, value in units.items()})
-    study = prepare(scene, comm, like=last)
-    if not is_small(study.structure):
-        method = "off" if scene.reduction is None else scene.reduction.method
-        allowed = f"one that leaves fewer than {study.structure.n_dofs} coordinates"
-        raise InputError("reduction.method", method, allowed)
-    return Geometry(study.structure, Known.of(study), unit_loads, study)
-
-
-@dataclass(frozen=True)
-class Geometry:
-    """What cases share that differ in load, clearance, law and harmonics."""
-
-    structure: Structure  # without clearance
-    known: Known
-    unit_loads: bool  # the load has a sine part of 1 N in x and a cosine part of 1 N in y
-    study: Study | None = None  # where it was built
-
-    def of_case(self, scene: Scene) -> Structure:
-        """The structure with the load and the clearance of a case."""
-        load: float | np.ndarray = 1.0
-        if self.unit_loads:
-            wanted = np.array([getattr(scene.excitation, name) for name in FORCES])
-            load = np.column_stack([np.zeros(len(FORCES)), wanted[:, ::-1]])
-        of_cracks = clearance_of(scene, self.structure.pairs) if scene.all_cracks else 0.0
-        return self.structure.varied(load=load, clearance=of_cracks)
 
 
 # --- a case ---------------------------------------------------------------------------------------
@@ -232,15 +142,15 @@ def solve_chunk(geometry: Geometry, chunk: Chunk, verdicts: bool) -> list[Found]
             continue
         started = time.perf_counter()
         harmonics = case.harmonic_balance.harmonics
-        found: Found = {"crack_length": geometry.known.crack_length, "harmonics": harmonics}
+        found: Found = {"crack_length": geometry.crack_length, "harmonics": harmonics}
         found |= with_frequency({"omega": case.excitation.omega})
-        near = geometry.known.natural.nearest(case.excitation.omega)
+        near = geometry.natural.nearest(case.excitation.omega)
         found |= {name: value for name, value in near.items() if name in COLUMNS}
-        found |= _numbered(geometry.known.natural)
+        found |= _numbered(geometry.natural)
         try:
             solution = cases.solve(case)
             measured = {name: v for name, v in solution.to_dict().items() if name in COLUMNS}
-            found |= measured | _seen(solution, case, geometry.known)
+            found |= measured | _seen(solution, case, geometry)
             if verdicts:
                 found |= cases.verdict(solution)
             found |= {"gap": solution.gap_coefficients, "force": solution.force_coefficients}
@@ -301,7 +211,7 @@ def _numbered(natural: BilinearFrequencies) -> Found:
     }
 
 
-def _seen(solution: PeriodicSolution, case: Scene, known: Known) -> Found:
+def _seen(solution: PeriodicSolution, case: Scene, geometry: Geometry) -> Found:
     """What is seen at the load and at the watched points."""
     motion = solution.coordinates(solution.instants())
 
@@ -312,10 +222,10 @@ def _seen(solution: PeriodicSolution, case: Scene, known: Known) -> Found:
         return values | dict(zip(PHASES, coefficients[1:].tolist(), strict=False))
 
     found: Found = {}
-    row = known.load if known.load is not None else _load_row(solution, case)
+    row = geometry.load if geometry.load is not None else _load_row(solution, case)
     if row is not None:
         found |= {of_load(quantity): value for quantity, value in at(row).items()}
-    for name, row in known.watched.items():
+    for name, row in geometry.watched.items():
         found |= {f"{name}.{quantity}": value for quantity, value in at(row).items()}
     return found
 

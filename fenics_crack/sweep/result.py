@@ -13,12 +13,11 @@ equations (:mod:`fenics_crack.balance.neighbours`). Chunks depend on the scene a
 results, to the bit with the same number of BLAS threads: neither interruptions nor the number of
 ranks change them, as long as the ranks share the cases and not a mesh.
 
-*Jobs.* A job is some chunks of a geometry that is built, or a geometry to be built. Rank 0 hands
-jobs to the other ranks by mpi4py.futures and takes some itself. Geometries with many pairs and long
-cracks come first, and jobs shrink towards the end, so that all ranks finish together. The
-executor's own thread writes the results of a finished job and sends the next one while rank 0
-computes. If MPI does not allow this (``THREAD_MULTIPLE``), rank 0 only hands out jobs. With
-``sweep.ranks = s`` groups of s ranks build a geometry together and share its chunks.
+*Jobs.* A job is some chunks of a geometry. Rank 0 hands jobs to the other ranks, does some itself
+and writes what is found (:mod:`fenics_crack.sweep.jobs`). Geometries with many pairs and long
+cracks come first, a rank goes on with the geometry that it has built, and towards the end the ranks
+share what is left, so that all of them finish together. With ``sweep.ranks = s`` groups of s ranks
+build a geometry together and share its chunks.
 """
 
 from __future__ import annotations
@@ -31,17 +30,16 @@ from typing import Any
 
 import numpy as np
 from mpi4py import MPI
-from mpi4py.futures import MPICommExecutor
 
 from fenics_crack.balance.condensed import default_weight
-from fenics_crack.balance.error_report import LARGE_ERROR, ErrorReport
+from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import InputError
-from fenics_crack.files.results import check_gap, check_pairs
-from fenics_crack.files.store import header
-from fenics_crack.model.contact import UnilateralConstraint, is_rigid
+from fenics_crack.files.results import solution_from
+from fenics_crack.files.store import Stored, header
+from fenics_crack.model.contact import is_rigid
 from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.quantities import OF_POINTS, QUANTITIES
@@ -56,11 +54,12 @@ from fenics_crack.sweep.file import (
     SweepFile,
     columns_of,
     of_load,
+    opened,
     read_columns,
     read_waves,
     shape_of,
 )
-from fenics_crack.sweep.jobs import Manager, Worker, no_garbage_in_threads
+from fenics_crack.sweep.jobs import Manager, Worker, serve
 from fenics_crack.sweep.plan import Plan
 from fenics_crack.table import Tabular
 
@@ -117,42 +116,33 @@ def run_sweep(
     >>> table = fc.run_sweep(swept, "sweep.h5")
     """
     ranks = _ranks_of_a_case(scene, comm)
-    manager: Manager | None = None
+    managers: list[Manager] = []
 
-    def start() -> None:
-        nonlocal manager
+    def start() -> dict[str, bool]:
         plan = Plan(scene)
         file = SweepFile(Path(path), scene, plan.harmonics, plan.pairs)
-        groups = comm.size // ranks
-        manager = Manager(plan, file, groups, ranks, progress=progress, verdicts=verdicts)
+        managers.append(Manager(plan, file, comm.size // ranks, progress=progress))
+        return {"unit_loads": plan.unit_loads, "hopeless": not plan.reduction_swept}
 
-    on_root(comm, start)
+    how = on_root(comm, start)
     group = comm.Split(comm.rank // ranks, comm.rank)
-    leaders = comm.Split(0 if group.rank == 0 else MPI.UNDEFINED, comm.rank)
-    Worker.current = Worker(group)
-    try:
-        with StopRequest() as stop:
-            if manager is not None:
-                manage(manager, leaders, stop)
-            elif leaders != MPI.COMM_NULL:
-                with MPICommExecutor(leaders, root=0):
-                    pass  # serves
-            if group.rank == 0:
-                group.bcast(None)
-            else:
-                while (job := group.bcast(None)) is not None:
-                    Worker.current.work(job)
-        error = comm.bcast(None if manager is None else manager.error_for_others)
-    finally:
-        Worker.current = None
-    if leaders != MPI.COMM_NULL:
-        leaders.Free()
+    leaders = comm.Split(min(group.rank, 1), comm.rank)
+    worker = Worker(group, **how, verdicts=verdicts)
+    with StopRequest() as stop:
+        if managers:
+            managers[0].run(worker, leaders, stop)
+        elif group.rank == 0:
+            serve(worker, leaders)
+        if group.rank == 0:
+            worker.end()
+        else:
+            worker.follow()
+    leaders.Free()
     group.Free()
-    if manager is not None and manager.error is not None:
-        raise manager.error
+    error = comm.bcast(managers[0].error_for_others if managers else None)
     if error is not None:
-        raise error
-    return on_root(comm, lambda: SweepResult.load(path))
+        raise (managers[0].error if managers else None) or error
+    return on_root(comm, lambda: SweepResult.of(managers[0].file.stored))
 
 
 def _ranks_of_a_case(scene: Scene, comm: MPI.Comm) -> int:
@@ -165,23 +155,6 @@ def _ranks_of_a_case(scene: Scene, comm: MPI.Comm) -> int:
     if ranks > 1 and scene.reduction is not None and scene.reduction.method == "off":
         raise InputError("reduction.method", "off", "a reduction where sweep.ranks > 1")
     return ranks
-
-
-def manage(manager: Manager, leaders: MPI.Comm, stop: StopRequest) -> None:
-    """Run all jobs from rank 0; keep any error as the manager's."""
-    try:
-        if leaders.size == 1:
-            manager.run(None, stop)
-            return
-        with MPICommExecutor(leaders, root=0) as executor, no_garbage_in_threads():
-            try:
-                manager.run(executor, stop)
-            except BaseException as error:
-                manager.fail(error)
-    except BaseException as error:
-        manager.fail(error)
-    finally:
-        manager.close()
 
 
 # --- the result -----------------------------------------------------------------------------------
@@ -227,8 +200,14 @@ class SweepResult(Tabular):
         InputError
             The file cannot be read, is damaged, or is not one of a sweep.
         """
-        scene, columns = read_columns(Path(path))
-        return cls(Path(path), scene, columns)
+        return cls.of(opened(Path(path)))
+
+    @classmethod
+    def of(cls, stored: Stored) -> SweepResult:
+        """The same of a file whose header is at hand."""
+        scene = stored.scene()
+        assert scene is not None
+        return cls(stored.path, scene, read_columns(stored, scene))
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.columns[name]
@@ -307,29 +286,23 @@ class SweepResult(Tabular):
         if law is None:
             return solve_linear(structure, omega, harmonics=case.harmonic_balance.harmonics)
         gap, force = read_waves(self.path, place)
-        check_pairs(structure, gap)
         problem = Problem(structure, omega, law, len(gap) // 2)
-        compliance = problem.compliance()
+        parts: dict[str, Any] = {
+            "omega": omega,
+            "subharmonic": 1,
+            "gap_coefficients": gap,
+            "force_coefficients": force,
+            "static_above": None if problem.residual is None else problem.cutoff,
+            "status": str(self["status"][place]),
+            "iterations": int(self["iterations"][place]),
+            "error_penetration": float(self["penetration_share"][place]),
+            "error_displacement": 0.0,
+        }
+        for name in ("residual", "truncation", "sampling", "reduction"):
+            parts[f"error_{name}"] = float(self[f"{name}_error"][place])
         if is_rigid(law) and problem.residual is None:
-            law = UnilateralConstraint(default_weight(compliance))
-        names = ("residual", "truncation", "sampling", "reduction")
-        errors = {name: float(self[f"{name}_error"][place]) for name in names}
-        displacement = compliance.displacement(force)
-        check_gap(structure, displacement, gap, max(1e-6, 10.0 * errors["residual"]))
-        solution = PeriodicSolution(
-            structure,
-            omega,
-            law,
-            displacement,
-            gap,
-            force,
-            status=str(self["status"][place]),
-            iterations=int(self["iterations"][place]),
-            report=ErrorReport(**errors, penetration=float(self["penetration_share"][place])),
-            static_above=None if problem.residual is None else problem.cutoff,
-        )
-        compliance.destroy()
-        return solution
+            parts["weight"] = default_weight(problem.compliance())
+        return solution_from(parts, structure, law)
 
     def _place(self, index: tuple[int, ...] | int) -> tuple[int, ...]:
         """The place of a case that converged."""

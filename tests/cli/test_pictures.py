@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 import pyvista
 from helpers import DEMOS, period_two_orbit
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from mpi4py import MPI
 from PIL import Image
 from scipy.spatial import cKDTree
@@ -18,7 +16,8 @@ from scipy.spatial import cKDTree
 import fenics_crack as fc
 from fenics_crack.draw import animation
 from fenics_crack.draw.figure import COLOURS
-from fenics_crack.draw.period import PeriodFields
+from fenics_crack.draw.nodal import off_screen_plotter
+from fenics_crack.draw.paraview import PeriodFields
 from fenics_crack.table import readable
 
 ORANGE = tuple(int(COLOURS["orange"][i : i + 2], 16) for i in (1, 3, 5))
@@ -113,14 +112,15 @@ def test_animation_of_twice_the_period_without_a_crack(
 def test_window(breathing: fc.PeriodicSolution, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its slider moves the plate; without a screen there is none."""
     fields = PeriodFields.of(breathing, 10)
-    figure = Figure(figsize=animation.PAGE, dpi=100)
-    canvas = FigureCanvasAgg(figure)
-    slider = animation._with_slider(figure, breathing, fields)
+    plotter = off_screen_plotter(window_size=(600, 600))
+    slider = animation._with_slider(plotter, breathing, fields)
     pictures = []
     for frame in (2, 7):
-        slider.set_val(frame / 10)
-        canvas.draw()
-        pictures.append(np.array(canvas.buffer_rgba())[PLATE])
+        slider.GetRepresentation().SetValue(frame / 10)
+        slider.InvokeEvent("InteractionEvent")
+        plotter.render()
+        pictures.append(plotter.screenshot(None, return_img=True))
+    plotter.close()
     assert np.mean(np.any(pictures[0] != pictures[1], axis=2)) > 0.05
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)

@@ -19,7 +19,7 @@ from surroundings import main
 import fenics_crack as fc
 from fenics_crack import ConvergenceError, InputError, Run, Scene, Study
 from fenics_crack.stages import listening
-from fenics_crack.study import verify as module
+from fenics_crack.study import verification as module
 from fenics_crack.study.run import solve_prepared
 
 PLATE: dict[str, Any] = {

@@ -180,7 +180,7 @@ def test_force_clearance_and_law_are_swept_without_a_new_geometry(
 
 @pytest.mark.parametrize("reduction", ["off", "free_interface", "massless"])
 def test_a_case_leaves_the_solution_of_another_alone(paper_scene: fc.Scene, reduction: str) -> None:
-    """Each has a structure of its own, with its load and clearance, also where it has travelled."""
+    """Each has a structure of its own, with its load and clearance."""
     given = [(100.0, 0.0), (30.0, -1e-7)]
     cases = [
         paper_scene.replace(SOFT | {"reduction.method": reduction, "reduction.modes": 9}).replace(
@@ -188,20 +188,18 @@ def test_a_case_leaves_the_solution_of_another_alone(paper_scene: fc.Scene, redu
         )
         for load, clearance in given
     ]
-    built = sweep_case.build(cases[1], MPI.COMM_SELF, True)
-    arrays = sweep_case.Arrays.of(built.structure)
-    for geometry in (built, dataclasses.replace(built, structure=arrays.structure())):
-        found = [sweep_case.Cases(geometry).solve(case) for case in cases]
-        for solution, (load, clearance) in zip(found, given, strict=True):
-            structure = solution.structure
-            assert structure.original is geometry.structure
-            for part in (structure, structure.whole, getattr(structure, "reference", structure)):
-                assert np.all(part.clearance == clearance)
-                np.testing.assert_allclose(part.force[2], load * part.original.force[2])
-            expected = fc.solve_harmonic_balance(
-                structure, solution.omega, solution.contact, harmonics=solution.harmonics
-            )
-            np.testing.assert_array_equal(solution.gap_coefficients, expected.gap_coefficients)
+    geometry = sweep_case.build(cases[1], MPI.COMM_SELF, True)
+    found = [sweep_case.Cases(geometry).solve(case) for case in cases]
+    for solution, (load, clearance) in zip(found, given, strict=True):
+        structure = solution.structure
+        assert structure.original is geometry.structure
+        for part in (structure, structure.whole, getattr(structure, "reference", structure)):
+            assert np.all(part.clearance == clearance)
+            np.testing.assert_allclose(part.force[2], load * part.original.force[2])
+        expected = fc.solve_harmonic_balance(
+            structure, solution.omega, solution.contact, harmonics=solution.harmonics
+        )
+        np.testing.assert_array_equal(solution.gap_coefficients, expected.gap_coefficients)
 
 
 @pytest.mark.parametrize("changes", [SOFT, MASSLESS])
@@ -518,7 +516,7 @@ def test_a_complete_sweep_is_not_computed_again(
         sweep.SweepFile, "write", lambda *given: written.append(given[1]) or write(*given)
     )
     assert_same(run_sweep(scene, path), first)
-    assert len(chunks) == 1 and written == [(slice(1, 2), 1)]
+    assert len(chunks) == 1 and [places.tolist() for places in written] == [[3]]
     monkeypatch.setattr(sweep_case, "prepare", None)
     assert_same(run_sweep(scene, path, progress=True), first)
 

@@ -21,7 +21,7 @@ from scipy.linalg import expm
 
 import fenics_crack as fc
 from fenics_crack.model.modes import largest_frequency
-from fenics_crack.time import central_differences, events, implicit
+from fenics_crack.time import central_differences, flows, implicit
 
 LAW = fc.UnilateralPenalty(1e9)
 
@@ -366,8 +366,8 @@ def test_a_stopped_run_loses_nothing(
     whole, handler = run(8), signal.getsignal(signal.SIGINT)
     owner: Any = {
         "central": central_differences._ModalDifferences,
-        "implicit": implicit._ModalAlpha,
-        "events": events._ByEvents,
+        "implicit": implicit._GeneralisedAlpha,
+        "events": flows._ByEvents,
     }[integrate]
     fill, count = owner.fill, 0
 

@@ -1,0 +1,126 @@
+#include "closed_sets.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+#include "lapack.h"
+
+enum { BUCKETS = 4096 };
+
+struct closed_sets {
+    int modes, pairs;
+    const double *rows;
+    sets *contact;
+    long most, kept;
+    double *matrix; /* (p, p + m) */
+    closed_set *bucket[BUCKETS];
+};
+
+static size_t bytes(long count) { return (size_t)count * sizeof(double); }
+
+closed_sets *new_closed_sets(int modes, int pairs, const double *rows, sets *contact, long most)
+{
+    closed_sets *s = calloc(1, sizeof(closed_sets));
+    if (!s) return NULL;
+    s->modes = modes;
+    s->pairs = pairs;
+    s->rows = rows;
+    s->contact = contact;
+    s->most = most;
+    s->matrix = malloc(bytes((long)pairs * (pairs + modes) + 1));
+    if (s->matrix) return s;
+    free(s);
+    return NULL;
+}
+
+static void forget(closed_sets *s)
+{
+    for (int b = 0; b < BUCKETS; b++) {
+        closed_set *first = s->bucket[b], *next;
+        for (; first; first = next) {
+            next = first->next;
+            free(first->answer);
+            free(first);
+        }
+        s->bucket[b] = NULL;
+    }
+    s->kept = 0;
+}
+
+void free_closed_sets(closed_sets *s)
+{
+    forget(s);
+    free(s->matrix);
+    free(s);
+}
+
+/* What a new set is known by: 0, or 1 where D_AA is singular. */
+static int fill(closed_sets *s, closed_set *a)
+{
+    const int m = s->modes, p = s->pairs, size = a->size;
+    double *inverse = s->matrix, *closed = inverse + (long)size * size;
+    if (answer_anew(s->contact, a->closed, a->answer)) return 1;
+    for (int i = 0, row = 0; i < p; i++) {
+        a->scale[i] = a->closed[i] ? a->answer[(long)i * p + i] : 1.0;
+        if (!a->closed[i]) continue;
+        for (int j = 0, column = 0; j < p; j++)
+            if (a->closed[j]) inverse[row * size + column++] = a->answer[(long)i * p + j];
+        memcpy(closed + (long)row * m, s->rows + (long)i * m, bytes(m));
+        for (int j = 0; j < m; j++) a->pairs[(long)j * size + row] = closed[(long)row * m + j];
+        row++;
+    }
+    multiply_matrices(size, size, m, inverse, closed, 0.0, a->pushed);
+    for (int i = 0; i < p; i++)
+        for (int j = 0; j < i; j++) {
+            double *one = a->answer + (long)i * p + j, *other = a->answer + (long)j * p + i;
+            const double held = *one;
+            *one = *other;
+            *other = held;
+        }
+    return 0;
+}
+
+/* NULL without memory. */
+static closed_set *room_for(const closed_sets *s, int size, const signed char *closed)
+{
+    const long m = s->modes, p = s->pairs;
+    closed_set *made = calloc(1, sizeof(closed_set) + (size_t)p);
+    if (!made) return NULL;
+    made->answer = malloc(bytes(p * p + 2 * m * size + p + 1));
+    if (!made->answer) {
+        free(made);
+        return NULL;
+    }
+    made->size = size;
+    made->pairs = made->answer + p * p;
+    made->pushed = made->pairs + m * size;
+    made->scale = made->pushed + m * size;
+    made->closed = (signed char *)(made + 1);
+    memcpy(made->closed, closed, (size_t)p);
+    return made;
+}
+
+const closed_set *closed_set_of(closed_sets *s, const signed char *closed)
+{
+    const int p = s->pairs;
+    unsigned hash = 2166136261u; /* of Fowler, Noll and Vo */
+    for (int i = 0; i < p; i++) hash = (hash ^ (unsigned)closed[i]) * 16777619u;
+    closed_set **bucket = &s->bucket[(hash ^ hash >> 16) % BUCKETS];
+    for (closed_set *a = *bucket; a; a = a->next)
+        if (!memcmp(a->closed, closed, (size_t)p)) return a;
+    int size = 0;
+    for (int i = 0; i < p; i++) size += closed[i];
+    const long needed = (long)p * p + 2L * s->modes * size + p;
+    if (s->kept + needed > s->most) forget(s);
+    closed_set *made = room_for(s, size, closed);
+    if (!made) return NULL;
+    if (fill(s, made)) {
+        free(made->answer);
+        free(made);
+        return NULL;
+    }
+    made->next = *bucket;
+    *bucket = made;
+    s->kept += needed;
+    return made;
+}

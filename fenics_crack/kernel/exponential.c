@@ -1,0 +1,224 @@
+#include "exponential.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "lapack.h"
+#include "series.h"
+
+/* How far what is fastest turns in the time of a series, and the size of its last term. */
+static const double SHORT = 1.5, LAST = 1e-14;
+
+/* All in units of the frequency. exp = I + F with
+ *
+ *     F = [ D + b C   b ]        b'' + C b' + K b = 0,   b(0) = 0,   b'(0) = I,   D = b' - I,
+ *         [ -b K      D ]
+ *
+ * because exp commutes with the flow's matrix; and doubled by F -> 2 F + F F. */
+struct exponentials {
+    int modes, coupled;
+    double unit, rate; /* rate: of the damping, at most */
+    double *squares;   /* (m) */
+    double *damping;   /* (m) or (m, m) C */
+    double *stiffness; /* (m, m) K */
+    double *terms;     /* (3, m, m) of b's series */
+    double *upper;     /* (2, m, m) D + b C and -b K */
+    double *right;     /* (2, m, m) b and D */
+    double *other;     /* (2, m, m) these of twice the time */
+    double *change;    /* (2 m, 2 m) F */
+    double *product;   /* (2 m, 2 m) */
+};
+
+static size_t bytes(long count) { return (size_t)count * sizeof(double); }
+
+exponentials *new_exponentials(int modes, int coupled, const double *squares,
+                               const double *damping, double unit)
+{
+    const long m = modes, square = m * m, damped = coupled ? square : m;
+    exponentials *e = calloc(1, sizeof(exponentials));
+    if (!e) return NULL;
+    e->squares = malloc(bytes(m + damped + 18 * square + 1));
+    if (!e->squares) {
+        free(e);
+        return NULL;
+    }
+    e->modes = modes;
+    e->coupled = coupled;
+    e->unit = unit;
+    e->damping = e->squares + m;
+    e->stiffness = e->damping + damped;
+    e->terms = e->stiffness + square;
+    e->upper = e->terms + 3 * square;
+    e->right = e->upper + 2 * square;
+    e->other = e->right + 2 * square;
+    e->change = e->other + 2 * square;
+    e->product = e->change + 4 * square;
+    for (long i = 0; i < m; i++) e->squares[i] = squares[i] / (unit * unit);
+    for (long i = 0; i < damped; i++) e->damping[i] = damping[i] / unit;
+    for (long i = 0; i < m; i++) {
+        double sum = 0.0;
+        for (long j = 0; j < damped / m; j++) sum += fabs(e->damping[i * (damped / m) + j]);
+        e->rate = fmax(e->rate, sum);
+    }
+    return e;
+}
+
+void free_exponentials(exponentials *e)
+{
+    free(e->squares);
+    free(e);
+}
+
+/* sum += b C. */
+static void add_damped(const exponentials *e, const double *b, double *sum)
+{
+    const int m = e->modes;
+    if (e->coupled) {
+        multiply_matrices(m, m, m, b, e->damping, 1.0, sum);
+        return;
+    }
+    for (int i = 0; i < m; i++)
+        for (int j = 0; j < m; j++) sum[i * m + j] += b[i * m + j] * e->damping[j];
+}
+
+/* The term behind the n-th: next = -(K before t / (n + 1) + C now) t / (n + 2). */
+WIDE static void next_term(const exponentials *e, int n, double time, const double *before,
+                           const double *now, double *next)
+{
+    const int m = e->modes;
+    const long square = (long)m * m;
+    const double gain = -time * time / ((n + 1) * (n + 2)), loss = -time / (n + 2);
+    if (n > 1) multiply_matrices(m, m, m, e->stiffness, before, 0.0, next);
+    else /* of b_0 = 0 and b_1 = time I */
+        for (long i = 0; i < square; i++) next[i] = n * time * e->stiffness[i];
+    if (e->coupled) {
+        multiply_matrices(m, m, m, e->damping, now, gain / loss, next);
+        for (long i = 0; i < square; i++) next[i] *= loss;
+        return;
+    }
+    for (int i = 0; i < m; i++) {
+        const double rate = loss * e->damping[i];
+        for (long j = (long)i * m; j < (long)(i + 1) * m; j++)
+            next[j] = gain * next[j] + rate * now[j];
+    }
+}
+
+/* right = [b; D] of a short time in which what is fastest turns by an angle. */
+WIDE static void short_series(exponentials *e, double time, double turn)
+{
+    const int m = e->modes;
+    const long square = (long)m * m;
+    double *before = e->terms, *now = before + square, *next = now + square;
+    double *b = e->right, *d = b + square, size = turn;
+    memset(before, 0, bytes(2 * square));
+    memset(b, 0, bytes(2 * square));
+    for (int i = 0; i < m; i++) now[(long)i * (m + 1)] = b[(long)i * (m + 1)] = time;
+    for (int n = 0; size > LAST; n++, size *= turn / (n + 1)) {
+        double *last = before;
+        next_term(e, n, time, before, now, next);
+        for (long i = 0; i < square; i++) {
+            b[i] += next[i];
+            d[i] += (n + 2) / time * next[i];
+        }
+        before = now;
+        now = next;
+        next = last;
+    }
+}
+
+/* upper = [D + b C; -b K] of right = [b; D]. */
+WIDE static void complete(exponentials *e)
+{
+    const int m = e->modes;
+    const long square = (long)m * m;
+    memcpy(e->upper, e->right + square, bytes(square));
+    add_damped(e, e->right, e->upper);
+    multiply_matrices(m, m, m, e->right, e->stiffness, 0.0, e->upper + square);
+    for (long i = square; i < 2 * square; i++) e->upper[i] = -e->upper[i];
+}
+
+/* K of a set; its largest sum of a row. */
+static double stiffness_of(exponentials *e, const closed_set *a)
+{
+    const int m = e->modes;
+    double *k = e->stiffness, largest = 0.0;
+    multiply_matrices(m, a->size, m, a->pairs, a->pushed, 0.0, k);
+    for (int i = 0; i < m; i++) {
+        double sum = 0.0;
+        for (int j = 0; j < m; j++) k[(long)i * m + j] /= e->unit * e->unit;
+        k[(long)i * (m + 1)] += e->squares[i];
+        for (int j = 0; j < m; j++) sum += fabs(k[(long)i * m + j]);
+        largest = fmax(largest, sum);
+    }
+    return largest;
+}
+
+/* change = F of an interval. */
+static void exponential_of(exponentials *e, const closed_set *a, double length)
+{
+    const int m = e->modes;
+    const long square = (long)m * m;
+    /* No set is faster than the unit. */
+    const double rate = e->rate + fmin(1.0, sqrt(stiffness_of(e, a)));
+    double time = e->unit * length;
+    int halved = 0;
+    for (; time * rate > SHORT; halved++) time *= 0.5;
+    short_series(e, time, time * rate);
+    complete(e);
+    for (; halved; halved--) {
+        double *right = e->right, *doubled = e->other;
+        for (long i = 0; i < 2 * square; i++) doubled[i] = 2.0 * right[i];
+        multiply_matrices(2 * m, m, m, e->upper, right, 1.0, doubled);
+        multiply_matrices(2 * m, m, m, right, right + square, 1.0, doubled);
+        e->right = doubled;
+        e->other = right;
+        complete(e);
+    }
+    for (long i = 0; i < 2L * m; i++) {
+        memcpy(e->change + i * 2 * m, e->upper + i * m, bytes(m));
+        memcpy(e->change + i * 2 * m + m, e->right + i * m, bytes(m));
+    }
+}
+
+/* The same while no pair is closed: each mode swings by itself, b'' + c b' + k b = 0 with b(0) = 0,
+ * b'(0) = 1. */
+static void swing(const exponentials *e, double length, double *product)
+{
+    const int m = e->modes;
+    const double time = e->unit * length;
+    for (int i = 0; i < m; i++) {
+        const double c = e->damping[i], k = e->squares[i];
+        const double square = k - 0.25 * c * c, w = sqrt(fabs(square));
+        const double fall = exp((square > 0.0 ? -0.5 * c : w - 0.5 * c) * time);
+        double b = fall * time, rate = fall;
+        if (square > 0.0) {
+            b = fall * sin(w * time) / w;
+            rate *= cos(w * time);
+        } else if (w > 0.0) {
+            const double lost = expm1(-2.0 * w * time);
+            b = -fall * lost / (2.0 * w);
+            rate *= 1.0 + 0.5 * lost;
+        }
+        rate -= 0.5 * c * b;
+        const double stay = rate + c * b;
+        double *restrict q = product + (long)i * 2 * m, *restrict v = q + 2L * m * m;
+        for (int j = 0; j < 2 * m; j++) {
+            const double before = q[j];
+            q[j] = stay * before + b * v[j];
+            v[j] = rate * v[j] - b * k * before;
+        }
+    }
+}
+
+void multiply_exponential(exponentials *e, const closed_set *a, double length, double *product)
+{
+    const int size = 2 * e->modes;
+    if (!a->size && !e->coupled) {
+        swing(e, length, product);
+        return;
+    }
+    exponential_of(e, a, length);
+    memcpy(e->product, product, bytes((long)size * size));
+    multiply_matrices(size, size, size, e->change, e->product, 1.0, product);
+}

@@ -1,0 +1,128 @@
+#include "series.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "lapack.h"
+
+/* Last terms relative to the largest where a series ends. */
+static const double TAIL = 1e-16;
+/* Distances, as parts of the time, at which a zero is found: of its ends, and of Newton's steps. */
+static const double CLOSED = 1e-16, STILL = 1e-15;
+enum { TURNS = 100 }; /* to a zero, at most */
+
+static double larger(double a, double b) { return a > b ? a : b; }
+
+WIDE void add_rows(int count, int n, const double *restrict rows, const double *restrict weights,
+                   double *restrict sum)
+{
+    int k = 0;
+    if (n == 1) {
+        *sum += dot(count, rows, weights);
+        return;
+    }
+    for (; k + 3 < count; k += 4, rows += 4L * n) {
+        const double a = weights[k], b = weights[k + 1], c = weights[k + 2], d = weights[k + 3];
+        const double *one = rows + n, *two = one + n, *three = two + n;
+        for (int i = 0; i < n; i++)
+            sum[i] += (a * rows[i] + b * one[i]) + (c * two[i] + d * three[i]);
+    }
+    if (k + 2 < count) {
+        const double a = weights[k], b = weights[k + 1], c = weights[k + 2];
+        for (int i = 0; i < n; i++)
+            sum[i] += (a * rows[i] + b * rows[n + i]) + c * rows[2L * n + i];
+        return;
+    }
+    for (; k < count; k++, rows += n)
+        for (int i = 0; i < n; i++) sum[i] += weights[k] * rows[i];
+}
+
+WIDE void series_at(int n, const double *restrict terms, double time, double *restrict value,
+                    double *restrict slope)
+{
+    for (int first = 0; first < n; first += BLOCK) {
+        const int count = n - first < BLOCK ? n - first : BLOCK;
+        double v[BLOCK] = {0.0}, d[BLOCK] = {0.0};
+        const double *row = terms + (long)ORDER * n + first;
+        if (count == BLOCK)
+            for (int k = ORDER; k >= 0; k--, row -= n)
+                for (int i = 0; i < BLOCK; i++) {
+                    d[i] = d[i] * time + v[i];
+                    v[i] = v[i] * time + row[i];
+                }
+        else
+            for (int k = ORDER; k >= 0; k--, row -= n)
+                for (int i = 0; i < count; i++) {
+                    d[i] = d[i] * time + v[i];
+                    v[i] = v[i] * time + row[i];
+                }
+        memcpy(value + first, v, (size_t)count * sizeof(double));
+        memcpy(slope + first, d, (size_t)count * sizeof(double));
+    }
+}
+
+WIDE void series_at_times(int n, const double *restrict terms, const double *restrict times,
+                          double *restrict value, double *restrict slope)
+{
+    for (int i = 0; i < n; i++) {
+        const double *row = terms + (long)ORDER * n + i;
+        double v[BLOCK] = {0.0}, d[BLOCK] = {0.0};
+        for (int k = ORDER; k >= 0; k--, row -= n)
+            for (int j = 0; j < BLOCK; j++) {
+                d[j] = d[j] * times[j] + v[j];
+                v[j] = v[j] * times[j] + *row;
+            }
+        for (int j = 0; j < BLOCK; j++) {
+            value[j * n + i] = v[j];
+            slope[j * n + i] = d[j];
+        }
+    }
+}
+
+double column_at(int n, const double *terms, int column, int order, double time, double *slope)
+{
+    double v = 0.0, d = 0.0;
+    for (int k = ORDER; k >= order; k--) {
+        const double term = terms[(long)k * n + column];
+        d = d * time + v;
+        v = v * time + (order ? k * term : term);
+    }
+    *slope = d;
+    return v;
+}
+
+double column_zero(int n, const double *terms, int column, int order, double low, double high)
+{
+    double slope, zero = 0.5 * (low + high);
+    for (int turn = 0; turn < TURNS && high - low > CLOSED * high; turn++) {
+        const double now = column_at(n, terms, column, order, zero, &slope);
+        const double newton = zero - now / slope;
+        if (now == 0.0) return zero;
+        if ((now > 0.0) == (order == 0)) low = zero;
+        else high = zero;
+        if (fabs(newton - zero) <= STILL * high) return zero;
+        zero = newton > low && newton < high ? newton : 0.5 * (low + high);
+    }
+    return zero;
+}
+
+WIDE void series_sizes(int n, const double *restrict terms, double *restrict sizes)
+{
+    for (int k = 0; k < TERMS; k++, terms += n) {
+        double most[4] = {0.0};
+        int i = 0;
+        for (; i + 3 < n; i += 4)
+            for (int j = 0; j < 4; j++) most[j] = larger(fabs(terms[i + j]), most[j]);
+        for (; i < n; i++) most[0] = larger(fabs(terms[i]), most[0]);
+        sizes[k] = larger(larger(most[0], most[1]), larger(most[2], most[3]));
+    }
+}
+
+double series_reach(const double *sizes, double within)
+{
+    double largest = 0.0;
+    const double tail = larger(sizes[ORDER - 1], sizes[ORDER]);
+    for (int k = 0; k < TERMS; k++) largest = larger(sizes[k], largest);
+    if (tail * pow(within, ORDER - 1) <= TAIL * largest) return within;
+    return fmin(within, pow(TAIL * largest / tail, 1.0 / (ORDER - 1)));
+}

@@ -1,0 +1,34 @@
+/* Taylor series of several functions of the time: columns of coefficients (TERMS, n), for times in
+ * parts of a length. */
+#ifndef SERIES_H
+#define SERIES_H
+
+#if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__) && !defined(__clang__)
+#define WIDE __attribute__((target_clones("avx512f", "avx2", "default"))) /* sums keep their order */
+#else
+#define WIDE
+#endif
+
+/* ORDER: of the polynomials. BLOCK: numbers that a processor works on together. */
+enum { ORDER = 38, TERMS = ORDER + 1, BLOCK = 8 };
+
+/* sum (n) += weights (count) times rows (count, n). */
+void add_rows(int count, int n, const double *rows, const double *weights, double *sum);
+
+/* Values (n) and slopes (n) at a time. */
+void series_at(int n, const double *terms, double time, double *value, double *slope);
+/* The same (BLOCK, n) at BLOCK times. */
+void series_at_times(int n, const double *terms, const double *times, double *value,
+                     double *slope);
+/* Value of one function (order 0), or of its slope (1), and the slope of that. */
+double column_at(int n, const double *terms, int column, int order, double time, double *slope);
+/* Where one function falls through zero (order 0), or its slope rises through it (1), between two
+ * times: Newton's method, kept between by bisection. */
+double column_zero(int n, const double *terms, int column, int order, double low, double high);
+
+/* Largest numbers (TERMS) of the rows. */
+void series_sizes(int n, const double *terms, double *sizes);
+/* Up to which time series with rows of these sizes hold, at most `within`. */
+double series_reach(const double *sizes, double within);
+
+#endif
