@@ -39,10 +39,8 @@ def odd_rows(family: Family) -> np.ndarray:
     return ((row + 1) // 2) % 2 == 1 if even else np.zeros(len(row), dtype=bool)
 
 
-def first_of_branch(
-    family: Family, bifurcation: Bifurcation, longest_step: float
-) -> tuple[PathPoint, Tangent]:
-    """The first point on the branch that begins at a bifurcation, and the direction to it.
+def first_of_branch(family: Family, bifurcation: Bifurcation, longest_step: float) -> PathPoint:
+    """The first point on the branch that begins at a bifurcation; its tangent is the way to it.
 
     The new direction is the null vector of the Jacobian [J, F_p] across the old branch; for a
     period doubling it lies in the odd harmonics of twice the period.
@@ -65,7 +63,7 @@ def first_of_branch(
     found = first_aside(family, start, longest_step, sharp, near)
     if found is not None:
         change, rise = found.unknown - unknown, found.parameter - parameter
-        return found, Tangent(change, rise, away.weight)
+        return replace(found, tangent=Tangent(change, rise, away.weight))
     raise ConvergenceError(
         f"branch from {bifurcation.kind} at {family.name} = {bifurcation.value:g}: "
         "no point of another branch was found next to it"

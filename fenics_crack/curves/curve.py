@@ -18,11 +18,12 @@ from fenics_crack.balance.family import FAMILIES, Family
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
+from fenics_crack.curves.points import CurvePoint, Points
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.fourier import evaluate, resized
+from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.table import (
     Described,
     Tabular,
@@ -245,6 +246,13 @@ class ResponseCurve(Tabular):
         """What was followed at a point, with its own harmonics: (2H+1, n_pairs) [m]."""
         return self.unknowns[index, : 2 * self.harmonics[index] + 1]
 
+    def point(self, index: int) -> CurvePoint:
+        """A point as :class:`Continuation` yields it, without the bifurcations before it."""
+        return CurvePoint(
+            float(self.values[index]), float(self.omega[index]), self.unknown(index),
+            int(self.iterations[index]), float(self.truncation[index]),
+        )  # fmt: skip
+
     @cached_property
     def gap_coefficients(self) -> np.ndarray:
         """Closing of the pairs: (n, 2H+1, n_pairs) [m]; zeros above a point's own harmonics."""
@@ -270,24 +278,12 @@ class ResponseCurve(Tabular):
     def at_bifurcations(self) -> ResponseCurve:
         """The first point, the bifurcations and the last point, to be measured: a curve of their
         own, for which no error is estimated."""
-        one, special, last = self.unknown(0), self.bifurcations, self.unknown(len(self) - 1)
-        unknowns = [one, *(point.unknown for point in special), last]
-        counts = np.array([len(unknown) // 2 for unknown in unknowns])
-        ends = (self.values, self.omega)
-        inner = [point.value for point in special], [point.omega for point in special]
-        values, omega = (np.array([a[0], *b, a[-1]]) for a, b in zip(ends, inner, strict=True))
-        return replace(
-            self,
-            values=values,
-            omega=omega,
-            unknowns=np.array([resized(unknown, int(counts.max())) for unknown in unknowns]),
-            harmonics=counts,
-            iterations=np.zeros(len(counts), dtype=int),
-            truncation=np.full(len(counts), np.nan),
-            bifurcations=(),
-            multipliers=None,
-            undecided=None,
-        )
+        ends = self.point(0), self.point(len(self) - 1)
+        met: list[CurvePoint | Bifurcation] = [ends[0], *self.bifurcations, ends[1]]
+        points = Points()
+        for one in met:
+            points.append(CurvePoint(one.value, one.omega, one.unknown, 0))
+        return replace(self, **points.columns(), bifurcations=(), multipliers=None, undecided=None)
 
     @cached_property
     def displacement_errors(self) -> np.ndarray:
