@@ -147,7 +147,7 @@ class _Judge:
         value of the parameter lie on both sides of a fold it is that of the nearest one."""
         found = np.full(len(self._curve), np.nan + 0j)
         accepted = self._accepted()
-        there: dict[int, list[_Part]] = {}
+        parts: dict[int, _Part] = {}
         for first, last in pairwise(self.branch.nodes):
             rise = last.parameter - first.parameter
             if rise == 0.0 or not self.branch.linked(first, last):
@@ -155,18 +155,18 @@ class _Judge:
             begin = max(0, int(np.ceil(first.place - EVERY)))
             near = slice(begin, int(np.ceil(first.place + EVERY)))
             shares = (self.parameters[near] - first.parameter) / rise
-            for one in np.flatnonzero((np.abs(shares - 0.5) <= 0.5 + 1e-9) & accepted[near]):
-                there.setdefault(begin + int(one), []).append((first, last, float(shares[one])))
-        for place, parts in there.items():
-            found[place] = _between(*self._nearest(place, parts))
+            there = np.flatnonzero((np.abs(shares - 0.5) <= 0.5 + 1e-9) & accepted[near])
+            values = _between(first, last, shares[there]) if len(there) else ()
+            for place, share, value in zip(begin + there, shares[there], values, strict=True):
+                part = first, last, share
+                if place not in parts or self._nearer(place, part, parts[place]):
+                    parts[place], found[place] = part, value
         return found
 
-    def _nearest(self, place: int, there: list[_Part]) -> _Part:
-        """The part of a segment whose orbit is nearest to the motion of a point."""
-        if len(there) == 1:
-            return there[0]
+    def _nearer(self, place: int, part: _Part, other: _Part) -> bool:
+        """Whether the orbit at a part of a segment is nearer to a point's motion than another."""
         motion = self.branch.motion(place)
-        return min(there, key=lambda part: float(np.linalg.norm(cubic(*part)[0] - motion)))
+        return bool(_apart(motion, part) < _apart(motion, other))
 
     def _accepted(self) -> np.ndarray:
         """Whether the orbits on both sides of a point are the points' own: (n,) bool."""
@@ -179,21 +179,23 @@ class _Judge:
         return np.asarray(own[before] & own[after])
 
 
-def _between(first: Node, last: Node, share: float) -> complex:
-    """Leading multiplier on a segment, on the side of 1 of the ends that are no bifurcations; nan
-    where these differ, or do not tell it from 1."""
+def _apart(motion: np.ndarray, part: _Part) -> float:
+    return float(np.linalg.norm(cubic(*part)[0] - motion))
+
+
+def _between(first: Node, last: Node, shares: np.ndarray) -> np.ndarray:
+    """Leading multipliers at parts of a segment, (n,) complex, on the side of 1 of its ends that
+    are no bifurcations; nan where these differ, or do not tell it from 1."""
     sides = [one for one in (first, last) if one.crossing is None]
-    largest = [float(np.abs(one.leading[0])) for one in sides]
+    largest = [float(one.moduli[0]) for one in sides]
     if len({size > 1.0 for size in largest}) != 1 or min(abs(s - 1.0) for s in largest) <= SURE:
-        return complex(np.nan)
-    modulus = float(blended(first, last, share)[0])
-    if largest[0] > 1.0:
-        modulus = max(modulus, 1.0 + 2.0 * SURE)
-    else:
-        modulus = min(modulus, 1.0 - 2.0 * SURE)
-    near = complex(sides[0 if share < 0.5 else -1].leading[0])
-    direction = near / max(abs(near), 1e-300)
-    return modulus * complex(direction.real, abs(direction.imag))
+        return np.full(len(shares), np.nan + 0j)
+    moduli = blended(first, last, shares)[0]
+    limit = 1.0 + 2.0 * SURE if largest[0] > 1.0 else 1.0 - 2.0 * SURE
+    moduli = np.maximum(moduli, limit) if limit > 1.0 else np.minimum(moduli, limit)
+    ends = np.array([one.leading[0] for one in (sides[0], sides[-1])])
+    upper = ends.real + 1j * np.abs(ends.imag)
+    return moduli * (upper / np.maximum(np.abs(ends), 1e-300))[(shares >= 0.5).astype(int)]
 
 
 def judge_curve(curve: ResponseCurve) -> ResponseCurve:

@@ -552,21 +552,23 @@ def _paired(values: np.ndarray) -> np.ndarray:
     return found[np.argsort(-found[:, 1], kind="stable")]
 
 
-def blended(first: Node, last: Node, share: float) -> np.ndarray:
+def blended(first: Node, last: Node, share: float | np.ndarray) -> np.ndarray:
     """Moduli between two nodes, largest first: those between, or, where a pair becomes real and
-    they have a corner, of pairs with the sums and products between."""
+    they have a corner, of pairs with the sums and products between; (k,) of a share of the segment,
+    (k, n) of some."""
     if first.real == last.real and len(first.pairs) == len(last.pairs):
         return _line(first.moduli, last.moduli, share)
     found = _line(first.pairs, last.pairs, share)
     half = 0.5 * found[:, 0]
     root = np.sqrt(half**2 - found[:, 1] + 0j)
-    return -np.sort(-np.abs(np.concatenate([half + root, half - root])))
+    return -np.sort(-np.abs(np.concatenate([half + root, half - root])), axis=0)
 
 
-def _line(begin: np.ndarray, end: np.ndarray, share: float) -> np.ndarray:
+def _line(begin: np.ndarray, end: np.ndarray, share: float | np.ndarray) -> np.ndarray:
     """Between two arrays, as far as both go."""
     count = min(len(begin), len(end))
-    return np.asarray((1.0 - share) * begin[:count] + share * end[:count])
+    rest = 1.0 - np.asarray(share)
+    return np.multiply.outer(begin[:count], rest) + np.multiply.outer(end[:count], share)
 
 
 def _fits(first: Node, middle: Node, last: Node) -> bool:
