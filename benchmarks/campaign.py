@@ -63,6 +63,7 @@ import fenics_crack as fc
 RIGHT, TOO_LARGE, LIMITED, UNCONVERGED = "right", "large", "limited", "unconverged"
 TOO_LONG, UNCONFIRMED, UNDECIDED, OPEN = "too long", "unconfirmed", "undecided", "open"
 WRONG = "WRONG"
+NO_VERDICT = "no verdict"
 ROUNDING = 1e-6
 """Differences that count as none."""
 SURE = 1e-4
@@ -217,7 +218,8 @@ def judge(
         row.remark = found.status
         return row
     if estimate(found) > LARGE and verdict != "stable":
-        row.judgement, row.remark = TOO_LARGE, found.judged.reason
+        row.judgement = TOO_LARGE
+        row.remark = "" if found.judged.flow is None else found.judged.reason
         return row
     orbit, row.true = exact_orbit(case, found)
     row.pred = float("nan") if orbit is None else _pred(case, found)
@@ -253,7 +255,7 @@ def _judgement(
         return missed(found)
     if row.verdict == "undecided":
         return UNDECIDED, fc.floquet(found.structure, found).reason
-    if row.verdict == "-":
+    if row.verdict in ("-", NO_VERDICT):
         return RIGHT, ""
     if abs(row.exact - 1.0) <= SURE:
         return OPEN, "at a bifurcation"
@@ -272,7 +274,13 @@ def missed(found: fc.PeriodicSolution) -> tuple[str, str]:
 
 
 def _verdict(found: fc.PeriodicSolution) -> str:
-    return fc.floquet(found.structure, found).verdict if found.converged else "-"
+    """That of ``floquet``; where it judges no such answer, and says what does, "no verdict"."""
+    try:
+        return fc.floquet(found.structure, found).verdict if found.converged else "-"
+    except fc.InputError as error:
+        if "reduce" not in str(error):
+            raise
+        return NO_VERDICT
 
 
 def solutions(case: Case) -> Iterator[Finding]:
@@ -649,7 +657,7 @@ def line(name: str, rows: list[dict]) -> list[object]:
         return f"{100.0 * part / len(of):.1f}" if of else "-"
 
     given = [row for row in rows if np.isnan(row["asked"]) and not np.isnan(row["estimate"])]
-    judged = [row for row in given if row["verdict"] != "-"]
+    judged = [row for row in given if row["verdict"] not in ("-", NO_VERDICT)]
     wanted = [row for row in rows if not np.isnan(row["asked"]) and row["judgement"] != LIMITED]
     met = sum(row["true"] <= row["asked"] for row in wanted if row["judgement"] == RIGHT)
     stable = [row for row in rows if row["verdict"] == "stable" and row["true"] > ROUNDING]

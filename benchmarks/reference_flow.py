@@ -18,6 +18,11 @@ by Brent's method. What is closed then follows from the complementarity problem 
 the least squares problem with bounds of its Cholesky factor (Lawson and Hanson). Forces do not
 jump, so the tangent of the flow is the product of exponentials. An orbit, z(T) = z(0), is found by
 Newton's method with steps that are halved until the simplified next one is shorter.
+
+Smooth laws of pairs with mass are followed by SciPy's integrator of order 8 (DOP853), the
+variational equation beside the motion (:class:`SmoothFlow`). Of a whole structure the lowest modes
+move and the others answer at once; of rigid pairs with mass a penalty stands for the stop: both are
+as near to the truth as their errors are to be judged (:func:`campaign_cases.draw`).
 """
 
 from __future__ import annotations
@@ -30,10 +35,11 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 import scipy.optimize
+from scipy.integrate import solve_ivp
 
 import fenics_crack as fc
 
-__all__ = ["NoOrbit", "Orbit", "ReferenceFlow", "System", "predicted"]
+__all__ = ["NoOrbit", "Orbit", "ReferenceFlow", "SmoothFlow", "System", "predicted"]
 
 FINE = 0.25
 """Between samples, over the largest eigenvalue of a set."""
@@ -49,6 +55,10 @@ INSTANTS = 512
 """Of the gap over a period."""
 BASIS = 1e-7
 """By how much V V^-1 may differ from I."""
+WHOLE, MOVING = 600, 100
+"""Dofs of a structure from which on not all modes move; the lowest ones that do then."""
+FINELY = 1e-11
+"""How motions under smooth laws are integrated, relative to their size."""
 
 
 class NoOrbit(Exception):
@@ -99,7 +109,12 @@ class System:
             squares, shapes = scipy.linalg.eigh(stiffness, mass)
             rows, pairs, force = (mass @ shapes).T, shapes.T @ gap, structure.force @ shapes
             damping = _modal_damping(structure.damping, squares, shapes)
-            residual, lift = np.zeros((gap.shape[1],) * 2), np.zeros((3, gap.shape[1]))
+            moving = slice(MOVING if len(squares) > WHOLE else None)
+            still = slice(len(squares[moving]), None)
+            static = pairs[still] / squares[still, None]
+            residual, lift = pairs[still].T @ static, force[:, still] @ static
+            squares, damping = squares[moving], damping[moving, moving]
+            rows, pairs, force = rows[moving], pairs[moving], force[:, moving]
         lift[0] -= structure.clearance
         if np.any(np.diag(residual) + springs <= 0.0):
             raise NoOrbit("rigid contact of a pair with mass")
@@ -467,6 +482,68 @@ class ReferenceFlow:
                     raise NoOrbit("Newton's method does not get to an orbit")
             state, here = trial, there
         raise NoOrbit("no orbit within the flows allowed")
+
+
+@dataclass
+class SmoothPassage(Passage):
+    """The same by an integrator, which is asked once more for the tangent."""
+
+    again: Callable[[], np.ndarray] = field(default=lambda: np.zeros((0, 0)))
+
+    def tangent(self) -> np.ndarray:
+        """d z(T) / d z(0)."""
+        return self.again()
+
+
+class SmoothFlow(ReferenceFlow):
+    """The flow under a law whose force follows smoothly from the gap, of pairs with mass."""
+
+    def __init__(self, structure: fc.Structure, law: Any) -> None:
+        super().__init__(structure, law)
+        self.law = law
+
+    def advance(
+        self, state: np.ndarray, omega: float, start: float, duration: float, instants: int = 0
+    ) -> Passage:
+        """Follow a state from ``start`` for ``duration``; gaps at equally spaced instants."""
+        times = start + duration * np.append(np.arange(instants) / max(instants, 1), 1.0)
+        moved = self._integrated(state[:, None], omega, start, times)[:, :, 0]
+        slow = moved[:-1, : len(state) // 2] / self.scale @ self.system.pairs
+        gap = slow + _wave(omega, times[:-1]) @ self.system.lift
+
+        def tangent() -> np.ndarray:
+            columns = np.column_stack([state, np.eye(len(state))])
+            return self._integrated(columns, omega, start, times[-1:])[-1, :, 1:]
+
+        return SmoothPassage(moved[-1], gap=gap, again=tangent)
+
+    def _integrated(
+        self, columns: np.ndarray, omega: float, start: float, times: np.ndarray
+    ) -> np.ndarray:
+        """A state, the first column, and disturbances of it, at times: (n, 2m, columns)."""
+        system, scale, count = self.system, self.scale, len(columns) // 2
+
+        def rate(time: float, packed: np.ndarray) -> np.ndarray:
+            wave, moved = _wave(omega, time), packed.reshape(columns.shape)
+            shape, speed = moved[:count] / scale, moved[count:]
+            answer = system.pairs.T @ shape
+            gap = answer[:, 0] + wave @ system.lift
+            answer *= self.law.tangent(gap)[:, None]
+            answer[:, 0] = self.law.force(gap)
+            push = -system.squares[:, None] * shape - system.damping @ speed
+            push -= system.pairs @ answer
+            push[:, 0] += wave @ system.force
+            return np.concatenate([scale * speed, push]).ravel()
+
+        size = float(np.linalg.norm(columns[:, 0])) or 1.0
+        run = solve_ivp(
+            rate, (start, times[-1]), columns.ravel(), "DOP853", t_eval=times, rtol=FINELY,
+            atol=FINELY * size,
+        )  # fmt: skip
+        if not run.success:
+            raise NoOrbit("a motion that is not integrated")
+        found: np.ndarray = run.y.T.reshape(len(times), *columns.shape)
+        return found
 
 
 def predicted(flow: ReferenceFlow, found: fc.PeriodicSolution, nodes: int = 32) -> float:

@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from fenics_crack.balance.orbits import FlowOrbits, recurrences
+from fenics_crack.balance.orbits import FlowOrbits, Homotopy, recurrences
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.flow import ContactFlow
 from fenics_crack.motion.orbit import PeriodicOrbit, Prediction, find_orbit, predict
-from fenics_crack.numerics.bordered import point_on_path, solve_in_plane
+from fenics_crack.numerics.bordered import point_on_path
 from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.numerics.path import Path, PathOptions, Target
 from fenics_crack.stages import begin
 
 __all__ = ["PARTS", "orbit_next_to", "predicted", "recurring", "wave_states"]
 
-CLOSED = 1e-10
-"""How closely an orbit repeats itself."""
 PARTS = 32
 """Of the period, whose starts' states are corrected together."""
-APART = 1e-3 * 2.0 ** np.array([0, 1, -1, 2, -2, 3, -3, 4, 5])
-"""Of the frequency, to both sides, where orbits are sought that a path leads from."""
-BACK = 100
-"""Points of that path."""
-
+SWITCHES, STEP = 100_000, 0.3
+"""Openings and closings that a homotopy to an orbit may pass, a second or two; its longest step."""
 WANDERING, PASSED, SETTLING = 1000, 100, 60
 """Periods that a motion is followed for, its nearest recurrences from which an orbit is sought, and
 the least periods, of large states."""
@@ -57,50 +50,29 @@ def predicted(
 def orbit_next_to(
     flow: ContactFlow, omega: float, start: np.ndarray, subharmonic: int = 1
 ) -> PeriodicOrbit | None:
-    """The orbit next to a state: by steps that shrink the step to follow, or else the residual; or
-    by the path of orbits from another frequency, sought from the same state. None where these lead
-    to none.
+    """The orbit next to a state: by Newton's method, or else where the homotopy from the state
+    leads; None where these lead to none.
 
-    Where stiff pairs open and close many times, an orbit is found only from very near: at some
-    frequencies by chance, and the path goes on from there.
+    Where stiff pairs open and close many times, Newton's method finds an orbit only from very near.
     """
     orbit = find_orbit(flow, omega, start, subharmonic=subharmonic)
-    if orbit is not None:
-        return orbit
-    orbits = FlowOrbits(flow, omega, start, subharmonic)
-    try:
-        shorter = solve_in_plane(
-            orbits, orbits.start, 1.0, None,
-            tolerance=CLOSED, iterations=20, least_damping=1e-3, patience=6,
-        )  # fmt: skip
-    except ConvergenceError:
-        shorter = None
-    if shorter is not None:
-        return orbits.orbit(shorter)
-    share = min(1.0, (FEW / flow.size) ** 2)
-    for apart in APART[: int(np.ceil(share * len(APART)))]:
-        for at in (omega * (1.0 + apart), omega * (1.0 - apart)):
-            found = find_orbit(flow, at, start, subharmonic=subharmonic)
-            if found is not None and (orbit := _back(found, omega)) is not None:
-                return orbit
-    return None
+    return orbit or _by_homotopy(FlowOrbits(flow, omega, start, subharmonic))
 
 
-def _back(found: PeriodicOrbit, omega: float) -> PeriodicOrbit | None:
-    """The first orbit of a frequency on the path from another one; None where it is not met."""
-    orbits = FlowOrbits(found.flow, found.omega, found.state, found.subharmonic)
-    end = omega / found.omega
+def _by_homotopy(orbits: FlowOrbits) -> PeriodicOrbit | None:
+    """The orbit to which the path from the start of some leads; None where that takes too long."""
+    share = min(1.0, (FEW / orbits.flow.size) ** 2)
+    homotopy = Homotopy(orbits, int(share * SWITCHES))
+    options = PathOptions(STEP, max_step=STEP, max_steps=SWITCHES, span=(0.0, 2.0))
     try:
-        start = point_on_path(orbits, orbits.start, 1.0)
-        if end < 1.0:
-            start = replace(start, tangent=start.tangent.reversed())
-        options = PathOptions(0.1 * abs(end - 1.0), max_steps=BACK)
-        met = Path(orbits, start, options, [Target(end)]).run()
+        start = point_on_path(homotopy, orbits.start, 0.0)
+        met = Path(homotopy, start, options, [Target(1.0)]).run()
     except (ConvergenceError, np.linalg.LinAlgError):
         return None
     if met is None:
         return None
-    return find_orbit(found.flow, omega, orbits.state(met.unknown), subharmonic=found.subharmonic)
+    state = orbits.state(met.unknown)
+    return find_orbit(orbits.flow, orbits.omega, state, subharmonic=orbits.subharmonic)
 
 
 def recurring(

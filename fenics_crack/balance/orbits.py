@@ -6,6 +6,15 @@ In x = z / |z_0| and p = w / w_0, z_0 and w_0 those of a motion nearby, an orbit
 
 z the state at phase zero, m the periods of the load in the response's; dF/dx = M - I with the
 monodromy matrix M.
+
+From any state a path leads to an orbit (:class:`Homotopy`),
+
+    p (z(T) - a) - (z - a) = 0,    from z = a at p = 0 to an orbit at p = 1,
+
+through folds: damping lets no solution for p <= 1 go far, and at p = 0 there is no other. How long
+the path is nobody knows.
+
+Source: Chow, Mallet-Paret and Yorke, Mathematics of Computation 32 (1978) 887-899.
 """
 
 from __future__ import annotations
@@ -24,7 +33,7 @@ from fenics_crack.numerics.bordered import PathPoint
 from fenics_crack.numerics.equations import Equations
 from fenics_crack.numerics.linearisation import DenseLinearisation
 
-__all__ = ["FlowOrbits", "OrbitPoint", "recurrences"]
+__all__ = ["FlowOrbits", "Homotopy", "OrbitPoint", "recurrences"]
 
 
 class OrbitPoint(DenseLinearisation):
@@ -226,3 +235,47 @@ class FlowOrbits(Equations):
         known = weakref.ref(found)
         self._last = found
         return found
+
+
+class _HomotopyPoint(DenseLinearisation):
+    """The homotopy's equations at a point."""
+
+    def __init__(self, at: OrbitPoint, parameter: float, start: np.ndarray) -> None:
+        self._at, self._parameter = at, parameter
+        self._moved = at.unknown + at.residual - start
+        super().__init__(at.unknown, parameter * self._moved - (at.unknown - start))
+
+    def assemble(self) -> np.ndarray:
+        """p M - I."""
+        monodromy = self._at.monodromy
+        return self._parameter * monodromy - np.eye(len(monodromy))
+
+    def differentiate(self) -> np.ndarray:
+        """By p."""
+        return self._moved
+
+
+class Homotopy:
+    """p (z(T) - a) - (z - a) = 0 in the unknowns x of some orbits, a being their start.
+
+    Attributes
+    ----------
+    left : int
+        Switching instants that may still be passed.
+    """
+
+    def __init__(self, orbits: FlowOrbits, most: int) -> None:
+        self._orbits, self.shape, self.left = orbits, orbits.shape, most
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> _HomotopyPoint:
+        """The equations at a point; raises as :meth:`FlowOrbits.linearise`, and where all switching
+        instants have been passed."""
+        at = self._orbits.linearise(unknown, 1.0)
+        self.left -= at.events + 1
+        if self.left < 0:
+            raise ConvergenceError("orbits: the homotopy takes too long")
+        return _HomotopyPoint(at, parameter, self._orbits.start)
+
+    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
+        """Inner product."""
+        return float(first @ second)

@@ -51,7 +51,7 @@ def account_of_curve(run: Run[ResponseCurve]) -> Account:
         special,
         rows=curve_points(run),
         shown=in_short(few, scene, SHORT),
-        facts=[*_facts(run)],
+        facts=_facts(run),
         notes=notes,
         warnings=[*_warnings(run)],
         tables={"Special points": in_short(special, scene, SHORT)},

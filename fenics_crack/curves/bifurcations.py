@@ -2,8 +2,8 @@
 
 Folds and branch points are found as the curve is followed (:mod:`fenics_crack.numerics.path`); the
 latter by the sign of det J, so only where J is formed
-(:data:`fenics_crack.balance.coupled.MATRIX_FREE`). Where multipliers leave the unit circle is asked
-when the curve is judged (:func:`judge_curve`).
+(:data:`fenics_crack.balance.contact_system.MATRIX_FREE`). Where multipliers leave the unit circle
+is asked when the curve is judged (:func:`judge_curve`).
 
 Sources: Keller, in Applications of Bifurcation Theory, 1977; Seydel, Practical Bifurcation and
 Stability Analysis, chapters 4, 5 and 7.
@@ -24,6 +24,7 @@ from fenics_crack.errors import ConvergenceError
 from fenics_crack.numerics.bordered import PathPoint, Tangent, correct, distance, tangent_of
 from fenics_crack.numerics.fourier import stretched
 from fenics_crack.numerics.linearisation import System
+from fenics_crack.numerics.path import PathOptions
 
 __all__ = ["first_aside", "first_of_branch", "odd_rows"]
 
@@ -38,10 +39,8 @@ def odd_rows(family: Family) -> np.ndarray:
     return ((row + 1) // 2) % 2 == 1 if even else np.zeros(len(row), dtype=bool)
 
 
-def first_of_branch(
-    family: Family, bifurcation: Bifurcation, longest_step: float
-) -> tuple[PathPoint, Tangent]:
-    """The first point on the branch that begins at a bifurcation, and the direction to it.
+def first_of_branch(family: Family, bifurcation: Bifurcation, longest_step: float) -> PathPoint:
+    """The first point on the branch that begins at a bifurcation; its tangent is the way to it.
 
     The new direction is the null vector of the Jacobian [J, F_p] across the old branch; for a
     period doubling it lies in the odd harmonics of twice the period.
@@ -56,7 +55,7 @@ def first_of_branch(
     parameter = family.parameter(bifurcation.value)
     away = _across(family, unknown, parameter, doubled=factor > 1)
     start = PathPoint(unknown, parameter, 0, away)
-    sharp = max(1e-9, family.rounding(parameter))
+    sharp = max(PathOptions.rtol, family.rounding(parameter))
 
     def near(found: PathPoint, step: float) -> bool:
         return distance(family, start, found) < 3.0 * step
@@ -64,7 +63,7 @@ def first_of_branch(
     found = first_aside(family, start, longest_step, sharp, near)
     if found is not None:
         change, rise = found.unknown - unknown, found.parameter - parameter
-        return found, Tangent(change, rise, away.weight)
+        return replace(found, tangent=Tangent(change, rise, away.weight))
     raise ConvergenceError(
         f"branch from {bifurcation.kind} at {family.name} = {bifurcation.value:g}: "
         "no point of another branch was found next to it"

@@ -30,10 +30,11 @@ from fenics_crack.curves.orbit_branch import (
 )
 from fenics_crack.curves.varied_orbits import VariedOrbits
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.model.contact import is_piecewise_linear, is_rigid
+from fenics_crack.model.contact import is_unilateral
 from fenics_crack.motion.flow import Budget, exact_flow
 from fenics_crack.motion.orbit import PIECES
 from fenics_crack.numerics.bordered import solve_at
+from fenics_crack.numerics.path import PathOptions
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.stability.shooting import attract_little, leaves
 from fenics_crack.stages import begin
@@ -236,7 +237,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     >>> judged = fc.judge_curve(curve)
     >>> verdicts = judged.verdicts
     """
-    if not (is_piecewise_linear(curve.contact) or is_rigid(curve.contact)):
+    if not is_unilateral(curve.contact):
         return judged_by_waves(curve)
     begin("stability by exact orbits")
     if not _affordable(curve):
@@ -358,7 +359,7 @@ def _solution_at(curve: ResponseCurve, place: int, value: float) -> tuple[float,
     family = curve.equations(len(unknown) // 2)
     try:
         parameter = family.parameter(value)
-        sharp = max(1e-9, family.rounding(parameter))
+        sharp = max(PathOptions.rtol, family.rounding(parameter))
         found = solve_at(family, unknown, parameter, tolerance=sharp)
     except ConvergenceError:
         found = None

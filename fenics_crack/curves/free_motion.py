@@ -10,12 +10,8 @@ import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
 
 from fenics_crack.balance.compliance import ModalCompliance
-from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem
-from fenics_crack.balance.contact_integrals import (
-    ContactIntegrals,
-    apply_to_pairs,
-    contact_integrals,
-)
+from fenics_crack.balance.contact_integrals import PairIntegrals, apply_to_pairs, contact_integrals
+from fenics_crack.balance.contact_system import ContactSystem
 from fenics_crack.balance.search import Search
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import ContactLaw
@@ -27,7 +23,6 @@ from fenics_crack.numerics.rounding import EPSILON, ROUNDING
 __all__ = [
     "EnergyMotion",
     "Equilibrium",
-    "FadedMotion",
     "FreeMotion",
     "MotionPoint",
     "StiffnessMotion",
@@ -41,8 +36,6 @@ RESONANT = 1e-3
 
 NEAR = 0.05
 """Entries relatively that close to resonance are not predicted."""
-SHIFT = 1e-5
-"""Of a share, for the derivative by it."""
 
 
 class Equilibrium:
@@ -64,12 +57,11 @@ class Equilibrium:
         self.frequencies = np.sqrt(squares)
         compliance = ModalCompliance(structure, 0.0, np.zeros((1, structure.n_local)))
         search = Search(ROUNDING)
-        system = CondensedSystem(compliance, contact_integrals(contact, 0))
+        system = ContactSystem(compliance, contact_integrals(contact, 0))
         found = search.penalty(system)
-        assert isinstance(found, CondensedPoint)
         if not search.converged:
             raise ConvergenceError(f"equilibrium without load: {search.status}", search.history)
-        self.gap = found.gap[0]
+        self.gap = found.unknown[0]
         self.force = contact.force(self.gap)
         self.modal = -(self.modes.pairs @ self.force) / squares
         held = _work(contact, np.zeros_like(self.gap), self.gap, 0.0 * self.force)
@@ -117,7 +109,7 @@ class FreeMotion(ABC):
 
     least_fundamental: float
 
-    def __init__(self, rest: Equilibrium, integrals: ContactIntegrals, reference: float) -> None:
+    def __init__(self, rest: Equilibrium, integrals: PairIntegrals, reference: float) -> None:
         self.rest, self.integrals, self.reference = rest, integrals, reference
         self.harmonics = integrals.harmonics
         self.rows = cosine_rows(integrals.harmonics)
@@ -165,7 +157,7 @@ class StiffnessMotion(FreeMotion):
     least_fundamental = 0.25
 
     def __init__(
-        self, rest: Equilibrium, integrals: ContactIntegrals, reference: float, energy: float
+        self, rest: Equilibrium, integrals: PairIntegrals, reference: float, energy: float
     ) -> None:
         super().__init__(rest, integrals, reference)
         self.energy = energy
@@ -182,28 +174,6 @@ class StiffnessMotion(FreeMotion):
         """The same with other harmonics."""
         integrals = self.integrals.widened(harmonics)
         return StiffnessMotion(self.rest, integrals, self.reference, self.energy)
-
-
-class FadedMotion(FreeMotion):
-    """Free motions with the whole contact stiffness, of the energy of others; the parameter is the
-    share with which harmonics above some see the pairs: where it is 0 they are at rest."""
-
-    least_fundamental = 0.25
-
-    def __init__(self, motion: StiffnessMotion, harmonics: int) -> None:
-        super().__init__(motion.rest, motion.integrals, motion.reference)
-        self.energy, self._above = motion.energy, np.arange(self.harmonics + 1) > harmonics
-
-    def linearise(self, unknown: np.ndarray, parameter: float) -> MotionPoint:
-        """The equations at x and a share."""
-        weights = np.where(self._above, parameter, 1.0)
-        return MotionPoint(self, unknown, self.energy, 1.0, weights)
-
-    def derivative(self, at: MotionPoint) -> np.ndarray:
-        """dF / d share, by central differences."""
-        parameter = float(at.weights[-1])
-        ends = (self.linearise(at.unknown, parameter + h).residual for h in (SHIFT, -SHIFT))
-        return np.asarray((next(ends) - next(ends)) / (2.0 * SHIFT))
 
 
 class EnergyMotion(FreeMotion):
@@ -235,8 +205,6 @@ class MotionPoint(Linearisation):
         E.
     share : float
         Multiplies the contact force.
-    weights : (H+1,), optional
-        Share with which each harmonic sees the pairs; default: 1.
 
     Attributes
     ----------
@@ -252,27 +220,20 @@ class MotionPoint(Linearisation):
     """
 
     def __init__(
-        self,
-        motion: FreeMotion,
-        unknown: np.ndarray,
-        energy: float,
-        share: float,
-        weights: np.ndarray | None = None,
+        self, motion: FreeMotion, unknown: np.ndarray, energy: float, share: float
     ) -> None:
         rest, rows, scale = motion.rest, motion.rows, math.sqrt(2.0 * energy)
         self._motion, self.unknown = motion, unknown
-        self.weights = np.ones(len(rows)) if weights is None else weights
         self._z = unknown[:-1].reshape(len(rows), -1)
         moved = scale * (self._z @ motion.gap_rows)
         gap = np.zeros((2 * len(rows) - 1, moved.shape[1]))
-        gap[rows] = self.weights[:, None] * moved
+        gap[rows] = moved
         gap[0] += rest.gap
-        force, tangent = motion.integrals.linearise(gap)
-        self.force = force[rows]
+        found = motion.integrals.linearise(gap)
+        self.force = found.force[rows]
         self.force[0] -= rest.force
-        self.force *= (share / scale) * self.weights[:, None]
-        self.tangent = share * tangent[:, rows[:, None], rows]
-        self.tangent *= np.outer(self.weights, self.weights)
+        self.force *= share / scale
+        self.tangent = share * found.tangent[:, rows[:, None], rows]
         first, law = moved.sum(axis=0), rest.contact
         self.push = (share / scale) * (law.force(rest.gap + first) - rest.force)
         self.work = share * _work(law, rest.gap, first, rest.force) / energy

@@ -87,7 +87,6 @@ class MotionPath:
             max_step=self._max_step,
             min_step=1e-10,
             max_steps=self._left,
-            rtol=1e-10,
             min_cosine=0.85,
             span=(self._lowest, np.inf),
         )

@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
+from fenics_crack.arrivals.fit_order import TipTrack
 from fenics_crack.arrivals.harmonics import Candidates, TipFit
-from fenics_crack.arrivals.track_order import TipTrack
 from fenics_crack.draw.figure import (
     COLOURS,
     distinct_colours,

@@ -6,7 +6,6 @@
 #include <string.h>
 
 enum {
-    MANY = 100,              /* unknowns from which on points share LU factors */
     UNSURE = 8,              /* points whose sign of det J is not asked for, in a row */
     DOUBTED = FAILED + 1, /* of points: they do not go with the next factors */
     PATIENT = 32
@@ -16,6 +15,11 @@ enum {
 #define STEP 1e-4       /* of such a step of Newton's method, */
 #define SHARP 1e-9      /* and of a tangent that tells where a path turns */
 #define LEVEL 1e-3      /* slope of a tangent below which it must be exact: the path may turn */
+#define BRANCHING 1e-3  /* share of the longest step below which a change of sign straight ahead
+                           means that another branch crosses */
+#define CORNER 1e-7     /* shortest and longest step, of the longest of all, around a corner, */
+#define AROUND 1e-2
+#define BACK 0.9        /* and cosine of an angle above which its opposite leads back */
 
 static double inner(const equations *at, const double *x, const double *y)
 {
@@ -272,6 +276,57 @@ static void predict(const equations *at, const path *points, double *x, double *
     bend(at, points, points->step, x, p, room);
 }
 
+/* One more point, whose unknowns and tangent are in their places. */
+static void append(const equations *at, path *points, double p, double slope, double weight,
+                   int taken, int crossing, double *room)
+{
+    const int n = at->unknowns, next = points->known++;
+    const double *x = points->unknowns + (size_t)next * n, rise = p - points->parameters[next - 1];
+    for (int i = 0; i < n; i++) room[i] = x[i] - x[i - n];
+    points->parameters[next] = p, points->slopes[next] = slope, points->weights[next] = weight;
+    points->iterations[next] = taken, points->crossings[next] = crossing;
+    points->lengths[next] = sqrt(points->weights[next - 1] * inner(at, room, room) + rise * rise);
+}
+
+/* Leaves the last point where the path turns more sharply than steps can resolve, as where stiff
+ * contact begins to graze and J changes by orders of magnitude over the smallest distance. The path
+ * goes on as the tangent just behind the point says; where the sign of det J is not known, that or
+ * its opposite, unless this leads straight back. FOUND, or NOT_FOUND where it ends. */
+static int round_corner(equations *at, int n, const stepping *how, path *points, double *room)
+{
+    const int last = points->known - 1;
+    const double *here = points->unknowns + (size_t)last * n;
+    const double *old = points->tangents + (size_t)last * n, old_slope = points->slopes[last];
+    double *x = points->unknowns + (size_t)points->known * n;
+    double *tangent = points->tangents + (size_t)points->known * n, *way = room + 3 * (n + 1);
+    for (double step = CORNER * how->longest; step <= AROUND * how->longest; step *= sqrt(10.0)) {
+        if (step < how->shortest) continue;
+        double weight, own, p = points->parameters[last] + step * old_slope;
+        memcpy(x, here, n * sizeof(double)), add(n, x, step, old);
+        const int outcome = at->evaluate(at, x, p);
+        if (outcome != FOUND) return outcome;
+        double way_slope = tangent_onwards(at, n, points->orientation, x, old, old_slope, way, &weight);
+        const int unsure = isnan(points->orientation) &&
+                           cosine_of(at, points->weights[last], way, way_slope, old, old_slope) < BACK;
+        for (int ways = 0; ways <= unsure; ways++, turn_round(n, way, &way_slope)) {
+            int taken;
+            memcpy(x, here, n * sizeof(double)), add(n, x, step, way);
+            p = points->parameters[last] + step * way_slope;
+            if (correct(at, n, x, &p, way, way_slope, weight, fmax(how->rounding, 1e-4 * step),
+                        how->iterations, how->reach * step, how->least_damping, 0, &taken,
+                        room) != FOUND)
+                continue;
+            const double slope =
+                tangent_onwards(at, n, points->orientation, x, way, way_slope, tangent, &own);
+            if (!(cosine_of(at, weight, tangent, slope, way, way_slope) > 0.5)) continue;
+            append(at, points, p, slope, own, taken, 0, room);
+            points->step = step;
+            return FOUND;
+        }
+    }
+    return NOT_FOUND;
+}
+
 /* One step: FOUND, NOT_FOUND where the step is too long, SINGULAR_STRUCTURE, or DOUBTED where
  * points before it must be followed again. */
 static int advance(equations *at, int n, const stepping *how, path *points, sharing *with,
@@ -313,21 +368,18 @@ static int advance(equations *at, int n, const stepping *how, path *points, shar
     const double cosine = cosine_of(at, weight, tangent, slope, old, old_slope);
     if (!(cosine > how->least_cosine)) {
         if (with && with->sure < last && cosine < 0.0) return DOUBTED;
-        if (!(cosine < -0.999 && step < how->branching_step * how->longest)) return NOT_FOUND;
+        if (!(cosine < -0.999 && step < BRANCHING * how->longest)) return NOT_FOUND;
         /* A short step straight on, but the sign has changed: another branch crosses. */
         crossing = 1, points->orientation = -points->orientation;
         turn_round(n, tangent, &slope);
     }
     for (int i = 0; i < n; i++) room[i] = x[i] - here[i];
-    const double rise = p - points->parameters[last], chord = inner(at, room, room);
+    const double rise = p - points->parameters[last];
     if (isnan(points->orientation) && /* lest a step across a narrow turn leads back */
         !(cosine_of(at, weight, room, rise, old, old_slope) > how->least_cosine &&
           cosine_of(at, own, room, rise, tangent, slope) > how->least_cosine))
         return NOT_FOUND;
-    points->parameters[points->known] = p, points->slopes[points->known] = slope;
-    points->weights[points->known] = own, points->iterations[points->known] = taken;
-    points->lengths[points->known] = sqrt(weight * chord + rise * rise);
-    points->crossings[points->known++] = crossing;
+    append(at, points, p, slope, own, taken, crossing, room);
     if (taken <= 3) points->step = fmin(how->longest, 1.7 * step);
     else if (taken > 5) points->step *= 0.7;
     if (!with) return FOUND;
@@ -346,23 +398,27 @@ static int advance(equations *at, int n, const stepping *how, path *points, shar
 int follow(equations *at, const stepping *how, path *points)
 {
     const int n = at->unknowns, many = n >= MANY && (at->has_factors || at->products);
-    const size_t row = (size_t)n + 1, rows = many ? 10 + 2 * BROYDEN_PAIRS : 3;
+    const size_t row = (size_t)n + 1, rows = many ? 11 + 2 * BROYDEN_PAIRS : 4;
     double *room = malloc(rows * row * sizeof(double));
     int outcome = room ? FOUND : NO_MEMORY, inside = 1;
     sharing with = {.sure = points->known - 1, .step = points->step, .by = {.unknowns = n}};
     broyden *by = &with.by;
     double **const each[] = {&with.here,    &by->across, &by->along,  &by->rate,
                              &by->residual, &by->step,   &by->answer, &by->steps};
-    for (int i = 0; room && many && i < 8; i++) *each[i] = room + (3 + i) * row;
+    for (int i = 0; room && many && i < 8; i++) *each[i] = room + (4 + i) * row;
     if (room && many) by->gains = by->steps + BROYDEN_PAIRS * row;
+    if (outcome == FOUND && points->orientation == 0.0) {
+        const double *x = points->unknowns + (size_t)(points->known - 1) * n;
+        outcome = at->evaluate(at, x, points->parameters[points->known - 1]);
+        if (outcome == FOUND)
+            points->orientation = points->slopes[points->known - 1] > 0.0 ? at->sign(at) : -at->sign(at);
+    }
     while (outcome == FOUND && points->known < points->room && inside) {
-        outcome = NOT_FOUND;
-        while (points->step > 0.0 &&
-               (outcome = advance(at, n, how, points, many ? &with : NULL, room)) == NOT_FOUND) {
-            points->step *= 0.5;
-            if (points->step < how->shortest) points->step = 0.0; /* as the caller will see */
-        }
+        do outcome = advance(at, n, how, points, many ? &with : NULL, room);
+        while (outcome == NOT_FOUND && (points->step *= 0.5) >= how->shortest);
         if (outcome != FOUND && go_back(many ? &with : NULL, points)) outcome = FOUND;
+        if (outcome == NOT_FOUND && (outcome = round_corner(at, n, how, points, room)) == FOUND)
+            with.sure = points->known - 1, with.step = points->step, with.points = with.work = 0;
         const double p = points->parameters[points->known - 1];
         inside = p >= how->lowest && p <= how->highest;
     }

@@ -17,7 +17,7 @@ int solve_in_plane(equations *at, double *unknown, double *parameter, int border
                    int iterations, double reach, double least_damping, int patience, int *taken);
 
 typedef struct {
-    double longest, shortest, tolerance, least_cosine, rounding, branching_step, reach;
+    double longest, shortest, tolerance, least_cosine, rounding, reach;
     int iterations;
     double least_damping;
     double lowest, highest; /* parameters between which a call goes on */
@@ -30,7 +30,7 @@ typedef struct {
     double *unknowns, *parameters, *tangents, *slopes, *weights, *lengths;
     int *iterations;
     signed char *crossings; /* whether another branch crosses before the point */
-    double step, orientation;
+    double step, orientation; /* sign of t_p det J along the path; 0: not asked for yet */
 } path;
 
 /* From 100 unknowns on points share LU factors (broyden.h): J is factored where this has become
@@ -39,7 +39,7 @@ typedef struct {
  * factors of its own.
  *
  * Follow the path until there is no more room or the parameter leaves its range. Returns FOUND,
- * or why it ended before: NOT_FOUND where steps would be too short; the next one is then 0. */
+ * or why it ended before: NOT_FOUND where steps would be too short. */
 int follow(equations *at, const stepping *how, path *points);
 
 /* The point between two, the first rows of `ends` (3 rows), where the parameter turns back, or

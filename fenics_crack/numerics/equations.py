@@ -39,10 +39,6 @@ class Equations(ABC):
     """Where they have been evaluated."""
 
     @abstractmethod
-    def linearise(self, unknown: np.ndarray, parameter: float) -> Linearisation:
-        """The system at a point."""
-
-    @abstractmethod
     def found(self, unknown: np.ndarray, parameter: float) -> Linearisation:
         """The system at a point that a loop has found, where it has just been evaluated."""
 
@@ -85,9 +81,6 @@ class _Interpreted(Equations):
             sign=kernel.python_sign, inner=kernel.python_inner,
         )  # fmt: skip
         self.table = self._struct.at
-
-    def linearise(self, unknown: np.ndarray, parameter: float) -> Linearisation:
-        return self._state.system.linearise(unknown, parameter)
 
     def found(self, unknown: np.ndarray, parameter: float) -> Linearisation:
         return self._state.at

@@ -31,7 +31,6 @@ from enum import Enum
 from typing import overload
 
 import numpy as np
-import scipy.optimize
 
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import NULL, Struct, doubles, kernel
@@ -41,14 +40,12 @@ from fenics_crack.numerics.bordered import (
     REACH,
     PathPoint,
     Tangent,
-    correct,
     distance,
     solve_at,
     step_along,
-    tangent_of,
 )
 from fenics_crack.numerics.equations import equations_of
-from fenics_crack.numerics.linearisation import Linearisation, System
+from fenics_crack.numerics.linearisation import System
 from fenics_crack.numerics.rounding import ROUNDING
 
 __all__ = [
@@ -65,10 +62,8 @@ __all__ = [
     "Target",
 ]
 
-BRANCHING_STEP = 1e-3
-"""Share of the longest step below which a change of sign straight ahead means a branch crosses."""
-BACK = 0.9
-"""Cosine of an angle above which two directions are taken for one: back, or to a point before."""
+ALIKE = 0.9
+"""Cosine of an angle up to which two directions are taken for one, where a path closes."""
 SHARP = 1e-11
 """|F| / |x| of what is located between two points."""
 BETWEEN = 30
@@ -92,7 +87,7 @@ class PathOptions:
     min_step: float = 1e-7
     """The path ends where steps would be shorter."""
     max_steps: int = 1000
-    rtol: float = 1e-8
+    rtol: float = 1e-9
     """|F| / |x| of the points; where steps are short, they are solved for more sharply."""
     min_cosine: float = 0.5
     """Of the angle between neighbouring tangents."""
@@ -248,6 +243,8 @@ class Crossing(Event):
         before, after = ends
         met: list[tuple[float, PathPoint]] = []
 
+        import scipy.optimize  # takes a while, and a path without events needs none
+
         def value(step: float) -> float:
             point = before if step == 0.0 else step_along(system, before, step, rtol)
             if point is None:
@@ -310,7 +307,7 @@ class Closed(Event):
 
     def between(self, points: Stretch) -> np.ndarray:
         lengths = points.lengths[1:]
-        near = np.abs(points.parameters[:-1] - self.origin.parameter) <= lengths / BACK
+        near = np.abs(points.parameters[:-1] - self.origin.parameter) <= lengths / ALIKE
         ways = points.ways_to(self.origin)[:-1]
         return np.asarray(near & (ways > 0.0) & (ways <= lengths))
 
@@ -322,10 +319,10 @@ class Closed(Event):
             origin.parameter - before.parameter,
             before.tangent.weight,
         ).along(before.tangent, system)
-        if along < BACK:
+        if along < ALIKE:
             return None
         met = step_along(system, before, along * chord, rtol)
-        if met is None or met.tangent.along(origin.tangent, system) < BACK:
+        if met is None or met.tangent.along(origin.tangent, system) < ALIKE:
             return None
         off = met.unknown - origin.unknown
         same = system.inner(off, off) < 1e-10 * system.inner(origin.unknown, origin.unknown)
@@ -476,9 +473,7 @@ class Path:
 
     def _begin(self, point: PathPoint, step: float) -> None:
         """Go on from a point, with a step."""
-        at = self._equations.linearise(point.unknown, point.parameter)
-        self._known, self._step = [point], step
-        self._orientation = at.sign if point.tangent.p > 0.0 else -at.sign
+        self._known, self._step, self._orientation = [point], step, 0.0
 
     def _remember(self, found: Stretch) -> None:
         self._known = [*self._known, *found[-2:]][-2:]
@@ -487,7 +482,7 @@ class Path:
         """The last point that is known, and those behind it, if no step is too short; no more than
         are left."""
         options, known = self._options, self._known
-        here, rounding = known[-1], self._rounding(known[-1])
+        here, rounding = known[-1].parameter, self._rounding(known[-1])
         targets = [event.parameter for event in self._events if isinstance(event, Target)]
         bounds = [*options.span, *targets]
         many = min(left, options.at_once if self._equations.many else 1)
@@ -496,67 +491,13 @@ class Path:
         how = Struct(
             "stepping", longest=options.max_step, shortest=options.min_step,
             tolerance=max(options.rtol, rounding), rounding=rounding,
-            least_cosine=options.min_cosine, branching_step=BRANCHING_STEP, reach=REACH,
-            iterations=MAX_ITERATIONS, least_damping=MIN_DAMPING,
-            lowest=max(p for p in bounds if p <= here.parameter),
-            highest=min(p for p in bounds if p >= here.parameter),
+            least_cosine=options.min_cosine, reach=REACH, iterations=MAX_ITERATIONS,
+            least_damping=MIN_DAMPING,
+            lowest=max(p for p in bounds if p <= here),
+            highest=min(p for p in bounds if p >= here),
         )  # fmt: skip
         outcome = self._equations.run(kernel.follow, how.at, path.at)
         self._orientation, self._step = path.at.orientation, path.at.step
         if path.at.known == len(known):
             self._equations.check(outcome)
-            turned = self._round_corner(here)
-            if turned is None:
-                return found[len(known) - 1 : len(known)]
-            found.put(len(known), turned[0])
-            path.at.known, self._step = len(known) + 1, turned[1]
         return found[len(known) - 1 : path.at.known]
-
-    def _onwards(self, unknown: np.ndarray, at: Linearisation, before: Tangent) -> Tangent:
-        """The tangent at a point along which the path goes on, behind one with another tangent."""
-        tangent = tangent_of(self._system, unknown, at)
-        if np.isnan(at.sign):  # unknown: not back again
-            onwards = self._cosine(tangent, before) >= 0.0
-        else:
-            onwards = at.sign == self._orientation
-        return tangent if onwards else tangent.reversed()
-
-    def _cosine(self, first: Tangent, second: Tangent) -> float:
-        """Of the angle between two directions, with unknowns that count as the system says."""
-        counts = getattr(self._system, "counts", None)
-
-        def product(one: Tangent, other: Tangent) -> float:
-            x = one.x if counts is None else counts * one.x
-            return second.weight * self._system.inner(x, other.x) + one.p * other.p
-
-        square = product(first, first) * product(second, second)
-        return product(first, second) / float(np.sqrt(square)) if square > 0.0 else 0.0
-
-    def _round_corner(self, here: PathPoint) -> tuple[PathPoint, float] | None:
-        """Leave a point where the path turns more sharply than steps can resolve: the next one, and
-        the step to it.
-
-        Where stiff contact begins to graze, the Jacobian changes by orders of magnitude over the
-        smallest distance. The direction in which the path goes on is that of the Jacobian just
-        behind the point; where the sign of its determinant is unknown, that or its opposite, unless
-        this leads straight back.
-        """
-        steps = self._options.max_step * 10.0 ** np.arange(-7.0, -1.5, 0.5)
-        for step in steps[steps >= self._options.min_step]:
-            behind = here.unknown + step * here.tangent.x
-            at = self._equations.linearise(behind, here.parameter + step * here.tangent.p)
-            turned = self._onwards(behind, at, here.tangent)
-            ways = [turned]
-            if np.isnan(self._orientation) and self._cosine(turned, here.tangent) < BACK:
-                ways.append(turned.reversed())
-            sharp = max(self._rounding(here), 1e-4 * step)
-            for way in ways:
-                found = correct(self._system, here, step, sharp, tangent=way)
-                if found is None:
-                    continue
-                assert found.at is not None
-                ahead = self._onwards(found.unknown, found.at, way)
-                if self._cosine(ahead, way) > 0.5:
-                    length = distance(self._system, here, found)
-                    return replace(found, tangent=ahead, length=length), float(step)
-        return None

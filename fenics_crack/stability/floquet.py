@@ -21,9 +21,10 @@ from fenics_crack.balance.judgement import BELIEVED, UNKNOWN, Judgement
 from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.balance.solution import PeriodicSolution, Stability
 from fenics_crack.errors import ConvergenceError, InputError
-from fenics_crack.model.contact import ContactLaw, check_law
+from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
+from fenics_crack.motion.flow import exact_flow
 from fenics_crack.motion.orbit import PeriodicOrbit, eigenvalues
 from fenics_crack.stability.hill import hill_root
 from fenics_crack.stability.linear_flow import monodromy
@@ -84,14 +85,14 @@ def floquet(
     """
     if contact is None:
         contact = solution.contact
-    check_law(structure, contact, rigid=structure.light_lips)
+    check_law(structure, contact, rigid=True)
     assert contact is not None
-    if not is_small(structure):
-        raise InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
     if solution.structure.n_dofs != structure.n_dofs:
         raise InputError("solution", f"{solution.structure.n_dofs} dofs", "of this structure")
     judged = replace(solution, structure=structure, contact=contact).judged
     if judged.flow is None:
+        if is_rigid(contact) or not is_small(structure):
+            exact_flow(structure, contact)  # says what is missing
         return _by_hill(structure, solution, contact)
     if not refine:
         return _along_the_wave(judged, "the multipliers of a wave, without its orbit")

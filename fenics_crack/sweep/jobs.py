@@ -163,7 +163,7 @@ class Manager:
 
     def __init__(self, plan: Plan, file: SweepFile, groups: int, *, progress: bool) -> None:
         self.error: BaseException | None = None
-        self._plan, self._file, self._groups = plan, file, groups
+        self._plan, self.file, self._groups = plan, file, groups
         left = {
             number: plan.pending(geometry, file.state)
             for number, geometry in enumerate(plan.geometries)
@@ -264,7 +264,7 @@ class Manager:
             self._fail(outcome)
             return
         try:
-            self._file.record(index, outcome)
+            self.file.record(index, outcome)
         except InputError as error:
             self._fail(error)
             return
@@ -282,8 +282,8 @@ class Manager:
     def _close(self) -> None:
         """Close the file; after an error remove it if it is new and empty."""
         self._bar.close()
-        useless = self._file.made and self._recorded == 0 and self.error is not None
+        useless = self.file.made and self._recorded == 0 and self.error is not None
         try:
-            self._file.close(remove=useless)
+            self.file.close(remove=useless)
         except InputError as error:
             self._fail(error)

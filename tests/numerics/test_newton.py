@@ -1,0 +1,51 @@
+"""PETSc's SNES, and the kernel's loops on the same equations: one solution."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import chain, relative
+from laboratory import BlockSystem
+
+import fenics_crack as fc
+from fenics_crack.balance.compliance import FactoredCompliance
+from fenics_crack.numerics.bordered import point_on_path, solve_at
+from fenics_crack.numerics.newton import Newton
+from fenics_crack.numerics.path import Path, PathOptions, Target
+
+PENALTY = fc.UnilateralPenalty(np.array([3.0, 8.0, 20.0]))
+
+
+def equations(kind: str) -> tuple[Any, float, float]:
+    """A system, where its path begins with the linear solution, and where it ends."""
+    structure = chain("modal", pairs=3)
+    if kind == "coupled":
+        structure = fc.reduce_structure(structure, modes=6, method="massless")
+        rigid = fc.Problem(structure, 0.6, fc.UnilateralConstraint(), 8)
+        system: Any = rigid.system(rigid.compliance())
+        return system.softened(system.enough), 0.0, 1.0
+    law = fc.SmoothedPenalty(5.0, 20.0) if kind == "smooth" else PENALTY
+    problem = fc.Problem(structure, 0.6, law, 6, samples=128 if kind == "sampled" else None)
+    if kind == "block":
+        compliance = FactoredCompliance(structure, problem.base_omega, problem.load)
+        return BlockSystem(compliance, problem.integrals()), math.log(1e-3), 0.0
+    return problem.system(problem.compliance()), math.log(1e-3), 0.0
+
+
+@pytest.mark.parametrize("kind", ["exact", "sampled", "smooth", "coupled", "block"])
+def test_snes_finds_the_end_of_a_path(kind: str) -> None:
+    """Full steps of SNES from near the path's end, and that end, in the kernel and called back."""
+    system, first, end = equations(kind)
+    begun = solve_at(system, system.linear, first, tolerance=1e-12)
+    assert begun is not None
+    start = point_on_path(system, begun.unknown, first)
+    found = Path(system, start, PathOptions(0.1, max_step=0.5), [Target(end)]).run()
+    assert found is not None and found.parameter == end
+    near = found.unknown * (1.0 + 1e-3 * np.random.default_rng(0).normal(size=found.unknown.shape))
+    with Newton(system) as newton:
+        at, converged, count = newton.solve(near, end, 1e-12, 20)
+    assert converged and 0 < count < 10
+    assert relative(at.unknown, found.unknown) < 1e-10
