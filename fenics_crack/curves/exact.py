@@ -79,8 +79,21 @@ class _Judge:
             self._family = family
         self._own: dict[float, bool] = {}
         self._few = attract_little(curve.structure)
-        self.branch = OrbitBranch(self.system, self.parameters, self._motions)
-        self._judge()
+        self.affordable = self._is_affordable()
+        """Whether the motion of some point is followed within the budget."""
+        if self.affordable:
+            self.branch = OrbitBranch(self.system, self.parameters, self._motions)
+            self._judge()
+
+    def _is_affordable(self) -> bool:
+        for place in np.unique([0, len(self._curve) // 2, len(self._curve) - 1]):
+            [motion] = self._motions(np.array([place]))
+            try:
+                self.system.moved(motion, float(self.parameters[place]))
+            except ConvergenceError:
+                continue
+            return True
+        return False
 
     def value(self, parameter: float) -> float:
         """Of the curve's parameter."""
@@ -240,10 +253,10 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     if not is_unilateral(curve.contact):
         return judged_by_waves(curve)
     begin("stability by exact orbits")
-    if not _affordable(curve):
+    judge = _Judge(curve)
+    if not judge.affordable:
         nothing = np.full(len(curve), np.nan + 0j)
         return replace(curve, multipliers=nothing, undecided=np.ones(len(curve), dtype=bool))
-    judge = _Judge(curve)
     crossings = _distinct(judge.branch.locate())
     # Next to the end of a branch of twice the period the old orbit is as near as the new one.
     doubled = curve.subharmonic % 2 == 0
@@ -260,20 +273,6 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
                 undecided[place] = False
     special = _special(curve, judge, crossings, undecided)
     return replace(curve, bifurcations=special, multipliers=multipliers, undecided=undecided)
-
-
-def _affordable(curve: ResponseCurve) -> bool:
-    """Whether the motion of some point is followed within the budget."""
-    for place in np.unique([0, len(curve) // 2, len(curve) - 1]):
-        wave = curve.solution(int(place), search=False)
-        assert wave.contact is not None
-        flow = exact_flow(wave.structure, wave.contact)
-        try:
-            flow.advance(wave.judged.states[0], wave.omega, wave.period, budget=BUDGET)
-        except ConvergenceError:
-            continue
-        return True
-    return False
 
 
 def verified(curve: ResponseCurve) -> ResponseCurve:

@@ -216,7 +216,7 @@ def test_motions_that_take_too_long(monkeypatch: pytest.MonkeyPatch) -> None:
     """Undecided at all points, and nothing is sought; the curve's own bifurcations stay."""
     plain = fc.continue_frequency(two_masses(), 0.6, 0.9, fc.UnilateralPenalty(100.0), harmonics=12)
     monkeypatch.setattr(exact, "BUDGET", Budget(pieces=2))
-    monkeypatch.setattr(exact, "_Judge", None)
+    monkeypatch.setattr(exact, "OrbitBranch", None)
     judged = fc.judge_curve(plain)
     assert set(judged.verdicts) == {"undecided"}
     assert judged.bifurcations == plain.bifurcations
