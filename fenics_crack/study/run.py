@@ -57,6 +57,13 @@ REFUSALS = (InputError, ConvergenceError, np.linalg.LinAlgError)
 """Errors that fail one run while others go on."""
 RECORDED_PERIODS = 4
 """Periods kept of a motion in time."""
+_MARCHES: dict[str, tuple[Callable[..., TimeHistory], int]] = {
+    "events": (integrate_events, 256),
+    "implicit": (integrate_implicit, 512),
+    "exponential": (integrate_exponential, 512),
+    "central_difference": (integrate_central_difference, 0),
+}
+"""By ``integration.method``, with the usual steps per period; 0: twice those that are stable."""
 
 Found = TypeVar("Found", bound=Result, covariant=True)
 
@@ -252,17 +259,8 @@ def integrate(
         "record_periods": min(RECORDED_PERIODS, table.periods),
         "progress": progress,
     }
-    march: Callable[..., TimeHistory]
-    steps = table.steps_per_period
-    if method == "events":
-        march, steps = integrate_events, steps or 256
-    elif method == "implicit":
-        march, steps = integrate_implicit, steps or 512
-    elif method == "exponential":
-        march, steps = integrate_exponential, steps or 512
-    else:
-        march = integrate_central_difference
-        steps = steps or 2 * stable_steps_per_period(structure, omega, law)
+    march, usual = _MARCHES[method]
+    steps = table.steps_per_period or usual or 2 * stable_steps_per_period(structure, omega, law)
     history = march(structure, omega, law, steps_per_period=steps, **options)
     return Run(**vars(study), result=history)
 
