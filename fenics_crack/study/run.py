@@ -57,13 +57,6 @@ REFUSALS = (InputError, ConvergenceError, np.linalg.LinAlgError)
 """Errors that fail one run while others go on."""
 RECORDED_PERIODS = 4
 """Periods kept of a motion in time."""
-_MARCHES: dict[str, tuple[Callable[..., TimeHistory], int]] = {
-    "events": (integrate_events, 256),
-    "implicit": (integrate_implicit, 512),
-    "exponential": (integrate_exponential, 512),
-    "central_difference": (integrate_central_difference, 0),
-}
-"""By ``integration.method``, with the usual steps per period; 0: twice those that are stable."""
 
 Found = TypeVar("Found", bound=Result, covariant=True)
 
@@ -259,7 +252,13 @@ def integrate(
         "record_periods": min(RECORDED_PERIODS, table.periods),
         "progress": progress,
     }
-    march, usual = _MARCHES[method]
+    marches: dict[str, tuple[Callable[..., TimeHistory], int]] = {  # and usual steps per period
+        "events": (integrate_events, 256),
+        "implicit": (integrate_implicit, 512),
+        "exponential": (integrate_exponential, 512),
+        "central_difference": (integrate_central_difference, 0),  # twice those that are stable
+    }
+    march, usual = marches[method]
     steps = table.steps_per_period or usual or 2 * stable_steps_per_period(structure, omega, law)
     history = march(structure, omega, law, steps_per_period=steps, **options)
     return Run(**vars(study), result=history)
