@@ -17,7 +17,7 @@ __all__ = ["Dofs", "nodes_on"]
 
 
 class Dofs:
-    """Which dofs of the function space are free, and their numbers in the structure."""
+    """Free dofs of the function space, and their numbers in the structure."""
 
     def __init__(self, plate: PlateMesh, space: Any, comm: MPI.Comm) -> None:
         self.comm = comm

@@ -54,7 +54,7 @@ def constants(space: Any, *values: float) -> list[Any]:
 
 
 def rotation_of(scene: Scene, space: Any, dofs: Dofs, at_rest: Structure) -> Rotation:
-    """What the rotation of a scene adds to its structure at rest (collective)."""
+    """Assemble what the rotation of a scene adds to its structure at rest (collective)."""
     assert scene.rotation is not None
     thickness, density, hub = constants(
         space, scene.geometry.thickness, scene.material.density, scene.rotation.hub_radius

@@ -19,11 +19,11 @@ from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.files.results import Result, type_of, unpack
 from fenics_crack.files.store import Stored, read
-from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
+from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid, is_unilateral
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes, solve_modes
 from fenics_crack.model.reduction import MODES
-from fenics_crack.model.run_up_basis import run_up_structure
+from fenics_crack.model.run_up import run_up_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
@@ -43,8 +43,7 @@ from fenics_crack.time.central_differences import (
     integrate_central_difference,
     stable_steps_per_period,
 )
-from fenics_crack.time.events import integrate_events
-from fenics_crack.time.exponential import integrate_exponential
+from fenics_crack.time.flows import integrate_events, integrate_exponential
 from fenics_crack.time.implicit import integrate_implicit
 from fenics_crack.time.march import TimeHistory
 
@@ -240,7 +239,7 @@ def integrate(
     method = _method(table, structure)
     law = _needed_law(study)
     closed_form = method in ("events", "exponential")
-    if closed_form and not (is_piecewise_linear(law) or is_rigid(law)):
+    if closed_form and not is_unilateral(law):
         allowed = f"'penalty' or 'unilateral' with integration.method = {method!r}"
         raise InputError("contact.law", scene.contact and scene.contact.law, allowed)
     if closed_form and is_rigid(law) and not structure.light_lips:
