@@ -2,11 +2,11 @@
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes as ArrivalTimes
 from fenics_crack.arrivals.fit_frequency import fit_frequency as fit_frequency
+from fenics_crack.arrivals.fit_order import TipTrack as TipTrack
 from fenics_crack.arrivals.fit_order import fit_order as fit_order
+from fenics_crack.arrivals.fit_order import track_order as track_order
 from fenics_crack.arrivals.harmonics import TipFit as TipFit
 from fenics_crack.arrivals.simulate import tip_timing as tip_timing
-from fenics_crack.arrivals.track_order import TipTrack as TipTrack
-from fenics_crack.arrivals.track_order import track_order as track_order
 from fenics_crack.balance.error_report import ErrorReport as ErrorReport
 from fenics_crack.balance.harmonic_balance import solve_harmonic_balance as solve_harmonic_balance
 from fenics_crack.balance.harmonic_balance import solve_linear as solve_linear
@@ -75,7 +75,7 @@ from fenics_crack.model.reduced import MasslessStructure as MasslessStructure
 from fenics_crack.model.reduced import ReducedStructure as ReducedStructure
 from fenics_crack.model.reduction import reduce_structure as reduce_structure
 from fenics_crack.model.run_up import RunUpStructure as RunUpStructure
-from fenics_crack.model.run_up_basis import run_up_structure as run_up_structure
+from fenics_crack.model.run_up import run_up_structure as run_up_structure
 from fenics_crack.model.structure import Structure as Structure
 from fenics_crack.scene.scene import Scene as Scene
 from fenics_crack.stability.floquet import floquet as floquet
@@ -98,8 +98,8 @@ from fenics_crack.time.central_differences import (
     integrate_central_difference as integrate_central_difference,
 )
 from fenics_crack.time.central_differences import stable_steps_per_period as stable_steps_per_period
-from fenics_crack.time.events import integrate_events as integrate_events
-from fenics_crack.time.exponential import integrate_exponential as integrate_exponential
+from fenics_crack.time.flows import integrate_events as integrate_events
+from fenics_crack.time.flows import integrate_exponential as integrate_exponential
 from fenics_crack.time.implicit import integrate_implicit as integrate_implicit
 from fenics_crack.time.march import TimeHistory as TimeHistory
 

@@ -22,6 +22,7 @@ from fenics_crack.whole import write_whole
 
 __all__ = [
     "RPM",
+    "TURN",
     "Described",
     "Table",
     "Tabular",
@@ -37,7 +38,9 @@ __all__ = [
 
 SHOWN_ROWS, NOTEBOOK_ROWS = 40, 20
 """Rows shown as text and in a notebook; files have all of them."""
-RPM = 2.0 * math.pi / 60.0
+TURN = 2.0 * math.pi
+"""Of Hz in rad/s."""
+RPM = TURN / 60.0
 """Of revolutions per minute in rad/s."""
 UNITS = {"omega": "rad/s", "frequency": "Hz", "energy": "J", "contact_force": "N"}
 UNITS |= {"speed": "rad/s", "rpm": "rpm"}
@@ -200,7 +203,7 @@ def speed_axis(in_rpm: bool) -> tuple[float, str, str]:
 def with_frequency(values: dict[str, Any]) -> dict[str, Any]:
     """Entries with the "frequency" [Hz] of their "omega" [rad/s], a number or a list, behind it,
     and with the "rpm" of their "speed" [rad/s]."""
-    twins = {"omega": ("frequency", 2.0 * math.pi), "speed": ("rpm", RPM)}
+    twins = {"omega": ("frequency", TURN), "speed": ("rpm", RPM)}
     found: dict[str, Any] = {}
     for name, value in values.items():
         found[name] = value

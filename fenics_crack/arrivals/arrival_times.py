@@ -97,7 +97,7 @@ class ArrivalTimes(Tabular):
 
     @property
     def steady(self) -> bool:
-        """Whether the speed varies by less than 0.1 %; else these are arrivals of a run-up."""
+        """Tell whether the speed varies by less than 0.1 %; else these are arrivals of a run-up."""
         speed = self.speed
         return bool(np.ptp(speed) <= STEADY * speed.mean())
 

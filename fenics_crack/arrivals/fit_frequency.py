@@ -20,16 +20,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
-from fenics_crack.arrivals.harmonics import Candidates, TipFit
-from fenics_crack.arrivals.least_squares import (
-    ALIKE,
-    LinearFit,
-    fit_harmonics,
-    nominal_condition,
-    rounding,
-    smallest,
-    unexplained,
-)
+from fenics_crack.arrivals.harmonics import LinearFit, TipFit, compared, fit_harmonics, rounding
 from fenics_crack.errors import InputError, check_count, check_number
 
 __all__ = ["fit_frequency"]
@@ -37,13 +28,15 @@ __all__ = ["fit_frequency"]
 FINER = 8
 """Orders tried within the resolution, 1 / revolutions."""
 MOST_ORDERS = 10**6
+SCANNED = 2**17
+"""Orders solved together."""
 MINIMA = 40
 """Minima of the scan that are refined."""
 APART = 2.0
 """Minima nearer to a lower one, in units of the resolution, are its side lobes."""
 CHANCE = 1e-5
 """Probability of a vibration in the noise of one probe, above which there is none."""
-STEADY = 1e-6
+UNVARIED = 1e-6
 """Largest variation of the speed."""
 
 
@@ -82,7 +75,7 @@ def fit_frequency(arrivals: ArrivalTimes, low: float, high: float, *, harmonics:
     check_number("high", high, low, above=True)
     check_count("harmonics", harmonics, 1)
     speeds = arrivals.speed
-    if np.ptp(speeds) > STEADY * speeds.mean():
+    if np.ptp(speeds) > UNVARIED * speeds.mean():
         found = f"{speeds.min():.6g} to {speeds.max():.6g} rad/s"
         raise InputError("speed", found, "constant; fit_order and track_order allow a run-up")
     speed = float(2.0 * np.pi * len(arrivals) / (arrivals.marks[-1] - arrivals.marks[0]))
@@ -98,7 +91,8 @@ def fit_frequency(arrivals: ArrivalTimes, low: float, high: float, *, harmonics:
         allowed = f"between {1.0 / finest:.3g} and {MOST_ORDERS / finest:.3g} times the speed"
         raise InputError("high - low", high - low, allowed)
     grid = np.arange(begin, end)
-    scanned = _scan(arrivals, grid.astype(int), finest, harmonics)
+    pieces = np.array_split(grid.astype(int), -(-len(grid) // SCANNED))
+    scanned = np.concatenate([_scan(arrivals, one, finest, harmonics) for one in pieces])
     if len(arrivals.probes) == 1:
         _check_varies(arrivals, values, float(scanned.min()), unknowns)
     starts = _minima(scanned)
@@ -110,8 +104,12 @@ def fit_frequency(arrivals: ArrivalTimes, low: float, high: float, *, harmonics:
     ]
     order, sums = np.array(refined).T
     order = _distinct(order, sums, APART / len(arrivals))
-    tried, best, fit = _compared(arrivals, order, multiples)
-    variance = max(fit.total / (len(values) - unknowns), rounding(arrivals) ** 2)
+
+    def variance_of(fit: LinearFit, _: float = 0.0) -> float:
+        return max(fit.total / (len(values) - unknowns), rounding(arrivals) ** 2)
+
+    tried, best, fit, _ = compared(arrivals, order, multiples, variance_of, hidden_too=True)
+    variance = variance_of(fit)
     covariance = variance * np.linalg.pinv(fit.jacobian.T @ fit.jacobian)
     return TipFit(
         order=float(order[best]),
@@ -139,27 +137,6 @@ def _check_varies(arrivals: ArrivalTimes, values: np.ndarray, least: float, unkn
         raise InputError("probes", found, allowed)
 
 
-def _compared(
-    arrivals: ArrivalTimes, order: np.ndarray, multiples: np.ndarray
-) -> tuple[Candidates, int, LinearFit]:
-    """Candidates, the number of the one that is taken, and its fit."""
-    seen, radius = np.isfinite(arrivals.time), arrivals.tip_radius
-    angle, values = arrivals.angle[seen], arrivals.displacement[seen]
-    nominal = arrivals.nominal_angle[seen]
-    fits = [fit_harmonics(angle, values, one, multiples, radius) for one in order]
-    sums = np.array([fit.total for fit in fits])
-    free = len(values) - 2 * len(multiples) - 2
-    limit = ALIKE * max(float(sums.min()) / free, rounding(arrivals) ** 2)
-    conditions = np.array([nominal_condition(nominal, one, multiples) for one in order])
-    hidden = np.isinf(conditions) | ~np.array([fit.is_usable for fit in fits])
-    alike = sums - sums.min() < limit
-    best = smallest(fits, alike & ~hidden if np.any(alike & ~hidden) else alike)
-    coefficients = fits[best].coefficients
-    alike |= unexplained(nominal, coefficients, float(order[best]), order, multiples) < limit
-    tried = Candidates(order, np.sqrt(sums / len(values)), conditions, alike, hidden)
-    return tried, best, fits[best]
-
-
 def _scan(arrivals: ArrivalTimes, grid: np.ndarray, finest: int, harmonics: int) -> np.ndarray:
     """Sums of squares that fits at the orders grid / finest leave, up to a constant: (n,) [m^2].
 
@@ -176,28 +153,18 @@ def _scan(arrivals: ArrivalTimes, grid: np.ndarray, finest: int, harmonics: int)
         found: np.ndarray = (what[multiple * grid % finest] * np.exp(-1j * phase)).sum(axis=1)
         return found
 
-    ones = [at(sums[0], multiple) for multiple in range(2 * harmonics + 1)]
+    # Of exp(i a p alpha), a = -K ... K: a Hermitian Toeplitz matrix at each order.
     size = 2 * harmonics + 1
-    matrix, right = np.empty((len(grid), size, size)), np.empty((len(grid), size))
-    for row in range(size):
-        one = (row + 1) // 2
-        moments = at(sums[1], one)
-        right[:, row] = moments.real if row % 2 or not row else -moments.imag
-        for column in range(row + 1):
-            two = (column + 1) // 2
-            plus, minus = ones[one + two], ones[one - two]
-            if (row % 2 or not row) and (column % 2 or not column):
-                entry = 0.5 * (minus + plus).real
-            elif not row % 2 and not column % 2 and column:
-                entry = 0.5 * (minus - plus).real
-            elif row % 2:  # cos(one) sin(two)
-                entry = 0.5 * (minus - plus).imag
-            else:  # sin(one) cos(two)
-                entry = -0.5 * (minus + plus).imag
-            matrix[:, row, column] = matrix[:, column, row] = entry
-    matrix += 1e-10 * seen.sum() * np.eye(size)
-    explained = (right * np.linalg.solve(matrix, right[..., None])[..., 0]).sum(axis=1)
-    return np.asarray(float((shifted**2).sum()) - explained)
+    ones, moments = (
+        np.stack([at(sums[kind], multiple) for multiple in range(count)])
+        for kind, count in enumerate((size, harmonics + 1))
+    )
+    ones, moments = (np.concatenate([part[:0:-1].conj(), part]) for part in (ones, moments))
+    place = np.arange(size)
+    matrix = ones[size - 1 + place[:, None] - place].transpose(2, 0, 1)
+    matrix = matrix + 1e-10 * seen.sum() * np.eye(size)
+    found = np.linalg.solve(matrix, moments.T[..., None])[..., 0]
+    return np.asarray(float((shifted**2).sum()) - (moments.conj() * found.T).sum(axis=0).real)
 
 
 def _minima(sums: np.ndarray) -> np.ndarray:

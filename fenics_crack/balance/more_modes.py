@@ -23,6 +23,7 @@ from fenics_crack.model.modes import times
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.motion.flow import ContactFlow, flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit, Prediction
+from fenics_crack.numerics.fourier import waves
 
 __all__ = ["MoreModes", "more_modes"]
 
@@ -102,12 +103,12 @@ class MoreModes:
         slow = states[:, : flow.size // 2] @ flow.modes.pairs + self._waves(self._time) @ flow.gap
         if not np.any(flow.residual):
             return slow
-        return slow - CoupledIntegrals(flow.contact, flow.residual, 1).forces(slow) @ flow.residual
+        integrals = CoupledIntegrals(flow.contact, 1, residual=flow.residual)
+        return slow - integrals.forces(slow) @ flow.residual
 
     def _waves(self, time: np.ndarray) -> np.ndarray:
         """Of the load: mean, cosine and sine."""
-        phase = self._judged.wave.omega * time
-        return np.column_stack([np.ones_like(phase), np.cos(phase), np.sin(phase)])
+        return waves(self._judged.wave.omega * time)
 
     @property
     def _time(self) -> np.ndarray:

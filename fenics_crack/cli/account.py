@@ -6,7 +6,7 @@ vibrations and motions in time, ``of_curve.py`` and ``of_sweep.py`` of these.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -78,8 +78,9 @@ class Account:
         The .csv file; default: the summary.
     shown : Table, optional
         What is printed as text; default: the summary.
-    facts, notes, warnings : list of str
-        What was found, what else to know, what to doubt; the first fact says it in short.
+    facts, notes, warnings : iterables of str
+        What was found, what else to know, what to doubt; the first fact says it in short. Facts may
+        cost something, and are asked for once.
     verdict : (str, str)
         Whether a vibration lasts; and "good", "bad" or "doubtful".
     tables : dict of Table
@@ -96,7 +97,7 @@ class Account:
     summary: Table
     rows: Table | None = None
     shown: Table | None = None
-    facts: Sequence[str] = ()
+    facts: Iterable[str] = ()
     notes: Sequence[str] = ()
     warnings: Sequence[str] = ()
     verdict: tuple[str, str] | None = None

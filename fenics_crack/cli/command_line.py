@@ -184,6 +184,8 @@ def _run(given: argparse.Namespace) -> Exit:
 
     launched = any(name in os.environ for name in LAUNCHERS)
     inputs = None if launched else read_inputs(given)
+    if given.command != "new" and not (inputs and inputs.scene.structure):
+        from fenics_crack import mesher  # noqa: F401  before MPI: see there
     from mpi4py import MPI
 
     from fenics_crack.cli.console import Console

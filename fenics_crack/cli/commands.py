@@ -14,11 +14,11 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import Account
 from fenics_crack.cli.console import Console
 from fenics_crack.cli.inputs import Inputs
-from fenics_crack.cli.results import account_of, read_account
+from fenics_crack.cli.results import account_of, account_of_file
 from fenics_crack.cli.scenes import remark_on_sweep
 from fenics_crack.errors import InputError
 from fenics_crack.files.results import save
-from fenics_crack.files.store import kind_of
+from fenics_crack.files.store import read
 from fenics_crack.model.modes import Modes
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
@@ -198,17 +198,18 @@ def plot(
     is_scene = first.suffix.lower() == ".toml"
 
     def draw() -> list[Path]:
-        if show and (several or is_scene or kind_of(first) != PeriodicSolution.KIND):
+        stored = None if several or is_scene else read(first)
+        if show and (stored is None or stored.kind != PeriodicSolution.KIND):
             raise InputError("--show", str(first), "used with one periodic solution")
         if several or labels:
             from fenics_crack.cli.overlay import draw_several
 
             return draw_several(results, labels, folder)
-        if is_scene:
+        if stored is None:
             from fenics_crack.cli.scenes import draw_scene
 
             return draw_scene(Scene.load(first), folder)
-        account = read_account(first)
+        account = account_of_file(stored)
         files = _for_paraview(account.run, folder, console, show=show)
         return account.draw(folder) + files
 

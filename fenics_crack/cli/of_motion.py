@@ -92,7 +92,7 @@ def account_of_solution(run: Run[PeriodicSolution]) -> Account:
         table,
         rows=_solution_waves(run),
         shown=in_short(table, scene, SHORT),
-        facts=[*_facts(run)],
+        facts=_facts(run),
         verdict=_verdict(found),
         notes=notes,
         warnings=warnings,

@@ -17,10 +17,10 @@ from fenics_crack.draw.plot import Wave, draw_response, draw_waves
 from fenics_crack.draw.plot_curve import draw_curve
 from fenics_crack.draw.plot_motion import draw_spectra
 from fenics_crack.errors import InputError
-from fenics_crack.files.store import kind_of, read_scene
+from fenics_crack.files.store import read
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.words import differences, key_in_words, unit_of
-from fenics_crack.study.run import Run, load_run
+from fenics_crack.study.run import Run, run_of
 from fenics_crack.sweep.file import KIND as SWEEP
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.table import with_unit
@@ -46,7 +46,8 @@ def draw_several(paths: Sequence[Path], labels: Sequence[str], folder: Path) -> 
         raise InputError("--label", list(labels), f"given {len(paths)} times, once for each result")
     if len(paths) > MOST:
         raise InputError("result", f"{len(paths)} files", f"at most {MOST} in one picture")
-    kinds = [kind_of(path) for path in paths]
+    files = [read(path) for path in paths]
+    kinds = [file.kind for file in files]
     if len(set(kinds)) > 1:
         raise InputError("result", kinds, "results of one kind, to be drawn in one picture")
     if kinds[0] == SWEEP:
@@ -55,8 +56,8 @@ def draw_several(paths: Sequence[Path], labels: Sequence[str], folder: Path) -> 
     if kinds[0] not in (ResponseCurve.KIND, PeriodicSolution.KIND):
         allowed = "solutions, curves or sweeps, where several are given"
         raise InputError("result", kinds[0], allowed)
-    runs = [load_run(path, MPI.COMM_SELF) for path in paths]
-    scenes = [read_scene(path) or run.scene for path, run in zip(paths, runs, strict=True)]
+    runs = [run_of(file, MPI.COMM_SELF) for file in files]
+    scenes = [file.scene() or run.scene for file, run in zip(files, runs, strict=True)]
     named = _named(scenes, runs, paths, labels)
     return (_curves if kinds[0] == ResponseCurve.KIND else _solutions)(named, folder)
 
@@ -85,7 +86,7 @@ def _curves(runs: Mapping[str, Run[ResponseCurve]], folder: Path) -> list[Path]:
     for (label, run), colour in zip(runs.items(), colours, strict=True):
         dof, in_hertz = run.watched_dof, run.scene.in_hertz
         draw_curve(run.result, dof, axes=panel, label=label, colour=colour, in_hertz=in_hertz)
-    figure_of(panel, file, _common(run.watched_name for run in runs.values()))
+    figure_of([panel], file, _common(run.watched_name for run in runs.values()))
     return [file]
 
 
@@ -146,7 +147,7 @@ def _sweeps(sweeps: Mapping[str, SweepResult], folder: Path) -> list[Path]:
             how["doubtful"] = {label: doubtful}
             draw_response(place[order], {label: values}, axes=panel, **how)
         files.append(folder / f"overlay_sweep_{name}.png")
-        figure_of(panel, files[-1], None)
+        figure_of([panel], files[-1], None)
     return files
 
 

@@ -19,13 +19,14 @@ from string import Template
 import h5py
 
 from fenics_crack.cli.account import frequency_in_words
-from fenics_crack.cli.results import HEADINGS, read_account
+from fenics_crack.cli.results import HEADINGS, account_of_file
 from fenics_crack.cli.scenes import draw_scene, harmonics_in_words
 from fenics_crack.errors import InputError
-from fenics_crack.files.store import header, kind_of, read_scene, versions
+from fenics_crack.files.store import Stored, read, versions
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Crack, Geometry, Material
 from fenics_crack.scene.words import differences
+from fenics_crack.study.run import Run
 from fenics_crack.table import Table, quantity
 from fenics_crack.version import VERSION
 from fenics_crack.whole import write_whole
@@ -69,34 +70,36 @@ def write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) ->
     if target.suffix.lower() not in (".html", ".htm"):
         raise InputError("--output", str(target), "a .html file")
     order = list(HEADINGS)
-    kinds = {Path(path): kind_of(path) for path in paths}
-    for path, kind in kinds.items():
-        if kind not in order:
-            raise InputError("result", str(path), f"one of these kinds: {', '.join(order)}")
-    files = sorted(kinds, key=lambda path: order.index(kinds[path]))
-    scenes = [_scene_of(path) for path in files]
+    files = [read(path) for path in dict.fromkeys(paths)]
+    for file in files:
+        if file.kind not in order:
+            raise InputError("result", str(file.path), f"one of these kinds: {', '.join(order)}")
+    files.sort(key=lambda file: order.index(file.kind))
+    kinds, scenes = [file.kind for file in files], [*map(_scene_of, files)]
     titles, parts = {"short": "In short", "scene": "Scene"}, []
     facts: list[str] = []
     doubts: list[str] = []
     with tempfile.TemporaryDirectory() as folder:
-        scene_part = _scene_part(scenes[0], Path(folder))
+        accounts = [*map(account_of_file, files)]
+        scene_part = _scene_part(scenes[0], accounts[0].run, Path(folder))
         own = differences([scene.replace({"reduction": None}) for scene in scenes])
-        for number, (path, differs) in enumerate(zip(files, own, strict=True), 1):
-            place, heading = Path(folder) / str(number), HEADINGS[kinds[path]]
+        results = zip(files, own, accounts, strict=True)
+        for number, (file, differs, found) in enumerate(results, 1):
+            place, heading = Path(folder) / str(number), HEADINGS[file.kind]
             place.mkdir()
-            if sum(kinds[other] == kinds[path] for other in files) > 1:
-                heading += f": {differs or path}"
-            found = read_account(path)
+            if kinds.count(file.kind) > 1:
+                heading += f": {differs or file.path}"
+            told = [*found.facts]
             blocks = [paragraph(f"In this result {differs}.", "small")] if differs else []
             doubtful = [f"{text[0].upper()}{text[1:]}" for text in found.warnings]
-            blocks += [points(found.facts), points(doubtful, "doubtful")]
+            blocks += [points(told), points(doubtful, "doubtful")]
             blocks += [paragraph(*found.verdict)] if found.verdict else []
-            blocks += [_picture(file) for file in found.draw(place)]
+            blocks += [_picture(path) for path in found.draw(place)]
             blocks += [_table(rows, caption) for caption, rows in found.tables.items()]
-            blocks.append(paragraph(f"From {path}, {_made(path)}.", "small"))
+            blocks.append(paragraph(f"From {file.path}, {_made(file.path)}.", "small"))
             titles[f"result-{number}"] = heading
             parts.append(section(f"result-{number}", heading, blocks))
-            facts += found.facts[:1]
+            facts += told[:1]
             doubts += [f"{heading}: {text}" for text in found.warnings]
     titles["versions"] = "Versions"
     short = [points(facts), points(doubts, "doubtful")]
@@ -104,28 +107,29 @@ def write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) ->
         short.append(paragraph("The program warned of nothing.", "good"))
     blocks = [section("short", "In short", short), scene_part, *parts]
     blocks.append(_versions_part(files, command))
-    stem = files[0].resolve().parent.name
+    stem = files[0].path.resolve().parent.name
     under = f"{datetime.now(UTC).astimezone():%d %B %Y, %H:%M %Z}, fenics_crack {VERSION}"
     text = page(f"Breathing crack: {stem}", under, [contents(titles), *blocks])
     write_whole(target, text, "--output")
 
 
-def _scene_of(path: Path) -> Scene:
-    scene = read_scene(path)
+def _scene_of(file: Stored) -> Scene:
+    scene = file.scene()
     if scene is None:
-        raise InputError("result", str(path), "a result saved with its scene")
+        raise InputError("result", str(file.path), "a result saved with its scene")
+    file.check_files(scene)
     return scene
 
 
 # --- parts ----------------------------------------------------------------------------------------
 
 
-def _scene_part(scene: Scene, folder: Path) -> str:
-    """The scene in short, its mesh if it has one, and its text."""
+def _scene_part(scene: Scene, run: Run | None, folder: Path) -> str:
+    """The scene in short, its mesh if it has one (that of a run, where there is one), its text."""
     rows: list[tuple[str, object]] = []
     blocks = []
     if scene.geometry is not None and scene.material is not None:
-        [mesh] = draw_scene(scene, folder)
+        [mesh] = draw_scene(scene, folder, None if run is None else run.structure.whole)
         blocks.append(_picture(mesh))
         rows = _plate_in_short(scene.geometry, scene.material, [*scene.all_cracks.values()])
     if scene.contact is not None:
@@ -160,13 +164,12 @@ def _plate_in_short(
     return rows
 
 
-def _versions_part(files: Sequence[Path], command: Sequence[str]) -> str:
+def _versions_part(files: Sequence[Stored], command: Sequence[str]) -> str:
     """What made the results, and what made the page."""
     rows = []
-    for path in files:
-        attributes = header(path).attributes
-        made = f"fenics_crack {attributes['version']}, {attributes['versions']}"
-        rows.append((str(path), made))
+    for file in files:
+        made = f"fenics_crack {file.attributes['version']}, {file.attributes['versions']}"
+        rows.append((str(file.path), made))
     drawn = f"Python {platform.python_version()}, {versions()}, h5py {h5py.__version__}"
     rows.append(("this page", f"fenics_crack {VERSION}, {drawn}"))
     blocks = [

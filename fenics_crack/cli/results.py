@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
@@ -15,14 +14,14 @@ from fenics_crack.cli.of_motion import account_of_history, account_of_modes, acc
 from fenics_crack.cli.of_sweep import account_of_sweep
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError
-from fenics_crack.files.store import kind_of
+from fenics_crack.files.store import Stored
 from fenics_crack.model.modes import Modes
-from fenics_crack.study.run import Run, load_run
+from fenics_crack.study.run import Run, run_of
 from fenics_crack.sweep.file import KIND as SWEEP
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.time.march import TimeHistory
 
-__all__ = ["HEADINGS", "account_of", "read_account"]
+__all__ = ["HEADINGS", "account_of", "account_of_file"]
 
 HEADINGS = {
     Modes.KIND: "Natural frequencies and modes",
@@ -45,17 +44,17 @@ def account_of(run: Run[Any]) -> Account:
     return SPEAKERS[run.result.KIND](run)
 
 
-def read_account(path: Path) -> Account:
-    """The same of a file, read by one rank.
+def account_of_file(stored: Stored) -> Account:
+    """The same of a file that one rank has read.
 
     Raises
     ------
     InputError
         It is no result of a command.
     """
-    kind = kind_of(path)
-    if kind not in HEADINGS:
-        raise InputError("result", kind, f"one of these kinds: {', '.join(HEADINGS)}")
-    if kind == SWEEP:
-        return account_of_sweep(SweepResult.load(path))
-    return account_of(load_run(path, MPI.COMM_SELF))
+    if stored.kind not in HEADINGS:
+        allowed = f"a result of one of these kinds: {', '.join(HEADINGS)}"
+        raise InputError("result", str(stored.path), allowed)
+    if stored.kind == SWEEP:
+        return account_of_sweep(SweepResult.load(stored.path))
+    return account_of(run_of(stored, MPI.COMM_SELF))

@@ -23,14 +23,13 @@ from fenics_crack.study.key_figures import KeyFigures, find_key_figures, highest
 from fenics_crack.study.prepare import Study, check_memory_of, prepare, reduction_of
 from fenics_crack.study.remarks import is_proportional, remarks_on
 from fenics_crack.sweep.plan import Plan
-from fenics_crack.table import RPM, Table, counted
+from fenics_crack.table import RPM, TURN, Table, counted
 from fenics_crack.whole import write_whole
 
 __all__ = [
     "check", "draw_scene", "harmonics_in_words", "in_words", "new", "remark_on", "remark_on_sweep",
 ]  # fmt: skip
 
-TURN = 2.0 * np.pi
 MAX_CHECKED = 10_000
 """Cases of a sweep that are checked before it is run."""
 
@@ -82,11 +81,12 @@ def check(scene: Scene, console: Console) -> None:
     console.notes(f"remark: {remark}" for remark in remarks_on(study.scene, figures))
 
 
-def draw_scene(scene: Scene, folder: Path) -> list[Path]:
-    """Draw the mesh of a scene; return the file."""
+def draw_scene(scene: Scene, folder: Path, structure: Structure | None = None) -> list[Path]:
+    """Draw the mesh of a scene, which is made unless its structure is there; return the file."""
     from fenics_crack.draw.plot_mesh import draw_mesh
 
-    structure, file = prepare(scene, MPI.COMM_SELF, whole=True).structure, folder / "mesh.png"
+    file = folder / "mesh.png"
+    structure = structure or prepare(scene, MPI.COMM_SELF, whole=True).structure
     draw_mesh(structure, path=file, title=f"{structure.n_dofs} degrees of freedom")
     return [file]
 

@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
+from fenics_crack.arrivals.fit_order import TipTrack
 from fenics_crack.arrivals.harmonics import Candidates, TipFit
-from fenics_crack.arrivals.track_order import TipTrack
 from fenics_crack.draw.figure import (
     COLOURS,
     distinct_colours,
@@ -211,10 +211,10 @@ def draw_tip_fit(
     upper.plot(turns, wave, color=COLOURS["orange"], lw=1.6, label=label)
     upper.set_xlabel("time / load period")
     label_axis(upper.yaxis, "tip displacement", "m")
-    finish(upper, None, None)
     _draw_candidates(lower, fit.candidates, fit.order)
-    finish(lower, None, None)
-    return figure_of(upper, path, title)
+    for panel in (upper, lower):
+        finish(panel, None, None)
+    return figure_of([upper, lower], path, title)
 
 
 def _draw_candidates(axes: Axes, tried: Candidates, order: float) -> None:

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
-import ufl
 from mpi4py import MPI
 from scipy.spatial import cKDTree
 
 from fenics_crack.errors import InputError
 from fenics_crack.fem import compat
+from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.lips import Lip, along
 from fenics_crack.fem.loads import assemble_loads
 from fenics_crack.fem.matrix_files import read_structure
@@ -134,9 +134,7 @@ def _pair_lips(
     thickness times the integral of that function.
     """
     if not plate.cracked:
-        none = np.zeros(0)
-        found = Pairs(np.zeros((0, 2)), none, none.astype(int), none)
-        return sparse.csr_matrix((len(dofs.free), 0)), found
+        return sparse.csr_matrix((len(dofs.free), 0)), Pairs.none()
     comm = dofs.comm
     normal = ufl.FacetNormal(plate.mesh)
     lip = ufl.ds(domain=plate.mesh, subdomain_data=plate.facet_tags)(plate.groups["lower_lip"])

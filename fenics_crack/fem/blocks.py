@@ -61,7 +61,7 @@ class _Half:
     tip_size: float
 
     def covers(self, start: float, stop: float) -> bool:
-        """Whether the lip goes along an interval."""
+        """Tell whether the lip goes along an interval."""
         return min(self.coarse, self.tip) < 0.5 * (start + stop) < max(self.coarse, self.tip)
 
     def size(self, place: float) -> float:
@@ -208,7 +208,7 @@ class _Side:
         return [part for ends in pairwise(places) for part in self._parts(*ends)]
 
     def _parts(self, start: float, stop: float) -> list[Interval]:
-        """What is between two neighbouring places: one interval, or two that meet half-way."""
+        """Intervals between two neighbouring places: one, or two that meet half-way."""
         over = [half for half in self.halves if half.covers(start, stop)]
         for half in over if len(over) == 1 else ():
             ends = sorted((half.coarse, half.tip))

@@ -1,21 +1,33 @@
-"""The structure of a scene, whose crack may be given by its length or by a natural frequency."""
+"""The structure of a scene, whose crack may be given by its length or by a natural frequency.
+
+Lengths found from a frequency are kept beside the compiled forms in the user's cache. A file holds
+a length [m] and what its frequency exceeds the one asked for by [rad/s]. Its name is a digest of
+the tables of the scene on which both depend. Whoever reads it checks it: nothing rests on the file
+but time.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import json
+import os
 from functools import cache
+from pathlib import Path
 
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError
 from fenics_crack.fem.assembly import assemble
-from fenics_crack.fem.known_length import keep_length, kept_length
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.structure import Structure
+from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
+from fenics_crack.whole import write_whole
 
 __all__ = ["build_structure", "find_crack_length", "with_crack_length"]
 
-SAME = 1e-9
+FOUND_AGAIN = 1e-9
 """Relative difference of a frequency that is found again."""
 
 
@@ -100,8 +112,8 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     if crack.center is not None:
         room, words = 2.0 * min(crack.center, width - crack.center), "room around its center"
     shortest, longest = 0.01 * room, 0.95 * room
-    length, known = kept_length(scene, comm) or (0.0, 0.0)
-    if shortest <= length <= longest and abs(excess(length) - known) <= SAME * target:
+    length, known = _kept_length(scene, comm) or (0.0, 0.0)
+    if shortest <= length <= longest and abs(excess(length) - known) <= FOUND_AGAIN * target:
         return length
     highest, lowest = target + excess(shortest), target + excess(longest)
     if not lowest <= target <= highest:
@@ -111,9 +123,45 @@ def find_crack_length(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> float:
     import scipy.optimize  # takes a while, and most scenes give a length
 
     found = float(scipy.optimize.brentq(excess, shortest, longest, xtol=1e-5 * width))
-    keep_length(scene, comm, found, excess(found))
+    _keep_length(scene, comm, found, excess(found))
     return found
 
 
 def _with_length(scene: Scene, length: float) -> Scene:
     return scene.replace({"crack.length": length, "crack.first_omega": None})
+
+
+# --- lengths that were found before ---------------------------------------------------------------
+
+
+def cache_folder() -> Path:
+    """Folder of the files: ``$XDG_CACHE_HOME/fenics_crack``, by default in ``~/.cache``."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fenics_crack"
+
+
+def _kept_length(scene: Scene, comm: MPI.Comm) -> tuple[float, float] | None:
+    """Length and excess kept for a scene; None if there are none (collective)."""
+
+    def read() -> tuple[float, float] | None:
+        try:
+            length, excess = map(float, json.loads(_file(scene).read_text("utf-8")))
+        except (OSError, RuntimeError, ValueError, TypeError):  # none, no home, or damaged
+            return None
+        return length, excess
+
+    return on_root(comm, read)
+
+
+def _keep_length(scene: Scene, comm: MPI.Comm, length: float, excess: float) -> None:
+    """Keep what was found, where that is possible (collective)."""
+
+    def write() -> None:
+        with contextlib.suppress(InputError, RuntimeError):
+            write_whole(_file(scene), json.dumps((length, excess)))
+
+    on_root(comm, write)
+
+
+def _file(scene: Scene) -> Path:
+    tables = repr((scene.geometry, scene.crack, scene.material, scene.mesh))
+    return cache_folder() / f"length_{hashlib.sha256(tables.encode()).hexdigest()[:32]}.json"

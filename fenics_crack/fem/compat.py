@@ -7,61 +7,56 @@ No other module looks at a version.
 
 from __future__ import annotations
 
+import importlib.metadata
 import logging
-import signal
-import threading
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import ModuleType
 from typing import Any
 
-import basix
-import dolfinx
-import dolfinx.fem.petsc
-import dolfinx.geometry
-import dolfinx.io
-import dolfinx.plot
 import numpy as np
-import ufl
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from fenics_crack.mesher import gmsh
 from fenics_crack.model.memory import addresses_left
 
 
 @contextmanager
-def kept_interrupts() -> Iterator[None]:
-    """Restore the handler of Ctrl-C afterwards: gmsh 4.8 replaces it and leaves it so.
-
-    gmsh also sets it where Python forbids that, in threads other than the main one: left out there.
-    """
-    handler, set_handler = signal.getsignal(signal.SIGINT), signal.signal
-
-    def set_in_main_thread(number: int, handler: Any) -> Any:
-        if threading.current_thread() is threading.main_thread():
-            return set_handler(number, handler)
-        return signal.getsignal(number)
-
-    signal.signal = set_in_main_thread  # type: ignore[assignment]
+def _versions_by_metadata() -> Iterator[None]:
+    """Spare UFL 2022.2 and FFCx 0.5 setuptools' pkg_resources, a tenth of a start: they ask it for
+    their own version and nothing else."""
+    asked = ModuleType("pkg_resources")
+    vars(asked)["get_distribution"] = importlib.metadata.distribution
+    before = sys.modules.setdefault("pkg_resources", asked)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, handler)
-        signal.signal = set_handler
+        if before is asked:
+            del sys.modules["pkg_resources"]
 
 
-with kept_interrupts():
-    import gmsh
+with _versions_by_metadata():
+    import basix
+    import dolfinx
+    import dolfinx.fem.petsc
+    import dolfinx.geometry
+    import dolfinx.io
+    import dolfinx.plot
+    import ufl
 
 __all__ = [
     "assembled_matrix",
     "assembled_vector",
     "basis_at",
+    "dolfinx",
     "function_space",
     "geometry_dofmap",
     "gmsh",
     "gmsh_is_running",
-    "kept_interrupts",
     "model_to_mesh",
+    "ufl",
     "vtk_cells",
 ]
 

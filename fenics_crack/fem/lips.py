@@ -14,12 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sparse
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from fenics_crack.errors import InputError
 
-__all__ = ["Lip", "along", "boundary_edges", "check_mouths", "find_lips", "split_crack"]
+__all__ = ["Lip", "along", "cell_edges", "check_mouths", "find_lips", "split_crack"]
 
 PLUGIN = (
     "Plugin(Crack) of gmsh, run after meshing with Dimension = 1, PhysicalGroup = the tag of the "
@@ -135,8 +134,11 @@ def along(lips: Sequence[Lip], points: np.ndarray) -> tuple[np.ndarray, np.ndarr
 # --- what gmsh's plugin leaves --------------------------------------------------------------------
 
 
-def boundary_edges(cells: np.ndarray, corners: int, order: int) -> tuple[np.ndarray, np.ndarray]:
-    """Edges of one cell only, with all of their nodes in gmsh's order, and their cells."""
+def cell_edges(
+    cells: np.ndarray, corners: int, order: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Edges of cells, each once, with all of their nodes in gmsh's order: the corners first; a cell
+    of each, and how many cells have it."""
     steps = np.arange(corners)
     inner = corners + steps[:, None] * (order - 1) + np.arange(order - 1)
     turns = np.column_stack([steps, (steps + 1) % corners, inner])
@@ -144,8 +146,8 @@ def boundary_edges(cells: np.ndarray, corners: int, order: int) -> tuple[np.ndar
     _, first, uses = np.unique(
         np.sort(edges[:, :2], axis=1), axis=0, return_index=True, return_counts=True
     )
-    own = np.sort(first[uses == 1])
-    return edges[own], own // corners
+    place = np.argsort(first)
+    return edges[first[place]], first[place] // corners, uses[place]
 
 
 def split_crack(
@@ -199,7 +201,9 @@ def split_crack(
 
 
 def _sides(edges: np.ndarray, pairs: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Which edge of each pair, 0 or 1, is on the lower lip."""
+    """Number, 0 or 1, of the edge of each pair that is on the lower lip."""
+    from scipy.sparse.csgraph import connected_components  # takes a while, for few meshes
+
     count, flat = len(pairs), pairs.T.ravel()  # first ones, then their partners
     nodes, places = np.unique(edges[flat], return_inverse=True)
     places = places.reshape(-1, 2)
@@ -238,7 +242,7 @@ def check_mouths(
 
 
 def _rows_in(rows: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Which rows of pairs of nodes are among others."""
+    """Find the rows of pairs of nodes that are among others."""
     largest = 1 + max(int(rows.max(initial=0)), int(others.max(initial=0)))
     found: np.ndarray = np.isin(rows @ [largest, 1], others @ [largest, 1])
     return found

@@ -54,7 +54,7 @@ def read_structure(table: Table, rule: DampingRule | None, comm: MPI.Comm) -> St
 
 
 def count_pairs(table: Table) -> int:
-    """How many contact pairs a scene's table ``[structure]`` has; 0 if the file is unusable."""
+    """Number of contact pairs of a scene's table ``[structure]``; 0 if the file is unusable."""
     if table.gap is None:
         return 0
     try:

@@ -14,11 +14,11 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from fenics_crack.errors import InputError
-from fenics_crack.fem.compat import gmsh
+from fenics_crack.mesher import gmsh
 
 __all__ = ["check_mesh"]
 
-ROUNDING = 1e-9
+TOLERANCE = 1e-9
 """Of a determinant relative to its largest value or to the square of the cell's size, and of an
 angle relative to 2 pi."""
 SAME = 1e-6
@@ -69,7 +69,7 @@ def _refusal(found: str, place: np.ndarray, allowed: str) -> InputError:
 
 
 def _signs(kind: int, cells: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Which way round each cell is numbered, 1 or -1, from the determinants at its nodes."""
+    """Direction in which each cell is numbered, 1 or -1, from the determinants at its nodes."""
     _, dimension, _, nodes, local, _ = gmsh.model.mesh.getElementProperties(kind)
     at = np.zeros((nodes, 3))
     at[:, :dimension] = np.reshape(local, (nodes, dimension))
@@ -85,8 +85,8 @@ def _signs(kind: int, cells: np.ndarray, places: np.ndarray) -> np.ndarray:
     largest = np.maximum(-least, most)
     size = np.maximum(np.ptp(x, axis=1), np.ptp(y, axis=1))
     for found, wrong in (
-        ("a cell without area", largest <= ROUNDING * size**2),
-        ("a folded cell", np.minimum(-least, most) > ROUNDING * largest),
+        ("a cell without area", largest <= TOLERANCE * size**2),
+        ("a folded cell", np.minimum(-least, most) > TOLERANCE * largest),
     ):
         if np.any(wrong):
             place = places[cells[np.argmax(wrong)]].mean(axis=0)
@@ -130,7 +130,7 @@ def _check_angles(cells: np.ndarray, places: np.ndarray) -> None:
     angles = np.arctan2(np.abs(crossed), (ahead * back).sum(axis=2))
     sums = np.bincount(cells.ravel(), angles.ravel(), len(places))
     worst = int(np.argmax(sums))
-    if sums[worst] > 2.0 * np.pi * (1.0 + ROUNDING):
+    if sums[worst] > 2.0 * np.pi * (1.0 + TOLERANCE):
         allowed = "one of cells beside each other: these go round their node more than once"
         raise _refusal("cells that overlap", places[worst], allowed)
 
@@ -138,7 +138,7 @@ def _check_angles(cells: np.ndarray, places: np.ndarray) -> None:
 def _parts(
     cells: np.ndarray, places: np.ndarray, clamp: np.ndarray, lips: np.ndarray
 ) -> tuple[int, np.ndarray]:
-    """How many parts there are that share no node, all of them clamped, and the part of each
+    """Number of parts that share no node, all of them clamped, and the part of each
     cell."""
     ones = np.ones(cells.size - len(cells), dtype=np.int8)
     ends = cells[:, :-1].ravel(), cells[:, 1:].ravel()

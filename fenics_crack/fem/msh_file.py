@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from fenics_crack.errors import InputError
-from fenics_crack.fem.compat import gmsh
-from fenics_crack.fem.lips import boundary_edges, check_mouths, split_crack
+from fenics_crack.fem.lips import cell_edges, check_mouths, split_crack
 from fenics_crack.fem.mesh_checks import check_mesh
+from fenics_crack.mesher import gmsh
 from fenics_crack.outside import bytes_of, run_reader
 
 __all__ = ["Names", "Point", "read_file"]
@@ -130,7 +130,7 @@ def _check(
     numbers: np.ndarray,
     positions: np.ndarray,
 ) -> None:
-    """As :func:`check_mesh`, for nodes by gmsh's numbers."""
+    """Check a mesh by :func:`check_mesh`, for nodes by gmsh's numbers."""
     lips = [curves[name][:, :2] for name in ("lower_lip", "upper_lip") if name in curves]
     parts = cells, np.unique(curves["clamp"]), np.concatenate([*lips, cells[:0, :2]])
     own, clamp, edges = (np.searchsorted(numbers, nodes) for nodes in parts)
@@ -151,7 +151,8 @@ def _with_lips(
         return curves
     corners = 3 if kind in _TRIANGLES else 4
     order = next(iter(curves.values())).shape[1] - 1 if curves else cracks[0].shape[1] - 1
-    edges, owners = boundary_edges(cells, corners, order)
+    edges, owners, uses = cell_edges(cells, corners, order)
+    edges, owners = edges[uses == 1], owners[uses == 1]
     place = np.zeros((int(numbers.max()) + 1, 2))
     place[numbers] = positions
     if cracks:
@@ -193,7 +194,7 @@ def _cells(kind: int, nodes: list[np.ndarray]) -> np.ndarray:
 
 
 def _have_different_nodes(cells: np.ndarray) -> bool:
-    """Whether no cell has a node twice."""
+    """Tell whether no cell has a node twice."""
     ordered = np.sort(cells, axis=1)
     return not np.any(ordered[:, 1:] == ordered[:, :-1])
 

@@ -16,7 +16,7 @@ def read(path: str, most: int) -> dict[str, np.ndarray]:
 
 
 def groups() -> dict[str, np.ndarray]:
-    """Of each group and kind of its elements: dimension, tag, kind and number of nodes; its name;
+    """Groups by kinds of elements: dimension, tag, kind and number of nodes of each; its name;
     and the nodes, one after the other."""
     heads, names, nodes = [], [], [np.zeros(0, dtype=np.uint64)]
     for dimension, tag in gmsh.model.getPhysicalGroups():

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fenics_crack.errors import InputError
+from fenics_crack.fem.lips import cell_edges
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 
@@ -54,14 +55,8 @@ class NodalMesh:
     def _edges_and_uses(self) -> tuple[np.ndarray, np.ndarray]:
         count = self.cells.shape[1]
         corners = 3 if count in (3, 6) else 4
-        steps = np.arange(corners)
-        turns = np.stack([steps, (steps + 1) % corners], axis=1)
-        if count > corners:
-            turns = np.insert(turns, 1, corners + steps, axis=1)
-        edges = self.cells[:, turns].reshape(-1, turns.shape[1])
-        ends = np.sort(edges[:, [0, -1]], axis=1)
-        _, first, uses = np.unique(ends, axis=0, return_index=True, return_counts=True)
-        return edges[first], uses
+        edges, _, uses = cell_edges(self.cells, corners, 2 if count > corners else 1)
+        return edges[:, [0, *range(2, edges.shape[1]), 1]], uses
 
     @property
     def edges(self) -> np.ndarray:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import dolfinx
 import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenics_crack.fem import compat
+from fenics_crack.fem.compat import dolfinx
 from fenics_crack.fem.plate import PlateMesh
 from fenics_crack.model.nodes import Nodes
 
@@ -17,7 +17,7 @@ __all__ = ["Dofs", "nodes_on"]
 
 
 class Dofs:
-    """Which dofs of the function space are free, and their numbers in the structure."""
+    """Free dofs of the function space, and their numbers in the structure."""
 
     def __init__(self, plate: PlateMesh, space: Any, comm: MPI.Comm) -> None:
         self.comm = comm

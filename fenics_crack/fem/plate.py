@@ -33,9 +33,8 @@ from mpi4py import MPI
 from fenics_crack.errors import InputError
 from fenics_crack.fem import compat
 from fenics_crack.fem.blocks import Interval, plate_blocks
-from fenics_crack.fem.compat import gmsh
 from fenics_crack.fem.lips import Lip, find_lips
-from fenics_crack.fem.msh_file import Point, read_file
+from fenics_crack.mesher import gmsh, kept_interrupts
 from fenics_crack.model.memory import machine_memory
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
@@ -43,6 +42,10 @@ from fenics_crack.whole import whole_file
 
 __all__ = ["PlateMesh", "build_mesh", "write_msh"]
 
+Groups = dict[str, tuple[int, ...]]
+"""Tags of the facets of each named curve."""
+Points = dict[str, tuple[float, float]]
+"""Positions of the named points [m]."""
 MAX_CELLS = 5_000_000
 """For a plate; a mesh file may have any number of cells."""
 ASSEMBLED = 1500.0
@@ -69,13 +72,13 @@ class PlateMesh:
 
     mesh: Any
     facet_tags: Any
-    groups: dict[str, tuple[int, ...]]
-    points: dict[str, Point]
+    groups: Groups
+    points: Points
     lips: tuple[Lip, ...]
 
     @property
     def cracked(self) -> bool:
-        """Whether there are two lips."""
+        """Tell whether there are two lips."""
         return "lower_lip" in self.groups
 
     def facets(self, group: str) -> np.ndarray:
@@ -119,7 +122,7 @@ def _gmsh_on_root(comm: MPI.Comm) -> Iterator[None]:
     if comm.rank != 0:
         yield
         return
-    with compat.kept_interrupts():
+    with kept_interrupts():
         started = not compat.gmsh_is_running()
         if started:
             gmsh.initialize(readConfigFiles=False)
@@ -134,10 +137,12 @@ def _gmsh_on_root(comm: MPI.Comm) -> Iterator[None]:
                 gmsh.finalize()
 
 
-def _model(scene: Scene) -> tuple[dict[str, tuple[int, ...]], dict[str, Point], tuple[Lip, ...]]:
+def _model(scene: Scene) -> tuple[Groups, Points, tuple[Lip, ...]]:
     """Fill the current gmsh model with a mesh; return what is in it by its name, and the lips."""
-    points: dict[str, Point] = {}
+    points: Points = {}
     if scene.mesh.layout == "file":
+        from fenics_crack.fem.msh_file import read_file  # with what checks meshes of others
+
         groups, points = read_file(Path(str(scene.mesh.file)))
     else:
         groups = _draw(scene)
@@ -146,7 +151,7 @@ def _model(scene: Scene) -> tuple[dict[str, tuple[int, ...]], dict[str, Point], 
     return groups, points, _lips(scene, groups) if "lower_lip" in groups else ()
 
 
-def _lips(scene: Scene, groups: dict[str, tuple[int, ...]]) -> tuple[Lip, ...]:
+def _lips(scene: Scene, groups: Groups) -> tuple[Lip, ...]:
     """The lips in the current model, in the order of the scene."""
     numbers, positions, _ = gmsh.model.mesh.getNodes()
     places = np.empty((len(numbers) + 1, 2))
@@ -178,7 +183,7 @@ def _edges(tags: tuple[int, ...]) -> np.ndarray:
 # --- the plate ------------------------------------------------------------------------------------
 
 
-def _draw(scene: Scene) -> dict[str, tuple[int, ...]]:
+def _draw(scene: Scene) -> Groups:
     """Draw the plate, set how curves and surfaces are divided; return the tags of its sides."""
     width = scene.geometry.width
     assert width is not None
@@ -241,7 +246,7 @@ def _draw(scene: Scene) -> dict[str, tuple[int, ...]]:
         "right": (1, sides[0 if mirrored else 1]),
         "top": (1, [horizontal[i, len(rows)] for i in range(len(columns))]),
     }
-    found: dict[str, tuple[int, ...]] = {}
+    found: Groups = {}
     for tag, (name, (dimension, tags)) in enumerate(groups.items(), 1):
         if tags:
             gmsh.model.addPhysicalGroup(dimension, tags, tag)

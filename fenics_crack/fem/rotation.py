@@ -25,12 +25,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import dolfinx
 import numpy as np
-import ufl
 from petsc4py import PETSc
 
 from fenics_crack.fem import compat
+from fenics_crack.fem.compat import dolfinx, ufl
 from fenics_crack.fem.numbering import Dofs
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.rotation import Rotation, static_state
@@ -54,7 +53,7 @@ def constants(space: Any, *values: float) -> list[Any]:
 
 
 def rotation_of(scene: Scene, space: Any, dofs: Dofs, at_rest: Structure) -> Rotation:
-    """What the rotation of a scene adds to its structure at rest (collective)."""
+    """Assemble what the rotation of a scene adds to its structure at rest (collective)."""
     assert scene.rotation is not None
     thickness, density, hub = constants(
         space, scene.geometry.thickness, scene.material.density, scene.rotation.hub_radius

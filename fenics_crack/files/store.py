@@ -39,6 +39,7 @@ __all__ = [
     "Column",
     "Stored",
     "check_shapes",
+    "columns_of",
     "digest",
     "header",
     "kind_of",
@@ -137,12 +138,14 @@ def texts(file: h5py.File) -> dict[str, str]:
     return found
 
 
-def places(file: h5py.File) -> dict[str, str]:
-    """Types, shapes and places of the datasets of a file that is filled in later, in words."""
-    found = {
-        name: Column(item.dtype, item.shape, item.id.get_offset()) for name, item in file.items()
-    }
-    return {name: str(column) for name, column in found.items()}
+def columns_of(file: h5py.File) -> dict[str, Column]:
+    """Types, shapes and places of the datasets of a file that is filled in later."""
+    return {name: Column(one.dtype, one.shape, one.id.get_offset()) for name, one in file.items()}
+
+
+def places(columns: Mapping[str, Column]) -> dict[str, str]:
+    """The same in words."""
+    return {name: str(column) for name, column in columns.items()}
 
 
 def digest(attributes: Mapping[str, str], parts: Mapping[str, Any]) -> str:
@@ -275,8 +278,7 @@ class Stored:
         known = self.attributes.get("digest")
         if known is None:
             raise self._older("a digest")
-        table = {name: str(column) for name, column in self.columns.items()}
-        if digest(self.attributes, self.parts or table) != known:
+        if digest(self.attributes, self.parts or places(self.columns)) != known:
             raise InputError("path", str(self.path), "a whole file; this one is damaged")
 
     def _older(self, what: str) -> InputError:

@@ -44,7 +44,7 @@ def check_point(scene: Scene, point: str) -> None:
 
 @dataclass(frozen=True)
 class Part:
-    """What a sweep knows, with its words chosen."""
+    """Knowledge of a sweep, with its words chosen."""
 
     sweep: SweepResult
     keys: tuple[str, ...]
@@ -53,7 +53,7 @@ class Part:
 
     @classmethod
     def of(cls, sweep: SweepResult, chosen: Sequence[int | None]) -> Part:
-        """Of a sweep, and the number of the word chosen on each axis, None on one of numbers."""
+        """Take a sweep, and the number of the word chosen on each axis, None on one of numbers."""
         numbers = [a for a, at in zip(sweep.axes, chosen, strict=False) if at is None]
         index = tuple(slice(None) if at is None else at for at in chosen)
         cube = Cube(tuple(np.array(axis.values, dtype=float) for axis in numbers))
@@ -115,7 +115,7 @@ class Feature:
 
     @classmethod
     def of(cls, row: Measurement) -> tuple[Feature, ...]:
-        """Of a measurement; of a ratio both harmonics, the one above first."""
+        """Features of a measurement; of a ratio both harmonics, the one above first."""
         if row.natural:
             lips = row.quantity.removeprefix("frequency_")
             states = LIPS.get(lips, (lips,))
@@ -131,13 +131,13 @@ class Feature:
         return (self.mode, self.frequency, self.order)
 
     def values(self, part: Part) -> np.ndarray:
-        """At all nodes of a sweep: (n,), logarithms or complex numbers."""
+        """Values at all nodes of a sweep: (n,), logarithms or complex numbers."""
         if self.lips:
             return np.log(part.natural(self.lips, self.mode)).astype(complex)
         return part.harmonic(self.point, self.frequency, self.order)
 
     def scale(self, damping: np.ndarray, basis: np.ndarray) -> np.ndarray:
-        """What multiplies the values to make them smooth, at m places: (m,); of ratios of damping
+        """Factor that makes the values smooth, at m places: (m,); of ratios of damping
         (m, 1) and what :attr:`Part.basis` has there (m, 1 + modes)."""
         if self.lips:
             return np.ones(len(basis))

@@ -21,7 +21,7 @@ from scipy.spatial.distance import cdist
 __all__ = ["Cube", "Interpolation", "left_out_errors"]
 
 DEGREE = 3
-NEAR = 1.25
+REACH = 1.25
 """Spacings of the nodes over which errors are averaged."""
 AROUND = 16
 """Nodes over which errors are averaged, at most."""
@@ -57,11 +57,11 @@ class Cube:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """How many values each axis has."""
+        """Number of values on each axis."""
         return tuple(len(axis) for axis in self.axes)
 
     def places(self, values: np.ndarray) -> np.ndarray:
-        """Where values (m, d) are among the nodes: whole numbers at these: (m, d)."""
+        """Places of values (m, d) among the nodes: whole numbers at these: (m, d)."""
         columns = [
             np.interp(column, axis, np.arange(len(axis)))
             for column, axis in zip(values.T, self.axes, strict=True)
@@ -70,7 +70,7 @@ class Cube:
 
 
 def left_out_errors(line: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """What each value on a line (n,), but for the ends, differs by from the spline through all
+    """Difference of each value on a line (n,), but for the ends, from the spline through all
     others: (n, ...) for values (n, ...). The ends, which are never left out, have the errors of
     their neighbours."""
     found = np.zeros_like(values)
@@ -103,7 +103,7 @@ class Splines:
         return cls(tuple(knots), tuple(degrees), values.reshape(-1, values.shape[-1]))
 
     def __call__(self, at: np.ndarray) -> np.ndarray:
-        """At some places (m, d), those outside taken to the border: (m, q)."""
+        """Values at some places (m, d), those outside taken to the border: (m, q)."""
         basis = np.ones((len(at), 1))
         for column, knots, degree in zip(at.T, self.knots, self.degrees, strict=True):
             within = np.clip(column, knots[0], knots[-1])
@@ -159,7 +159,7 @@ class Interpolation:
         if not self.cube.axes:
             return np.zeros((len(x), 0, len(self.known)))
         nodes = self.cube.places(self.cube.nodes)
-        exponent = -0.5 / NEAR**2 * cdist(self.cube.places(x), nodes, "sqeuclidean")
+        exponent = -0.5 / REACH**2 * cdist(self.cube.places(x), nodes, "sqeuclidean")
         count = min(AROUND, len(nodes))
         near = np.argpartition(-exponent, count - 1, axis=1)[:, :count]
         exponent = np.take_along_axis(exponent, near, axis=1)

@@ -85,24 +85,18 @@ class Measurement:
         check_number("measurements.value", self.value, -math.inf if at_probe else 0.0)
         check_number("measurements.deviation", self.deviation, 0.0, above=True)
         if self.natural:
-            whole = isinstance(self.mode, int) and 1 <= self.mode <= FEW_MODES
-            if not whole:
+            if not (isinstance(self.mode, int) and 1 <= self.mode <= FEW_MODES):
                 allowed = f"a whole number from 1 to {FEW_MODES} with {self.quantity}"
                 raise InputError("measurements.mode", self.mode, allowed)
-            if not math.isnan(self.frequency) or self.point:
-                key = "point" if self.point else "frequency"
-                allowed = f"left out with {self.quantity}"
-                raise InputError(f"measurements.{key}", getattr(self, key), allowed)
         else:
             check_number("measurements.frequency", self.frequency, 0.0, above=True)
-            if self.mode:
-                allowed = f"left out with {self.quantity}"
-                raise InputError("measurements.mode", self.mode, allowed)
         if at_probe:
             check_number("measurements.phase", self.phase)
-        elif not math.isnan(self.phase):
-            allowed = f"left out with {self.quantity}"
-            raise InputError("measurements.phase", self.phase, allowed)
+        needed = ("mode",) if self.natural else ("frequency", "point", *["phase"] * at_probe)
+        for key in OPTIONAL:
+            given = getattr(self, key)
+            if key not in needed and given and not (isinstance(given, float) and math.isnan(given)):
+                raise InputError(f"measurements.{key}", given, f"left out with {self.quantity}")
         for key in ("value", "deviation", "frequency", "phase"):
             number = getattr(self, key)
             if not (math.isnan(number) or number == 0.0 or SMALLEST <= abs(number) <= LARGEST):
@@ -110,17 +104,17 @@ class Measurement:
 
     @property
     def natural(self) -> bool:
-        """Whether it is a natural frequency."""
+        """Tell whether it is a natural frequency."""
         return self.quantity in FREQUENCIES
 
     @property
     def shape(self) -> bool:
-        """Whether it is that of a motion, whatever its size."""
+        """Tell whether it is that of a motion, whatever its size."""
         return not self.natural and not self.quantity.startswith("harmonic")
 
     @property
     def name(self) -> str:
-        """In words: "frequency_open of mode 2", "ratio_2_1 at 250 Hz of tip.ux"."""
+        """Name in words: "frequency_open of mode 2", "ratio_2_1 at 250 Hz of tip.ux"."""
         if self.natural:
             return f"{self.quantity} of mode {self.mode}"
         where = f" of {self.point}" if self.point else ""
@@ -304,7 +298,7 @@ class Measurements(Tabular):
 
 
 def _is_one(value: Any) -> bool:
-    """Whether a standard deviation is given for all values at once."""
+    """Tell whether a standard deviation is given for all values at once."""
     return not isinstance(value, Iterable)
 
 

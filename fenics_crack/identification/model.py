@@ -30,7 +30,7 @@ OFTEN_OFF = 0.3
 """Root of the mean square of what a resonance differs by from the bilinear frequency, over what
 lies between the frequencies with lips tied and open: of the first mode, and of others, near which
 the gap follows their neighbours, too."""
-ALIKE = 0.5
+TOGETHER = 0.5
 """Part of the variance left by the mesh, and of that of contact, which quantities have together."""
 
 
@@ -71,7 +71,7 @@ class Model:
         return np.full((len(x), 1), DEFAULT_RATIO if ratio is None else np.mean(ratio))
 
     def candidates(self) -> tuple[Measurement, ...]:
-        """What might be measured: natural frequencies, and ratios of harmonics at the points and
+        """List what might be measured: natural frequencies, ratios of harmonics at the points and
         load frequencies of the sweep."""
         kinds = [f"frequency_{lips}" for lips in ("open", "tied", "resonance")]
         rows = [Measurement(k, 1.0, 1.0, mode=mode + 1) for k in kinds for mode in range(FEW_MODES)]
@@ -84,7 +84,7 @@ class Model:
 
 @dataclass(frozen=True)
 class Prediction:
-    """What q measurements would be, at m values of the unknowns.
+    """Prediction of q measurements, at m values of the unknowns.
 
     Attributes
     ----------
@@ -145,7 +145,7 @@ class Quantities:
         return _pairs(values * self._scales(part.cube.nodes))
 
     def _scales(self, x: np.ndarray) -> np.ndarray:
-        """What has made features smooth: (m, f), for both sweeps from the coarse one."""
+        """Factors that have made features smooth: (m, f), for both sweeps from the coarse one."""
         basis = np.where(self._basis.known, self._basis.at(x), np.nan)
         damping = self.model.damping(x)
         return np.stack([feature.scale(damping, basis) for feature in self._features], axis=1)
@@ -179,7 +179,7 @@ class Quantities:
     def _of_numbers(
         self, x: np.ndarray, waves: np.ndarray, scales: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of all measurements but displacements the values (m, q), their slopes t (m, q, f) by the
+        """Values (m, q) of all measurements but displacements, their slopes t (m, q, f) by the
         smooth forms S, ds = Re sum t dS, and variances of what no feature tells (m, q)."""
         natural = np.array([bool(feature.lips) for feature in self._features])
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -215,7 +215,7 @@ class Quantities:
         self, smooth: np.ndarray, left: np.ndarray, scatter: list[np.ndarray], slopes: np.ndarray
     ) -> np.ndarray:
         """Errors of the rows, each independent of the others: (m, q, r)."""
-        together, apart = np.sqrt(ALIKE), np.sqrt(1.0 - ALIKE)
+        together, apart = np.sqrt(TOGETHER), np.sqrt(1.0 - TOGETHER)
         found = []
         every = np.concatenate(scatter, axis=1)
         found.append(together * slopes @ every.transpose(0, 2, 1))
@@ -235,7 +235,7 @@ class Quantities:
 
 
 def _alike(features: Sequence[Feature]) -> np.ndarray:
-    """Which pairs of columns err alike by the mesh, or by contact on it: (2f, groups), 0 or 1."""
+    """Groups of columns that err alike by the mesh, or by contact on it: (2f, groups), 0 or 1."""
     groups = list(dict.fromkeys(feature.together for feature in features))
     own = [[float(feature.together == group) for group in groups] for feature in features]
     return np.repeat(own, 2, axis=0)

@@ -88,7 +88,7 @@ def scaled_covariance(
 
 @dataclass(frozen=True)
 class Optimum:
-    """Where least squares ended: the unknowns (d,), log L, and the covariance (d, d)."""
+    """End of least squares: the unknowns (d,), log L, and the covariance (d, d)."""
 
     x: np.ndarray
     height: float
@@ -271,7 +271,7 @@ class Posterior:
         return np.concatenate(values)[order], np.concatenate(masses)[order]
 
     def interval(self, place: int, share: float) -> tuple[float, float]:
-        """What an unknown is between, with that probability, as much above as below."""
+        """Bounds of an unknown, with that probability, as much above as below."""
         values, masses = self.marginal(place)
         middle = np.cumsum(masses) - 0.5 * masses
         tail = 0.5 * (1.0 - share)

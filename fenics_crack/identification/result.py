@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
+from fenics_crack.arrivals.harmonics import MISFIT
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import write
 from fenics_crack.identification.measurements import Measurement, Measurements
@@ -29,8 +30,6 @@ STRONG = 3.0
 """Logarithm of the ratio of evidences, 20 to 1, from which a hypothesis is preferred."""
 LEAST_PART = 0.03
 """Probability of a part of the region that is mentioned."""
-SURPRISING = 0.001
-"""Probability of the misfit below which the model does not explain the measurements."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -71,7 +70,7 @@ class Identification(Tabular):
 
     @property
     def intervals(self) -> dict[str, tuple[float, float]]:
-        """What each unknown is between with a probability of 95 %."""
+        """Bounds of each unknown with a probability of 95 %."""
         found = self.posterior.interval
         return {key: found(place, SHARE) for place, key in enumerate(self.unknown)}
 
@@ -110,8 +109,8 @@ class Identification(Tabular):
         return found
 
     def contains(self, values: Mapping[str, Any], share: float = SHARE) -> bool:
-        """Whether given values of all unknowns are in the region that holds a share of the
-        probability.
+        """Tell whether given values of all unknowns are in the region that holds a share of
+        the probability.
 
         Raises
         ------
@@ -136,7 +135,7 @@ class Identification(Tabular):
         frequency_deviation: float = 1e-3,
         harmonic_deviation: float = 0.05,
     ) -> Worth:
-        """How much one more measurement would tell, from the Fisher information at the estimate.
+        """Worth of one more measurement, from the Fisher information at the estimate.
 
         Parameters
         ----------
@@ -225,7 +224,7 @@ class Identification(Tabular):
 
     @property
     def warnings(self) -> list[str]:
-        """What to be careful about: several cracks that fit, a misfit, an estimate at a bound."""
+        """Points to be careful about: several cracks that fit, a misfit, an estimate at a bound."""
         found = []
         others = self.alternatives
         if len(others) > 1:
@@ -236,7 +235,7 @@ class Identification(Tabular):
             ]
             found.append(f"these cracks cannot be told apart: {'; '.join(told)}")
         total, chance = self.misfit
-        if chance < SURPRISING:
+        if chance < MISFIT:
             count = len(self._branch.likelihood.values)
             found.append(
                 f"no crack of this kind explains the measurements: chi^2 = {total:.3g} of {count}"

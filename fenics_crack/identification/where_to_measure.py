@@ -40,7 +40,7 @@ STEP = 1e-3
 
 @dataclass(frozen=True, repr=False)
 class Worth(Tabular):
-    """What might be measured, most informative first.
+    """Possible measurements, most informative first.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ def worth_of(
     measurements: Sequence[Measurement] | None,
     deviations: tuple[float, float],
 ) -> Worth:
-    """What more measurements would tell at an estimate x (d,) from some measurements.
+    """Judge what more measurements would tell at an estimate x (d,) from some measurements.
 
     Raises
     ------

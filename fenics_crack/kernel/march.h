@@ -18,8 +18,8 @@ typedef struct {
     const double *clearance; /* (p) g0 */
     const double *springs;   /* (p) k of the penalty law; NULL: rigid contact */
     const double *load;      /* (3, n) f_0, f_c, f_s */
-    const double *waves;     /* (instants + 1, 3) 1, cos, sin of a period */
-    double *room;            /* (6 n + 8 p) */
+    const double *waves;     /* (instants, 3) 1, cos, sin of a period */
+    double *room;            /* (2 n + p) */
 } vibration;
 
 /* Central differences in increments d_m = q_m - q_{m-1}, with r = f - w^2 q - P lambda:
@@ -42,38 +42,6 @@ typedef struct {
  * n) are those at their starts. Returns the steps made: fewer if forces were not found. */
 int march_central(const central_differences *s, int first, int steps, double *gap, double *force,
                   double *shape);
-
-/* Generalised alpha, with x_{m+1-s} = (1 - s) x_{m+1} + s x_m,
- *
- *     a_{m+1-am} + c v_{m+1-af} + w^2 q_{m+1-af} + P h = f_{m+1-af},
- *     q_{m+1} = q + dt v + dt^2 ((1/2 - beta) a + beta a_{m+1}),
- *     v_{m+1} = v + dt ((1 - gamma) a + gamma a_{m+1}),
- *
- * so that A a_{m+1} = r - P h with A = 1 - am + (1 - af) (gamma dt c + beta dt^2 w^2).
- * Penalty: h = (V(g_{m+1}) - V(g_m)) / (g_{m+1} - g_m) + (1/2 - af) (lambda_{m+1} - lambda_m) with
- * V = k max(0, g)^2 / 2, and g_{m+1} = g_free - D h, by Newton's method.
- * Rigid: impulses at the start of the step, such that no gap penetrates at its end, and impulses
- * at its end that stop closed pairs from closing further; both are complementarity problems.
- */
-typedef struct {
-    vibration body;
-    double dt, am, af, beta, gamma;
-    const double *damping, *inverse; /* c and A^-1 by mode */
-    const double *pull;              /* (p, n) what unit forces or impulses take from a */
-    const double *compliance;        /* (p, p) D */
-    const double *kick;              /* (p, n) what unit impulses take from v; rigid only */
-    sets *ends, *stops;              /* of D, and of P^T kick; rigid only */
-    double *shape, *velocity, *acceleration; /* (n) */
-    double *held;                    /* (p) h, or the impulses, of the last step */
-    signed char *closed;             /* (2 p) of the last step, and room; rigid only */
-    double *matrix;                  /* (p, p) room */
-    int *pivots;                     /* (p) room */
-    double lost;                     /* energy lost in c */
-} generalised_alpha;
-
-/* As march_central. */
-int march_alpha(generalised_alpha *s, int first, int steps, double *gap, double *force,
-                double *shape);
 
 /* Exponential steps of z = (q, q') less the steady motion without contact:
  *

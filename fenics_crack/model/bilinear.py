@@ -47,7 +47,7 @@ class BilinearFrequencies(Tabular):
             return np.asarray(2.0 / (1.0 / self.omega_open + 1.0 / self.omega_tied))
 
     def nearest(self, omega: Any) -> dict[str, np.ndarray]:
-        """What is known of load frequencies (...) by the mode whose bilinear frequency is nearest.
+        """Describe load frequencies (...) by the mode whose bilinear frequency is nearest.
 
         ``mode``, its number; ``omega_open``, ``omega_tied`` and ``omega_bilinear`` of it [rad/s];
         ``over_open``, ``over_tied`` and ``over_bilinear``, the load frequency over these: one less

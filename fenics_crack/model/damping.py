@@ -17,7 +17,7 @@ from fenics_crack.errors import InputError, check_count, check_number, check_two
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.matrices import numbers
 
-__all__ = ["DampingRule", "ModalDamping", "RayleighDamping"]
+__all__ = ["DampingRule", "ModalDamping", "RayleighDamping", "check_rule"]
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,17 @@ class ModalDamping:
         """The same with every ratio multiplied by a factor."""
         ratio: Any = (factor * np.asarray(self.ratio)).tolist()
         return replace(self, ratio=ratio)
+
+    def of_kept(self, count: int) -> ModalDamping:
+        """Damping of so many kept modes: those beyond the damped ones by the last ratio."""
+        if isinstance(self.ratio, float):
+            return ModalDamping(self.ratio)
+        ratio = list(self.ratio)[:count]
+        return ModalDamping(tuple(ratio + ratio[-1:] * (count - len(ratio))))
+
+    def rate(self, squares: np.ndarray) -> np.ndarray:
+        """2 xi omega [1/s] of the damped modes, with omega^2 (n,) [rad^2/s^2]."""
+        return np.asarray(2.0 * np.asarray(self.ratio) * np.sqrt(np.maximum(squares, 0.0)))
 
     def __str__(self) -> str:
         percent = 100.0 * np.asarray(self.ratio)
@@ -133,6 +144,10 @@ class RayleighDamping:
         """The same with both coefficients multiplied by a factor."""
         return RayleighDamping(factor * self.mass, factor * self.stiffness)
 
+    def of_kept(self, count: int) -> RayleighDamping:
+        """Damping of so many kept modes: its own."""
+        return self
+
     def rate(self, squares: np.ndarray) -> np.ndarray:
         """2 xi omega = a + b omega^2 [1/s] of modes with omega^2 (n,) [rad^2/s^2]."""
         return self.mass + self.stiffness * squares
@@ -151,3 +166,9 @@ class RayleighDamping:
 
 DampingRule = ModalDamping | RayleighDamping
 """Damping that follows from mass and stiffness."""
+
+
+def check_rule(damping: object) -> None:
+    """Raise InputError unless a value is such a damping, or None."""
+    if not isinstance(damping, DampingRule | None):
+        raise InputError("damping", damping, "a ModalDamping, a RayleighDamping or None")

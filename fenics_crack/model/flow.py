@@ -10,7 +10,7 @@ a step of length h is exact for a force that is held over it, here the mean of t
     z_{n+1} = E z_n - Gamma (lambda_n + lambda_{n+1}),        E = exp(A h),
 
 2 Gamma being the response to unit forces that are held. The gap at its end is linear in the forces
-there, with Q z the gap of a state and R_inf what answers at once
+there, with Q z the gap of a state and R_inf the residual flexibility
 (:mod:`fenics_crack.model.coupled`),
 
     g_{n+1} = s_free - (R_inf + Q Gamma) lambda_{n+1},
@@ -43,10 +43,11 @@ import scipy.linalg
 
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.kernel import Struct, doubles, kernel, shaped, signs
-from fenics_crack.model.contact import ContactLaw, check_law, is_piecewise_linear, is_rigid
+from fenics_crack.model.contact import ContactLaw, check_law, is_rigid, is_unilateral
 from fenics_crack.model.coupled import ActiveSets
 from fenics_crack.model.modal import AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.fourier import waves
 
 __all__ = ["ExponentialFlow", "Steps", "transition"]
 
@@ -77,7 +78,7 @@ class ExponentialFlow:
         static_above: float | None = None,
     ) -> None:
         check_law(structure, contact, rigid=True)
-        if not (is_piecewise_linear(contact) or is_rigid(contact)):
+        if not is_unilateral(contact):
             raise InputError("contact", contact, "UnilateralPenalty or UnilateralConstraint")
         if not is_small(structure):
             raise InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
@@ -126,18 +127,17 @@ class ExponentialFlow:
         """Steady response to the load without contact at all instants of its period."""
         structure, modes, omega = self.structure, self.modes, self.omega
         force = structure.force @ modes.shapes
-        phase = 2.0 * np.pi * np.arange(self.steps) / self.steps
-        waves = np.column_stack([np.ones_like(phase), np.cos(phase), np.sin(phase)])
+        instants = waves(2.0 * np.pi * np.arange(self.steps) / self.steps)
         mean = _response(modes, 0.0, force[0] + 0j).real
         first = _response(modes, omega, force[1] - 1j * force[2])
         shape = np.vstack([mean, first.real, -first.imag])
         rate = np.vstack([0.0 * mean, -omega * first.imag, -omega * first.real])
-        self.steady = waves @ np.hstack([shape, rate])
+        self.steady = instants @ np.hstack([shape, rate])
         """(N, 2 n_modes)"""
-        gap = waves @ (shape @ modes.pairs) - structure.clearance
+        gap = instants @ (shape @ modes.pairs) - structure.clearance
         if modes.static_loads is not None:
             static = structure.force @ modes.static_loads
-            gap += waves @ structure.apply_bt(static)
+            gap += instants @ structure.apply_bt(static)
         self.linear_gap = np.ascontiguousarray(gap)
         """(N, n_pairs) [m]"""
 
@@ -155,9 +155,8 @@ class ExponentialFlow:
         found: np.ndarray = states[:, : len(modes.squares)] @ modes.shapes[dofs].T
         if modes.static_loads is not None and modes.static_pairs is not None:
             phase = 2.0 * np.pi * np.arange(len(states)) / self.steps
-            waves = np.column_stack([np.ones_like(phase), np.cos(phase), np.sin(phase)])
             loads = structure.force @ modes.static_loads[:, dofs]
-            found += waves @ loads - force @ modes.static_pairs[dofs].T
+            found += waves(phase) @ loads - force @ modes.static_pairs[dofs].T
         return found
 
     def advance(self, state: np.ndarray, periods: int = 1) -> Steps:
@@ -213,7 +212,7 @@ class Steps:
 
     @property
     def gap(self) -> np.ndarray:
-        """At all instants but the last: (N, n_pairs) [m]."""
+        """Gap at all instants but the last: (N, n_pairs) [m]."""
         flow, count = self._flow, len(self.states) - 1
         instants = np.arange(count) % flow.steps
         moved = (self.states[:-1] - flow.steady[instants]) @ flow.gap_rows.T
@@ -221,7 +220,7 @@ class Steps:
 
     @property
     def switches(self) -> int:
-        """How often a pair opens or closes."""
+        """Number of times that a pair opens or closes."""
         return int(np.sum(self.closed[1:] != self.closed[:-1]))
 
     def monodromy(self) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,26 +12,26 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenics_crack.errors import InputError, reading
-from fenics_crack.model.factor import Factor, weighted_sum
+from fenics_crack.model.factor import Factor, factored_sum, weighted_sum
 from fenics_crack.model.matrix_market import read_matrix_market
 from fenics_crack.parallel import gather_rows, raise_together
 from fenics_crack.table import counted
 
 __all__ = [
-    "check_positive_definite",
-    "check_semidefinite",
-    "check_symmetric",
+    "checked",
     "distributed",
+    "lumped_mass",
     "numbers",
     "per_pair",
     "petsc_matrix",
     "read_only",
     "whole_rows",
+    "with_springs",
 ]
 
-SYMMETRY_TOLERANCE = 1e-10
-ROUNDING = 1e-10
-"""Eigenvalues, relative to the largest K_ii / M_ii, that may be negative."""
+TOLERATED = 1e-10
+"""Asymmetry relative to a matrix's size; negative eigenvalues, to the largest K_ii / M_ii; sums of
+a mass's rows that are zero, to the largest."""
 LARGEST = 1e60
 """Of entries: numbers of scenes are up to 1e30, and those of their matrices products of two."""
 
@@ -147,17 +148,70 @@ def _check_sizes(name: str, values: np.ndarray) -> None:
         raise InputError(name, f"{largest:g}, the largest entry", allowed)
 
 
-def check_symmetric(name: str, matrix: Any) -> None:
+def checked(
+    mass: Any, stiffness: Any, gap: Any, forces: Mapping[str, Any], clearance: Any, comm: MPI.Comm
+) -> dict[str, Any]:
+    """Check and distribute what :meth:`Structure.from_matrices` is given but for the damping
+    (collective)."""
+    mass = petsc_matrix("mass", mass, comm)
+    comm, n, own = mass.comm.tompi4py(), mass.size[0], slice(*mass.owner_range)
+    stiffness = petsc_matrix("stiffness", stiffness, comm, n)
+    _check_symmetric("mass", mass)
+    _check_symmetric("stiffness", stiffness)
+    _check_positive_definite("mass", mass)
+    _check_semidefinite("stiffness", stiffness, mass)
+
+    gap = sparse.csr_matrix((n, 0)) if gap is None else whole_rows("gap", gap, n)
+    force = np.zeros((3, n))
+    for row, (name, part) in zip(force, forces.items(), strict=True):
+        if part is not None:
+            column = whole_rows(name, part, n)
+            if column.shape != (n, 1):
+                raise InputError(name, column.shape, f"of shape ({n},)")
+            row[:] = column.toarray().ravel()
+    return {
+        "mass": mass,
+        "stiffness": stiffness,
+        "gap": gap[own],
+        "force": force[:, own],
+        "clearance": per_pair("clearance", clearance, gap.shape[1]),
+    }
+
+
+def lumped_mass(mass: Any) -> Any:
+    """The diagonal matrix of the row sums; InputError where one is not positive (collective)."""
+    ones, sums = mass.createVecs()
+    ones.set(1.0)
+    mass.mult(ones, sums)
+    smallest = sums.min()[1]
+    if smallest <= TOLERATED * sums.max()[1]:  # zero at a triangle's corners
+        allowed = "lumped only where every row sum is positive"
+        raise InputError("mass", f"row sum {smallest:.3g}", allowed)
+    shape = mass.local_size[0], mass.size[1]
+    return distributed(sparse.diags(sums.array_r, mass.owner_range[0], shape), mass.comm.tompi4py())
+
+
+def with_springs(stiffness: Any, gap: sparse.csr_matrix, springs: np.ndarray) -> Any:
+    """K + B diag(k) B^T of springs k (n_pairs,) (collective)."""
+    comm = stiffness.comm.tompi4py()
+    whole = sparse.vstack(comm.allgather(gap), format="csr")
+    added = distributed(gap @ sparse.diags(springs) @ whole.T, comm)
+    matrix = weighted_sum(stiffness, 1.0, added)
+    added.destroy()
+    return matrix
+
+
+def _check_symmetric(name: str, matrix: Any) -> None:
     size = matrix.norm(PETSc.NormType.INFINITY)
     difference = matrix.transpose(PETSc.Mat())
     difference.axpy(-1.0, matrix, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
     asymmetry = difference.norm(PETSc.NormType.INFINITY)
     difference.destroy()
-    if asymmetry > SYMMETRY_TOLERANCE * size:
+    if asymmetry > TOLERATED * size:
         raise InputError(name, f"asymmetric by {asymmetry / size:.1e}", "symmetric")
 
 
-def check_positive_definite(name: str, matrix: Any) -> None:
+def _check_positive_definite(name: str, matrix: Any) -> None:
     with Factor(matrix, symmetric=True) as factor:
         negative, null = factor.negative_pivots, factor.null_pivots
     if negative or null:
@@ -165,16 +219,14 @@ def check_positive_definite(name: str, matrix: Any) -> None:
         raise InputError(name, found, "positive definite")
 
 
-def check_semidefinite(name: str, matrix: Any, mass: Any) -> None:
+def _check_semidefinite(name: str, matrix: Any, mass: Any) -> None:
     """Raise InputError if a symmetric matrix has an eigenvalue that is negative beyond rounding;
     it has none for motions as a rigid body (collective)."""
     quotients = matrix.getDiagonal()
     quotients.pointwiseDivide(quotients, mass.getDiagonal())
     sizes = quotients.copy()
     sizes.abs()
-    shifted = weighted_sum(matrix, ROUNDING * sizes.max()[1], mass)
-    with Factor(shifted, symmetric=True) as factor:
+    with factored_sum(matrix, TOLERATED * sizes.max()[1], mass) as factor:
         negative = factor.negative_pivots
-    shifted.destroy()
     if negative:
         raise InputError(name, counted(negative, "negative eigenvalue"), "positive semidefinite")

@@ -112,13 +112,13 @@ def _header(line: str) -> tuple[str, str, str]:
 
 
 def _entries(rows: int, columns: int, symmetry: str) -> int:
-    """How many entries a dense file has: of a symmetric matrix from the diagonal down."""
+    """Number of entries of a dense file: of a symmetric matrix from the diagonal down."""
     sign = {"symmetric": 1, "skew-symmetric": -1}.get(symmetry)
     return rows * columns if sign is None else rows * (rows + sign) // 2
 
 
 def _count(found: np.ndarray, expected: int) -> str:
-    """How many entries were found; no more are read than one too many."""
+    """Number of entries found, in words; no more are read than one too many."""
     return "more" if len(found) > expected else str(len(found))
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenics_crack.model.modes import krylov_vectors
-from fenics_crack.model.reduced import BLOCK
+from fenics_crack.model.reduced import AT_A_TIME
 from fenics_crack.model.structure import Structure
 
 __all__ = ["addresses_left", "machine_memory", "reduction_memory", "whole_memory"]
@@ -50,7 +50,7 @@ def reduction_memory(structure: Structure, modes: int, method: str) -> float:
     krylov = 8.0 * dofs * krylov_vectors(kept)
     counting = _factor(structure) + 2 * ENTRY * entries
     # Blocks of static responses, or all of them in a basis and that of its reference.
-    static = 8.0 * dofs * (4 * BLOCK if method == "massless" else 10 * columns)
+    static = 8.0 * dofs * (4 * AT_A_TIME if method == "massless" else 10 * columns)
     most = max(krylov, counting, static)
     return _held(structure) + _factor(structure) + 8.0 * dofs * kept + most
 

@@ -9,10 +9,8 @@ import numpy as np
 import scipy.linalg
 
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.model.damping import RayleighDamping
-from fenics_crack.model.modes import ROUNDING, damped_modes, projected_damping
-from fenics_crack.model.reduced import MasslessStructure, massless
-from fenics_crack.model.run_up import RunUpStructure
+from fenics_crack.model.modes import ROUNDING, damped_modes, damping_in
+from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.structure import Structure
 
 __all__ = ["SMALL", "AllModes", "all_modes", "is_small"]
@@ -24,10 +22,10 @@ SMALL = 600
 
 
 def is_small(structure: Structure) -> bool:
-    """Whether a structure can be decomposed into all of its modes: few dofs on one rank, or
+    """Tell whether a structure can be decomposed into all of its modes: few dofs on one rank, or
     known by its modes."""
     few = structure.comm.size == 1 and structure.n_dofs <= SMALL
-    return few or massless(structure) is not None
+    return few or structure.light_lips
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,7 @@ class AllModes:
 
     @property
     def ill_conditioned(self) -> bool:
-        """Whether rounding relative to the highest modes may spoil the lowest ones."""
+        """Tell whether rounding relative to the highest modes may spoil the lowest ones."""
         return not self.unconstrained and bool(self.squares[0] < 1e-12 * self.squares[-1])
 
     def receptance(
@@ -88,14 +86,11 @@ class AllModes:
         singular = self.unconstrained & (omega == 0.0)
         if diagonal:
             impedance = stiffness + (1j * factor * omega)[:, None] * self.damping
-            tiny = np.abs(impedance) <= NUDGE * (np.abs(self.squares) + square)
-            if loaded is None:
-                tiny &= np.abs(impedance) <= 1e-15 * (np.abs(self.squares) + square)
-            else:
-                moved = tiny & ~loaded & (square > 0.0)
-                impedance = np.where(moved, NUDGE * (np.abs(self.squares) + square), impedance)
-                tiny &= ~moved & (np.abs(impedance) <= 1e-15 * (np.abs(self.squares) + square))
-            singular |= tiny.any(axis=1)
+            size = np.abs(self.squares) + square
+            if loaded is not None:
+                moved = (np.abs(impedance) <= NUDGE * size) & ~loaded & (square > 0.0)
+                impedance = np.where(moved, NUDGE * size, impedance)
+            singular |= (np.abs(impedance) <= 1e-15 * size).any(axis=1)
         else:
             impedance = 1j * factor * omega[:, None, None] * self.damping
             place = np.arange(len(self.squares))
@@ -193,68 +188,34 @@ def all_modes(structure: Structure) -> AllModes:
 
 
 def _all_modes(structure: Structure) -> AllModes:
-    if (reduced := massless(structure)) is not None:
-        return _of_massless(reduced)
-    if isinstance(structure, RunUpStructure):
-        return _of_run_up(structure)
+    if isinstance(structure, MasslessInterface):
+        return _of_interface(structure)
     known = damped_modes(structure)
     if known is not None and len(known.omega) == structure.n_dofs:
         squares, shapes, damping = known.omega**2, known.shapes, known.rate
     else:
         squares, shapes = scipy.linalg.eigh(*map(_dense, (structure.stiffness, structure.mass)))
-        damping = _in_modes(structure, squares, shapes)
+        damping = damping_in(structure, shapes, squares, ROUNDING)
     unconstrained = bool(squares[0] <= ROUNDING * squares[-1])
     pairs = (structure.gap.T @ shapes).T
     return AllModes(squares, shapes, damping, pairs, unconstrained)
 
 
-def _of_massless(structure: MasslessStructure) -> AllModes:
-    count, gap = structure.n_modes, structure.gap.toarray()
-    loads = np.zeros((structure.n_dofs,) * 2)
-    loads[count:, count:] = structure.flexibility
-    squares = structure.omega**2
-    return AllModes(
-        squares,
-        np.eye(structure.n_dofs)[:, :count],
-        structure.rate,
-        gap[:count],
-        bool(np.any(squares == 0.0)),
-        structure.residual,
-        loads @ gap,
-        loads,
-        np.eye(count, structure.n_dofs),
-    )
-
-
-def _of_run_up(structure: RunUpStructure) -> AllModes:
-    gap = structure.gap.toarray()
+def _of_interface(structure: MasslessInterface) -> AllModes:
+    gap, shapes, squares = structure.gap.toarray(), structure.shapes, structure.omega**2
     at_once = structure.left @ gap
     residual = gap.T @ at_once
     return AllModes(
-        structure.omega**2,
-        structure.shapes,
+        squares,
+        shapes,
         structure.rate,
-        structure.shapes.T @ gap,
-        False,
+        shapes.T @ gap,
+        bool(np.any(squares == 0.0)),
         0.5 * (residual + residual.T),
         at_once,
         structure.left,
-        (structure.mass.getDiagonal().array_r[:, None] * structure.shapes).T,
+        (structure.mass.getDiagonal().array_r[:, None] * shapes).T,
     )
-
-
-def _in_modes(structure: Structure, squares: np.ndarray, shapes: np.ndarray) -> np.ndarray:
-    """Phi^T C Phi: its diagonal where it is diagonal."""
-    rule = structure.damping
-    if isinstance(rule, RayleighDamping):
-        return rule.rate(squares)
-    if structure.damping_matrix is None:
-        coupled = projected_damping(structure, shapes)
-    else:
-        coupled = shapes.T @ _dense(structure.damping_matrix) @ shapes
-    rate = np.diag(coupled).copy()
-    coupling = np.abs(coupled - np.diag(rate)).max()
-    return rate if coupling <= 1e-14 * np.abs(rate).max() else coupled
 
 
 def _dense(matrix: Any) -> np.ndarray:

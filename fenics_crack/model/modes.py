@@ -4,7 +4,7 @@
 
 Shift-and-invert by the factor of K, which static responses use too. Where K is singular, the shift
 lies slightly below zero, so that rigid-body modes are found too. With tied lips all of this happens
-on the space of motions with B^T phi = 0 (:mod:`fenics_crack.model.tied`).
+on the space of motions with B^T phi = 0 (:mod:`fenics_crack.model.factor`).
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ from numbers import Integral
 from typing import Any, ClassVar
 
 import numpy as np
+import scipy.linalg
+import scipy.sparse as sparse
 from slepc4py import SLEPc
 
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
-from fenics_crack.model.factor import Factor, weighted_sum
+from fenics_crack.model.factor import Factor, TiedFactor, factored, factored_sum
 from fenics_crack.model.structure import Structure
-from fenics_crack.model.tied import TiedFactor, independent_ties
 from fenics_crack.parallel import gather_rows
 from fenics_crack.stages import begin
 from fenics_crack.table import Tabular, counted
@@ -34,6 +35,8 @@ __all__ = [
     "check_damped_modes",
     "damped_modes",
     "damped_range",
+    "damping_in",
+    "independent_part",
     "krylov_vectors",
     "largest_frequency",
     "mass_norms",
@@ -48,7 +51,11 @@ LIPS = ("open", "tied")
 SINGULAR = 1e-10
 """Squares of frequencies, relative to the smallest K_ii / M_ii, that are null pivots missed."""
 ROUNDING = 1e-14
-"""The same, relative to the largest K_ii / M_ii, of motions as a rigid body."""
+"""Relative to the largest: what counts as zero of squares of frequencies (to K_ii / M_ii), static
+responses, gaps, and couplings by damping."""
+
+DEPENDENT = 1e-10
+"""Diagonal entries of a pivoted QR of B^T B, relative to the largest, that are none."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -125,7 +132,7 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
         raise InputError("lips", lips, "one of " + ", ".join(map(repr, LIPS)))
     tied = lips == "tied" and structure.n_pairs > 0
     known = structure.known_modes(tied=tied)
-    ties = independent_ties(structure) if tied and known is None else None
+    ties = _independent_ties(structure) if tied and known is None else None
     words = "the number of tied modes" if tied else "n_dofs" if known is None else "n_modes"
     most = len(known[0]) if known is not None else _space(structure, ties)
     whole = isinstance(count, Integral) and not isinstance(count, bool)
@@ -134,26 +141,33 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
     if known is not None:
         omega, shapes = known
         return Modes(omega[:count], shapes[:, :count], structure)
-    with _factor(structure.stiffness, ties) as factor:
+    with factored(structure.stiffness, ties) as factor:
         return modes_by(factor, structure, int(count), ties)
 
 
 def n_tied_modes(structure: Structure) -> int:
-    """How many modes there are with tied lips (collective)."""
+    """Number of modes with tied lips (collective)."""
     if structure.n_pairs == 0:
         return structure.n_modes
     known = structure.known_modes(tied=True)
-    return len(known[0]) if known is not None else _space(structure, independent_ties(structure))
+    return len(known[0]) if known is not None else _space(structure, _independent_ties(structure))
+
+
+def _independent_ties(structure: Structure) -> sparse.csc_matrix:
+    """Columns of B that are linearly independent, on this rank: (n_local, n_ties) (collective)."""
+    gap = sparse.csc_matrix(structure.gap)
+    gram = structure.sum_over_ranks((gap.T @ gap).toarray())
+    diagonal = np.diag(gram)
+    if np.all(diagonal > 0.0) and np.count_nonzero(gram) == len(gram):
+        return gap  # orthogonal: no two pairs share a node
+    factor, order = scipy.linalg.qr(gram, mode="r", pivoting=True)
+    sizes = np.abs(np.diag(factor))
+    return gap[:, np.sort(order[sizes > DEPENDENT * sizes.max(initial=0.0)])]
 
 
 def _space(structure: Structure, ties: Any) -> int:
-    """How many modes there are with mass everywhere."""
+    """Number of modes with mass everywhere."""
     return structure.n_dofs - (0 if ties is None else int(ties.shape[1]))
-
-
-def _factor(matrix: Any, ties: Any) -> Factor | TiedFactor:
-    """The factor of a symmetric matrix, on the space of tied motions if there are ties."""
-    return Factor(matrix, symmetric=True) if ties is None else TiedFactor(matrix, ties)
 
 
 def modes_by(
@@ -185,7 +199,7 @@ def modes_by(
 
 
 class _Inverse:
-    """What PETSc calls to apply a factor."""
+    """Context that PETSc calls to apply a factor."""
 
     def __init__(self, factor: Factor | TiedFactor) -> None:
         self._factor = factor
@@ -224,11 +238,8 @@ def _nearest_zero(
         if np.abs(squares).min() > SINGULAR * scale:
             return squares, shapes
     shift = -1e-6 * scale
-    shifted = weighted_sum(structure.stiffness, -shift, structure.mass)
-    with _factor(shifted, ties) as other:
-        found = _krylov(other, structure, count, shift)
-    shifted.destroy()
-    return found
+    with factored_sum(structure.stiffness, -shift, structure.mass, ties) as other:
+        return _krylov(other, structure, count, shift)
 
 
 def krylov_vectors(count: int) -> int:
@@ -270,11 +281,8 @@ def _krylov(
 
 def _count_below(structure: Structure, square: float, ties: Any) -> int:
     """Number of modes with omega^2 < square: the negative pivots of K - square M (Sylvester)."""
-    shifted = weighted_sum(structure.stiffness, -square, structure.mass)
-    with _factor(shifted, ties) as factor:
-        count = factor.negative_pivots
-    shifted.destroy()
-    return count
+    with factored_sum(structure.stiffness, -square, structure.mass, ties) as factor:
+        return int(factor.negative_pivots)
 
 
 def largest_frequency(structure: Structure) -> float:
@@ -313,6 +321,30 @@ def mass_norms(structure: Structure, columns: np.ndarray) -> np.ndarray:
     """sqrt(x^T M x) of the columns (n_local, m), never zero (collective)."""
     squares = (columns * times(structure.mass, columns)).sum(axis=0)
     return np.sqrt(np.maximum(structure.sum_over_ranks(squares), 1e-300))
+
+
+def independent_part(
+    structure: Structure, basis: np.ndarray, columns: np.ndarray, new: float, weight: float
+) -> np.ndarray:
+    """Part of columns (n_local, m) that is new to an M-orthonormal basis, likewise (collective).
+
+    Left out are columns of which less than a part ``new`` is new, and of what is left the
+    directions whose weight in the Gram matrix is less than ``weight`` of the largest one.
+    """
+
+    def gram(rows: np.ndarray) -> np.ndarray:
+        return structure.sum_over_ranks(rows.T @ times(structure.mass, columns))
+
+    sizes = mass_norms(structure, columns)
+    for _ in range(2):  # once more against rounding
+        columns = columns - basis @ gram(basis)
+    left = mass_norms(structure, columns)
+    columns = columns[:, left > new * sizes] / left[left > new * sizes]
+    for _ in range(2):
+        weights, vectors = np.linalg.eigh(gram(columns))
+        kept = weights > weight * weights.max(initial=0.0)
+        columns = columns @ (vectors[:, kept] / np.sqrt(weights[kept]))
+    return columns
 
 
 def _signs(structure: Structure, shapes: np.ndarray) -> np.ndarray:
@@ -377,14 +409,14 @@ def damped_modes(structure: Structure) -> DampedModes | None:
 
 
 def _damped_modes(structure: Structure) -> DampedModes:
-    count, ratio = check_damped_modes(structure), np.asarray(structure.damping.ratio, dtype=float)
-    modes = solve_modes(structure, count)
+    modes = solve_modes(structure, check_damped_modes(structure))
     mass_shapes = times(structure.mass, modes.shapes)
-    return DampedModes(modes.omega, 2.0 * ratio * modes.omega, modes.shapes, mass_shapes)
+    rate = structure.damping.rate(modes.omega**2)
+    return DampedModes(modes.omega, rate, modes.shapes, mass_shapes)
 
 
 def check_damped_modes(structure: Structure) -> int:
-    """How many modes a structure's modal damping damps; InputError as :func:`damped_modes`."""
+    """Number of modes that modal damping damps; InputError as :func:`damped_modes`."""
     damping = structure.damping
     count: int = structure.n_modes if damping.modes is None else damping.modes
     if count > structure.n_modes:
@@ -396,7 +428,7 @@ def check_damped_modes(structure: Structure) -> int:
 
 
 def damped_range(structure: Structure) -> tuple[int, float] | None:
-    """How many modes are damped, and the highest frequency of one [rad/s] (collective).
+    """Number of damped modes, and the highest frequency of one [rad/s] (collective).
 
     None where no mode above it is left without damping, and where a damping matrix was given. Where
     projection has made a matrix of modal damping, the modes are those of the whole structure.
@@ -422,6 +454,19 @@ def damped_range(structure: Structure) -> tuple[int, float] | None:
         return 0, 0.0
     last = int(found[-1])
     return None if last == structure.n_modes - 1 else (len(found), float(known.omega[last]))
+
+
+def damping_in(
+    structure: Structure, columns: np.ndarray, squares: np.ndarray, allowed: float
+) -> np.ndarray:
+    """X^T C X of columns with X^T M X = I and X^T K X = diag(squares): its diagonal (m,) where what
+    couples them is at most ``allowed`` of the largest rate, else (m, m) [1/s] (collective)."""
+    if isinstance(structure.damping, RayleighDamping):
+        return structure.damping.rate(squares)
+    coupled = projected_damping(structure, columns)
+    rate = np.diag(coupled).copy()
+    coupling = np.abs(coupled - np.diag(rate)).max(initial=0.0)
+    return rate if coupling <= allowed * np.abs(rate).max(initial=0.0) else coupled
 
 
 def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:

@@ -1,18 +1,20 @@
-"""Where the dofs and the contact pairs of a meshed structure are."""
+"""Dofs and contact pairs of a structure, and where they are in a mesh."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any, NoReturn
 
 import numpy as np
+import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError
 from fenics_crack.model.matrices import numbers, read_only
 from fenics_crack.parallel import gather_rows
 
-__all__ = ["Nodes", "Pairs"]
+__all__ = ["Coordinates", "Nodes", "Pairs"]
 
 COMPONENTS: dict[int | str, int] = {0: 0, 1: 1, "x": 0, "y": 1}
 
@@ -43,7 +45,7 @@ class Nodes:
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
     def find_dof(self, comm: MPI.Comm, point: Sequence[float], component: int | str) -> int:
-        """As :meth:`Structure.find_dof` (collective)."""
+        """Find a dof, as :meth:`Structure.find_dof` (collective)."""
         if component not in list(COMPONENTS):
             raise InputError("component", component, "0, 1, 'x' or 'y'")
         target = numbers(point)
@@ -88,7 +90,7 @@ class Nodes:
         return points[place], dofs[place]
 
     def dof_name(self, comm: MPI.Comm, dof: int) -> str:
-        """As :meth:`Structure.dof_name` (collective)."""
+        """Name a dof, as :meth:`Structure.dof_name` (collective)."""
         node, component = np.argwhere(gather_rows(comm, self.dofs) == dof)[0]
         x, y = np.round(gather_rows(comm, self.points)[node], 12) + 0.0  # no -1e-19
         return f"{'xy'[component]} displacement at ({x:.4g}, {y:.4g}) m"
@@ -96,7 +98,7 @@ class Nodes:
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Where the contact pairs of a structure are, crack by crack; the arrays are read-only.
+    """Places of the contact pairs of a structure, crack by crack; the arrays are read-only.
 
     Attributes
     ----------
@@ -119,7 +121,185 @@ class Pairs:
     positions: np.ndarray | None = None
     places: dict[str, int] = field(default_factory=dict)
 
+    @classmethod
+    def none(cls) -> Pairs:
+        """Those of a mesh without a crack."""
+        return cls(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=int), np.zeros(0))
+
     def __post_init__(self) -> None:
         for name in ("points", "areas", "cracks", "positions"):
             if (given := getattr(self, name)) is not None:
                 object.__setattr__(self, name, read_only(given))
+
+
+class Coordinates:
+    """Degrees of freedom and contact pairs of a structure: how many, where, and on which rank.
+
+    Dofs are numbered through all ranks, of which each owns successive ones ("n_local"). None of the
+    attributes can be set.
+
+    Attributes
+    ----------
+    comm : MPI.Comm
+        The ranks that share the structure.
+    gap : scipy.sparse.csr_matrix
+        B, the rows owned by this rank: (n_local, n_pairs).
+    force : (3, n_local) [N]
+        Mean, cosine and sine part of the load on the first harmonic.
+    nodes : Nodes or None
+        Positions of the dofs where there is a mesh.
+    pairs : Pairs
+        Positions, areas and cracks of the contact pairs where there is a mesh.
+    """
+
+    comm: MPI.Comm
+    mass: Any
+    gap: sparse.csr_matrix
+    force: np.ndarray
+    nodes: Nodes | None
+    pairs: Pairs
+    _gap_transposed: sparse.csr_matrix
+
+    def _hold(self, **values: Any) -> None:
+        """Set attributes of a structure that is being made; arrays become read-only."""
+        for name, value in values.items():
+            vars(self)[name] = read_only(value) if isinstance(value, np.ndarray) else value
+
+    def __setattr__(self, name: str, value: object) -> NoReturn:
+        raise AttributeError(
+            f"{name}: a structure cannot be changed; varied() and damped() make another one"
+        )
+
+    @property
+    def _size_words(self) -> str:
+        return f"{self.n_dofs} dofs"
+
+    @property
+    def n_dofs(self) -> int:
+        """Number of degrees of freedom, without clamped ones."""
+        return int(self.mass.size[0])
+
+    @property
+    def n_local(self) -> int:
+        """Number of degrees of freedom that this rank owns."""
+        return int(self.mass.local_size[0])
+
+    @property
+    def first_dof(self) -> int:
+        """Number of the first degree of freedom that this rank owns."""
+        return int(self.mass.owner_range[0])
+
+    @property
+    def n_pairs(self) -> int:
+        """Number of contact pairs."""
+        return int(self.gap.shape[1])
+
+    @property
+    def pair_points(self) -> np.ndarray | None:
+        """Positions of the contact pairs where there is a mesh: (n_pairs, 2) [m]."""
+        return self.pairs.points
+
+    @property
+    def pair_areas(self) -> np.ndarray | None:
+        """Area of the lip that belongs to each pair, where there is a mesh: (n_pairs,) [m^2]."""
+        return self.pairs.areas
+
+    @property
+    def watched_pairs(self) -> dict[str, int]:
+        """A pair of each crack by its place: "the mouth"; without a mesh the first, "pair 1"."""
+        return self.pairs.places or ({"pair 1": 0} if self.n_pairs else {})
+
+    @property
+    def first_watched(self) -> int:
+        """The pair at the mouth of the first crack, or in the middle of one inside the plate."""
+        return next(iter(self.watched_pairs.values()))
+
+    def most_loaded(self) -> int:
+        """The dof that carries most of the load, of all ranks' (collective)."""
+        return int(np.argmax(gather_rows(self.comm, np.abs(self.force).max(axis=0))))
+
+    def where(self, pair: int) -> str:
+        """A pair in words: "at the mouth", "at the middle of crack 2", "of pair 3"."""
+        names = {number: name for name, number in self.pairs.places.items()}
+        return f"at {names[pair]}" if pair in names else f"of pair {pair + 1}"
+
+    @property
+    def n_modes(self) -> int:
+        """Number of natural modes: of coordinates with mass."""
+        return self.n_dofs
+
+    @property
+    def whole(self) -> Any:
+        """The structure to which dof numbers and nodes refer: itself, unless it is reduced."""
+        return self
+
+    def expand(self, displacement: np.ndarray) -> np.ndarray:
+        """Displacements (m, n_local) as those of the whole structure."""
+        return displacement
+
+    def apply_bt(self, displacement: np.ndarray) -> np.ndarray:
+        """B^T u of displacements (m, n_local): (m, n_pairs) on every rank (collective)."""
+        return self.sum_over_ranks((self._gap_transposed @ displacement.T).T)
+
+    def apply_b(self, pair_force: np.ndarray) -> np.ndarray:
+        """B lambda of forces on the pairs (m, n_pairs): (m, n_local)."""
+        return (self.gap @ pair_force.T).T
+
+    def sum_over_ranks(self, values: np.ndarray) -> np.ndarray:
+        """Add up the arrays of all ranks (collective); the same array on one rank."""
+        if self.comm.size == 1:
+            return values
+        values = np.ascontiguousarray(values)
+        total = np.empty_like(values)
+        self.comm.Allreduce(values, total)
+        return total
+
+    def values_at(self, displacement: np.ndarray, dofs: Sequence[int]) -> np.ndarray:
+        """Pick dofs from displacements (m, n_local): (m, len(dofs)) on every rank (collective).
+
+        Raises as :meth:`check_dofs`.
+        """
+        wanted = self.check_dofs(dofs)
+        mine = (wanted >= self.first_dof) & (wanted < self.first_dof + self.n_local)
+        picked = np.zeros((len(displacement), len(wanted)), dtype=displacement.dtype)
+        picked[:, mine] = displacement[:, wanted[mine] - self.first_dof]
+        return self.sum_over_ranks(picked)
+
+    def check_dofs(self, dofs: Sequence[int]) -> np.ndarray:
+        """Dofs as an array of whole numbers.
+
+        Raises
+        ------
+        InputError
+            A dof is not a whole number between 0 and n_dofs - 1.
+        """
+        wanted = np.atleast_1d(numbers(dofs)).ravel()
+        if not np.all((wanted >= 0) & (wanted < self.n_dofs) & (wanted == np.round(wanted))):
+            raise InputError("dofs", dofs, f"whole numbers between 0 and {self.n_dofs - 1}")
+        return wanted.astype(int)
+
+    def find_dof(self, point: Sequence[float], component: int | str) -> int:
+        """Return the dof of a displacement component at the node at a point (collective).
+
+        Parameters
+        ----------
+        point : (2,) [m]
+            Position of the node, to 1e-6 of the structure's size.
+        component : 0, 1, "x" or "y"
+            Direction.
+
+        Raises
+        ------
+        InputError
+            There is no node there, or two (on the lips), the dof is clamped, or the structure was
+            made from matrices and has no positions.
+        """
+        if self.nodes is None:
+            raise InputError("point", point, "given only for a structure made from a mesh")
+        return self.nodes.find_dof(self.whole.comm, point, component)
+
+    def dof_name(self, dof: int) -> str:
+        """A dof in words: "x displacement at (0.1, 0.1) m" (collective)."""
+        if self.nodes is None:
+            return f"displacement of dof {dof}"
+        return self.nodes.dof_name(self.whole.comm, dof)

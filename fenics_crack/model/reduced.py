@@ -1,7 +1,7 @@
 """Structures in the coordinates of a basis, u = T q: the same interface, few unknowns.
 
 :class:`ReducedStructure` has mass in all of its coordinates. In :class:`MasslessStructure` only the
-lowest modes Phi have mass; what they leave out answers at once (MacNeal, Computers & Structures 1,
+lowest modes Phi have mass; what they leave out is quasi-static (MacNeal, Computers & Structures 1,
 1971, 581),
 
     u = Phi q + G (f - B lambda),        G = K^-1 - Phi Lambda^-1 Phi^T,
@@ -15,6 +15,7 @@ asked for.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError
-from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
+from fenics_crack.model.damping import DampingRule, check_rule
 from fenics_crack.model.factor import Factor
 from fenics_crack.model.matrices import distributed
 from fenics_crack.model.modes import times
@@ -31,13 +32,20 @@ from fenics_crack.model.structure import Structure
 
 __all__ = [
     "INSTEAD",
+    "MasslessInterface",
     "MasslessStructure",
     "ReducedStructure",
     "ResidualFlexibility",
     "check_mass",
     "massless",
-    "of_kept_modes",
 ]
+
+RIGID_TIE = 1e-12
+"""Eigenvalues of R_inf, relative to all of the pairs' static compliance, that are none."""
+AT_A_TIME = 16
+"""Static solutions that are held at a time."""
+INSTEAD = "reduce with method = 'free_interface', or march by integrate_exponential"
+"""What to do where a scheme needs mass at the lips."""
 
 
 class ReducedStructure(Structure):
@@ -114,8 +122,7 @@ class ReducedStructure(Structure):
 
         Rayleigh damping of the coordinates is that of the whole structure, projected.
         """
-        if damping is not None and not isinstance(damping, DampingRule):
-            raise InputError("damping", damping, "a ModalDamping, a RayleighDamping or None")
+        check_rule(damping)
         reference = None if self.reference is None else self.reference.damped(damping)
         return ReducedStructure(self._whole, self.basis, self.omega**2, damping, reference)
 
@@ -165,8 +172,8 @@ class ResidualFlexibility:
     def seen(self, factor: Factor, columns: sparse.spmatrix) -> np.ndarray:
         """Y^T G X of sparse forces Y (n_local, m): (m, n_sources) (collective)."""
         rows = [np.zeros((0, self.sources.shape[1]))]
-        for start in range(0, columns.shape[1], BLOCK):
-            block = columns[:, start : start + BLOCK]
+        for start in range(0, columns.shape[1], AT_A_TIME):
+            block = columns[:, start : start + AT_A_TIME]
             if self._held:  # and K^-1 exists: zeros are left out
                 moved = factor.solve_sparse(block)
             else:
@@ -202,16 +209,39 @@ class ResidualFlexibility:
             mine = np.flatnonzero((own >= 0) & (own < structure.n_local))
             shape = structure.n_local, len(missing)
             units = sparse.csr_matrix((np.ones(len(mine)), (own[mine], mine)), shape)
-            if factor is None:
-                with Factor(structure.stiffness, symmetric=True) as factor:
-                    found = self.seen(factor, units)
-            else:
-                found = self.seen(factor, units)
+            stiffness = structure.stiffness
+            with nullcontext(factor) if factor else Factor(stiffness, symmetric=True) as known:
+                found = self.seen(known, units)
             self._measured |= dict(zip(missing, found, strict=True))
         return np.array([self._measured[dof] for dof in wanted])
 
 
-class MasslessStructure(ReducedStructure):
+class MasslessInterface(ReducedStructure):
+    """Modes with mass, and what they leave out quasi-static: :class:`MasslessStructure`, and
+    :class:`fenics_crack.model.run_up.RunUpStructure`.
+
+    Attributes
+    ----------
+    shapes : (n_dofs, n_modes)
+        Phi, mass-normalised.
+    left : (n_dofs, n_dofs) [m/N]
+        What the modes leave out: displacement by forces, without inertia.
+    rate : (n_modes,) or (n_modes, n_modes) [1/s]
+        Phi^T C Phi, its diagonal where it is diagonal; without the factor of a varied copy.
+    """
+
+    light_lips = True
+    shapes: np.ndarray
+    left: np.ndarray
+    rate: np.ndarray
+
+    @property
+    def n_modes(self) -> int:
+        """Number of modes with mass."""
+        return len(self.omega)
+
+
+class MasslessStructure(MasslessInterface):
     """Modes with free lips, and what they leave out without mass; the same on every rank.
 
         u = Phi q + G (f - B lambda),        G = K^-1 - Phi Lambda^-1 Phi^T,
@@ -224,13 +254,9 @@ class MasslessStructure(ReducedStructure):
     flexibility : (n_dofs - n_modes,) * 2
         Inverse of S, the stiffness of the coordinates without mass; its pseudoinverse where forces
         depend on each other.
-    rate : (n_modes,) or (n_modes, n_modes) [1/s]
-        Phi^T C Phi, its diagonal where it is diagonal; without the factor of a varied copy.
     """
 
-    light_lips = True
     flexibility: np.ndarray
-    rate: np.ndarray
     _static: ResidualFlexibility | None
 
     def __init__(
@@ -245,20 +271,17 @@ class MasslessStructure(ReducedStructure):
         static: ResidualFlexibility | None = None,
         reference: MasslessStructure | None = None,
     ) -> None:
-        """Of Phi^T B (n_modes, n_pairs), the load on all coordinates (3, n_dofs), and S."""
+        """Take Phi^T B (n_modes, n_pairs), the load on all coordinates (3, n_dofs), and S."""
         count, extra, shared = len(squares), len(compliance), whole.n_pairs
         omega = np.sqrt(np.maximum(squares, 0.0))
         stiffness = sparse.block_diag([sparse.diags(squares), compliance]).tocsr()
         mass = sparse.diags(np.repeat([1.0, 0.0], [count, extra])).tocsr()
         rate: np.ndarray = np.zeros(count)
-        if not isinstance(damping, np.ndarray):
-            damping = of_kept_modes(damping, count)
-        if isinstance(damping, ModalDamping):
-            rate = 2.0 * np.asarray(damping.ratio) * omega
-        elif isinstance(damping, RayleighDamping):
-            rate = damping.rate(squares)
-        elif damping is not None:
+        if isinstance(damping, np.ndarray):
             rate = damping
+        elif damping is not None:
+            damping = damping.of_kept(count)
+            rate = damping.rate(squares)
         Structure.__init__(
             self,
             distributed(mass, MPI.COMM_SELF),
@@ -280,9 +303,14 @@ class MasslessStructure(ReducedStructure):
         vars(self)["_static"] = static
 
     @property
-    def n_modes(self) -> int:
-        """Coordinates with mass, the first ones."""
-        return len(self.omega)
+    def shapes(self) -> np.ndarray:  # type: ignore[override]
+        """Unit vectors: the first coordinates are those of the modes."""
+        return np.eye(self.n_dofs, self.n_modes)
+
+    @property
+    def left(self) -> np.ndarray:  # type: ignore[override]
+        """S^-1 on the other coordinates."""
+        return scipy.linalg.block_diag(np.zeros((self.n_modes,) * 2), self.flexibility)
 
     def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray]:
         """omega, and the unit vectors of the modes' coordinates; with tied lips those of
@@ -292,7 +320,7 @@ class MasslessStructure(ReducedStructure):
         ties are springs of the compliance that the modes leave out, and hold b^T q where it has
         none."""
         if not tied:
-            return self.omega, np.eye(self.n_dofs, self.n_modes)
+            return self.omega, self.shapes
         pairs = self.gap[: self.n_modes].toarray()
         compliance, turned = np.linalg.eigh(self.residual)
         elastic = self.omega > 0.0
@@ -329,7 +357,7 @@ class MasslessStructure(ReducedStructure):
     @property
     def basis(self) -> np.ndarray:
         """Phi: (whole.n_local, n_modes)."""
-        return np.eye(self.n_dofs, self.n_modes) if self._static is None else self._static.shapes
+        return self.shapes if self._static is None else self._static.shapes
 
     def expand(self, displacement: np.ndarray) -> np.ndarray:
         """u = Phi q + G X c of coordinates (m, n_dofs): (m, whole.n_local) (collective)."""
@@ -349,8 +377,7 @@ class MasslessStructure(ReducedStructure):
 
     def damped(self, damping: DampingRule | None) -> MasslessStructure:
         """Return this structure with a modal or Rayleigh damping of its modes, or none."""
-        if damping is not None and not isinstance(damping, DampingRule):
-            raise InputError("damping", damping, "a ModalDamping, a RayleighDamping or None")
+        check_rule(damping)
         reference = None
         if isinstance(self.reference, MasslessStructure):
             reference = self.reference.damped(damping)
@@ -366,27 +393,9 @@ class MasslessStructure(ReducedStructure):
         )
 
 
-RIGID_TIE = 1e-12
-"""Eigenvalues of R_inf, relative to all of the pairs' static compliance, that are none."""
-BLOCK = 16
-"""Static solutions that are held at a time."""
-INSTEAD = "reduce with method = 'free_interface', or march by integrate_exponential"
-"""What to do where a scheme needs mass at the lips."""
-
-
-def of_kept_modes(damping: DampingRule | None, count: int) -> DampingRule | None:
-    """Damping of all modes that are kept: those beyond the damped ones by the last ratio."""
-    if not isinstance(damping, ModalDamping):
-        return damping
-    if isinstance(damping.ratio, float):
-        return ModalDamping(damping.ratio)
-    ratio = list(damping.ratio)[:count]
-    return ModalDamping(tuple(ratio + ratio[-1:] * (count - len(ratio))))
-
-
 def check_mass(structure: Structure, instead: str) -> None:
     """Raise InputError, which says what to do instead, if the lips have no mass."""
-    if massless(structure) is not None:
+    if structure.light_lips:
         raise InputError("structure", repr(structure), f"one with mass at its lips; {instead}")
 
 
@@ -403,7 +412,7 @@ def _padded(damping: DampingRule | np.ndarray | None, extra: int) -> Any:
 
 
 def _pseudoinverse(compliance: np.ndarray) -> np.ndarray:
-    """Of S, whose units differ from load to pair: scaled to a unit diagonal first."""
+    """Invert S, whose units differ from load to pair: scaled to a unit diagonal first."""
     size = np.sqrt(np.maximum(np.diag(compliance), 0.0))
     scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
     scaled = scale[:, None] * compliance * scale

@@ -35,14 +35,16 @@ import scipy.sparse as sparse
 
 from fenics_crack.errors import InputError
 from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
-from fenics_crack.model.factor import Factor, weighted_sum
+from fenics_crack.model.factor import Factor, factored_sum
 from fenics_crack.model.modal import SMALL
 from fenics_crack.model.modes import (
+    ROUNDING,
     check_damped_modes,
     damped_modes,
-    mass_norms,
+    damping_in,
+    independent_part,
     modes_by,
-    projected_damping,
+    n_tied_modes,
     solve_modes,
     times,
 )
@@ -63,9 +65,11 @@ RIGID = 1e-12
 """Squares of frequencies, relative to the highest, that are those of motions as a rigid body."""
 MODES = 50
 """Kept of a large structure whose modes are all damped."""
-ROUNDING = 1e-14
-"""Share of a static response that counts as none."""
-FEW = 32
+NEW, NEW_WEIGHT = 1e-8, 1e-12
+"""Part of a static response that is not in the basis yet, and its weight, from which it is kept."""
+COUPLED = 1e-9
+"""Damping between modes, relative to the largest of a mode, that is rounding of the projection."""
+WATCHED = 32
 """Loaded dofs whose static responses are computed beforehand."""
 
 
@@ -75,7 +79,7 @@ def reduce_structure(
     """Reduce a structure to a few coordinates (collective).
 
     The displacement is sought as u = T q. T holds the lowest modes with open lips, and what differs
-    with the method. "massless": what the modes leave out answers at once, by its statics, so lips
+    with the method. "massless": what the modes leave out answers quasi-statically, so lips
     have no mass (:class:`MasslessStructure`); for contact on many pairs. "free_interface": the
     static response to each pair's force and to the load. "craig_bampton": static shapes of unit
     gaps and of the load, the modes being those with tied pairs. "truncation": nothing else, so
@@ -142,9 +146,8 @@ def reduce_structure(
             response = factor.solve(sources.T).T
             extra = response if method == "free_interface" else response[:, :0]
             if method == "craig_bampton":
-                compliance = structure.apply_bt(response[:, : structure.n_pairs].T)
-                scale = 1e3 / np.abs(compliance).max(initial=1e-300)
-                tied = solve_modes(structure.tied(scale), modes).shapes
+                count = min(modes, n_tied_modes(structure))
+                tied = solve_modes(structure, count, lips="tied").shapes
                 extra = np.hstack([response, tied])
             following = [extra, response, factor.solve(times(structure.mass, response).T).T]
             if rule is None and structure.damping_matrix is not None:
@@ -182,7 +185,8 @@ def _massless(structure: Structure, modes: int) -> MasslessStructure:
     force = structure.sum_over_ranks(structure.force @ shapes)
     # The amplitudes of the load's parts are unknowns whose force is S times themselves.
     patterns = np.hstack([np.zeros((3, structure.n_pairs)), np.eye(3)[:, loaded]])
-    reference = None
+    own, reference = structure.damping, None
+    modal = isinstance(own, ModalDamping)
     for count in (more, modes):
         # What fewer modes leave out is what more do, and the static part of those between.
         between = slice(count, more)
@@ -191,7 +195,7 @@ def _massless(structure: Structure, modes: int) -> MasslessStructure:
         reference = MasslessStructure(
             structure,
             squares[:count],
-            _damping_of_modes(structure, shapes[:, :count], squares[:count]),
+            own if modal else _damping(structure, shapes[:, :count], squares[:count]),
             seen[:count, : structure.n_pairs],
             np.hstack([force[:, :count], patterns @ left]),
             left,
@@ -206,12 +210,12 @@ def _loaded_dofs(structure: Structure) -> np.ndarray:
     """Dofs under the load, at which its effect is watched, if they are few (collective)."""
     own = np.flatnonzero(np.any(structure.force != 0.0, axis=0)) + structure.first_dof
     found = gather_rows(structure.comm, own)
-    return found if len(found) <= FEW else found[:0]
+    return found if len(found) <= WATCHED else found[:0]
 
 
 def _without_rounding(compliance: np.ndarray, seen: np.ndarray, squares: np.ndarray) -> np.ndarray:
     """S without the forces that the kept modes carry alone, of which rounding leaves something."""
-    elastic = squares > 1e-12 * squares[-1]
+    elastic = squares > RIGID * squares[-1]
     carried = np.sum(seen[elastic] ** 2 / squares[elastic, None], axis=0)
     found = compliance.copy()
     lost = np.diag(compliance) <= ROUNDING * carried
@@ -219,17 +223,8 @@ def _without_rounding(compliance: np.ndarray, seen: np.ndarray, squares: np.ndar
     return found
 
 
-def _damping_of_modes(
-    structure: Structure, shapes: np.ndarray, squares: np.ndarray
-) -> DampingRule | np.ndarray | None:
-    """Of all modes that are kept."""
-    if isinstance(structure.damping, ModalDamping):
-        return structure.damping
-    return _damping(structure, shapes, squares)  # or Rayleigh's
-
-
 def _rule_of_all(structure: Structure) -> DampingRule | None:
-    """What damps all modes alike, and so those of the reduced structure: one ratio, or Rayleigh's
+    """Damping of all modes alike, also of those of the reduced structure: one ratio, or Rayleigh's
     coefficients; else None. InputError for too many ratios."""
     damping = structure.damping
     if isinstance(damping, RayleighDamping):
@@ -255,10 +250,8 @@ def _regular(factor: Factor, structure: Structure) -> Iterator[Factor]:
         yield factor
         return
     elastic = modes_by(factor, structure, min(structure.n_dofs, 10)).omega[-1] ** 2
-    matrix = weighted_sum(structure.stiffness, elastic or 1.0, structure.mass)
-    with Factor(matrix, symmetric=True) as regular:
+    with factored_sum(structure.stiffness, elastic or 1.0, structure.mass) as regular:
         yield regular
-    matrix.destroy()
 
 
 def _reduced(
@@ -269,16 +262,7 @@ def _reduced(
     reference: ReducedStructure | None,
 ) -> ReducedStructure:
     """Reduce to known modes and the rest of other vectors, made M-orthonormal and K-diagonal."""
-    whole_size = mass_norms(structure, extra)
-    for _ in range(2):  # once more against rounding
-        extra = extra - kept @ structure.sum_over_ranks(kept.T @ times(structure.mass, extra))
-    size = mass_norms(structure, extra)
-    large = size > 1e-8 * whole_size
-    extra = extra[:, large] / size[large]
-    gram = structure.sum_over_ranks(extra.T @ times(structure.mass, extra))
-    weights, vectors = np.linalg.eigh(gram)
-    independent = weights > 1e-12 * weights.max(initial=0.0)
-    extra = extra @ (vectors[:, independent] / np.sqrt(weights[independent]))
+    extra = independent_part(structure, kept, extra, NEW, NEW_WEIGHT)
     elastic = structure.sum_over_ranks(extra.T @ times(structure.stiffness, extra))
     mass = structure.sum_over_ranks(extra.T @ times(structure.mass, extra))
     more, rotation = scipy.linalg.eigh(elastic, mass) if len(mass) else (np.zeros(0), mass)
@@ -300,10 +284,10 @@ def _damping(
         return None
     if (rule := _rule_of_all(structure)) is not None:
         return rule
-    matrix = projected_damping(structure, basis)
-    rate, omega = np.diag(matrix), np.sqrt(np.maximum(squares, 0.0))
-    coupled = np.abs(matrix - np.diag(rate)).max() > 1e-9 * rate.max(initial=0.0)
-    if coupled or np.any(rate[omega == 0.0] > 0.0):  # no ratio damps a motion as a rigid body
-        return matrix
+    rate, omega = damping_in(structure, basis, squares, COUPLED), np.sqrt(np.maximum(squares, 0.0))
+    if rate.ndim == 2:
+        return rate
+    if np.any(rate[omega == 0.0] > 0.0):  # no ratio damps a motion as a rigid body
+        return np.diag(rate)
     ratio = np.divide(rate, 2.0 * omega, out=np.zeros_like(rate), where=omega > 0.0)
     return ModalDamping(tuple(np.maximum(ratio, 0.0)))

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.errors import InputError, check_number
-from fenics_crack.model.complementarity import solve_complementarity
+from fenics_crack.model.coupled import solve_complementarity
 from fenics_crack.model.damping import DampingRule
 from fenics_crack.model.factor import Factor, weighted_sum
+from fenics_crack.model.modes import ROUNDING
 from fenics_crack.model.structure import Structure
 from fenics_crack.table import RPM
 
@@ -25,7 +26,7 @@ __all__ = ["Rotation", "static_state", "too_fast"]
 
 @dataclass(frozen=True)
 class Rotation:
-    """What rotation adds to a structure.
+    """Stiffness and load that rotation adds to a structure.
 
     Attributes
     ----------
@@ -107,9 +108,5 @@ def static_state(
 
 
 def too_fast(speed: float) -> str:
-    """What is allowed instead of a speed [rad/s] at which the plate is unstable."""
+    """Say what is allowed instead of a speed [rad/s] at which the plate is unstable."""
     return f"lower: the plate is unstable at {speed / RPM:.6g} rpm"
-
-
-ROUNDING = 1e-12
-"""Gaps relative to the largest one that count as zero."""

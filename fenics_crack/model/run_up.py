@@ -15,17 +15,25 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError, check_number
-from fenics_crack.model.damping import DampingRule, ModalDamping
+from fenics_crack.model.damping import DampingRule
 from fenics_crack.model.matrices import distributed
-from fenics_crack.model.reduced import ReducedStructure, of_kept_modes
+from fenics_crack.model.modes import independent_part, times
+from fenics_crack.model.reduced import MasslessInterface
+from fenics_crack.model.reduction import reduce_structure
 from fenics_crack.model.rotation import too_fast
 from fenics_crack.model.structure import Structure
 
-__all__ = ["Ritz", "RunUpStructure"]
+__all__ = ["RunUpStructure", "run_up_structure"]
+
+SPEEDS = 3
+"""Speeds of a range whose bases are put together."""
+INDEPENDENT = 1e-6
+"""Part of a vector that is not in the basis yet, relative to it, from which it is kept."""
 
 
 @dataclass(frozen=True)
@@ -66,26 +74,21 @@ class Ritz:
     modes: int
 
 
-class RunUpStructure(ReducedStructure):
+class RunUpStructure(MasslessInterface):
     """A rotating structure at one speed, in coordinates that do not depend on it.
 
-    Its lowest modes have mass; what they leave out answers at once, as in
+    Its lowest modes have mass; what they leave out is quasi-static, as in
     :class:`fenics_crack.MasslessStructure`.
 
     Attributes
     ----------
     speed : float
         W [rad/s].
-    shapes : (n_dofs, n_modes)
-        Phi, mass-normalised.
-    left : (n_dofs, n_dofs)
-        G = K^-1 - Phi Lambda^-1 Phi^T.
+    shapes, left : (n_dofs, n_modes), (n_dofs, n_dofs)
+        Phi, mass-normalised, and G = K^-1 - Phi Lambda^-1 Phi^T.
     """
 
-    light_lips = True
     speed: float
-    shapes: np.ndarray
-    left: np.ndarray
     _ritz: Ritz
 
     def __init__(self, ritz: Ritz, speed: float) -> None:
@@ -101,7 +104,7 @@ class RunUpStructure(ReducedStructure):
         inverse, turned = np.linalg.eigh((factor * ritz.squares_inverse) @ factor.T)
         inverse, turned = inverse[: -ritz.modes - 1 : -1], turned[:, : -ritz.modes - 1 : -1]
         static = factor.T @ turned
-        damping = of_kept_modes(ritz.whole.original.damping, len(force[0]))
+        damping = ritz.whole.original.damping
         Structure.__init__(
             self,
             ritz.mass,
@@ -109,7 +112,7 @@ class RunUpStructure(ReducedStructure):
             ritz.gap,
             force=force,
             clearance=ritz.whole.clearance,
-            damping=damping,
+            damping=None if damping is None else damping.of_kept(len(force[0])),
             nodes=ritz.whole.nodes,
             pairs=ritz.whole.pairs,
         )
@@ -119,24 +122,19 @@ class RunUpStructure(ReducedStructure):
         self._hold(speed=speed, shapes=static * omega, left=left, _ritz=ritz)
 
     @property
-    def n_modes(self) -> int:
-        """How many modes have mass."""
-        return len(self.omega)
-
-    @property
-    def rate(self) -> np.ndarray:
+    def rate(self) -> np.ndarray:  # type: ignore[override]
         """Phi^T C Phi, which is diagonal: (n_modes,) [1/s]; without the factor of a copy."""
-        rule = of_kept_modes(self.original.damping, self.n_modes)
-        if isinstance(rule, ModalDamping):
-            return np.asarray(2.0 * np.asarray(rule.ratio) * self.omega)
-        return np.zeros(self.n_modes) if rule is None else rule.rate(self.omega**2)
+        rule = self.original.damping
+        if rule is None:
+            return np.zeros(self.n_modes)
+        return np.asarray(rule.of_kept(self.n_modes).rate(self.omega**2))
 
     @property
     def _size_words(self) -> str:
         return f"{self.n_dofs} coordinates of {self.whole.n_dofs} dofs at {self.speed:g} rad/s"
 
     def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
-        """With open lips those that have mass, at this speed."""
+        """Modes with mass at this speed, for open lips."""
         return None if tied else (self.omega, self.shapes)
 
     def at_speed(self, speed: float) -> RunUpStructure:
@@ -155,3 +153,65 @@ class RunUpStructure(ReducedStructure):
     def damped(self, damping: DampingRule | None) -> RunUpStructure:
         """Return this structure with a modal or Rayleigh damping, or none."""
         raise InputError("damping", damping, "that of the structure from which this one was made")
+
+
+def run_up_structure(structure: Structure, start: float, stop: float, modes: int) -> RunUpStructure:
+    """A rotating structure for all speeds between two, at its own speed (collective).
+
+    One ratio, or one for each of the lowest modes, damps the modes at each speed, those beyond with
+    the last one.
+
+    Parameters
+    ----------
+    structure : Structure
+        The whole one, with its rotation.
+    start, stop : float
+        Ends of the range [rad/s].
+    modes : int
+        How many modes of each speed are in the basis.
+
+    Returns
+    -------
+    RunUpStructure
+        For :func:`continue_parameter` over "speed".
+
+    Raises
+    ------
+    InputError
+        The structure does not rotate, its damping is a matrix, or a speed cannot be used.
+
+    Examples
+    --------
+    >>> rotor = fc.run_up_structure(fc.build_structure(blade), 100.0, 200.0, 4)
+    """
+    rotation = structure.rotation
+    if rotation is None:
+        raise InputError("structure", repr(structure), "one that rotates, of a scene's [rotation]")
+    if not isinstance(structure.damping, DampingRule | None):
+        raise InputError("damping", "a matrix", "modal or Rayleigh damping in a run-up")
+    basis: np.ndarray = np.zeros((structure.n_local, 0))
+    for speed in np.linspace(start, stop, SPEEDS):
+        part = reduce_structure(rotation.at(float(speed)), modes=modes, method="free_interface")
+        new = independent_part(structure, basis, part.basis, INDEPENDENT, INDEPENDENT)
+        basis = np.hstack([basis, new])
+    here = rotation.at(rotation.speed)
+
+    def projected(matrix: object) -> np.ndarray:
+        found = structure.sum_over_ranks(basis.T @ times(matrix, basis))
+        return np.asarray(0.5 * (found + found.T))
+
+    squares, shapes = scipy.linalg.eigh(projected(here.stiffness))
+    basis = basis @ (shapes / np.sqrt(squares))  # K = I at the structure's own speed
+    ritz = Ritz(
+        structure,
+        basis,
+        rotation.speed,
+        projected(rotation.stiffness),
+        1.0 / squares,
+        structure.sum_over_ranks(rotation.at_rest.force @ basis),
+        structure.sum_over_ranks(rotation.force @ basis),
+        distributed(sparse.diags(1.0 / squares), MPI.COMM_SELF),
+        sparse.csr_matrix(structure.apply_bt(basis.T)),
+        modes,
+    )
+    return RunUpStructure(ritz, rotation.speed)

@@ -26,10 +26,11 @@ import numpy as np
 
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.kernel import Struct, doubles, kernel, owned
-from fenics_crack.model.contact import ContactLaw, check_law, is_piecewise_linear, is_rigid
+from fenics_crack.model.contact import ContactLaw, check_law, is_rigid, is_unilateral
 from fenics_crack.model.coupled import is_regular
 from fenics_crack.model.modal import AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.fourier import waves
 
 __all__ = ["Budget", "ContactFlow", "Motion", "Samples", "exact_flow", "flow_of"]
 
@@ -57,7 +58,7 @@ def flow_of(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
     """The exact flow of a structure and a law; None where there is none: for a smooth law, a large
     structure, and rigid contact where what answers at once does not separate the pairs."""
     check_law(structure, contact, rigid=True)
-    if not (is_piecewise_linear(contact) or is_rigid(contact)) or not is_small(structure):
+    if not is_unilateral(contact) or not is_small(structure):
         return None
     modes, pairs = all_modes(structure), structure.n_pairs
     residual = np.zeros((pairs, pairs)) if modes.residual is None else modes.residual
@@ -77,7 +78,7 @@ def exact_flow(structure: Structure, contact: ContactLaw) -> ContactFlow:
     flow = flow_of(structure, contact)
     if flow is not None:
         return flow
-    if not (is_piecewise_linear(contact) or is_rigid(contact)):
+    if not is_unilateral(contact):
         raise InputError("contact", contact, "UnilateralPenalty or UnilateralConstraint")
     if not is_small(structure):
         raise InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")
@@ -315,9 +316,7 @@ class Samples:
         modes, structure = self.flow.modes, self.flow.structure
         found: np.ndarray = self.states[:, : len(modes.squares)] @ modes.shapes.T
         if modes.static_loads is not None and modes.static_pairs is not None:
-            phase = self.omega * self.time
-            waves = np.column_stack([np.ones_like(phase), np.cos(phase), np.sin(phase)])
-            found += waves @ (structure.force @ modes.static_loads)
+            found += waves(self.omega * self.time) @ (structure.force @ modes.static_loads)
             found -= self.force @ modes.static_pairs.T
         return found
 

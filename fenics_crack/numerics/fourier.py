@@ -11,6 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 import scipy.fft
+from numpy.typing import ArrayLike
 
 __all__ = [
     "balanced",
@@ -21,6 +22,7 @@ __all__ = [
     "sampled",
     "stretched",
     "to_complex",
+    "waves",
 ]
 
 AS_MATRIX = 25_000
@@ -44,6 +46,14 @@ def from_complex(harmonics: np.ndarray) -> np.ndarray:
     coefficients[1::2] = harmonics[1:].real
     coefficients[2::2] = -harmonics[1:].imag
     return coefficients
+
+
+def waves(phase: np.ndarray, orders: ArrayLike = (1.0,)) -> np.ndarray:
+    """1, cos k theta, sin k theta, ... of orders k (K,) at phases (...): (..., 2K+1)."""
+    angle = np.multiply.outer(phase, orders)
+    found = np.ones((*angle.shape[:-1], 2 * angle.shape[-1] + 1))
+    found[..., 1::2], found[..., 2::2] = np.cos(angle), np.sin(angle)
+    return found
 
 
 def evaluate(coefficients: np.ndarray, omega: float, time: np.ndarray) -> np.ndarray:

@@ -31,7 +31,6 @@ from enum import Enum
 from typing import overload
 
 import numpy as np
-import scipy.optimize
 
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import NULL, Struct, doubles, kernel
@@ -243,6 +242,8 @@ class Crossing(Event):
     def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
         before, after = ends
         met: list[tuple[float, PathPoint]] = []
+
+        import scipy.optimize  # takes a while, and a path without events needs none
 
         def value(step: float) -> float:
             point = before if step == 0.0 else step_along(system, before, step, rtol)

@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fenics_crack.errors import InputError
+from fenics_crack.table import TURN
 
 __all__ = [
     "LARGEST",
@@ -48,7 +49,6 @@ SMALLEST, LARGEST = 1e-30, 1e30
 """Magnitudes allowed in a scene: their products and squares neither overflow nor underflow."""
 SIZES = f"{SMALLEST:g} to {LARGEST:g}"
 OR_ZERO = f"(0, or of size {SIZES})"
-TURN = 2.0 * math.pi
 MAX_VALUES = 1_000_000
 """Values of one axis, at most."""
 
@@ -227,10 +227,11 @@ def not_negative(default: Any = MISSING, unit: str = "") -> Any:
     return holds(f"a finite number >= 0 {OR_ZERO}", lambda value: value >= 0, default, unit)
 
 
-def between(least: float, most: float, default: Any, unit: str = "") -> Any:
-    """Field of a number from one to another."""
-    allowed = f"a number from {least:g} to {most:g}"
-    return holds(allowed, lambda value: least <= value <= most, default, unit)
+def between(least: str, most: str, default: Any, unit: str = "") -> Any:
+    """Field of a number between two, given as an error writes them."""
+    low, high = float(least), float(most)
+    allowed = f"a number from {least} to {most}"
+    return holds(allowed, lambda value: low <= value <= high, default, unit)
 
 
 def vector(letter: str, default: Any = None, unit: str = "") -> Any:

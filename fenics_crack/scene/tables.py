@@ -67,8 +67,8 @@ class Geometry(Table):
     """Rectangle [0, width] x [0, height], clamped along y = 0; a mesh file has its own shape."""
 
     thickness: float = positive(unit="m")
-    width: float | None = between(1e-6, 1e6, None, unit="m")
-    height: float | None = between(1e-6, 1e6, None, unit="m")
+    width: float | None = between("1e-6", "1e6", None, unit="m")
+    height: float | None = between("1e-6", "1e6", None, unit="m")
 
 
 @dataclass(frozen=True)
@@ -436,7 +436,7 @@ class Mesh(Table):
     size: float | None = positive(None, unit="m")
     lip_elements: int | None = at_least_one(None)
     """Of a graded mesh, along each lip."""
-    grading: float = between(1, 1e6, 4.0)
+    grading: float = between("1", "1e+06", 4.0)
     """Of a graded mesh: size at the mouth over size at the tip."""
     file: str | None = path("the path of a .msh file")
     """Beside the scene's file, or with its whole path."""
@@ -607,10 +607,10 @@ class Identify(Table):
         "a list of finite numbers > 0", lambda values: min(values, default=1.0) > 0, ()
     )
     """Further load frequencies at which measuring is considered [Hz]."""
-    finer: float = between(1, 4, 2.0)
+    finer: float = between("1", "4", 2.0)
     """How much finer the mesh is, and how many more harmonics there are, in the few cases that
     correct the model and tell its error; 1: neither."""
-    harmonic_deviation: float = between(0, 1, 0.15)
+    harmonic_deviation: float = between("0", "1", 0.15)
     """Least standard deviation of computed harmonics of the crack, over their values: contact on a
     coarse mesh makes them uneven, and all of them together too large or too small."""
 

@@ -24,6 +24,7 @@ from fenics_crack.scene.scene import LOOKED_AT, Scene
 from fenics_crack.scene.tables import Contact, Reduction
 
 __all__ = [
+    "FEW_DOFS",
     "Study",
     "Watched",
     "check_memory_of",

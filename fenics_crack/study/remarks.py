@@ -14,7 +14,7 @@ import numpy as np
 
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.key_figures import KeyFigures, span_of
-from fenics_crack.table import RPM
+from fenics_crack.table import RPM, TURN
 
 __all__ = ["Remark", "is_proportional", "remarks_on", "remarks_on_scene"]
 
@@ -31,7 +31,6 @@ FASTEST = 1000.0
 LEAST_FREQUENCY = 0.02
 """Load frequency, relative to the first natural one, below which a scene is one of statics."""
 FORCES = ("force_mean", "force_cos", "force_sin")
-TURN = 2.0 * np.pi
 NEAR = 0.1
 """Relative distance at which a load frequency is taken to be meant for a natural one."""
 MM = {"mm": 1e-3}

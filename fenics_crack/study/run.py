@@ -18,12 +18,12 @@ from fenics_crack.balance.to_tolerance import FEWEST, FIRST_MODES, solve_to_tole
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.files.results import Result, type_of, unpack
-from fenics_crack.files.store import read
-from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
+from fenics_crack.files.store import Stored, read
+from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid, is_unilateral
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes, solve_modes
 from fenics_crack.model.reduction import MODES
-from fenics_crack.model.run_up_basis import run_up_structure
+from fenics_crack.model.run_up import run_up_structure
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
@@ -31,6 +31,7 @@ from fenics_crack.scene.tables import Integration
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.stages import begin
 from fenics_crack.study.prepare import (
+    FEW_DOFS,
     Study,
     check_memory_of,
     modes_of,
@@ -42,18 +43,15 @@ from fenics_crack.time.central_differences import (
     integrate_central_difference,
     stable_steps_per_period,
 )
-from fenics_crack.time.events import integrate_events
-from fenics_crack.time.exponential import integrate_exponential
+from fenics_crack.time.flows import integrate_events, integrate_exponential
 from fenics_crack.time.implicit import integrate_implicit
 from fenics_crack.time.march import TimeHistory
 
 __all__ = [
-    "REFUSALS", "Run", "find_modes", "follow_curve", "integrate", "load_run", "solve",
+    "REFUSALS", "Run", "find_modes", "follow_curve", "integrate", "load_run", "run_of", "solve",
     "solve_prepared",
 ]  # fmt: skip
 
-FEW_DOFS = 100
-"""With more dofs, stability takes minutes unless the law is piecewise linear."""
 REFUSALS = (InputError, ConvergenceError, np.linalg.LinAlgError)
 """Errors that fail one run while others go on."""
 RECORDED_PERIODS = 4
@@ -140,7 +138,7 @@ def solve_prepared(whole: Study) -> Run[PeriodicSolution]:
     else:
         study, solution = _solve_to_tolerance(whole, law, table.tolerance)
     structure = study.structure
-    quick = is_piecewise_linear(law) or structure.n_dofs <= FEW_DOFS
+    quick = is_piecewise_linear(law) or structure.n_dofs <= FEW_DOFS  # else it takes minutes
     if is_rigid(law):
         quick = structure.light_lips
     if solution.converged and quick and is_small(structure):
@@ -241,7 +239,7 @@ def integrate(
     method = _method(table, structure)
     law = _needed_law(study)
     closed_form = method in ("events", "exponential")
-    if closed_form and not (is_piecewise_linear(law) or is_rigid(law)):
+    if closed_form and not is_unilateral(law):
         allowed = f"'penalty' or 'unilateral' with integration.method = {method!r}"
         raise InputError("contact.law", scene.contact and scene.contact.law, allowed)
     if closed_form and is_rigid(law) and not structure.light_lips:
@@ -253,17 +251,14 @@ def integrate(
         "record_periods": min(RECORDED_PERIODS, table.periods),
         "progress": progress,
     }
-    march: Callable[..., TimeHistory]
-    steps = table.steps_per_period
-    if method == "events":
-        march, steps = integrate_events, steps or 256
-    elif method == "implicit":
-        march, steps = integrate_implicit, steps or 512
-    elif method == "exponential":
-        march, steps = integrate_exponential, steps or 512
-    else:
-        march = integrate_central_difference
-        steps = steps or 2 * stable_steps_per_period(structure, omega, law)
+    marches: dict[str, tuple[Callable[..., TimeHistory], int]] = {  # and usual steps per period
+        "events": (integrate_events, 256),
+        "implicit": (integrate_implicit, 512),
+        "exponential": (integrate_exponential, 512),
+        "central_difference": (integrate_central_difference, 0),  # twice those that are stable
+    }
+    march, usual = marches[method]
+    steps = table.steps_per_period or usual or 2 * stable_steps_per_period(structure, omega, law)
     history = march(structure, omega, law, steps_per_period=steps, **options)
     return Run(**vars(study), result=history)
 
@@ -324,10 +319,14 @@ def load_run(path: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
     >>> fc.save(solution, "solution.h5", scene)
     >>> run = fc.load_run("solution.h5")
     """
-    stored = read(path, comm)
+    return run_of(read(path, comm), comm)
+
+
+def run_of(stored: Stored, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
+    """The run of a file that has been read; raises as :func:`load_run` (collective)."""
     kind, scene = type_of(stored), stored.scene()
     if scene is None:
-        raise InputError("path", str(path), f"a {kind.KIND} saved with its scene")
+        raise InputError("path", str(stored.path), f"a {kind.KIND} saved with its scene")
     on_root(comm, lambda: stored.check_files(scene))
     if kind is ResponseCurve and scene.curve is not None:
         study = _prepare_curve(scene, comm)

@@ -10,10 +10,9 @@ from mpi4py import MPI
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.arrivals.fit_frequency import fit_frequency
-from fenics_crack.arrivals.fit_order import fit_order
+from fenics_crack.arrivals.fit_order import TipTrack, fit_order, track_order
 from fenics_crack.arrivals.harmonics import TipFit
 from fenics_crack.arrivals.simulate import tip_timing
-from fenics_crack.arrivals.track_order import TipTrack, track_order
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import InputError

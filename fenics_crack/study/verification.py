@@ -29,7 +29,7 @@ from fenics_crack.balance.contact_integrals import default_samples
 from fenics_crack.balance.indicators import Indicators
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import MAX_SAMPLES, ConvergenceError, InputError
-from fenics_crack.model.contact import is_piecewise_linear, is_rigid
+from fenics_crack.model.contact import is_unilateral
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS, QUANTITIES
@@ -43,8 +43,6 @@ from fenics_crack.table import Table, Tabular, frequency_axis, with_unit
 __all__ = ["CAUSES", "Verification", "finer_mesh", "verify"]
 
 CAUSES = ("mesh", "modes", "harmonics", "samples")
-RUNS = 3
-"""Of each cause."""
 SHOWN, LEAST = 0.1, 1e-3
 """Shares of its total, and of a value, from which on a doubtful contribution is told."""
 SPREAD = "not in the asymptotic range, 3 times the spread is taken"
@@ -178,9 +176,9 @@ class Verification(Tabular):
         for cause, found in self.parts.items():
             part, counts = found[name], self.counts[cause]
             row: dict[str, Any] = shared | {"cause": cause, "behaviour": part.behaviour}
-            row |= {f"count_{n + 1}": math.nan for n in range(RUNS)}
+            row |= {f"count_{n + 1}": math.nan for n in range(len(COUNTS))}
             row |= {f"count_{n}": count for n, count in enumerate(counts, 1)}
-            row |= {f"value_{n + 1}": math.nan for n in range(RUNS)}
+            row |= {f"value_{n + 1}": math.nan for n in range(len(COUNTS))}
             row |= {f"value_{n}": value for n, value in enumerate(part.values[::-1], 1)}
             row |= {key: getattr(part, key) for key in ("order", "exponent", "factor")}
             yield row | {
@@ -447,7 +445,7 @@ def _samples(study: Study) -> _Ways | str:
     law, table = study.contact, study.scene.harmonic_balance
     if law is None:
         return "without contact there are none"
-    if table.samples is None and (is_piecewise_linear(law) or is_rigid(law)):
+    if table.samples is None and is_unilateral(law):
         return "contact is integrated exactly"
     own = table.samples or default_samples(table.harmonics)
     return _more(study.scene, "harmonic_balance.samples", own, MAX_SAMPLES, 2.0)

@@ -19,6 +19,7 @@ it is being written. A lock, the one that HDF5 takes too, keeps other sweeps fro
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import zlib
@@ -49,6 +50,7 @@ __all__ = [
     "SweepFile",
     "columns_of",
     "of_load",
+    "opened",
     "read_columns",
     "read_waves",
     "shape_of",
@@ -127,46 +129,46 @@ class SweepFile:
 
     ``harmonics`` and ``pairs`` are upper bounds for all cases. Raises InputError if the file cannot
     be written, another program is writing it, or it is not a sweep of this scene.
+
+    Attributes
+    ----------
+    made : bool
+        Whether it is new.
+    stored : Stored
+        Where everything is in it.
+    state : array of int
+        In the shape of the axes; of damaged cases PENDING.
     """
 
     def __init__(self, path: Path, scene: Scene, harmonics: int, pairs: int) -> None:
         self._path, self._columns = path, columns_of(scene)
         try:
-            self.made = not path.exists()
-            if self.made:
-                try:
-                    _make(path, scene, harmonics, pairs)
-                except FileExistsError:
-                    self.made = False
-            if not self.made:
-                _check(path, scene)
+            made = None if path.exists() else _made(path, scene, harmonics, pairs)
             self._file = os.open(path, os.O_RDWR)
             try:
                 fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                self._places, state = _whole_cases(path)
+                self.stored = made or _of_scene(path, scene)
+                self.state = _whole_cases(self.stored, scene)
             except BaseException:
                 os.close(self._file)
                 raise
         except OSError as error:
             allowed = "a file that can be written, by one sweep at a time"
             raise not_written("path", path, error, allowed) from None
-        self.state = state
-        """In the shape of the axes; of damaged cases PENDING."""
-        self._numbers = np.arange(state.size).reshape(state.shape)
+        self.made = made is not None
 
-    def record(self, index: tuple[Any, ...], cases: Sequence[Mapping[str, Any]]) -> None:
+    def record(self, numbers: np.ndarray, cases: Sequence[Mapping[str, Any]]) -> None:
         """Write those of some cases that are not complete: some of its columns each, and its waves
-        if it converged.
+        if it converged; by their numbers (n,).
 
         Raises
         ------
         InputError
             The disk is full, or the file is no longer where it was; what was written before stays.
         """
-        places = self._numbers[index]
-        left = np.flatnonzero(self.state.flat[places] == PENDING)
+        left = np.flatnonzero(self.state.flat[numbers] == PENDING)
         if len(left):
-            self.write(places[left], [cases[number] for number in left])
+            self.write(numbers[left], [cases[place] for place in left])
 
     def write(self, places: np.ndarray, cases: Sequence[Mapping[str, Any]]) -> None:
         """Write cases of some numbers (n,): all that is known of them, then their states."""
@@ -185,8 +187,8 @@ class SweepFile:
         try:
             self._put("state", places, np.full(len(state), PENDING))
             for name, arrays in waves.items():
-                if name in self._places:
-                    self._put(name, places, _padded(arrays, self._places[name].shape[-1]))
+                if name in self.stored.columns:
+                    self._put(name, places, _padded(arrays, self.stored.columns[name].shape[-1]))
             for name, values in columns.items():  # the checksum last, which confirms a case
                 self._put(name, places, values)
             self._put("state", places, state)
@@ -205,7 +207,7 @@ class SweepFile:
 
     def _put(self, name: str, places: np.ndarray, values: np.ndarray) -> None:
         """Write the first values of some cases in a column or a wave."""
-        column = self._places[name]
+        column = self.stored.columns[name]
         size = column.size // self.state.size
         for number, row in zip(places, values.astype(column.dtype), strict=True):
             put(self._file, row.tobytes(), column.offset + int(number) * size)
@@ -276,7 +278,8 @@ def _stored(value: Any) -> Any:
     return value.encode()[:STATUS_BYTES].decode("utf-8", "ignore").encode()
 
 
-def _make(path: Path, scene: Scene, harmonics: int, pairs: int) -> None:
+def _made(path: Path, scene: Scene, harmonics: int, pairs: int) -> store.Stored | None:
+    """A new file; None where another program has been quicker."""
     shape = shape_of(scene)
     sizes = {"state": ("", "u1", shape)}
     sizes |= {name: (unit, kind, shape) for name, (unit, kind) in columns_of(scene).items()}
@@ -299,12 +302,16 @@ def _make(path: Path, scene: Scene, harmonics: int, pairs: int) -> None:
             file[name].attrs["unit"] = unit
             if words := _words(name):
                 file[name].attrs["about"] = words
-        file.attrs["digest"] = store.digest(store.texts(file), store.places(file))
-    # Fails where another program has been quicker.
-    with whole_file(path, new=True) as partial, open(partial, "wb", buffering=0) as raw:
-        raw.truncate(image.size)
-        for place, piece in image.pieces:
-            put(raw.fileno(), piece, place)
+        columns = store.columns_of(file)
+        file.attrs["digest"] = store.digest(store.texts(file), store.places(columns))
+        stored = store.Stored(path, store.texts(file), {}, columns)
+    with contextlib.suppress(FileExistsError):
+        with whole_file(path, new=True) as partial, open(partial, "wb", buffering=0) as raw:
+            raw.truncate(image.size)
+            for place, piece in image.pieces:
+                put(raw.fileno(), piece, place)
+        return stored
+    return None
 
 
 def _words(name: str) -> str:
@@ -334,8 +341,9 @@ def _of_cases(
     return found
 
 
-def _check(path: Path, scene: Scene) -> None:
-    """Raise InputError unless a file is the sweep of a scene, by this version of the program."""
+def _of_scene(path: Path, scene: Scene) -> store.Stored:
+    """The header of a file; InputError unless it is the sweep of a scene by this version of the
+    program."""
     stored = store.header(path)
     stored.check_kind(KIND)
     if stored.attributes.get("scene") != store.scene_text(scene):
@@ -350,6 +358,7 @@ def _check(path: Path, scene: Scene) -> None:
     same = stored.scene()
     assert same is not None
     stored.check_files(same)
+    return opened(path)
 
 
 # --- reading --------------------------------------------------------------------------------------
@@ -361,8 +370,8 @@ def _kinds(scene: Scene) -> dict[str, str]:
     return {"state": "u1"} | kinds | {WAVES_CHECKSUM: "u4", CHECKSUM: "u4"}
 
 
-def _opened(path: Path) -> tuple[store.Stored, Scene]:
-    """The header of a sweep's file, all of whose columns are as they should be, and its scene."""
+def opened(path: Path) -> store.Stored:
+    """The header of a sweep's file, all of whose columns are as they should be."""
     stored = store.header(path)
     stored.check_kind(KIND)
     scene = stored.scene()
@@ -379,7 +388,7 @@ def _opened(path: Path) -> tuple[store.Stored, Scene]:
         total += column.size
     if total > LARGEST:
         raise InputError("path", str(path), f"a sweep with at most {LARGEST} bytes of columns")
-    return stored, scene
+    return stored
 
 
 def _cases(stored: store.Stored, scene: Scene) -> tuple[dict[str, np.ndarray], np.ndarray]:
@@ -416,23 +425,20 @@ def _confirmed(found: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], np.
     return {"state": state} | found, (state == PENDING) & (stated != PENDING)
 
 
-def _whole_cases(path: Path) -> tuple[dict[str, store.Column], np.ndarray]:
-    """Where everything is in a file, and the state of each case in the shape of the axes; of
-    damaged ones PENDING."""
-    stored, scene = _opened(path)
+def _whole_cases(stored: store.Stored, scene: Scene) -> np.ndarray:
+    """The state of each case in the shape of the axes; of damaged ones PENDING."""
     state: np.ndarray = _cases(stored, scene)[0]["state"].reshape(shape_of(scene))
     for index in np.argwhere(state == CONVERGED):
         if _waves(stored, tuple(map(int, index))) is None:
             state[tuple(index)] = PENDING
-    return stored.columns, state
+    return state
 
 
-def read_columns(path: Path) -> tuple[Scene, dict[str, np.ndarray]]:
-    """The scene, and ``state`` and the columns in the shape of the axes.
+def read_columns(stored: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
+    """``state`` and the columns in the shape of the axes.
 
     Pending cases have nan, 0 in columns of whole numbers, and empty words.
     """
-    stored, scene = _opened(path)
     columns, damaged = _cases(stored, scene)
     shape, found = shape_of(scene), {}
     if damaged.any():
@@ -441,7 +447,7 @@ def read_columns(path: Path) -> tuple[Scene, dict[str, np.ndarray]]:
             f"a whole sweep: {damaged.sum()} of its cases are damaged, the first at {first}; the "
             "command sweep computes them again"
         )
-        raise InputError("path", str(path), allowed)
+        raise InputError("path", str(stored.path), allowed)
     for name in ("state", *columns_of(scene)):
         values = columns[name]
         if name != "state":
@@ -449,7 +455,7 @@ def read_columns(path: Path) -> tuple[Scene, dict[str, np.ndarray]]:
         words = values.dtype.kind == "S"
         found[name] = np.char.decode(values, "utf-8", "replace") if words else values
         found[name] = found[name].reshape(shape)
-    return scene, found
+    return found
 
 
 def read_waves(path: Path, index: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:

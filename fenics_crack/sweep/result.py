@@ -31,15 +31,14 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.balance.condensed import default_weight
+from fenics_crack.balance.contact_system import default_weight
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import InputError
 from fenics_crack.files.results import solution_from
-from fenics_crack.files.store import header
-from fenics_crack.model.contact import is_rigid
+from fenics_crack.files.store import Stored, header
 from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.quantities import OF_POINTS, QUANTITIES
@@ -54,6 +53,7 @@ from fenics_crack.sweep.file import (
     SweepFile,
     columns_of,
     of_load,
+    opened,
     read_columns,
     read_waves,
     shape_of,
@@ -141,7 +141,7 @@ def run_sweep(
     error = comm.bcast(managers[0].error_for_others if managers else None)
     if error is not None:
         raise (managers[0].error if managers else None) or error
-    return on_root(comm, lambda: SweepResult.load(path))
+    return on_root(comm, lambda: SweepResult.of(managers[0].file.stored))
 
 
 def _ranks_of_a_case(scene: Scene, comm: MPI.Comm) -> int:
@@ -199,8 +199,14 @@ class SweepResult(Tabular):
         InputError
             The file cannot be read, is damaged, or is not one of a sweep.
         """
-        scene, columns = read_columns(Path(path))
-        return cls(Path(path), scene, columns)
+        return cls.of(opened(Path(path)))
+
+    @classmethod
+    def of(cls, stored: Stored) -> SweepResult:
+        """The same of a file whose header is at hand."""
+        scene = stored.scene()
+        assert scene is not None
+        return cls(stored.path, scene, read_columns(stored, scene))
 
     def __getitem__(self, name: str) -> np.ndarray:
         return self.columns[name]
@@ -285,7 +291,7 @@ class SweepResult(Tabular):
             "subharmonic": 1,
             "gap_coefficients": gap,
             "force_coefficients": force,
-            "static_above": None if problem.residual is None else problem.cutoff,
+            "static_above": problem.static_cutoff,
             "status": str(self["status"][place]),
             "iterations": int(self["iterations"][place]),
             "error_penetration": float(self["penetration_share"][place]),
@@ -293,7 +299,7 @@ class SweepResult(Tabular):
         }
         for name in ("residual", "truncation", "sampling", "reduction"):
             parts[f"error_{name}"] = float(self[f"{name}_error"][place])
-        if is_rigid(law) and problem.residual is None:
+        if problem.projected:
             parts["weight"] = default_weight(problem.compliance())
         return solution_from(parts, structure, law)
 

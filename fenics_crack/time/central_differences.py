@@ -40,33 +40,30 @@ the lips, when the mesh is refined.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from petsc4py import PETSc
 
-from fenics_crack.errors import InputError, check_omega
+from fenics_crack.errors import ConvergenceError, InputError, check_omega
 from fenics_crack.kernel import Struct, doubles, kernel
-from fenics_crack.model.complementarity import solve_complementarity
-from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
-from fenics_crack.model.coupled import ActiveSets
+from fenics_crack.model.contact import ContactLaw, check_law, is_piecewise_linear, is_rigid
+from fenics_crack.model.coupled import ActiveSets, solve_complementarity
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import by_columns, largest_frequency
 from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import collect_garbage
-from fenics_crack.time.march import March, TimeHistory, Window, march
-from fenics_crack.time.steps import (
-    LoopedSteps,
-    ModalSteps,
-    StepScheme,
-    inverse_of,
-    modal_steps,
-    solve_once,
-)
+from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
+from fenics_crack.time.steps import LoopedSteps, inverse_of
 
 __all__ = ["integrate_central_difference", "stable_steps_per_period"]
+
+NAME, REMEDY = "central differences", "take more steps per period"
+KEPT_NUMBERS = 2**17
+"""Of modal coordinates, until they are recorded."""
 
 
 def stable_steps_per_period(structure: Structure, omega: float, contact: ContactLaw) -> int:
@@ -161,78 +158,134 @@ def integrate_central_difference(
         raise InputError(
             "steps_per_period", steps_per_period, f">= {least}, the stable limit of the scheme"
         )
-    scheme = _ModalDifferences if modal_steps(asked) else _CentralDifferences
-    return march(asked, scheme(asked))
+    compiled = is_small(structure) and (is_piecewise_linear(contact) or asked.rigid)
+    return march(asked, (_ModalDifferences if compiled else _CentralDifferences)(asked))
 
 
-class _Energy(StepScheme):
-    """The account of energy: what contact creates by its opening and closing between steps."""
+class _ContactEnergy:
+    """Energy that contact creates by opening and closing between steps, and the energy put in.
 
-    name = "central differences"
-    remedy = "take more steps per period"
+    Work over a step is force times half the displacement from the step before to the one after,
+    for which the scheme balances kinetic and elastic energy exactly.
+    """
 
-    def __init__(self, asked: March) -> None:
-        super().__init__(asked)
-        pairs, rows = self.structure.n_pairs, len(self.load_rows)
-        self._tail: list[np.ndarray] = [
-            np.empty((0, width)) for width in (rows, pairs, pairs, rows)
-        ]
+    def __init__(self, asked: March, energy: float) -> None:
+        self._asked, self._created, self._put_in = asked, 0.0, energy
+        pairs, rows = asked.structure.n_pairs, len(asked.load_rows)
+        widths = rows, pairs, pairs, rows
+        self._tail: list[np.ndarray] = [np.empty((0, width)) for width in widths]
 
-    def _book(self, window: Window) -> None:
-        """Work over a step is force times half the displacement from the step before to the one
-        after, for which the scheme balances kinetic and elastic energy exactly."""
-        period = self.load, window.gap, window.force, window.load_motion
+    def of(self, window: Window) -> tuple[float, float]:
+        """Energies created and put in with one more period [J]."""
+        period = self._asked.load, window.gap, window.force, window.load_motion
         parts = [np.vstack(part) for part in zip(self._tail, period, strict=True)]
         self._tail = [part[-2:] for part in parts]
         load, gap, force, motion = parts
         self._created -= 0.5 * float(np.sum(force[1:-1] * (gap[2:] - gap[:-2])))
-        if not self.rigid:
+        if not self._asked.rigid:
             stored = 0.25 * (gap * force).sum(axis=1)
             self._created += stored[-2:].sum() - stored[:2].sum()
-        self._put_in += abs(self._total(0.5 * np.sum(load[1:-1] * (motion[2:] - motion[:-2]))))
+        work = np.array([0.5 * np.sum(load[1:-1] * (motion[2:] - motion[:-2]))])
+        self._put_in += abs(float(self._asked.structure.sum_over_ranks(work)[0]))
+        return self._created, self._put_in
 
 
-class _ModalDifferences(_Energy, ModalSteps):
-    """In modal coordinates, by the kernel."""
+def _last_velocity(
+    step_size: float, increment: np.ndarray, acceleration: Callable[[np.ndarray], np.ndarray]
+) -> np.ndarray:
+    """Velocity at the end of a march, whose last increment leads back by half a step."""
+    backwards = velocity = increment / step_size
+    for _ in range(3):  # the acceleration depends on the velocity a little
+        velocity = backwards + 0.5 * step_size * acceleration(velocity)
+    return velocity
+
+
+class _ModalDifferences(Scheme):
+    """State of a small structure in modal coordinates, marched by the kernel.
+
+    What acts on the modes is "by mode": an array (n,) where the damping leaves them uncoupled, and
+    a matrix (n, n) where it couples them.
+    """
+
+    name, remedy = NAME, REMEDY
 
     def __init__(self, asked: March) -> None:
-        super().__init__(asked)
-        modes, dt = self.modes, self.step_size
+        self._asked, self._modes = asked, all_modes(asked.structure)
+        modes, structure, dt = self._modes, asked.structure, asked.step_size
+        count, pairs = modes.pairs.shape
+        self._springs = None
+        if not asked.rigid:
+            self._springs = np.broadcast_to(np.asarray(asked.contact.stiffness, float), pairs)
+        self._shape, velocity = (modes.inverse @ part for part in asked.start)
+        gap = self._gap()
+        if asked.rigid and np.any(gap > 0.0):  # moved apart by the least change in the norm of M
+            self._shape -= modes.pairs @ solve_complementarity(modes.pairs.T @ modes.pairs, gap)
         rate = dt * modes.damping
         keep: np.ndarray
-        if self.diagonal:
+        if diagonal := rate.ndim == 1:
             keep, gain = (2.0 - rate) / (2.0 + rate), 2.0 * dt**2 / (2.0 + rate)
+            push = gain[:, None] * modes.pairs
         else:
-            unit = np.eye(len(rate))
+            unit = np.eye(count)
             keep = np.linalg.solve(2.0 * unit + rate, 2.0 * unit - rate)
             gain = 2.0 * dt**2 * np.linalg.inv(2.0 * unit + rate)
-        push = self.by_mode(gain, modes.pairs)
-        increment = dt * self.velocity - 0.5 * dt**2 * self.acceleration(self.velocity)
-        self.increment = increment
-        self._put_in = self.linear_energy()
-        sets = ActiveSets(modes.pairs.T @ push).handle if self.rigid else None
+            push = gain @ modes.pairs
+        self._increment = dt * velocity - 0.5 * dt**2 * self._acceleration(velocity)
+        energy = 0.5 * float(modes.squares @ self._shape**2 + velocity @ velocity)
+        self._energy = _ContactEnergy(asked, energy)
+        rows = np.ascontiguousarray
+        body = Struct(
+            "vibration", modes=count, pairs=pairs, coupled=not diagonal,
+            squares=rows(modes.squares), rows=rows(modes.pairs.T),
+            clearance=np.broadcast_to(np.asarray(structure.clearance, float), pairs).copy(),
+            springs=None if self._springs is None else self._springs.copy(),
+            load=rows(structure.force @ modes.shapes), waves=asked.waves,
+            room=np.empty(2 * count + pairs),
+        )  # fmt: skip
         self._known = Struct(
-            "central_differences", body=self.body, keep=keep, gain=gain,
-            push=np.ascontiguousarray(push.T), contact=sets, shape=self.shape,
-            increment=increment, closed=np.zeros(self.structure.n_pairs, bool),
+            "central_differences", body=body, keep=keep, gain=gain, push=rows(push.T),
+            contact=ActiveSets(modes.pairs.T @ push).handle if asked.rigid else None,
+            shape=self._shape, increment=self._increment, closed=np.zeros(pairs, bool),
         )  # fmt: skip
 
-    def _steps(self, first: int, gap: np.ndarray, force: np.ndarray, shape: np.ndarray) -> int:
-        return int(
-            kernel.march_central(
-                self._known.at, first, len(gap), doubles(gap), doubles(force), doubles(shape)
-            )
-        )
+    def fill(self, window: Window, number: int) -> None:
+        modes, asked, steps = self._modes, self._asked, len(window.gap)
+        some = max(1, KEPT_NUMBERS // len(modes.squares))
+        for first in range(0, steps, some):
+            place = slice(first, min(first + some, steps))
+            shape = np.empty((place.stop - first, len(modes.squares)))
+            made = kernel.march_central(
+                self._known.at, first, len(shape), doubles(window.gap[place]),
+                doubles(window.force[place]), doubles(shape),
+            )  # fmt: skip
+            if made < len(shape):
+                raise ConvergenceError(f"contact: no forces of step {first + made} were found")
+            window.motion[place] = shape @ modes.shapes[asked.recorded_dofs].T
+            window.load_motion[place] = shape @ modes.shapes[asked.load_rows].T
+        self.book(*self._energy.of(window))
+
+    def _gap(self) -> np.ndarray:
+        """Gap at the end of the march."""
+        return np.asarray(self._shape @ self._modes.pairs - self._asked.structure.clearance)
+
+    def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
+        """f - w^2 q - P lambda - c v at phase zero of the load; forces of a constraint, which
+        belong to the next step, are left out."""
+        modes, mean_and_cosine = self._modes, self._asked.structure.force[:2].sum(axis=0)
+        found = mean_and_cosine @ modes.shapes - modes.squares * self._shape
+        if self._springs is not None:
+            found -= modes.pairs @ self._asked.contact.force(self._gap())
+        return np.asarray(found - modes.damped(velocity))
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
-        backwards = velocity = self.increment / self.step_size
-        for _ in range(3):  # the acceleration depends on the velocity a little
-            velocity = backwards + 0.5 * self.step_size * self.acceleration(velocity)
-        return self.motion(velocity)
+        velocity = _last_velocity(self._asked.step_size, self._increment, self._acceleration)
+        return self._modes.shapes @ self._shape, self._modes.shapes @ velocity
 
 
-class _CentralDifferences(_Energy, LoopedSteps):
+class _CentralDifferences(LoopedSteps):
     """State and one step of the scheme."""
+
+    name, remedy = NAME, REMEDY
 
     def __init__(self, asked: March) -> None:
         super().__init__(asked)
@@ -254,14 +307,14 @@ class _CentralDifferences(_Energy, LoopedSteps):
             matrix = weighted_sum(structure.mass, 0.5 * dt, self._damping)
             self._mixed = weighted_sum(structure.mass, -0.5 * dt, self._damping)
         self._inverse = inverse_of(matrix, symmetric=self._mixed is None)
-        self.owned = self._u, self._r, self._a, self._d, self._inverse
+        self.owned = self._u, self._r, self._a, self._d, self._x, self._y, self._inverse
         if self.rigid:
             self._push, self._modal_push = self._response()
             self._compliance = structure.apply_bt(self._push.T).T
-        self._start(*asked.start)
+        self._energy = _ContactEnergy(asked, self._start(*asked.start))
 
     def _response(self) -> tuple[np.ndarray, np.ndarray]:
-        """What unit forces on the pairs take from the increment (n_local, n_pairs), and from q."""
+        """Parts that unit forces on the pairs take from the increment (n_local, n_pairs) and q."""
         dt2 = self.step_size**2
         pairs = self.structure.gap.toarray()
         push = dt2 * by_columns(self._inverse.apply, self.structure.mass, pairs)
@@ -271,47 +324,34 @@ class _CentralDifferences(_Energy, LoopedSteps):
         push -= self._modes.shapes @ (self._share[:, None] * pushed)
         return push, (1.0 - self._share)[:, None] * pushed
 
-    def _start(self, displacement: np.ndarray, velocity: np.ndarray) -> None:
-        """Set the state at time 0; the step before follows from u_{-1} = u - dt v + dt^2 a / 2."""
+    def _start(self, displacement: np.ndarray, velocity: np.ndarray) -> float:
+        """Set the state at time 0, the step before from u_{-1} = u - dt v + dt^2 a / 2; return the
+        energy [J]."""
         dt = self.step_size
-        self.displacement[:] = displacement = self._admissible(displacement)
-        acceleration = self._acceleration(velocity)
-        self.increment[:] = dt * velocity - 0.5 * dt**2 * acceleration
-        self._put_in = self._linear_energy(displacement, velocity)
+        self.displacement[:] = self._admissible(displacement)
+        self.increment[:] = dt * velocity - 0.5 * dt**2 * self._acceleration(velocity)
         if self._modes is not None:
             self._modal = self.structure.sum_over_ranks(self.increment @ self._modes.mass_shapes)
+        return self._linear_energy(velocity)
+
+    def fill(self, window: Window, number: int) -> None:
+        self.record(window)
+        self.book(*self._energy.of(window))
 
     def state(self) -> tuple[np.ndarray, np.ndarray]:
-        backwards = self.increment / self.step_size
-        velocity = backwards.copy()
-        for _ in range(3):  # the acceleration depends on the velocity a little
-            velocity = backwards + 0.5 * self.step_size * self._acceleration(velocity)
-        self.increment[:] = self.step_size * backwards
+        velocity = _last_velocity(self.step_size, self.increment, self._acceleration)
         return self.displacement.copy(), velocity
-
-    def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
-        """M^-1 (f - K u - B lambda - C v) at phase zero of the load; spoils the increment.
-
-        The forces of a constraint, which belong to the next increment, are left out.
-        """
-        self.gap = self._measured(self.displacement)
-        self._unbalance(0)
-        if self._mixed is not None:
-            self._d.array_w[:] = velocity
-            self._damping.mult(self._d, self._a)
-            self.rhs -= self.solved
-            return solve_once(self.structure.mass, self.rhs[:, None])[:, 0]
-        self._inverse.apply(self._r, self._a)
-        acceleration = self.solved.copy()
-        if self._modes is not None:
-            modal = self.structure.sum_over_ranks(velocity @ self._modes.mass_shapes)
-            acceleration -= self._modes.shapes @ (self._modes.rate * modal)
-        return acceleration
 
     def advance(self, step: int) -> None:
         dt2 = self.step_size**2
         self.gap = self._measured(self.displacement)
-        self._unbalance(step)
+        # r = f - K u - B lambda
+        self.structure.stiffness.mult(self._u, self._r)
+        np.negative(self.rhs, out=self.rhs)
+        self.rhs[self.load_rows] += self.load[step]
+        if not self.rigid:
+            self.force = self.contact.force(self.gap)
+            self.rhs[self._gap_rows] -= self._gap_block @ self.force
         if self._mixed is not None:
             self._mixed.mult(self._d, self._a)
             self.rhs *= dt2
@@ -337,12 +377,3 @@ class _CentralDifferences(_Energy, LoopedSteps):
         self.increment -= self._push @ self.force
         if self._modes is not None:
             self._modal -= self._modal_push @ self.force
-
-    def _unbalance(self, step: int) -> None:
-        """r = f - K u - B lambda."""
-        self.structure.stiffness.mult(self._u, self._r)
-        np.negative(self.rhs, out=self.rhs)
-        self.rhs[self.load_rows] += self.load[step]
-        if not self.rigid:
-            self.force = self.contact.force(self.gap)
-            self.rhs[self._gap_rows] -= self._gap_block @ self.force

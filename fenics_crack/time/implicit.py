@@ -35,7 +35,7 @@ linear in h, with a small dense compliance that does not change,
 
     g_{n+1} = g_free - beta dt^2 B^T A^-1 B h(g_{n+1}),
 
-a problem in the pairs alone (:mod:`fenics_crack.model.complementarity`).
+a problem in the pairs alone (:mod:`fenics_crack.model.coupled`).
 
 A constraint (:class:`UnilateralConstraint`) acts by impulses p = dt lambda at the start of a step
 and q at its end, each by the change of velocity (1 - am) D^-1 B, which is M^-1 B but for what the
@@ -56,30 +56,19 @@ quotient, Simo and Tarnow, Zeitschrift fuer angewandte Mathematik und Physik 43 
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from typing import Any
 
 import numpy as np
-from petsc4py import PETSc
 
 from fenics_crack.errors import InputError, check_number
-from fenics_crack.kernel import Struct, doubles, kernel
-from fenics_crack.model.complementarity import solve_complementarity, solve_forces
 from fenics_crack.model.contact import ContactLaw
-from fenics_crack.model.coupled import ActiveSets
+from fenics_crack.model.coupled import solve_complementarity, solve_forces
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.modes import by_columns
 from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure
-from fenics_crack.time.march import March, TimeHistory, Window, march
-from fenics_crack.time.steps import (
-    LoopedSteps,
-    ModalSteps,
-    StepScheme,
-    inverse_of,
-    modal_steps,
-    solve_once,
-)
+from fenics_crack.time.march import EnergyBalance, March, TimeHistory, Window, march
+from fenics_crack.time.steps import LoopedSteps, inverse_of, solve_once
 
 __all__ = ["integrate_implicit"]
 
@@ -135,116 +124,31 @@ def integrate_implicit(
     if spectral_radius > 1.0:
         raise InputError("spectral_radius", spectral_radius, "a number from 0 to 1")
     asked = March(structure, omega, contact, periods, steps_per_period, **options)
-    scheme = _ModalAlpha if modal_steps(asked) else _GeneralisedAlpha
-    return march(asked, scheme(asked, float(spectral_radius)))
+    return march(asked, _GeneralisedAlpha(asked, float(spectral_radius)))
 
 
-class _Energy(StepScheme):
-    """The scheme's constants, and its account of energy."""
-
-    name = "generalised alpha"
-    remedy = "take more steps per period or a smaller spectral radius"
-
-    def __init__(self, asked: March, radius: float) -> None:
-        super().__init__(asked)
-        self._am = (2.0 * radius - 1.0) / (radius + 1.0)
-        self._af = radius / (radius + 1.0)
-        self._gamma = 0.5 - self._am + self._af
-        self._beta = 0.25 * (1.0 - self._am + self._af) ** 2
-        self._inertia, self._now = 1.0 - self._am, 1.0 - self._af
-        self._load_means = 0.5 * (self.load + np.roll(self.load, -1, axis=0))
-        self._work = 0.0
-
-    @abstractmethod
-    def _balance(self) -> tuple[float, float, np.ndarray]:
-        """Energy at this instant, energy lost in C so far, and the displacement at the load."""
-
-    def _begin(self) -> None:
-        """At time 0."""
-        self._first = self._put_in = self._balance()[0]
-
-    def _book(self, window: Window) -> None:
-        """The energy created is the residual of the balance."""
-        now, lost, end = self._balance()
-        ahead = np.vstack([window.load_motion[1:], end])
-        gained = self._total(np.sum(self._load_means * (ahead - window.load_motion)))
-        self._work += gained
-        self._put_in += abs(gained)
-        self._created = now + lost - self._first - self._work
-
-
-class _ModalAlpha(_Energy, ModalSteps):
-    """In modal coordinates, by the kernel."""
-
-    def __init__(self, asked: March, radius: float) -> None:
-        super().__init__(asked, radius)
-        modes, dt = self.modes, self.step_size
-        pairs = modes.pairs
-        spring, dashpot = self._now * self._beta * dt**2, self._now * self._gamma * dt
-        # A = 1 - am + (1 - af) (gamma dt c + beta dt^2 w^2), and the part D without damping.
-        undamped = self._inertia + spring * modes.squares
-        if self.diagonal:
-            inverse = 1.0 / (undamped + dashpot * modes.damping)
-        else:
-            inverse = np.linalg.inv(np.diag(undamped) + dashpot * modes.damping)
-        kick = sets = stops = None
-        if self.rigid:
-            kicked = (self._inertia / undamped)[:, None] * pairs
-            # C v of the whole step, K u of the end.
-            resisted = self.by_mode(modes.damping, kicked)
-            resisted += (self._now * dt) * modes.squares[:, None] * kicked
-            pull = -self.by_mode(inverse, resisted)
-            moved = dt * kicked + dt**2 * self._beta * pull
-            kick, stops = np.ascontiguousarray(kicked.T), ActiveSets(pairs.T @ kicked).handle
-        else:
-            pull = self.by_mode(inverse, pairs)
-            moved = dt**2 * self._beta * pull
-        compliance = np.ascontiguousarray(pairs.T @ moved)
-        if self.rigid:
-            sets = ActiveSets(compliance).handle
-        held = self.contact.force(self.measured()) if not self.rigid else np.zeros(pairs.shape[1])
-        self._known = Struct(
-            "generalised_alpha", body=self.body, dt=dt, am=self._am, af=self._af,
-            beta=self._beta, gamma=self._gamma, damping=np.ascontiguousarray(modes.damping),
-            inverse=inverse, pull=np.ascontiguousarray(pull.T), compliance=compliance, kick=kick,
-            ends=sets, stops=stops, shape=self.shape, velocity=self.velocity,
-            acceleration=self.acceleration(self.velocity), held=held,
-            closed=np.zeros(2 * pairs.shape[1], bool), matrix=np.empty_like(compliance),
-            pivots=np.empty(pairs.shape[1], np.intc),
-        )  # fmt: skip
-        self._begin()
-
-    def _steps(self, first: int, gap: np.ndarray, force: np.ndarray, shape: np.ndarray) -> int:
-        return int(
-            kernel.march_alpha(
-                self._known.at, first, len(gap), doubles(gap), doubles(force), doubles(shape)
-            )
-        )
-
-    def _balance(self) -> tuple[float, float, np.ndarray]:
-        energy = self.linear_energy()
-        if not self.rigid:
-            energy += float(_potential(self.contact, self.measured()).sum())
-        return energy, self._known.at.lost, self.load_motion()
-
-    def state(self) -> tuple[np.ndarray, np.ndarray]:
-        return self.motion(self.velocity)
-
-
-class _GeneralisedAlpha(_Energy, LoopedSteps):
+class _GeneralisedAlpha(LoopedSteps):
     """State and one step of the scheme, and its energy.
 
     Velocities and accelerations carry the modal ones of the damped modes, Phi^T M v, behind their
     n_local entries, so that these need no product with Phi in a step.
     """
 
+    name = "generalised alpha"
+    remedy = "take more steps per period or a smaller spectral radius"
+
     def __init__(self, asked: March, radius: float) -> None:
-        super().__init__(asked, radius)
-        structure, dt = self.structure, self.step_size
-        self._x, self._y = structure.mass.createVecs()
+        super().__init__(asked)
+        dt = self.step_size
+        self._am = (2.0 * radius - 1.0) / (radius + 1.0)
+        self._af = radius / (radius + 1.0)
+        self._gamma = 0.5 - self._am + self._af
+        self._beta = 0.25 * (1.0 - self._am + self._af) ** 2
+        self._inertia, self._now = 1.0 - self._am, 1.0 - self._af
         self._prepare_matrix(self._now * self._beta * dt**2, self._now * self._gamma * dt)
         self._prepare_contact()
         self._start(*asked.start)
+        self._balance = EnergyBalance(asked, self._energy())
 
     def _prepare_matrix(self, spring: float, dashpot: float) -> None:
         """Factor A, or D where damping is modal, from the weights of K and C in it."""
@@ -297,23 +201,18 @@ class _GeneralisedAlpha(_Energy, LoopedSteps):
 
     def _start(self, displacement: np.ndarray, velocity: np.ndarray) -> None:
         """Set the state at time 0; the acceleration follows from the equation of motion."""
-        structure = self.structure
         self.displacement = self._admissible(displacement)
         self.gap = self._measured(self.displacement)
-        right = -self._times(structure.stiffness, self.displacement) - self._damped(velocity)
-        right[self.load_rows] += self.load[0]
         if not self.rigid:
             self._held = self.contact.force(self.gap)
-            right[self._gap_rows] -= self._gap_block @ self._held
-        acceleration = solve_once(structure.mass, right[:, None])
+        acceleration = self._acceleration(velocity)[:, None]
         self._velocity = self._with_modal(velocity[:, None])[:, 0]
-        self._acceleration = self._with_modal(acceleration)[:, 0]
+        self._change = self._with_modal(acceleration)[:, 0]
         self._lost = 0.0
-        self._begin()
 
     def advance(self, step: int) -> None:
         dt, local = self.step_size, self.structure.n_local
-        displacement, velocity, acceleration = self.displacement, self._velocity, self._acceleration
+        displacement, velocity, acceleration = self.displacement, self._velocity, self._change
         self.before, self.gap = displacement, self._measured(displacement)
 
         moved = displacement + dt * velocity[:local]
@@ -337,7 +236,7 @@ class _GeneralisedAlpha(_Energy, LoopedSteps):
             stop = self._stopped(faster[:local], impulse)
             self.force = (impulse + stop) / dt
             faster -= self._kick @ stop
-        self._velocity, self._acceleration = faster, found
+        self._velocity, self._change = faster, found
 
     def _without_contact(self, step: int, moved: np.ndarray, faster: np.ndarray) -> np.ndarray:
         """Acceleration at the end of a step from what Newmark's formulas know of u and v there."""
@@ -345,7 +244,7 @@ class _GeneralisedAlpha(_Energy, LoopedSteps):
         following = (step + 1) % len(self.load)
         right = -self._times(
             structure.stiffness, self._now * moved + self._af * self.displacement
-        ) - self._times(structure.mass, self._am * self._acceleration[:local])
+        ) - self._times(structure.mass, self._am * self._change[:local])
         right[self.load_rows] += self._now * self.load[following] + self._af * self.load[step]
         if modes is None:
             if self._damping is not None:
@@ -386,17 +285,27 @@ class _GeneralisedAlpha(_Energy, LoopedSteps):
 
     # --- energy -----------------------------------------------------------------------------------
 
-    def _balance(self) -> tuple[float, float, np.ndarray]:
-        energy = self._linear_energy(*self.state())
+    def fill(self, window: Window, number: int) -> None:
+        self.record(window)
+        motion = np.vstack([window.load_motion, self.displacement[self.load_rows]])
+        created = self._balance.created(motion, self._energy(), self._lost)
+        self.book(created, self._balance.put_in)
+
+    def _energy(self) -> float:
+        """Energy of the motion, and of the law's springs [J]."""
+        energy = self._linear_energy(self._velocity[: self.structure.n_local])
         if not self.rigid:
             energy += float(_potential(self.contact, self._measured(self.displacement)).sum())
-        return energy, self._lost, self.displacement[self.load_rows]
+        return energy
 
     def _dissipated(self, velocity: np.ndarray) -> float:
         """v^T C v [W]."""
         if self._modes is not None:
             return float(self._modes.rate @ velocity[self.structure.n_local :] ** 2)
-        return 0.0 if self._damping is None else self._total(velocity @ self._damped(velocity))
+        if self._damping is None:
+            return 0.0
+        power = np.array([velocity @ self._damped(velocity)])
+        return float(self.structure.sum_over_ranks(power)[0])
 
     # --- linear algebra ---------------------------------------------------------------------------
 
@@ -406,12 +315,6 @@ class _GeneralisedAlpha(_Energy, LoopedSteps):
             return columns
         modal = self.structure.sum_over_ranks(self._modes.mass_shapes.T @ columns)
         return np.vstack([columns, modal])
-
-    def _times(self, matrix: PETSc.Mat, rows: np.ndarray) -> np.ndarray:
-        """A matrix times (n_local,)."""
-        self._x.array_w[:] = rows
-        matrix.mult(self._x, self._y)
-        return self._y.array_r.copy()
 
     def _apply(self, rows: np.ndarray) -> np.ndarray:
         """The factored matrix's inverse times (n_local,)."""
@@ -426,15 +329,6 @@ class _GeneralisedAlpha(_Energy, LoopedSteps):
             pushed = self.structure.sum_over_ranks(self._modes.shapes.T @ columns)
             found += self._modes.shapes @ (self._correction[:, None] * pushed)
         return found
-
-    def _damped(self, velocity: np.ndarray) -> np.ndarray:
-        """C v."""
-        if self._damping is not None:
-            return self._times(self._damping, velocity)
-        if self._modes is None:
-            return np.zeros_like(velocity)
-        modal = self.structure.sum_over_ranks(velocity @ self._modes.mass_shapes)
-        return self._modes.mass_shapes @ (self._modes.rate * modal)
 
 
 _GAUSS = np.polynomial.legendre.leggauss(8)

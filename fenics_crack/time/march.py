@@ -14,15 +14,15 @@ from tqdm import tqdm
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError, InputError, check_count, check_number, check_omega
-from fenics_crack.model.contact import ContactLaw, check_law
+from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.fourier import evaluate
+from fenics_crack.numerics.fourier import evaluate, waves
 from fenics_crack.parallel import StopRequest, raise_together
 from fenics_crack.stages import begin
 from fenics_crack.table import counted
 
-__all__ = ["March", "Scheme", "TimeHistory", "Window", "initial_state", "march"]
+__all__ = ["EnergyBalance", "March", "Scheme", "TimeHistory", "Window", "initial_state", "march"]
 
 MEMORY_LIMIT = 2**31
 """Bytes of history on one rank beyond which recording is refused."""
@@ -30,7 +30,7 @@ MEMORY_LIMIT = 2**31
 
 @dataclass(frozen=True)
 class March:
-    """What is marched, how far, from where, and what is kept of it; checked when made (collective).
+    """Request for a march: of what, how far, from where, and what is kept; checked (collective).
 
     Attributes
     ----------
@@ -122,6 +122,21 @@ class March:
     def load_rows(self) -> np.ndarray:
         """Rows of this rank where the load is not zero."""
         return np.flatnonzero(np.any(self.structure.force, axis=0))
+
+    @cached_property
+    def waves(self) -> np.ndarray:
+        """1, cos and sin of the load's phase at the instants of a period: (N, 3)."""
+        return waves(2.0 * np.pi * np.arange(self.steps_per_period) / self.steps_per_period)
+
+    @cached_property
+    def load(self) -> np.ndarray:
+        """Load at these instants and rows: (N, rows) [N]."""
+        return np.asarray(self.waves @ self.structure.force[:, self.load_rows])
+
+    @property
+    def rigid(self) -> bool:
+        """Whether nothing penetrates."""
+        return is_rigid(self.contact)
 
 
 @dataclass(frozen=True, repr=False)
@@ -219,7 +234,7 @@ class Window:
 
 
 class Scheme(ABC):
-    """What :func:`march` needs of a scheme, which starts at time 0."""
+    """Scheme for :func:`march`, which starts at time 0."""
 
     name: ClassVar[str]
     remedy: ClassVar[str]
@@ -237,8 +252,8 @@ class Scheme(ABC):
     def state(self) -> tuple[np.ndarray, np.ndarray]:
         """Displacement and velocity, after whole periods, from which a march can go on."""
 
-    def balance(self, created: float, put_in: float) -> None:
-        """Book energies [J]; ConvergenceError where contact has created too much."""
+    def book(self, created: float, put_in: float) -> None:
+        """State energies [J]; ConvergenceError where contact has created too much."""
         if put_in > 0.0:
             self.created_share = created / put_in
         if not np.isfinite(created) or created > 2.0 * put_in > 0.0:
@@ -246,6 +261,29 @@ class Scheme(ABC):
                 f"{self.name}: the steps are too long for this contact, which creates "
                 f"{self.created_share:.3g} times the energy put in; {self.remedy}"
             )
+
+
+class EnergyBalance:
+    """The energy at the end of a march and that lost, less that at its start and the load's work.
+
+    The load does the work of its mean over a step, the trapezoidal rule.
+    """
+
+    def __init__(self, asked: March, energy: float) -> None:
+        self._sum_over_ranks = asked.structure.sum_over_ranks
+        self._means = 0.5 * (asked.load + np.roll(asked.load, -1, axis=0))
+        self._first = self.put_in = energy
+        """[J]"""
+        self._work = 0.0
+
+    def created(self, load_motion: np.ndarray, energy: float, lost: float) -> float:
+        """Find what is missing [J] after one more period: of displacements where the load acts at
+        its instants and its end (N + 1, rows), the energy there, and that lost so far."""
+        work = np.sum(self._means * np.diff(load_motion, axis=0))
+        gained = float(self._sum_over_ranks(np.array([work]))[0])
+        self._work += gained
+        self.put_in += abs(gained)
+        return energy + lost - self._first - self._work
 
 
 def march(asked: March, scheme: Scheme) -> TimeHistory:

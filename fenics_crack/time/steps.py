@@ -1,10 +1,4 @@
-"""What step-by-step schemes share: their account of energy, and how a period is marched.
-
-Small structures on one rank, under the penalty law or without penetration, are marched in their
-modal coordinates by the kernel (``kernel/march.c``): where damping leaves the modes uncoupled a
-step costs a few operations for each mode. Large ones, ranks that share one, and other laws go step
-by step, with PETSc's matrices.
-"""
+"""What schemes share that go step by step, with PETSc's matrices."""
 
 from __future__ import annotations
 
@@ -14,145 +8,18 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
-from fenics_crack.errors import ConvergenceError
-from fenics_crack.kernel import Struct
-from fenics_crack.model.complementarity import solve_complementarity
-from fenics_crack.model.contact import is_piecewise_linear, is_rigid
-from fenics_crack.model.modal import all_modes, is_small
+from fenics_crack.model.coupled import solve_complementarity
 from fenics_crack.model.modes import by_columns, damped_modes, times
 from fenics_crack.time.march import March, Scheme, Window
 
-__all__ = ["LoopedSteps", "ModalSteps", "StepScheme", "inverse_of", "modal_steps", "solve_once"]
-
-BLOCK = 2**17
-"""Numbers of modal coordinates that are kept at a time."""
+__all__ = ["LoopedSteps", "inverse_of", "solve_once"]
 
 
-def modal_steps(asked: March) -> bool:
-    """Whether a march is the kernel's (:class:`ModalSteps`)."""
-    known = is_piecewise_linear(asked.contact) or is_rigid(asked.contact)
-    return known and is_small(asked.structure)
+class LoopedSteps(Scheme):
+    """State of a structure, and what acts on it (collective)."""
 
-
-class StepScheme(Scheme):
-    """A scheme that marches step by step, and keeps account of the energy."""
-
-    def __init__(self, asked: March) -> None:
-        self.structure = structure = asked.structure
-        self.contact, self.rigid = asked.contact, is_rigid(asked.contact)
-        self.step_size = asked.step_size
-        self.load_rows = asked.load_rows
-        phase = 2.0 * np.pi * np.arange(asked.steps_per_period) / asked.steps_per_period
-        self.waves = np.column_stack([np.ones_like(phase), np.cos(phase), np.sin(phase)])
-        self.load = self.waves @ structure.force[:, self.load_rows]
-        """(N, rows) [N]"""
-        self._put_in = self._created = 0.0
-
-    @abstractmethod
-    def _march(self, window: Window) -> None:
-        """March a period and record it."""
-
-    @abstractmethod
-    def _book(self, window: Window) -> None:
-        """Add the energies put in and created in a period."""
-
-    def fill(self, window: Window, number: int) -> None:
-        """Raises ConvergenceError where contact has created too much energy."""
-        self._march(window)
-        self._book(window)
-        self.balance(self._created, self._put_in)
-
-    def _total(self, part: float) -> float:
-        """Sum over the ranks."""
-        return float(self.structure.sum_over_ranks(np.array([part]))[0])
-
-
-class ModalSteps(StepScheme):
-    """Of a small structure in modal coordinates, by the kernel.
-
-    What acts on the modes is "by mode": an array (n,) where the damping leaves them uncoupled, and
-    a matrix (n, n) where it couples them.
-    """
-
-    def __init__(self, asked: March) -> None:
-        super().__init__(asked)
-        structure, contact = self.structure, asked.contact
-        self.modes = modes = all_modes(structure)
-        count, pairs = modes.pairs.shape
-        self.diagonal = modes.damping.ndim == 1
-        self.clearance = np.broadcast_to(np.asarray(structure.clearance, float), pairs).copy()
-        self.springs = None
-        if not self.rigid:
-            self.springs = np.broadcast_to(np.asarray(contact.stiffness, float), pairs).copy()
-        self.pushed = structure.force @ modes.shapes
-        """Modal load: (3, n)"""
-        self.body = Struct(
-            "vibration", modes=count, pairs=pairs, coupled=not self.diagonal,
-            squares=np.ascontiguousarray(modes.squares), rows=np.ascontiguousarray(modes.pairs.T),
-            clearance=self.clearance, springs=self.springs, load=np.ascontiguousarray(self.pushed),
-            waves=np.vstack([self.waves, self.waves[:1]]), room=np.empty(6 * count + 8 * pairs),
-        )  # fmt: skip
-        self._recorded = modes.shapes[asked.recorded_dofs]
-        self._loaded = modes.shapes[asked.load_rows]
-        self.shape, self.velocity = (modes.inverse @ part for part in asked.start)
-        if self.rigid:  # moved apart by the least change in the norm of M
-            gap = self.measured()
-            if np.any(gap > 0.0):
-                self.shape -= modes.pairs @ solve_complementarity(modes.pairs.T @ modes.pairs, gap)
-
-    @abstractmethod
-    def _steps(self, first: int, gap: np.ndarray, force: np.ndarray, shape: np.ndarray) -> int:
-        """March from instant ``first`` of the period, a step for each row; the steps made."""
-
-    def _march(self, window: Window) -> None:
-        steps, count = len(window.gap), len(self.modes.squares)
-        some = max(1, BLOCK // count)
-        shape = np.empty((min(some, steps), count))
-        for first in range(0, steps, some):
-            place = slice(first, min(first + some, steps))
-            here = shape[: place.stop - first]
-            made = self._steps(first, window.gap[place], window.force[place], here)
-            if made < len(here):
-                raise ConvergenceError(f"contact: no forces of step {first + made} were found")
-            window.motion[place] = here @ self._recorded.T
-            window.load_motion[place] = here @ self._loaded.T
-
-    def measured(self) -> np.ndarray:
-        """Gap at the end of the march."""
-        found: np.ndarray = self.shape @ self.modes.pairs - self.clearance
-        return found
-
-    def acceleration(self, velocity: np.ndarray) -> np.ndarray:
-        """f - w^2 q - P lambda - c v at phase zero of the load; forces of a constraint, which
-        belong to the next step, are left out."""
-        modes = self.modes
-        found: np.ndarray = self.pushed[0] + self.pushed[1] - modes.squares * self.shape
-        if not self.rigid:
-            found -= modes.pairs @ self.contact.force(self.measured())
-        return found - modes.damped(velocity)
-
-    def by_mode(self, matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """A product by mode: (n, m)."""
-        return matrix[:, None] * columns if self.diagonal else matrix @ columns
-
-    def linear_energy(self) -> float:
-        """(q^T w^2 q + v^T v) / 2 [J]."""
-        squares = self.modes.squares
-        return 0.5 * float(squares @ self.shape**2 + self.velocity @ self.velocity)
-
-    def load_motion(self) -> np.ndarray:
-        """Displacement where the load acts at the end of the march."""
-        found: np.ndarray = self._loaded @ self.shape
-        return found
-
-    def motion(self, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Displacement at the end of the march, and a velocity, (n_dofs,) each."""
-        return self.modes.shapes @ self.shape, self.modes.shapes @ velocity
-
-
-class LoopedSteps(StepScheme):
-    """One after the other, with PETSc's matrices (collective)."""
-
+    displacement: np.ndarray
+    """(n_local,)"""
     before: np.ndarray
     """Displacement (n_local,) at the instant from which :meth:`advance` has started."""
     gap: np.ndarray
@@ -161,20 +28,23 @@ class LoopedSteps(StepScheme):
     """(n_pairs,) [N], at the same instant; with a constraint the mean until the next."""
 
     def __init__(self, asked: March) -> None:
-        super().__init__(asked)
-        structure = self.structure
+        self.structure = structure = asked.structure
+        self.contact, self.rigid, self.step_size = asked.contact, asked.rigid, asked.step_size
+        self.load, self.load_rows = asked.load, asked.load_rows
         self.force = np.zeros(structure.n_pairs)
         # Only few rows of B are not zero.
         self._gap_rows = np.flatnonzero(np.diff(structure.gap.indptr))
         self._gap_block = structure.gap[self._gap_rows].toarray()
         self._columns = asked.recorded_dofs - structure.first_dof
         self._modes, self._damping = damped_modes(structure), structure.damping_matrix
+        self._x, self._y = structure.mass.createVecs()
 
     @abstractmethod
     def advance(self, step: int) -> None:
         """March from an instant, ``step`` of the period, to the next."""
 
-    def _march(self, window: Window) -> None:
+    def record(self, window: Window) -> None:
+        """March a period."""
         for step in range(len(window.gap)):
             self.advance(step)
             window.gap[step], window.force[step] = self.gap, self.force
@@ -189,13 +59,40 @@ class LoopedSteps(StepScheme):
         """Gap of a displacement (n_local,)."""
         return self._closing(displacement) - self.structure.clearance
 
-    def _linear_energy(self, displacement: np.ndarray, velocity: np.ndarray) -> float:
-        """(u^T K u + v^T M v) / 2 of arrays (n_local,): [J] (collective)."""
-        parts = (self.structure.stiffness, displacement), (self.structure.mass, velocity)
-        return self._total(0.5 * sum(x @ times(matrix, x[:, None])[:, 0] for matrix, x in parts))
+    def _times(self, matrix: PETSc.Mat, rows: np.ndarray) -> np.ndarray:
+        """A matrix times (n_local,)."""
+        self._x.array_w[:] = rows
+        matrix.mult(self._x, self._y)
+        return self._y.array_r.copy()
+
+    def _damped(self, velocity: np.ndarray) -> np.ndarray:
+        """C v."""
+        if self._damping is not None:
+            return self._times(self._damping, velocity)
+        if self._modes is None:
+            return np.zeros_like(velocity)
+        modal = self.structure.sum_over_ranks(velocity @ self._modes.mass_shapes)
+        return self._modes.mass_shapes @ (self._modes.rate * modal)
+
+    def _acceleration(self, velocity: np.ndarray) -> np.ndarray:
+        """M^-1 (f - K u - B lambda - C v) at phase zero of the load; forces of a constraint, which
+        belong to the next step, are left out."""
+        right = -self._times(self.structure.stiffness, self.displacement) - self._damped(velocity)
+        right[self.load_rows] += self.load[0]
+        if not self.rigid:
+            force = self.contact.force(self._measured(self.displacement))
+            right[self._gap_rows] -= self._gap_block @ force
+        return solve_once(self.structure.mass, right[:, None])[:, 0]
+
+    def _linear_energy(self, velocity: np.ndarray) -> float:
+        """(u^T K u + v^T M v) / 2: [J]."""
+        structure = self.structure
+        parts = (structure.stiffness, self.displacement), (structure.mass, velocity)
+        energy = 0.5 * sum(rows @ times(matrix, rows[:, None])[:, 0] for matrix, rows in parts)
+        return float(structure.sum_over_ranks(np.array([energy]))[0])
 
     def _admissible(self, displacement: np.ndarray) -> np.ndarray:
-        """With a constraint, the displacement closest in the norm of M without penetration."""
+        """Displacement closest in the norm of M without penetration, with a constraint."""
         gap = self._measured(displacement)
         if not self.rigid or not np.any(gap > 0.0):
             return displacement

@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fenics_crack as fc
-from fenics_crack.model.complementarity import solve_complementarity
+from fenics_crack.model.coupled import solve_complementarity
 from fenics_crack.model.flow import ExponentialFlow
-from fenics_crack.time import central_differences, implicit
-from fenics_crack.time.march import March, Scheme, march
+from fenics_crack.time import central_differences
+from fenics_crack.time.march import March, march
 
 SEEDS = st.integers(0, 2**32 - 1)
 DAMPINGS = st.sampled_from(["none", "Rayleigh", "modal", "matrix"])
@@ -77,22 +77,6 @@ def test_central_differences(dofs: int, pairs: int, damping: str, rigid: bool, s
         central_differences._ModalDifferences, central_differences._CentralDifferences
     )  # fmt: skip
     same(*(march(asked, made(asked)) for made in makers), 2e-12)  # type: ignore[misc]
-
-
-@settings(max_examples=40, deadline=None)
-@given(st.integers(1, 9), st.integers(0, 4), DAMPINGS, st.booleans(), SEEDS)
-def test_implicit_scheme(dofs: int, pairs: int, damping: str, rigid: bool, seed: int) -> None:
-    """The same."""
-    rng = np.random.default_rng(seed)
-    pairs = min(pairs, dofs)
-    structure = random_structure(rng, dofs, pairs, damping)
-    law: Any = fc.UnilateralConstraint() if rigid else fc.UnilateralPenalty(20.0)
-    start = 0.3 * rng.normal(size=(2, dofs))
-    asked = March(structure, 1.1, law, 2, 40, initial=(start[0], start[1]))
-    radius = rng.uniform(0.0, 1.0)
-    makers: tuple[Any, ...] = (implicit._ModalAlpha, implicit._GeneralisedAlpha)
-    schemes: list[Scheme] = [made(asked, radius) for made in makers]
-    same(*(march(asked, scheme) for scheme in schemes), 2e-12)  # type: ignore[misc]
 
 
 # --- exponential steps ----------------------------------------------------------------------------
