@@ -55,6 +55,7 @@ __all__ = [
     "gmsh",
     "gmsh_is_running",
     "model_to_mesh",
+    "ufl",
     "vtk_cells",
 ]
 

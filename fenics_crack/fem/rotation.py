@@ -27,10 +27,10 @@ from typing import Any
 
 import dolfinx
 import numpy as np
-import ufl
 from petsc4py import PETSc
 
 from fenics_crack.fem import compat
+from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.numbering import Dofs
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.rotation import Rotation, static_state
