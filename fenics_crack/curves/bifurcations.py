@@ -2,8 +2,8 @@
 
 Folds and branch points are found as the curve is followed (:mod:`fenics_crack.numerics.path`); the
 latter by the sign of det J, so only where J is formed
-(:data:`fenics_crack.balance.coupled.MATRIX_FREE`). Where multipliers leave the unit circle is asked
-when the curve is judged (:func:`judge_curve`).
+(:data:`fenics_crack.balance.contact_system.MATRIX_FREE`). Where multipliers leave the unit circle
+is asked when the curve is judged (:func:`judge_curve`).
 
 Sources: Keller, in Applications of Bifurcation Theory, 1977; Seydel, Practical Bifurcation and
 Stability Analysis, chapters 4, 5 and 7.
@@ -39,10 +39,8 @@ def odd_rows(family: Family) -> np.ndarray:
     return ((row + 1) // 2) % 2 == 1 if even else np.zeros(len(row), dtype=bool)
 
 
-def first_of_branch(
-    family: Family, bifurcation: Bifurcation, longest_step: float
-) -> tuple[PathPoint, Tangent]:
-    """The first point on the branch that begins at a bifurcation, and the direction to it.
+def first_of_branch(family: Family, bifurcation: Bifurcation, longest_step: float) -> PathPoint:
+    """The first point on the branch that begins at a bifurcation; its tangent is the way to it.
 
     The new direction is the null vector of the Jacobian [J, F_p] across the old branch; for a
     period doubling it lies in the odd harmonics of twice the period.
@@ -65,7 +63,7 @@ def first_of_branch(
     found = first_aside(family, start, longest_step, sharp, near)
     if found is not None:
         change, rise = found.unknown - unknown, found.parameter - parameter
-        return found, Tangent(change, rise, away.weight)
+        return replace(found, tangent=Tangent(change, rise, away.weight))
     raise ConvergenceError(
         f"branch from {bifurcation.kind} at {family.name} = {bifurcation.value:g}: "
         "no point of another branch was found next to it"

@@ -182,9 +182,10 @@ class Continuation:
         elif isinstance(initial, Bifurcation | DoubledStart):
             self._family, self._branch = family_of(problem), True
             if isinstance(initial, Bifurcation):
-                begun, self._towards = first_of_branch(self._family, initial, longest_step)
+                begun = first_of_branch(self._family, initial, longest_step)
             else:
-                begun, self._towards = initial.point, initial.towards
+                begun = initial.point
+            self._towards = begun.tangent
             self._begin(begun.unknown, self._family.value(begun.parameter), begun.iterations)
         else:
             found = _first_solution(problem, family_of, initial, tolerance)
@@ -199,25 +200,19 @@ class Continuation:
     @property
     def followed(self) -> ResponseCurve:
         """All points so far, without verdicts."""
-        points, problem = self._points, self._family.problem
-        counts = points.harmonics
+        problem = self._family.problem
         curve = ResponseCurve(
             structure=problem.structure,
             contact=problem.contact,
             parameter=self._family.name,
-            values=np.array(points.values),
-            omega=np.array(points.omega),
-            unknowns=points.unknowns(int(counts.max())),
-            harmonics=counts,
-            iterations=np.array(points.iterations),
-            truncation=np.array(points.truncation),
+            **self._points.columns(),
             bifurcations=(),
             complete=self.complete,
             status=self.status,
             samples=problem.samples,
             subharmonic=problem.subharmonic,
             branch=self._branch,
-            static_above=None if problem.residual is None else problem.cutoff,
+            static_above=problem.static_cutoff,
         )
         return replace(curve, bifurcations=curve.expand_bifurcations(self._special))
 
@@ -352,14 +347,13 @@ class Continuation:
 
     def _begin(self, unknown: np.ndarray, value: float, iterations: int) -> None:
         """Take up a point that does not come from the path."""
-        self._points.extend([value], [self._family.omega(value)], unknown[None], [iterations])
+        self._points.append(CurvePoint(value, self._family.omega(value), unknown, iterations))
 
     def _take_over(self, curve: ResponseCurve) -> None:
         """Begin with the points of another curve, on its way."""
         check_resumed(curve, self._family)
-        for index, value in enumerate(curve.values):
-            self._begin(curve.unknown(index), float(value), int(curve.iterations[index]))
-            self._points.truncation[-1] = float(curve.truncation[index])
+        for index in range(len(curve)):
+            self._points.append(curve.point(index))
         self._special = [
             (b.kind, b.value, b.unknown) for b in curve.bifurcations if b.kind in FOLLOWED
         ]
@@ -382,9 +376,7 @@ def _first_solution(
         if initial is not None:
             check_initial(first, initial)
         solver = Solver(first)
-        if tolerance is None and (quick := solver.solve_in_kernel(family, initial)) is not None:
-            return family, *quick
-        initial = solver.solve(initial)
+        initial = solver.solve(initial, reported=tolerance is not None)
         more = more_harmonics(count, initial.report.truncation, tolerance)
         if more is None:
             return family, initial.slow_gap_coefficients, initial.iterations

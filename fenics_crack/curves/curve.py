@@ -12,18 +12,18 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fenics_crack.balance.compliance import ModalCompliance
-from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem
-from fenics_crack.balance.coupled import CoupledPoint
+from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.family import FAMILIES, Family
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
+from fenics_crack.curves.points import CurvePoint, Points
 from fenics_crack.errors import InputError
-from fenics_crack.model.contact import ContactLaw, force_in_time
+from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.fourier import evaluate, resized
+from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.table import (
     Described,
     Tabular,
@@ -246,6 +246,13 @@ class ResponseCurve(Tabular):
         """What was followed at a point, with its own harmonics: (2H+1, n_pairs) [m]."""
         return self.unknowns[index, : 2 * self.harmonics[index] + 1]
 
+    def point(self, index: int) -> CurvePoint:
+        """A point as :class:`Continuation` yields it, without the bifurcations before it."""
+        return CurvePoint(
+            float(self.values[index]), float(self.omega[index]), self.unknown(index),
+            int(self.iterations[index]), float(self.truncation[index]),
+        )  # fmt: skip
+
     @cached_property
     def gap_coefficients(self) -> np.ndarray:
         """Closing of the pairs: (n, 2H+1, n_pairs) [m]; zeros above a point's own harmonics."""
@@ -271,24 +278,12 @@ class ResponseCurve(Tabular):
     def at_bifurcations(self) -> ResponseCurve:
         """The first point, the bifurcations and the last point, to be measured: a curve of their
         own, for which no error is estimated."""
-        one, special, last = self.unknown(0), self.bifurcations, self.unknown(len(self) - 1)
-        unknowns = [one, *(point.unknown for point in special), last]
-        counts = np.array([len(unknown) // 2 for unknown in unknowns])
-        ends = (self.values, self.omega)
-        inner = [point.value for point in special], [point.omega for point in special]
-        values, omega = (np.array([a[0], *b, a[-1]]) for a, b in zip(ends, inner, strict=True))
-        return replace(
-            self,
-            values=values,
-            omega=omega,
-            unknowns=np.array([resized(unknown, int(counts.max())) for unknown in unknowns]),
-            harmonics=counts,
-            iterations=np.zeros(len(counts), dtype=int),
-            truncation=np.full(len(counts), np.nan),
-            bifurcations=(),
-            multipliers=None,
-            undecided=None,
-        )
+        ends = self.point(0), self.point(len(self) - 1)
+        met: list[CurvePoint | Bifurcation] = [ends[0], *self.bifurcations, ends[1]]
+        points = Points()
+        for one in met:
+            points.append(CurvePoint(one.value, one.omega, one.unknown, 0))
+        return replace(self, **points.columns(), bifurcations=(), multipliers=None, undecided=None)
 
     @cached_property
     def displacement_errors(self) -> np.ndarray:
@@ -338,7 +333,8 @@ class ResponseCurve(Tabular):
 
     def gaps_in_time(self, places: np.ndarray) -> np.ndarray:
         """Gaps of all pairs over the period at some points: (n, 256, n_pairs) [m]."""
-        found = {index: self._contact_of(at)[0] for index, at in self._linearised(places)}
+        phased = self._linearised(places)
+        found = {index: at.in_time(evaluate(at.unknown, 1.0, PHASES))[0] for index, at in phased}
         return np.array([found[int(place)] for place in places])
 
     def amplitude(self, dof: int) -> np.ndarray:
@@ -379,7 +375,8 @@ class ResponseCurve(Tabular):
                 assert isinstance(at.system.compliance, ModalCompliance)
                 waves = at.system.compliance.seen_through(rows, at.force)
                 seen[:, index, : len(waves)] = waves.T
-                motion, (gap, force) = evaluate(waves, 1.0, PHASES), self._contact_of(at)
+                motion = evaluate(waves, 1.0, PHASES)
+                gap, force = at.in_time(evaluate(at.unknown, 1.0, PHASES))
                 self._lips[index] = contact_extremes(gap, force)
                 if moved is not None:
                     # What answers at once follows the forces as they are, with their kinks.
@@ -388,18 +385,7 @@ class ResponseCurve(Tabular):
             self._seen.update(zip(new, zip(seen, sizes, strict=True), strict=True))
         return [self._seen[dof] for dof in dofs]
 
-    @staticmethod
-    def _contact_of(at: CondensedPoint) -> tuple[np.ndarray, np.ndarray]:
-        """Gaps [m] and contact forces [N] of a point over the phases: (256, n_pairs) each."""
-        if isinstance(at, CoupledPoint):
-            slow = evaluate(at.unknown, 1.0, PHASES)
-            force = at.system.integrals.forces(slow)
-            return slow - force @ at.system.residual, force
-        gap, waves = (evaluate(rows, 1.0, PHASES) for rows in (at.gap, at.force))
-        assert isinstance(at.system, CondensedSystem)
-        return gap, force_in_time(at.system.integrals.law, gap, waves)
-
-    def _linearised(self, places: np.ndarray | None = None) -> Iterator[tuple[int, CondensedPoint]]:
+    def _linearised(self, places: np.ndarray | None = None) -> Iterator[tuple[int, ContactPoint]]:
         """The equations at all points, or some, with their numbers; not in order."""
         wanted = np.arange(len(self)) if places is None else places
         for count in np.unique(self.harmonics[wanted]):

@@ -18,7 +18,7 @@ Source: Seydel, Practical Bifurcation and Stability Analysis, chapters 5 and 7.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -56,11 +56,10 @@ take a second each time."""
 
 @dataclass(frozen=True)
 class DoubledStart:
-    """A point of a branch of twice the period away from where it begins, and the way on."""
+    """A point of a branch of twice the period away from where it begins; its tangent leads on."""
 
     problem: Problem
     point: PathPoint
-    towards: Tangent
 
 
 def next_to_doubled_orbits(
@@ -94,7 +93,7 @@ def next_to_doubled_orbits(
                 rise = family.parameter(ahead.omega) - found.parameter
                 weight = 1.0 / family.inner(found.unknown, found.unknown)
                 towards = Tangent(change, rise, weight)
-                return DoubledStart(family.problem, found, towards)
+                return DoubledStart(family.problem, replace(found, tangent=towards))
     ends = sorted((orbits[0].omega, orbits[-1].omega))
     raise ConvergenceError(
         f"branch from period_doubling at omega = {bifurcation.value:g}: the exact orbits have it, "

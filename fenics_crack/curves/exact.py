@@ -30,7 +30,7 @@ from fenics_crack.curves.orbit_branch import (
 )
 from fenics_crack.curves.varied_orbits import VariedOrbits
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.model.contact import is_piecewise_linear, is_rigid
+from fenics_crack.model.contact import is_unilateral
 from fenics_crack.motion.flow import Budget, exact_flow
 from fenics_crack.motion.orbit import PIECES
 from fenics_crack.numerics.bordered import solve_at
@@ -235,7 +235,7 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     >>> judged = fc.judge_curve(curve)
     >>> verdicts = judged.verdicts
     """
-    if not (is_piecewise_linear(curve.contact) or is_rigid(curve.contact)):
+    if not is_unilateral(curve.contact):
         return judged_by_waves(curve)
     begin("stability by exact orbits")
     if not _affordable(curve):

@@ -58,6 +58,11 @@ class Points:
     def __len__(self) -> int:
         return len(self.values)
 
+    def append(self, point: CurvePoint) -> None:
+        """One more."""
+        self.extend([point.value], [point.omega], point.unknown[None], [point.iterations])
+        self.truncation[-1] = point.truncation
+
     def extend(
         self,
         values: Iterable[float],
@@ -80,20 +85,19 @@ class Points:
             self.truncation[-1],
         )  # fmt: skip
 
-    @property
-    def harmonics(self) -> np.ndarray:
-        """H of each: (n,)."""
+    def columns(self) -> dict[str, np.ndarray]:
+        """What they are in a :class:`ResponseCurve`, all with the most harmonics."""
         counts = [block.shape[1] // 2 for block in self._unknowns]
-        return np.repeat(counts, [len(block) for block in self._unknowns])
-
-    def unknowns(self, harmonics: int) -> np.ndarray:
-        """All unknowns with one number of harmonics: (n, 2H+1, n_pairs)."""
-        rows = 2 * harmonics + 1
-        return np.concatenate(
-            [
-                block
-                if block.shape[1] == rows
-                else np.array([resized(one, harmonics) for one in block])
-                for block in self._unknowns
-            ]
-        )
+        most = max(counts)
+        unknowns = [
+            block if count == most else np.array([resized(one, most) for one in block])
+            for block, count in zip(self._unknowns, counts, strict=True)
+        ]
+        return {
+            "values": np.array(self.values),
+            "omega": np.array(self.omega),
+            "unknowns": np.concatenate(unknowns),
+            "harmonics": np.repeat(counts, [len(block) for block in self._unknowns]),
+            "iterations": np.array(self.iterations),
+            "truncation": np.array(self.truncation),
+        }

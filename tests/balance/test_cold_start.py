@@ -1,7 +1,5 @@
 """Solutions from a cold start, and the paths that lead to them."""
 
-from collections.abc import Callable
-from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -11,9 +9,7 @@ from helpers import oscillator
 import fenics_crack as fc
 from fenics_crack.balance.search import Search
 from fenics_crack.balance.solver import Solver
-from fenics_crack.numerics.bordered import PathPoint, point_on_path, solve_at
-from fenics_crack.numerics.linearisation import DenseLinearisation
-from fenics_crack.numerics.path import Ended, Path, PathOptions
+from fenics_crack.numerics.bordered import solve_at
 
 FREQUENCIES = np.linspace(0.3, 2.0, 300)
 
@@ -194,129 +190,3 @@ def test_a_search_ends_and_says_what_to_do() -> None:
         "more damping, or a solution nearby as initial"
     )
     assert search.iterations < 0.25 * 5000 * (300 / 294) ** 2 + 20
-
-
-# --- arc-length -----------------------------------------------------------------------------------
-
-Function = Callable[[float, float], float]
-
-
-class Place(DenseLinearisation):
-    """A plane's equations at a point: (f, y - 2); J is diagonal."""
-
-    def __init__(self, plane: "Plane", unknown: np.ndarray, p: float) -> None:
-        self.plane, self.p = plane, p
-        super().__init__(unknown, np.array([plane.f(unknown[0], p), unknown[1] - 2.0]))
-
-    def assemble(self) -> np.ndarray:
-        """J."""
-        return np.diag([self.plane.by_x(self.unknown[0], self.p), 1.0])
-
-    def differentiate(self) -> np.ndarray:
-        """dF/dp."""
-        return np.array([self.plane.by_p(self.unknown[0], self.p), 0.0])
-
-
-class Plane:
-    """f(x, p) = 0 in a plane, beside y = 2, which keeps the norm of (x, y) from vanishing."""
-
-    def __init__(self, f: Function, by_x: Function, by_p: Function) -> None:
-        self.f, self.by_x, self.by_p = f, by_x, by_p
-
-    def linearise(self, unknown: np.ndarray, parameter: float) -> Place:
-        """At a point."""
-        return Place(self, unknown, parameter)
-
-    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
-        """Inner product."""
-        return float(first @ second)
-
-
-def follow(
-    plane: Plane, x: float, p: float, end: float, longest: float
-) -> tuple[np.ndarray, np.ndarray, list[PathPoint]]:
-    """x and p along the path up to p = end; every point lies on the curve."""
-    points = []
-    start = np.array([x, 2.0])
-    path = Path(plane, point_on_path(plane, start, p), PathOptions(0.05, longest))
-    for point in islice(path.points(), 500):
-        points.append(point)
-        if point.parameter > end:
-            break
-    xs = np.array([point.unknown[0] for point in points])
-    ps = np.array([point.parameter for point in points])
-    assert max(abs(plane.f(*pair)) for pair in zip(xs, ps, strict=True)) < 1e-7
-    return xs, ps, points
-
-
-@pytest.mark.parametrize("longest", [0.05, 0.2, 1.0])
-def test_path_goes_round_a_circle(longest: float) -> None:
-    """x^2 + p^2 = 1 from (1, 0): always on in the same sense, over both folds, again and again."""
-    plane = Plane(lambda x, p: x * x + p * p - 1.0, lambda x, p: 2.0 * x, lambda x, p: 2.0 * p)
-    start = point_on_path(plane, np.array([1.0, 2.0]), 0.0)
-    points = list(Path(plane, start, PathOptions(0.05, longest, max_steps=150)).points())
-    assert len(points) == 150
-    x = np.array([1.0, *(point.unknown[0] for point in points)])
-    p = np.array([0.0, *(point.parameter for point in points)])
-    assert np.abs(x**2 + p**2 - 1.0).max() < 1e-7
-    angle = np.unwrap(np.arctan2(p, x))
-    assert np.all(np.diff(angle) > 0.01) and np.all(np.diff(angle) < 0.5 * np.pi)
-    assert angle[-1] > 2.0 * np.pi
-    # Upwards on the right, downwards on the left: the tangent knows on which side of a fold it is.
-    assert all((point.tangent.p > 0.0) == (point.unknown[0] > 0.0) for point in points)
-
-
-@pytest.mark.parametrize("longest", [0.05, 0.2, 1.0])
-def test_path_passes_both_folds_of_a_cubic(longest: float) -> None:
-    """x^3 - x = p: p grows to 0.385 at x = -0.577, falls to -0.385 at 0.577, and grows again."""
-    plane = Plane(lambda x, p: x**3 - x - p, lambda x, p: 3.0 * x * x - 1.0, lambda x, p: -1.0)
-    x, p, _ = follow(plane, -1.5, -1.875, 1.875, longest)
-    assert np.all(np.diff(x) > 0.0)
-    assert p[-1] > 1.875
-    growing = np.diff(p) > 0.0
-    first, second = np.flatnonzero(growing[1:] != growing[:-1]) + 1
-    fold = 1.0 / np.sqrt(3.0)
-    assert growing[0] and not growing[first] and growing[second]
-    assert abs(x[first] + fold) < 0.35 and abs(x[second] - fold) < 0.35
-    assert p.max() > 0.0 and 0.2 < p[first] <= 2.0 / 3.0 * fold
-    assert -2.0 / 3.0 * fold <= p[second] < -0.2
-
-
-@pytest.mark.parametrize("longest", [0.2, 1.0])
-@pytest.mark.parametrize("distance", [0.1, 0.01, 0.001])
-def test_path_stays_on_its_branch_where_another_comes_near(distance: float, longest: float) -> None:
-    """x^2 - p^2 = d^2: at p = 0 the branch turns sharply, the other one lies straight ahead."""
-    plane = Plane(
-        lambda x, p: x * x - p * p - distance**2, lambda x, p: 2.0 * x, lambda x, p: -2.0 * p
-    )
-    x, p, points = follow(plane, float(np.hypot(1.0, distance)), -1.0, 1.0, longest)
-    assert p[-1] > 1.0 and np.all(np.diff(p) > 0.0)
-    assert np.all(x >= 0.99 * distance)
-    assert not any(point.crosses_branch for point in points)
-
-
-@pytest.mark.parametrize("distance", [0.1, 0.01, 0.001])
-def test_path_stays_beside_a_parallel_branch(distance: float) -> None:
-    """x = sin p and x = sin p + d: never from one to the other, over a whole wave."""
-
-    def off(x: float, p: float) -> float:
-        return x - np.sin(p)
-
-    plane = Plane(
-        lambda x, p: off(x, p) * (off(x, p) - distance) / distance,
-        lambda x, p: (2.0 * off(x, p) - distance) / distance,
-        lambda x, p: -np.cos(p) * (2.0 * off(x, p) - distance) / distance,
-    )
-    x, p, _ = follow(plane, 0.0, 0.0, 6.0, 1.0)
-    assert p[-1] > 6.0 and np.all(np.diff(p) > 0.0)
-    assert np.abs(x - np.sin(p)).max() < 1e-4 * distance
-
-
-def test_path_ends_where_there_is_no_more() -> None:
-    """x = -p as far as p = 0, where the function ends: so does the path, by itself, close to it."""
-    plane = Plane(lambda x, p: x + p if p < 0.0 else np.nan, lambda x, p: 1.0, lambda x, p: 1.0)
-    start = point_on_path(plane, np.array([1.0, 2.0]), -1.0)
-    path = Path(plane, start, PathOptions(0.05, max_steps=500))
-    points = list(path.points())
-    assert 3 < len(points) < 500 and path.ended is Ended.SHORT
-    assert -1e-3 < points[-1].parameter < 0.0

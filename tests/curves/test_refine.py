@@ -89,6 +89,19 @@ def test_several_pairs_and_kinds_of_contact() -> None:
         assert_solutions(fine, 17)
 
 
+@pytest.mark.parametrize(("parameter", "end"), [("load", 3.0), ("stiffness", 50.0)])
+def test_other_parameters(parameter: str, end: float) -> None:
+    """Solutions of the structure or the law at their values."""
+    structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(1.0)
+    curve = fc.continue_parameter(structure, 1.2, law, parameter, 1.0, end, longest_step=0.2)
+    fine = fc.refine_curve(curve, 3)
+    assert len(fine) == 4 * len(curve) - 3 and np.all(np.diff(fine.values) > 0.0)
+    assert np.all(fine.omega == 1.2)
+    for index in range(1, len(fine), 5):
+        found = fine.solution(index)
+        assert found.report.residual < 1e-8
+
+
 @pytest.mark.parametrize("law", [fc.UnilateralPenalty(1.0), fc.SmoothedPenalty(1.0, 5.0)])
 def test_harmonics_and_verdicts_come_along(law: fc.UnilateralPenalty | fc.SmoothedPenalty) -> None:
     """Of two neighbours the larger H, and verdicts at the new points too: those of single
@@ -113,14 +126,11 @@ def test_harmonics_and_verdicts_come_along(law: fc.UnilateralPenalty | fc.Smooth
 
 
 def test_bad_arguments() -> None:
-    """Only curves in frequency, with some points."""
+    """Only curves with some points."""
     structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(1.0)
     curve = fc.continue_frequency(structure, 1.0, 1.5, law)
     with pytest.raises(fc.InputError, match="between"):
         fc.refine_curve(curve, 0)
-    load = fc.continue_parameter(structure, 1.0, law, "load", 1.0, 2.0)
-    with pytest.raises(fc.InputError, match="omega"):
-        fc.refine_curve(load, 1)
     short = fc.continue_frequency(structure, 1.0, 1.5, law, most_points=2, throw=False)
     with pytest.raises(fc.InputError, match="points"):
         fc.refine_curve(short, 1)
