@@ -50,6 +50,7 @@ __all__ = [
     "assembled_matrix",
     "assembled_vector",
     "basis_at",
+    "dolfinx",
     "function_space",
     "geometry_dofmap",
     "gmsh",
