@@ -10,8 +10,7 @@ from helpers import OMEGA_0, chain, oscillator, true_error
 
 import fenics_crack as fc
 from fenics_crack.balance.compliance import dynamic_compliance
-from fenics_crack.balance.condensed import respond
-from fenics_crack.balance.contact_integrals import ExactIntegrals
+from fenics_crack.balance.contact_integrals import ExactIntegrals, respond
 from fenics_crack.balance.error_report import mean_square
 from fenics_crack.numerics.fourier import resized
 
