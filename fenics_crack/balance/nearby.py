@@ -8,13 +8,15 @@ from fenics_crack.balance.orbits import FlowOrbits, Homotopy, recurrences
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.flow import ContactFlow
 from fenics_crack.motion.orbit import PeriodicOrbit, Prediction, find_orbit, predict
-from fenics_crack.numerics.bordered import point_on_path
+from fenics_crack.numerics.bordered import point_on_path, solve_in_plane
 from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.numerics.path import Path, PathOptions, Target
 from fenics_crack.stages import begin
 
 __all__ = ["PARTS", "orbit_next_to", "predicted", "recurring", "wave_states"]
 
+CLOSED = 1e-10
+"""How closely a motion repeats itself that is periodic as it is."""
 PARTS = 32
 """Of the period, whose starts' states are corrected together."""
 SWITCHES, STEP = 100_000, 0.3
@@ -65,6 +67,10 @@ def _by_homotopy(orbits: FlowOrbits) -> PeriodicOrbit | None:
     homotopy = Homotopy(orbits, int(share * SWITCHES))
     options = PathOptions(STEP, max_step=STEP, max_steps=SWITCHES, span=(0.0, 2.0))
     try:
+        # M - I may be singular where the motion closes: next to a resonance without damping.
+        closed = solve_in_plane(orbits, orbits.start, 1.0, None, tolerance=CLOSED, iterations=1)
+        if closed is not None:
+            return orbits.orbit(closed)
         start = point_on_path(homotopy, orbits.start, 0.0)
         met = Path(homotopy, start, options, [Target(1.0)]).run()
     except (ConvergenceError, np.linalg.LinAlgError):
