@@ -30,7 +30,6 @@ import numpy as np
 from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, ConstraintSystem
 from fenics_crack.balance.contact_integrals import ExactIntegrals
 from fenics_crack.balance.coupled import CoupledSystem
-from fenics_crack.balance.family import FrequencyFamily
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.rounding import SOFT, check_stiffness, stiffness_times_compliance
 from fenics_crack.errors import ConvergenceError
@@ -154,12 +153,6 @@ class Search:
         starts.append((f"from a penalty of {STIFF:g} weights", self._penalised(system, STIFF)))
         starts.append(("path from a penalty to the constraint", self._hardened(system)))
         return self._solve(system, 1.0, starts)
-
-    def along_frequency(self, family: FrequencyFamily, start: np.ndarray) -> Linearisation:
-        """Along a family in the frequency, from near a solution at its start; return the equations
-        at its end."""
-        path = self._path(family, start, (0.0, 1.0), NARROW)
-        return self._solve(family, 1.0, [(f"path from {family.start:g} rad/s", path)])
 
     def _solve(
         self, system: DistributedSystem, parameter: float, starts: list[Start]

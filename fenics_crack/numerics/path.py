@@ -49,6 +49,7 @@ from fenics_crack.numerics.linearisation import System
 from fenics_crack.numerics.rounding import ROUNDING
 
 __all__ = [
+    "SHARP",
     "BranchPoint",
     "Closed",
     "Crossing",
