@@ -8,7 +8,8 @@
 enum {
     MANY = 100,              /* unknowns from which on points share LU factors */
     UNSURE = 8,              /* points whose sign of det J is not asked for, in a row */
-    DOUBTED = FAILED + 1, /* of points: they do not go with the next factors */
+    DOUBTED = FAILED + 1,    /* of points: they do not go with the next factors */
+    HALVES = 53,             /* of an interval: as many as a double has digits */
     PATIENT = 32
 };
 #define ITERATIONS 0.05 /* with shared factors that take as long as new ones, per unknown */
@@ -16,8 +17,7 @@ enum {
 #define STEP 1e-4       /* of such a step of Newton's method, */
 #define SHARP 1e-9      /* and of a tangent that tells where a path turns */
 #define LEVEL 1e-3      /* slope of a tangent below which it must be exact: the path may turn */
-#define BRANCHING 1e-3  /* share of the longest step below which a change of sign straight ahead
-                           means that another branch crosses */
+#define BRANCHING 1e-3  /* of the longest step: below it a change of sign straight on is a branch */
 #define CORNER 1e-7     /* shortest and longest step, of the longest of all, around a corner, */
 #define AROUND 1e-2
 #define BACK 0.9        /* and cosine of an angle above which its opposite leads back */
@@ -63,26 +63,26 @@ static void turn_round(int n, double *tangent, double *slope)
 }
 
 /* solve_in_plane with room for F, dx and J^-1 F_p: (3, n). */
-static int correct(equations *at, int n, double *x, double *p, const double *across, double slope,
-                   double weight, double tolerance, int iterations, double reach,
-                   double least_damping, int patience, int *taken, double *room)
+static int correct(equations *at, const plane *in, const correction *how, double *x, double *p,
+                   int *taken, double *room)
 {
+    const int n = at->unknowns, patience = how->patience;
     double *F = room, *change = room + n, *rate = change + n;
     const double guess = *p;
     double shift = 0.0, damping = 1.0, before = INFINITY;
     double sizes[PATIENT], smallest = INFINITY; /* of the steps before the last `patience` */
     *taken = 0;
-    for (int i = 0; i < 4 * iterations; i++) {
+    for (int i = 0; i < 4 * how->iterations; i++) {
         const int outcome = at->evaluate(at, x, *p);
         if (outcome != FOUND) return outcome;
         at->residual(at, F);
         const double square = inner(at, F, F);
-        const double size = sqrt((across ? weight : 1.0 / fmax(inner(at, x, x), 1e-300)) * square);
-        if (size <= tolerance) return FOUND;
+        const double size = sqrt((in ? in->weight : 1.0 / fmax(inner(at, x, x), 1e-300)) * square);
+        if (size <= how->tolerance) return FOUND;
         if (!isfinite(size)) return NOT_FOUND;
-        if (least_damping >= 0.0 && !(size < before)) { /* a shorter step */
+        if (how->least_damping >= 0.0 && !(size < before)) { /* a shorter step */
             damping *= 0.5;
-            if (damping < least_damping) return NOT_FOUND;
+            if (damping < how->least_damping) return NOT_FOUND;
             add(n, x, -damping, change), *p -= damping * shift;
             continue;
         }
@@ -90,18 +90,18 @@ static int correct(equations *at, int n, double *x, double *p, const double *acr
             sizes[*taken % PATIENT] = size;
             if (*taken >= patience) smallest = fmin(smallest, sizes[(*taken - patience) % PATIENT]);
         }
-        if (*taken == iterations || 0.5 * smallest < size) return NOT_FOUND;
+        if (*taken == how->iterations || 0.5 * smallest < size) return NOT_FOUND;
         /* (dx, dp) = (a + dp b, dp), J a = -F, J b = -F_p, dp = -w <t_x, a> / (w <t_x, b> + t_p) */
         for (int j = 0; j < n; j++) change[j] = -F[j];
         at->sharp = STEP;
         at->solve(at, change);
         shift = 0.0;
-        if (across) {
+        if (in) {
             slope_at(at, n, STEP, rate);
-            const double along = weight * inner(at, across, rate) + slope + 1e-300; /* not 0 */
-            shift = -weight * inner(at, across, change) / along;
+            const double along = in->weight * inner(at, in->across, rate) + in->slope;
+            shift = -in->weight * inner(at, in->across, change) / (along + 1e-300); /* not 0 */
             add(n, change, shift, rate);
-            if (!(fabs(*p + shift - guess) <= reach)) return NOT_FOUND; /* another branch, or none */
+            if (!(fabs(*p + shift - guess) <= how->reach)) return NOT_FOUND; /* another branch, or none */
         }
         damping = 1.0, before = size;
         ++*taken;
@@ -110,16 +110,12 @@ static int correct(equations *at, int n, double *x, double *p, const double *acr
     return NOT_FOUND;
 }
 
-int solve_in_plane(equations *at, double *unknown, double *parameter, int bordered,
-                   const double *across, double slope, double weight, double tolerance,
-                   int iterations, double reach, double least_damping, int patience, int *taken)
+int solve_in_plane(equations *at, const plane *in, const correction *how, double *unknown,
+                   double *parameter, int *taken)
 {
-    const int n = at->unknowns;
-    double *room = malloc(3 * (size_t)n * sizeof(double));
-    const int outcome = !room ? NO_MEMORY
-                              : correct(at, n, unknown, parameter, bordered ? across : NULL, slope,
-                                        weight, tolerance, iterations, reach, least_damping,
-                                        patience, taken, room);
+    double *room = malloc(3 * (size_t)at->unknowns * sizeof(double));
+    const int outcome =
+        room ? correct(at, in, how, unknown, parameter, taken, room) : NO_MEMORY;
     free(room);
     return outcome;
 }
@@ -230,8 +226,8 @@ static int go_back(sharing *with, path *points)
 }
 
 /* Correct a prediction with the factors that there are. */
-static int correct_shared(equations *at, int n, const stepping *how, const path *points, sharing *with,
-                          double tolerance, double *x, double *p, int *taken)
+static int correct_shared(equations *at, int n, const correction *how, const path *points,
+                          sharing *with, double *x, double *p, int *taken)
 {
     const int last = points->known - 1, sure = with->sure;
     broyden *by = &with->by;
@@ -239,8 +235,8 @@ static int correct_shared(equations *at, int n, const stepping *how, const path 
     set_row(n, by->along, points->tangents + (size_t)sure * n, points->slopes[sure]);
     set_row(n, with->here, x, *p);
     by->weight = points->weights[last];
-    const int outcome = correct_by_former(at, by, with->here, tolerance, how->iterations,
-                                          how->reach * points->step, taken, &with->work);
+    const int outcome = correct_by_former(at, by, with->here, how->tolerance, how->iterations,
+                                          how->reach, taken, &with->work);
     if (outcome == FOUND) memcpy(x, with->here, n * sizeof(double)), *p = with->here[n];
     return outcome;
 }
@@ -277,6 +273,15 @@ static void predict(const equations *at, const path *points, double *x, double *
     bend(at, points, points->step, x, p, room);
 }
 
+/* How the end of a step is corrected: points must be known better than steps are long. */
+static correction correction_of(const stepping *how, double step)
+{
+    correction found = how->newton;
+    found.tolerance = fmax(how->rounding, fmin(found.tolerance, 1e-4 * step));
+    found.reach *= step;
+    return found;
+}
+
 /* One more point, whose unknowns and tangent are in their places. */
 static void append(const equations *at, path *points, double p, double slope, double weight,
                    int taken, int crossing, double *room)
@@ -300,8 +305,8 @@ static int round_corner(equations *at, int n, const stepping *how, path *points,
     const double *old = points->tangents + (size_t)last * n, old_slope = points->slopes[last];
     double *x = points->unknowns + (size_t)points->known * n;
     double *tangent = points->tangents + (size_t)points->known * n, *way = room + 3 * (n + 1);
-    for (double step = CORNER * how->longest; step <= AROUND * how->longest; step *= sqrt(10.0)) {
-        if (step < how->shortest) continue;
+    double step = fmax(CORNER * how->longest, how->shortest);
+    for (; step <= AROUND * how->longest; step *= sqrt(10.0)) {
         double weight, own, p = points->parameters[last] + step * old_slope;
         memcpy(x, here, n * sizeof(double)), add(n, x, step, old);
         const int outcome = at->evaluate(at, x, p);
@@ -313,10 +318,9 @@ static int round_corner(equations *at, int n, const stepping *how, path *points,
             int taken;
             memcpy(x, here, n * sizeof(double)), add(n, x, step, way);
             p = points->parameters[last] + step * way_slope;
-            if (correct(at, n, x, &p, way, way_slope, weight, fmax(how->rounding, 1e-4 * step),
-                        how->iterations, how->reach * step, how->least_damping, 0, &taken,
-                        room) != FOUND)
-                continue;
+            const plane in = {way, way_slope, weight};
+            const correction newton = correction_of(how, step);
+            if (correct(at, &in, &newton, x, &p, &taken, room) != FOUND) continue;
             const double slope =
                 tangent_onwards(at, n, points->orientation, x, way, way_slope, tangent, &own);
             if (!(cosine_of(at, weight, tangent, slope, way, way_slope) > 0.5)) continue;
@@ -334,18 +338,18 @@ static int advance(equations *at, int n, const stepping *how, path *points, shar
                    double *room)
 {
     const int last = points->known - 1;
-    const double step = points->step, weight = points->weights[last], reach = how->reach * step;
+    const double step = points->step, weight = points->weights[last];
     const double *here = points->unknowns + (size_t)last * n;
     double old_slope = points->slopes[last];
     const double *old = points->tangents + (size_t)last * n;
     double *x = points->unknowns + (size_t)points->known * n, p;
     double *tangent = points->tangents + (size_t)points->known * n, own, slope;
-    const double sharp = fmax(how->rounding, fmin(how->tolerance, 1e-4 * step));
+    const correction newton = correction_of(how, step);
     int taken, crossing = 0, outcome = NOT_FOUND, work = with ? with->work : 0;
     int shared = with && !at->products && points->known > with->own && at->has_factors(at);
     while (shared && outcome == NOT_FOUND) {
         predict(at, points, x, &p, room);
-        outcome = correct_shared(at, n, how, points, with, sharp, x, &p, &taken);
+        outcome = correct_shared(at, n, &newton, points, with, x, &p, &taken);
         if (outcome != NOT_FOUND) break;
         shared = with->sure < last; /* the others are worn out */
         if (shared && (outcome = renew(at, n, points, with)) != FOUND) return outcome;
@@ -353,8 +357,8 @@ static int advance(equations *at, int n, const stepping *how, path *points, shar
     }
     if (!shared) {
         predict(at, points, x, &p, room);
-        outcome = correct(at, n, x, &p, old, old_slope, weight, sharp, how->iterations, reach,
-                          how->least_damping, 0, &taken, room);
+        const plane in = {old, old_slope, weight};
+        outcome = correct(at, &in, &newton, x, &p, &taken, room);
     }
     if (outcome != FOUND) return outcome;
     if (shared) shared = tangent_shared(at, n, points, with, tangent, &slope, &own);
@@ -432,40 +436,20 @@ static double polynomial(const double *cubic, double s)
     return ((cubic[0] * s + cubic[1]) * s + cubic[2]) * s + cubic[3];
 }
 
-/* A root of a cubic polynomial between 0 and 1 by Brent's method (Algorithms for Minimization
- * without Derivatives, 1973, chapter 4); the nearer end where rounding has hidden the change of
- * sign. */
+/* A root of a cubic polynomial between 0 and 1, by halves; the nearer end where rounding has hidden
+ * the change of sign. */
 static double root_within(const double *cubic)
 {
-    double a = 0.0, b = 1.0, fa = polynomial(cubic, a), fb = polynomial(cubic, b);
-    if (fa == 0.0 || fb == 0.0 || (fa > 0.0) == (fb > 0.0)) return fabs(fa) < fabs(fb) ? a : b;
-    double c = a, fc = fa, width = b - a, before = width;
-    for (int i = 0; i < 100; i++) {
-        if ((fb > 0.0) == (fc > 0.0)) c = a, fc = fa, width = before = b - a;
-        if (fabs(fc) < fabs(fb)) a = b, b = c, c = a, fa = fb, fb = fc, fc = fa;
-        const double middle = 0.5 * (c - b), least = 1e-15 * fabs(b) + 1e-13;
-        if (fabs(middle) <= least || fb == 0.0) break;
-        double step = middle, last = before;
-        before = width;
-        if (fabs(last) >= least && fabs(fa) > fabs(fb)) {
-            /* the chord, or the inverse parabola through three points */
-            const double s = fb / fa, q = fa / fc, r = fb / fc;
-            double up = a == c ? 2.0 * middle * s
-                               : s * (2.0 * middle * q * (q - r) - (b - a) * (r - 1.0));
-            double down = a == c ? 1.0 - s : (q - 1.0) * (r - 1.0) * (s - 1.0);
-            if (up > 0.0) down = -down;
-            else up = -up;
-            if (2.0 * up < fmin(3.0 * middle * down - fabs(least * down), fabs(last * down)))
-                step = up / down;
-            else before = middle;
-        } else {
-            before = middle;
-        }
-        width = step, a = b, fa = fb;
-        b += fabs(step) > least ? step : copysign(least, middle);
-        fb = polynomial(cubic, b);
+    double first = 0.0, last = 1.0;
+    const double begin = polynomial(cubic, first), end = polynomial(cubic, last);
+    if (begin == 0.0 || end == 0.0 || (begin > 0.0) == (end > 0.0))
+        return fabs(begin) < fabs(end) ? first : last;
+    for (int i = 0; i < HALVES; i++) {
+        const double middle = 0.5 * (first + last);
+        if ((polynomial(cubic, middle) > 0.0) == (begin > 0.0)) first = middle;
+        else last = middle;
     }
-    return b;
+    return 0.5 * (first + last);
 }
 
 /* The same with room (3, n). */
@@ -498,9 +482,11 @@ static int between(equations *at, int n, const stepping *how, int most, const do
         ends->parameters[next] = p + step * slope;
         memcpy(x, here, n * sizeof(double));
         add(n, x, step, tangent);
-        const int outcome = correct(at, n, x, ends->parameters + next, tangent, slope, weight,
-                                    how->tolerance, how->iterations, how->reach * step,
-                                    how->least_damping, 0, ends->iterations + next, room);
+        const plane in = {tangent, slope, weight};
+        correction newton = how->newton;
+        newton.reach *= step;
+        const int outcome =
+            correct(at, &in, &newton, x, ends->parameters + next, ends->iterations + next, room);
         if (outcome != FOUND) return outcome;
         ends->slopes[next] = tangent_at(at, n, SHARP, x, ahead, ends->weights + next);
         if (weight * inner(at, ahead, tangent) + ends->slopes[next] * slope < 0.0)

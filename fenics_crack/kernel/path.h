@@ -8,19 +8,29 @@
  * a unit tangent (t_x, t_p) in the norm weight |x|^2 + p^2.
  */
 
-/* Newton's method in the plane across a tangent, or unless `bordered` at a given parameter.
- * unknown, parameter: the guess, and the point found; taken: iterations. A `least_damping` below 0
- * asks for full steps; `patience`, unless 0 and at most 30: steps that may together fail to halve
- * the residual. Returns FOUND, or why not. */
-int solve_in_plane(equations *at, double *unknown, double *parameter, int bordered,
-                   const double *across, double slope, double weight, double tolerance,
-                   int iterations, double reach, double least_damping, int patience, int *taken);
+/* Of Newton's method: |F| / |x| of the solution, how far the parameter may go, and how much a step
+ * may be shortened (below 0: not at all); steps, and those that may together fail to halve the
+ * residual (0: any number; else at most 30). */
+typedef struct {
+    double tolerance, reach, least_damping;
+    int iterations, patience;
+} correction;
+
+/* What is orthogonal to a tangent (t_x, t_p). */
+typedef struct {
+    const double *across;
+    double slope, weight;
+} plane;
+
+/* Newton's method in a plane, or where this is NULL at a given parameter. unknown, parameter: the
+ * guess, and the point found; taken: iterations. Returns FOUND, or why not. */
+int solve_in_plane(equations *at, const plane *in, const correction *how, double *unknown,
+                   double *parameter, int *taken);
 
 typedef struct {
-    double longest, shortest, tolerance, least_cosine, rounding, reach;
-    int iterations;
-    double least_damping;
+    double longest, shortest, least_cosine, rounding;
     double lowest, highest; /* parameters between which a call goes on */
+    correction newton;      /* its reach in steps; short ones are corrected more sharply */
 } stepping;
 
 /* A path's points one after the other: (room, n), (room), ..., of which `known` are known, the last

@@ -32,7 +32,7 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.kernel import doubles, ints, kernel, shaped
+from fenics_crack.kernel import NULL, Struct, doubles, ints, kernel, shaped
 from fenics_crack.numerics.equations import equations_of
 from fenics_crack.numerics.linearisation import Linearisation, System
 
@@ -136,11 +136,17 @@ def solve_in_plane(
     equations = equations_of(system, unknown.shape)
     flat = plane or Tangent(np.zeros_like(unknown), 1.0, 0.0)
     found, place = np.array(unknown, float, order="C"), np.array([parameter], float)
-    taken, across = np.zeros(1, np.intc), shaped(flat.x, *equations.shape)
+    taken, border = np.zeros(1, np.intc), NULL
+    if plane is not None:
+        across = shaped(plane.x, *equations.shape)
+        border = Struct("plane", across=across, slope=plane.p, weight=plane.weight).at
+    how = Struct(
+        "correction", tolerance=tolerance, reach=reach, iterations=iterations,
+        least_damping=-1.0 if least_damping is None else least_damping, patience=patience or 0,
+    )  # fmt: skip
     outcome = equations.run(
-        kernel.solve_in_plane, doubles(shaped(found, *equations.shape)), doubles(place),
-        plane is not None, doubles(across), flat.p, flat.weight, tolerance, iterations, reach,
-        -1.0 if least_damping is None else least_damping, patience or 0, ints(taken),
+        kernel.solve_in_plane, border, how.at, doubles(shaped(found, *equations.shape)),
+        doubles(place), ints(taken),
     )  # fmt: skip
     if not equations.check(outcome):
         return None
