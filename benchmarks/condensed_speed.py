@@ -48,8 +48,8 @@ from laboratory import solve_form
 
 import fenics_crack as fc
 from fenics_crack.balance.compliance import dynamic_compliance
-from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem
 from fenics_crack.balance.contact_integrals import contact_integrals
+from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.problem import Problem
 from fenics_crack.draw.figure import COLOURS
 
@@ -136,11 +136,11 @@ def iteration_times(structure: fc.Structure, harmonics: int, repeats: int) -> di
     omega = 2000.0 if structure.n_dofs > 20 else 1.2
     compliance = dynamic_compliance(structure, omega, harmonics)
     law = fc.UnilateralPenalty(1e9 if structure.n_dofs > 20 else 1.0)
-    system = CondensedSystem(compliance, contact_integrals(law, harmonics))
+    system = ContactSystem(compliance, contact_integrals(law, harmonics))
     generator = np.random.default_rng(1)
     decay = 1.0 / (1.0 + np.arange(2 * harmonics + 1)) ** 2
     size = np.abs(system.linear).max()
-    points: list[CondensedPoint] = []
+    points: list[ContactPoint] = []
 
     def new_gap() -> np.ndarray:
         noise = generator.standard_normal(system.shape) * decay[:, None]
@@ -159,7 +159,7 @@ def iteration_times(structure: fc.Structure, harmonics: int, repeats: int) -> di
         timed("first", lambda at=at: at.solve(at.residual))  # factors and solves
         timed("solve", lambda at=at: at.solve(at.residual))
 
-        def lapack(at: CondensedPoint = at) -> None:
+        def lapack(at: ContactPoint = at) -> None:
             factors = scipy.linalg.lu_factor(at.jacobian, check_finite=False)
             scipy.linalg.lu_solve(factors, at.residual.ravel(), check_finite=False)
 

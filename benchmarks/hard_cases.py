@@ -245,7 +245,7 @@ def crack_length(quick: bool) -> Iterator[Case]:
     With 80 and 95 % the plate moves without a period. With 80 % there is an unstable orbit, for
     which 20 harmonics are not enough.
     """
-    for share in (0.01, 0.05, 0.2, 0.5, 0.8, 0.95):
+    for share in (0.05, 0.2) if quick else (0.01, 0.05, 0.2, 0.5, 0.8, 0.95):
         scene = fc.Scene.load(common.DEMOS / "breathing_plate.toml").replace(
             {"crack.first_omega": None, "crack.length": 0.1 * share, "damping.ratio": 0.01}
         )

@@ -28,8 +28,8 @@ import numpy as np
 import scipy.linalg
 
 from fenics_crack.balance.compliance import Compliance, FactoredCompliance
-from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, respond_to_columns
-from fenics_crack.balance.contact_integrals import ContactIntegrals, apply_to_pairs
+from fenics_crack.balance.contact_integrals import PairIntegrals, apply_to_pairs, respond_to_columns
+from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.harmonic_balance import check_initial
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.search import Search
@@ -104,18 +104,19 @@ class _FullSolver(Solver):
         finally:
             found.destroy()
 
-    def penalised(
+    def find(
         self, search: Search, compliance: Compliance, initial: PeriodicSolution | None
-    ) -> CondensedPoint:
-        """Solve for a law that gives the force from the gap."""
+    ) -> ContactPoint:
+        """The equations where a search arrives."""
         assert isinstance(compliance, FactoredCompliance)
         integrals = self.problem.integrals()
+        assert not integrals.coupled
         block = BlockSystem(compliance, integrals)
         start = block.linear
         if initial is not None:
             start = compliance.displacement(self.start(initial, "force_coefficients"))
         gap = block.gap(search.penalty(block, start).unknown)
-        return CondensedSystem(compliance, integrals).linearise(gap)
+        return ContactSystem(compliance, integrals).linearise(gap)
 
 
 class BlockSystem:
@@ -150,7 +151,7 @@ class BlockSystem:
         The solution without contact.
     """
 
-    def __init__(self, compliance: FactoredCompliance, integrals: ContactIntegrals) -> None:
+    def __init__(self, compliance: FactoredCompliance, integrals: PairIntegrals) -> None:
         self.compliance, self.integrals = compliance, integrals
         self.structure = compliance.structure
         self.comm, self.matrix_free = self.structure.comm, False
@@ -182,11 +183,12 @@ class BlockPoint(Linearisation):
     """:class:`BlockSystem` at an amplitude (collective)."""
 
     def __init__(
-        self, system: BlockSystem, amplitude: np.ndarray, integrals: ContactIntegrals
+        self, system: BlockSystem, amplitude: np.ndarray, integrals: PairIntegrals
     ) -> None:
         self._system, self.unknown = system, amplitude
-        force, self._tangent = integrals.linearise(system.gap(amplitude))
-        self._moved = self._through_structure(force)
+        found = integrals.linearise(system.gap(amplitude))
+        self._tangent = found.tangent
+        self._moved = self._through_structure(found.force)
         self.residual = amplitude - system.linear + self._moved
 
     def _through_structure(self, force: np.ndarray) -> np.ndarray:

@@ -18,8 +18,8 @@ from surroundings import ROOT as ROOT
 
 import fenics_crack as fc
 from fenics_crack.balance.compliance import dynamic_compliance
-from fenics_crack.balance.condensed import CondensedSystem
 from fenics_crack.balance.contact_integrals import SampledIntegrals
+from fenics_crack.balance.contact_system import ContactSystem
 from fenics_crack.files.store import columns_of, digest, places, texts
 
 OMEGA_0 = 2.0 * np.sqrt(2.0) / (1.0 + np.sqrt(2.0))
@@ -255,7 +255,7 @@ def duffing() -> fc.Structure:
     return fc.Structure.from_matrices(one, one, one, force_sin=[1.25], damping=0.2 * one)
 
 
-def newton_roots(system: CondensedSystem, starts: int = 400) -> list[np.ndarray]:
+def newton_roots(system: ContactSystem, starts: int = 400) -> list[np.ndarray]:
     """The distinct solutions that Newton's method finds from random starts of many sizes."""
     size = np.linalg.norm(system.linear)
     rng, found = np.random.default_rng(0), list[np.ndarray]()
@@ -272,10 +272,10 @@ def newton_roots(system: CondensedSystem, starts: int = 400) -> list[np.ndarray]
     return found
 
 
-def duffing_system(harmonics: int, samples: int) -> CondensedSystem:
+def duffing_system(harmonics: int, samples: int) -> ContactSystem:
     """The package's equations of the Duffing oscillator."""
     compliance = dynamic_compliance(duffing(), 2.0, harmonics)
-    return CondensedSystem(compliance, SampledIntegrals(Cubic(1.0), harmonics, samples))
+    return ContactSystem(compliance, SampledIntegrals(Cubic(1.0), harmonics, samples))
 
 
 def classical_amplitudes() -> np.ndarray:

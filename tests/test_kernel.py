@@ -13,15 +13,14 @@ import pytest
 from helpers import ROOT
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from intervals import contact_intervals
 
 from fenics_crack import UnilateralPenalty
-from fenics_crack.balance.active_sets import contact_intervals
-from fenics_crack.balance.compiled import CompiledSystem
-from fenics_crack.balance.condensed import respond, respond_to_columns
-from fenics_crack.balance.contact_integrals import ExactIntegrals
+from fenics_crack.balance.compiled import CompiledEquations
+from fenics_crack.balance.contact_integrals import ExactIntegrals, respond, respond_to_columns
+from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.kernel import doubles, ints, shaped, signs
-from fenics_crack.model.complementarity import solve_complementarity
-from fenics_crack.model.coupled import ActiveSets
+from fenics_crack.model.coupled import ActiveSets, solve_complementarity
 
 OTHERS = [
     ROOT / "tests" / name
@@ -59,7 +58,8 @@ def test_complementarity(pairs: int, seed: int, guessed: bool) -> None:
 
 
 TWO = ActiveSets(np.eye(2))
-SYSTEM = CompiledSystem(np.ones(2), np.zeros((3, 2)), np.zeros((2, 2, 2), complex))
+BEHIND = CoupledIntegrals(UnilateralPenalty(1.0), 1, residual=np.eye(2))
+SYSTEM = CompiledEquations(None, np.ones(2), np.zeros((3, 2)), np.zeros((2, 2, 2), complex))
 WRONG = {
     "complementarity, a matrix too small": lambda: solve_complementarity(np.eye(2), np.ones(3)),
     "complementarity, a guess too short": lambda: solve_complementarity(
@@ -71,6 +71,8 @@ WRONG = {
     ),
     "intervals, an even number of rows": lambda: contact_intervals(np.ones((4, 2)), TWO),
     "intervals, other pairs": lambda: contact_intervals(np.ones((3, 5)), TWO),
+    "coupled forces, other harmonics": lambda: BEHIND.linearise(np.ones((5, 2))),
+    "coupled forces, another change": lambda: BEHIND.linearise(np.ones((3, 2))).apply(np.ones(6)),
     "sets, a compliance not square": lambda: ActiveSets(np.ones((3, 2))),
     "sets, other pairs": lambda: TWO.solve(np.ones((4, 3))),
     "sets, a guess too short": lambda: TWO.solve(np.ones((4, 2)), np.ones((3, 2), bool)),
@@ -80,8 +82,8 @@ WRONG = {
     "columns, an even number of rows": lambda: respond_to_columns(
         np.ones((3, 2, 2)), np.ones((2, 4, 5))
     ),
-    "system, fewer stiffnesses": lambda: CompiledSystem(
-        np.ones(1), np.zeros((3, 2)), np.zeros((2, 2, 2), complex)
+    "system, fewer stiffnesses": lambda: CompiledEquations(
+        None, np.ones(1), np.zeros((3, 2)), np.zeros((2, 2, 2), complex)
     ),
     "system, another point": lambda: SYSTEM.linearise(np.ones((5, 2)), 1.0),
     "system, another right side": lambda: SYSTEM.linearise(np.ones((3, 2)), 1.0).solve(np.ones(4)),

@@ -1,16 +1,13 @@
-"""Condensed equations whose paths are followed by the compiled kernel.
+"""Contact equations whose paths are followed by the compiled kernel.
 
-Pairs that nothing couples, with a unilateral penalty integrated exactly, and pairs that are seen
-through a static compliance, with laws that are piecewise linear:
+    F(s, p) = s - g_lin(p) + (R(p) - R_inf) b(lambda(s), p) = 0
 
-    F(g, p) = g - g_lin(p) + R(p) b(g, p) = 0,
-    F(s, p) = s - g_lin(p) + (R(p) - R_inf) b(lambda(s), p) = 0,
-
-where along p the contact stiffness grows like e^(growth p), g_lin linearly, a softness in series
-with the pairs falls, or the base frequency and the damping of modes change, R and g_lin following
-from them (``kernel/compliance.h``, ``condensed.h``, ``coupled.h``). From 100 unknowns on points of
-uncoupled pairs share LU factors there (``kernel/broyden.h``), and are those of the loops to about
-1e-6 of a step; those of coupled ones are found by products with J (``kernel/krylov.h``).
+of :mod:`contact_system`, with exact integrals of the contact forces. Along p the contact stiffness
+grows like e^(growth p), g_lin linearly, a softness in series with the pairs falls, or the base
+frequency and the damping of modes change, R and g_lin following from them
+(``kernel/compliance.h``, ``contact.h``). From 100 unknowns on points of pairs that nothing couples
+share LU factors there (``kernel/broyden.h``), and are those of the loops to about 1e-6 of a step;
+those of coupled ones are found by products with J (``kernel/krylov.h``).
 """
 
 from __future__ import annotations
@@ -25,7 +22,7 @@ from fenics_crack.kernel import Struct, doubles, kernel, owned, shaped
 from fenics_crack.numerics.equations import Equations
 from fenics_crack.numerics.linearisation import Linearisation
 
-__all__ = ["CompiledCoupled", "CompiledEquations", "CompiledSystem", "ModalPart"]
+__all__ = ["SHARP", "CompiledEquations", "ModalPart"]
 
 
 SHARP = 1e-9
@@ -57,7 +54,7 @@ def seen_structure(
     linear: np.ndarray, compliance: np.ndarray | ModalPart, linear_rate: np.ndarray | None = None
 ) -> Struct:
     """What the kernel's equations share: g_lin and R along a parameter, of the arguments of
-    :class:`CompiledSystem`."""
+    :class:`CompiledEquations`."""
     rows, pairs = linear.shape
     rate = np.zeros_like(linear) if linear_rate is None else linear_rate
     known: dict[str, Any] = {"harmonics": rows // 2, "pairs": pairs}
@@ -82,29 +79,58 @@ def seen_structure(
 
 
 class CompiledEquations(Equations):
-    """Equations F(x, p) = 0 of the kernel at a point.
+    """F(s, p) = 0 of contact pairs.
 
     Parameters
     ----------
-    given : Struct
-        What the kernel makes its point from.
-    shape : tuple
-        Of the unknowns.
-    make, free, equations, largest : functions of the kernel
+    residual : (n_pairs, n_pairs) [m/N] or None
+        R_inf.
+    springs : (n_pairs,) [m/N]
+        1 / k at p = 0.
+    linear : (2H+1, n_pairs) [m]
+        g_lin at p = 0, without the part of modes.
+    compliance : (H+1, n_pairs, n_pairs) complex or ModalPart
+        R_k - R_inf, or what it follows from.
+    coupled : bool
+        Whether R_inf has more than a diagonal.
+    basis : (n_pairs, n), optional
+        U where modes are fewer than coupled pairs.
+    formed : bool
+        Whether J is formed; else solutions take products with it, and its sign is nan.
+    linear_rate : (2H+1, n_pairs) [m], optional
+        d g_lin / dp, without the part of modes.
+    growth : float
+        d ln k / dp.
+    softness : float [m/N]
+        That in series with each pair is ``softness`` |1 - p|^3.
     """
 
     def __init__(
         self,
-        given: Struct,
-        shape: tuple[int, ...],
-        make: Any,
-        free: Any,
-        equations: Any,
-        largest: Any,
+        residual: np.ndarray | None,
+        springs: np.ndarray,
+        linear: np.ndarray,
+        compliance: np.ndarray | ModalPart,
+        *,
+        coupled: bool = False,
+        basis: np.ndarray | None = None,
+        formed: bool = True,
+        linear_rate: np.ndarray | None = None,
+        growth: float = 0.0,
+        softness: float = 0.0,
     ) -> None:
-        self._given, self.shape, self._largest = given, shape, largest
-        self._point = owned(make(given.at), free)
-        self.table = equations(self._point)
+        self.shape = linear.shape
+        pairs = self.shape[1]
+        gaps = pairs if basis is None else basis.shape[1]
+        at_once = np.zeros((pairs, pairs)) if residual is None else residual
+        self._given = Struct(
+            "contact_pairs", seen=seen_structure(linear, compliance, linear_rate), growth=growth,
+            softness=softness, coupled=coupled, residual=shaped(at_once, pairs, pairs),
+            springs=shaped(springs, pairs), seen_gaps=gaps, formed=formed,
+            basis=None if basis is None else shaped(basis, pairs, gaps),
+        )  # fmt: skip
+        self._point = owned(kernel.new_contact_point(self._given.at), kernel.free_contact_point)
+        self.table = kernel.equations_of_contact(self._point)
 
     def linearise(self, unknown: np.ndarray, parameter: float) -> CompiledPoint:
         """The equations at a point."""
@@ -122,93 +148,12 @@ class CompiledEquations(Equations):
         return found
 
     def largest_compliance(self, parameter: float) -> float:
-        """Largest sum of abs(R_k) over a row of it at a parameter [m/N]."""
+        """Largest sum of abs(R_k - R_inf) over a row of it at a parameter [m/N]."""
         self._last = None
-        found = float(self._largest(self._point, parameter))
+        found = float(kernel.largest_moving(self._point, parameter))
         if not math.isfinite(found):
             self.check(kernel.SINGULAR_STRUCTURE)
         return found
-
-
-class CompiledSystem(CompiledEquations):
-    """F(g, p) = 0 of pairs that nothing couples.
-
-    Parameters
-    ----------
-    stiffness : (n_pairs,) [N/m]
-        k at p = 0.
-    linear : (2H+1, n_pairs) [m]
-        g_lin at p = 0, without the part of modes.
-    compliance : (H+1, n_pairs, n_pairs) complex or ModalPart
-        R, or what it follows from.
-    linear_rate : (2H+1, n_pairs) [m], optional
-        d g_lin / dp, without the part of modes.
-    growth : float
-        d ln k / dp.
-    """
-
-    def __init__(
-        self,
-        stiffness: np.ndarray,
-        linear: np.ndarray,
-        compliance: np.ndarray | ModalPart,
-        *,
-        linear_rate: np.ndarray | None = None,
-        growth: float = 0.0,
-    ) -> None:
-        seen = seen_structure(linear, compliance, linear_rate)
-        stiffness = shaped(stiffness, linear.shape[1])
-        given = Struct("condensed", seen=seen, growth=growth, stiffness=stiffness)
-        super().__init__(
-            given, linear.shape, kernel.new_point, kernel.free_point, kernel.equations_of,
-            kernel.largest_compliance,
-        )  # fmt: skip
-
-
-class CompiledCoupled(CompiledEquations):
-    """F(s, p) = 0 of pairs that are seen through a static compliance.
-
-    Parameters
-    ----------
-    residual : (n_pairs, n_pairs) [m/N]
-        R_inf.
-    springs : (n_pairs,) [m/N]
-        1 / k at p = 0.
-    basis : (n_pairs, n) or None
-        U where modes are fewer than pairs.
-    linear, compliance, linear_rate, growth
-        As of :class:`CompiledSystem`, R_k - R_inf in the place of R.
-    softness : float [m/N]
-        That in series with each pair is ``softness`` |1 - p|^3.
-    formed : bool
-        Whether J is formed; else solutions take products with it, and its sign is nan.
-    """
-
-    def __init__(
-        self,
-        residual: np.ndarray,
-        springs: np.ndarray,
-        basis: np.ndarray | None,
-        linear: np.ndarray,
-        compliance: np.ndarray | ModalPart,
-        *,
-        linear_rate: np.ndarray | None = None,
-        growth: float = 0.0,
-        softness: float = 0.0,
-        formed: bool = True,
-    ) -> None:
-        pairs = linear.shape[1]
-        gaps = pairs if basis is None else basis.shape[1]
-        given = Struct(
-            "coupled", seen=seen_structure(linear, compliance, linear_rate), growth=growth,
-            softness=softness, formed=formed, residual=shaped(residual, pairs, pairs),
-            seen_gaps=gaps, springs=shaped(springs, pairs),
-            basis=None if basis is None else shaped(basis, pairs, gaps),
-        )  # fmt: skip
-        super().__init__(
-            given, linear.shape, kernel.new_coupled_point, kernel.free_coupled_point,
-            kernel.equations_of_coupled, kernel.largest_moving,
-        )  # fmt: skip
 
 
 class CompiledPoint(Linearisation):

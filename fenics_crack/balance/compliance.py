@@ -31,10 +31,9 @@ __all__ = [
     "Compliance",
     "FactoredCompliance",
     "ModalCompliance",
-    "WidenedCompliance",
+    "ResizedCompliance",
     "dynamic_compliance",
     "load_coefficients",
-    "narrowed",
 ]
 
 
@@ -276,42 +275,18 @@ class FactoredCompliance:
         collect_garbage(self.structure.comm)
 
 
-class WidenedCompliance:
-    """A compliance with more harmonics, the new ones to the accuracy of an error estimate."""
-
-    def __init__(self, compliance: Compliance, harmonics: int) -> None:
-        self.matrices = np.concatenate([compliance.matrices, compliance.beyond(harmonics)])
-        self.linear_gap = resized(compliance.linear_gap, harmonics)
-        self.basis, self.highest = compliance.basis, compliance.highest
-        self.beyond = compliance.beyond
-        self.displacement = compliance.displacement
-        self.destroy = compliance.destroy
-
-
-class NarrowedCompliance:
-    """A compliance with fewer harmonics."""
+class ResizedCompliance:
+    """A compliance with fewer harmonics, or with more, the new ones to the accuracy of an error
+    estimate."""
 
     def __init__(self, compliance: Compliance, harmonics: int) -> None:
         self.matrices = compliance.matrices[: harmonics + 1]
-        self.linear_gap = compliance.linear_gap[: 2 * harmonics + 1]
-        self._whole, self.basis = compliance.matrices, compliance.basis
-        self.highest = compliance.highest
+        if len(self.matrices) <= harmonics:
+            self.matrices = np.concatenate([self.matrices, compliance.beyond(harmonics)])
+        self.linear_gap = resized(compliance.linear_gap, harmonics)
+        self.basis, self.highest = compliance.basis, compliance.highest
+        self.beyond = compliance.beyond
         self.displacement, self.destroy = compliance.displacement, compliance.destroy
-        self._further = compliance.beyond
-
-    def beyond(self, highest: int) -> np.ndarray:
-        """R_k for k = H+1 to ``highest``, among those known or as the whole compliance has them."""
-        known = self._whole[len(self.matrices) : highest + 1]
-        if highest < len(self._whole):
-            return known
-        return np.concatenate([known, self._further(highest)])
-
-
-def narrowed(compliance: Compliance, harmonics: int) -> Compliance:
-    """A compliance with at most so many harmonics."""
-    if len(compliance.matrices) == harmonics + 1:
-        return compliance
-    return NarrowedCompliance(compliance, harmonics)
 
 
 def _basis(structure: Structure) -> np.ndarray:

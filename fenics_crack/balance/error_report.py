@@ -10,11 +10,11 @@ J of F(g) = g + R b(g) - g_lin at the solution, and a disturbance d of b,
   collocation this is the aliasing;
 - reduction: R lacks delta R, known from a larger basis: R d becomes delta R b - delta g_lin.
 
-Truncation, and reduction where pairs are seen through a static compliance (:mod:`coupled`), are
-what Newton's method changes with more harmonics, or with the modes of the larger basis, in as many
-steps as it takes until these are short against that. Where it does not settle, the truncation is
-the distance of the exact orbit next to the solution; where there is none, or it cannot be followed,
-the error is not known, which an estimate of 1 or more says.
+Truncation, and reduction where pairs are seen through a static compliance (:mod:`contact_system`),
+are what Newton's method changes with more harmonics, or with the modes of the larger basis, in as
+many steps as it takes until these are short against that. Where it does not settle, the truncation
+is the distance of the exact orbit next to the solution; where there is none, or it cannot be
+followed, the error is not known, which an estimate of 1 or more says.
 
 All are root mean squares over the period and the pairs, relative to that of B^T u.
 
@@ -30,20 +30,14 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.compliance import Compliance
-from fenics_crack.balance.condensed import (
-    CondensedPoint,
-    CondensedSystem,
-    ConstraintSystem,
-    respond,
-)
 from fenics_crack.balance.contact_integrals import (
     ExactIntegrals,
     SampledIntegrals,
-    apply_to_pairs,
     contact_integrals,
     default_samples,
+    respond,
 )
-from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
+from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.balance.judgement import STILL, UNKNOWN, Judgement
 from fenics_crack.balance.more_modes import more_modes
@@ -137,7 +131,7 @@ class ErrorReport(Described):
 
 
 def estimate_errors(
-    at: CondensedPoint, judged: Judgement, problem: Problem, *, search: bool = True
+    at: ContactPoint, judged: Judgement, problem: Problem, *, search: bool = True
 ) -> ErrorReport:
     """Estimate the errors of a solution, given as the equations there and by what the exact flow
     says of it; with ``search`` an orbit is looked for (collective)."""
@@ -196,13 +190,13 @@ class _Change:
     better: tuple[Structure, Compliance] | None = None
     settled: bool = True
 
-    def relative_to(self, at: CondensedPoint, clearance: np.ndarray) -> float:
+    def relative_to(self, at: ContactPoint, clearance: np.ndarray) -> float:
         """Of the gap; :data:`UNKNOWN` where that is not known."""
         return min(relative_size(self.gap, at, clearance), UNKNOWN) if self.settled else UNKNOWN
 
 
 def _of_displacement(
-    at: CondensedPoint, displacement: np.ndarray, problem: Problem, changes: list[_Change]
+    at: ContactPoint, displacement: np.ndarray, problem: Problem, changes: list[_Change]
 ) -> float:
     """Change of the displacement at the load, in the direction of each of its parts, relative to
     its root mean square: the sum of all causes."""
@@ -226,7 +220,7 @@ def _of_displacement(
     return total
 
 
-def relative_size(change: np.ndarray, at: CondensedPoint, clearance: np.ndarray) -> float:
+def relative_size(change: np.ndarray, at: ContactPoint, clearance: np.ndarray) -> float:
     """Root mean square of a change of the gap relative to that of B^T u = g + g0; 0 where this is
     rounding, beside what it would be without contact."""
     closing, free = at.gap.copy(), at.system.compliance.linear_gap.copy()
@@ -237,7 +231,7 @@ def relative_size(change: np.ndarray, at: CondensedPoint, clearance: np.ndarray)
     return 0.0 if still else float(np.sqrt(mean_square(change) / size))
 
 
-def beyond_truncation(at: CondensedPoint) -> _Change:
+def beyond_truncation(at: ContactPoint) -> _Change:
     """What K > H harmonics change, K = :func:`_more_harmonics`, by Newton's method: for laws and
     structures whose exact flow is not at hand.
 
@@ -251,16 +245,14 @@ def beyond_truncation(at: CondensedPoint) -> _Change:
     return found if found.settled else _by_shortened_steps(at, wide) or found
 
 
-def _by_shortened_steps(
-    at: CondensedPoint, wide: CondensedSystem | ConstraintSystem | CoupledSystem
-) -> _Change | None:
+def _by_shortened_steps(at: ContactPoint, wide: ContactSystem) -> _Change | None:
     """The change by steps that are shortened where the residual would grow; None where they do not
     arrive, or are many."""
-    if wide.global_size > MANY or isinstance(wide, CoupledSystem):
+    if wide.global_size > MANY or wide.integrals.coupled:
         return None
     found = solve_in_plane(
         wide, resized(at.unknown, wide.integrals.harmonics),
-        float(isinstance(wide, ConstraintSystem)), None,
+        wide.end, None,
         tolerance=SOLVED, iterations=ITERATIONS, least_damping=SHORTEST,
     )  # fmt: skip
     if found is None:
@@ -270,17 +262,17 @@ def _by_shortened_steps(
     return _Change(gap, there.force[: len(at.gap)] - at.force)
 
 
-def _goes_on(first: CondensedPoint, step: np.ndarray, again: np.ndarray, known: np.ndarray) -> bool:
+def _goes_on(first: ContactPoint, step: np.ndarray, again: np.ndarray, known: np.ndarray) -> bool:
     """Whether a third step with the first Jacobian is shorter than the second, if that is not very
     short: next to grazing two steps may lead to where there is no solution at all."""
     if np.linalg.norm(again) < SURE * np.linalg.norm(step):
         return True
     there = first.system.linearise(first.unknown + step + again)
-    third = first.solve_roughly(known - there.residual)
+    third = first.solve(known - there.residual)
     return bool(np.linalg.norm(third) < 0.5 * np.linalg.norm(again))
 
 
-def _more_harmonics(at: CondensedPoint) -> int:
+def _more_harmonics(at: ContactPoint) -> int:
     """With how many harmonics the truncation is judged: four times as many, of many unknowns as
     many as these allow, at least twice."""
     kept, pairs = at.system.integrals.harmonics, at.unknown.shape[1]
@@ -288,7 +280,7 @@ def _more_harmonics(at: CondensedPoint) -> int:
 
 
 def _improvement(
-    system: CondensedSystem | ConstraintSystem | CoupledSystem,
+    system: ContactSystem,
     start: np.ndarray,
     rows: int,
     better: tuple[Structure, Compliance] | None = None,
@@ -306,23 +298,23 @@ def _improvement(
     known = first.residual.copy()
     known[solved:] = 0.0
 
-    def change_to(point: CondensedPoint, settled: bool = True) -> _Change:
+    def change_to(point: ContactPoint, settled: bool = True) -> _Change:
         gap, force = point.gap - first.gap, (point.force - first.force)[:rows]
         return _Change(gap, force, better, settled)
 
-    step = first.solve_roughly(known - first.residual)
+    step = first.solve(known - first.residual)
     length = float(np.linalg.norm(step))
     if not length > NOTHING * np.linalg.norm(start):
         return _Change(first.gap_of(step), first.force_of(step)[:rows], better)
     point = system.linearise(start + step)
-    again = first.solve_roughly(known - point.residual)
+    again = first.solve(known - point.residual)
     if np.linalg.norm(again) < CALM * length and _goes_on(first, step, again, known):
         step = step + again
         return _Change(first.gap_of(step), first.force_of(step)[:rows], better)
     if start.size > SLOW and np.linalg.norm(again) > length:
         return change_to(point, settled=False)
     for _ in range(most):
-        step = point.solve_roughly(known - point.residual)
+        step = point.solve(known - point.residual)
         if not np.all(np.isfinite(step)):
             break
         point = system.linearise(point.unknown + step)
@@ -331,7 +323,7 @@ def _improvement(
     return change_to(point, settled=False)
 
 
-def _missed_by_samples(at: CondensedPoint) -> np.ndarray:
+def _missed_by_samples(at: ContactPoint) -> np.ndarray:
     """Better coefficients of the contact force less those used."""
     integrals, gap = at.system.integrals, at.gap
     if isinstance(integrals, CoupledIntegrals):
@@ -342,51 +334,49 @@ def _missed_by_samples(at: CondensedPoint) -> np.ndarray:
             if integrals.piecewise
             else 4 * (integrals.samples or default_samples(integrals.harmonics))
         )
-        return replace(integrals, samples=finer).linearise(at.unknown).force - at.force
+        return replace(integrals, samples=finer).force(at.unknown) - at.force
     if not isinstance(integrals, SampledIntegrals):
         return np.zeros_like(gap)
     law, harmonics, samples = integrals.law, integrals.harmonics, None
     if not is_piecewise_linear(law):
         samples = max(4 * integrals.samples, default_samples(harmonics))
-    return contact_integrals(law, harmonics, samples).force(gap) - integrals.force(gap)
+    return contact_integrals(law, harmonics, samples).force(gap) - at.force
 
 
-def _lost_in_reduction(at: CondensedPoint, problem: Problem) -> _Change:
+def _lost_in_reduction(at: ContactPoint, problem: Problem) -> _Change:
     """What the compliance of the reduced structure's reference changes."""
     structure, rows = problem.structure, len(at.gap)
     reference = structure.reference if isinstance(structure, ReducedStructure) else None
     if reference is None:
         return _Change(np.zeros_like(at.gap), np.zeros_like(at.gap))
     other = replace(problem, structure=reference)
-    if isinstance(at, CoupledPoint):
+    if at.system.integrals.coupled:
         other = replace(other, static_above=problem.cutoff)
         residual = at.system.residual
         if is_rigid(problem.contact) and not is_regular(
             all_modes(reference).static_part(problem.cutoff)
         ):
+            assert residual is not None
             nearly = STIFF * len(residual) / np.trace(residual)
             other = replace(other, contact=UnilateralPenalty(float(nearly)))
         compliance = other.compliance()
         system = other.system(compliance)
-        assert isinstance(system, CoupledSystem)
+        assert system.residual is not None
         start = at.gap + at.force @ system.residual
         return _improvement(system, start, rows, (reference, compliance))
     better, used = other.compliance(), at.system.compliance
     free = better.linear_gap - used.linear_gap
-    gap = at.gap_by_linear_gap(free - respond(better.matrices - used.matrices, at.force))
-    force = np.zeros_like(gap)
-    if isinstance(at.system, CondensedSystem):
-        force = apply_to_pairs(at.tangent, gap)
-    return _Change(gap, force, (reference, better))
+    moved = at.solve(free - respond(better.matrices - used.matrices, at.force))
+    return _Change(at.gap_of(moved), at.force_of(moved), (reference, better))
 
 
-def _penetration(at: CondensedPoint) -> np.ndarray:
+def _penetration(at: ContactPoint) -> np.ndarray:
     """Coefficients whose mean square is that of max(g, 0)."""
     integrals, gap = at.system.integrals, at.gap
     if isinstance(integrals, CoupledIntegrals):
         inside = at.force / np.asarray(integrals.law.stiffness)  # but of a smoothed law
         return np.sqrt(inside[:1] ** 2 + 0.5 * np.sum(inside[1:] ** 2, axis=0, keepdims=True))
-    if isinstance(at.system, CondensedSystem) and isinstance(integrals, ExactIntegrals):
+    if isinstance(integrals, ExactIntegrals) and integrals.residual is None:
         # lambda / k = max(g, 0), whose mean square is the mean of g lambda / k.
         inside = at.force / integrals.law.stiffness
         product = gap[0] * inside[0] + 0.5 * np.sum(gap[1:] * inside[1:], axis=0)

@@ -17,11 +17,11 @@ import numpy as np
 
 from fenics_crack.balance.compiled import CompiledEquations
 from fenics_crack.balance.compliance import ModalCompliance
-from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, respond
-from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
+from fenics_crack.balance.contact_integrals import respond
+from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.problem import Problem
 from fenics_crack.errors import InputError, check_number, check_omega
-from fenics_crack.model.contact import ContactLaw, is_rigid
+from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.run_up import RunUpStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.rounding import least_residual
@@ -38,13 +38,13 @@ class Family(ABC):
     def __init__(self, problem: Problem, start: float, end: float) -> None:
         if problem.static_above is None:
             problem = problem.seen_alike(self._cutoff(problem, start, end))
-        if is_rigid(problem.contact) and problem.residual is None:
+        if problem.projected:
             allowed = 'a penalty, or a structure of reduce_structure(method="massless")'
             raise InputError("contact", problem.contact, allowed)
         self.problem, self.start, self.end = problem, start, end
         self._compliance = ModalCompliance(problem.structure, problem.base_omega, problem.load)
-        self._last: tuple[float, CondensedSystem | CoupledSystem] | None = None
-        self._first: CondensedSystem | CoupledSystem | None = None
+        self._last: tuple[float, ContactSystem] | None = None
+        self._first: ContactSystem | None = None
         first = self.system(start)
         self.comm, self.shape, self.global_size = first.comm, first.shape, first.global_size
         self.matrix_free = first.matrix_free
@@ -103,17 +103,17 @@ class Family(ABC):
         """The family's own problem where the parameter has a value."""
         return self.vary(self.problem, value)
 
-    def _make(self, value: float) -> CondensedSystem | CoupledSystem:
+    def _make(self, value: float) -> ContactSystem:
         compliance = self.compliance(value)
         if self._first is None:
             self._first = self.problem.system(compliance)
         return self._first.with_compliance(compliance)
 
     @abstractmethod
-    def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
+    def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
         """dF/dv."""
 
-    def system(self, value: float) -> CondensedSystem | CoupledSystem:
+    def system(self, value: float) -> ContactSystem:
         """The equations where the parameter has a value; the last ones are kept."""
         if self._last is None or self._last[0] != value:
             self._last = value, self._make(value)
@@ -136,10 +136,10 @@ class Family(ABC):
         return self._compile(system) if system.in_kernel else None
 
     @abstractmethod
-    def _compile(self, first: CondensedSystem | CoupledSystem) -> CompiledEquations | None:
+    def _compile(self, first: ContactSystem) -> CompiledEquations | None:
         """The kernel's equations, from the system at p = 0."""
 
-    def linearise(self, unknown: np.ndarray, parameter: float) -> CondensedPoint:
+    def linearise(self, unknown: np.ndarray, parameter: float) -> ContactPoint:
         value = self.value(parameter)
         rate = self.rate(value)
         return self.system(value).along(unknown, lambda at: rate * self._by_value(value, at))
@@ -161,18 +161,13 @@ class Family(ABC):
         return least_residual(4.0 * largest * self.steepest_force)
 
     def _with_modes(
-        self,
-        first: CondensedSystem | CoupledSystem,
-        omega: tuple[float, float],
-        damping: tuple[float, float],
+        self, first: ContactSystem, omega: tuple[float, float], damping: tuple[float, float]
     ) -> CompiledEquations | None:
         """The kernel's equations along base frequencies, or factors of the damping."""
         modal = self._compliance.modal_part(omega, damping, self.problem.residual)
         return None if modal is None else first.compile(self._compliance.still_gap, modal)
 
-    def _with_linear_rate(
-        self, first: CondensedSystem | CoupledSystem, by_value: np.ndarray
-    ) -> CompiledEquations:
+    def _with_linear_rate(self, first: ContactSystem, by_value: np.ndarray) -> CompiledEquations:
         """The same where g_lin alone depends on the parameter, and linearly."""
         rate = (self.end - self.start) * by_value
         return first.compile(first.linear, first.moving, linear_rate=rate)
@@ -200,11 +195,11 @@ class FrequencyFamily(Family):
     def omega(self, value: float) -> float:
         return value
 
-    def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
+    def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
         assert isinstance(at.system.compliance, ModalCompliance)
         return at.system.compliance.frequency_derivative(at.force) / self.problem.subharmonic
 
-    def _compile(self, first: CondensedSystem | CoupledSystem) -> CompiledEquations | None:
+    def _compile(self, first: ContactSystem) -> CompiledEquations | None:
         base = self.start / self.problem.subharmonic
         rate = (self.end - self.start) / self.problem.subharmonic
         return self._with_modes(first, (base, rate), (1.0, 0.0))
@@ -237,10 +232,10 @@ class LoadFamily(_VariedFamily):
             allowed = "another one: the structure rotates, and its mean load is partly centrifugal"
             raise InputError("parameter", "load", allowed)
 
-    def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
+    def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
         return self._compliance.load_derivative()
 
-    def _compile(self, first: CondensedSystem | CoupledSystem) -> CompiledEquations:
+    def _compile(self, first: ContactSystem) -> CompiledEquations:
         return self._with_linear_rate(first, -self._compliance.load_derivative())
 
 
@@ -255,11 +250,11 @@ class DampingFamily(_VariedFamily):
         if structure.damping is None:
             raise InputError("parameter", "damping", "another one: the structure has no damping")
 
-    def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
+    def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
         assert isinstance(at.system.compliance, ModalCompliance)
         return at.system.compliance.damping_derivative(at.force)
 
-    def _compile(self, first: CondensedSystem | CoupledSystem) -> CompiledEquations | None:
+    def _compile(self, first: ContactSystem) -> CompiledEquations | None:
         damping = (self.start, self.end - self.start)
         return self._with_modes(first, (self.problem.base_omega, 0.0), damping)
 
@@ -269,12 +264,12 @@ class ClearanceFamily(_VariedFamily):
 
     name = "clearance"
 
-    def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
+    def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
         change = np.zeros_like(at.gap)
         change[0] = 1.0
         return change
 
-    def _compile(self, first: CondensedSystem | CoupledSystem) -> CompiledEquations:
+    def _compile(self, first: ContactSystem) -> CompiledEquations:
         change = np.zeros_like(first.linear)
         change[0] = -1.0
         return self._with_linear_rate(first, change)
@@ -298,15 +293,13 @@ class StiffnessFamily(Family):
     def vary(cls, problem: Problem, value: float) -> Problem:
         return replace(problem, contact=problem.contact.scaled(value))
 
-    def _make(self, value: float) -> CondensedSystem | CoupledSystem:
+    def _make(self, value: float) -> ContactSystem:
         return self.at(value).system(self._compliance)
 
-    def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
-        if isinstance(at, CoupledPoint):
-            return respond(at.system.moving, at.forces.by_stiffness()) / value
-        return respond(self._compliance.matrices, at.force) / value  # b is proportional to v
+    def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
+        return respond(at.system.moving, at.forces.by_stiffness()) / value
 
-    def _compile(self, first: CondensedSystem | CoupledSystem) -> CompiledEquations:
+    def _compile(self, first: ContactSystem) -> CompiledEquations:
         growth = float(np.log(self.end / self.start))
         return first.compile(first.linear, first.moving, growth=growth)
 
@@ -346,18 +339,18 @@ class SpeedFamily(Family):
         first = apart[0]
         return float(max(least, np.sqrt(below[first] * above[first])))
 
-    def _make(self, value: float) -> CondensedSystem | CoupledSystem:
+    def _make(self, value: float) -> ContactSystem:
         problem = self.at(value)
         compliance = ModalCompliance(problem.structure, problem.base_omega, problem.load)
         return problem.system(compliance)
 
-    def _by_value(self, value: float, at: CondensedPoint) -> np.ndarray:
+    def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
         step = DIFFERENCE * value
         ends = (self._make(v).linearise(at.unknown).residual for v in (value - step, value + step))
         below, above = ends
         return np.asarray((above - below) / (2.0 * step))
 
-    def _compile(self, first: CondensedSystem | CoupledSystem) -> CompiledEquations | None:
+    def _compile(self, first: ContactSystem) -> CompiledEquations | None:
         return None
 
 

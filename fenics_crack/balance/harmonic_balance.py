@@ -1,7 +1,8 @@
 """Steady vibration with contact: linear solution and harmonic balance.
 
-The unknowns are the Fourier coefficients of the gaps (:mod:`condensed`); the equations are balanced
-by projection on the same functions, with the contact force integrated exactly or from samples.
+The unknowns are the Fourier coefficients of the gaps (:mod:`contact_system`); the equations are
+balanced by projection on the same functions, with the contact force integrated exactly or from
+samples.
 Other forms of the method are kept for comparison in ``benchmarks/laboratory.py``.
 """
 

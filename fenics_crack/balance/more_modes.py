@@ -103,7 +103,8 @@ class MoreModes:
         slow = states[:, : flow.size // 2] @ flow.modes.pairs + self._waves(self._time) @ flow.gap
         if not np.any(flow.residual):
             return slow
-        return slow - CoupledIntegrals(flow.contact, flow.residual, 1).forces(slow) @ flow.residual
+        integrals = CoupledIntegrals(flow.contact, 1, residual=flow.residual)
+        return slow - integrals.forces(slow) @ flow.residual
 
     def _waves(self, time: np.ndarray) -> np.ndarray:
         """Of the load: mean, cosine and sine."""

@@ -27,7 +27,6 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.balance.solver import Solver
 from fenics_crack.errors import MOST_HARMONICS, ConvergenceError
-from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modal import all_modes
 from fenics_crack.numerics.bordered import point_on_path, solve_at
 from fenics_crack.numerics.fourier import resized
@@ -156,8 +155,7 @@ def _error(solution: PeriodicSolution) -> float:
 
 def _can_be_followed(problem: Problem) -> bool:
     """Whether the problem belongs to a family along the frequency."""
-    projected = is_rigid(problem.contact) and problem.residual is None
-    return not projected and not all_modes(problem.structure).ill_conditioned
+    return not problem.projected and not all_modes(problem.structure).ill_conditioned
 
 
 def _unknown(problem: Problem, solution: PeriodicSolution) -> np.ndarray:

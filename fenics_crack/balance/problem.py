@@ -8,9 +8,12 @@ from functools import cached_property
 import numpy as np
 
 from fenics_crack.balance.compliance import Compliance, dynamic_compliance, load_coefficients
-from fenics_crack.balance.condensed import CondensedSystem
-from fenics_crack.balance.contact_integrals import ContactIntegrals, contact_integrals
-from fenics_crack.balance.coupled import CoupledSystem
+from fenics_crack.balance.contact_integrals import (
+    ContactIntegrals,
+    ExactIntegrals,
+    contact_integrals,
+)
+from fenics_crack.balance.contact_system import ContactSystem, default_weight
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.errors import MAX_SAMPLES, InputError, check_count, check_number, check_omega
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
@@ -99,6 +102,12 @@ class Problem:
         default = BEYOND * self.harmonics * self.base_omega
         return default if self.static_above is None else self.static_above
 
+    @property
+    def static_cutoff(self) -> float | None:
+        """The same, None where pairs are not seen through a static compliance: what solutions keep
+        of it."""
+        return None if self.residual is None else self.cutoff
+
     @cached_property
     def residual(self) -> np.ndarray | None:
         """R_inf, the static compliance through which contact is seen; None where there is none.
@@ -130,20 +139,34 @@ class Problem:
         known = replace(self, static_above=None, omega=highest * self.subharmonic).residual
         return replace(self, static_above=np.inf if known is None else cutoff)
 
-    def coupled_integrals(self) -> CoupledIntegrals:
-        """How the contact force is integrated where pairs are seen through :attr:`residual`."""
-        assert self.residual is not None
-        return CoupledIntegrals(self.contact, self.residual, self.harmonics, self.samples)
+    @property
+    def projected(self) -> bool:
+        """Whether the constraint is balanced in frequency: that of pairs that nothing couples."""
+        return is_rigid(self.contact) and self.residual is None
 
-    def system(self, compliance: Compliance) -> CondensedSystem | CoupledSystem:
-        """The equations of all laws but a constraint of pairs that nothing couples."""
-        if self.residual is None:
-            return CondensedSystem(compliance, self.integrals())
-        return CoupledSystem(compliance, self.coupled_integrals())
+    def weighted(self, compliance: Compliance) -> Problem:
+        """The same with the weight of a projection."""
+        contact = self.contact
+        if not (is_rigid(contact) and self.projected and contact.weight is None):
+            return self
+        return replace(self, contact=replace(contact, weight=default_weight(compliance)))
+
+    def system(self, compliance: Compliance) -> ContactSystem:
+        """The equations."""
+        return ContactSystem(compliance, self.weighted(compliance).integrals())
 
     def integrals(self) -> ContactIntegrals:
-        """How the contact force is integrated."""
-        return contact_integrals(self.contact, self.harmonics, self.samples, self.subharmonic)
+        """How the contact force is integrated; that of a projection by its weight."""
+        contact, harmonics = self.contact, self.harmonics
+        if self.residual is not None:
+            return CoupledIntegrals(
+                contact, harmonics, residual=self.residual, samples=self.samples
+            )
+        if is_rigid(contact):
+            assert contact.weight is not None
+            each = np.eye(self.structure.n_pairs) / contact.weight
+            return ExactIntegrals(contact, harmonics, residual=each)
+        return contact_integrals(contact, harmonics, self.samples, self.subharmonic)
 
     def compliance(self) -> Compliance:
         """Compliance at the multiples of the base frequency, to be destroyed (collective)."""

@@ -4,14 +4,13 @@ A start gives guesses, and from each of them full Newton steps are taken:
 
 near       a given solution, or the linear one; and where shortened steps lead from there
 fewer      instead of the linear one, with many unknowns or pairs that are seen through a static
-           compliance (:mod:`coupled`): the solution with half the harmonics, which comes from that
-           with half of those, and so on
+           compliance (:mod:`contact_system`): the solution with half the harmonics, which comes
+           from that with half of those, and so on
 marched    a motion after 40, 160 and 520 periods of exponential steps in time: with it pairs begin
            that are seen through a static compliance, where their law is piecewise linear
 path       where a path of solutions has the problem, followed by arc-length through its folds,
            from where the solution is unique and close to the linear one: in the contact stiffness,
-           in the softness in series with pairs that are seen through a static compliance, or from a
-           penalty to the constraint (:class:`ConstraintSystem`)
+           or in the softness in series with pairs that are seen through a static compliance
 
 A path in the stiffness cannot return to soft contact: with enough steps it reaches every stiffness,
 unless solutions grow without bound. Several stiff pairs with little damping have thousands of folds
@@ -27,19 +26,16 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem, ConstraintSystem
-from fenics_crack.balance.contact_integrals import ExactIntegrals
-from fenics_crack.balance.coupled import CoupledSystem
+from fenics_crack.balance.contact_system import ContactSystem
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.rounding import SOFT, check_stiffness, stiffness_times_compliance
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear, is_rigid
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.model.modal import all_modes
 from fenics_crack.numerics.bordered import point_on_path, solve_at, solve_in_plane
 from fenics_crack.numerics.fourier import balanced, resized
 from fenics_crack.numerics.linearisation import Linearisation
-from fenics_crack.numerics.newton import DistributedSystem, KernelNewton, Newton
+from fenics_crack.numerics.newton import DistributedSystem, KernelNewton, Newton, newton_of
 from fenics_crack.numerics.path import Ended, Path, PathOptions, Target
 from fenics_crack.numerics.rounding import ROUNDING, least_residual
 from fenics_crack.stages import begin
@@ -52,8 +48,6 @@ MANY = 100
 """Unknowns from which fewer harmonics are quicker than full steps from the linear solution."""
 STEPS, PATIENCE = 20, 8
 """Newton steps from a guess, and those of them that may together fail to halve the residual."""
-STIFF = 10.0
-"""Stiffness of the penalty, relative to eps, from which full steps to the constraint start."""
 RUNG = 1e-5
 """|F| / |x| of a solution with fewer harmonics."""
 PERIODS, MARCHED, MOVING = 40, (1, 3, 9), 40
@@ -75,8 +69,6 @@ class Search:
 
     tolerance: float
     """|F| / |x| at which a solution is accepted; raised to what rounding allows."""
-    newton: type[Newton | KernelNewton] = Newton
-    """By which a solution is found from a guess."""
     share: float = 1.0
     """Of the iterations that may be taken."""
     converged: bool = False
@@ -84,7 +76,8 @@ class Search:
     iterations: int = 0
     """Newton iterations, all attempts together."""
     history: list[float] = field(default_factory=list)
-    """|F| of every Newton iteration with all harmonics."""
+    """|F| of every iteration by SNES: where the kernel has the equations, of a last attempt that
+    failed."""
     attempts: list[str] = field(default_factory=list)
     """What was tried and how it ended."""
     _rounding: float = ROUNDING
@@ -105,10 +98,10 @@ class Search:
 
     def penalty(
         self,
-        system: CondensedSystem,
+        system: ContactSystem,
         start: np.ndarray | None = None,
         problem: Problem | None = None,
-        with_harmonics: Callable[[int], CondensedSystem] | None = None,
+        with_harmonics: Callable[[int], ContactSystem] | None = None,
     ) -> Linearisation:
         """Solve for a law that gives the force from the gap; return the equations there.
 
@@ -133,26 +126,20 @@ class Search:
 
     def coupled(
         self,
-        with_harmonics: Callable[[int], CoupledSystem],
+        with_harmonics: Callable[[int], ContactSystem],
         problem: Problem,
         start: np.ndarray | None,
     ) -> Linearisation:
         """Solve for pairs that are seen through a static compliance; return the equations there."""
         system = with_harmonics(problem.harmonics)
         starts = [] if start is None else [self._full(system, start, 1.0)]
-        if is_piecewise_linear(problem.contact) or is_rigid(problem.contact):
+        if system.integrals.coupled and system.integrals.exact:
             starts.append(self._marched(system, problem))
         starts.append(self._fewer(with_harmonics, problem, 1.0))
-        soft = system.softened(system.enough)
+        soft = system.softened()
         path = self._path(soft, soft.linear, (0.0, 1.0), NARROW)
         return self._solve(system, 1.0, [*starts, ("path in the softness", path)])
 
-    def constraint(self, system: ConstraintSystem, start: np.ndarray | None) -> Linearisation:
-        """Solve without penetration; return the equations there."""
-        starts = [] if start is None else [self._full(system, start, 1.0)]
-        starts.append((f"from a penalty of {STIFF:g} weights", self._penalised(system, STIFF)))
-        starts.append(("path from a penalty to the constraint", self._hardened(system)))
-        return self._solve(system, 1.0, starts)
 
     def _solve(
         self, system: DistributedSystem, parameter: float, starts: list[Start]
@@ -160,7 +147,7 @@ class Search:
         """The equations where Newton's method arrives, or where it was last."""
         self._most = self.share * _iterations(system)
         at: Linearisation | None = None
-        with self.newton(system) as newton:
+        with newton_of(system) as newton:
             for name, guesses in starts:
                 begin(name)
                 before = self.iterations
@@ -176,7 +163,12 @@ class Search:
                 if self.converged:
                     break
             self.history += newton.history
-        return at or system.linearise(np.zeros(system.shape), parameter)
+        at = at or system.linearise(np.zeros(system.shape), parameter)
+        if not self.converged and isinstance(newton, KernelNewton):  # for the record
+            with Newton(system) as newton:
+                at, self.converged, _ = newton.solve(at.unknown, parameter, self.tolerance, STEPS)
+                self.history += newton.history
+        return at
 
     @property
     def _spent(self) -> bool:
@@ -228,7 +220,7 @@ class Search:
 
         return "from fewer harmonics", guesses()
 
-    def _marched(self, system: CoupledSystem, problem: Problem) -> Start:
+    def _marched(self, system: ContactSystem, problem: Problem) -> Start:
         """The slow gap of a motion after more and more periods."""
 
         def guesses() -> Iterator[np.ndarray]:
@@ -245,6 +237,7 @@ class Search:
                         for _ in range(more):
                             state = flow.advance(state, PERIODS * periods).states[-1]
                         last = flow.advance(state, periods)
+                        assert system.residual is not None
                         slow = last.gap + last.forces[:-1] @ system.residual
                     yield from self._near(system, balanced(slow, harmonics), 1.0)
             except ConvergenceError:
@@ -277,31 +270,11 @@ class Search:
         if path.ended is Ended.MET:
             yield path.last.unknown
 
-    def _penalised(self, system: ConstraintSystem, factor: float) -> Iterator[np.ndarray]:
-        """The unknowns that stand for the contact force of a penalty, relative to the weight."""
-        law = UnilateralPenalty(factor * system.weight)
-        integrals = ExactIntegrals(law, system.integrals.harmonics)
-        search = Search(self.tolerance, self.newton, 0.5 * self.share)
-        at = search.penalty(CondensedSystem(system.compliance, integrals))
-        self.iterations += search.iterations
-        self.history += search.history
-        self.attempts += [f"penalty of {factor:g} weights, {tried}" for tried in search.attempts]
-        if search.converged:
-            assert isinstance(at, CondensedPoint)
-            yield system.from_force(at.force)
-
-    def _hardened(self, system: ConstraintSystem) -> Iterator[np.ndarray]:
-        """Where the path from a penalty as stiff as the weight ends."""
-        for start in self._penalised(system, 1.0):
-            yield from self._path(system, start, (0.0, 1.0), NARROW)
-
 
 def _iterations(system: DistributedSystem) -> float:
     """How many a search may take: they cost like the square of the unknowns where the kernel has
-    them, and twice as much with the constraint."""
+    them."""
     dense = COMPILED * (300.0 / max(MANY, system.global_size)) ** 2
-    if isinstance(system, ConstraintSystem):
-        return 0.5 * min(COMPILED, dense)
     if getattr(system, "in_kernel", False):
         return dense
     return INTERPRETED if system.matrix_free else min(INTERPRETED, dense)

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from fenics_crack.balance.condensed import CondensedPoint
+from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.error_report import ErrorReport, estimate_errors
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
 from fenics_crack.balance.judgement import Judgement
@@ -199,7 +199,7 @@ class PeriodicSolution(Wave, Described):
 
 
 def solution_of(
-    problem: Problem, at: CondensedPoint, *, status: str, search: bool = True, reported: bool = True
+    problem: Problem, at: ContactPoint, *, status: str, search: bool = True, reported: bool = True
 ) -> PeriodicSolution:
     """The solution that belongs to a point of the condensed equations (collective).
 
@@ -215,7 +215,7 @@ def solution_of(
         at.force,
         problem.subharmonic,
         status=status,
-        static_above=None if problem.residual is None else problem.cutoff,
+        static_above=problem.static_cutoff,
     )
     if not reported:
         return found

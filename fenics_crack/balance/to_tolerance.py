@@ -217,7 +217,7 @@ def _wave(problem: Problem, orbit: PeriodicOrbit, known: OrbitCoefficients) -> P
     found = PeriodicSolution(
         problem.structure, problem.omega, problem.contact, known.displacement[rows],
         known.gap[rows], known.force[rows], problem.subharmonic,
-        static_above=None if problem.residual is None else problem.cutoff,
+        static_above=problem.static_cutoff,
     )  # fmt: skip
     return replace(found, judged=Judgement(found.judged.wave, orbit))
 

@@ -77,7 +77,8 @@ class Wave:
         if self.contact is None:
             return np.zeros_like(gap)
         if self.residual is not None:
-            return CoupledIntegrals(self.contact, self.residual, self.harmonics).forces(gap)
+            integrals = CoupledIntegrals(self.contact, self.harmonics, residual=self.residual)
+            return integrals.forces(gap)
         force = evaluate(self.force_coefficients, self.base_omega, time)
         return force_in_time(self.contact, gap, force)
 

@@ -2,8 +2,8 @@
 
 Folds and branch points are found as the curve is followed (:mod:`fenics_crack.numerics.path`); the
 latter by the sign of det J, so only where J is formed
-(:data:`fenics_crack.balance.coupled.MATRIX_FREE`). Where multipliers leave the unit circle is asked
-when the curve is judged (:func:`judge_curve`).
+(:data:`fenics_crack.balance.contact_system.MATRIX_FREE`). Where multipliers leave the unit circle
+is asked when the curve is judged (:func:`judge_curve`).
 
 Sources: Keller, in Applications of Bifurcation Theory, 1977; Seydel, Practical Bifurcation and
 Stability Analysis, chapters 4, 5 and 7.

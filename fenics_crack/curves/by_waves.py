@@ -96,7 +96,7 @@ def _located(curve: ResponseCurve, place: int, kind: str) -> tuple[float, np.nda
 def _monodromy(family: Family, at: PathPoint) -> np.ndarray:
     """M of the wave at a point."""
     problem = family.at(family.value(at.parameter))
-    above = None if problem.residual is None else problem.cutoff
+    above = problem.static_cutoff
     return monodromy(problem.structure, problem.contact, at.unknown, problem.base_omega, above)
 
 

@@ -212,7 +212,7 @@ class Continuation:
             samples=problem.samples,
             subharmonic=problem.subharmonic,
             branch=self._branch,
-            static_above=None if problem.residual is None else problem.cutoff,
+            static_above=problem.static_cutoff,
         )
         return replace(curve, bifurcations=curve.expand_bifurcations(self._special))
 
@@ -376,9 +376,7 @@ def _first_solution(
         if initial is not None:
             check_initial(first, initial)
         solver = Solver(first)
-        if tolerance is None and (quick := solver.solve_in_kernel(family, initial)) is not None:
-            return family, *quick
-        initial = solver.solve(initial)
+        initial = solver.solve(initial, reported=tolerance is not None)
         more = more_harmonics(count, initial.report.truncation, tolerance)
         if more is None:
             return family, initial.slow_gap_coefficients, initial.iterations

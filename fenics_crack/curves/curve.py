@@ -12,8 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fenics_crack.balance.compliance import ModalCompliance
-from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem
-from fenics_crack.balance.coupled import CoupledPoint
+from fenics_crack.balance.contact_system import ContactPoint
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.family import FAMILIES, Family
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
@@ -21,10 +20,11 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.curves.points import CurvePoint, Points
 from fenics_crack.errors import InputError
-from fenics_crack.model.contact import ContactLaw, force_in_time
+from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import evaluate
+from fenics_crack.stability.floquet import floquet
 from fenics_crack.table import (
     Described,
     Tabular,
@@ -175,7 +175,8 @@ class ResponseCurve(Tabular):
         imaginary part; with ``stability=True``. Of exact orbits it is interpolated between some of
         them, and nan where none is the point's own (:func:`judge_curve`).
     undecided : (n,) bool or None
-        Where the stability is left open (:func:`judge_curve`); None: not judged.
+        Where the stability is left open (:func:`judge_curve`), for a :meth:`reason`; None: not
+        judged.
     branch : bool
         Whether :func:`follow_branch` has followed it.
     static_above : float or None
@@ -229,6 +230,20 @@ class ResponseCurve(Tabular):
     def _open(self) -> np.ndarray:
         """Where the stability is undecided: (n,) bool."""
         return np.zeros(len(self), dtype=bool) if self.undecided is None else self.undecided
+
+    def reason(self, index: int) -> str:
+        """Why the stability is undecided at a point, and what to do; "" where it is decided.
+
+        It is what :func:`fenics_crack.floquet` says of the point's solution by itself.
+        """
+        if not self._open[index]:
+            return ""
+        solution = self.solution(index)
+        alone = floquet(solution.structure, solution)
+        return alone.reason or (
+            f"by itself it is {alone.verdict}, but orbits beside it along the curve are others, or "
+            "on another side of a bifurcation; more harmonics tell these apart"
+        )
 
     @property
     def problem(self) -> Problem:
@@ -334,7 +349,8 @@ class ResponseCurve(Tabular):
 
     def gaps_in_time(self, places: np.ndarray) -> np.ndarray:
         """Gaps of all pairs over the period at some points: (n, 256, n_pairs) [m]."""
-        found = {index: self._contact_of(at)[0] for index, at in self._linearised(places)}
+        phased = self._linearised(places)
+        found = {index: at.in_time(evaluate(at.unknown, 1.0, PHASES))[0] for index, at in phased}
         return np.array([found[int(place)] for place in places])
 
     def amplitude(self, dof: int) -> np.ndarray:
@@ -375,7 +391,8 @@ class ResponseCurve(Tabular):
                 assert isinstance(at.system.compliance, ModalCompliance)
                 waves = at.system.compliance.seen_through(rows, at.force)
                 seen[:, index, : len(waves)] = waves.T
-                motion, (gap, force) = evaluate(waves, 1.0, PHASES), self._contact_of(at)
+                motion = evaluate(waves, 1.0, PHASES)
+                gap, force = at.in_time(evaluate(at.unknown, 1.0, PHASES))
                 self._lips[index] = contact_extremes(gap, force)
                 if moved is not None:
                     # What answers at once follows the forces as they are, with their kinks.
@@ -384,18 +401,7 @@ class ResponseCurve(Tabular):
             self._seen.update(zip(new, zip(seen, sizes, strict=True), strict=True))
         return [self._seen[dof] for dof in dofs]
 
-    @staticmethod
-    def _contact_of(at: CondensedPoint) -> tuple[np.ndarray, np.ndarray]:
-        """Gaps [m] and contact forces [N] of a point over the phases: (256, n_pairs) each."""
-        if isinstance(at, CoupledPoint):
-            slow = evaluate(at.unknown, 1.0, PHASES)
-            force = at.system.integrals.forces(slow)
-            return slow - force @ at.system.residual, force
-        gap, waves = (evaluate(rows, 1.0, PHASES) for rows in (at.gap, at.force))
-        assert isinstance(at.system, CondensedSystem)
-        return gap, force_in_time(at.system.integrals.law, gap, waves)
-
-    def _linearised(self, places: np.ndarray | None = None) -> Iterator[tuple[int, CondensedPoint]]:
+    def _linearised(self, places: np.ndarray | None = None) -> Iterator[tuple[int, ContactPoint]]:
         """The equations at all points, or some, with their numbers; not in order."""
         wanted = np.arange(len(self)) if places is None else places
         for count in np.unique(self.harmonics[wanted]):

@@ -10,12 +10,8 @@ import numpy as np
 from scipy.linalg.lapack import dgetrf, dgetrs
 
 from fenics_crack.balance.compliance import ModalCompliance
-from fenics_crack.balance.condensed import CondensedPoint, CondensedSystem
-from fenics_crack.balance.contact_integrals import (
-    ContactIntegrals,
-    apply_to_pairs,
-    contact_integrals,
-)
+from fenics_crack.balance.contact_integrals import PairIntegrals, apply_to_pairs, contact_integrals
+from fenics_crack.balance.contact_system import ContactSystem
 from fenics_crack.balance.search import Search
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import ContactLaw
@@ -61,12 +57,11 @@ class Equilibrium:
         self.frequencies = np.sqrt(squares)
         compliance = ModalCompliance(structure, 0.0, np.zeros((1, structure.n_local)))
         search = Search(ROUNDING)
-        system = CondensedSystem(compliance, contact_integrals(contact, 0))
+        system = ContactSystem(compliance, contact_integrals(contact, 0))
         found = search.penalty(system)
-        assert isinstance(found, CondensedPoint)
         if not search.converged:
             raise ConvergenceError(f"equilibrium without load: {search.status}", search.history)
-        self.gap = found.gap[0]
+        self.gap = found.unknown[0]
         self.force = contact.force(self.gap)
         self.modal = -(self.modes.pairs @ self.force) / squares
         held = _work(contact, np.zeros_like(self.gap), self.gap, 0.0 * self.force)
@@ -114,7 +109,7 @@ class FreeMotion(ABC):
 
     least_fundamental: float
 
-    def __init__(self, rest: Equilibrium, integrals: ContactIntegrals, reference: float) -> None:
+    def __init__(self, rest: Equilibrium, integrals: PairIntegrals, reference: float) -> None:
         self.rest, self.integrals, self.reference = rest, integrals, reference
         self.harmonics = integrals.harmonics
         self.rows = cosine_rows(integrals.harmonics)
@@ -162,7 +157,7 @@ class StiffnessMotion(FreeMotion):
     least_fundamental = 0.25
 
     def __init__(
-        self, rest: Equilibrium, integrals: ContactIntegrals, reference: float, energy: float
+        self, rest: Equilibrium, integrals: PairIntegrals, reference: float, energy: float
     ) -> None:
         super().__init__(rest, integrals, reference)
         self.energy = energy
@@ -234,11 +229,11 @@ class MotionPoint(Linearisation):
         gap = np.zeros((2 * len(rows) - 1, moved.shape[1]))
         gap[rows] = moved
         gap[0] += rest.gap
-        force, tangent = motion.integrals.linearise(gap)
-        self.force = force[rows]
+        found = motion.integrals.linearise(gap)
+        self.force = found.force[rows]
         self.force[0] -= rest.force
         self.force *= share / scale
-        self.tangent = share * tangent[:, rows[:, None], rows]
+        self.tangent = share * found.tangent[:, rows[:, None], rows]
         first, law = moved.sum(axis=0), rest.contact
         self.push = (share / scale) * (law.force(rest.gap + first) - rest.force)
         self.work = share * _work(law, rest.gap, first, rest.force) / energy

@@ -8,7 +8,6 @@
 #include "intervals.h"
 #include "lapack.h"
 
-#define TWO_PI 6.283185307179586
 #define ROUNDING 1e-13 /* penetration that counts as none, of the gaps' coefficients together */
 
 struct coupled_forces {

@@ -5,6 +5,9 @@
 /* What comes of an evaluation, or of a correction by Newton's method. */
 enum { FOUND, NOT_FOUND, SINGULAR_STRUCTURE, NO_MEMORY, FAILED };
 
+/* Unknowns from which on solutions with J share factors, or take products, for new factors are dear. */
+enum { MANY = 100 };
+
 /* The points of each kind begin with it; `at` is such a point. */
 typedef struct equations {
     int unknowns;

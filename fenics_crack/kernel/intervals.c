@@ -9,7 +9,6 @@
  * wrong pairs together; after how many events rounding is looked for. BLOCK: cells whose answers are
  * found together. */
 enum { DEGREE = 8, TERMS = DEGREE + 1, POINTS = 6, TOGETHER = 30, OFTEN = 32, BLOCK = 16 };
-static const double TWO_PI = 6.283185307179586476925;
 
 static double value_at(const double *c, int degree, double x)
 {
@@ -139,22 +138,79 @@ typedef struct {
     double *basis, *slopes;   /* (TERMS, 2H+1); (2, p) rates of X per cell at both ends of one */
     double *taylor, *candidates; /* (TERMS, p), (p, TERMS) */
     double *values, *room;    /* (TERMS, p) s; (BLOCK + 1, p) */
+    double *answered;         /* (2H+1, p) X of the waves' gaps s_j where waves are fewer than pairs,
+                                 behind `taylor`; else NULL */
+    double *circle, *rows;    /* (cells) cosines and sines; (BLOCK + 1, 2H+1) waves */
     int *some;                /* (p) */
 } walk;
 
-/* All gaps where cells begin, and how much they bend. */
+/* X of all s_j, where they are carried along. */
+static void answer_waves(walk *now)
+{
+    const breathing *m = now->of;
+    if (now->answered) /* as many rows at a time as there is room for */
+        for (int row = 0; row < m->columns; row += BLOCK) {
+            const int count = m->columns - row < BLOCK ? m->columns - row : BLOCK;
+            const size_t first = (size_t)row * m->contact.pairs;
+            answers_to(&m->contact, count, m->gaps + first, now->room, now->answered + first);
+        }
+}
+
+/* Bounds of how much waves bend, per cell squared, from their coefficients (2H+1, p). */
+static void bend(const breathing *m, const double *coefficients, double *bends)
+{
+    const int pairs = m->contact.pairs;
+    memset(bends, 0, pairs * sizeof(double));
+    for (int row = 1; row < m->columns; row++) {
+        const double rate = TWO_PI / m->cells * ((row + 1) / 2);
+        for (int i = 0; i < pairs; i++)
+            bends[i] += rate * rate * fabs(coefficients[(long)row * pairs + i]);
+    }
+}
+
+/* What answers where cells begin are found from: the answers to waves where these are fewer than
+ * pairs; else all gaps there. */
 static void begin(walk *now)
 {
     const breathing *m = now->of;
     const int pairs = m->contact.pairs;
+    answer_waves(now);
+    if (now->answered) {
+        for (int i = 0; i < m->cells; i++) {
+            now->circle[2 * i] = cos(TWO_PI / m->cells * i);
+            now->circle[2 * i + 1] = sin(TWO_PI / m->cells * i);
+        }
+        return;
+    }
     values_of(m->waves, pairs, m->gaps, now->gaps);
     memcpy(now->gaps + (size_t)m->cells * pairs, now->gaps, pairs * sizeof(double));
-    memset(now->bends, 0, pairs * sizeof(double));
-    for (int row = 1; row < m->columns; row++) {
-        const double rate = TWO_PI / m->cells * ((row + 1) / 2);
-        for (int i = 0; i < pairs; i++)
-            now->bends[i] += rate * rate * fabs(m->gaps[(long)row * pairs + i]);
+    bend(m, m->gaps, now->bends);
+}
+
+/* Answers (count, p) of combinations of the waves (count, 2H+1). */
+static void answer(walk *now, int count, const double *waves, double *found)
+{
+    const breathing *m = now->of;
+    const int pairs = m->contact.pairs;
+    const double *coefficients = now->answered ? now->answered : m->gaps;
+    double *combined = now->answered ? found : now->values;
+    multiply_matrices(count, m->columns, pairs, waves, coefficients, 0.0, combined);
+    if (!now->answered) answers_to(&m->contact, count, combined, now->room, found);
+}
+
+/* The waves where cells begin. */
+static const double *waves_at(walk *now, int cell, int count)
+{
+    const breathing *m = now->of;
+    for (int i = 0; i < count; i++) {
+        double *row = now->rows + (long)i * m->columns;
+        row[0] = 1.0;
+        for (int k = 1; 2 * k < m->columns; k++) {
+            const double *at = now->circle + 2 * ((long)k * (cell + i) % m->cells);
+            row[2 * k - 1] = at[0], row[2 * k] = at[1];
+        }
     }
+    return now->rows;
 }
 
 /* The answers at both ends of a cell; those at its end stand behind the others. */
@@ -163,12 +219,19 @@ static const double *look(walk *now, int cell)
     const breathing *m = now->of;
     const int pairs = m->contact.pairs;
     if (cell < now->begin || cell >= now->end) {
-        if (!now->end) bounds_of(&m->contact, now->bends, now->bends + pairs);
+        const int changed = !now->end;
         now->begin = cell;
         now->end = cell + now->next < m->cells ? cell + now->next : m->cells;
         if (now->next < BLOCK) now->next *= 2;
-        answers_to(&m->contact, now->end - cell + 1, now->gaps + (size_t)cell * pairs, now->room,
-                   now->answers);
+        const int count = now->end - cell + 1;
+        if (now->answered) {
+            if (changed) bend(m, now->answered, now->bends + pairs);
+            answer(now, count, waves_at(now, cell, count), now->answers);
+        } else {
+            if (changed) bounds_of(&m->contact, now->bends, now->bends + pairs);
+            answers_to(&m->contact, count, now->gaps + (size_t)cell * pairs, now->room,
+                       now->answers);
+        }
     }
     return now->answers + (size_t)(cell - now->begin) * pairs;
 }
@@ -193,7 +256,7 @@ static int all_right(const breathing *m, const double *answers)
 static void look_for_slopes(walk *now, int cell)
 {
     const breathing *m = now->of;
-    const int pairs = m->contact.pairs, columns = m->columns;
+    const int columns = m->columns;
     double *wave = now->basis;
     for (int end = 0; end < 2; end++, wave += columns) {
         wave[0] = 0.0;
@@ -202,8 +265,7 @@ static void look_for_slopes(walk *now, int cell)
             wave[2 * k - 1] = -rate * sin(phase), wave[2 * k] = rate * cos(phase);
         }
     }
-    multiply_matrices(2, columns, pairs, now->basis, m->gaps, 0.0, now->values);
-    answers_to(&m->contact, 2, now->values, now->room, now->slopes);
+    answer(now, 2, now->basis, now->slopes);
 }
 
 /* Whether two tangents at the ends of a cell meet on the wrong side of zero. An answer that keeps
@@ -227,6 +289,17 @@ static int grazes(walk *now, int cell, const double *answers)
     return 0;
 }
 
+/* Opens or closes a pair; with it go `terms` rows of `taylor`, and what else is carried along. */
+static int turn_and_carry(walk *now, int pair, int terms, double *v, double *gain)
+{
+    pivot_table *contact = &now->of->contact;
+    double *first = now->taylor + (TERMS - terms) * contact->pairs;
+    const int carried = now->answered ? now->of->columns : 0;
+    const int failed = turn_pair(contact, pair, terms + carried, first, v, gain);
+    if (!failed) forget(now);
+    return failed;
+}
+
 /* A pair opens or closes at a phase, with `terms` answers to be carried along. Returns 1 where that
  * cannot be done, -1 where there is no room for it. */
 static int record(walk *now, int pair, double theta, int terms)
@@ -235,10 +308,9 @@ static int record(walk *now, int pair, double theta, int terms)
     if (now->count == m->most) return -1;
     const long at = now->count;
     double *v = m->vectors + at * m->contact.pairs;
-    if (turn_pair(&m->contact, pair, terms, now->taylor, v, m->gain + at)) return 1;
+    if (turn_and_carry(now, pair, terms, v, m->gain + at)) return 1;
     m->theta[at] = at ? fmax(m->theta[at - 1], theta) : theta;
     m->pair[at] = pair;
-    forget(now);
     now->count++;
     now->since++;
     return 0;
@@ -248,7 +320,7 @@ static int record(walk *now, int pair, double theta, int terms)
 static void keep_sharp(walk *now)
 {
     if (now->since < OFTEN) return;
-    if (refresh(&now->of->contact)) forget(now);
+    if (refresh(&now->of->contact)) answer_waves(now), forget(now);
     now->since = 0;
 }
 
@@ -266,9 +338,8 @@ static int settle(walk *now, int cell, int recorded)
         for (int i = 0; i < pairs; i++) {
             if (right(m, i, answers[i]) || (wrong && turn >= TOGETHER)) continue;
             const int failed = recorded ? record(now, i, cell * (TWO_PI / m->cells), 0)
-                                        : turn_pair(&m->contact, i, 0, NULL, NULL, NULL);
+                                        : turn_and_carry(now, i, 0, NULL, NULL);
             if (failed < 0) return -1;
-            forget(now);
             wrong |= !failed;
             now->since += !recorded;
         }
@@ -286,8 +357,7 @@ static int search(walk *now, int cell)
     double begun = -1.0, place = 0.0;
     int last = -1;
     expand(m->columns / 2, middle, width, now->basis);
-    multiply_matrices(TERMS, m->columns, pairs, now->basis, m->gaps, 0.0, now->values);
-    answers_to(&m->contact, TERMS, now->values, now->room, now->taylor);
+    answer(now, TERMS, now->basis, now->taylor);
     for (int turn = 0; turn < 4 * pairs + 8; turn++) {
         const int count = candidates(&m->contact, now->taylor, now->some, now->candidates);
         for (int i = 0; i < count && last >= 0; i++)
@@ -313,7 +383,9 @@ int interval_cells(int harmonics, int pairs)
 
 long intervals_room(int pairs, int harmonics, int cells)
 {
-    return pairs * (cells + 2L * BLOCK + 3L * TERMS + 8L) + (2L * harmonics + 1) * TERMS;
+    const long columns = 2L * harmonics + 1;
+    return pairs * (cells + 2L * BLOCK + 3L * TERMS + 8L + columns) + 2L * cells +
+           columns * (TERMS + BLOCK + 1L);
 }
 
 int intervals(breathing *m)
@@ -325,12 +397,16 @@ int intervals(breathing *m)
     now.bends = now.room + (BLOCK + 1) * pairs;
     now.slopes = now.bends + 2 * pairs;
     now.taylor = now.slopes + 2 * pairs;
-    now.values = now.taylor + TERMS * pairs;
+    now.answered = now.taylor + TERMS * pairs;
+    now.values = now.answered + m->columns * pairs;
     now.candidates = now.values + TERMS * pairs;
     now.basis = now.candidates + TERMS * pairs;
-    now.some = (int *)(now.basis + TERMS * m->columns);
-    begin(&now);
+    now.rows = now.basis + TERMS * m->columns;
+    now.circle = now.rows + (BLOCK + 1) * m->columns;
+    now.some = (int *)(now.circle + 2 * m->cells);
+    if (m->columns >= pairs) now.answered = NULL;
     open_all(&m->contact);
+    begin(&now);
     if (settle(&now, 0, 0)) return -2;
     inverse_of(&m->contact, m->stiffness);
     memcpy(m->first, m->contact.closed, pairs);

@@ -9,6 +9,9 @@
  * of H harmonics are followed through `cells` equal cells of the period, so short that Taylor
  * polynomials about their middles are the waves to rounding.
  *
+ * Where waves are fewer than pairs, the answers to the s_j are carried from set to set, and those to
+ * s are their sums; else those to s are found anew.
+ *
  * Between two events the set A of closed pairs stays, and with it the answers X (pivots.h), the
  * forces of the closed pairs and, less than nothing, the openings of the others. An event is the
  * first root of one of these. A cell is searched where a sign is wrong at its end, or where two

@@ -6,7 +6,7 @@
 
 #include "lapack.h"
 
-enum { MOST = 300, KEPT = 2, STAGES = 64 };
+enum { KEPT = 2, STAGES = 64 };
 
 struct krylov {
     int n, most, stages, kept;      /* vectors of all stages together */
@@ -23,7 +23,7 @@ krylov *new_krylov(int n)
 {
     krylov *k = calloc(1, sizeof(krylov));
     if (!k) return NULL;
-    const size_t size = n, most = n < MOST ? n : MOST;
+    const size_t size = n, most = n < KRYLOV_MOST ? n : KRYLOV_MOST;
     k->n = n, k->most = (int)most;
     k->room = malloc(((2 * most + 2) * size + (2 * most + 5) * (most + 1)) * sizeof(double));
     if (!k->room) {

@@ -10,16 +10,18 @@
  *
  * an inverse that is exact on W Q, where J differs most from I. The next solution, with J at a point
  * nearby, is found for J B in few products, and makes the inverse B B' better; and so on, until the
- * vectors are KEPT times those of the first solution, and all begins anew. Source: de Sturler,
+ * vectors are twice those of the first solution, and all begins anew. Source: de Sturler,
  * Journal of Computational and Applied Mathematics 67 (1996) 15 (GCRO).
  */
 typedef struct krylov krylov;
 
+enum { KRYLOV_MOST = 300 }; /* products of a solution, and vectors kept of former ones */
+
 /* For n unknowns; NULL without memory. */
 krylov *new_krylov(int n);
 void free_krylov(krylov *k);
-/* x = J^-1 x at the point that has been evaluated, to |J x - r| <= tolerance |r|, or the best of MOST
- * products. */
+/* x = J^-1 x at the point that has been evaluated, to |J x - r| <= tolerance |r|, or the best of
+ * KRYLOV_MOST products. */
 void solve_by_products(krylov *k, equations *at, double *x, double tolerance);
 
 #endif

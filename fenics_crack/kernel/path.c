@@ -6,7 +6,6 @@
 #include <string.h>
 
 enum {
-    MANY = 100,              /* unknowns from which on points share LU factors */
     UNSURE = 8,              /* points whose sign of det J is not asked for, in a row */
     DOUBTED = FAILED + 1,    /* of points: they do not go with the next factors */
     HALVES = 53,             /* of an interval: as many as a double has digits */

@@ -6,8 +6,6 @@
 
 #include "lapack.h"
 
-#define TWO_PI 6.283185307179586
-
 enum { KINDS = 4 }; /* even cosines, odd cosines, even sines, odd sines */
 
 struct waves {

@@ -4,8 +4,8 @@ A law is a function of the gap alone, pair by pair; the force enters the equatio
 left, M u'' + C u' + K u + B lambda(g) = f, so lambda >= 0 pushes the lips apart. To add a law,
 write a class with the four members of :class:`ContactLaw`.
 
-What else a method needs to know of a law, :func:`is_rigid` and :func:`is_piecewise_linear` answer:
-no other module looks at a law's class.
+What else a method needs to know of a law, :func:`is_unilateral`, :func:`is_rigid` and
+:func:`is_piecewise_linear` answer: no other module looks at a law's class.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ __all__ = [
     "force_in_time",
     "is_piecewise_linear",
     "is_rigid",
+    "is_unilateral",
 ]
 
 
@@ -175,6 +176,12 @@ def is_rigid(contact: object) -> TypeGuard[UnilateralConstraint]:
 def is_piecewise_linear(contact: object) -> TypeGuard[UnilateralPenalty]:
     """Whether lambda = k max(0, g), linear between switching instants: the penalty law."""
     return isinstance(contact, UnilateralPenalty)
+
+
+def is_unilateral(contact: object) -> bool:
+    """Whether a pair is open or closed and nothing between, so that exact integrals and flows know
+    its law: the penalty law, or the constraint."""
+    return is_piecewise_linear(contact) or is_rigid(contact)
 
 
 def force_in_time(contact: ContactLaw, gap: np.ndarray, force: np.ndarray) -> np.ndarray:

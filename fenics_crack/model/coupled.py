@@ -1,4 +1,4 @@
-"""Contact of all pairs at one instant, seen through a static compliance that couples them.
+"""Contact of all pairs at one instant, seen through a compliance that couples them.
 
 What a basis of modes leaves out of a structure answers contact forces at once, without mass:
 
@@ -16,29 +16,42 @@ which is piecewise linear in s. Where the set A of pairs is closed,
 
 The sets are found by the primal-dual active set method (a semismooth Newton method; Hintermueller,
 Ito and Kunisch, SIAM Journal on Optimization 13, 2002, 865), and where it cycles by Murty's method,
-which changes one pair at a time (``kernel/sets.c``); where rounding spoils that, by least squares
-with bounds. A law that is not piecewise linear is solved
-by Newton's method at all instants together.
+which changes one pair at a time (``kernel/sets.c``); where rounding spoils that, or D is singular,
+as the minimum of lambda^T D lambda / 2 - lambda^T s for lambda >= 0, a least-squares problem with
+bounds, for which the method of Lawson and Hanson is finite. A law that is not piecewise linear is
+solved by Newton's method at all instants together.
 
-Sources: MacNeal, Computers & Structures 1 (1971) 581 (statics of what modes leave out);
+One step of time integration asks the same, D being the compliance of the step and s the gaps that
+it would reach without contact forces.
+
+Sources: Lawson and Hanson, Solving Least Squares Problems (1974), chapter 23; MacNeal, Computers &
+Structures 1 (1971) 581 (statics of what modes leave out);
 Monjaraz-Tec, Gross and Krack, Computers & Structures 267 (2022) 106810 (boundaries without mass).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import doubles, kernel, owned, shaped, signs
-from fenics_crack.model.complementarity import by_least_squares
 from fenics_crack.model.contact import ContactLaw
 
-__all__ = ["ActiveSets", "is_regular", "smooth_forces", "unique_sets"]
+__all__ = [
+    "ActiveSets",
+    "by_least_squares",
+    "is_regular",
+    "smooth_forces",
+    "solve_complementarity",
+    "solve_forces",
+]
 
 MAX_KEPT = 2**28
 """Bytes of inverses that are kept."""
 MAX_NEWTON = 200
-"""Of a law that is not piecewise linear."""
+"""Iterations for forces that are not piecewise linear in the gaps."""
 ROUNDING = 1e-13
 """Openings relative to the largest gap of an instant that count as zero."""
 REGULAR = 1e-6
@@ -49,17 +62,6 @@ def is_regular(matrix: np.ndarray) -> bool:
     """Whether a symmetric matrix is positive definite, and not badly scaled."""
     values = np.linalg.eigvalsh(matrix)
     return not len(values) or bool(values[0] > REGULAR * values[-1] > 0.0)
-
-
-def unique_sets(closed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Different rows of sets (n, n_pairs) in the order in which they come: (m, n_pairs), and which
-    of them each row is: (n,)."""
-    packed = np.packbits(np.ascontiguousarray(closed), axis=1)
-    packed = np.ascontiguousarray(packed)
-    keys = packed.view([("", packed.dtype)] * packed.shape[1]).ravel()
-    _, first, which = np.unique(keys, return_index=True, return_inverse=True)
-    order = np.argsort(first)
-    return closed[first[order]], np.argsort(order)[which.ravel()]
 
 
 class ActiveSets:
@@ -107,6 +109,41 @@ class ActiveSets:
         return force, closed
 
 
+def solve_complementarity(
+    matrix: np.ndarray, gap: np.ndarray, closed: np.ndarray | None = None
+) -> np.ndarray:
+    """Find lambda with 0 <= lambda, D lambda - g >= 0, lambda^T (D lambda - g) = 0: (n,).
+
+    D is positive definite, and symmetric but for a small part; ``closed`` is a first guess of where
+    lambda > 0. Raises ConvergenceError where there is no solution, or it was not found.
+    """
+    guess = None if closed is None else np.array(closed)[None]
+    found: np.ndarray = ActiveSets(matrix).solve(shaped(gap, len(matrix))[None], guess)[0][0]
+    return found
+
+
+def by_least_squares(matrix: np.ndarray, gap: np.ndarray) -> np.ndarray:
+    """The same by least squares with bounds; what of D is not symmetric follows by iteration."""
+    import scipy.optimize  # takes a while, and is rarely needed
+
+    symmetric = 0.5 * (matrix + matrix.T)
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(symmetric), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(scale[:, None] * symmetric * scale)
+    root = np.sqrt(np.maximum(values, 1e-15 * values.max(initial=0.0)))
+    allowed = 1e-10 * float(np.abs(gap).max(initial=0.0))
+    force = np.zeros(len(gap))
+    for _ in range(MAX_NEWTON):
+        target = (vectors.T @ (scale * (gap - (matrix - symmetric) @ force))) / root
+        try:
+            force = scale * scipy.optimize.nnls((vectors * root).T, target)[0]
+        except RuntimeError:
+            break
+        opening = matrix @ force - gap
+        if opening.min() >= -allowed and np.abs(opening[force > 0.0]).max(initial=0.0) <= allowed:
+            return force
+    raise ConvergenceError("contact: no set of closed pairs satisfies the step's constraints")
+
+
 def smooth_forces(
     law: ContactLaw, compliance: np.ndarray, gap: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -147,3 +184,59 @@ def smooth_forces(
     slope = law.tangent(closed)
     jacobian = unit + compliance * slope[:, None, :]
     return law.force(closed), slope[:, :, None] * np.linalg.inv(jacobian)
+
+
+def solve_forces(
+    response: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    matrix: np.ndarray,
+    gap: np.ndarray,
+    guess: np.ndarray,
+) -> np.ndarray:
+    """Find lambda = h(g - D lambda) by Newton's method, D symmetric and positive definite: (n,).
+
+    ``response`` gives h(g) and its derivative, pair by pair; h may not fall where g grows. The
+    solution is then the minimum of a convex function, whose slope along a step shortens steps that
+    go too far. Raises ConvergenceError where Newton's method fails.
+    """
+
+    def evaluate(force: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        reached = gap - matrix @ force
+        return (reached, *response(reached))
+
+    force, (reached, found, tangent) = guess, evaluate(guess)
+    for _ in range(MAX_NEWTON):
+        excess = force - found
+        if not np.any(excess):
+            return force
+        jacobian = np.eye(len(gap)) + tangent[:, None] * matrix
+        try:
+            change = np.linalg.solve(jacobian, -excess)
+        except np.linalg.LinAlgError:
+            break
+        if not np.all(np.isfinite(change)):
+            break
+        moved, trial = matrix @ change, force + change
+        if np.abs(moved).max() <= ROUNDING * (np.abs(gap).max() + np.abs(gap - reached).max()):
+            return trial
+        slope, (reached, found, tangent) = float(moved @ excess), evaluate(trial)
+        if slope < 0.0 and moved @ (trial - found) > -0.1 * slope:
+            trial = force + _lowest(evaluate, force, change, moved) * change
+            reached, found, tangent = evaluate(trial)
+        force = trial
+    raise ConvergenceError("contact: Newton's method for the forces of a step does not converge")
+
+
+def _lowest(
+    evaluate: Callable[[np.ndarray], tuple[np.ndarray, ...]],
+    force: np.ndarray,
+    change: np.ndarray,
+    moved: np.ndarray,
+) -> float:
+    """Share of a step where the convex function is lowest along it; D times the step is given."""
+    import scipy.optimize
+
+    def slope(share: float) -> float:
+        trial = force + share * change
+        return float(moved @ (trial - evaluate(trial)[1]))
+
+    return float(scipy.optimize.brentq(slope, 0.0, 1.0, xtol=1e-6))

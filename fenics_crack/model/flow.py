@@ -43,7 +43,7 @@ import scipy.linalg
 
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.kernel import Struct, doubles, kernel, shaped, signs
-from fenics_crack.model.contact import ContactLaw, check_law, is_piecewise_linear, is_rigid
+from fenics_crack.model.contact import ContactLaw, check_law, is_rigid, is_unilateral
 from fenics_crack.model.coupled import ActiveSets
 from fenics_crack.model.modal import AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
@@ -78,7 +78,7 @@ class ExponentialFlow:
         static_above: float | None = None,
     ) -> None:
         check_law(structure, contact, rigid=True)
-        if not (is_piecewise_linear(contact) or is_rigid(contact)):
+        if not is_unilateral(contact):
             raise InputError("contact", contact, "UnilateralPenalty or UnilateralConstraint")
         if not is_small(structure):
             raise InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.errors import InputError, check_number
-from fenics_crack.model.complementarity import solve_complementarity
+from fenics_crack.model.coupled import solve_complementarity
 from fenics_crack.model.damping import DampingRule
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modes import ROUNDING

@@ -26,7 +26,7 @@ import numpy as np
 
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.kernel import Struct, doubles, kernel, owned
-from fenics_crack.model.contact import ContactLaw, check_law, is_piecewise_linear, is_rigid
+from fenics_crack.model.contact import ContactLaw, check_law, is_rigid, is_unilateral
 from fenics_crack.model.coupled import is_regular
 from fenics_crack.model.modal import AllModes, all_modes, is_small
 from fenics_crack.model.structure import Structure
@@ -58,7 +58,7 @@ def flow_of(structure: Structure, contact: ContactLaw) -> ContactFlow | None:
     """The exact flow of a structure and a law; None where there is none: for a smooth law, a large
     structure, and rigid contact where what answers at once does not separate the pairs."""
     check_law(structure, contact, rigid=True)
-    if not (is_piecewise_linear(contact) or is_rigid(contact)) or not is_small(structure):
+    if not is_unilateral(contact) or not is_small(structure):
         return None
     modes, pairs = all_modes(structure), structure.n_pairs
     residual = np.zeros((pairs, pairs)) if modes.residual is None else modes.residual
@@ -78,7 +78,7 @@ def exact_flow(structure: Structure, contact: ContactLaw) -> ContactFlow:
     flow = flow_of(structure, contact)
     if flow is not None:
         return flow
-    if not (is_piecewise_linear(contact) or is_rigid(contact)):
+    if not is_unilateral(contact):
         raise InputError("contact", contact, "UnilateralPenalty or UnilateralConstraint")
     if not is_small(structure):
         raise InputError("structure", f"{structure.n_dofs} dofs", "reduced, on one rank")

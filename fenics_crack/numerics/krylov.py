@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
+from fenics_crack.kernel import kernel
+
 __all__ = ["RESTART", "gmres"]
 
 SELF = PETSc.COMM_SELF
-RESTART = 300
+RESTART: int = kernel.KRYLOV_MOST
 """Vectors that GMRES keeps."""
 
 

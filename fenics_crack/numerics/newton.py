@@ -1,9 +1,8 @@
 """Newton's method by PETSc SNES, on systems that invert their own Jacobian.
 
 All solutions but those along a path are found this way; PETSc options with the prefix
-``crack_hb_`` reach it. One object serves a system for all attempts at its solution. The first
-solution of a curve, and those with fewer harmonics from which one with many unknowns starts, take
-the same steps in the kernel where this has the equations.
+``crack_hb_`` reach it. One object serves a system for all attempts at its solution. Where the
+kernel has the equations, and no such option is given, the same steps are taken there.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from fenics_crack.numerics.bordered import solve_at
 from fenics_crack.numerics.krylov import RESTART
 from fenics_crack.numerics.linearisation import Linearisation, System
 
-__all__ = ["DistributedSystem", "KernelNewton", "Newton"]
+__all__ = ["DistributedSystem", "KernelNewton", "Newton", "newton_of"]
 
 OPTIONS_PREFIX = "crack_hb_"
 FORCING = 1e-2
@@ -36,6 +35,13 @@ class DistributedSystem(System, Protocol):
     """Of the unknowns on this rank."""
     matrix_free: bool
     """Whether it only applies its Jacobian: GMRES solves with it then."""
+
+
+def newton_of(system: DistributedSystem) -> Newton | KernelNewton:
+    """Newton's method for a system: in the kernel where that has it and no option is for SNES."""
+    asked = PETSc.Options(OPTIONS_PREFIX).getAll()
+    compiled = getattr(system, "compiled", None)
+    return Newton(system) if asked or compiled is None else KernelNewton(system)
 
 
 class Newton:

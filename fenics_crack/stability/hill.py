@@ -18,7 +18,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import AllModes, all_modes
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.fourier import resized
+from fenics_crack.numerics.fourier import resized, to_complex
 
 __all__ = ["hill_root"]
 
@@ -106,10 +106,8 @@ def _stiffness_means(solution: PeriodicSolution, contact: ContactLaw) -> np.ndar
     coupled pairs (n_pairs, n_pairs, 2H+1)."""
     gap, highest = solution.slow_gap_coefficients, 2 * solution.harmonics
     if solution.residual is not None:
-        integrals = CoupledIntegrals(contact, solution.residual, solution.harmonics)
-        stiffness = integrals.linearise(gap).tangent.stiffness
-        found = np.fft.rfft(stiffness, axis=0)[: highest + 1].conj() / len(stiffness)
-        return np.moveaxis(found, 0, -1)
+        integrals = CoupledIntegrals(contact, solution.harmonics, residual=solution.residual)
+        return np.moveaxis(to_complex(integrals.linearise(gap).means()).conj(), 0, -1)
     samples = max(1024, 8 * highest)
     sampled = SampledIntegrals(contact, highest, samples)
     slopes = contact.tangent(sampled.sample(resized(gap, highest)))

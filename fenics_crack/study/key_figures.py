@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.model.bilinear import BilinearFrequencies, tied_frequencies
-from fenics_crack.model.complementarity import solve_complementarity
+from fenics_crack.model.coupled import solve_complementarity
 from fenics_crack.model.damping import ModalDamping, RayleighDamping
 from fenics_crack.model.factor import Factor, weighted_sum
 from fenics_crack.model.modes import Modes, check_damped_modes, modes_by, times

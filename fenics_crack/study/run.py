@@ -19,7 +19,7 @@ from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.files.results import Result, type_of, unpack
 from fenics_crack.files.store import Stored, read
-from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid
+from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid, is_unilateral
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes, solve_modes
 from fenics_crack.model.reduction import MODES
@@ -239,7 +239,7 @@ def integrate(
     method = _method(table, structure)
     law = _needed_law(study)
     closed_form = method in ("events", "exponential")
-    if closed_form and not (is_piecewise_linear(law) or is_rigid(law)):
+    if closed_form and not is_unilateral(law):
         allowed = f"'penalty' or 'unilateral' with integration.method = {method!r}"
         raise InputError("contact.law", scene.contact and scene.contact.law, allowed)
     if closed_form and is_rigid(law) and not structure.light_lips:
@@ -251,17 +251,14 @@ def integrate(
         "record_periods": min(RECORDED_PERIODS, table.periods),
         "progress": progress,
     }
-    march: Callable[..., TimeHistory]
-    steps = table.steps_per_period
-    if method == "events":
-        march, steps = integrate_events, steps or 256
-    elif method == "implicit":
-        march, steps = integrate_implicit, steps or 512
-    elif method == "exponential":
-        march, steps = integrate_exponential, steps or 512
-    else:
-        march = integrate_central_difference
-        steps = steps or 2 * stable_steps_per_period(structure, omega, law)
+    marches: dict[str, tuple[Callable[..., TimeHistory], int]] = {  # and usual steps per period
+        "events": (integrate_events, 256),
+        "implicit": (integrate_implicit, 512),
+        "exponential": (integrate_exponential, 512),
+        "central_difference": (integrate_central_difference, 0),  # twice those that are stable
+    }
+    march, usual = marches[method]
+    steps = table.steps_per_period or usual or 2 * stable_steps_per_period(structure, omega, law)
     history = march(structure, omega, law, steps_per_period=steps, **options)
     return Run(**vars(study), result=history)
 

@@ -29,7 +29,7 @@ from fenics_crack.balance.contact_integrals import default_samples
 from fenics_crack.balance.indicators import Indicators
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import MAX_SAMPLES, ConvergenceError, InputError
-from fenics_crack.model.contact import is_piecewise_linear, is_rigid
+from fenics_crack.model.contact import is_unilateral
 from fenics_crack.model.modes import solve_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS, QUANTITIES
@@ -445,7 +445,7 @@ def _samples(study: Study) -> _Ways | str:
     law, table = study.contact, study.scene.harmonic_balance
     if law is None:
         return "without contact there are none"
-    if table.samples is None and (is_piecewise_linear(law) or is_rigid(law)):
+    if table.samples is None and is_unilateral(law):
         return "contact is integrated exactly"
     own = table.samples or default_samples(table.harmonics)
     return _more(study.scene, "harmonic_balance.samples", own, MAX_SAMPLES, 2.0)

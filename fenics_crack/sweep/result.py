@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 from mpi4py import MPI
 
-from fenics_crack.balance.condensed import default_weight
+from fenics_crack.balance.contact_system import default_weight
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.problem import Problem
@@ -39,7 +39,6 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import InputError
 from fenics_crack.files.results import solution_from
 from fenics_crack.files.store import Stored, header
-from fenics_crack.model.contact import is_rigid
 from fenics_crack.parallel import StopRequest, on_root
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.quantities import OF_POINTS, QUANTITIES
@@ -292,7 +291,7 @@ class SweepResult(Tabular):
             "subharmonic": 1,
             "gap_coefficients": gap,
             "force_coefficients": force,
-            "static_above": None if problem.residual is None else problem.cutoff,
+            "static_above": problem.static_cutoff,
             "status": str(self["status"][place]),
             "iterations": int(self["iterations"][place]),
             "error_penetration": float(self["penetration_share"][place]),
@@ -300,7 +299,7 @@ class SweepResult(Tabular):
         }
         for name in ("residual", "truncation", "sampling", "reduction"):
             parts[f"error_{name}"] = float(self[f"{name}_error"][place])
-        if is_rigid(law) and problem.residual is None:
+        if problem.projected:
             parts["weight"] = default_weight(problem.compliance())
         return solution_from(parts, structure, law)
 

@@ -48,9 +48,8 @@ from petsc4py import PETSc
 
 from fenics_crack.errors import ConvergenceError, InputError, check_omega
 from fenics_crack.kernel import Struct, doubles, kernel
-from fenics_crack.model.complementarity import solve_complementarity
 from fenics_crack.model.contact import ContactLaw, check_law, is_piecewise_linear, is_rigid
-from fenics_crack.model.coupled import ActiveSets
+from fenics_crack.model.coupled import ActiveSets, solve_complementarity
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.modes import by_columns, largest_frequency

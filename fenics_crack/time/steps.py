@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from petsc4py import PETSc
 
-from fenics_crack.model.complementarity import solve_complementarity
+from fenics_crack.model.coupled import solve_complementarity
 from fenics_crack.model.modes import by_columns, damped_modes, times
 from fenics_crack.time.march import March, Scheme, Window
 

@@ -5,11 +5,11 @@ import pytest
 from helpers import random_stiffness
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from intervals import Intervals, contact_intervals
 from scipy.integrate import quad
 from switching import switching_instants
 from test_contact_integrals import grazing_gaps, random_gaps
 
-from fenics_crack.balance.active_sets import Intervals, contact_intervals
 from fenics_crack.model.coupled import ActiveSets
 from fenics_crack.numerics.fourier import evaluate, to_complex
 

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from test_compiled_paths import RANGES, SEEDS, Plain, random_gap
 
 import fenics_crack as fc
-from fenics_crack.balance import coupled
-from fenics_crack.balance.compiled import CompiledCoupled
-from fenics_crack.balance.coupled import CoupledSystem
+from fenics_crack.balance import contact_system
+from fenics_crack.balance.compiled import CompiledEquations
 from fenics_crack.balance.family import FAMILIES, Family
 from fenics_crack.numerics.bordered import point_on_path, solve_at
 from fenics_crack.numerics.linearisation import Linearisation
@@ -65,7 +64,7 @@ def test_equations_at_a_point(
         name = "omega"
     family = coupled_family(name, law, damping, harmonics, pairs, modes, seed)
     kernel, random = family.compiled, np.random.default_rng(seed)
-    assert isinstance(kernel, CompiledCoupled)
+    assert isinstance(kernel, CompiledEquations)
     gap, right = random_gap(random, harmonics, pairs), random.normal(size=family.shape)
     parameter = float(random.uniform(-0.2, 1.2))
     expected = family.linearise(gap, parameter)
@@ -78,11 +77,10 @@ def test_path_of_a_chain(name: str, formed: bool, monkeypatch: pytest.MonkeyPatc
     """With three pairs on lips without mass, in every family: the steps that Python's loop takes,
     to rounding where J is formed, to what products leave where it is not."""
     if not formed:
-        monkeypatch.setattr(coupled, "MATRIX_FREE", 0)
-        monkeypatch.setattr(coupled, "PRODUCTS", 0)
+        monkeypatch.setattr(contact_system, "MATRIX_FREE", 0)
     family = coupled_family(name, "penalty", "modal", 5, 3, 4, 1)
     system = family.system(family.start)
-    assert isinstance(system, CoupledSystem) and system.matrix_free != formed
+    assert system.integrals.coupled and system.matrix_free != formed
     start = solve_at(Plain(family), system.linear, 0.0, tolerance=1e-12)
     assert start is not None
     close, slope = (1e-11, 1e-10) if formed else (1e-6, 1e-3)
@@ -102,8 +100,7 @@ def test_path_of_a_chain(name: str, formed: bool, monkeypatch: pytest.MonkeyPatc
 def test_many_unknowns(limit: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """A rigid path through its folds, its solutions found by products and its sign by factors, or
     not at all: its points are solutions, and it ends where Python's ends."""
-    monkeypatch.setattr(coupled, "MATRIX_FREE", limit)
-    monkeypatch.setattr(coupled, "PRODUCTS", 0)
+    monkeypatch.setattr(contact_system, "MATRIX_FREE", limit)
     whole = chain("modal", pairs=3)
     structure = fc.reduce_structure(whole, modes=6, method="massless")
     problem = fc.Problem(structure, 0.83, fc.UnilateralConstraint(), 20)

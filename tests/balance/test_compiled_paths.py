@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 
 import fenics_crack as fc
 from fenics_crack import Continuation
-from fenics_crack.balance.compiled import CompiledSystem
-from fenics_crack.balance.condensed import respond_to_columns
-from fenics_crack.balance.contact_integrals import ExactIntegrals
+from fenics_crack.balance.compiled import CompiledEquations
+from fenics_crack.balance.contact_integrals import ExactIntegrals, respond_to_columns
 from fenics_crack.balance.family import FAMILIES, Family
 from fenics_crack.numerics.bordered import (
     PathPoint,
@@ -109,12 +108,14 @@ def test_contact_integrals(harmonics: int, pairs: int, seed: int) -> None:
     """Forces and tangents of random gaps."""
     random = np.random.default_rng(seed)
     gap, stiffness = random_gap(random, harmonics, pairs), random.uniform(0.1, 10.0, pairs)
-    force, tangent = ExactIntegrals(fc.UnilateralPenalty(stiffness), harmonics).linearise(gap)
+    found = ExactIntegrals(fc.UnilateralPenalty(stiffness), harmonics).linearise(gap)
     for pair, k in enumerate(stiffness):
         expected, expected_force, slope = integrals_by_scan(gap[:, pair])
         assume(slope > 1e-3)
-        assert np.allclose(tangent[pair], k * expected, rtol=0.0, atol=1e-12 * k / min(slope, 1.0))
-        assert np.allclose(force[:, pair], k * expected_force, rtol=0.0, atol=1e-11 * k)
+        assert np.allclose(
+            found.tangent[pair], k * expected, rtol=0.0, atol=1e-12 * k / min(slope, 1.0)
+        )
+        assert np.allclose(found.force[:, pair], k * expected_force, rtol=0.0, atol=1e-11 * k)
 
 
 @settings(max_examples=40, deadline=None)
@@ -157,7 +158,7 @@ def test_equations_at_a_point(
     if damping == "matrix" and name in ("omega", "damping"):
         assert kernel is None  # it couples modes
         return
-    assert isinstance(kernel, CompiledSystem)
+    assert isinstance(kernel, CompiledEquations)
     gap, right = random_gap(random, harmonics, pairs), random.normal(size=family.shape)
     parameter = float(random.uniform(-0.2, 1.2))
     expected, found = family.linearise(gap, parameter), kernel.linearise(gap, parameter)

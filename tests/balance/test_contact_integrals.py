@@ -10,8 +10,8 @@ from switching import switching_instants
 
 from fenics_crack import ContactLaw, SmoothedPenalty, UnilateralPenalty
 from fenics_crack.balance.contact_integrals import (
-    ContactIntegrals,
     ExactIntegrals,
+    PairIntegrals,
     SampledIntegrals,
     contact_integrals,
     default_samples,
@@ -43,9 +43,13 @@ def grazing_gaps(depth: np.ndarray, harmonics: int = 4) -> np.ndarray:
     return gap
 
 
-def finite_differences(
-    integrals: ContactIntegrals, gap: np.ndarray, step: np.ndarray
-) -> np.ndarray:
+def linearised(integrals: PairIntegrals, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Forces and their tangent."""
+    found = integrals.linearise(gap)
+    return found.force, found.tangent
+
+
+def finite_differences(integrals: PairIntegrals, gap: np.ndarray, step: np.ndarray) -> np.ndarray:
     """Central differences (n_pairs, rows, columns) of the force, with a step for each pair."""
     columns = []
     for column in range(len(gap)):
@@ -89,14 +93,14 @@ def test_samples_approach_the_exact_force_with_second_order() -> None:
     """Root mean square over 200 gaps: N^-2 from 64 to 16384 samples, down to 1e-8."""
     harmonics = 6
     gap, law = random_gaps(harmonics, 200), UnilateralPenalty(1.0)
-    exact = ExactIntegrals(law, harmonics).linearise(gap)
+    exact = linearised(ExactIntegrals(law, harmonics), gap)
     counts = 2 ** np.arange(6, 15)
     errors = [
         relative(SampledIntegrals(law, harmonics, int(n)).force(gap), exact[0]) for n in counts
     ]
     assert log_slope(counts, errors) == pytest.approx(-2.0, abs=0.1)
     assert errors[-1] < 1e-7
-    tangent = SampledIntegrals(law, harmonics, 1 << 16).linearise(gap)[1]
+    tangent = SampledIntegrals(law, harmonics, 1 << 16).linearise(gap).tangent
     assert np.abs(tangent - exact[1]).max() < 1e-3  # first order only: the tangent jumps
 
 
@@ -127,7 +131,7 @@ def test_tangent_against_finite_differences(kind: str, harmonics: int) -> None:
         "smoothed": SampledIntegrals(smoothed, harmonics, 64),
     }[kind]
     gap = random_gaps(harmonics, 4, seed=harmonics)
-    force, tangent = integrals.linearise(gap)
+    force, tangent = linearised(integrals, gap)
     assert np.array_equal(force, integrals.force(gap))
     slopes = finite_differences(integrals, gap, np.full(4, 1e-6))
     assert np.abs((tangent - slopes) / STIFFNESS[:, None, None]).max() < 1e-6
@@ -141,14 +145,14 @@ def test_exact_tangent_at_grazing() -> None:
     gap = grazing_gaps(depth)
     for sign in (1.0, -1.0):
         integrals = ExactIntegrals(UnilateralPenalty(1.0), 4)
-        tangent = integrals.linearise(sign * gap)[1]
+        tangent = integrals.linearise(sign * gap).tangent
         slopes = finite_differences(integrals, sign * gap, 1e-3 * np.abs(depth))
         assert np.abs(tangent - slopes).max() < 1e-6
         closed_part = np.abs(tangent - (0.0 if sign > 0.0 else 1.0) * np.eye(9)).max(axis=(1, 2))
         assert np.all((closed_part > 1e-5) == (depth > 0.0))  # the short contact is there, or not
 
 
-def quotients(integrals: ContactIntegrals, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def quotients(integrals: PairIntegrals, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """One-sided difference quotients of the mean force of m - 1 + cos(theta) at m = 0."""
     gap = np.array([[-1.0], [1.0], [0.0]])
     rows = []
@@ -182,7 +186,8 @@ def test_exact_tangent_is_continuous_across_grazing() -> None:
     jumps = []
     for depth in depths:
         above, below = (
-            integrals.linearise(grazing_gaps(np.full(5, side * depth)))[1] for side in (1.0, -1.0)
+            integrals.linearise(grazing_gaps(np.full(5, side * depth))).tangent
+            for side in (1.0, -1.0)
         )
         jumps.append(np.linalg.norm(above - below))
     assert log_slope(depths, jumps) == pytest.approx(0.5, abs=0.02)
@@ -192,7 +197,7 @@ def test_always_closed_and_always_open() -> None:
     """lambda = k g and the tangent k on all rows where the pair never opens; else both vanish."""
     gap = random_gaps(3, 4)
     gap[0] = [50.0, -50.0, 50.0, -50.0]
-    force, tangent = ExactIntegrals(UnilateralPenalty(STIFFNESS), 3).linearise(gap)
+    force, tangent = linearised(ExactIntegrals(UnilateralPenalty(STIFFNESS), 3), gap)
     closed = np.array([1.0, 0.0, 1.0, 0.0])
     assert np.allclose(force, closed * STIFFNESS * gap, rtol=0.0, atol=1e-11)
     expected = (closed * STIFFNESS)[:, None, None] * np.eye(7)
@@ -203,7 +208,7 @@ def test_parts_above_and_below_zero_make_up_the_whole() -> None:
     """max(g, 0) - max(-g, 0) = g, and the tangents of both add up to k."""
     gap = random_gaps(8, 4)
     integrals = ExactIntegrals(UnilateralPenalty(STIFFNESS), 8)
-    (force, tangent), (mirrored, other) = (integrals.linearise(s * gap) for s in (1.0, -1.0))
+    (force, tangent), (mirrored, other) = (linearised(integrals, s * gap) for s in (1.0, -1.0))
     assert np.allclose(force - mirrored, STIFFNESS * gap, rtol=0.0, atol=1e-11)
     assert np.allclose(tangent + other, STIFFNESS[:, None, None] * np.eye(17), atol=1e-11)
     assert np.abs(force).min(axis=0).max() > 0.0
@@ -213,12 +218,13 @@ def test_parts_above_and_below_zero_make_up_the_whole() -> None:
 def test_scaling(samples: int | None) -> None:
     """L times the gap: L times the force, the same tangent; L times the stiffness: L times both."""
     gap = random_gaps(5, 4)
-    force, tangent = contact_integrals(UnilateralPenalty(STIFFNESS), 5, samples).linearise(gap)
-    larger = contact_integrals(UnilateralPenalty(STIFFNESS), 5, samples).linearise(1e6 * gap)
+    made = contact_integrals(UnilateralPenalty(STIFFNESS), 5, samples)
+    force, tangent = linearised(made, gap)
+    larger = linearised(made, 1e6 * gap)
     assert np.allclose(larger[0], 1e6 * force, rtol=1e-9, atol=1e-6)
     assert np.allclose(larger[1], tangent, rtol=0.0, atol=1e-9)
     law = UnilateralPenalty(STIFFNESS).scaled(1e3)
-    stiffer = contact_integrals(law, 5, samples).linearise(gap)
+    stiffer = linearised(contact_integrals(law, 5, samples), gap)
     assert np.allclose(stiffer[0], 1e3 * force) and np.allclose(stiffer[1], 1e3 * tangent)
 
 
@@ -230,10 +236,10 @@ def test_scaling(samples: int | None) -> None:
 def test_stiffness_of_each_pair(law: Callable[..., ContactLaw], samples: int | None) -> None:
     """Pairs with stiffnesses of their own give what each gives alone."""
     gap = random_gaps(5, 4)
-    force, tangent = contact_integrals(law(STIFFNESS), 5, samples).linearise(gap)
+    force, tangent = linearised(contact_integrals(law(STIFFNESS), 5, samples), gap)
     for pair, stiffness in enumerate(STIFFNESS):
         alone = contact_integrals(law(float(stiffness)), 5, samples)
-        one_force, one_tangent = alone.linearise(gap[:, pair : pair + 1])
+        one_force, one_tangent = linearised(alone, gap[:, pair : pair + 1])
         assert np.allclose(force[:, pair], one_force[:, 0], rtol=0.0, atol=1e-12)
         assert np.allclose(tangent[pair], one_tangent[0], rtol=0.0, atol=1e-10)
 

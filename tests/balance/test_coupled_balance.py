@@ -11,8 +11,8 @@ from test_contact_integrals import random_gaps
 
 import fenics_crack as fc
 from fenics_crack import integrate_exponential
-from fenics_crack.balance import coupled
-from fenics_crack.balance.coupled import CoupledPoint, CoupledSystem
+from fenics_crack.balance import contact_system
+from fenics_crack.balance.contact_system import ContactSystem
 from fenics_crack.balance.search import Search
 from fenics_crack.numerics.fourier import resized
 
@@ -49,11 +49,11 @@ def coarse_breathing_plate() -> fc.Structure:
     return fc.build_structure(scene.replace(changes | {"mesh.size": 0.02, "mesh.lip_elements": 4}))
 
 
-def system_of(structure: fc.Structure, law: Any, harmonics: int) -> CoupledSystem:
+def system_of(structure: fc.Structure, law: Any, harmonics: int) -> ContactSystem:
     """The equations at 0.8 rad/s."""
     problem = fc.Problem(structure, 0.8, law, harmonics)
     found = problem.system(problem.compliance())
-    assert isinstance(found, CoupledSystem)
+    assert found.integrals.coupled
     return found
 
 
@@ -66,7 +66,7 @@ def test_jacobian_against_finite_differences(
     law: str, softness: float, short_chain: fc.Structure
 ) -> None:
     """By every unknown and by the parameter of the softness."""
-    system = system_of(short_chain, LAWS[law], 4).softened(softness)
+    system = system_of(short_chain, LAWS[law], 4).with_softness(softness)
     unknown = random_gaps(4, 3)
     point = system.linearise(unknown, 0.4)
     matrix, step = point.assemble(), 1e-7
@@ -90,7 +90,7 @@ def test_fewer_modes_than_pairs(coarse_breathing_plate: fc.Structure) -> None:
     """Steps and determinants found in the modes' coordinates are those of the whole Jacobian."""
     problem = fc.Problem(massless(coarse_breathing_plate, 3), 2000.0, RIGID, 4)
     system = problem.system(problem.compliance())
-    assert isinstance(system, CoupledSystem) and system.basis is not None
+    assert system.basis is not None
     unknown = 1e-6 * random_gaps(4, system.shape[1])
     point = system.linearise(unknown)
     right = random_gaps(4, system.shape[1])
@@ -105,8 +105,8 @@ def test_matrix_free_is_dense(short_chain: fc.Structure, monkeypatch: pytest.Mon
     unknown, other = random_gaps(6, 3), random_gaps(6, 3, 5)
     points, solutions = [], []
     for limit in (10_000, 0):
-        monkeypatch.setattr(coupled, "MATRIX_FREE", limit)
-        system = system_of(short_chain, RIGID, 6).softened(0.5)
+        monkeypatch.setattr(contact_system, "MATRIX_FREE", limit)
+        system = system_of(short_chain, RIGID, 6).with_softness(0.5)
         assert system.matrix_free == (limit == 0)
         points.append(system.linearise(unknown, 0.4))
         solutions.append(fc.solve_harmonic_balance(short_chain, 0.8, RIGID, harmonics=6))
@@ -137,9 +137,9 @@ def test_gap_by_force_is_the_slope_of_the_solution(short_chain: fc.Structure) ->
     assert relative((after - before) / (2.0 * step), found) < 1e-4
 
 
-def replace_linear(system: CoupledSystem, linear: np.ndarray) -> CoupledSystem:
+def replace_linear(system: ContactSystem, linear: np.ndarray) -> ContactSystem:
     """The same equations with another linear gap."""
-    other = CoupledSystem(system.compliance, system.integrals)
+    other = ContactSystem(system.compliance, system.integrals)
     other.linear = linear
     return other
 
@@ -360,7 +360,6 @@ def test_point_of_a_solution(short_chain: fc.Structure) -> None:
     """The gap of a solution is that of its slow part, and it solves the equations."""
     solution = fc.solve_harmonic_balance(short_chain, 0.8, RIGID, harmonics=9)
     point = system_of(short_chain, RIGID, 9).linearise(solution.slow_gap_coefficients)
-    assert isinstance(point, CoupledPoint)
     assert relative(point.gap, solution.gap_coefficients) < 1e-9
     assert np.linalg.norm(point.residual) < 1e-9 * np.linalg.norm(point.unknown)
     assert solution.report.residual < 1e-9

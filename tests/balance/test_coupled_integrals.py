@@ -1,5 +1,6 @@
 """Fourier coefficients of contact forces that couple the pairs, and their derivatives."""
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -32,7 +33,7 @@ def residual(pairs: int, seed: int = 1) -> np.ndarray:
 def integrals(kind: str, harmonics: int, **options: Any) -> CoupledIntegrals:
     """Of three pairs under a law."""
     law, samples = LAWS[kind]
-    return CoupledIntegrals(law, residual(3), harmonics, samples, **options)
+    return CoupledIntegrals(law, harmonics, residual=residual(3), samples=samples, **options)
 
 
 def difference(function: Any, place: Any, step: Any) -> np.ndarray:
@@ -42,22 +43,21 @@ def difference(function: Any, place: Any, step: Any) -> np.ndarray:
 
 
 @pytest.mark.parametrize("mean", [0.0, 100.0, -100.0])
-def test_products_with_the_tangent(mean: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As a matrix, formed, in parts, and in a basis; also without any event."""
+def test_products_with_the_tangent(mean: float) -> None:
+    """As a matrix, and in a basis, exact and sampled; also without any event, and after another
+    point has been asked for."""
     gap, change = random_gaps(4, 3, 2), random_gaps(4, 3, 5)
     gap[0] = mean
     basis = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 2)))[0]
-    found = []
-    for products in (0, 10**9):
-        monkeypatch.setattr("fenics_crack.balance.coupled_integrals.PRODUCTS", products)
-        tangent = integrals("rigid", 4).linearise(gap).tangent
-        matrix = tangent.matrix().reshape(27, 27)
-        assert np.allclose(tangent.apply(change).ravel(), matrix @ change.ravel(), atol=1e-9)
-        seen = tangent.seen(basis).apply(change[:, :2])
+    for kind in ("rigid", "smoothed"):
+        made = integrals(kind, 4)
+        forces, other = made.linearise(gap), made.linearise(change)
+        matrix = forces.tangent().reshape(27, 27)
+        assert np.allclose(forces.apply(change).ravel(), matrix @ change.ravel(), atol=1e-9)
+        seen = forces.tangent(basis).reshape(18, 18) @ change[:, :2].ravel()
         expected = (matrix @ (change[:, :2] @ basis.T).ravel()).reshape(9, 3) @ basis
-        assert np.allclose(seen, expected, atol=1e-9)
-        found.append(matrix)
-    assert np.allclose(*found, atol=1e-9)
+        assert np.allclose(seen, expected.ravel(), atol=1e-9)
+        assert np.array_equal(other.apply(gap), made.linearise(change).apply(gap))
 
 
 # --- forces ---------------------------------------------------------------------------------------
@@ -99,10 +99,10 @@ def test_samples_approach_the_exact_force_with_second_order(pairs: int, harmonic
     errors = np.zeros(len(counts))
     for seed in range(8):
         gap = random_gaps(harmonics, pairs, seed)
-        exact = CoupledIntegrals(RIGID, compliance, harmonics).linearise(gap).force
+        made = CoupledIntegrals(RIGID, harmonics, residual=compliance)
         for place, count in enumerate(counts):
-            found = CoupledIntegrals(RIGID, compliance, harmonics, int(count)).linearise(gap)
-            errors[place] += relative(found.force, exact) / 8.0
+            found = replace(made, samples=int(count)).force(gap)
+            errors[place] += relative(found, made.force(gap)) / 8.0
     assert log_slope(counts, errors) == pytest.approx(-2.0, abs=0.15)
     assert errors[-1] < 1e-6
 
@@ -116,10 +116,16 @@ def test_one_pair_is_a_penalty_behind_a_spring(stiffness: float, softness: float
     alone = ExactIntegrals(fc.UnilateralPenalty(1.0 / (compliance * (1.0 + softness))), 7)
     for seed in range(4):
         gap = random_gaps(7, 1, seed)
-        forces = CoupledIntegrals(law, np.full((1, 1), 0.4), 7, softness=softness).linearise(gap)
-        force, tangent = alone.linearise(gap)
-        assert relative(forces.force, force) < 1e-12
-        assert relative(forces.tangent.matrix()[:, 0, :, 0], tangent[0]) < 1e-11
+        seen: dict[str, Any] = {"residual": np.full((1, 1), 0.4), "softness": softness}
+        forces = CoupledIntegrals(law, 7, **seen).linearise(gap)
+        pair, spring = ExactIntegrals(law, 7, **seen).linearise(gap), alone.linearise(gap)
+        for found in (forces, pair):
+            assert relative(found.force, spring.force) < 1e-12
+        assert relative(forces.tangent()[:, 0], spring.tangent[0]) < 1e-11
+        assert relative(pair.tangent, spring.tangent) < 1e-12
+        for name in ("by_softness", "by_stiffness"):
+            one, other = (getattr(found, name)() for found in (forces, pair))
+            assert np.allclose(one, other, rtol=1e-10, atol=1e-12)
 
 
 def test_grazing_contact_against_a_penalty() -> None:
@@ -129,7 +135,7 @@ def test_grazing_contact_against_a_penalty() -> None:
         for column in range(10):
             gap = gaps[:, [column]]
             for sign in (1.0, -1.0):
-                made = CoupledIntegrals(RIGID, np.eye(1), 4).linearise(sign * gap)
+                made = CoupledIntegrals(RIGID, 4, residual=np.eye(1)).linearise(sign * gap)
                 force = ExactIntegrals(fc.UnilateralPenalty(1.0), 4).force(sign * gap)
                 assert np.abs(made.force - force).max() < 1e-13
                 assert np.any(made.force) == (depth > 0.0 or sign < 0.0)
@@ -138,7 +144,7 @@ def test_grazing_contact_against_a_penalty() -> None:
 def test_smoothed_force_by_quadrature() -> None:
     """lambda(s(t)) of one pair times each wave, by QUADPACK."""
     law, compliance = fc.SmoothedPenalty(3.0, 4.0), np.full((1, 1), 0.2)
-    made, gap = CoupledIntegrals(law, compliance, 2), random_gaps(2, 1)
+    made, gap = CoupledIntegrals(law, 2, residual=compliance), random_gaps(2, 1)
     found = made.linearise(gap).force[:, 0]
 
     def force(t: float) -> float:
@@ -168,8 +174,8 @@ def test_coefficients_and_samples() -> None:
 def test_tangent_against_finite_differences(kind: str, harmonics: int) -> None:
     """All couplings of harmonics and pairs, to 1e-6 of the largest; T v is the matrix times v."""
     made, gap = integrals(kind, harmonics), random_gaps(harmonics, 3, harmonics)
-    tangent = made.linearise(gap).tangent
-    matrix = tangent.matrix()
+    forces = made.linearise(gap)
+    matrix = forces.tangent().reshape(len(gap), 3, len(gap), 3)
     for row in range(len(gap)):
         for pair in range(3):
             unit = np.zeros_like(gap)
@@ -177,7 +183,7 @@ def test_tangent_against_finite_differences(kind: str, harmonics: int) -> None:
             slope = difference(lambda s: made.linearise(s).force, gap, 1e-6 * unit) / 1e-6
             assert np.abs(matrix[:, :, row, pair] - slope).max() < 2e-6 * np.abs(matrix).max()
     change = np.random.default_rng(1).normal(size=gap.shape)
-    assert relative(tangent.apply(change), np.tensordot(matrix, change, 2)) < 1e-12
+    assert relative(forces.apply(change), np.tensordot(matrix, change, 2)) < 1e-12
     if harmonics > 1:  # pairs and harmonics are coupled
         assert np.abs(matrix[1, 0, 4, 1]) > 1e-4 * np.abs(matrix).max()
 
@@ -194,10 +200,10 @@ def test_derivatives_by_softness_and_stiffness(kind: str, softness: float) -> No
     if kind == "rigid":
         assert not np.any(forces.by_stiffness())
         return
-    law, samples = LAWS[kind]
+    law = made.law
 
     def scaled(logarithm: float) -> np.ndarray:
-        other = CoupledIntegrals(law.scaled(np.exp(logarithm)), residual(3), 5, samples)
+        other = made.of_law(law.scaled(np.exp(logarithm)))
         # Softness is measured in the compliance, which changes here: kept in metres per newton.
         kept = other.with_softness(softness * made.unit / other.unit)
         return kept.linearise(gap).force
@@ -218,10 +224,10 @@ def test_widened_keeps_the_forces() -> None:
 def test_many_pairs_and_sets() -> None:
     """Forty pairs, hundreds of sets: the forces of many samples, and the tangent along a change."""
     compliance, gap = residual(40), random_gaps(4, 40)
-    made = CoupledIntegrals(RIGID, compliance, 4)
+    made = CoupledIntegrals(RIGID, 4, residual=compliance)
     exact = made.linearise(gap)
-    fine = CoupledIntegrals(RIGID, compliance, 4, 1 << 13).linearise(gap)
+    fine = replace(made, samples=1 << 13).linearise(gap)
     assert relative(fine.force, exact.force) < 1e-5
     change = 1e-6 * np.random.default_rng(1).normal(size=gap.shape)
     slope = difference(lambda s: made.linearise(s).force, gap, change)
-    assert relative(exact.tangent.apply(change), slope) < 1e-5
+    assert relative(exact.apply(change), slope) < 1e-5

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from helpers import chain, dense_matrices, oscillator, relative, two_masses
 from laboratory import BlockSystem
+from petsc4py import PETSc
 
 import fenics_crack as fc
 from fenics_crack import ContactLaw
@@ -258,6 +259,33 @@ def test_initial_of_another_structure_is_refused() -> None:
             fc.solve_harmonic_balance(
                 oscillator(), 1.0, law, initial=other, subharmonic=subharmonic
             )
+
+
+@pytest.mark.parametrize(
+    ("law", "lips"),
+    [
+        (fc.UnilateralPenalty(4.0), "with mass"),
+        (fc.UnilateralConstraint(), "with mass"),
+        (fc.UnilateralPenalty(4.0), "massless"),
+        (fc.UnilateralConstraint(), "massless"),
+    ],
+)
+def test_the_kernel_finds_what_snes_finds(law: ContactLaw, lips: str) -> None:
+    """Pair by pair, projected, and coupled pairs of either law: the same solution to 1e-10."""
+    structure = chain()
+    if lips == "massless":
+        structure = fc.reduce_structure(structure, modes=4, method="massless")
+    options, found = PETSc.Options("crack_hb_"), []
+    for asked in (False, True):
+        if asked:
+            options["snes_max_it"] = 50
+        found.append(
+            fc.solve_harmonic_balance(structure, 0.8, law, harmonics=7, residual_tolerance=1e-13)
+        )
+    options.delValue("snes_max_it")
+    assert found[0].converged and np.any(found[0].force_coefficients)
+    assert relative(found[0].gap_coefficients, found[1].gap_coefficients) < 1e-10
+    assert relative(found[0].force_coefficients, found[1].force_coefficients) < 1e-9
 
 
 def test_petsc_options_reach_snes(mpirun: Callable[..., str]) -> None:

@@ -13,7 +13,7 @@ from helpers import Cubic, amplitudes, oscillator, random_stiffness, true_error,
 import fenics_crack as fc
 from fenics_crack import continue_frequency
 from fenics_crack.balance.compliance import ModalCompliance, load_coefficients
-from fenics_crack.balance.condensed import respond
+from fenics_crack.balance.contact_integrals import respond
 from fenics_crack.balance.family import FAMILIES
 from fenics_crack.numerics.bordered import PathPoint
 from fenics_crack.numerics.fourier import from_complex

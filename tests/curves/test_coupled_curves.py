@@ -116,7 +116,7 @@ def test_doubled_branch_of_a_rigid_pair(
     old = fc.continue_frequency(behind_a_spring, 1.5, 3.0, RIGID, harmonics=10)
     doublings = [b for b in bilinear.bifurcations if b.kind == "period_doubling"]
     for matrix_free in (300, 10):
-        monkeypatch.setattr("fenics_crack.balance.coupled.MATRIX_FREE", matrix_free)
+        monkeypatch.setattr("fenics_crack.balance.contact_system.MATRIX_FREE", matrix_free)
         branch = fc.follow_branch(old, doublings[0])
         assert branch.status == "joined the branch that it left" and branch.subharmonic == 2
         assert branch.static_above == old.static_above
@@ -196,7 +196,7 @@ def test_without_a_matrix_the_same_curve(
     curve: fc.ResponseCurve, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """J is not formed: the sign of its determinant is unknown, the path and its folds are not."""
-    monkeypatch.setattr("fenics_crack.balance.coupled.MATRIX_FREE", 10)
+    monkeypatch.setattr("fenics_crack.balance.contact_system.MATRIX_FREE", 10)
     other = fc.continue_frequency(curve.structure, *SPAN, RIGID, harmonics=6)
     family = FAMILIES["omega"](other.problem, *SPAN)
     assert family.matrix_free and np.isnan(family.linearise(other.unknown(0), 0.0).sign)

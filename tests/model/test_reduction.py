@@ -170,7 +170,7 @@ CASES: list[tuple[str, int, tuple[int, ...]]] = [
     ("wide plate", 10, (10, 20, 40, 80)),
     ("modal", 7, (3, 5, 10, 20, 30)),
     ("matrix", 7, (3, 5, 10, 20, 30)),
-    ("few modes", 7, (3, 5, 10, 20, 30)),
+    ("few modes", 7, (5, 10, 20)),
     ("none", 7, (3, 5, 10, 20, 30)),
 ]
 
@@ -185,8 +185,9 @@ def test_estimated_error_is_the_true_one(
 ) -> None:
     """Within a factor 3 of the error against the exact compliance, from 1e-8 to 3e-2."""
     plates = {"plate": soft_plate, "wide plate": wide_plate}
-    whole = plates.get(structure) or chain(structure, 60)
-    omega, stiffness = (2000.0, 1e9) if structure in plates else (0.05, 4.0)
+    length = 30 if structure == "few modes" else 60  # a longer one moves without a period
+    whole = plates.get(structure) or chain(structure, length)
+    omega, stiffness = (2000.0, 1e9) if structure in plates else (3.0 / length, 4.0)
     law = fc.UnilateralPenalty(stiffness)
 
     def solve(made: fc.Structure) -> fc.PeriodicSolution:

@@ -22,7 +22,7 @@ from helpers import (
 from mpi4py import MPI
 
 import fenics_crack as fc
-from fenics_crack.model.complementarity import by_least_squares, solve_complementarity, solve_forces
+from fenics_crack.model.coupled import by_least_squares, solve_complementarity, solve_forces
 
 LAW = fc.UnilateralPenalty(1e9)
 RIGID = fc.UnilateralConstraint()

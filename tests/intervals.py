@@ -1,4 +1,4 @@
-"""When which pairs are closed, for contact that couples the pairs: found cell by cell, in order.
+"""When which pairs are closed, for contact that couples the pairs, as the kernel finds it.
 
 Between two events the set A of closed pairs stays, and with it lambda_A = (D_AA)^-1 s_A and the
 openings of the others, D lambda - s (:mod:`fenics_crack.model.coupled`). An event is the first root

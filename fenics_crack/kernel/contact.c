@@ -1,4 +1,4 @@
-#include "coupled.h"
+#include "contact.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -8,15 +8,14 @@
 #include "dense.h"
 #include "krylov.h"
 #include "lapack.h"
+#include "switching.h"
 
-
-enum { FEW = 100 }; /* unknowns up to which factors are quicker than products */
-
-struct coupled_point {
+struct contact_point {
     dense common;
-    coupled of;
+    contact_pairs of;
     compliance *seen;
-    coupled_forces *forces;
+    coupled_forces *forces;                  /* of coupled pairs; else NULL, and */
+    double *waves, *stiffness, *tangent;     /* of each pair 1 / D (p) and T (p, 2H+1, 2H+1) */
     krylov *inverse;                         /* where solutions take products; else NULL */
     double parameter;
     double *compliance, *rate;               /* D (p, p), and the rate of its diagonal by p */
@@ -28,10 +27,33 @@ struct coupled_point {
     double *room;
 };
 
-/* D(p), and what it grows by. */
-static void set_compliance(coupled_point *at, double parameter)
+void respond_to_columns(int harmonics, int pairs, int columns, const double *matrices,
+                        const double *tangent, double *product)
 {
-    const coupled *of = &at->of;
+    /* A force a - i b on harmonic k moves the gap by R_k (a - i b): by the real matrix
+     * [[Re R_k, Im R_k], [-Im R_k, Re R_k]] on (a, b). */
+    const size_t rows = 2 * harmonics + 1, across = columns, n = across * pairs;
+    for (int k = 0; k <= harmonics; k++)
+        for (int p = 0; p < pairs; p++)
+            for (int q = 0; q < pairs; q++, matrices += 2) {
+                const double re = matrices[0], im = matrices[1];
+                const size_t row = k ? 2 * k - 1 : 0;
+                const double *a = tangent + (q * rows + row) * across, *b = a + across;
+                double *first = product + (row * pairs + p) * n + q, *second = first + pairs * n;
+                if (!k)
+                    for (size_t j = 0; j < across; j++) first[j * pairs] = re * a[j];
+                else
+                    for (size_t j = 0; j < across; j++) {
+                        first[j * pairs] = re * a[j] + im * b[j];
+                        second[j * pairs] = re * b[j] - im * a[j];
+                    }
+            }
+}
+
+/* D(p), and what it grows by. */
+static void set_compliance(contact_point *at, double parameter)
+{
+    const contact_pairs *of = &at->of;
     const size_t p = of->seen.pairs;
     const double factor = exp(-of->growth * parameter), left = 1.0 - parameter;
     memcpy(at->compliance, of->residual, p * p * sizeof(double));
@@ -39,25 +61,32 @@ static void set_compliance(coupled_point *at, double parameter)
         const double spring = factor * of->springs[i];
         at->compliance[i * (p + 1)] += spring + of->softness * fabs(left) * left * left;
         at->rate[i] = -of->growth * spring - 3.0 * of->softness * left * fabs(left);
+        if (!of->coupled) at->stiffness[i] = 1.0 / at->compliance[i * (p + 1)];
     }
     at->parameter = parameter;
 }
 
 static int evaluate(equations *own, const double *gap, double parameter)
 {
-    coupled_point *at = (coupled_point *)own;
+    contact_point *at = (contact_point *)own;
+    const int harmonics = at->of.seen.harmonics, pairs = at->of.seen.pairs;
     at->common.factored = 0;
     if (set_parameter(at->seen, parameter)) return SINGULAR_STRUCTURE;
     if (parameter != at->parameter) set_compliance(at, parameter);
     memcpy(at->gap, gap, own->unknowns * sizeof(double));
-    const int outcome = find_forces(at->forces, at->compliance, at->gap, at->force);
-    if (outcome != FOUND) return outcome;
+    if (at->of.coupled) {
+        const int outcome = find_forces(at->forces, at->compliance, at->gap, at->force);
+        if (outcome != FOUND) return outcome;
+    } else if (contact_integrals(harmonics, pairs, gap, at->stiffness, at->waves, at->means,
+                                 at->force, at->tangent)) {
+        return NO_MEMORY;
+    }
     answer_to(at->seen, at->force, at->residual);
     for (int i = 0; i < own->unknowns; i++) at->residual[i] += gap[i];
     return FOUND;
 }
 
-double largest_moving(coupled_point *at, double parameter)
+double largest_moving(contact_point *at, double parameter)
 {
     at->common.factored = 0; /* what has been evaluated holds no longer */
     return largest_row(at->seen, parameter);
@@ -65,29 +94,50 @@ double largest_moving(coupled_point *at, double parameter)
 
 static void residual_at(const equations *own, double *found)
 {
-    memcpy(found, ((const coupled_point *)own)->residual, own->unknowns * sizeof(double));
+    memcpy(found, ((const contact_point *)own)->residual, own->unknowns * sizeof(double));
+}
+
+/* change = T x. */
+static void forces_by(contact_point *at, const double *x)
+{
+    const int pairs = at->of.seen.pairs, rows = 2 * at->of.seen.harmonics + 1;
+    if (at->of.coupled) {
+        forces_by_gap(at->forces, x, at->change);
+        return;
+    }
+    double *column = at->means, *product = column + rows; /* means have served the tangent */
+    for (int pair = 0; pair < pairs; pair++) {
+        for (int i = 0; i < rows; i++) column[i] = x[i * pairs + pair];
+        multiply(rows, rows, at->tangent + (size_t)pair * rows * rows, column, product);
+        for (int i = 0; i < rows; i++) at->change[i * pairs + pair] = product[i];
+    }
 }
 
 static void apply_jacobian(equations *own, const double *x, double *found)
 {
-    coupled_point *at = (coupled_point *)own;
-    forces_by_gap(at->forces, x, at->change);
+    contact_point *at = (contact_point *)own;
+    forces_by(at, x);
     respond_at(at->seen, at->change, found);
     for (int i = 0; i < own->unknowns; i++) found[i] += x[i];
 }
 
 static void by_parameter(equations *own, double *found)
 {
-    coupled_point *at = (coupled_point *)own;
+    contact_point *at = (contact_point *)own;
+    const int pairs = at->of.seen.pairs;
     rate_of_answer(at->seen, found);
     if (at->of.growth == 0.0 && at->of.softness == 0.0) return;
-    forces_by_compliance(at->forces, at->rate, at->change);
+    if (at->of.coupled)
+        forces_by_compliance(at->forces, at->rate, at->change);
+    else
+        for (int i = 0; i < own->unknowns; i++)
+            at->change[i] = -at->rate[i % pairs] * at->stiffness[i % pairs] * at->force[i];
     respond_at(at->seen, at->change, at->beside);
     for (int i = 0; i < own->unknowns; i++) found[i] += at->beside[i];
 }
 
 /* R'_k as a real matrix on (a, b) of a - i b, [[Re, Im], [-Im, Re]]; for k = 0 Re alone. */
-static void set_block(coupled_point *at, int k)
+static void set_block(contact_point *at, int k)
 {
     const int p = at->of.seen.pairs, q = at->of.seen_gaps, size = k ? 2 * q : q;
     const double *basis = at->of.basis, *moving = matrices_of(at->seen) + 2 * (size_t)k * p * p;
@@ -108,26 +158,31 @@ static void set_block(coupled_point *at, int k)
         }
 }
 
-/* I + R' U^T T U, harmonic by harmonic; not a number without memory. */
+/* I + R~ T, or of coupled pairs I + R' U^T T U, harmonic by harmonic; not a number without memory. */
 static void form_jacobian(dense *common)
 {
-    coupled_point *at = (coupled_point *)common;
+    contact_point *at = (contact_point *)common;
     const int harmonics = at->of.seen.harmonics, q = at->of.seen_gaps, n = common->size;
     double *rows = common->matrix;
-    if (means_of_stiffness(at->forces, at->of.basis, q, at->means)) at->means[0] = NAN;
-    for (int k = 0; k <= harmonics; k++) {
-        const int size = k ? 2 * q : q;
-        set_block(at, k);
-        tangent_of_harmonic(harmonics, q, k, at->means, at->strip);
-        multiply_matrices(size, size, n, at->block, at->strip, 0.0, rows);
-        rows += (size_t)size * n;
+    if (!at->of.coupled) {
+        respond_to_columns(harmonics, q, 2 * harmonics + 1, matrices_of(at->seen), at->tangent,
+                           rows);
+    } else {
+        if (means_of_stiffness(at->forces, at->of.basis, q, at->means)) at->means[0] = NAN;
+        for (int k = 0; k <= harmonics; k++) {
+            const int size = k ? 2 * q : q;
+            set_block(at, k);
+            tangent_of_harmonic(harmonics, q, k, at->means, at->strip);
+            multiply_matrices(size, size, n, at->block, at->strip, 0.0, rows);
+            rows += (size_t)size * n;
+        }
     }
     for (int i = 0; i < n; i++) common->matrix[(size_t)i * (n + 1)] += 1.0;
 }
 
 /* x = J^-1 x by factors. What of x no gap U y is stays, w = x - U U^T x; the rest is U y with
  * (I + R' U^T T U) y = U^T (x - R~ T w). */
-static void solve_by_factors(coupled_point *at, double *x)
+static void solve_by_factors(contact_point *at, double *x)
 {
     equations *own = &at->common.own;
     const int p = at->of.seen.pairs, q = at->of.seen_gaps, n = own->unknowns;
@@ -139,7 +194,7 @@ static void solve_by_factors(coupled_point *at, double *x)
     multiply_matrices(rows, p, q, x, at->of.basis, 0.0, at->within);
     multiply_matrices(rows, q, p, at->within, at->transposed, 0.0, at->beside);
     for (int i = 0; i < n; i++) at->beside[i] = x[i] - at->beside[i];
-    forces_by_gap(at->forces, at->beside, at->change);
+    forces_by(at, at->beside);
     respond_at(at->seen, at->change, at->moved);
     for (int i = 0; i < n; i++) at->moved[i] = x[i] - at->moved[i];
     multiply_matrices(rows, p, q, at->moved, at->of.basis, 0.0, at->within);
@@ -150,51 +205,66 @@ static void solve_by_factors(coupled_point *at, double *x)
 
 static void solve(equations *own, double *x)
 {
-    coupled_point *at = (coupled_point *)own;
+    contact_point *at = (contact_point *)own;
     if (at->inverse) solve_by_products(at->inverse, own, x, own->sharp);
     else solve_by_factors(at, x);
 }
 
 static double sign(equations *own)
 {
-    return ((coupled_point *)own)->of.formed ? sign_of_dense(own) : NAN;
+    return ((contact_point *)own)->of.formed ? sign_of_dense(own) : NAN;
 }
 
-coupled_point *new_coupled_point(const coupled *given)
+/* What pairs need whose forces are their own, or those of coupled ones: 0, or 1 without memory. */
+static int make_forces(contact_point *at)
 {
-    coupled_point *at = calloc(1, sizeof(coupled_point));
+    const contact_pairs *of = &at->of;
+    equations *own = &at->common.own;
+    if (!of->coupled) {
+        own->has_factors = has_dense_factors, own->solve_nearly = solve_nearly_dense;
+        switching_waves(of->seen.harmonics, at->waves);
+        return 0;
+    }
+    own->products = !of->formed || own->unknowns > MANY;
+    if (own->products) at->inverse = new_krylov(own->unknowns);
+    at->forces = new_coupled_forces(of->seen.harmonics, of->seen.pairs);
+    return !at->forces || (own->products && !at->inverse);
+}
+
+contact_point *new_contact_point(const contact_pairs *given)
+{
+    contact_point *at = calloc(1, sizeof(contact_point));
     if (!at) return NULL;
     at->of = *given;
     const size_t H = given->seen.harmonics, p = given->seen.pairs, q = given->seen_gaps;
-    const size_t rows = 2 * H + 1, n = rows * p, size = rows * q;
+    const size_t rows = 2 * H + 1, n = rows * p, size = rows * q, alone = !given->coupled;
     const size_t formed = given->formed ? size : 0; /* what only a J that is formed needs */
+    const size_t waves = 2 * H * (switching_cells((int)H) / 4 + 1);
     at->common.own = (equations){
         .unknowns = (int)n, .evaluate = evaluate, .residual = residual_at, .solve = solve,
         .by_parameter = by_parameter, .sign = sign, .apply = apply_jacobian};
-    const int products = !given->formed || n > FEW;
-    if (products) at->inverse = new_krylov((int)n);
-    at->common.own.products = products;
     at->seen = new_compliance(&given->seen);
-    at->forces = new_coupled_forces((int)H, (int)p);
     const struct {
         double **array;
         size_t size;
     } parts[] = {{&at->compliance, p * p},       {&at->rate, p},          {&at->gap, n},
                  {&at->force, n},                {&at->change, n},        {&at->residual, n},
                  {&at->transposed, q * p},       {&at->within, size},     {&at->beside, n},
-                 {&at->means, 2 * formed * q}, {&at->strip, 2 * q * formed}, {&at->moved, n},
-                 {&at->block, 4 * q * q},        {&at->half, 2 * q * p},  {&at->counts, n}};
+                 {&at->means, 2 * (formed + rows) * q}, {&at->strip, 2 * q * formed},
+                 {&at->moved, n},                {&at->block, 4 * q * q}, {&at->half, 2 * q * p},
+                 {&at->counts, n},               {&at->waves, alone * waves},
+                 {&at->stiffness, alone * p},    {&at->tangent, alone * n * rows}};
     const size_t count = sizeof parts / sizeof parts[0];
     size_t all = 0;
     for (size_t i = 0; i < count; i++) all += parts[i].size;
     at->room = malloc(all * sizeof(double));
-    if (make_dense(&at->common, (int)formed, form_jacobian) || !at->seen || !at->forces ||
-        !at->room || (products && !at->inverse)) {
-        free_coupled_point(at);
+    double *next = at->room;
+    for (size_t i = 0; i < count && next; next += parts[i++].size) *parts[i].array = next;
+    if (make_dense(&at->common, (int)formed, form_jacobian) || !at->seen || !at->room ||
+        make_forces(at)) {
+        free_contact_point(at);
         return NULL;
     }
-    double *next = at->room;
-    for (size_t i = 0; i < count; next += parts[i++].size) *parts[i].array = next;
     for (size_t i = 0; i < p && given->basis; i++)
         for (size_t j = 0; j < q; j++) at->transposed[j * p + i] = given->basis[i * q + j];
     for (size_t i = 0; i < n; i++) {
@@ -206,7 +276,7 @@ coupled_point *new_coupled_point(const coupled *given)
     return at;
 }
 
-void free_coupled_point(coupled_point *at)
+void free_contact_point(contact_point *at)
 {
     free_dense(&at->common);
     free_compliance(at->seen);
@@ -216,4 +286,4 @@ void free_coupled_point(coupled_point *at)
     free(at);
 }
 
-equations *equations_of_coupled(coupled_point *at) { return &at->common.own; }
+equations *equations_of_contact(contact_point *at) { return &at->common.own; }

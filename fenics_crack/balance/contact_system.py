@@ -1,0 +1,276 @@
+"""Harmonic balance condensed onto the contact pairs: the gap's harmonics are the only unknowns.
+
+    F(s) = s - g_lin + (R_k - R_inf) b_k(lambda(s)) = 0,       J = I + (R - R_inf) T,
+
+with the compliance R of :mod:`compliance`, block diagonal in the harmonics, the static compliance
+R_inf through which contact is seen, and the coefficients b of the contact forces lambda(s), T their
+derivative. The gap is g = s - R_inf lambda(s). The same equation as the full block system's,
+multiplied by B^T A^-1: both have the same solutions. How the forces follow from s is a strategy:
+
+pair by pair   R_inf = 0, s = g: the penalty law of pairs by themselves (:mod:`contact_integrals`);
+coupled        R_inf couples the pairs (:mod:`coupled_integrals`). R_k - R_inf falls like k^-2: s is
+               smooth, and only s is truncated; g keeps its kinks. The slope of lambda(s) is bounded
+               by the inverse of R_inf, however stiff the contact: the penalty law and the
+               constraint are one law, with a stiffness or without;
+projected      without penetration at all, of pairs with mass: R_inf = I / eps in frequency, s = g +
+               lambda / eps, lambda = eps max(s, 0) pair by pair, the dynamic Lagrangian. Truncated
+               solutions depend a little on eps, less the more harmonics there are;
+sampled        any other law, by alternating between frequency and time (AFT).
+
+Where modes are fewer than coupled pairs, R_k - R_inf = U R'_k U^T with an orthonormal basis U of
+the gaps that modes can make, and steps are found in its coordinates:
+
+    J^-1 r = r - U (I + R' U^T T U)^-1 R' U^T T r,       det J = det(I + R' U^T T U).
+
+With many coupled unknowns J is not formed: J v costs two FFTs, and GMRES needs some dozens of them.
+
+Sources: Nacivet, Pierre, Thouverez, Jezequel, Journal of Sound and Vibration 265 (2003) 201-219
+(projected); Monjaraz-Tec, Gross and Krack, arXiv 2111.07693 and 2207.00795 (coupled, in time),
+2603.26446 (in frequency).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from fenics_crack.balance.compiled import SHARP, CompiledEquations, ModalPart
+from fenics_crack.balance.compliance import Compliance, ResizedCompliance
+from fenics_crack.balance.contact_integrals import ContactIntegrals, LowRank, respond
+from fenics_crack.errors import InputError
+from fenics_crack.model.contact import ContactLaw
+from fenics_crack.numerics.krylov import gmres
+from fenics_crack.numerics.linearisation import DenseLinearisation, solve_factored
+
+__all__ = ["ContactPoint", "ContactSystem", "default_weight"]
+
+LOW_RANK = 400
+"""Unknowns of uncoupled pairs from which solutions go through the rank of T."""
+IN_KERNEL = 2000
+"""Those up to which the kernel follows paths: their Jacobian is dense there, but many points share
+its factors."""
+MATRIX_FREE = 350
+"""Unknowns of a step from which the Jacobian of coupled pairs is not formed. Both ways take equally
+long with about 300 to 350 unknowns of 18 pairs (measured with H = 8 to 40)."""
+
+ByParameter = Callable[["ContactPoint"], np.ndarray]
+
+
+def default_weight(compliance: Compliance) -> float:
+    """Inverse of the static compliance: the stiffness that the pairs see [N/m]."""
+    largest = float(np.abs(compliance.matrices[0]).sum(axis=1).max())
+    if not largest > 0.0:
+        raise InputError("structure", "static compliance 0", "one whose pairs can move")
+    return 1.0 / largest
+
+
+class ContactSystem:
+    """F(s) = s - g_lin + (R_k - R_inf) b(lambda(s)); small, and the same on every rank.
+
+    Its parameter p leads from soft contact to the law itself, at p = ``end``: ln(k / k of the law)
+    of pairs by themselves, 0 at the end; of others that of the compliance in series with them,
+    ``softness`` |1 - p|^3 in parts of ``integrals.unit``, 1 at the end.
+    """
+
+    comm = MPI.COMM_SELF
+
+    def __init__(
+        self, compliance: Compliance, integrals: ContactIntegrals, softness: float = 0.0
+    ) -> None:
+        self.compliance, self.integrals, self._softness = compliance, integrals, softness
+        self.linear = compliance.linear_gap
+        """g_lin: (2H+1, n_pairs) [m]."""
+        self.shape: tuple[int, ...] = self.linear.shape
+        self.global_size = self.linear.size
+        self.residual = integrals.residual
+        """R_inf [m/N]; None: zero."""
+        self.moving = compliance.matrices
+        """R_k - R_inf."""
+        if self.residual is not None:
+            self.moving = self.moving - self.residual
+        self.end = 0.0 if self.residual is None else 1.0
+        rows, pairs = self.shape
+        self.basis = compliance.basis if integrals.coupled else None
+        """U, None where it is not needed."""
+        size = rows * (pairs if self.basis is None else self.basis.shape[1])
+        self.matrix_free = integrals.coupled and size > MATRIX_FREE
+
+    @property
+    def in_kernel(self) -> bool:
+        """Whether the kernel has these equations: with exact integrals, and unless they are too
+        many."""
+        few = self.integrals.coupled or self.global_size <= IN_KERNEL
+        return self.integrals.exact and few
+
+    @cached_property
+    def compiled(self) -> CompiledEquations | None:
+        """The same along its parameter in the kernel, where it has them."""
+        if not self.in_kernel:
+            return None
+        if self.residual is None:
+            return self.compile(self.linear, self.moving, growth=1.0)
+        softness = self._softness * self.integrals.unit
+        return self.compile(self.linear, self.moving, softness=softness)
+
+    def compile(
+        self, linear: np.ndarray, compliance: np.ndarray | ModalPart, **along: Any
+    ) -> CompiledEquations:
+        """The kernel's equations of these pairs."""
+        return CompiledEquations(
+            self.residual, self._springs(self.integrals.law), linear, compliance,
+            coupled=self.integrals.coupled, basis=self.basis, formed=not self.matrix_free, **along,
+        )  # fmt: skip
+
+    def _springs(self, law: ContactLaw) -> np.ndarray:
+        """1/k of each pair [m/N]."""
+        found = 1.0 / np.asarray(law.stiffness, dtype=float)
+        return np.broadcast_to(found, self.shape[1:])
+
+    @cached_property
+    def moving_seen(self) -> np.ndarray:
+        """R'_k = U^T (R_k - R_inf) U."""
+        assert self.basis is not None
+        found: np.ndarray = self.basis.T @ self.moving @ self.basis
+        return found
+
+    def linearise(self, unknown: np.ndarray, parameter: float | None = None) -> ContactPoint:
+        """The equations at s, of the law itself or at a parameter."""
+        integrals, parameter = self.integrals, self.end if parameter is None else parameter
+        if self.residual is None:
+            if parameter != 0.0:
+                integrals = integrals.of_law(integrals.law.scaled(float(np.exp(parameter))))
+            return ContactPoint(
+                self, unknown, integrals, lambda at: respond(self.moving, at.forces.by_stiffness())
+            )
+        left = 1.0 - parameter
+        rate = -3.0 * self._softness * left * abs(left)
+        return ContactPoint(
+            self, unknown, integrals.with_softness(self._softness * abs(left) ** 3),
+            lambda at: respond(self.moving, rate * at.forces.by_softness()),
+        )  # fmt: skip
+
+    def along(self, unknown: np.ndarray, by_parameter: ByParameter) -> ContactPoint:
+        """The equations at s, with the derivative by another parameter."""
+        return ContactPoint(self, unknown, self.integrals, by_parameter)
+
+    def inner(self, first: np.ndarray, second: np.ndarray) -> float:
+        """Inner product."""
+        return float(np.vdot(first, second))
+
+    def steepest_force(self, law: ContactLaw) -> float:
+        """Largest slope of lambda(s) for a law, the inverse of the smallest eigenvalue of R_inf +
+        I/k [N/m]."""
+        springs = self._springs(law)
+        least = float(springs.min())
+        if self.residual is not None:
+            least = max(least, float(np.linalg.eigvalsh(self.residual + np.diag(springs))[0]))
+        return 1.0 / max(least, 1e-300)
+
+    def steepness(self, law: ContactLaw) -> float:
+        """Largest slope of (R_k - R_inf) lambda(s) by s, for a law."""
+        return float(np.abs(self.moving).sum(axis=2).max()) * self.steepest_force(law)
+
+    def softened(self) -> ContactSystem:
+        """The same equations, whose parameter starts where pairs hardly touch each other: their
+        softness is larger than the compliance of what moves."""
+        largest = float(np.abs(self.moving).sum(axis=2).max())
+        return self.with_softness(largest / (0.5 * self.integrals.unit))
+
+    def with_softness(self, softness: float) -> ContactSystem:
+        """The same equations, whose parameter starts at a softness."""
+        return ContactSystem(self.compliance, self.integrals, softness)
+
+    def with_compliance(self, compliance: Compliance) -> ContactSystem:
+        """The same with another compliance."""
+        return ContactSystem(compliance, self.integrals, self._softness)
+
+    def widened(self, harmonics: int) -> ContactSystem:
+        """The same equations with more harmonics, to the accuracy of an error estimate."""
+        compliance = ResizedCompliance(self.compliance, harmonics)
+        return ContactSystem(compliance, self.integrals.widened(harmonics))
+
+
+class ContactPoint(DenseLinearisation):
+    """:class:`ContactSystem` at s, and what changes of it do to the gap."""
+
+    def __init__(
+        self,
+        system: ContactSystem,
+        unknown: np.ndarray,
+        integrals: ContactIntegrals,
+        by_parameter: ByParameter,
+    ) -> None:
+        self.system, self._derivative = system, by_parameter
+        self._parts: LowRank | None = None
+        self.forces = integrals.linearise(unknown)
+        self.force = self.forces.force
+        """Coefficients of the contact force, (2H+1, n_pairs) [N]."""
+        self.gap = self._gap(unknown, self.force)
+        """Coefficients (2H+1, n_pairs) [m]."""
+        super().__init__(unknown, unknown - system.linear + respond(system.moving, self.force))
+
+    def _gap(self, unknown: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """g = s - R_inf lambda, of waves or of values in time."""
+        residual = self.system.residual
+        return unknown if residual is None else unknown - force @ residual
+
+    def in_time(self, gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Gaps and forces at instants of s there: (n, n_pairs) each."""
+        force = self.system.integrals.forces(gap)
+        return self._gap(gap, force), force
+
+    def assemble(self) -> np.ndarray:
+        """I + (R - R_inf) T."""
+        return self.forces.identity_plus(self.system.moving)
+
+    def condense(self) -> np.ndarray:
+        system = self.system
+        if system.basis is not None:
+            return self.forces.identity_plus(system.moving_seen, system.basis)
+        if self.unknown.size >= LOW_RANK:
+            self._parts = self.forces.low_rank()
+        return self.jacobian if self._parts is None else self._parts.condense(system.moving)
+
+    def apply(self, change: np.ndarray) -> np.ndarray:
+        return change + respond(self.system.moving, self.forces.apply(change))
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        system = self.system
+        if system.matrix_free:
+            return gmres(self.apply, right, SHARP)
+        factors = self._factors
+        if system.basis is not None:
+            drive = respond(system.moving, self.forces.apply(right)) @ system.basis
+            return right - solve_factored(factors, drive) @ system.basis.T
+        if self._parts is not None:
+            return self._parts.solve(right, system.moving, lambda r: solve_factored(factors, r))
+        return solve_factored(factors, right)
+
+    @property
+    def sign(self) -> float:
+        """Sign of det J; nan where J is not formed."""
+        return np.nan if self.system.matrix_free else super().sign
+
+    def differentiate(self) -> np.ndarray:
+        return self._derivative(self)
+
+    def gap_of(self, change: np.ndarray) -> np.ndarray:
+        """Change of the gap that belongs to a change of s."""
+        return self._gap(change, self.force_of(change))
+
+    def force_of(self, change: np.ndarray) -> np.ndarray:
+        """Change of the contact force that belongs to a change of s."""
+        return self.forces.apply(change)
+
+    def gap_by_force(self, change: np.ndarray) -> np.ndarray:
+        """Change of the gap if the contact force were changed."""
+        moved = self.solve(-respond(self.system.moving, change))
+        return self._gap(self.gap_of(moved), change)
+
+    def gap_by_linear_gap(self, change: np.ndarray) -> np.ndarray:
+        """Change of the gap if that without contact, g_lin, were changed."""
+        return self.gap_of(self.solve(change))

@@ -1,0 +1,52 @@
+/* Harmonic balance of contact pairs, along a parameter. */
+#ifndef CONTACT_H
+#define CONTACT_H
+
+#include "compliance.h"
+#include "equations.h"
+
+/*     F(s, p) = s - g_lin(p) + R~(p) b(lambda(s), p) = 0,      J = dF/ds = I + R~ T,
+ *
+ * with the gap s of what moves, its compliance R~_k = R_k - R_inf, and the coefficients b of the
+ * contact forces lambda(s), T their derivative, under
+ *
+ *     D(p) = R_inf + diag(e^{-growth p} springs) + softness |1 - p|^3.
+ *
+ * Where D is diagonal, each pair has its own force max(s, 0) / D (switching.h), and points may share
+ * LU factors; else the pairs are coupled (coupled_forces.h), and solutions take products with J where
+ * these are quicker than factors (krylov.h).
+ *
+ * Where modes are fewer than coupled pairs, R~_k = U R'_k U^T with an orthonormal basis U, and J is
+ * solved with through I + R' U^T T U, of the same determinant. Where J is not formed turns of a path
+ * are judged with 1 / k^2 for harmonic k: where the phase of the motion turns, that of harmonic k
+ * turns k times as far, and a tangent's high harmonics are not small. All arrays are the caller's,
+ * and stay.
+ */
+typedef struct {
+    seen_structure seen;    /* R~ in the place of R */
+    double growth, softness;
+    int coupled;            /* whether D has more than a diagonal */
+    const double *residual; /* R_inf: (p, p) */
+    const double *springs;  /* compliance in series with each pair: (p) */
+    int seen_gaps;          /* columns of U, or p */
+    const double *basis;    /* U: (p, seen_gaps); NULL where it is not needed */
+    int formed;             /* whether J is formed; else it is applied alone */
+} contact_pairs;
+
+typedef struct contact_point contact_point;
+
+/* NULL without memory. */
+contact_point *new_contact_point(const contact_pairs *given);
+void free_contact_point(contact_point *at);
+/* Its equations; evaluating them returns FOUND, NOT_FOUND where an instant has no forces,
+ * SINGULAR_STRUCTURE or NO_MEMORY. */
+equations *equations_of_contact(contact_point *at);
+/* Largest sum of |R~_k| over a row of it at a parameter; infinite where the structure is singular. */
+double largest_moving(contact_point *at, double parameter);
+
+/* R T for unknowns ordered (row, pair), from R (H+1, pairs, pairs), complex, and
+ * T (pairs, 2H+1, columns): (n, columns pairs), ordered (column, pair) too. */
+void respond_to_columns(int harmonics, int pairs, int columns, const double *matrices,
+                        const double *tangent, double *product);
+
+#endif

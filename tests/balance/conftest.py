@@ -1,0 +1,11 @@
+"""A reference that takes 10 s."""
+
+import pytest
+
+import fenics_crack as fc
+
+
+@pytest.fixture(scope="session")
+def never_penetrating(soft_plate: fc.Structure) -> fc.PeriodicSolution:
+    """The paper's plate with 1 % of damping without penetration, H = 160."""
+    return fc.solve_harmonic_balance(soft_plate, 2000.0, fc.UnilateralConstraint(), harmonics=160)
