@@ -8,116 +8,16 @@
 enum {
     UNSURE = 8,              /* points whose sign of det J is not asked for, in a row */
     DOUBTED = FAILED + 1,    /* of points: they do not go with the next factors */
-    HALVES = 53,             /* of an interval: as many as a double has digits */
-    PATIENT = 32
+    HALVES = 53              /* of an interval: as many as a double has digits */
 };
 #define ITERATIONS 0.05 /* with shared factors that take as long as new ones, per unknown */
 #define TANGENT 1e-5    /* residual of a tangent found with shared factors, or with products, */
-#define STEP 1e-4       /* of such a step of Newton's method, */
 #define SHARP 1e-9      /* and of a tangent that tells where a path turns */
 #define LEVEL 1e-3      /* slope of a tangent below which it must be exact: the path may turn */
 #define BRANCHING 1e-3  /* of the longest step: below it a change of sign straight on is a branch */
 #define CORNER 1e-7     /* shortest and longest step, of the longest of all, around a corner, */
 #define AROUND 1e-2
 #define BACK 0.9        /* and cosine of an angle above which its opposite leads back */
-
-static double inner(const equations *at, const double *x, const double *y)
-{
-    double sum = 0.0;
-    if (at->inner) return at->inner(at, x, y);
-    for (int i = 0; i < at->unknowns; i++) sum += x[i] * y[i];
-    return sum;
-}
-
-/* x += s y */
-static void add(int n, double *x, double s, const double *y)
-{
-    for (int i = 0; i < n; i++) x[i] += s * y[i];
-}
-
-/* -J^-1 dF/dp. */
-static void slope_at(equations *at, int n, double sharp, double *slope)
-{
-    at->by_parameter(at, slope);
-    at->sharp = sharp;
-    at->solve(at, slope);
-    for (int i = 0; i < n; i++) slope[i] = -slope[i];
-}
-
-/* The unit tangent towards growing p at a point that has been evaluated; its slope t_p. */
-static double tangent_at(equations *at, int n, double sharp, const double *x, double *tangent,
-                         double *weight)
-{
-    slope_at(at, n, sharp, tangent);
-    *weight = 1.0 / fmax(inner(at, x, x), 1e-300);
-    const double slope = 1.0 / sqrt(*weight * inner(at, tangent, tangent) + 1.0);
-    for (int i = 0; i < n; i++) tangent[i] *= slope;
-    return slope;
-}
-
-static void turn_round(int n, double *tangent, double *slope)
-{
-    for (int i = 0; i < n; i++) tangent[i] = -tangent[i];
-    *slope = -*slope;
-}
-
-/* solve_in_plane with room for F, dx and J^-1 F_p: (3, n). */
-static int correct(equations *at, const plane *in, const correction *how, double *x, double *p,
-                   int *taken, double *room)
-{
-    const int n = at->unknowns, patience = how->patience;
-    double *F = room, *change = room + n, *rate = change + n;
-    const double guess = *p;
-    double shift = 0.0, damping = 1.0, before = INFINITY;
-    double sizes[PATIENT], smallest = INFINITY; /* of the steps before the last `patience` */
-    *taken = 0;
-    for (int i = 0; i < 4 * how->iterations; i++) {
-        const int outcome = at->evaluate(at, x, *p);
-        if (outcome != FOUND) return outcome;
-        at->residual(at, F);
-        const double square = inner(at, F, F);
-        const double size = sqrt((in ? in->weight : 1.0 / fmax(inner(at, x, x), 1e-300)) * square);
-        if (size <= how->tolerance) return FOUND;
-        if (!isfinite(size)) return NOT_FOUND;
-        if (how->least_damping >= 0.0 && !(size < before)) { /* a shorter step */
-            damping *= 0.5;
-            if (damping < how->least_damping) return NOT_FOUND;
-            add(n, x, -damping, change), *p -= damping * shift;
-            continue;
-        }
-        if (patience) {
-            sizes[*taken % PATIENT] = size;
-            if (*taken >= patience) smallest = fmin(smallest, sizes[(*taken - patience) % PATIENT]);
-        }
-        if (*taken == how->iterations || 0.5 * smallest < size) return NOT_FOUND;
-        /* (dx, dp) = (a + dp b, dp), J a = -F, J b = -F_p, dp = -w <t_x, a> / (w <t_x, b> + t_p) */
-        for (int j = 0; j < n; j++) change[j] = -F[j];
-        at->sharp = STEP;
-        at->solve(at, change);
-        shift = 0.0;
-        if (in) {
-            slope_at(at, n, STEP, rate);
-            const double along = in->weight * inner(at, in->across, rate) + in->slope;
-            shift = -in->weight * inner(at, in->across, change) / (along + 1e-300); /* not 0 */
-            add(n, change, shift, rate);
-            if (!(fabs(*p + shift - guess) <= how->reach)) return NOT_FOUND; /* another branch, or none */
-        }
-        damping = 1.0, before = size;
-        ++*taken;
-        add(n, x, 1.0, change), *p += shift;
-    }
-    return NOT_FOUND;
-}
-
-int solve_in_plane(equations *at, const plane *in, const correction *how, double *unknown,
-                   double *parameter, int *taken)
-{
-    double *room = malloc(3 * (size_t)at->unknowns * sizeof(double));
-    const int outcome =
-        room ? correct(at, in, how, unknown, parameter, taken, room) : NO_MEMORY;
-    free(room);
-    return outcome;
-}
 
 /* x, p += the quadratic and cubic terms of Hermite's polynomial through the last two points, in the
  * distance along the last tangent; none where these could not help. */
@@ -132,9 +32,9 @@ static void bend(const equations *at, const path *points, double step, double *x
     const double old_slope = points->slopes[last - 1];
     const double rise = points->parameters[last] - points->parameters[last - 1];
     for (int i = 0; i < n; i++) room[i] = here[i] - before[i];
-    const double back = weight * inner(at, room, tangent) + rise * slope;
-    const double size = sqrt(weight * inner(at, old, old) + old_slope * old_slope);
-    const double along = (weight * inner(at, old, tangent) + old_slope * slope) / size;
+    const double back = weight * inner_product(at, room, tangent) + rise * slope;
+    const double size = sqrt(weight * inner_product(at, old, old) + old_slope * old_slope);
+    const double along = (weight * inner_product(at, old, tangent) + old_slope * slope) / size;
     if (!(back > 0.0 && along > 0.5)) return;
     /* x(s) = x + s t + s^2 A + s^2 (s + back) B, by divided differences with double nodes. */
     for (int i = 0; i <= n; i++) {
@@ -143,8 +43,8 @@ static void bend(const equations *at, const path *points, double step, double *x
         const double third = (second - (mean - start / (size * along)) / back) / back;
         room[i] = step * step * (second + (step + back) * third);
     }
-    const double far = weight * inner(at, room, room) + room[n] * room[n];
-    if (far < 0.1 * step * step) add(n, x, 1.0, room), *p += room[n];
+    const double far = weight * inner_product(at, room, room) + room[n] * room[n];
+    if (far < 0.1 * step * step) add_to(n, x, 1.0, room), *p += room[n];
 }
 
 /* Points that share the LU factors of one of them, which take n^3. The sign of det J is known there
@@ -164,7 +64,7 @@ static double product(const equations *at, double weight, const double *y, doubl
                       const double *z, double z_p)
 {
     const double *counts = at->counts;
-    double sum = counts ? 0.0 : inner(at, y, z);
+    double sum = counts ? 0.0 : inner_product(at, y, z);
     for (int i = 0; i < at->unknowns && counts; i++) sum += counts[i] * y[i] * z[i];
     return weight * sum + y_p * z_p;
 }
@@ -184,7 +84,7 @@ static double tangent_onwards(equations *at, int n, double orientation, const do
                               const double *before, double old_slope, double *tangent,
                               double *weight)
 {
-    double slope = tangent_at(at, n, TANGENT, x, tangent, weight);
+    double slope = unit_tangent(at, n, TANGENT, x, tangent, weight);
     const double sign = isnan(orientation) ? NAN : at->sign(at);
     const int onwards = isnan(sign) ? product(at, *weight, tangent, slope, before, old_slope) >= 0.0
                                     : sign == orientation;
@@ -208,7 +108,7 @@ static int renew(equations *at, int n, path *points, sharing *with)
     if (outcome != FOUND) return outcome;
     const double slope = tangent_onwards(at, n, points->orientation, x, tangent,
                                          points->slopes[last], with->here, points->weights + last);
-    const double along = points->weights[last] * inner(at, with->here, tangent);
+    const double along = points->weights[last] * inner_product(at, with->here, tangent);
     if (!(along + slope * points->slopes[last] > 0.0)) return DOUBTED;
     memcpy(tangent, with->here, n * sizeof(double)), points->slopes[last] = slope;
     with->sure = last, with->step = points->step, with->points = with->work = 0;
@@ -248,15 +148,15 @@ static int tangent_shared(equations *at, int n, const path *points, sharing *wit
     const double *before = points->unknowns + (size_t)last * n;
     broyden *by = &with->by;
     double *t = with->here;
-    *weight = 1.0 / fmax(inner(at, t, t), 1e-300);
+    *weight = 1.0 / fmax(inner_product(at, t, t), 1e-300);
     for (int i = 0; i <= n; i++) {
         const double moved = t[i] - (i < n ? before[i] : points->parameters[last]);
         t[i] = 2.0 * moved / points->step - by->across[i];
     }
     at->by_parameter(at, by->rate), at->apply(at, t, by->residual);
-    add(n, by->residual, t[n], by->rate);
+    add_to(n, by->residual, t[n], by->rate);
     if (!solve_by_former(at, by, t, TANGENT, &with->work)) return 0;
-    const double size = sqrt(*weight * inner(at, t, t) + t[n] * t[n]);
+    const double size = sqrt(*weight * inner_product(at, t, t) + t[n] * t[n]);
     for (int i = 0; i < n; i++) tangent[i] = t[i] / size;
     *slope = t[n] / size;
     return fabs(*slope) > LEVEL;
@@ -267,7 +167,7 @@ static void predict(const equations *at, const path *points, double *x, double *
 {
     const int n = at->unknowns, last = points->known - 1;
     memcpy(x, points->unknowns + (size_t)last * n, n * sizeof(double));
-    add(n, x, points->step, points->tangents + (size_t)last * n);
+    add_to(n, x, points->step, points->tangents + (size_t)last * n);
     *p = points->parameters[last] + points->step * points->slopes[last];
     bend(at, points, points->step, x, p, room);
 }
@@ -290,7 +190,8 @@ static void append(const equations *at, path *points, double p, double slope, do
     for (int i = 0; i < n; i++) room[i] = x[i] - x[i - n];
     points->parameters[next] = p, points->slopes[next] = slope, points->weights[next] = weight;
     points->iterations[next] = taken, points->crossings[next] = crossing;
-    points->lengths[next] = sqrt(points->weights[next - 1] * inner(at, room, room) + rise * rise);
+    const double square = points->weights[next - 1] * inner_product(at, room, room);
+    points->lengths[next] = sqrt(square + rise * rise);
 }
 
 /* Leaves the last point where the path turns more sharply than steps can resolve, as where stiff
@@ -307,22 +208,24 @@ static int round_corner(equations *at, int n, const stepping *how, path *points,
     double step = fmax(CORNER * how->longest, how->shortest);
     for (; step <= AROUND * how->longest; step *= sqrt(10.0)) {
         double weight, own, p = points->parameters[last] + step * old_slope;
-        memcpy(x, here, n * sizeof(double)), add(n, x, step, old);
+        memcpy(x, here, n * sizeof(double)), add_to(n, x, step, old);
         const int outcome = at->evaluate(at, x, p);
         if (outcome != FOUND) return outcome;
-        double way_slope = tangent_onwards(at, n, points->orientation, x, old, old_slope, way, &weight);
-        const int unsure = isnan(points->orientation) &&
-                           cosine_of(at, points->weights[last], way, way_slope, old, old_slope) < BACK;
-        for (int ways = 0; ways <= unsure; ways++, turn_round(n, way, &way_slope)) {
+        double slope_of_way =
+            tangent_onwards(at, n, points->orientation, x, old, old_slope, way, &weight);
+        const double straight =
+            cosine_of(at, points->weights[last], way, slope_of_way, old, old_slope);
+        const int unsure = isnan(points->orientation) && straight < BACK;
+        for (int ways = 0; ways <= unsure; ways++, turn_round(n, way, &slope_of_way)) {
             int taken;
-            memcpy(x, here, n * sizeof(double)), add(n, x, step, way);
-            p = points->parameters[last] + step * way_slope;
-            const plane in = {way, way_slope, weight};
+            memcpy(x, here, n * sizeof(double)), add_to(n, x, step, way);
+            p = points->parameters[last] + step * slope_of_way;
+            const plane in = {way, slope_of_way, weight};
             const correction newton = correction_of(how, step);
-            if (correct(at, &in, &newton, x, &p, &taken, room) != FOUND) continue;
+            if (correct_in_plane(at, &in, &newton, x, &p, &taken, room) != FOUND) continue;
             const double slope =
-                tangent_onwards(at, n, points->orientation, x, way, way_slope, tangent, &own);
-            if (!(cosine_of(at, weight, tangent, slope, way, way_slope) > 0.5)) continue;
+                tangent_onwards(at, n, points->orientation, x, way, slope_of_way, tangent, &own);
+            if (!(cosine_of(at, weight, tangent, slope, way, slope_of_way) > 0.5)) continue;
             append(at, points, p, slope, own, taken, 0, room);
             points->step = step;
             return FOUND;
@@ -357,7 +260,7 @@ static int advance(equations *at, int n, const stepping *how, path *points, shar
     if (!shared) {
         predict(at, points, x, &p, room);
         const plane in = {old, old_slope, weight};
-        outcome = correct(at, &in, &newton, x, &p, &taken, room);
+        outcome = correct_in_plane(at, &in, &newton, x, &p, &taken, room);
     }
     if (outcome != FOUND) return outcome;
     if (shared) shared = tangent_shared(at, n, points, with, tangent, &slope, &own);
@@ -414,8 +317,8 @@ int follow(equations *at, const stepping *how, path *points)
     if (outcome == FOUND && points->orientation == 0.0) {
         const double *x = points->unknowns + (size_t)(points->known - 1) * n;
         outcome = at->evaluate(at, x, points->parameters[points->known - 1]);
-        if (outcome == FOUND)
-            points->orientation = points->slopes[points->known - 1] > 0.0 ? at->sign(at) : -at->sign(at);
+        const double sign = outcome == FOUND ? at->sign(at) : NAN;
+        points->orientation = points->slopes[points->known - 1] > 0.0 ? sign : -sign;
     }
     while (outcome == FOUND && points->known < points->room && inside) {
         do outcome = advance(at, n, how, points, many ? &with : NULL, room);
@@ -463,9 +366,10 @@ static int between(equations *at, int n, const stepping *how, int most, const do
         const double slope = ends->slopes[first], weight = ends->weights[first];
         const double p = ends->parameters[first], rise = ends->parameters[last] - p;
         for (int i = 0; i < n; i++) room[i] = there[i] - here[i];
-        const double length = weight * inner(at, room, tangent) + rise * slope;
-        const double onwards = weight * inner(at, ends->tangents + (size_t)last * n, tangent) +
-                               ends->slopes[last] * slope;
+        const double length = weight * inner_product(at, room, tangent) + rise * slope;
+        const double *after = ends->tangents + (size_t)last * n;
+        const double onwards =
+            weight * inner_product(at, after, tangent) + ends->slopes[last] * slope;
         if (!(length > 0.0 && onwards > 0.0)) return NOT_FOUND;
         /* p(s) or dp/ds, of s / length */
         const double begin = length * slope, end = length * ends->slopes[last] / onwards;
@@ -480,15 +384,16 @@ static int between(equations *at, int n, const stepping *how, int most, const do
         double *x = ends->unknowns + (size_t)next * n, *ahead = ends->tangents + (size_t)next * n;
         ends->parameters[next] = p + step * slope;
         memcpy(x, here, n * sizeof(double));
-        add(n, x, step, tangent);
+        add_to(n, x, step, tangent);
         const plane in = {tangent, slope, weight};
         correction newton = how->newton;
         newton.reach *= step;
         const int outcome =
-            correct(at, &in, &newton, x, ends->parameters + next, ends->iterations + next, room);
+            correct_in_plane(at, &in, &newton, x, ends->parameters + next,
+                             ends->iterations + next, room);
         if (outcome != FOUND) return outcome;
-        ends->slopes[next] = tangent_at(at, n, SHARP, x, ahead, ends->weights + next);
-        if (weight * inner(at, ahead, tangent) + ends->slopes[next] * slope < 0.0)
+        ends->slopes[next] = unit_tangent(at, n, SHARP, x, ahead, ends->weights + next);
+        if (weight * inner_product(at, ahead, tangent) + ends->slopes[next] * slope < 0.0)
             turn_round(n, ahead, ends->slopes + next);
         const int before = target ? (ends->parameters[next] - *target) * (p - *target) > 0.0
                                   : ends->slopes[next] * slope > 0.0;

@@ -1,31 +1,11 @@
-/* Corrections along a path of equations, and the path itself. */
+/* A path of equations, and what lies between two of its points. */
 #ifndef PATH_H
 #define PATH_H
 
-#include "equations.h"
+#include "bordered.h"
 
-/* What is done and why is said in fenics_crack/numerics/bordered.py and path.py. A point of a path has n unknowns, a parameter and
- * a unit tangent (t_x, t_p) in the norm weight |x|^2 + p^2.
- */
-
-/* Of Newton's method: |F| / |x| of the solution, how far the parameter may go, and how much a step
- * may be shortened (below 0: not at all); steps, and those that may together fail to halve the
- * residual (0: any number; else at most 30). */
-typedef struct {
-    double tolerance, reach, least_damping;
-    int iterations, patience;
-} correction;
-
-/* What is orthogonal to a tangent (t_x, t_p). */
-typedef struct {
-    const double *across;
-    double slope, weight;
-} plane;
-
-/* Newton's method in a plane, or where this is NULL at a given parameter. unknown, parameter: the
- * guess, and the point found; taken: iterations. Returns FOUND, or why not. */
-int solve_in_plane(equations *at, const plane *in, const correction *how, double *unknown,
-                   double *parameter, int *taken);
+/* What is done and why is said in fenics_crack/numerics/path.py. A point of a path has n unknowns, a
+ * parameter and a unit tangent (t_x, t_p) in the norm weight |x|^2 + p^2. */
 
 typedef struct {
     double longest, shortest, least_cosine, rounding;
