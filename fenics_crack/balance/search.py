@@ -140,7 +140,6 @@ class Search:
         path = self._path(soft, soft.linear, (0.0, 1.0), NARROW)
         return self._solve(system, 1.0, [*starts, ("path in the softness", path)])
 
-
     def _solve(
         self, system: DistributedSystem, parameter: float, starts: list[Start]
     ) -> Linearisation:
