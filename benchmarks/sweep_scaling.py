@@ -193,8 +193,7 @@ def cases(arguments: Arguments) -> None:
             scene = dataclasses.replace(paper, sweep=scene.sweep)
         plan, times, others = Plan(scene), np.zeros(2), 0
         geometry = sweep_case.build(plan.case((0,)), MPI.COMM_SELF, False)
-        for place in plan.pending(plan.geometries[0], np.zeros(plan.shape)):
-            chunk = plan.chunk(place)
+        for chunk in map(plan.chunk, plan.geometries[0]):
             found = []
             for number, solve in enumerate((by_itself, sweep_case.solve_chunk)):
                 started = time.process_time()

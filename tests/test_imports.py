@@ -52,7 +52,7 @@ def test_help_imports_nothing(words: str) -> None:
     """It answers at once."""
     program = f"""
 import sys
-from surroundings import main
+from fenics_crack.cli.command_line import main
 try:
     main({words.split()})
 except SystemExit as left:
@@ -86,7 +86,7 @@ def test_bad_input_is_refused_before_all_is_loaded(tmp_path: Path) -> None:
     program = f"""
 import sys
 sys.stderr = sys.stdout
-from surroundings import main
+from fenics_crack.cli.command_line import main
 print([int(main(words)) for words in {commands}])
 print([name for name in {ALL} if name in sys.modules])
 print(sum(name.startswith("fenics_crack") for name in sys.modules))
@@ -106,6 +106,18 @@ from fenics_crack.cli import scenes
 print([name for name in ("fenics_crack.balance.solver", "scipy.optimize") if name in sys.modules])
 """
     assert fresh(program) == "[]"
+
+
+def test_what_takes_longer_after_mpi_is_loaded_before_it() -> None:
+    """gmsh, where a scene has a mesh; and UFL comes without setuptools, which tells its version."""
+    program = f"""
+import sys
+from fenics_crack.cli.command_line import main
+assert main(["check", {str(DEMOS / "paper_plate.toml")!r}, "--quiet"]) == 0
+places = [[*sys.modules].index(name) for name in ("gmsh", "mpi4py.MPI", "petsc4py.PETSc", "ufl")]
+print(places == sorted(places), "pkg_resources" in sys.modules)
+"""
+    assert fresh(program).splitlines()[-1] == "True False"
 
 
 @pytest.mark.parametrize(

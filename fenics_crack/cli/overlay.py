@@ -86,7 +86,7 @@ def _curves(runs: Mapping[str, Run[ResponseCurve]], folder: Path) -> list[Path]:
     for (label, run), colour in zip(runs.items(), colours, strict=True):
         dof, in_hertz = run.watched_dof, run.scene.in_hertz
         draw_curve(run.result, dof, axes=panel, label=label, colour=colour, in_hertz=in_hertz)
-    figure_of(panel, file, _common(run.watched_name for run in runs.values()))
+    figure_of([panel], file, _common(run.watched_name for run in runs.values()))
     return [file]
 
 
@@ -147,7 +147,7 @@ def _sweeps(sweeps: Mapping[str, SweepResult], folder: Path) -> list[Path]:
             how["doubtful"] = {label: doubtful}
             draw_response(place[order], {label: values}, axes=panel, **how)
         files.append(folder / f"overlay_sweep_{name}.png")
-        figure_of(panel, files[-1], None)
+        figure_of([panel], files[-1], None)
     return files
 
 

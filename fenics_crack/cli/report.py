@@ -26,6 +26,7 @@ from fenics_crack.files.store import Stored, read, versions
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Crack, Geometry, Material
 from fenics_crack.scene.words import differences
+from fenics_crack.study.run import Run
 from fenics_crack.table import Table, quantity
 from fenics_crack.version import VERSION
 from fenics_crack.whole import write_whole
@@ -79,14 +80,15 @@ def write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) ->
     facts: list[str] = []
     doubts: list[str] = []
     with tempfile.TemporaryDirectory() as folder:
-        scene_part = _scene_part(scenes[0], Path(folder))
+        accounts = [*map(account_of_file, files)]
+        scene_part = _scene_part(scenes[0], accounts[0].run, Path(folder))
         own = differences([scene.replace({"reduction": None}) for scene in scenes])
-        for number, (file, differs) in enumerate(zip(files, own, strict=True), 1):
+        results = zip(files, own, accounts, strict=True)
+        for number, (file, differs, found) in enumerate(results, 1):
             place, heading = Path(folder) / str(number), HEADINGS[file.kind]
             place.mkdir()
             if kinds.count(file.kind) > 1:
                 heading += f": {differs or file.path}"
-            found = account_of_file(file)
             told = [*found.facts]
             blocks = [paragraph(f"In this result {differs}.", "small")] if differs else []
             doubtful = [f"{text[0].upper()}{text[1:]}" for text in found.warnings]
@@ -122,12 +124,12 @@ def _scene_of(file: Stored) -> Scene:
 # --- parts ----------------------------------------------------------------------------------------
 
 
-def _scene_part(scene: Scene, folder: Path) -> str:
-    """The scene in short, its mesh if it has one, and its text."""
+def _scene_part(scene: Scene, run: Run | None, folder: Path) -> str:
+    """The scene in short, its mesh if it has one (that of a run, where there is one), its text."""
     rows: list[tuple[str, object]] = []
     blocks = []
     if scene.geometry is not None and scene.material is not None:
-        [mesh] = draw_scene(scene, folder)
+        [mesh] = draw_scene(scene, folder, None if run is None else run.structure.whole)
         blocks.append(_picture(mesh))
         rows = _plate_in_short(scene.geometry, scene.material, [*scene.all_cracks.values()])
     if scene.contact is not None:

@@ -81,11 +81,12 @@ def check(scene: Scene, console: Console) -> None:
     console.notes(f"remark: {remark}" for remark in remarks_on(study.scene, figures))
 
 
-def draw_scene(scene: Scene, folder: Path) -> list[Path]:
-    """Draw the mesh of a scene; return the file."""
+def draw_scene(scene: Scene, folder: Path, structure: Structure | None = None) -> list[Path]:
+    """Draw the mesh of a scene, which is made unless its structure is there; return the file."""
     from fenics_crack.draw.plot_mesh import draw_mesh
 
-    structure, file = prepare(scene, MPI.COMM_SELF, whole=True).structure, folder / "mesh.png"
+    file = folder / "mesh.png"
+    structure = structure or prepare(scene, MPI.COMM_SELF, whole=True).structure
     draw_mesh(structure, path=file, title=f"{structure.n_dofs} degrees of freedom")
     return [file]
 

@@ -7,6 +7,7 @@ in SI units, whatever prefix their axes show, so that more can be drawn onto the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
 from textwrap import fill
@@ -163,7 +164,7 @@ def finish(axes: Axes, path: str | Path | None, title: str | None) -> Figure:
     elif named:
         axes.legend(list(named.values()), list(named), fontsize=8, loc="best", framealpha=0.9)
         _make_room(axes)
-    return figure_of(axes, path, title)
+    return figure_of([axes], path, title)
 
 
 def _gid(handle: Any) -> str | None:
@@ -188,19 +189,26 @@ def _make_room(axes: Axes) -> None:
 
 
 def figure_of(
-    axes: Axes, path: str | Path | None, title: str | None, comm: MPI.Comm = MPI.COMM_SELF
+    panels: Sequence[Axes],
+    path: str | Path | None,
+    title: str | None,
+    comm: MPI.Comm = MPI.COMM_SELF,
 ) -> Figure:
-    """Set the title of a panel; save its figure on rank 0 and return it (collective)."""
-    if title is not None:
-        axes.set_title(title)
+    """Set the title of a panel, or of several; save their figure on rank 0 and return it
+    (collective)."""
+    figure = panels[0].figure
+    if title is not None and len(panels) > 1:
+        figure.suptitle(title, fontsize="large")
+    elif title is not None:
+        panels[0].set_title(title)
     if path is not None:
         begin(Path(path).name)
 
     def save() -> None:
         if path is not None:
             file, picture = Path(path), BytesIO()
-            axes.figure.savefig(picture, format=file.suffix.removeprefix(".") or None)
+            figure.savefig(picture, format=file.suffix.removeprefix(".") or None)
             write_whole(file, picture.getvalue())
 
     on_root(comm, save)
-    return axes.figure
+    return figure

@@ -208,7 +208,7 @@ def draw_contact_map(
     if ends:
         of_crack = f"along cracks 1 to {len(ends) + 1}, one above the other"
     label_axis(panel.yaxis, f"distance {of_crack}", "m")
-    return figure_of(panel, path, title)
+    return figure_of([panel], path, title)
 
 
 def _along_cracks(pairs: Pairs) -> tuple[np.ndarray, list[float]]:
@@ -357,7 +357,7 @@ def draw_map(
     if keys:
         below = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "borderaxespad": 4.2}
         panel.legend(handles=keys, ncol=2, fontsize=8, handlelength=3.0, frameon=False, **below)
-    return figure_of(panel, path, title)
+    return figure_of([panel], path, title)
 
 
 def _cells(x: np.ndarray, y: np.ndarray) -> np.ndarray:

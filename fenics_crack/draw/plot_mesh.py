@@ -170,9 +170,7 @@ def draw_modes(
     for panel, number in zip(panels, numbers, strict=True):
         _mode_shape(panel, mesh, shapes[number - 1])
         panel.set_title(f"mode {number}: {modes.omega[number - 1] / (2.0 * np.pi):.1f} Hz")
-    if title is not None:
-        panels[0].figure.suptitle(title, fontsize="large")
-    return figure_of(panels[0], path, None, mesh.structure.comm)
+    return figure_of(panels, path, title, mesh.structure.comm)
 
 
 def _mode_shape(axes: Axes, mesh: NodalMesh, shape: np.ndarray) -> None:

@@ -94,11 +94,9 @@ def draw_spectrum(
         shared = {name: (found, solution.subharmonic) for name, found in values.items()}
         _stems(panel, shared, quantity, unit)
     panels[-1].set_xlabel(ORDERS)
-    if title is not None:
-        panels[0].figure.suptitle(title, fontsize="large")
     if axes is None:
         panels[0].figure.align_ylabels()
-    return figure_of(panels[0], path, None, solution.structure.comm)
+    return figure_of(panels, path, title, solution.structure.comm)
 
 
 ORDERS = "order of the harmonic, in load frequencies (0: mean)"
@@ -152,9 +150,7 @@ def draw_spectra(
     for panel, (values, quantity) in zip(panels, series, strict=True):
         _stems(panel, values, quantity, "m")
     panels[-1].set_xlabel(ORDERS)
-    if title is not None:
-        panels[0].figure.suptitle(title, fontsize="large")
-    return figure_of(panels[0], path, None)
+    return figure_of(panels, path, title)
 
 
 def _amplitudes(column: np.ndarray) -> np.ndarray:
@@ -246,9 +242,7 @@ def draw_orbits(
     panels = make_axes(axes, path, count, columns=count, size=(1.0 + 4.2 * count, 4.4))
     for panel, content in zip(panels, orbits, strict=True):
         _orbit(panel, solution, *content)
-    if title is not None:
-        panels[0].figure.suptitle(title, fontsize="large")
-    return figure_of(panels[0], path, None, solution.structure.comm)
+    return figure_of(panels, path, title, solution.structure.comm)
 
 
 def _orbit(

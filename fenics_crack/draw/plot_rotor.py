@@ -211,10 +211,10 @@ def draw_tip_fit(
     upper.plot(turns, wave, color=COLOURS["orange"], lw=1.6, label=label)
     upper.set_xlabel("time / load period")
     label_axis(upper.yaxis, "tip displacement", "m")
-    finish(upper, None, None)
     _draw_candidates(lower, fit.candidates, fit.order)
-    finish(lower, None, None)
-    return figure_of(upper, path, title)
+    for panel in (upper, lower):
+        finish(panel, None, None)
+    return figure_of([upper, lower], path, title)
 
 
 def _draw_candidates(axes: Axes, tried: Candidates, order: float) -> None:

@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from fenics_crack.draw.figure import COLOURS, distinct_colours, finish, label_axis, make_axes
+from fenics_crack.draw.figure import (
+    COLOURS,
+    distinct_colours,
+    figure_of,
+    finish,
+    label_axis,
+    make_axes,
+)
 from fenics_crack.errors import InputError
 from fenics_crack.identification.posterior import trapezoid
 from fenics_crack.identification.result import Identification
@@ -171,8 +178,9 @@ def draw_verification(
     if found.causes:
         _draw_orders(left, found, found.causes[0])
     _draw_contributions(right, found)
-    finish(right, None, None)
-    return finish(left, path, title)
+    for panel in (left, right):
+        finish(panel, None, None)
+    return figure_of([left, right], path, title)
 
 
 def _draw_orders(panel: Any, found: Verification, cause: str) -> None:

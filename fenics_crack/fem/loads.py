@@ -21,10 +21,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import ufl
 
 from fenics_crack.errors import InputError
 from fenics_crack.fem import compat
+from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.numbering import Dofs, nodes_on
 from fenics_crack.fem.plate import PlateMesh
 from fenics_crack.parallel import gather_rows

@@ -251,17 +251,14 @@ def integrate(
         "record_periods": min(RECORDED_PERIODS, table.periods),
         "progress": progress,
     }
-    march: Callable[..., TimeHistory]
-    steps = table.steps_per_period
-    if method == "events":
-        march, steps = integrate_events, steps or 256
-    elif method == "implicit":
-        march, steps = integrate_implicit, steps or 512
-    elif method == "exponential":
-        march, steps = integrate_exponential, steps or 512
-    else:
-        march = integrate_central_difference
-        steps = steps or 2 * stable_steps_per_period(structure, omega, law)
+    marches: dict[str, tuple[Callable[..., TimeHistory], int]] = {  # and usual steps per period
+        "events": (integrate_events, 256),
+        "implicit": (integrate_implicit, 512),
+        "exponential": (integrate_exponential, 512),
+        "central_difference": (integrate_central_difference, 0),  # twice those that are stable
+    }
+    march, usual = marches[method]
+    steps = table.steps_per_period or usual or 2 * stable_steps_per_period(structure, omega, law)
     history = march(structure, omega, law, steps_per_period=steps, **options)
     return Run(**vars(study), result=history)
 

@@ -156,21 +156,19 @@ class SweepFile:
             allowed = "a file that can be written, by one sweep at a time"
             raise not_written("path", path, error, allowed) from None
         self.made = made is not None
-        self._numbers = np.arange(self.state.size).reshape(self.state.shape)
 
-    def record(self, index: tuple[Any, ...], cases: Sequence[Mapping[str, Any]]) -> None:
+    def record(self, numbers: np.ndarray, cases: Sequence[Mapping[str, Any]]) -> None:
         """Write those of some cases that are not complete: some of its columns each, and its waves
-        if it converged.
+        if it converged; by their numbers (n,).
 
         Raises
         ------
         InputError
             The disk is full, or the file is no longer where it was; what was written before stays.
         """
-        places = self._numbers[index]
-        left = np.flatnonzero(self.state.flat[places] == PENDING)
+        left = np.flatnonzero(self.state.flat[numbers] == PENDING)
         if len(left):
-            self.write(places[left], [cases[number] for number in left])
+            self.write(numbers[left], [cases[place] for place in left])
 
     def write(self, places: np.ndarray, cases: Sequence[Mapping[str, Any]]) -> None:
         """Write cases of some numbers (n,): all that is known of them, then their states."""

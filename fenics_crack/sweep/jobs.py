@@ -24,7 +24,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.study.run import REFUSALS
 from fenics_crack.sweep.case import Found, Geometry, all_failed, build, solve_chunk
 from fenics_crack.sweep.file import FAILED, PENDING, SweepFile
-from fenics_crack.sweep.plan import Chunk, Index, Plan, everywhere
+from fenics_crack.sweep.plan import Chunk, Plan
 
 __all__ = ["Manager", "Worker", "serve"]
 
@@ -69,7 +69,7 @@ class Worker:
         self._built: Geometry | Exception | None = None
         """The geometry of that number, or why it cannot be built."""
 
-    def work(self, job: Job, go_on: Callable[[], bool]) -> Iterator[tuple[Index, Outcome]]:
+    def work(self, job: Job, go_on: Callable[[], bool]) -> Iterator[tuple[np.ndarray, Outcome]]:
         """Do a job with the whole group, and yield what is found of each chunk; called by its
         leader, whose wish to go on is asked for before each chunk."""
         self._group.bcast(job)
@@ -85,14 +85,14 @@ class Worker:
         """Let the others of the group go; called by its leader."""
         self._group.bcast(None)
 
-    def _work(self, job: Job, go_on: Callable[[], bool]) -> Iterator[tuple[Index, Outcome]]:
+    def _work(self, job: Job, go_on: Callable[[], bool]) -> Iterator[tuple[np.ndarray, Outcome]]:
         rank, size = self._group.rank, self._group.size
         for first in range(0, len(job.chunks), size):
             if not self._group.bcast(go_on()):
                 return
             self._build(job)
             mine = job.chunks[first + rank : first + rank + 1]
-            found = self._group.gather([(chunk.index, self._outcome(chunk)) for chunk in mine])
+            found = self._group.gather([(chunk.numbers, self._outcome(chunk)) for chunk in mine])
             for outcomes in found or ():
                 yield from outcomes
 
@@ -165,13 +165,12 @@ class Manager:
         self.error: BaseException | None = None
         self._plan, self.file, self._groups = plan, file, groups
         left = {
-            number: plan.pending(geometry, file.state)
-            for number, geometry in enumerate(plan.geometries)
-            if np.any(file.state[everywhere(geometry)] == PENDING)
+            number: [chunk for chunk in chunks if np.any(file.state.flat[chunk] == PENDING)]
+            for number, chunks in enumerate(plan.geometries)
         }
         # The longest jobs first: the last ones are what ranks wait for.
         largest = sorted(left, key=plan.sizes.__getitem__, reverse=True)
-        self._left: dict[int, list[Index]] = {number: left[number] for number in largest}
+        self._left = {number: left[number] for number in largest if left[number]}
         self._given: dict[int, int] = {}
         """The geometry that each group has, or will have built."""
         self._given_out, self._recorded = 0, 0
@@ -204,8 +203,8 @@ class Manager:
             for group in others:  # to go on with
                 self._send(leaders, group)
             while job is not None and go_on():
-                for index, outcome in worker.work(job, go_on):
-                    self._record(index, outcome)
+                for numbers, outcome in worker.work(job, go_on):
+                    self._record(numbers, outcome)
                 job = self._next_job(0)
             while go_on() and self._given_out:
                 self._hear(leaders)
@@ -258,13 +257,13 @@ class Manager:
             del self._left[number]
         return Job(number, tuple(map(self._plan.chunk, places[:count])))
 
-    def _record(self, index: Index, outcome: Outcome) -> None:
+    def _record(self, numbers: np.ndarray, outcome: Outcome) -> None:
         """Write the cases of a chunk; what cannot be written or solved ends the sweep."""
         if isinstance(outcome, Exception):
             self._fail(outcome)
             return
         try:
-            self.file.record(index, outcome)
+            self.file.record(numbers, outcome)
         except InputError as error:
             self._fail(error)
             return

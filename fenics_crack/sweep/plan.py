@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,9 +16,9 @@ from fenics_crack.fem.blocks import lip_pairs
 from fenics_crack.fem.matrix_files import count_pairs
 from fenics_crack.fem.plate import build_mesh
 from fenics_crack.scene.scene import Scene
-from fenics_crack.sweep.file import PENDING, shape_of
+from fenics_crack.sweep.file import shape_of
 
-__all__ = ["FORCES", "Chunk", "Index", "Plan", "everywhere"]
+__all__ = ["FORCES", "Chunk", "Plan"]
 
 CHUNK = 12
 """Most cases of a chunk."""
@@ -28,18 +30,16 @@ SAME_GEOMETRY = (
     "harmonic_balance.tolerance",
 )  # fmt: skip
 """Keys that change neither mesh, matrices and modes nor the place of the load; clearances, too."""
+FREQUENCIES = ("excitation.omega", "excitation.frequency")
 FORCES = ("force_mean", "force_cos", "force_sin")
 """Parts of the load."""
-
-Index = tuple[Any, ...]
-"""A whole number on each axis, and a slice on one."""
 
 
 @dataclass(frozen=True)
 class Chunk:
     """Neighbouring cases along one axis."""
 
-    index: Index  # their place in the table
+    numbers: np.ndarray  # of the cases
     cases: tuple[Scene | str, ...]  # what to solve, or why it cannot be
 
 
@@ -59,16 +59,8 @@ class Plan:
         forces = {f"excitation.{name}" for name in FORCES}
         self.unit_loads = not forces.isdisjoint(keys) and not _has_other_loads(scene, keys)
         self.reduction_swept = "reduction.method" in keys
-        free = self._free_keys(scene, keys)
-        same = [number for number, key in enumerate(keys) if key in free]
-        self._along = same[-1] if same else None
-        for key in ("excitation.omega", "excitation.frequency"):
-            if key in keys:
-                self._along = keys.index(key)
-        self._inner = [number for number in same if number != self._along]
-        # Places of the geometries: an index on each axis that changes them, None on the others.
-        ranges = ((None,) if n in same else range(size) for n, size in enumerate(self.shape))
-        self.geometries = list(itertools.product(*ranges))
+        self.geometries = self._chunks(keys, self._free_keys(scene, keys))
+        """The chunks of each, as numbers of their cases."""
         base = scene.harmonic_balance  # upper bounds for all cases:
         self.harmonics = max(swept.get("harmonic_balance.harmonics", (base.harmonics,)))
         if base.tolerance is not None or "harmonic_balance.tolerance" in swept:
@@ -76,6 +68,20 @@ class Plan:
         self.sizes = self._sizes()
         """What each geometry may cost: bound of the pairs, and the first crack's length [m]."""
         self.pairs = max(pairs for pairs, _ in self.sizes)
+
+    def _chunks(self, keys: list[str], free: set[str]) -> list[list[np.ndarray]]:
+        """The cases by their geometries, cut along the frequency, or else along the last axis that
+        leaves a geometry alone."""
+        same = [place for place, key in enumerate(keys) if key in free]
+        along = ([place for place in same if keys[place] in FREQUENCIES] or same)[-1:]
+        inner = [place for place in same if place not in along]
+        fixed = [place for place in range(len(keys)) if place not in same]
+        length = self.shape[along[0]] if along else 1
+        numbers = np.arange(math.prod(self.shape)).reshape(self.shape)
+        numbers = numbers.transpose([*fixed, *inner, *along])
+        rows = numbers.reshape(math.prod(self.shape[place] for place in fixed), -1, length)
+        pieces = -(-length // CHUNK)
+        return [[c for row in of_one for c in np.array_split(row, pieces)] for of_one in rows]
 
     @staticmethod
     def _free_keys(scene: Scene, keys: list[str]) -> set[str]:
@@ -86,19 +92,15 @@ class Plan:
             free -= {f"excitation.{name}" for name in FORCES}
         given = scene.base is not None and scene.base.moves_by_displacement
         if given or any(key.startswith("base.displacement") for key in keys):
-            free -= {"excitation.omega", "excitation.frequency"}
+            free -= {*FREQUENCIES}
         return free
 
     def _sizes(self) -> list[tuple[int, float]]:
         """The sizes of all geometries; raise InputError if no combination is a scene."""
         bounds: dict[Any, int] = {}
         found: list[tuple[int, float]] = []
-        for geometry in self.geometries:
-            index = (
-                range(n) if at is None else (at,)
-                for at, n in zip(geometry, self.shape, strict=True)
-            )
-            cases = map(self.case, itertools.product(*index))
+        for chunks in self.geometries:
+            cases = map(self._case, itertools.chain(*chunks))
             case = next((case for case in cases if not isinstance(case, str)), None)
             if case is None:
                 found.append((0, 0.0))
@@ -118,7 +120,7 @@ class Plan:
             raise InputError("sweep.over", reason, "values of which a combination can be used")
         return found
 
-    def case(self, index: tuple[int, ...]) -> Scene | str:
+    def case(self, index: Sequence[int]) -> Scene | str:
         """The scene of a case, or why there is none."""
         changes = {axis.key: axis.values[at] for axis, at in zip(self._axes, index, strict=True)}
         try:
@@ -126,29 +128,12 @@ class Plan:
         except InputError as error:
             return str(error)
 
-    def pending(self, geometry: tuple[int | None, ...], state: np.ndarray) -> list[Index]:
-        """Places of the chunks of a geometry that are not complete."""
-        found = []
-        along = len(self.shape) - 1 if self._along is None else self._along
-        axes = [
-            range(size) if number in self._inner else (at,)
-            for number, (at, size) in enumerate(zip(geometry, self.shape, strict=True))
-        ]
-        for place in itertools.product(*axes):
-            at = place[along]
-            first, length = (0, self.shape[along]) if at is None else (at, 1)
-            pieces = -(-length // CHUNK)
-            for piece in range(pieces):
-                low, high = (first + (length * n) // pieces for n in (piece, piece + 1))
-                index = (*place[:along], slice(low, high), *place[along + 1 :])
-                if np.any(state[index] == PENDING):
-                    found.append(index)
-        return found
+    def _case(self, number: int) -> Scene | str:
+        return self.case(np.unravel_index(number, self.shape))
 
-    def chunk(self, index: Index) -> Chunk:
-        """The chunk at a place."""
-        ranges = (range(at.start, at.stop) if isinstance(at, slice) else (at,) for at in index)
-        return Chunk(index, tuple(map(self.case, itertools.product(*ranges))))
+    def chunk(self, numbers: np.ndarray) -> Chunk:
+        """The cases of some numbers."""
+        return Chunk(numbers, tuple(map(self._case, numbers)))
 
 
 def _most_pairs(scene: Scene) -> int:
@@ -177,8 +162,3 @@ def _has_other_loads(scene: Scene, keys: list[str]) -> bool:
     """Whether a case may have a load beside the force at ``excitation.point``."""
     given = scene.has_other_loads or scene.rotation is not None
     return given or any(key.startswith(("base.", "loads.", "rotation.")) for key in keys)
-
-
-def everywhere(geometry: tuple[int | None, ...]) -> tuple[Any, ...]:
-    """Index of all cases of a geometry."""
-    return tuple(slice(None) if at is None else at for at in geometry)

@@ -65,8 +65,8 @@ def test_curves_and_sweeps(results: Path, tmp_path: Path, monkeypatch: pytest.Mo
     """Labels that are given; the curves of both on one panel."""
     panels = []
 
-    def kept(panel: Any, *arguments: Any) -> None:
-        panels.append(panel)
+    def kept(drawn: Any, *arguments: Any) -> None:
+        panels.extend(drawn)
 
     monkeypatch.setattr(overlay, "figure_of", kept)
     for name in ("curve", "sweep"):

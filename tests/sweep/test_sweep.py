@@ -777,7 +777,7 @@ for row in range(0, len(file.state), 2):
     for column in (0, 1):
         same = random.uniform(size=2)
         cases = [waves | {{"harmonics": 5, "response": x, "opening": x}} for x in same]
-        file.record((slice(row, row + 2), column), cases)
+        file.record(np.array([row, row + 1]) * 2 + column, cases)
     time.sleep(0.005)
 """
 
