@@ -18,7 +18,7 @@ def fresh(program: str) -> str:
     """What a program says in a process of its own, without what this one has imported."""
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=120,
-        env=os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
+        env=os.environ | {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}", "OMP_NUM_THREADS": "1"},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
@@ -31,6 +31,12 @@ def test_the_package_alone_imports_nothing(line: str) -> None:
     """Neither meshes and pictures nor NumPy and MPI."""
     program = f"{line}\nimport sys\nprint([name for name in {ALL} if name in sys.modules])"
     assert fresh(program) == "[]"
+
+
+def test_a_mesh_needs_no_setuptools() -> None:
+    """UFL and FFCx ask pkg_resources, a tenth of a start, for their own versions alone."""
+    program = "import sys, fenics_crack.fem.build\nprint('pkg_resources' in sys.modules)"
+    assert fresh(program) == "False"
 
 
 def test_who_shares_the_tests_out_starts_no_mpi() -> None:
@@ -52,7 +58,7 @@ def test_help_imports_nothing(words: str) -> None:
     """It answers at once."""
     program = f"""
 import sys
-from surroundings import main
+from fenics_crack.cli.command_line import main
 try:
     main({words.split()})
 except SystemExit as left:
@@ -86,7 +92,7 @@ def test_bad_input_is_refused_before_all_is_loaded(tmp_path: Path) -> None:
     program = f"""
 import sys
 sys.stderr = sys.stdout
-from surroundings import main
+from fenics_crack.cli.command_line import main
 print([int(main(words)) for words in {commands}])
 print([name for name in {ALL} if name in sys.modules])
 print(sum(name.startswith("fenics_crack") for name in sys.modules))
@@ -106,6 +112,18 @@ from fenics_crack.cli import scenes
 print([name for name in ("fenics_crack.balance.solver", "scipy.optimize") if name in sys.modules])
 """
     assert fresh(program) == "[]"
+
+
+def test_what_takes_longer_after_mpi_is_loaded_before_it() -> None:
+    """gmsh, where a scene has a mesh; and UFL comes without setuptools, which tells its version."""
+    program = f"""
+import sys
+from fenics_crack.cli.command_line import main
+assert main(["check", {str(DEMOS / "paper_plate.toml")!r}, "--quiet"]) == 0
+places = [[*sys.modules].index(name) for name in ("gmsh", "mpi4py.MPI", "petsc4py.PETSc", "ufl")]
+print(places == sorted(places), "pkg_resources" in sys.modules)
+"""
+    assert fresh(program).splitlines()[-1] == "True False"
 
 
 @pytest.mark.parametrize(

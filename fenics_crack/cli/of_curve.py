@@ -16,10 +16,9 @@ from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, parameter_axis
 from fenics_crack.model.bilinear import BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.run_up import RunUpStructure
 from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS
-from fenics_crack.stability.floquet import floquet
 from fenics_crack.study.key_figures import highest_omega
 from fenics_crack.study.run import Run
-from fenics_crack.table import UNITS, Table, quantity, ranging, with_frequency, with_unit
+from fenics_crack.table import UNITS, Table, counted, quantity, ranging, with_frequency, with_unit
 
 __all__ = ["account_of_curve", "curve_points", "few_special_points", "special_points"]
 
@@ -88,7 +87,7 @@ def _facts(run: Run[ResponseCurve]) -> Iterator[str]:
 
 
 def _warnings(run: Run[ResponseCurve]) -> Iterator[str]:
-    """A large error, a stability that is nowhere decided, and an early end."""
+    """A large error, where and why the stability is undecided, and an early end."""
     found, scene = run.result, run.scene
     factor, _, unit = parameter_axis(found.parameter, scene.in_hertz)
     peak = int(np.argmax(found.amplitude(run.watched_dof)))
@@ -97,12 +96,30 @@ def _warnings(run: Run[ResponseCurve]) -> Iterator[str]:
     worst = max(reports, key=lambda index: reports[index].total)
     where = f" at {factor * found.values[worst]:g} {unit}".removesuffix(" -")
     yield from of_error(scene, reports[worst], int(found.harmonics[worst]), where)
-    if _undecided(found):
-        solution = found.solution(peak)
-        reason = floquet(solution.structure, solution).reason
-        yield "the stability is undecided at all points" + (f" ({reason})" if reason else "")
+    stretches = _undecided_stretches(found)
+    for first, last in stretches[:SHOWN_POINTS]:
+        ends = [f"{factor * found.values[index]:g}" for index in (first, last)]
+        where = (f"between {ends[0]} and {ends[1]} {unit}" if last > first else ends[0]).rstrip(
+            " -"
+        )
+        reason = found.reason((first + last) // 2)
+        count = counted(last + 1 - first, "point")
+        yield f"the stability is undecided at {count}, {where}: {reason}"
+    if len(stretches) > SHOWN_POINTS:
+        more = sum(last + 1 - first for first, last in stretches[SHOWN_POINTS:])
+        yield f"the stability is undecided at {counted(more, 'other point')}"
     if not found.complete:
         yield f"the curve ended early: {found.status}"
+
+
+def _undecided_stretches(found: ResponseCurve) -> list[tuple[int, int]]:
+    """First and last points of stretches along which no point is decided, the longest first."""
+    if found.undecided is None:
+        return []
+    left = np.concatenate([[0], found.undecided, [0]])
+    first, behind = (np.flatnonzero(np.diff(left) == change).tolist() for change in (1, -1))
+    stretches = [(one, other - 1) for one, other in zip(first, behind, strict=True)]
+    return sorted(stretches, key=lambda ends: ends[0] - ends[1])
 
 
 def _undecided(found: ResponseCurve) -> bool:

@@ -24,6 +24,7 @@ from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import evaluate
+from fenics_crack.stability.floquet import floquet
 from fenics_crack.table import (
     Described,
     Tabular,
@@ -174,7 +175,8 @@ class ResponseCurve(Tabular):
         imaginary part; with ``stability=True``. Of exact orbits it is interpolated between some of
         them, and nan where none is the point's own (:func:`judge_curve`).
     undecided : (n,) bool or None
-        Where the stability is left open (:func:`judge_curve`); None: not judged.
+        Where the stability is left open (:func:`judge_curve`), for a :meth:`reason`; None: not
+        judged.
     branch : bool
         Whether :func:`follow_branch` has followed it.
     static_above : float or None
@@ -228,6 +230,20 @@ class ResponseCurve(Tabular):
     def _open(self) -> np.ndarray:
         """Where the stability is undecided: (n,) bool."""
         return np.zeros(len(self), dtype=bool) if self.undecided is None else self.undecided
+
+    def reason(self, index: int) -> str:
+        """Why the stability is undecided at a point, and what to do; "" where it is decided.
+
+        It is what :func:`fenics_crack.floquet` says of the point's solution by itself.
+        """
+        if not self._open[index]:
+            return ""
+        solution = self.solution(index)
+        alone = floquet(solution.structure, solution)
+        return alone.reason or (
+            f"by itself it is {alone.verdict}, but orbits beside it along the curve are others, or "
+            "on another side of a bifurcation; more harmonics tell these apart"
+        )
 
     @property
     def problem(self) -> Problem:

@@ -36,7 +36,7 @@ from fenics_crack.motion.orbit import PIECES
 from fenics_crack.numerics.bordered import solve_at
 from fenics_crack.numerics.path import PathOptions
 from fenics_crack.stability.floquet import floquet
-from fenics_crack.stability.shooting import attract_little, leaves
+from fenics_crack.stability.shooting import leaves
 from fenics_crack.stages import begin
 
 __all__ = ["judge_curve", "verified"]
@@ -78,9 +78,22 @@ class _Judge:
             self.parameters = np.array([family.parameter(value) for value in curve.values])
             self._family = family
         self._own: dict[float, bool] = {}
-        self._few = attract_little(curve.structure)
-        self.branch = OrbitBranch(self.system, self.parameters, self._motions)
-        self._judge()
+        self._bounces = not curve.structure.light_lips
+        self.affordable = self._is_affordable()
+        """Whether the motion of some point is followed within the budget."""
+        if self.affordable:
+            self.branch = OrbitBranch(self.system, self.parameters, self._motions)
+            self._judge()
+
+    def _is_affordable(self) -> bool:
+        for place in np.unique([0, len(self._curve) // 2, len(self._curve) - 1]):
+            [motion] = self._motions(np.array([place]))
+            try:
+                self.system.moved(motion, float(self.parameters[place]))
+            except ConvergenceError:
+                continue
+            return True
+        return False
 
     def value(self, parameter: float) -> float:
         """Of the curve's parameter."""
@@ -134,7 +147,7 @@ class _Judge:
     def _is_own(self, node: Node, place: int, off: float) -> bool:
         """Whether a solution is judged by a node's orbit."""
         solution = self._curve.solution(place, search=False)
-        return solution.judged.admits(off) and not (self._few and self._left(node, place))
+        return solution.judged.admits(off) and not (self._bounces and self._left(node, place))
 
     def _left(self, node: Node, place: int) -> bool:
         """Whether the exact motion that begins with a point leaves the stable orbit next to it."""
@@ -148,7 +161,7 @@ class _Judge:
         value of the parameter lie on both sides of a fold it is that of the nearest one."""
         found = np.full(len(self._curve), np.nan + 0j)
         accepted = self._accepted()
-        there: dict[int, list[_Part]] = {}
+        parts: dict[int, _Part] = {}
         for first, last in pairwise(self.branch.nodes):
             rise = last.parameter - first.parameter
             if rise == 0.0 or not self.branch.linked(first, last):
@@ -156,18 +169,18 @@ class _Judge:
             begin = max(0, int(np.ceil(first.place - EVERY)))
             near = slice(begin, int(np.ceil(first.place + EVERY)))
             shares = (self.parameters[near] - first.parameter) / rise
-            for one in np.flatnonzero((np.abs(shares - 0.5) <= 0.5 + 1e-9) & accepted[near]):
-                there.setdefault(begin + int(one), []).append((first, last, float(shares[one])))
-        for place, parts in there.items():
-            found[place] = _between(*self._nearest(place, parts))
+            there = np.flatnonzero((np.abs(shares - 0.5) <= 0.5 + 1e-9) & accepted[near])
+            values = _between(first, last, shares[there]) if len(there) else ()
+            for place, share, value in zip(begin + there, shares[there], values, strict=True):
+                part = first, last, share
+                if place not in parts or self._nearer(place, part, parts[place]):
+                    parts[place], found[place] = part, value
         return found
 
-    def _nearest(self, place: int, there: list[_Part]) -> _Part:
-        """The part of a segment whose orbit is nearest to the motion of a point."""
-        if len(there) == 1:
-            return there[0]
+    def _nearer(self, place: int, part: _Part, other: _Part) -> bool:
+        """Whether the orbit at a part of a segment is nearer to a point's motion than another."""
         motion = self.branch.motion(place)
-        return min(there, key=lambda part: float(np.linalg.norm(cubic(*part)[0] - motion)))
+        return bool(_apart(motion, part) < _apart(motion, other))
 
     def _accepted(self) -> np.ndarray:
         """Whether the orbits on both sides of a point are the points' own: (n,) bool."""
@@ -180,21 +193,23 @@ class _Judge:
         return np.asarray(own[before] & own[after])
 
 
-def _between(first: Node, last: Node, share: float) -> complex:
-    """Leading multiplier on a segment, on the side of 1 of the ends that are no bifurcations; nan
-    where these differ, or do not tell it from 1."""
+def _apart(motion: np.ndarray, part: _Part) -> float:
+    return float(np.linalg.norm(cubic(*part)[0] - motion))
+
+
+def _between(first: Node, last: Node, shares: np.ndarray) -> np.ndarray:
+    """Leading multipliers at parts of a segment, (n,) complex, on the side of 1 of its ends that
+    are no bifurcations; nan where these differ, or do not tell it from 1."""
     sides = [one for one in (first, last) if one.crossing is None]
-    largest = [float(np.abs(one.leading[0])) for one in sides]
+    largest = [float(one.moduli[0]) for one in sides]
     if len({size > 1.0 for size in largest}) != 1 or min(abs(s - 1.0) for s in largest) <= SURE:
-        return complex(np.nan)
-    modulus = float(blended(first, last, share)[0])
-    if largest[0] > 1.0:
-        modulus = max(modulus, 1.0 + 2.0 * SURE)
-    else:
-        modulus = min(modulus, 1.0 - 2.0 * SURE)
-    near = complex(sides[0 if share < 0.5 else -1].leading[0])
-    direction = near / max(abs(near), 1e-300)
-    return modulus * complex(direction.real, abs(direction.imag))
+        return np.full(len(shares), np.nan + 0j)
+    moduli = blended(first, last, shares)[0]
+    limit = 1.0 + 2.0 * SURE if largest[0] > 1.0 else 1.0 - 2.0 * SURE
+    moduli = np.maximum(moduli, limit) if limit > 1.0 else np.minimum(moduli, limit)
+    ends = np.array([one.leading[0] for one in (sides[0], sides[-1])])
+    upper = ends.real + 1j * np.abs(ends.imag)
+    return moduli * (upper / np.maximum(np.abs(ends), 1e-300))[(shares >= 0.5).astype(int)]
 
 
 def judge_curve(curve: ResponseCurve) -> ResponseCurve:
@@ -238,10 +253,10 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
     if not is_unilateral(curve.contact):
         return judged_by_waves(curve)
     begin("stability by exact orbits")
-    if not _affordable(curve):
+    judge = _Judge(curve)
+    if not judge.affordable:
         nothing = np.full(len(curve), np.nan + 0j)
         return replace(curve, multipliers=nothing, undecided=np.ones(len(curve), dtype=bool))
-    judge = _Judge(curve)
     crossings = _distinct(judge.branch.locate())
     # Next to the end of a branch of twice the period the old orbit is as near as the new one.
     doubled = curve.subharmonic % 2 == 0
@@ -258,20 +273,6 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
                 undecided[place] = False
     special = _special(curve, judge, crossings, undecided)
     return replace(curve, bifurcations=special, multipliers=multipliers, undecided=undecided)
-
-
-def _affordable(curve: ResponseCurve) -> bool:
-    """Whether the motion of some point is followed within the budget."""
-    for place in np.unique([0, len(curve) // 2, len(curve) - 1]):
-        wave = curve.solution(int(place), search=False)
-        assert wave.contact is not None
-        flow = exact_flow(wave.structure, wave.contact)
-        try:
-            flow.advance(wave.judged.states[0], wave.omega, wave.period, budget=BUDGET)
-        except ConvergenceError:
-            continue
-        return True
-    return False
 
 
 def verified(curve: ResponseCurve) -> ResponseCurve:

@@ -2,9 +2,9 @@
 
 Next to every eighth point of the curve an orbit F(x, p) = 0 (:mod:`fenics_crack.balance.orbits`) is
 found by Newton's method, from the point's own motion and what had to be added to that of the node
-before, and with that node's derivative as long as steps with it shrink fast: at the point's
-parameter, or, next to folds, in the plane across the curve. A node has the tangent of the branch
-and the leading multipliers mu of its orbit, and of all multipliers
+beside: at the point's parameter, or, next to folds, in the plane across the curve. The derivative
+at the guess serves as long as steps with it shrink fast. A node has the tangent of the branch and
+the leading multipliers mu of its orbit, and of all multipliers
 
     r = number of real mu > 1,    d = number of real mu < -1,    c = pairs with |mu| > 1.
 
@@ -95,8 +95,6 @@ class Node:
         Sums and products of the multipliers that are pairs, or were or will be.
     away : float
         From the motion of its point, relative; nan where it has none.
-    at : OrbitPoint or None
-        The equations there, while orbits beside it are looked for.
     crossing : Crossing or None
         The bifurcation that it is.
     """
@@ -109,7 +107,6 @@ class Node:
     outside: tuple[int, int, int]
     pairs: np.ndarray
     away: float = np.nan
-    at: OrbitPoint | None = None
     crossing: Crossing | None = None
 
     @cached_property
@@ -121,11 +118,6 @@ class Node:
     def real(self) -> float:
         """How many more of them are positive than negative, of those that are real."""
         return float(np.sign(self.leading.real[self.leading.imag == 0.0]).sum())
-
-    @property
-    def rest(self) -> Node:
-        """What is kept."""
-        return replace(self, at=None)
 
 
 @dataclass(frozen=True)
@@ -199,7 +191,7 @@ class OrbitBranch:
                 del held[0]
         if len(held) == 2:
             self._fill(held[0], held[1], bent)
-        self.nodes += [one.rest for one in held[-1:]]
+        self.nodes += [one for one in held[-1:]]
 
     def _fill(self, first: Node, last: Node, bent: bool) -> None:
         """A node, and those behind it up to another one: halves, as long as multipliers at a middle
@@ -208,7 +200,7 @@ class OrbitBranch:
         if width > EVERY or (width > NARROWEST and (bent or not self.linked(first, last))):
             middle = self._middle(first, last)
         if middle is None:
-            self.nodes.append(first.rest)
+            self.nodes.append(first)
             return
         bent = not _fits(first, middle, last)
         self._fill(first, middle, bent)
@@ -220,7 +212,7 @@ class OrbitBranch:
         whole = round(middle)
         inside = first.place < whole < last.place
         if not inside or self.linked(first, last):
-            found = self.between(first, last, 0.5, first.at)
+            found = self.between(first, last, 0.5)
             if found is not None:
                 return self._node(middle, found, _chord(first, last))
         return self._next_to(whole, [first, last]) if inside else None
@@ -238,21 +230,20 @@ class OrbitBranch:
             return there[0]
         node = self._next_to(place, self.nodes[max(0, number - 1) : number + 1])
         if node is not None:
-            self.nodes[number : number + len(there)] = [node.rest]
+            self.nodes[number : number + len(there)] = [node]
         return node
 
     def _next_to(self, place: int, beside: list[Node]) -> Node | None:
         """The orbit next to a point, with those of some nodes known."""
         motion, parameter = self.motion(place), float(self._parameters[place])
-        starts: list[tuple[np.ndarray, OrbitPoint | None]] = [(motion, None)]
+        starts = [motion]
         beside = [one for one in beside if one.away >= 0.0 and abs(one.place - place) <= EVERY]
         if beside:
             near = min(beside, key=lambda one: abs(one.place - place))
-            corrected = motion + near.unknown - self.motion(round(near.place))
-            starts.insert(0, (corrected, near.at))
-        for start, at in starts:
+            starts.insert(0, motion + near.unknown - self.motion(round(near.place)))
+        for start in starts:
             for plane in [self._chord] if self._turn[place] <= 2 else [None, self._chord]:
-                found = self._solved(start, parameter, plane and plane(place), at)
+                found = self._newton(start, parameter, plane and plane(place))
                 if found is None:
                     continue
                 away = float(np.linalg.norm(found.unknown - motion) / np.linalg.norm(motion))
@@ -261,15 +252,20 @@ class OrbitBranch:
         return None
 
     def between(
-        self, first: Node, last: Node, share: float, at: OrbitPoint | None, sharp: bool = False
+        self,
+        first: Node,
+        last: Node,
+        share: float,
+        tolerance: float = TOLERANCE,
+        used: OrbitPoint | None = None,
     ) -> PathPoint | None:
-        """The orbit next to the cubic through two nodes, in the plane across their chord; ``at``:
-        one whose derivative may serve."""
+        """The orbit next to the cubic through two nodes, in the plane across their chord."""
         chord = _chord(first, last)
         if chord is None:
             return None
         steep = min(abs(one.tangent.p) for one in (first, last)) < FLAT
-        found = self._solved(*cubic(first, last, share), chord if steep else None, at, sharp)
+        plane = chord if steep else None
+        found = self._newton(*cubic(first, last, share), plane, tolerance, used)
         if found is None:
             return None
         size = np.linalg.norm(first.unknown - last.unknown)
@@ -307,30 +303,17 @@ class OrbitBranch:
         rise = float(self._parameters[ends[1]] - self._parameters[ends[0]])
         return Tangent(np.zeros_like(self.motion(place)), float(np.sign(rise)), 1.0)
 
-    def _solved(
-        self,
-        unknown: np.ndarray,
-        parameter: float,
-        plane: Tangent | None,
-        at: OrbitPoint | None,
-        sharp: bool = False,
-    ) -> PathPoint | None:
-        """Newton's method in a plane, or at a given parameter; first, if it is given, with the
-        derivative ``at`` another point."""
-        found = at and self._newton(unknown, parameter, plane, at, sharp)
-        return found or self._newton(unknown, parameter, plane, None, sharp)
-
     def _newton(
         self,
         unknown: np.ndarray,
         parameter: float,
         plane: Tangent | None,
-        used: OrbitPoint | None,
-        sharp: bool,
+        tolerance: float = TOLERANCE,
+        used: OrbitPoint | None = None,
     ) -> PathPoint | None:
-        """With one derivative for as long as steps with it shrink fast."""
-        guess, size = parameter, max(float(np.linalg.norm(unknown)), 1e-300)
-        goal = (SHARP if sharp else TOLERANCE) * size
+        """Newton's method in a plane, or at a given parameter, with the derivative at the guess, or
+        one given, for as long as steps with it shrink fast."""
+        guess, goal = parameter, tolerance * max(float(np.linalg.norm(unknown)), 1e-300)
         slope, sizes = None, [np.inf]
         try:
             at = self.system.linearise(unknown, parameter)
@@ -371,7 +354,7 @@ class OrbitBranch:
         leading = values[:LEADING]
         return Node(
             place, found.unknown, found.parameter, tangent, leading, _outside(values),
-            _paired(leading), away, at,
+            _paired(leading), away,
         )  # fmt: skip
 
     # --- bifurcations -----------------------------------------------------------------------------
@@ -398,14 +381,14 @@ class OrbitBranch:
             threes = [nodes[max(0, number - 1) : number + 2], nodes[number : number + 3][::-1]]
             wide = NARROWEST < last.place - first.place <= EVERY
             if wide and any(len(three) == 3 and _pass_one(*three) for three in threes):
-                found = self.between(first, last, 0.5, None)
+                found = self.between(first, last, 0.5)
                 if found is not None:
                     place = 0.5 * (first.place + last.place)
                     middle = self._node(place, found, _chord(first, last))
             if middle is None:
                 number += 1
             else:
-                nodes.insert(number + 1, middle.rest)
+                nodes.insert(number + 1, middle)
                 number = max(0, number - 1)
 
     def _on(self, first: Node, last: Node, near: float) -> Iterator[Node]:
@@ -414,23 +397,24 @@ class OrbitBranch:
         if change[0] % 2 == 0 and change[1] % 2 == 0 and change @ (1, 1, 2) == 0:
             return
         if np.abs(change).sum() > 1 and last.place - first.place > ALONE:
-            found = self.between(first, last, 0.5, first.at)
+            found = self.between(first, last, 0.5)
             if found is not None:
                 place = 0.5 * (first.place + last.place)
                 middle = self._node(place, found, _chord(first, last))
                 yield from self._on(first, middle, near)
-                yield middle.rest
+                yield middle
                 yield from self._on(middle, last, near)
                 return
         for kind, step in zip(KINDS, change, strict=True):
             if step % 2:
-                yield self._located(kind, first, last, near).rest
+                yield self._located(kind, first, last, near)
 
     def _located(self, kind: str, first: Node, last: Node, close: float) -> Node:
         """Where a test function vanishes on a segment; not located: where it was smallest, as an
         orbit is missed, or it has one sign, or jumps past zero."""
         pairs, chord = max(first.outside[2], last.outside[2]), _chord(first, last)
         met: list[tuple[float, float, Node]] = []
+        used: OrbitPoint | None = None
 
         def test(one: Node) -> float:
             if kind == KINDS[0]:
@@ -441,13 +425,14 @@ class OrbitBranch:
             return float(sizes[pairs - 1]) - 1.0 if len(sizes) >= pairs else -1.0
 
         def value(share: float) -> float:
+            nonlocal used
             if share in (0.0, 1.0):
                 one = last if share else first
             else:
-                near = met[-1][2].at if met else first.at
-                found = self.between(first, last, share, near, True)
+                found = self.between(first, last, share, SHARP, used)
                 if found is None:
                     raise ConvergenceError("no orbit")
+                used = orbit_of(found)
                 place = first.place + share * (last.place - first.place)
                 one = self._node(place, found, chord)
                 met.append((abs(test(one)), share, one))
@@ -552,21 +537,23 @@ def _paired(values: np.ndarray) -> np.ndarray:
     return found[np.argsort(-found[:, 1], kind="stable")]
 
 
-def blended(first: Node, last: Node, share: float) -> np.ndarray:
+def blended(first: Node, last: Node, share: float | np.ndarray) -> np.ndarray:
     """Moduli between two nodes, largest first: those between, or, where a pair becomes real and
-    they have a corner, of pairs with the sums and products between."""
+    they have a corner, of pairs with the sums and products between; (k,) of a share of the segment,
+    (k, n) of some."""
     if first.real == last.real and len(first.pairs) == len(last.pairs):
         return _line(first.moduli, last.moduli, share)
     found = _line(first.pairs, last.pairs, share)
     half = 0.5 * found[:, 0]
     root = np.sqrt(half**2 - found[:, 1] + 0j)
-    return -np.sort(-np.abs(np.concatenate([half + root, half - root])))
+    return -np.sort(-np.abs(np.concatenate([half + root, half - root])), axis=0)
 
 
-def _line(begin: np.ndarray, end: np.ndarray, share: float) -> np.ndarray:
+def _line(begin: np.ndarray, end: np.ndarray, share: float | np.ndarray) -> np.ndarray:
     """Between two arrays, as far as both go."""
     count = min(len(begin), len(end))
-    return np.asarray((1.0 - share) * begin[:count] + share * end[:count])
+    rest = 1.0 - np.asarray(share)
+    return np.multiply.outer(begin[:count], rest) + np.multiply.outer(end[:count], share)
 
 
 def _fits(first: Node, middle: Node, last: Node) -> bool:

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
-import ufl
 from mpi4py import MPI
 from scipy.spatial import cKDTree
 
 from fenics_crack.errors import InputError
 from fenics_crack.fem import compat
+from fenics_crack.fem.compat import ufl
 from fenics_crack.fem.lips import Lip, along
 from fenics_crack.fem.loads import assemble_loads
 from fenics_crack.fem.matrix_files import read_structure

@@ -50,11 +50,13 @@ __all__ = [
     "assembled_matrix",
     "assembled_vector",
     "basis_at",
+    "dolfinx",
     "function_space",
     "geometry_dofmap",
     "gmsh",
     "gmsh_is_running",
     "model_to_mesh",
+    "ufl",
     "vtk_cells",
 ]
 

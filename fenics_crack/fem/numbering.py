@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import dolfinx
 import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenics_crack.fem import compat
+from fenics_crack.fem.compat import dolfinx
 from fenics_crack.fem.plate import PlateMesh
 from fenics_crack.model.nodes import Nodes
 

@@ -25,12 +25,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import dolfinx
 import numpy as np
-import ufl
 from petsc4py import PETSc
 
 from fenics_crack.fem import compat
+from fenics_crack.fem.compat import dolfinx, ufl
 from fenics_crack.fem.numbering import Dofs
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.rotation import Rotation, static_state

@@ -5,8 +5,6 @@
 
 #include "lapack.h"
 
-enum { BUCKETS = 4096 };
-
 struct closed_sets {
     int modes, pairs;
     const double *rows;
@@ -103,9 +101,7 @@ static closed_set *room_for(const closed_sets *s, int size, const signed char *c
 const closed_set *closed_set_of(closed_sets *s, const signed char *closed)
 {
     const int p = s->pairs;
-    unsigned hash = 2166136261u; /* of Fowler, Noll and Vo */
-    for (int i = 0; i < p; i++) hash = (hash ^ (unsigned)closed[i]) * 16777619u;
-    closed_set **bucket = &s->bucket[(hash ^ hash >> 16) % BUCKETS];
+    closed_set **bucket = &s->bucket[bucket_of(p, closed)];
     for (closed_set *a = *bucket; a; a = a->next)
         if (!memcmp(a->closed, closed, (size_t)p)) return a;
     int size = 0;

@@ -100,7 +100,9 @@ int march_exponential(const exponential *s, int steps, double *states, double *f
         const double *before = forces, *linear = s->linear + phase * p;
         const double *steady = s->steady + phase * 2 * n;
         const signed char *guess = closed;
-        states += 2 * n, forces += p, closed += p;
+        states += 2 * n;
+        forces += p;
+        closed += p;
         /* s = Q (E z - G lambda) + l. */
         transition(s, 1, z, reached);
         for (int i = 0; i < p; i++) {

@@ -1,14 +1,11 @@
 #include "series.h"
 
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
 #include "lapack.h"
 
-/* Last terms relative to the largest where a series ends. */
-static const double TAIL = 1e-16;
-/* Distances, as parts of the time, at which a zero is found: of its ends, and of Newton's steps. */
-static const double CLOSED = 1e-16, STILL = 1e-15;
 enum { TURNS = 100 }; /* to a zero, at most */
 
 static double larger(double a, double b) { return a > b ? a : b; }
@@ -94,13 +91,13 @@ double column_at(int n, const double *terms, int column, int order, double time,
 double column_zero(int n, const double *terms, int column, int order, double low, double high)
 {
     double slope, zero = 0.5 * (low + high);
-    for (int turn = 0; turn < TURNS && high - low > CLOSED * high; turn++) {
+    for (int turn = 0; turn < TURNS && high - low > 0.5 * DBL_EPSILON * high; turn++) {
         const double now = column_at(n, terms, column, order, zero, &slope);
         const double newton = zero - now / slope;
         if (now == 0.0) return zero;
         if ((now > 0.0) == (order == 0)) low = zero;
         else high = zero;
-        if (fabs(newton - zero) <= STILL * high) return zero;
+        if (fabs(newton - zero) <= 4.0 * DBL_EPSILON * high) return zero;
         zero = newton > low && newton < high ? newton : 0.5 * (low + high);
     }
     return zero;
@@ -121,8 +118,9 @@ WIDE void series_sizes(int n, const double *restrict terms, double *restrict siz
 double series_reach(const double *sizes, double within)
 {
     double largest = 0.0;
-    const double tail = larger(sizes[ORDER - 1], sizes[ORDER]);
     for (int k = 0; k < TERMS; k++) largest = larger(sizes[k], largest);
-    if (tail * pow(within, ORDER - 1) <= TAIL * largest) return within;
-    return fmin(within, pow(TAIL * largest / tail, 1.0 / (ORDER - 1)));
+    /* The last terms are to be less than the largest one's rounding. */
+    const double tail = larger(sizes[ORDER - 1], sizes[ORDER]), least = 0.5 * DBL_EPSILON * largest;
+    if (tail * pow(within, ORDER - 1) <= least) return within;
+    return fmin(within, pow(least / tail, 1.0 / (ORDER - 1)));
 }

@@ -7,7 +7,7 @@
 #include "lapack.h"
 
 /* PIVOTS: after so many changes by one pair rounding is left behind by factors again. */
-enum { BUCKETS = 4096, TOGETHER = 30, PIVOTS = 50 };
+enum { TOGETHER = 30, PIVOTS = 50 };
 
 /* Error of gaps with which an answer is computed anew. */
 static const double ACCURATE = 1e-11;
@@ -48,6 +48,13 @@ static void forget(sets *s, const known *kept)
             free(first);
         }
     }
+}
+
+int bucket_of(int n, const signed char *closed)
+{
+    unsigned hash = 2166136261u; /* of Fowler, Noll and Vo */
+    for (int i = 0; i < n; i++) hash = (hash ^ (unsigned)closed[i]) * 16777619u;
+    return (int)((hash ^ hash >> 16) % BUCKETS);
 }
 
 static double *room(size_t count) { return malloc((count + 1) * sizeof(double)); }
@@ -187,16 +194,15 @@ static int follow(sets *s, const known *from, known *made)
 const double *answer_of(sets *s, const signed char *closed)
 {
     const size_t n = s->n;
-    unsigned hash = 2166136261u; /* of Fowler, Noll and Vo */
-    for (size_t i = 0; i < n; i++) hash = (hash ^ (unsigned)closed[i]) * 16777619u;
-    known **bucket = &s->bucket[(hash ^ hash >> 16) % BUCKETS];
+    known **bucket = &s->bucket[bucket_of(s->n, closed)];
     for (known *k = *bucket; k; k = k->next)
         if (!memcmp(k->closed, closed, n)) {
             s->last = k;
             return k->answer;
         }
     if (s->kept >= s->most) forget(s, s->last);
-    known *made = malloc(sizeof(known)), filled = {*bucket, room(n * n), malloc(n + 1), 0};
+    known *made = malloc(sizeof(known));
+    known filled = {*bucket, room(n * n), malloc(n + 1), 0};
     int failed = !made || !filled.answer || !filled.closed;
     if (!failed) {
         memcpy(filled.closed, closed, n);

@@ -12,6 +12,10 @@
  */
 typedef struct sets sets;
 
+/* Where a set is looked for in a table of known ones: below BUCKETS. */
+enum { BUCKETS = 4096 };
+int bucket_of(int n, const signed char *closed);
+
 /* Of D (n, n), which is copied; at most `most` answers are kept. NULL without memory. */
 sets *new_sets(int n, const double *d, long most);
 void free_sets(sets *s);

@@ -26,7 +26,9 @@ static int evaluate(equations *own, const double *x, double p)
     at->parameter = p;
     for (int i = 0; i < n; i++) at->state[i] = x[i] / at->scale[i];
     m->omega = p * at->of.omega;
-    m->now = 0.0, m->end = at->of.turns / m->omega, m->state = at->state;
+    m->now = 0.0;
+    m->end = at->of.turns / m->omega;
+    m->state = at->state;
     m->pieces = m->passed = m->events = 0;
     const int outcome = m->omega > 0.0 ? flow_advance(at->of.flow, m) : FLOW_LOST;
     if (outcome == FLOW_MEMORY) return NO_MEMORY;
@@ -100,7 +102,8 @@ shooting_point *new_shooting_point(const shooting_equations *given)
         .by_parameter = by_parameter, .sign = sign_of_dense};
     const int failed = make_dense(&at->common, (int)n, form_jacobian);
     at->scale = malloc(bytes(3 * n + n * n));
-    at->moved.most_pieces = given->pieces, at->moved.most = given->intervals;
+    at->moved.most_pieces = given->pieces;
+    at->moved.most = given->intervals;
     at->moved.sets = malloc((size_t)(intervals * given->pairs + 1));
     at->moved.lengths = malloc(bytes(intervals));
     if (failed || !(at->scale && at->moved.sets && at->moved.lengths)) {
@@ -109,7 +112,8 @@ shooting_point *new_shooting_point(const shooting_equations *given)
     }
     memcpy(at->scale, given->scale, bytes(n));
     at->of.scale = at->scale;
-    at->residual = at->scale + n, at->state = at->residual + n;
+    at->residual = at->scale + n;
+    at->state = at->residual + n;
     at->tangent = at->state + n;
     return at;
 }
@@ -117,7 +121,9 @@ shooting_point *new_shooting_point(const shooting_equations *given)
 void free_shooting_point(shooting_point *at)
 {
     free_dense(&at->common);
-    free(at->scale), free(at->moved.sets), free(at->moved.lengths);
+    free(at->scale);
+    free(at->moved.sets);
+    free(at->moved.lengths);
     free(at);
 }
 

@@ -47,13 +47,16 @@ void switching_waves(int harmonics, double *waves)
     for (int k = 1; k <= harmonics; k++, waves += 2 * quarter)
         for (int i = 0; i < quarter; i++) {
             const double theta = TWO_PI * (((long)k * i) % cells) / cells;
-            waves[i] = cos(theta), waves[quarter + i] = sin(theta);
+            waves[i] = cos(theta);
+            waves[quarter + i] = sin(theta);
         }
 }
 
 static int prepare(search *s, int harmonics, int pairs)
 {
-    s->harmonics = harmonics, s->stride = pairs, s->cells = switching_cells(harmonics);
+    s->harmonics = harmonics;
+    s->stride = pairs;
+    s->cells = switching_cells(harmonics);
     s->values = malloc((s->cells + 1) * sizeof(double));
     s->sums = malloc((s->cells + 4) * sizeof(double));
     return s->values && s->sums ? 0 : -1;
@@ -61,7 +64,8 @@ static int prepare(search *s, int harmonics, int pairs)
 
 static void finish(search *s)
 {
-    free(s->values), free(s->sums);
+    free(s->values);
+    free(s->sums);
 }
 
 /* Values on the first grid. The quarters of a period share their waves: with the sums over even
@@ -72,7 +76,9 @@ static void begin(search *s, const double *gap, const double *waves)
     const int quarter = s->cells / 4 + 1, half = s->cells / 2;
     double *even[2] = {s->sums, s->sums + quarter};
     double *odd[2] = {s->sums + 2 * quarter, s->sums + 3 * quarter};
-    s->gap = gap, s->next = s->open = 0, s->curvature = 0.0;
+    s->gap = gap;
+    s->next = s->open = 0;
+    s->curvature = 0.0;
     for (int i = 0; i < 4 * quarter; i++) s->sums[i] = 0.0;
     for (int k = 1; k <= s->harmonics; k++, waves += 2 * quarter) {
         const double a = gap[(2 * k - 1) * s->stride], b = gap[2 * k * s->stride];
@@ -106,13 +112,16 @@ static void derivatives(const search *s, double theta, double *found)
     const double *at = s->gap + s->stride;
     for (int k = 1; k <= s->harmonics; k++, at += 2 * s->stride) {
         const double turned = c * c1 - d * s1, a = at[0], b = at[s->stride];
-        d = d * c1 + c * s1, c = turned;
+        d = d * c1 + c * s1;
+        c = turned;
         const double wave = a * c + b * d;
         value += wave;
         slope += k * (b * c - a * d);
         bend -= (double)k * k * wave;
     }
-    found[0] = value, found[1] = slope, found[2] = bend;
+    found[0] = value;
+    found[1] = slope;
+    found[2] = bend;
 }
 
 /* g at the three inner points of a cell that is divided. */
@@ -120,7 +129,8 @@ static void inner_values(const search *s, double first, double width, double *va
 {
     double c1[PARTS - 1], s1[PARTS - 1], c[PARTS - 1], d[PARTS - 1];
     for (int i = 0; i < PARTS - 1; i++) {
-        c[i] = c1[i] = cos(first + i * width), d[i] = s1[i] = sin(first + i * width);
+        c[i] = c1[i] = cos(first + i * width);
+        d[i] = s1[i] = sin(first + i * width);
         values[i] = s->gap[0];
     }
     const double *at = s->gap + s->stride;
@@ -128,7 +138,8 @@ static void inner_values(const search *s, double first, double width, double *va
         for (int i = 0; i < PARTS - 1; i++) {
             values[i] += at[0] * c[i] + at[s->stride] * d[i];
             const double turned = c[i] * c1[i] - d[i] * s1[i];
-            d[i] = d[i] * c1[i] + c[i] * s1[i], c[i] = turned;
+            d[i] = d[i] * c1[i] + c[i] * s1[i];
+            c[i] = turned;
         }
 }
 
@@ -209,7 +220,10 @@ int switching_instants(int harmonics, int pairs, const double *gap, const double
         begin(&s, gap, waves);
         *closed = s.values[0] > 0.0;
         for (; (change = next_change(&s, &at)); count++)
-            if (count < room) theta[count] = at, closing[count] = change;
+            if (count < room) {
+                theta[count] = at;
+                closing[count] = change;
+            }
     }
     finish(&s);
     return failed ? -1 : count;
@@ -236,7 +250,8 @@ static int closed_means(int harmonics, int pairs, const double *gap, const doubl
             means[0] -= change * theta;
             for (int m = 1; m <= highest; m++) {
                 const double turned = c * c1 - d * s1;
-                d = d * c1 + c * s1, c = turned;
+                d = d * c1 + c * s1;
+                c = turned;
                 means[2 * m] -= change * d / m;
                 means[2 * m + 1] += change * c / m;
             }

@@ -12,7 +12,7 @@ from surroundings import main
 import fenics_crack as fc
 from fenics_crack import ErrorReport, ResponseCurve, SweepResult
 from fenics_crack.cli.account import of_error, of_stability
-from fenics_crack.cli.of_curve import few_special_points
+from fenics_crack.cli.of_curve import _undecided_stretches, few_special_points
 from fenics_crack.cli.of_sweep import few_cases, warnings_of
 from fenics_crack.study.remarks import remarks_on_scene
 from fenics_crack.study.run import follow_curve, solve
@@ -54,6 +54,16 @@ def test_advice_is_by_the_largest_part(
     assert f"0.2 of the gap at 800 Hz, most of it by {part}" in text and advice in text
     small = ErrorReport(**(ZERO | {part: 0.02}))
     assert not [*of_error(scene, small, harmonics)]
+
+
+def test_undecided_stretches_of_a_curve() -> None:
+    """The longest first, also at the ends; none of what is not judged."""
+    left = np.array([True, False, True, True, True, False, True])
+    curve: Any = SimpleNamespace(undecided=left)
+    found = _undecided_stretches(curve)
+    assert found == [(2, 4), (0, 0), (6, 6)]
+    curve.undecided = None
+    assert _undecided_stretches(curve) == []
 
 
 def test_undecided_orbit(scene: fc.Scene) -> None:

@@ -93,6 +93,18 @@ def test_two_masses_and_a_stop() -> None:
             assert one.exact == pytest.approx(fc.refine_bifurcation(one)[0], rel=2e-5)
 
 
+def test_every_undecided_point_has_its_reason() -> None:
+    """In words that say what to do; the others have none, nor do curves that are not judged."""
+    law = fc.UnilateralPenalty(100.0)
+    plain = fc.continue_frequency(two_masses(), 0.6, 0.9, law, harmonics=21)
+    judged = fc.judge_curve(plain)
+    reasons = [judged.reason(index) for index in range(len(judged))]
+    left = judged.verdicts == "undecided"
+    assert left.any() and np.array_equal([bool(one) for one in reasons], left)
+    assert all("harmonics" in one or "touches" in one for one in reasons if one)
+    assert plain.reason(0) == ""
+
+
 def test_neighbours_are_not_matched_crosswise(curve: fc.ResponseCurve) -> None:
     """Two of one kind, whose nearest points on the curve are the same or lie in the other order,
     go to the orbits in the order of their frequencies; too far or of another kind: to none."""
@@ -204,7 +216,7 @@ def test_motions_that_take_too_long(monkeypatch: pytest.MonkeyPatch) -> None:
     """Undecided at all points, and nothing is sought; the curve's own bifurcations stay."""
     plain = fc.continue_frequency(two_masses(), 0.6, 0.9, fc.UnilateralPenalty(100.0), harmonics=12)
     monkeypatch.setattr(exact, "BUDGET", Budget(pieces=2))
-    monkeypatch.setattr(exact, "_Judge", None)
+    monkeypatch.setattr(exact, "OrbitBranch", None)
     judged = fc.judge_curve(plain)
     assert set(judged.verdicts) == {"undecided"}
     assert judged.bifurcations == plain.bifurcations
