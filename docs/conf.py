@@ -3,8 +3,16 @@
 python -m sphinx -W docs build/docs
 """
 
+import html
+import io
+
+import matplotlib
+from docutils import nodes
+from matplotlib.font_manager import FontProperties
+from matplotlib.mathtext import math_to_image
 from pygments.lexers.special import TextLexer
 from sphinx.application import Sphinx
+from sphinx.writers.html5 import HTML5Translator
 
 from fenics_crack.scene import tables
 from fenics_crack.version import VERSION
@@ -22,6 +30,8 @@ html_copy_source = False
 smartquotes = False  # u'' is an acceleration
 highlight_language = "none"  # indented blocks are formulas and commands
 myst_heading_anchors = 3
+myst_enable_extensions = ["dollarmath"]
+html_math_renderer = "matplotlib"
 
 # Docstrings have NumPy's form: types, shapes and units stand in them and not in the signatures.
 numpydoc_show_class_members = False
@@ -63,8 +73,23 @@ def say_what_is_allowed(
         lines += ["", f"Allowed: {field.metadata['allowed']}{unit}.", ""]
 
 
+def typeset(page: HTML5Translator, node: nodes.Element) -> None:
+    """A formula as a drawing in the page: by matplotlib, without a network and without LaTeX."""
+    source, drawing = node.astext().strip(), io.StringIO()
+    with matplotlib.rc_context({"mathtext.fontset": "stix", "svg.hashsalt": "formula"}):
+        depth = math_to_image(f"${source}$", drawing, FontProperties(size=12), format="svg")
+    svg = drawing.getvalue()
+    look = f'role="img" aria-label="{html.escape(source)}" fill="currentColor"'
+    svg = svg[svg.index("<svg ") :].replace(
+        "<svg ", f'<svg {look} style="overflow: visible; vertical-align: -{depth}pt" ', 1
+    )
+    page.body.append(f"<p>{svg}</p>" if isinstance(node, nodes.math_block) else svg)
+    raise nodes.SkipNode
+
+
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
+    app.add_html_math_renderer("matplotlib", (typeset, None), (typeset, None))
     app.add_lexer("geo", TextLexer)  # gmsh's language
     app.connect("autodoc-process-docstring", say_what_is_allowed)
     app.connect("autodoc-process-signature", show_what_returns)

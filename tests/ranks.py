@@ -117,9 +117,7 @@ class Ranks:
 
 def serve(place: str) -> None:
     """What each rank does: call what is sent, and answer, until nobody asks any more."""
-    from mpi4py import MPI
-
-    import fenics_crack.parallel  # noqa: F401  # it starts MPI for several threads
+    from mpi4py import MPI  # before PETSc, which would start it for one thread
 
     comm = MPI.COMM_WORLD
     with Client(place) as line:
