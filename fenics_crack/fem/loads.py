@@ -151,13 +151,10 @@ def _middle_of(plate: PlateMesh, dofs: Dofs, edge: str, force: np.ndarray) -> np
     sums = np.abs(dofs.comm.allgather(by_dof.reshape(3, -1, 2).sum(axis=1))).sum(axis=(0, 1))
     direction = (1.0, 0.0) if sums[0] >= sums[1] else (0.0, 1.0)
     on_edge = nodes_on(plate, dofs.space, edge)
-    points = dofs.space.tabulate_dof_coordinates()[: dofs.n_nodes, :2]
     own = on_edge[on_edge < dofs.n_nodes]
-    every = gather_rows(dofs.comm, points[own])
+    every = gather_rows(dofs.comm, _points(dofs)[own])
     middle = (every.min(axis=0) + every.max(axis=0)) / 2.0
-    distance = np.linalg.norm(every - middle, axis=1)
-    order = np.lexsort([*every.T, np.round(distance / max(distance.max(), 1e-300), 9)])
-    return _one_at(dofs, own, every[order[0]], direction)
+    return _one_at(dofs, own, _by_distance(every, middle)[0], direction)
 
 
 # --- a clamp that moves ---------------------------------------------------------------------------
@@ -176,19 +173,26 @@ def _inertia(mass: Any, dofs: Dofs, acceleration: Vector) -> np.ndarray:
 
 def _farthest(plate: PlateMesh, dofs: Dofs, direction: Vector) -> np.ndarray:
     """1 at the dof, in the direction, of the node that is farthest from the clamp: (n_local,)."""
-    points = dofs.space.tabulate_dof_coordinates()[: dofs.n_nodes, :2]
-    clamped = nodes_on(plate, dofs.space, "clamp")
+    clamped, points = nodes_on(plate, dofs.space, "clamp"), _points(dofs)
     middle = gather_rows(dofs.comm, points[clamped[clamped < dofs.n_nodes]]).mean(axis=0)
     every = gather_rows(dofs.comm, points)
-    distance = np.linalg.norm(every - middle, axis=1)
-    order = np.lexsort([*every.T, np.round(distance / distance.max(), 9)])
-    return _one_at(dofs, np.arange(dofs.n_nodes), every[order[-1]], direction)
+    return _one_at(dofs, np.arange(dofs.n_nodes), _by_distance(every, middle)[-1], direction)
+
+
+def _points(dofs: Dofs) -> np.ndarray:
+    """Positions of this rank's nodes: (n_nodes, 2) [m]."""
+    return np.asarray(dofs.space.tabulate_dof_coordinates()[: dofs.n_nodes, :2])
+
+
+def _by_distance(points: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Points (n, 2) by their distance from a place; equal ones, to rounding, by position."""
+    distance = np.linalg.norm(points - place, axis=1)
+    return points[np.lexsort([*points.T, np.round(distance / max(distance.max(), 1e-300), 9)])]
 
 
 def _one_at(dofs: Dofs, nodes: np.ndarray, point: np.ndarray, direction: Vector) -> np.ndarray:
     """1 at the dof, in a direction, of one of this rank's nodes by its position: (n_local,)."""
-    points = dofs.space.tabulate_dof_coordinates()[: dofs.n_nodes, :2]
-    here = nodes[np.all(points[nodes] == point, axis=1)]
+    here = nodes[np.all(_points(dofs)[nodes] == point, axis=1)]
     found = np.zeros((dofs.n_nodes, 2))
     found[here[:1]] = direction
     return np.asarray(found.ravel()[dofs.free])

@@ -249,11 +249,11 @@ class _GeneralisedAlpha(LoopedSteps):
         if modes is None:
             if self._damping is not None:
                 right -= self._damped(self._now * faster + self._af * self._velocity)
-            return self._apply(right)
+            return self._applied(self._inverse.apply, right)
         drag = modes.rate * (self._now * faster[local:] + self._af * self._velocity[local:])
         pushed = structure.sum_over_ranks(right @ modes.shapes)
         # D^-1 (r - M Phi drag) = D^-1 r - Phi drag / d, and the correction's part of both.
-        found = self._apply(right)
+        found = self._applied(self._inverse.apply, right)
         found += modes.shapes @ (self._correction * pushed - drag / self._modal)
         return np.concatenate([found, (pushed - drag) / self._modal])
 
@@ -315,12 +315,6 @@ class _GeneralisedAlpha(LoopedSteps):
             return columns
         modal = self.structure.sum_over_ranks(self._modes.mass_shapes.T @ columns)
         return np.vstack([columns, modal])
-
-    def _apply(self, rows: np.ndarray) -> np.ndarray:
-        """The factored matrix's inverse times (n_local,)."""
-        self._x.array_w[:] = rows
-        self._inverse.apply(self._x, self._y)
-        return self._y.array_r.copy()
 
     def _solve(self, columns: np.ndarray) -> np.ndarray:
         """A^-1 X of columns (n_local, m)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -59,11 +60,15 @@ class LoopedSteps(Scheme):
         """Gap of a displacement (n_local,)."""
         return self._closing(displacement) - self.structure.clearance
 
+    def _applied(self, operator: Callable[[Any, Any], None], rows: np.ndarray) -> np.ndarray:
+        """Apply an operator of PETSc's to a vector (n_local,)."""
+        self._x.array_w[:] = rows
+        operator(self._x, self._y)
+        return self._y.array_r.copy()
+
     def _times(self, matrix: PETSc.Mat, rows: np.ndarray) -> np.ndarray:
         """A matrix times (n_local,)."""
-        self._x.array_w[:] = rows
-        matrix.mult(self._x, self._y)
-        return self._y.array_r.copy()
+        return self._applied(matrix.mult, rows)
 
     def _damped(self, velocity: np.ndarray) -> np.ndarray:
         """C v."""
