@@ -231,7 +231,7 @@ class Search:
 
         def guesses() -> Iterator[np.ndarray]:
             harmonics, periods = problem.harmonics, problem.subharmonic
-            steps = 1 << max(8, (8 * harmonics // periods).bit_length())
+            steps = 1 << max(8, (4 * harmonics // periods).bit_length())
             above = min(problem.cutoff, all_modes(problem.structure).above_lowest(MOVING))
             try:
                 flow = ExponentialFlow(

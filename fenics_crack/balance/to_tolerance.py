@@ -130,19 +130,23 @@ def _solved(solver: Solver, tolerance: float, initial: PeriodicSolution | None) 
     """The solution of a structure as it is."""
     problem = solver.problem
     flow = flow_of(problem.structure, problem.contact)
-    if flow is not None and flow.size <= AFFORDABLE:
-        near, orbit, way = _sought(solver, flow, initial)
-        if orbit is not None:
-            return replace(_kept(solver, orbit, tolerance), status=way)
-        if near is not None:  # its error may be known all the same
-            initial, problem = near, problem.with_harmonics(near.harmonics)
-            solver = replace(solver, problem=problem)
-    found = _by_harmonics(solver, tolerance, initial)
-    if flow is None or flow.size > AFFORDABLE or not found.converged:
-        return found
+    if flow is None or flow.size > AFFORDABLE:
+        return _by_harmonics(solver, tolerance, initial)
+    near, orbit, way = _sought(solver, flow, initial)
+    if orbit is None:  # with more harmonics it may be found, or the error known all the same
+        few = solver
+        if near is not None:
+            few = replace(solver, problem=problem.with_harmonics(near.harmonics))
+        near = _by_harmonics(few, tolerance, near or initial)
+        if not near.converged:
+            return near
+        orbit, way = near.judged.orbit, _way(near)
+    if orbit is not None:
+        return replace(_kept(solver, orbit, tolerance), status=way)
+    assert near is not None
     tried = ", ".join(map(str, RUNGS))
     tried = f"no exact orbit from H = {tried} nor by following the motion"
-    return replace(found, status=f"{tried}; {found.status}")
+    return replace(near, status=f"{tried}; {near.status}")
 
 
 # --- by an orbit ----------------------------------------------------------------------------------
@@ -162,17 +166,20 @@ def _sought(
         found = few.attempt(near or initial, patient=False, reported=False)[1]
         if found.converged:
             near, orbit = found, found.judged.orbit
-            way = f"exact orbit next to the solution with H = {found.harmonics}"
             if orbit is not None and found.judged.accepted:
-                return near, orbit, way
+                return near, orbit, _way(found)
             if other is None and orbit is not None:
-                other = orbit, way
+                other = orbit, _way(found)
     if other is not None:
         return near, *other
     start = np.zeros(flow.size)
     if near is not None:
         start = wave_states(flow, near.displacement_coefficients, near.base_omega)[0]
     return near, recurring(flow, omega, start, periods), "exact orbit, by following the motion"
+
+
+def _way(found: PeriodicSolution) -> str:
+    return f"exact orbit next to the solution with H = {found.harmonics}"
 
 
 def _kept(solver: Solver, orbit: PeriodicOrbit, tolerance: float) -> PeriodicSolution:

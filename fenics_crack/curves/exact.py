@@ -36,7 +36,7 @@ from fenics_crack.motion.orbit import PIECES
 from fenics_crack.numerics.bordered import solve_at
 from fenics_crack.numerics.path import PathOptions
 from fenics_crack.stability.floquet import floquet
-from fenics_crack.stability.shooting import attract_little, leaves
+from fenics_crack.stability.shooting import leaves
 from fenics_crack.stages import begin
 
 __all__ = ["judge_curve", "verified"]
@@ -78,7 +78,7 @@ class _Judge:
             self.parameters = np.array([family.parameter(value) for value in curve.values])
             self._family = family
         self._own: dict[float, bool] = {}
-        self._few = attract_little(curve.structure)
+        self._bounces = not curve.structure.light_lips
         self.affordable = self._is_affordable()
         """Whether the motion of some point is followed within the budget."""
         if self.affordable:
@@ -147,7 +147,7 @@ class _Judge:
     def _is_own(self, node: Node, place: int, off: float) -> bool:
         """Whether a solution is judged by a node's orbit."""
         solution = self._curve.solution(place, search=False)
-        return solution.judged.admits(off) and not (self._few and self._left(node, place))
+        return solution.judged.admits(off) and not (self._bounces and self._left(node, place))
 
     def _left(self, node: Node, place: int) -> bool:
         """Whether the exact motion that begins with a point leaves the stable orbit next to it."""

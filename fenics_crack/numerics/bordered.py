@@ -15,11 +15,11 @@ changes like a square root, the step is shortened.
 
 All paths are followed with this loop: response curves, paths to a cold start, backbones, and
 branches of exact orbits; refined curves take its step. It is the kernel's (``kernel/path.c``), for
-compiled equations and for those in Python (:mod:`equations`). Single solutions go through PETSc's
-SNES (:mod:`newton`), so that PETSc's options reach them; the first one of a curve goes through this
-loop where the kernel has its equations. Curves do not: SNES knows no border, and at given
-parameters, where none is needed, an iteration by SNES takes ten times as long as one by the
-compiled loop (``benchmarks/curves.py --only newton``, 21 unknowns).
+compiled equations and for those in Python (:mod:`equations`). Single solutions go through it where
+the kernel has their equations, and through PETSc's SNES (:mod:`newton`) where it has not, or where
+PETSc's options ask for that. Curves never do: SNES knows no border, and at given parameters, where
+none is needed, an iteration by SNES takes ten times as long as one by the compiled loop
+(``benchmarks/curves.py --only newton``, 21 unknowns).
 
 Sources: those of :mod:`path`.
 """

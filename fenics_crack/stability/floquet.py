@@ -28,7 +28,7 @@ from fenics_crack.motion.flow import exact_flow
 from fenics_crack.motion.orbit import PeriodicOrbit, eigenvalues
 from fenics_crack.stability.hill import hill_root
 from fenics_crack.stability.linear_flow import monodromy
-from fenics_crack.stability.shooting import CLOSE, attract_little, leaves
+from fenics_crack.stability.shooting import CLOSE, leaves
 
 __all__ = ["Stability", "floquet"]
 
@@ -115,16 +115,17 @@ def _by_orbit(judged: Judgement) -> Stability:
 
 
 def _doubt(orbit: PeriodicOrbit, judged: Judgement) -> str:
-    """What speaks against the stability of a stable orbit next to a wave, "" if nothing does: that
-    the motion from there leaves it, or a pair grazes, where such orbits attract little."""
-    if not attract_little(judged.wave.structure):
+    """What speaks against the stability of a stable orbit next to a wave of pairs with mass, which
+    bounce, "" if nothing does: that the motion from there leaves it, or a pair grazes, where such
+    orbits attract little."""
+    if judged.wave.structure.light_lips:
         return ""
     if _grazes(orbit, judged):
-        return "a pair just touches, or just does not, within the error"
+        return "a pair just touches, or just does not, within the error; take more harmonics"
     orbits = FlowOrbits(orbit.flow, orbit.omega, orbit.state, orbit.subharmonic)
     begun = orbits.unknown(judged.states[0])
     if judged.distance > CLOSE and leaves(orbits, begun, orbits.start):
-        return "the exact motion that begins with it leaves its orbit"
+        return "the exact motion that begins with it leaves its orbit; take more harmonics"
     return ""
 
 

@@ -13,22 +13,15 @@ from fenics_crack.errors import ConvergenceError, check_count
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import exact_flow
-from fenics_crack.motion.orbit import PeriodicOrbit
+from fenics_crack.motion.orbit import PeriodicOrbit, find_orbit
 from fenics_crack.time.march import initial_state
 
-__all__ = ["CLOSE", "PeriodicOrbit", "attract_little", "leaves", "orbits_near", "shoot"]
+__all__ = ["CLOSE", "PeriodicOrbit", "leaves", "orbits_near", "shoot"]
 
 CLOSE, FOLLOWED, AWAY = 1e-3, 30, 3.0
 """Distance of a solution from its stable orbit to which the motion that begins with the solution
 need not be followed; periods that it is followed else, and how many times farther away than the
 linearised motion it has then left its orbit."""
-FEW_PAIRS = 4
-
-
-def attract_little(structure: Structure) -> bool:
-    """Whether stable orbits that nearly graze may attract little: those of few pairs with mass.
-    With many, a pair is about to touch in most of them, and the others decide."""
-    return not structure.light_lips and structure.n_pairs <= FEW_PAIRS
 
 
 def leaves(
@@ -113,6 +106,9 @@ def shoot(
     if found is None:
         start = orbits.state(orbits.followed(settle))
         found = orbit_next_to(orbits.flow, solution.omega, start, solution.subharmonic)
+    if found is not None and found.residual > tolerance:  # its last step was short, but M is large
+        again = find_orbit(found.flow, found.omega, found.state, subharmonic=found.subharmonic)
+        found = again or found
     if found is None or not found.residual <= tolerance:
         closest = "" if found is None else f"; closest {found.residual:.1e}"
         raise ConvergenceError(f"shooting: no periodic orbit near the solution{closest}")

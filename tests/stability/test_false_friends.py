@@ -107,10 +107,6 @@ def test_stiff_second_stop_just_beyond_the_truncated_wave(case: tuple[float, flo
     exact = fc.shoot(structure, solution)
     assert abs(exact.multipliers[0]) > 3.5
     found = fc.floquet(structure, solution)
-    if omega == 0.6:  # its own orbit is 4 % away, and one with the stop hit twice leads there first
-        assert found.verdict == "undecided" and "another one" in found.reason
-        assert solution.report.truncation == 1.0
-        return
     assert found.verdict == "unstable" and not found.reason
     error = distance(exact, solution)
     assert error / 3.0 < solution.report.total < 3.0 * error
