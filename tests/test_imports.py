@@ -33,12 +33,6 @@ def test_the_package_alone_imports_nothing(line: str) -> None:
     assert fresh(program) == "[]"
 
 
-def test_a_mesh_needs_no_setuptools() -> None:
-    """UFL and FFCx ask pkg_resources, a tenth of a start, for their own versions alone."""
-    program = "import sys, fenics_crack.fem.build\nprint('pkg_resources' in sys.modules)"
-    assert fresh(program) == "False"
-
-
 def test_who_shares_the_tests_out_starts_no_mpi() -> None:
     """Its children, which run them, would take themselves for its ranks, and start none."""
     folders = [str(ROOT / "tests"), str(ROOT / "tests" / "acceptance")]

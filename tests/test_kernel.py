@@ -27,7 +27,8 @@ OTHERS = [
     for name in (
         "balance/test_active_sets.py", "balance/test_compiled_coupled.py",
         "balance/test_compiled_paths.py",
-        "motion/test_contact_flow.py", "motion/test_path.py", "time/test_compiled_marches.py",
+        "motion/test_contact_flow.py", "motion/test_path.py", "numerics/test_paths.py",
+        "time/test_compiled_marches.py",
     )
 ]  # fmt: skip
 """Other files whose tests are run with it."""

@@ -106,6 +106,11 @@ class ContactSystem:
         few = self.integrals.coupled or self.global_size <= IN_KERNEL
         return self.integrals.exact and few
 
+    @property
+    def by_rank(self) -> bool:
+        """Whether solutions with J go through the rank of T, as they do not in the kernel."""
+        return not self.integrals.coupled and self.global_size >= LOW_RANK
+
     @cached_property
     def compiled(self) -> CompiledEquations | None:
         """The same along its parameter in the kernel, where it has them."""
@@ -231,7 +236,7 @@ class ContactPoint(DenseLinearisation):
         system = self.system
         if system.basis is not None:
             return self.forces.identity_plus(system.moving_seen, system.basis)
-        if self.unknown.size >= LOW_RANK:
+        if system.by_rank:
             self._parts = self.forces.low_rank()
         return self.jacobian if self._parts is None else self._parts.condense(system.moving)
 

@@ -24,18 +24,18 @@ import numpy as np
 
 from fenics_crack.balance.family import FrequencyFamily
 from fenics_crack.balance.problem import Problem
-from fenics_crack.balance.search import Search
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.balance.solver import Solver
 from fenics_crack.errors import MOST_HARMONICS, ConvergenceError
 from fenics_crack.model.modal import all_modes
-from fenics_crack.numerics.bordered import solve_at
+from fenics_crack.numerics.bordered import point_on_path, solve_at
 from fenics_crack.numerics.fourier import resized
+from fenics_crack.numerics.path import SHARP, Ended, Path, PathOptions, Target
 
 __all__ = ["Neighbours", "fewer_harmonics", "more_harmonics"]
 
-SHARP, ACCEPTED = 1e-11, 1e-10
-"""|F| / |x| to which solutions are corrected, and at which the end of a path is accepted."""
+WAY = PathOptions(0.1, max_step=0.3, max_steps=200)
+"""From one frequency to the other; what takes more is sought without a neighbour."""
 ITERATIONS = 10
 """Of Newton's method from a prediction."""
 SMALL = 0.05
@@ -122,12 +122,13 @@ class Neighbours:
             unknown, iterations = found.unknown, found.iterations
             status = f"from {last.omega:g} rad/s: converged ({iterations} iterations)"
         else:
-            search = Search(ACCEPTED)
-            path = FrequencyFamily(family.problem, last.omega, omega)
-            unknown = search.along_frequency(path, start).unknown
-            if not search.converged:
+            way = FrequencyFamily(family.problem, last.omega, omega)
+            path = Path(way, point_on_path(way, start, 0.0), WAY, [Target(1.0)])
+            iterations = sum(point.iterations for point in path.points())
+            if path.ended is not Ended.MET:
                 return None
-            iterations, status = search.iterations, search.status
+            unknown = path.last.unknown
+            status = f"path from {last.omega:g} rad/s: converged ({iterations} iterations)"
         solution = solution_of(problem, family.system(omega).linearise(unknown), status=status)
         return replace(solution, iterations=iterations)
 

@@ -27,7 +27,6 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.contact_system import ContactSystem
-from fenics_crack.balance.family import FrequencyFamily
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.rounding import SOFT, check_stiffness, stiffness_times_compliance
 from fenics_crack.errors import ConvergenceError
@@ -141,12 +140,6 @@ class Search:
         path = self._path(soft, soft.linear, (0.0, 1.0), NARROW)
         return self._solve(system, 1.0, [*starts, ("path in the softness", path)])
 
-    def along_frequency(self, family: FrequencyFamily, start: np.ndarray) -> Linearisation:
-        """Along a family in the frequency, from near a solution at its start; return the equations
-        at its end."""
-        path = self._path(family, start, (0.0, 1.0), NARROW)
-        return self._solve(family, 1.0, [(f"path from {family.start:g} rad/s", path)])
-
     def _solve(
         self, system: DistributedSystem, parameter: float, starts: list[Start]
     ) -> Linearisation:
@@ -231,7 +224,7 @@ class Search:
 
         def guesses() -> Iterator[np.ndarray]:
             harmonics, periods = problem.harmonics, problem.subharmonic
-            steps = 1 << max(8, (8 * harmonics // periods).bit_length())
+            steps = 1 << max(8, (4 * harmonics // periods).bit_length())
             above = min(problem.cutoff, all_modes(problem.structure).above_lowest(MOVING))
             try:
                 flow = ExponentialFlow(

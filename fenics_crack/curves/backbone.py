@@ -71,8 +71,6 @@ from fenics_crack.table import Tabular, counted, with_frequency
 
 __all__ = ["Backbone", "BackboneOptions", "follow_backbone"]
 
-BEHIND = 0.02
-"""How far ln E may fall behind its start."""
 ENDS = {
     Ended.MET: "reached the end",
     Ended.LOST: "no motion at the very end",
@@ -81,11 +79,10 @@ ENDS = {
     Ended.SHORT: Ended.SHORT.value,
 }
 """What is said of a path that has ended."""
-FAR, PAST = 60, 1.25
-"""Harmonics with which the truncation is judged at least, and relative to the highest mode's."""
-MANY, MOST = 1200, 10
-"""Of the estimate of an error: unknowns to which harmonics may reach past the highest mode, and
-steps."""
+PAST = 1.25
+"""Harmonics with which the truncation is judged, relative to the highest mode's."""
+MANY = 1200
+"""Of the estimate of an error: unknowns to which harmonics may reach past the highest mode."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -193,7 +190,7 @@ class Backbone(Tabular):
         sharp = CALM * float(np.linalg.norm(left) / np.linalg.norm(start))
         found = solve_at(
             added, start, math.log(energy),
-            tolerance=max(sharp, motion.rounding(math.log(energy))), iterations=MOST,
+            tolerance=max(sharp, motion.rounding(math.log(energy))),
         )  # fmt: skip
         wave = np.zeros((2 * harmonics + 1, self.structure.n_pairs))
         wave[motion.rows] = z @ motion.gap_rows
@@ -211,8 +208,7 @@ class Backbone(Tabular):
         they do not reach."""
         squares = all_modes(self.structure).squares
         reaching = int(PAST * math.sqrt(max(float(squares.max()), 0.0)) / omega) + 1
-        fits = MANY // len(squares)
-        return max(4 * self.harmonics, self.harmonics + 8, min(max(FAR, reaching), fits))
+        return max(4 * self.harmonics, self.harmonics + 8, min(reaching, MANY // len(squares)))
 
     def amplitude(self, dof: int) -> np.ndarray:
         """Half the peak-to-peak displacement of a dof at every point: (n,) [m], of 256 instants."""
@@ -381,7 +377,7 @@ class _Growing:
         bar = tqdm(total=100.0, desc="backbone", unit="%", disable=not shown, bar_format=form)
         start, most = self.found[0].parameter, options["most_points"]
         path = MotionPath(
-            self.family, self.found[0], self.end, lowest=start - BEHIND,
+            self.family, self.found[0], self.end, lowest=start - options["longest_step"],
             max_step=options["longest_step"], max_steps=most,
             pass_over=not options["internal_resonances"],
         )  # fmt: skip

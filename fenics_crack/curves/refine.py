@@ -23,7 +23,7 @@ from fenics_crack.numerics.path import PathOptions
 
 __all__ = ["filled", "refine_curve"]
 
-STEPS, MAX_BETWEEN = 4, 1000
+MAX_BETWEEN = 1000
 PICTURE = 0.025
 """Largest distance between neighbours in a picture, relative to the range of the frequencies and to
 the size of the solutions there."""
@@ -96,7 +96,7 @@ def refine_curve(curve: ResponseCurve, between: int | None = None) -> ResponseCu
             (unknown, parameter), (x, p) = (_split(spline(at, order), family) for order in (0, 1))
             found = solve_in_plane(
                 family, size * unknown, parameter, Tangent(size * x, p, size**-2),
-                tolerance=sharp, iterations=STEPS,
+                tolerance=sharp,
             )  # fmt: skip
             if found is not None:
                 value = family.value(found.parameter)

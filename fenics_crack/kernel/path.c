@@ -7,121 +7,17 @@
 
 enum {
     UNSURE = 8,              /* points whose sign of det J is not asked for, in a row */
-    DOUBTED = FAILED + 1, /* of points: they do not go with the next factors */
-    PATIENT = 32
+    DOUBTED = FAILED + 1,    /* of points: they do not go with the next factors */
+    HALVES = 53              /* of an interval: as many as a double has digits */
 };
 #define ITERATIONS 0.05 /* with shared factors that take as long as new ones, per unknown */
 #define TANGENT 1e-5    /* residual of a tangent found with shared factors, or with products, */
-#define STEP 1e-4       /* of such a step of Newton's method, */
 #define SHARP 1e-9      /* and of a tangent that tells where a path turns */
 #define LEVEL 1e-3      /* slope of a tangent below which it must be exact: the path may turn */
-#define BRANCHING 1e-3  /* share of the longest step below which a change of sign straight ahead
-                           means that another branch crosses */
+#define BRANCHING 1e-3  /* of the longest step: below it a change of sign straight on is a branch */
 #define CORNER 1e-7     /* shortest and longest step, of the longest of all, around a corner, */
 #define AROUND 1e-2
 #define BACK 0.9        /* and cosine of an angle above which its opposite leads back */
-
-static double inner(const equations *at, const double *x, const double *y)
-{
-    double sum = 0.0;
-    if (at->inner) return at->inner(at, x, y);
-    for (int i = 0; i < at->unknowns; i++) sum += x[i] * y[i];
-    return sum;
-}
-
-/* x += s y */
-static void add(int n, double *x, double s, const double *y)
-{
-    for (int i = 0; i < n; i++) x[i] += s * y[i];
-}
-
-/* -J^-1 dF/dp. */
-static void slope_at(equations *at, int n, double sharp, double *slope)
-{
-    at->by_parameter(at, slope);
-    at->sharp = sharp;
-    at->solve(at, slope);
-    for (int i = 0; i < n; i++) slope[i] = -slope[i];
-}
-
-/* The unit tangent towards growing p at a point that has been evaluated; its slope t_p. */
-static double tangent_at(equations *at, int n, double sharp, const double *x, double *tangent,
-                         double *weight)
-{
-    slope_at(at, n, sharp, tangent);
-    *weight = 1.0 / fmax(inner(at, x, x), 1e-300);
-    const double slope = 1.0 / sqrt(*weight * inner(at, tangent, tangent) + 1.0);
-    for (int i = 0; i < n; i++) tangent[i] *= slope;
-    return slope;
-}
-
-static void turn_round(int n, double *tangent, double *slope)
-{
-    for (int i = 0; i < n; i++) tangent[i] = -tangent[i];
-    *slope = -*slope;
-}
-
-/* solve_in_plane with room for F, dx and J^-1 F_p: (3, n). */
-static int correct(equations *at, int n, double *x, double *p, const double *across, double slope,
-                   double weight, double tolerance, int iterations, double reach,
-                   double least_damping, int patience, int *taken, double *room)
-{
-    double *F = room, *change = room + n, *rate = change + n;
-    const double guess = *p;
-    double shift = 0.0, damping = 1.0, before = INFINITY;
-    double sizes[PATIENT], smallest = INFINITY; /* of the steps before the last `patience` */
-    *taken = 0;
-    for (int i = 0; i < 4 * iterations; i++) {
-        const int outcome = at->evaluate(at, x, *p);
-        if (outcome != FOUND) return outcome;
-        at->residual(at, F);
-        const double square = inner(at, F, F);
-        const double size = sqrt((across ? weight : 1.0 / fmax(inner(at, x, x), 1e-300)) * square);
-        if (size <= tolerance) return FOUND;
-        if (!isfinite(size)) return NOT_FOUND;
-        if (least_damping >= 0.0 && !(size < before)) { /* a shorter step */
-            damping *= 0.5;
-            if (damping < least_damping) return NOT_FOUND;
-            add(n, x, -damping, change), *p -= damping * shift;
-            continue;
-        }
-        if (patience) {
-            sizes[*taken % PATIENT] = size;
-            if (*taken >= patience) smallest = fmin(smallest, sizes[(*taken - patience) % PATIENT]);
-        }
-        if (*taken == iterations || 0.5 * smallest < size) return NOT_FOUND;
-        /* (dx, dp) = (a + dp b, dp), J a = -F, J b = -F_p, dp = -w <t_x, a> / (w <t_x, b> + t_p) */
-        for (int j = 0; j < n; j++) change[j] = -F[j];
-        at->sharp = STEP;
-        at->solve(at, change);
-        shift = 0.0;
-        if (across) {
-            slope_at(at, n, STEP, rate);
-            const double along = weight * inner(at, across, rate) + slope + 1e-300; /* not 0 */
-            shift = -weight * inner(at, across, change) / along;
-            add(n, change, shift, rate);
-            if (!(fabs(*p + shift - guess) <= reach)) return NOT_FOUND; /* another branch, or none */
-        }
-        damping = 1.0, before = size;
-        ++*taken;
-        add(n, x, 1.0, change), *p += shift;
-    }
-    return NOT_FOUND;
-}
-
-int solve_in_plane(equations *at, double *unknown, double *parameter, int bordered,
-                   const double *across, double slope, double weight, double tolerance,
-                   int iterations, double reach, double least_damping, int patience, int *taken)
-{
-    const int n = at->unknowns;
-    double *room = malloc(3 * (size_t)n * sizeof(double));
-    const int outcome = !room ? NO_MEMORY
-                              : correct(at, n, unknown, parameter, bordered ? across : NULL, slope,
-                                        weight, tolerance, iterations, reach, least_damping,
-                                        patience, taken, room);
-    free(room);
-    return outcome;
-}
 
 /* x, p += the quadratic and cubic terms of Hermite's polynomial through the last two points, in the
  * distance along the last tangent; none where these could not help. */
@@ -136,9 +32,9 @@ static void bend(const equations *at, const path *points, double step, double *x
     const double old_slope = points->slopes[last - 1];
     const double rise = points->parameters[last] - points->parameters[last - 1];
     for (int i = 0; i < n; i++) room[i] = here[i] - before[i];
-    const double back = weight * inner(at, room, tangent) + rise * slope;
-    const double size = sqrt(weight * inner(at, old, old) + old_slope * old_slope);
-    const double along = (weight * inner(at, old, tangent) + old_slope * slope) / size;
+    const double back = weight * inner_product(at, room, tangent) + rise * slope;
+    const double size = sqrt(weight * inner_product(at, old, old) + old_slope * old_slope);
+    const double along = (weight * inner_product(at, old, tangent) + old_slope * slope) / size;
     if (!(back > 0.0 && along > 0.5)) return;
     /* x(s) = x + s t + s^2 A + s^2 (s + back) B, by divided differences with double nodes. */
     for (int i = 0; i <= n; i++) {
@@ -147,8 +43,8 @@ static void bend(const equations *at, const path *points, double step, double *x
         const double third = (second - (mean - start / (size * along)) / back) / back;
         room[i] = step * step * (second + (step + back) * third);
     }
-    const double far = weight * inner(at, room, room) + room[n] * room[n];
-    if (far < 0.1 * step * step) add(n, x, 1.0, room), *p += room[n];
+    const double far = weight * inner_product(at, room, room) + room[n] * room[n];
+    if (far < 0.1 * step * step) add_to(n, x, 1.0, room), *p += room[n];
 }
 
 /* Points that share the LU factors of one of them, which take n^3. The sign of det J is known there
@@ -168,7 +64,7 @@ static double product(const equations *at, double weight, const double *y, doubl
                       const double *z, double z_p)
 {
     const double *counts = at->counts;
-    double sum = counts ? 0.0 : inner(at, y, z);
+    double sum = counts ? 0.0 : inner_product(at, y, z);
     for (int i = 0; i < at->unknowns && counts; i++) sum += counts[i] * y[i] * z[i];
     return weight * sum + y_p * z_p;
 }
@@ -188,7 +84,7 @@ static double tangent_onwards(equations *at, int n, double orientation, const do
                               const double *before, double old_slope, double *tangent,
                               double *weight)
 {
-    double slope = tangent_at(at, n, TANGENT, x, tangent, weight);
+    double slope = unit_tangent(at, n, TANGENT, x, tangent, weight);
     const double sign = isnan(orientation) ? NAN : at->sign(at);
     const int onwards = isnan(sign) ? product(at, *weight, tangent, slope, before, old_slope) >= 0.0
                                     : sign == orientation;
@@ -212,7 +108,7 @@ static int renew(equations *at, int n, path *points, sharing *with)
     if (outcome != FOUND) return outcome;
     const double slope = tangent_onwards(at, n, points->orientation, x, tangent,
                                          points->slopes[last], with->here, points->weights + last);
-    const double along = points->weights[last] * inner(at, with->here, tangent);
+    const double along = points->weights[last] * inner_product(at, with->here, tangent);
     if (!(along + slope * points->slopes[last] > 0.0)) return DOUBTED;
     memcpy(tangent, with->here, n * sizeof(double)), points->slopes[last] = slope;
     with->sure = last, with->step = points->step, with->points = with->work = 0;
@@ -229,8 +125,8 @@ static int go_back(sharing *with, path *points)
 }
 
 /* Correct a prediction with the factors that there are. */
-static int correct_shared(equations *at, int n, const stepping *how, const path *points, sharing *with,
-                          double tolerance, double *x, double *p, int *taken)
+static int correct_shared(equations *at, int n, const correction *how, const path *points,
+                          sharing *with, double *x, double *p, int *taken)
 {
     const int last = points->known - 1, sure = with->sure;
     broyden *by = &with->by;
@@ -238,8 +134,8 @@ static int correct_shared(equations *at, int n, const stepping *how, const path 
     set_row(n, by->along, points->tangents + (size_t)sure * n, points->slopes[sure]);
     set_row(n, with->here, x, *p);
     by->weight = points->weights[last];
-    const int outcome = correct_by_former(at, by, with->here, tolerance, how->iterations,
-                                          how->reach * points->step, taken, &with->work);
+    const int outcome = correct_by_former(at, by, with->here, how->tolerance, how->iterations,
+                                          how->reach, taken, &with->work);
     if (outcome == FOUND) memcpy(x, with->here, n * sizeof(double)), *p = with->here[n];
     return outcome;
 }
@@ -252,15 +148,15 @@ static int tangent_shared(equations *at, int n, const path *points, sharing *wit
     const double *before = points->unknowns + (size_t)last * n;
     broyden *by = &with->by;
     double *t = with->here;
-    *weight = 1.0 / fmax(inner(at, t, t), 1e-300);
+    *weight = 1.0 / fmax(inner_product(at, t, t), 1e-300);
     for (int i = 0; i <= n; i++) {
         const double moved = t[i] - (i < n ? before[i] : points->parameters[last]);
         t[i] = 2.0 * moved / points->step - by->across[i];
     }
     at->by_parameter(at, by->rate), at->apply(at, t, by->residual);
-    add(n, by->residual, t[n], by->rate);
+    add_to(n, by->residual, t[n], by->rate);
     if (!solve_by_former(at, by, t, TANGENT, &with->work)) return 0;
-    const double size = sqrt(*weight * inner(at, t, t) + t[n] * t[n]);
+    const double size = sqrt(*weight * inner_product(at, t, t) + t[n] * t[n]);
     for (int i = 0; i < n; i++) tangent[i] = t[i] / size;
     *slope = t[n] / size;
     return fabs(*slope) > LEVEL;
@@ -271,9 +167,18 @@ static void predict(const equations *at, const path *points, double *x, double *
 {
     const int n = at->unknowns, last = points->known - 1;
     memcpy(x, points->unknowns + (size_t)last * n, n * sizeof(double));
-    add(n, x, points->step, points->tangents + (size_t)last * n);
+    add_to(n, x, points->step, points->tangents + (size_t)last * n);
     *p = points->parameters[last] + points->step * points->slopes[last];
     bend(at, points, points->step, x, p, room);
+}
+
+/* How the end of a step is corrected: points must be known better than steps are long. */
+static correction correction_of(const stepping *how, double step)
+{
+    correction found = how->newton;
+    found.tolerance = fmax(how->rounding, fmin(found.tolerance, 1e-4 * step));
+    found.reach *= step;
+    return found;
 }
 
 /* One more point, whose unknowns and tangent are in their places. */
@@ -285,7 +190,8 @@ static void append(const equations *at, path *points, double p, double slope, do
     for (int i = 0; i < n; i++) room[i] = x[i] - x[i - n];
     points->parameters[next] = p, points->slopes[next] = slope, points->weights[next] = weight;
     points->iterations[next] = taken, points->crossings[next] = crossing;
-    points->lengths[next] = sqrt(points->weights[next - 1] * inner(at, room, room) + rise * rise);
+    const double square = points->weights[next - 1] * inner_product(at, room, room);
+    points->lengths[next] = sqrt(square + rise * rise);
 }
 
 /* Leaves the last point where the path turns more sharply than steps can resolve, as where stiff
@@ -299,26 +205,27 @@ static int round_corner(equations *at, int n, const stepping *how, path *points,
     const double *old = points->tangents + (size_t)last * n, old_slope = points->slopes[last];
     double *x = points->unknowns + (size_t)points->known * n;
     double *tangent = points->tangents + (size_t)points->known * n, *way = room + 3 * (n + 1);
-    for (double step = CORNER * how->longest; step <= AROUND * how->longest; step *= sqrt(10.0)) {
-        if (step < how->shortest) continue;
+    double step = fmax(CORNER * how->longest, how->shortest);
+    for (; step <= AROUND * how->longest; step *= sqrt(10.0)) {
         double weight, own, p = points->parameters[last] + step * old_slope;
-        memcpy(x, here, n * sizeof(double)), add(n, x, step, old);
+        memcpy(x, here, n * sizeof(double)), add_to(n, x, step, old);
         const int outcome = at->evaluate(at, x, p);
         if (outcome != FOUND) return outcome;
-        double way_slope = tangent_onwards(at, n, points->orientation, x, old, old_slope, way, &weight);
-        const int unsure = isnan(points->orientation) &&
-                           cosine_of(at, points->weights[last], way, way_slope, old, old_slope) < BACK;
-        for (int ways = 0; ways <= unsure; ways++, turn_round(n, way, &way_slope)) {
+        double slope_of_way =
+            tangent_onwards(at, n, points->orientation, x, old, old_slope, way, &weight);
+        const double straight =
+            cosine_of(at, points->weights[last], way, slope_of_way, old, old_slope);
+        const int unsure = isnan(points->orientation) && straight < BACK;
+        for (int ways = 0; ways <= unsure; ways++, turn_round(n, way, &slope_of_way)) {
             int taken;
-            memcpy(x, here, n * sizeof(double)), add(n, x, step, way);
-            p = points->parameters[last] + step * way_slope;
-            if (correct(at, n, x, &p, way, way_slope, weight, fmax(how->rounding, 1e-4 * step),
-                        how->iterations, how->reach * step, how->least_damping, 0, &taken,
-                        room) != FOUND)
-                continue;
+            memcpy(x, here, n * sizeof(double)), add_to(n, x, step, way);
+            p = points->parameters[last] + step * slope_of_way;
+            const plane in = {way, slope_of_way, weight};
+            const correction newton = correction_of(how, step);
+            if (correct_in_plane(at, &in, &newton, x, &p, &taken, room) != FOUND) continue;
             const double slope =
-                tangent_onwards(at, n, points->orientation, x, way, way_slope, tangent, &own);
-            if (!(cosine_of(at, weight, tangent, slope, way, way_slope) > 0.5)) continue;
+                tangent_onwards(at, n, points->orientation, x, way, slope_of_way, tangent, &own);
+            if (!(cosine_of(at, weight, tangent, slope, way, slope_of_way) > 0.5)) continue;
             append(at, points, p, slope, own, taken, 0, room);
             points->step = step;
             return FOUND;
@@ -333,18 +240,18 @@ static int advance(equations *at, int n, const stepping *how, path *points, shar
                    double *room)
 {
     const int last = points->known - 1;
-    const double step = points->step, weight = points->weights[last], reach = how->reach * step;
+    const double step = points->step, weight = points->weights[last];
     const double *here = points->unknowns + (size_t)last * n;
     double old_slope = points->slopes[last];
     const double *old = points->tangents + (size_t)last * n;
     double *x = points->unknowns + (size_t)points->known * n, p;
     double *tangent = points->tangents + (size_t)points->known * n, own, slope;
-    const double sharp = fmax(how->rounding, fmin(how->tolerance, 1e-4 * step));
+    const correction newton = correction_of(how, step);
     int taken, crossing = 0, outcome = NOT_FOUND, work = with ? with->work : 0;
     int shared = with && !at->products && points->known > with->own && at->has_factors(at);
     while (shared && outcome == NOT_FOUND) {
         predict(at, points, x, &p, room);
-        outcome = correct_shared(at, n, how, points, with, sharp, x, &p, &taken);
+        outcome = correct_shared(at, n, &newton, points, with, x, &p, &taken);
         if (outcome != NOT_FOUND) break;
         shared = with->sure < last; /* the others are worn out */
         if (shared && (outcome = renew(at, n, points, with)) != FOUND) return outcome;
@@ -352,8 +259,8 @@ static int advance(equations *at, int n, const stepping *how, path *points, shar
     }
     if (!shared) {
         predict(at, points, x, &p, room);
-        outcome = correct(at, n, x, &p, old, old_slope, weight, sharp, how->iterations, reach,
-                          how->least_damping, 0, &taken, room);
+        const plane in = {old, old_slope, weight};
+        outcome = correct_in_plane(at, &in, &newton, x, &p, &taken, room);
     }
     if (outcome != FOUND) return outcome;
     if (shared) shared = tangent_shared(at, n, points, with, tangent, &slope, &own);
@@ -410,8 +317,8 @@ int follow(equations *at, const stepping *how, path *points)
     if (outcome == FOUND && points->orientation == 0.0) {
         const double *x = points->unknowns + (size_t)(points->known - 1) * n;
         outcome = at->evaluate(at, x, points->parameters[points->known - 1]);
-        if (outcome == FOUND)
-            points->orientation = points->slopes[points->known - 1] > 0.0 ? at->sign(at) : -at->sign(at);
+        const double sign = outcome == FOUND ? at->sign(at) : NAN;
+        points->orientation = points->slopes[points->known - 1] > 0.0 ? sign : -sign;
     }
     while (outcome == FOUND && points->known < points->room && inside) {
         do outcome = advance(at, n, how, points, many ? &with : NULL, room);
@@ -431,40 +338,20 @@ static double polynomial(const double *cubic, double s)
     return ((cubic[0] * s + cubic[1]) * s + cubic[2]) * s + cubic[3];
 }
 
-/* A root of a cubic polynomial between 0 and 1 by Brent's method (Algorithms for Minimization
- * without Derivatives, 1973, chapter 4); the nearer end where rounding has hidden the change of
- * sign. */
+/* A root of a cubic polynomial between 0 and 1, by halves; the nearer end where rounding has hidden
+ * the change of sign. */
 static double root_within(const double *cubic)
 {
-    double a = 0.0, b = 1.0, fa = polynomial(cubic, a), fb = polynomial(cubic, b);
-    if (fa == 0.0 || fb == 0.0 || (fa > 0.0) == (fb > 0.0)) return fabs(fa) < fabs(fb) ? a : b;
-    double c = a, fc = fa, width = b - a, before = width;
-    for (int i = 0; i < 100; i++) {
-        if ((fb > 0.0) == (fc > 0.0)) c = a, fc = fa, width = before = b - a;
-        if (fabs(fc) < fabs(fb)) a = b, b = c, c = a, fa = fb, fb = fc, fc = fa;
-        const double middle = 0.5 * (c - b), least = 1e-15 * fabs(b) + 1e-13;
-        if (fabs(middle) <= least || fb == 0.0) break;
-        double step = middle, last = before;
-        before = width;
-        if (fabs(last) >= least && fabs(fa) > fabs(fb)) {
-            /* the chord, or the inverse parabola through three points */
-            const double s = fb / fa, q = fa / fc, r = fb / fc;
-            double up = a == c ? 2.0 * middle * s
-                               : s * (2.0 * middle * q * (q - r) - (b - a) * (r - 1.0));
-            double down = a == c ? 1.0 - s : (q - 1.0) * (r - 1.0) * (s - 1.0);
-            if (up > 0.0) down = -down;
-            else up = -up;
-            if (2.0 * up < fmin(3.0 * middle * down - fabs(least * down), fabs(last * down)))
-                step = up / down;
-            else before = middle;
-        } else {
-            before = middle;
-        }
-        width = step, a = b, fa = fb;
-        b += fabs(step) > least ? step : copysign(least, middle);
-        fb = polynomial(cubic, b);
+    double first = 0.0, last = 1.0;
+    const double begin = polynomial(cubic, first), end = polynomial(cubic, last);
+    if (begin == 0.0 || end == 0.0 || (begin > 0.0) == (end > 0.0))
+        return fabs(begin) < fabs(end) ? first : last;
+    for (int i = 0; i < HALVES; i++) {
+        const double middle = 0.5 * (first + last);
+        if ((polynomial(cubic, middle) > 0.0) == (begin > 0.0)) first = middle;
+        else last = middle;
     }
-    return b;
+    return 0.5 * (first + last);
 }
 
 /* The same with room (3, n). */
@@ -479,9 +366,10 @@ static int between(equations *at, int n, const stepping *how, int most, const do
         const double slope = ends->slopes[first], weight = ends->weights[first];
         const double p = ends->parameters[first], rise = ends->parameters[last] - p;
         for (int i = 0; i < n; i++) room[i] = there[i] - here[i];
-        const double length = weight * inner(at, room, tangent) + rise * slope;
-        const double onwards = weight * inner(at, ends->tangents + (size_t)last * n, tangent) +
-                               ends->slopes[last] * slope;
+        const double length = weight * inner_product(at, room, tangent) + rise * slope;
+        const double *after = ends->tangents + (size_t)last * n;
+        const double onwards =
+            weight * inner_product(at, after, tangent) + ends->slopes[last] * slope;
         if (!(length > 0.0 && onwards > 0.0)) return NOT_FOUND;
         /* p(s) or dp/ds, of s / length */
         const double begin = length * slope, end = length * ends->slopes[last] / onwards;
@@ -496,13 +384,16 @@ static int between(equations *at, int n, const stepping *how, int most, const do
         double *x = ends->unknowns + (size_t)next * n, *ahead = ends->tangents + (size_t)next * n;
         ends->parameters[next] = p + step * slope;
         memcpy(x, here, n * sizeof(double));
-        add(n, x, step, tangent);
-        const int outcome = correct(at, n, x, ends->parameters + next, tangent, slope, weight,
-                                    how->tolerance, how->iterations, how->reach * step,
-                                    how->least_damping, 0, ends->iterations + next, room);
+        add_to(n, x, step, tangent);
+        const plane in = {tangent, slope, weight};
+        correction newton = how->newton;
+        newton.reach *= step;
+        const int outcome =
+            correct_in_plane(at, &in, &newton, x, ends->parameters + next,
+                             ends->iterations + next, room);
         if (outcome != FOUND) return outcome;
-        ends->slopes[next] = tangent_at(at, n, SHARP, x, ahead, ends->weights + next);
-        if (weight * inner(at, ahead, tangent) + ends->slopes[next] * slope < 0.0)
+        ends->slopes[next] = unit_tangent(at, n, SHARP, x, ahead, ends->weights + next);
+        if (weight * inner_product(at, ahead, tangent) + ends->slopes[next] * slope < 0.0)
             turn_round(n, ahead, ends->slopes + next);
         const int before = target ? (ends->parameters[next] - *target) * (p - *target) > 0.0
                                   : ends->slopes[next] * slope > 0.0;

@@ -1,26 +1,16 @@
-/* Corrections along a path of equations, and the path itself. */
+/* A path of equations, and what lies between two of its points. */
 #ifndef PATH_H
 #define PATH_H
 
-#include "equations.h"
+#include "bordered.h"
 
-/* What is done and why is said in fenics_crack/numerics/bordered.py and path.py. A point of a path has n unknowns, a parameter and
- * a unit tangent (t_x, t_p) in the norm weight |x|^2 + p^2.
- */
-
-/* Newton's method in the plane across a tangent, or unless `bordered` at a given parameter.
- * unknown, parameter: the guess, and the point found; taken: iterations. A `least_damping` below 0
- * asks for full steps; `patience`, unless 0 and at most 30: steps that may together fail to halve
- * the residual. Returns FOUND, or why not. */
-int solve_in_plane(equations *at, double *unknown, double *parameter, int bordered,
-                   const double *across, double slope, double weight, double tolerance,
-                   int iterations, double reach, double least_damping, int patience, int *taken);
+/* What is done and why is said in fenics_crack/numerics/path.py. A point of a path has n unknowns, a
+ * parameter and a unit tangent (t_x, t_p) in the norm weight |x|^2 + p^2. */
 
 typedef struct {
-    double longest, shortest, tolerance, least_cosine, rounding, reach;
-    int iterations;
-    double least_damping;
+    double longest, shortest, least_cosine, rounding;
     double lowest, highest; /* parameters between which a call goes on */
+    correction newton;      /* its reach in steps; short ones are corrected more sharply */
 } stepping;
 
 /* A path's points one after the other: (room, n), (room), ..., of which `known` are known, the last

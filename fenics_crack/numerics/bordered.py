@@ -14,12 +14,12 @@ method is Newton's own. Where the residual would grow, as where lips begin to to
 changes like a square root, the step is shortened.
 
 All paths are followed with this loop: response curves, paths to a cold start, backbones, and
-branches of exact orbits; refined curves take its step. It is the kernel's (``kernel/path.c``), for
-compiled equations and for those in Python (:mod:`equations`). Single solutions go through PETSc's
-SNES (:mod:`newton`), so that PETSc's options reach them; the first one of a curve goes through this
-loop where the kernel has its equations. Curves do not: SNES knows no border, and at given
-parameters, where none is needed, an iteration by SNES takes ten times as long as one by the
-compiled loop (``benchmarks/curves.py --only newton``, 21 unknowns).
+branches of exact orbits; refined curves take its step. It is the kernel's
+(``kernel/bordered.c``), for compiled equations and for those in Python (:mod:`equations`). Single
+solutions go through it where the kernel has their equations, and through PETSc's SNES
+(:mod:`newton`) where it has not, or where PETSc's options ask for that. Curves never do: SNES knows
+no border, and at given parameters, where none is needed, an iteration by SNES takes ten times as
+long as one by the compiled loop (``benchmarks/curves.py --only newton``, 21 unknowns).
 
 Sources: those of :mod:`path`.
 """
@@ -32,7 +32,7 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.kernel import doubles, ints, kernel, shaped
+from fenics_crack.kernel import NULL, Struct, doubles, ints, kernel, shaped
 from fenics_crack.numerics.equations import equations_of
 from fenics_crack.numerics.linearisation import Linearisation, System
 
@@ -136,11 +136,17 @@ def solve_in_plane(
     equations = equations_of(system, unknown.shape)
     flat = plane or Tangent(np.zeros_like(unknown), 1.0, 0.0)
     found, place = np.array(unknown, float, order="C"), np.array([parameter], float)
-    taken, across = np.zeros(1, np.intc), shaped(flat.x, *equations.shape)
+    taken, border = np.zeros(1, np.intc), NULL
+    if plane is not None:
+        across = shaped(plane.x, *equations.shape)
+        border = Struct("plane", across=across, slope=plane.p, weight=plane.weight).at
+    how = Struct(
+        "correction", tolerance=tolerance, reach=reach, iterations=iterations,
+        least_damping=-1.0 if least_damping is None else least_damping, patience=patience or 0,
+    )  # fmt: skip
     outcome = equations.run(
-        kernel.solve_in_plane, doubles(shaped(found, *equations.shape)), doubles(place),
-        plane is not None, doubles(across), flat.p, flat.weight, tolerance, iterations, reach,
-        -1.0 if least_damping is None else least_damping, patience or 0, ints(taken),
+        kernel.solve_in_plane, border, how.at, doubles(shaped(found, *equations.shape)),
+        doubles(place), ints(taken),
     )  # fmt: skip
     if not equations.check(outcome):
         return None

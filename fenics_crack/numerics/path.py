@@ -49,6 +49,7 @@ from fenics_crack.numerics.linearisation import System
 from fenics_crack.numerics.rounding import ROUNDING
 
 __all__ = [
+    "SHARP",
     "BranchPoint",
     "Closed",
     "Crossing",
@@ -339,14 +340,19 @@ def _between(
     points that enclose it, with s along the tangent of the first one.
     """
     equations, found = equations_of(system, ends[0].unknown.shape), Stretch(ends, 3)
-    how = Struct(
-        "stepping", shortest=near, tolerance=rtol, reach=REACH, iterations=MAX_ITERATIONS,
-        least_damping=MIN_DAMPING,
-    )  # fmt: skip
+    how = Struct("stepping", shortest=near, newton=_newton(rtol))
     wanted = NULL if target is None else doubles(np.array([target]))
     path = found.struct(2)
     outcome = equations.run(kernel.find_between, how.at, BETWEEN, wanted, path.at)
     return found[path.at.known] if equations.check(outcome) else None
+
+
+def _newton(rtol: float) -> Struct:
+    """How the points of a path are corrected."""
+    return Struct(
+        "correction", tolerance=rtol, reach=REACH, iterations=MAX_ITERATIONS,
+        least_damping=MIN_DAMPING,
+    )  # fmt: skip
 
 
 # --- the path -------------------------------------------------------------------------------------
@@ -490,9 +496,8 @@ class Path:
         path = found.struct(len(known), step=self._step, orientation=self._orientation)
         how = Struct(
             "stepping", longest=options.max_step, shortest=options.min_step,
-            tolerance=max(options.rtol, rounding), rounding=rounding,
-            least_cosine=options.min_cosine, reach=REACH, iterations=MAX_ITERATIONS,
-            least_damping=MIN_DAMPING,
+            least_cosine=options.min_cosine, rounding=rounding,
+            newton=_newton(max(options.rtol, rounding)),
             lowest=max(p for p in bounds if p <= here),
             highest=min(p for p in bounds if p >= here),
         )  # fmt: skip

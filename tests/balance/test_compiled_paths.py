@@ -267,7 +267,7 @@ def test_fold_and_value_between_two_points() -> None:
     family = FAMILIES["omega"](fc.Problem(structure, 2.0, law, 10), 2.0, 0.3)
     start = fc.solve_harmonic_balance(structure, 2.0, law, harmonics=10).gap_coefficients
     points = followed(
-        family, start, PathOptions(0.01, max_step=0.2, min_step=1e-10, min_cosine=0.85), 90
+        family, start, PathOptions(0.01, max_step=0.2, min_step=1e-10, min_cosine=0.85), 95
     )
     pairs = list(pairwise(points))
     turning = [ends for ends in pairs if ends[0].tangent.p * ends[1].tangent.p < 0.0]

@@ -26,7 +26,7 @@ def equations(kind: str) -> tuple[Any, float, float]:
         structure = fc.reduce_structure(structure, modes=6, method="massless")
         rigid = fc.Problem(structure, 0.6, fc.UnilateralConstraint(), 8)
         system: Any = rigid.system(rigid.compliance())
-        return system.softened(system.enough), 0.0, 1.0
+        return system.softened(), 0.0, 1.0
     law = fc.SmoothedPenalty(5.0, 20.0) if kind == "smooth" else PENALTY
     problem = fc.Problem(structure, 0.6, law, 6, samples=128 if kind == "sampled" else None)
     if kind == "block":

@@ -19,6 +19,7 @@ from surroundings import main
 import fenics_crack as fc
 from fenics_crack import ConvergenceError, InputError, Run, Scene, Study
 from fenics_crack.stages import listening
+from fenics_crack.study import prepare
 from fenics_crack.study import verification as module
 from fenics_crack.study.run import solve_prepared
 
@@ -70,6 +71,19 @@ def test_each_part_is_what_its_runs_say() -> None:
     assert re.search(r"\+- \d{3,} % \(sum of all: \d{3,} %\)", tiny.statement[0])
     rows = [row for row in found.totals().rows if row[0] == "opening [m]"]
     assert rows[0][2] == pytest.approx(100.0 * parts["mesh"] / found.values["opening"], rel=1e-2)
+
+
+def test_runs_of_a_mesh_share_what_they_can(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reduced are the scene's own plate, the two finer meshes and the two with more modes."""
+    kept, whole = [], prepare.reduce_structure
+
+    def counted(structure: fc.Structure, **how: Any) -> fc.Structure:
+        kept.append(how["modes"])
+        return whole(structure, **how)
+
+    monkeypatch.setattr(prepare, "reduce_structure", counted)
+    found = fc.verify(plate({"harmonic_balance.harmonics": 3}))
+    assert kept == [6, 6, 6, 12, 24] and found.counts["harmonics"] == (3, 6, 12)
 
 
 @pytest.mark.parametrize("order", [1, 2])

@@ -13,9 +13,6 @@ from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack import SweepResult, run_sweep
-from fenics_crack.scene.tables import Sweep
-from fenics_crack.study.run import solve
-from fenics_crack.sweep.file import AT_POINTS
 
 REDUCED = {
     "mesh.columns": 4, "reduction.method": "massless", "reduction.modes": 12,
@@ -28,7 +25,18 @@ def scene(paper_scene: fc.Scene) -> fc.Scene:
     """Two frequencies, two clearances."""
     over = {"excitation.omega": [1900.0, 2000.0], "crack.clearance": [0.0, 1e-7]}
     base = paper_scene.replace({"contact.stiffness": 1e9, "damping.ratio": 0.02})
-    return dataclasses.replace(base, sweep=Sweep.from_mapping({"over": over}))
+    return base.replace({"sweep.over": over})
+
+
+def alone(case: fc.Scene) -> tuple[fc.Study, fc.PeriodicSolution]:
+    """A case as a scene of its own."""
+    study = fc.prepare(case.replace({"sweep": None}), MPI.COMM_SELF)
+    assert study.contact is not None
+    solution = fc.solve_harmonic_balance(
+        study.structure, case.excitation.omega, study.contact,
+        harmonics=case.harmonic_balance.harmonics,
+    )  # fmt: skip
+    return study, solution
 
 
 @pytest.mark.parametrize("changes", [{}, REDUCED], ids=["whole", "massless"])
@@ -39,18 +47,20 @@ def test_cases_have_the_indicators_of_their_solutions(
     scene = scene.replace(changes | {"output.points": {"corner": (0.1, 0.1), "side": (0.1, 0.05)}})
     result = run_sweep(scene, tmp_path / "sweep.h5", MPI.COMM_SELF)
     assert result.converged.all()
-    case = scene.replace({"sweep": None, "excitation.omega": 2000.0, "crack.clearance": 1e-7})
-    run = solve(case, MPI.COMM_SELF)
-    assert [watched.name for watched in run.watched][::2] == ["corner.ux", "side.ux"]
-    for watched in run.watched:
-        found = run.result.indicators(watched.dof)
-        for name in AT_POINTS:
+    names = {name.removeprefix("corner.ux.") for name in result.columns if "corner.ux." in name}
+    names &= {field.name for field in dataclasses.fields(fc.Indicators)}
+    assert {"amplitude", "mean_shift", "ratio_2_1", "harmonic_3"} < names
+    study, solution = alone(scene.replace({"excitation.omega": 2000.0, "crack.clearance": 1e-7}))
+    assert [watched.name for watched in study.watched][::2] == ["corner.ux", "side.ux"]
+    for watched in study.watched:
+        found = solution.indicators(watched.dof)
+        for name in names:
             exact = pytest.approx(getattr(found, name), rel=1e-4, abs=1e-6 * found.harmonic_1)
             assert result[f"{watched.name}.{name}"][1, 1] == exact, name
-    for name in AT_POINTS:
+    for name in names:
         load = result["response" if name == "amplitude" else name]
         np.testing.assert_allclose(load, result[f"corner.ux.{name}"], rtol=1e-9)
-    known = fc.bilinear_frequencies(run.structure)
+    known = fc.bilinear_frequencies(study.structure)
     np.testing.assert_allclose(result["omega_tied"], known.omega_tied[0], rtol=1e-9)
     np.testing.assert_allclose(result["over_open"][1], 2000.0 / known.omega_open[0], rtol=1e-9)
     np.testing.assert_allclose(result["closed_share"][1, 1], found.closed_share, atol=2e-3)
@@ -63,14 +73,15 @@ def test_cases_are_judged_as_single_solutions(
     """Verdict, and multiplier to rounding; by their waves, cases of the whole plate would have
     others."""
     over = {"excitation.omega": [1500.0, 1750.0, 2500.0]}
-    scene = dataclasses.replace(scene, sweep=Sweep.from_mapping({"over": over}))
-    scene = scene.replace({"damping.ratio": 0.01, "harmonic_balance.harmonics": 5} | changes)
+    scene = scene.replace(
+        {"sweep.over": over, "damping.ratio": 0.01, "harmonic_balance.harmonics": 5} | changes
+    )
     result = run_sweep(scene, tmp_path / "sweep.h5", MPI.COMM_SELF)
     for place, omega in enumerate(over["excitation.omega"]):
-        run = solve(scene.replace({"sweep": None, "excitation.omega": omega}), MPI.COMM_SELF)
-        alone = run.result.stability
-        assert alone is not None and result["verdict"][place] == alone.verdict
-        largest = abs(alone.multipliers[0])
+        study, solution = alone(scene.replace({"excitation.omega": omega}))
+        stability = fc.floquet(study.structure, solution)
+        assert result["verdict"][place] == stability.verdict
+        largest = abs(stability.multipliers[0])
         assert result["multiplier"][place] == pytest.approx(largest, rel=1e-6)
 
 

@@ -1,0 +1,105 @@
+#include "bordered.h"
+
+#include <math.h>
+#include <stdlib.h>
+
+enum { PATIENT = 32 };
+#define STEP 1e-4 /* residual of a step of Newton's method that is found with products */
+
+double inner_product(const equations *at, const double *x, const double *y)
+{
+    double sum = 0.0;
+    if (at->inner) return at->inner(at, x, y);
+    for (int i = 0; i < at->unknowns; i++) sum += x[i] * y[i];
+    return sum;
+}
+
+void add_to(int n, double *x, double s, const double *y)
+{
+    for (int i = 0; i < n; i++) x[i] += s * y[i];
+}
+
+/* -J^-1 dF/dp. */
+static void slope_at(equations *at, int n, double sharp, double *slope)
+{
+    at->by_parameter(at, slope);
+    at->sharp = sharp;
+    at->solve(at, slope);
+    for (int i = 0; i < n; i++) slope[i] = -slope[i];
+}
+
+double unit_tangent(equations *at, int n, double sharp, const double *x, double *tangent,
+                    double *weight)
+{
+    slope_at(at, n, sharp, tangent);
+    *weight = 1.0 / fmax(inner_product(at, x, x), 1e-300);
+    const double slope = 1.0 / sqrt(*weight * inner_product(at, tangent, tangent) + 1.0);
+    for (int i = 0; i < n; i++) tangent[i] *= slope;
+    return slope;
+}
+
+void turn_round(int n, double *tangent, double *slope)
+{
+    for (int i = 0; i < n; i++) tangent[i] = -tangent[i];
+    *slope = -*slope;
+}
+
+int correct_in_plane(equations *at, const plane *in, const correction *how, double *x, double *p,
+                     int *taken, double *room)
+{
+    const int n = at->unknowns, patience = how->patience;
+    double *F = room, *change = room + n, *rate = change + n;
+    const double guess = *p;
+    double shift = 0.0, damping = 1.0, before = INFINITY;
+    double sizes[PATIENT], smallest = INFINITY; /* of the steps before the last `patience` */
+    *taken = 0;
+    for (int i = 0; i < 4 * how->iterations; i++) {
+        const int outcome = at->evaluate(at, x, *p);
+        if (outcome != FOUND) return outcome;
+        at->residual(at, F);
+        const double square = inner_product(at, F, F);
+        const double own = in ? in->weight : 1.0 / fmax(inner_product(at, x, x), 1e-300);
+        const double size = sqrt(own * square);
+        if (size <= how->tolerance) return FOUND;
+        if (!isfinite(size)) return NOT_FOUND;
+        if (how->least_damping >= 0.0 && !(size < before)) { /* a shorter step */
+            damping *= 0.5;
+            if (damping < how->least_damping) return NOT_FOUND;
+            add_to(n, x, -damping, change), *p -= damping * shift;
+            continue;
+        }
+        if (patience) {
+            sizes[*taken % PATIENT] = size;
+            if (*taken >= patience) smallest = fmin(smallest, sizes[(*taken - patience) % PATIENT]);
+        }
+        if (*taken == how->iterations || 0.5 * smallest < size) return NOT_FOUND;
+        /* (dx, dp) = (a + dp b, dp), J a = -F, J b = -F_p, dp = -w <t_x, a> / (w <t_x, b> + t_p) */
+        for (int j = 0; j < n; j++) change[j] = -F[j];
+        at->sharp = STEP;
+        at->solve(at, change);
+        shift = 0.0;
+        if (in) {
+            slope_at(at, n, STEP, rate);
+            const double along = in->weight * inner_product(at, in->across, rate) + in->slope;
+            const double off = in->weight * inner_product(at, in->across, change);
+            shift = -off / (along + 1e-300); /* not 0 */
+            add_to(n, change, shift, rate);
+            if (!(fabs(*p + shift - guess) <= how->reach))
+                return NOT_FOUND; /* another branch, or none */
+        }
+        damping = 1.0, before = size;
+        ++*taken;
+        add_to(n, x, 1.0, change), *p += shift;
+    }
+    return NOT_FOUND;
+}
+
+int solve_in_plane(equations *at, const plane *in, const correction *how, double *unknown,
+                   double *parameter, int *taken)
+{
+    double *room = malloc(3 * (size_t)at->unknowns * sizeof(double));
+    const int outcome =
+        room ? correct_in_plane(at, in, how, unknown, parameter, taken, room) : NO_MEMORY;
+    free(room);
+    return outcome;
+}

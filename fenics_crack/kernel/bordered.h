@@ -1,0 +1,38 @@
+/* Newton's method bordered by a plane, and tangents: fenics_crack/numerics/bordered.py. */
+#ifndef BORDERED_H
+#define BORDERED_H
+
+#include "equations.h"
+
+/* Of Newton's method: |F| / |x| of the solution, how far the parameter may go, and how much a step
+ * may be shortened (below 0: not at all); steps, and those that may together fail to halve the
+ * residual (0: any number; else at most 30). */
+typedef struct {
+    double tolerance, reach, least_damping;
+    int iterations, patience;
+} correction;
+
+/* What is orthogonal to a tangent (t_x, t_p). */
+typedef struct {
+    const double *across;
+    double slope, weight;
+} plane;
+
+/* Newton's method in a plane, or where this is NULL at a given parameter. unknown, parameter: the
+ * guess, and the point found; taken: iterations. Returns FOUND, or why not. */
+int solve_in_plane(equations *at, const plane *in, const correction *how, double *unknown,
+                   double *parameter, int *taken);
+/* The same with room for F, dx and J^-1 F_p: (3, n). */
+int correct_in_plane(equations *at, const plane *in, const correction *how, double *x, double *p,
+                     int *taken, double *room);
+
+/* <x, y> of the equations; x += s y; the opposite direction. */
+double inner_product(const equations *at, const double *x, const double *y);
+void add_to(int n, double *x, double s, const double *y);
+void turn_round(int n, double *tangent, double *slope);
+/* The unit tangent towards growing p at a point that has been evaluated, and its weight; its slope
+ * t_p. `sharp`: relative residual where it takes products. */
+double unit_tangent(equations *at, int n, double sharp, const double *x, double *tangent,
+                    double *weight);
+
+#endif
