@@ -224,17 +224,17 @@ def test_large_error_is_stated_as_predicted() -> None:
     assert reason.startswith("the harmonics left out change it by") and "take more" in reason
 
 
-@pytest.mark.parametrize(("family", "number"), [("smooth", 4), ("whole", 2), ("rigid", 6)])
+@pytest.mark.parametrize(("family", "number"), [("smooth", 1), ("whole", 2), ("rigid", 6)])
 def test_answers_without_an_exact_flow(family: str, number: int) -> None:
     """A smoothed law against SciPy's integrator, Hill's verdict with it; all dofs of a plate
     against 100 modes, and a rigid stop, of which no error is known: no verdict, but what to do."""
-    case = campaign.draw(5, number, "solution", family)
+    case = campaign.draw(5, number, family=family)
     (row,) = campaign.findings(5, case)
     if family == "rigid":
         assert row["judgement"] == campaign.TOO_LARGE and row["estimate"] >= UNKNOWN
     else:
         assert row["judgement"] == campaign.RIGHT, row
         assert 0.4 < row["true"] / row["estimate"] < 2.0
-    assert row["verdict"] == ("stable" if family == "smooth" else campaign.NO_VERDICT)
+    assert row["verdict"] == ("unstable" if family == "smooth" else campaign.NO_VERDICT)
     if family == "smooth":
-        assert row["exact"] < 1.0
+        assert row["exact"] > 2.0
