@@ -91,8 +91,9 @@ def test_motion_that_leaves_its_orbit_is_not_called_stable() -> None:
 
 
 def test_ends_are_judged_as_single_solutions() -> None:
-    """One mass, k R = 122, which was called stable next to an end where its own orbit has a
+    """One mass, k R = 122, which was called stable next to an end where an orbit beside it has a
     multiplier of 8: no verdict contradicts floquet, nor the exact flow."""
     rows = campaign.findings(51, campaign.draw(51, 13, family="ends"))
     assert len(rows) == 6 and not any(row["judgement"] == campaign.WRONG for row in rows), rows
-    assert {"stable", "unstable"} <= {row["verdict"] for row in rows}
+    verdicts = [row["verdict"] for row in rows]
+    assert verdicts.count("stable") == 4 and verdicts.count("undecided") == 2
