@@ -163,7 +163,7 @@ def test_curves_are_told_apart(results: dict[str, Any]) -> None:
 
 
 def test_a_curve_by_long_steps_is_drawn_smoothly() -> None:
-    """With solutions between those that were followed; as it is in another parameter."""
+    """With solutions between those that were followed, over any parameter."""
     structure, law = oscillator(0.05, 1.0), fc.UnilateralPenalty(1.0)
     long = fc.continue_frequency(structure, 0.9, 2.0, law, longest_step=0.4)
     load = fc.continue_parameter(structure, 0.9, law, "load", 1.0, 3.0, longest_step=0.4)
@@ -174,7 +174,7 @@ def test_a_curve_by_long_steps_is_drawn_smoothly() -> None:
         drawn = axes.lines[0].get_xdata()
         assert np.all(np.isin(curve.values, drawn))
         counts.append(len(drawn) / len(curve))
-    assert counts[0] > 2.0 and counts[1] == 1.0
+    assert min(counts) > 2.0
 
 
 def test_mode_shapes_that_are_not_there(results: dict[str, Any]) -> None:
