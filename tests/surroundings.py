@@ -3,13 +3,20 @@
 Imports nothing that computes.
 """
 
+import atexit
+import shutil
+import tempfile
 from pathlib import Path
 
 from fenics_crack.cli.command_line import main as main
 
 ROOT = Path(__file__).parents[1]
 DEMOS = ROOT / "demos"
+OF_MPIRUN = tempfile.mkdtemp(prefix="mpirun")
+atexit.register(shutil.rmtree, OF_MPIRUN, ignore_errors=True)
 MPI_ENVIRONMENT = {
+    # Open MPI 5 fails where two start in one folder at once ("prte_session_dir failed: Exists").
+    "PRTE_MCA_prte_tmpdir_base": OF_MPIRUN,
     "OMP_NUM_THREADS": "1",
     "OMPI_ALLOW_RUN_AS_ROOT": "1",
     "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
