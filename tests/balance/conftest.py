@@ -1,5 +1,7 @@
 """A reference that takes 10 s."""
 
+from __future__ import annotations
+
 import pytest
 
 import fenics_crack as fc
