@@ -8,12 +8,13 @@ from __future__ import annotations
 import os
 import pickle
 import shutil
+import signal
 import socket
 import subprocess
 import sys
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from multiprocessing.connection import Client, Connection, wait
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,28 @@ def environment() -> dict[str, str]:
     folders = [tests, *inner, ROOT / "benchmarks", ROOT, os.environ.get("PYTHONPATH", "")]
     search = os.pathsep.join(filter(None, map(str, folders)))
     return os.environ | MPI_ENVIRONMENT | {"PYTHONPATH": search}
+
+
+def kill(process: subprocess.Popen[bytes], pids: Sequence[int]) -> None:
+    """kill -9 of a program and its ranks; return when they are gone, and their locks with them."""
+    process.kill()
+    for pid in pids:
+        try:
+            os.kill(pid, signal.SIGKILL)
+        except ProcessLookupError:
+            pass
+    process.wait()
+    deadline = time.monotonic() + PATIENCE
+    while any(_is_running(pid) for pid in pids):
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def _is_running(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
 
 
 class Ranks:

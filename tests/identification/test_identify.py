@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -15,6 +14,7 @@ import numpy as np
 import pytest
 from helpers import MPI_ENVIRONMENT, ROOT
 from mpi4py import MPI
+from ranks import kill
 from surroundings import main
 
 import fenics_crack as fc
@@ -335,13 +335,7 @@ def test_killed_sweep_goes_on(scene: fc.Scene, tmp_path: Path) -> None:
         for path in tmp_path.glob("forward_[0-9a-f]*.h5"):
             done = int(np.count_nonzero(SweepResult.load(path)["state"]))
     pids = [int(path.read_text()) for path in tmp_path.glob("pid*")]
-    started.kill()
-    for pid in pids:
-        try:
-            os.kill(pid, signal.SIGKILL)
-        except ProcessLookupError:
-            pass
-    started.wait()
+    kill(started, pids)
     [path] = tmp_path.glob("forward_[0-9a-f]*.h5")
     before = SweepResult.load(path)
     assert not before.complete and len(pids) == 2

@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from helpers import MPI_ENVIRONMENT, changed
 from mpi4py import MPI
+from ranks import kill
 from rotating import cracked
 
 import fenics_crack as fc
@@ -683,24 +684,7 @@ class Run:
     def kill(self) -> None:
         """End it at once, with all of its ranks."""
         pids = [int(file.read_text()) for file in self._pids if file.exists()]
-        self.process.kill()
-        for pid in pids:
-            try:
-                os.kill(pid, signal.SIGKILL)
-            except ProcessLookupError:
-                pass
-        self.process.wait()
-        deadline = time.monotonic() + 120.0
-        while any(_is_running(pid) for pid in pids):
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
-
-
-def _is_running(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
+        kill(self.process, pids)
 
 
 @pytest.fixture(scope="module")
