@@ -24,6 +24,7 @@ section 2.1.1, with the monitor |simplified step| / |step|.
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -58,7 +59,6 @@ __all__ = [
     "ErrorReport",
     "beyond_truncation",
     "estimate_errors",
-    "estimate_truncation",
     "mean_square",
     "relative_size",
 ]
@@ -132,10 +132,16 @@ class ErrorReport(Described):
 
 
 def estimate_errors(
-    at: ContactPoint, judged: Judgement, problem: Problem, *, search: bool = True
+    at: ContactPoint,
+    judged: Judgement,
+    problem: Problem,
+    *,
+    search: bool = True,
+    enough: float = math.inf,
 ) -> ErrorReport:
     """Estimate the errors of a solution, given as the equations there and by what the exact flow
-    says of it; with ``search`` an orbit is looked for (collective)."""
+    says of it; with ``search`` an orbit is looked for (collective). Where the truncation is above
+    ``enough``, other harmonics are to be taken: no other error is estimated (nan)."""
     structure, displacement = problem.structure, judged.wave.displacement_coefficients
     expanded = structure.apply_bt(displacement)
     expanded[0] -= structure.clearance
@@ -143,7 +149,18 @@ def estimate_errors(
     def relative(change: np.ndarray) -> float:
         return relative_size(change, at, structure.clearance)
 
-    truncation, sampling, at_load, changes = _left_out(at, judged, structure, search)
+    missed = _missed_by_samples(at)
+    sampling = relative(at.gap_by_force(missed)) if np.any(missed) else 0.0
+    changes, at_load = [], 0.0
+    if judged.affordable:
+        # The distance of the orbit is what harmonics and samples leave out together.
+        error, at_load = judged.errors(search=search)
+        truncation = UNKNOWN if error >= UNKNOWN else max(error - sampling, 0.0)
+    else:
+        changes.append(beyond_truncation(at))
+        truncation = changes[0].relative_to(at, structure.clearance)
+    if truncation > enough:
+        return ErrorReport(math.nan, truncation, math.nan, math.nan, math.nan, math.nan)
     exactly = judged.affordable and search and structure.light_lips
     finer = more_modes(judged) if exactly else None
     lost = finer.changes if finer is not None and finer.affordable else None
@@ -161,31 +178,6 @@ def estimate_errors(
         penetration=relative(_penetration(at)),
         displacement=min(at_load, UNKNOWN),
     )
-
-
-def estimate_truncation(
-    at: ContactPoint, judged: Judgement, structure: Structure, *, search: bool = True
-) -> float:
-    """Estimate the error of the harmonics left out alone (collective)."""
-    return _left_out(at, judged, structure, search)[0]
-
-
-def _left_out(
-    at: ContactPoint, judged: Judgement, structure: Structure, search: bool
-) -> tuple[float, float, float, list[_Change]]:
-    """What harmonics and samples leave out of the gap, of the displacement at the load where the
-    exact flow tells, and the change that better equations make where it does not."""
-    missed = _missed_by_samples(at)
-    sampling = 0.0
-    if np.any(missed):
-        sampling = relative_size(at.gap_by_force(missed), at, structure.clearance)
-    if judged.affordable:
-        # The distance of the orbit is what harmonics and samples leave out together.
-        error, at_load = judged.errors(search=search)
-        truncation = UNKNOWN if error >= UNKNOWN else max(error - sampling, 0.0)
-        return truncation, sampling, at_load, []
-    change = beyond_truncation(at)
-    return change.relative_to(at, structure.clearance), sampling, 0.0, [change]
 
 
 @dataclass(frozen=True)

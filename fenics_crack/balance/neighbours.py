@@ -18,14 +18,10 @@ many more as its estimated error asks for.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
-from fenics_crack.balance.error_report import estimate_errors, estimate_truncation
 from fenics_crack.balance.family import FrequencyFamily
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
@@ -90,37 +86,41 @@ class Neighbours:
             fewer = fewer_harmonics(last.harmonics, last.report.truncation, tolerance, least)
             problem = problem.with_harmonics(fewer)
         found = self._from(problem, last)
-        if tolerance is not None:
-            while more := more_harmonics(problem.harmonics, _truncation(problem, found), tolerance):
-                problem = problem.with_harmonics(more)
-                found = self._from(problem, found)
-        with _equations_at(problem, found) as (at, used):
-            found = replace(found, report=estimate_errors(at, found.judged, used))
-        error = found.report.truncation
-        if tolerance is not None and not error <= tolerance:
+        while (more := more_harmonics(problem.harmonics, _error(found), tolerance)) is not None:
+            problem = problem.with_harmonics(more)
+            found = self._from(problem, found)
+        if tolerance is not None and _error(found) > tolerance:
             raise ConvergenceError(
                 f"harmonic balance at {problem.omega:g} rad/s: the estimated truncation error, "
-                f"{error:.1e} with H = {problem.harmonics}, stays above {tolerance:g}"
+                f"{_error(found):.1e} with H = {problem.harmonics}, stays above {tolerance:g}"
             )
         self._last = found
         return found
 
     def _from(self, problem: Problem, last: PeriodicSolution | None) -> PeriodicSolution:
-        """Solve from another solution; errors are not estimated."""
+        """Solve from another solution."""
         if last is not None:
             alike = last.structure is problem.structure and last.contact is problem.contact
             if alike and last.omega != problem.omega and _can_be_followed(problem):
                 found = self._along_frequency(problem, last)
             else:
-                found = Solver(problem).attempt(last, reported=False)[1]
+                found = self._solver(problem).attempt(last)[1]
             if found is not None and found.converged:
                 return found
-        return Solver(problem).solve(reported=False)
+        return self._solver(problem).solve()
+
+    @property
+    def _enough(self) -> float:
+        """Truncation error with which a solution has too few harmonics."""
+        return math.inf if self.tolerance is None else self.tolerance
+
+    def _solver(self, problem: Problem) -> Solver:
+        return Solver(problem, enough=self._enough)
 
     def _along_frequency(self, problem: Problem, last: PeriodicSolution) -> PeriodicSolution | None:
         """Solve from another frequency; None where that does not lead there."""
         family = self._family_of(problem, last)
-        start, omega = _unknown(family.system(last.omega), last), problem.omega
+        start, omega = _unknown(family.problem, last), problem.omega
         near, end = family.parameter(last.omega), family.parameter(omega)
         sharp = max(SHARP, family.rounding(end))
         at = (family.compiled or family).linearise(start, near)
@@ -138,7 +138,7 @@ class Neighbours:
             unknown = path.last.unknown
             status = f"path from {last.omega:g} rad/s: converged ({iterations} iterations)"
         at = family.system(omega).linearise(unknown)
-        solution = solution_of(problem, at, status=status, reported=False)
+        solution = solution_of(problem, at, status=status, enough=self._enough)
         return replace(solution, iterations=iterations)
 
     def _family_of(self, problem: Problem, last: PeriodicSolution) -> FrequencyFamily:
@@ -156,21 +156,9 @@ class Neighbours:
         return self._family
 
 
-@contextmanager
-def _equations_at(
-    problem: Problem, solution: PeriodicSolution
-) -> Iterator[tuple[ContactPoint, Problem]]:
-    """The equations at a solution, and the problem that they are of."""
-    with Solver(problem).compliance() as compliance:
-        used = problem.weighted(compliance)
-        system = used.system(compliance)
-        yield system.linearise(_unknown(system, solution)), used
-
-
-def _truncation(problem: Problem, solution: PeriodicSolution) -> float:
+def _error(solution: PeriodicSolution) -> float:
     """Estimated truncation error, infinite where it is unknown."""
-    with _equations_at(problem, solution) as (at, used):
-        found = estimate_truncation(at, solution.judged, used.structure)
+    found = solution.report.truncation
     return found if math.isfinite(found) else math.inf
 
 
@@ -179,9 +167,9 @@ def _can_be_followed(problem: Problem) -> bool:
     return not problem.projected and not all_modes(problem.structure).ill_conditioned
 
 
-def _unknown(system: ContactSystem, solution: PeriodicSolution) -> np.ndarray:
-    """A solution as the unknowns of a system."""
+def _unknown(problem: Problem, solution: PeriodicSolution) -> np.ndarray:
+    """A solution as the unknowns of a problem."""
     found = solution.gap_coefficients
-    if system.residual is not None:
-        found = found + solution.force_coefficients @ system.residual
-    return resized(found, system.integrals.harmonics)
+    if problem.residual is not None:
+        found = found + solution.force_coefficients @ problem.residual
+    return resized(found, problem.harmonics)

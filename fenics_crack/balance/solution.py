@@ -199,12 +199,19 @@ class PeriodicSolution(Wave, Described):
 
 
 def solution_of(
-    problem: Problem, at: ContactPoint, *, status: str, search: bool = True, reported: bool = True
+    problem: Problem,
+    at: ContactPoint,
+    *,
+    status: str,
+    search: bool = True,
+    enough: float = math.inf,
+    reported: bool = True,
 ) -> PeriodicSolution:
     """The solution that belongs to a point of the condensed equations (collective).
 
     With ``search`` its error is the distance of its exact orbit; else what is predicted without;
-    nothing is estimated where it is not ``reported``.
+    nothing is estimated where it is not ``reported``, and nothing else where the truncation is
+    above ``enough``.
     """
     found = PeriodicSolution(
         problem.structure,
@@ -219,4 +226,6 @@ def solution_of(
     )
     if not reported:
         return found
-    return replace(found, report=estimate_errors(at, found.judged, problem, search=search))
+    return replace(
+        found, report=estimate_errors(at, found.judged, problem, search=search, enough=enough)
+    )

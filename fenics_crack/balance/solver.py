@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -33,6 +34,8 @@ class Solver:
     """|F| / |x| at which a solution is accepted."""
     throw: bool = True
     """Raise ConvergenceError if nothing converged; else return the last iterate."""
+    enough: float = math.inf
+    """Truncation error above which no other is estimated."""
 
     def solve(
         self, initial: PeriodicSolution | None = None, *, reported: bool = True
@@ -58,7 +61,9 @@ class Solver:
             at = replace(self, problem=problem).find(search, compliance, initial)
             if not isinstance(at, ContactPoint):  # the kernel's
                 at = problem.system(compliance).linearise(at.unknown)
-            found = solution_of(problem, at, status=search.status, reported=reported)
+            found = solution_of(
+                problem, at, status=search.status, enough=self.enough, reported=reported
+            )
             return search, replace(found, converged=search.converged, iterations=search.iterations)
 
     @contextmanager

@@ -14,7 +14,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from fenics_crack.balance.error_report import estimate_truncation
 from fenics_crack.balance.family import FAMILIES, Family
 from fenics_crack.balance.harmonic_balance import check_initial
 from fenics_crack.balance.memory import check_memory
@@ -306,10 +305,10 @@ class Continuation:
     def _with_truncation(self, found: CurvePoint, point: PathPoint) -> CurvePoint:
         """The last point with the estimated error of the harmonics left out."""
         at = self._family.linearise(point.unknown, point.parameter)
-        problem = self._family.at(found.value)
-        judged = solution_of(problem, at, status="", reported=False).judged
-        truncation = estimate_truncation(at, judged, problem.structure, search=False)
-        self._points.truncation[-1] = truncation
+        solution = solution_of(
+            self._family.at(found.value), at, status="", search=False, enough=0.0
+        )
+        self._points.truncation[-1] = truncation = solution.report.truncation
         return replace(found, truncation=truncation)
 
     def _with_other_harmonics(self, point: PathPoint, truncation: float) -> PathPoint | None:
@@ -378,7 +377,7 @@ def _first_solution(
         check_memory(first.structure, count)
         if initial is not None:
             check_initial(first, initial)
-        solver = Solver(first)
+        solver = Solver(first, enough=0.0)
         initial = solver.solve(initial, reported=tolerance is not None)
         more = more_harmonics(count, initial.report.truncation, tolerance)
         if more is None:
