@@ -83,8 +83,9 @@ def recurrences(passed: Sequence[np.ndarray] | np.ndarray, count: int) -> list[i
 
 
 class FlowOrbits(Equations):
-    """F(x, p) of the exact flow, in the kernel, x = w z / |w z_0| with the modes' frequencies w
-    before displacements: by the energy. dF/dx = M - I and dF/dp are exact (``kernel/shooting.h``).
+    """F(x, p) of the exact flow, in the kernel, x = w z / |w z_0| with 1 / w the modes' frequencies
+    where z are velocities: by the amplitude. dF/dx = M - I and dF/dp are exact
+    (``kernel/shooting.h``).
 
     Attributes
     ----------

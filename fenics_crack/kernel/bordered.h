@@ -5,11 +5,13 @@
 #include "equations.h"
 
 /* Of Newton's method: |F| / |x| of the solution, how far the parameter may go, and how much a step
- * may be shortened (below 0: not at all); steps, and those that may together fail to halve the
- * residual (0: any number; else at most 30). */
+ * may be shortened (below 0: not at all); by how much one has to shrink the residual that another
+ * one with the same J may follow (0: none does); steps, and those that may together fail to halve
+ * the residual (0: any number; else at most 30); whether the first one may have the J of a former
+ * point. */
 typedef struct {
-    double tolerance, reach, least_damping;
-    int iterations, patience;
+    double tolerance, reach, least_damping, lasting;
+    int iterations, patience, former;
 } correction;
 
 /* What is orthogonal to a tangent (t_x, t_p). */

@@ -35,7 +35,8 @@ void solve_dense(equations *own, double *x)
 
 void solve_nearly_dense(equations *own, double *x)
 {
-    const dense *at = (const dense *)own;
+    dense *at = (dense *)own;
+    if (!at->kept) factor_dense(at);
     solve_factored(at->size, at->matrix, at->pivots, x);
 }
 

@@ -22,10 +22,10 @@ typedef struct equations {
     /* Inner product of unknowns; NULL: x^T y. */
     double (*inner)(const struct equations *at, const double *x, const double *y);
     void *context; /* what equations in Python are made of (numerics/equations.py) */
-    /* For points that share LU factors (broyden.h); NULL where they do not: whether J has been
-     * factored at some point, x = J^-1 x with the J of the last such one, and J x there. */
-    int (*has_factors)(const struct equations *at);
+    /* x = J^-1 x with the J of the last point where it was factored; NULL where none is kept. For
+     * points that share LU factors (broyden.h), else NULL, too: whether there is one, and J x. */
     void (*solve_nearly)(struct equations *at, double *x);
+    int (*has_factors)(const struct equations *at);
     void (*apply)(struct equations *at, const double *x, double *found);
 } equations;
 

@@ -34,8 +34,8 @@ from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples
 from fenics_crack.table import Described, counted
 
 __all__ = [
-    "INSTANTS", "PIECES", "OrbitCoefficients", "PeriodicOrbit", "Prediction", "doubling_test",
-    "eigenvalues", "find_orbit", "predict",
+    "INSTANTS", "KNOWN", "PIECES", "OrbitCoefficients", "PeriodicOrbit", "Prediction",
+    "doubling_test", "eigenvalues", "find_orbit", "predict",
 ]  # fmt: skip
 
 FLOWS, SHORTEST = 20, 1e-3
@@ -48,6 +48,8 @@ ROUNDED = 1e3
 """Times that, below which steps are rounding."""
 CHEAP = 3.0
 """Simplified steps that cost as much as one with a new derivative."""
+KNOWN = 1e-6
+"""How well multipliers are known: what is nearer to 1 does not judge."""
 INSTANTS = 512
 """At which the gaps of an orbit are kept."""
 NODES = 20
@@ -90,7 +92,7 @@ class PeriodicOrbit(Described):
     state : (2 n_modes,)
         q, q' at phase zero of the load.
     residual : float
-        ``|z(T) - z(0)| / |z(0)|`` in the norm of the energy.
+        ``|z(T) - z(0)| / |z(0)|`` in the norm of the amplitudes.
     flows : int
         Periods that were followed to find it.
     """
@@ -289,7 +291,7 @@ class _Search:
         self.state, self.flows = state, 0
 
     def size(self, change: np.ndarray) -> float:
-        """In the norm of the energy."""
+        """In the norm of the amplitudes."""
         return float(np.linalg.norm(self._weights * change))
 
     def leads_to_orbit(self) -> bool:
