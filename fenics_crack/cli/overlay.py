@@ -12,7 +12,7 @@ from mpi4py import MPI
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.of_sweep import shown_axes
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.draw.figure import distinct_colours, figure_of, make_axes
+from fenics_crack.draw.figure import Picture, distinct_colours
 from fenics_crack.draw.plot import Wave, draw_response, draw_waves
 from fenics_crack.draw.plot_curve import draw_curve
 from fenics_crack.draw.plot_motion import draw_spectra
@@ -81,12 +81,13 @@ def _curves(runs: Mapping[str, Run[ResponseCurve]], folder: Path) -> list[Path]:
     if len(parameters) > 1:
         raise InputError("result", sorted(parameters), "curves in one parameter")
     file = folder / "overlay_curve.png"
-    [panel] = make_axes(None, None, size=(7.0, 4.6))
+    title = _common(run.watched_name for run in runs.values())
+    [panel] = picture = Picture(size=(7.0, 4.6), path=file, title=title)
     colours = distinct_colours(len(runs))
     for (label, run), colour in zip(runs.items(), colours, strict=True):
         dof, in_hertz = run.watched_dof, run.scene.in_hertz
         draw_curve(run.result, dof, axes=panel, label=label, colour=colour, in_hertz=in_hertz)
-    figure_of([panel], file, _common(run.watched_name for run in runs.values()))
+    picture.saved()
     return [file]
 
 
@@ -136,7 +137,8 @@ def _sweeps(sweeps: Mapping[str, SweepResult], folder: Path) -> list[Path]:
     for name, (quantity, unit) in first.quantities.items():
         if any(name not in other.columns for other in others):
             continue
-        [panel] = make_axes(None, None, size=(7.0, 4.6))
+        files.append(folder / f"overlay_sweep_{name}.png")
+        [panel] = picture = Picture(size=(7.0, 4.6), path=files[-1])
         for label, found in sweeps.items():
             place = np.array(found.axes[shown_axes(found)[0]].values, dtype=float)
             order = np.argsort(place)
@@ -146,8 +148,7 @@ def _sweeps(sweeps: Mapping[str, SweepResult], folder: Path) -> list[Path]:
             how: dict[str, Any] = {"quantity": quantity, "unit": unit, "over": over}
             how["doubtful"] = {label: doubtful}
             draw_response(place[order], {label: values}, axes=panel, **how)
-        files.append(folder / f"overlay_sweep_{name}.png")
-        figure_of([panel], files[-1], None)
+        picture.saved()
     return files
 
 

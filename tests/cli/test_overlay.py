@@ -63,12 +63,12 @@ def test_solutions(results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 def test_curves_and_sweeps(results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Labels that are given; the curves of both on one panel."""
-    panels = []
+    panels: list[Any] = []
 
-    def kept(drawn: Any, *arguments: Any) -> None:
-        panels.extend(drawn)
+    def kept(drawn: Any) -> None:
+        panels.extend(panel for panel in drawn if panel not in panels)
 
-    monkeypatch.setattr(overlay, "figure_of", kept)
+    monkeypatch.setattr(overlay.Picture, "saved", kept)
     for name in ("curve", "sweep"):
         files = [str(results / ratio / f"{name}.h5") for ratio in ("0.05", "0.1")]
         given = ["--label", "5 %", "--label", "10 %"]
