@@ -55,6 +55,7 @@ NO_PREFIX = ("1", "-", "%", "Hz", "rad/s")
 """Units that are shown as they are."""
 FIRST = "first in the legend"
 """Marks (``gid``) lines that come first in a legend, before those that explain styles."""
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 ROWS = 2
 """Of a legend below a panel for which a figure has room."""
 
@@ -135,7 +136,7 @@ def _plain(value: float) -> str:
 
 
 def _power(value: float) -> str:
-    return f"$\\mathdefault{{10^{{{round(np.log10(value))}}}}}$"
+    return "10" + str(round(np.log10(value))).translate(RAISED)
 
 
 def finish(axes: Axes, path: str | Path | None, title: str | None) -> Figure:

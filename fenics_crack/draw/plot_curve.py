@@ -194,7 +194,7 @@ def _mark_superharmonics(
         order, rest = divmod(int(np.argmax(sizes)) + 1, curve.subharmonic)
         if order > 1 and not rest:
             at = factor * curve.omega[peak], amplitude[peak]
-            axes.annotate(f"{order}$\\omega$", at, (0, 5), textcoords="offset points", **style)
+            axes.annotate(f"{order}ω", at, (0, 5), textcoords="offset points", **style)
 
 
 def _factor(curve: ResponseCurve, in_hertz: bool) -> float:

@@ -16,7 +16,6 @@ from scipy.spatial import cKDTree
 import fenics_crack as fc
 from fenics_crack.draw import animation
 from fenics_crack.draw.figure import COLOURS
-from fenics_crack.draw.nodal import off_screen_plotter
 from fenics_crack.draw.paraview import PeriodFields
 from fenics_crack.table import readable
 
@@ -112,7 +111,7 @@ def test_animation_of_twice_the_period_without_a_crack(
 def test_window(breathing: fc.PeriodicSolution, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its slider moves the plate; without a screen there is none."""
     fields = PeriodFields.of(breathing, 10)
-    plotter = off_screen_plotter(window_size=(600, 600))
+    plotter = animation.off_screen_plotter(window_size=(600, 600))
     slider = animation._with_slider(plotter, breathing, fields)
     pictures = []
     for frame in (2, 7):
