@@ -12,14 +12,13 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenics_crack.errors import InputError, reading
-from fenics_crack.model.factor import Factor, factored_sum, weighted_sum
+from fenics_crack.model.factor import Factor, distributed, factored_sum, weighted_sum
 from fenics_crack.model.matrix_market import read_matrix_market
 from fenics_crack.parallel import gather_rows, raise_together
 from fenics_crack.table import counted
 
 __all__ = [
     "checked",
-    "distributed",
     "lumped_mass",
     "numbers",
     "per_pair",
@@ -34,17 +33,6 @@ TOLERATED = 1e-10
 a mass's rows that are zero, to the largest."""
 LARGEST = 1e60
 """Of entries: numbers of scenes are up to 1e30, and those of their matrices products of two."""
-
-
-def distributed(rows: Any, comm: MPI.Comm, columns: int | None = None) -> Any:
-    """PETSc matrix of the rows on this rank (n_local, n); square unless it owns other columns."""
-    rows = sparse.csr_matrix(rows, copy=True)
-    rows.sum_duplicates()  # PETSc would keep the last of them
-    local, total = rows.shape
-    sizes = ((local, PETSc.DETERMINE), (local if columns is None else columns, total))
-    matrix = PETSc.Mat().createAIJ(sizes, csr=(rows.indptr, rows.indices, rows.data), comm=comm)
-    matrix.assemble()
-    return matrix
 
 
 def numbers(given: Any) -> np.ndarray:
@@ -212,7 +200,7 @@ def _check_symmetric(name: str, matrix: Any) -> None:
 
 
 def _check_positive_definite(name: str, matrix: Any) -> None:
-    with Factor(matrix, symmetric=True) as factor:
+    with Factor(matrix) as factor:
         negative, null = factor.negative_pivots, factor.null_pivots
     if negative or null:
         found = f"{negative} negative and {null} zero eigenvalues"

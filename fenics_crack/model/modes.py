@@ -21,7 +21,7 @@ from slepc4py import SLEPc
 
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
-from fenics_crack.model.factor import Factor, TiedFactor, factored, factored_sum
+from fenics_crack.model.factor import Factor, factored_sum
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
 from fenics_crack.stages import begin
@@ -141,7 +141,7 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
     if known is not None:
         omega, shapes = known
         return Modes(omega[:count], shapes[:, :count], structure)
-    with factored(structure.stiffness, ties) as factor:
+    with Factor(structure.stiffness, definite=True, border=ties) as factor:
         return modes_by(factor, structure, int(count), ties)
 
 
@@ -170,9 +170,7 @@ def _space(structure: Structure, ties: Any) -> int:
     return structure.n_dofs - (0 if ties is None else int(ties.shape[1]))
 
 
-def modes_by(
-    factor: Factor | TiedFactor, structure: Structure, count: int, ties: Any = None
-) -> Modes:
+def modes_by(factor: Factor, structure: Structure, count: int, ties: Any = None) -> Modes:
     """The same of a structure with mass everywhere, by the factor of its stiffness; ``ties`` are
     the independent columns of B where lips are tied."""
     quotients = structure.stiffness.getDiagonal().array_r / structure.mass.getDiagonal().array_r
@@ -201,7 +199,7 @@ def modes_by(
 class _Inverse:
     """Context that PETSc calls to apply a factor."""
 
-    def __init__(self, factor: Factor | TiedFactor) -> None:
+    def __init__(self, factor: Factor) -> None:
         self._factor = factor
 
     def apply(self, _: Any, right: Any, solution: Any) -> None:
@@ -229,7 +227,7 @@ def _solve(solver: Any, count: int) -> None:
 
 
 def _nearest_zero(
-    factor: Factor | TiedFactor, structure: Structure, count: int, scale: float, ties: Any
+    factor: Factor, structure: Structure, count: int, scale: float, ties: Any
 ) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues omega^2, ascending, and shapes of the modes closest to zero, by the factor of K;
     where K is singular by that of K + s M."""
@@ -238,7 +236,8 @@ def _nearest_zero(
         if np.abs(squares).min() > SINGULAR * scale:
             return squares, shapes
     shift = -1e-6 * scale
-    with factored_sum(structure.stiffness, -shift, structure.mass, ties) as other:
+    shifted = factored_sum(structure.stiffness, -shift, structure.mass, definite=True, border=ties)
+    with shifted as other:
         return _krylov(other, structure, count, shift)
 
 
@@ -249,7 +248,7 @@ def krylov_vectors(count: int) -> int:
 
 
 def _krylov(
-    factor: Factor | TiedFactor, structure: Structure, count: int, shift: float
+    factor: Factor, structure: Structure, count: int, shift: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues, ascending, and mass-normalised shapes of the modes closest to a shift, by the
     factor of K - shift M."""
@@ -281,7 +280,7 @@ def _krylov(
 
 def _count_below(structure: Structure, square: float, ties: Any) -> int:
     """Number of modes with omega^2 < square: the negative pivots of K - square M (Sylvester)."""
-    with factored_sum(structure.stiffness, -square, structure.mass, ties) as factor:
+    with factored_sum(structure.stiffness, -square, structure.mass, border=ties) as factor:
         return int(factor.negative_pivots)
 
 

@@ -25,8 +25,7 @@ from mpi4py import MPI
 
 from fenics_crack.errors import InputError
 from fenics_crack.model.damping import DampingRule, check_rule
-from fenics_crack.model.factor import Factor
-from fenics_crack.model.matrices import distributed
+from fenics_crack.model.factor import Factor, distributed
 from fenics_crack.model.modes import times
 from fenics_crack.model.structure import Structure
 
@@ -173,11 +172,9 @@ class ResidualFlexibility:
         """Y^T G X of sparse forces Y (n_local, m): (m, n_sources) (collective)."""
         rows = [np.zeros((0, self.sources.shape[1]))]
         for start in range(0, columns.shape[1], AT_A_TIME):
-            block = columns[:, start : start + AT_A_TIME]
-            if self._held:  # and K^-1 exists: zeros are left out
-                moved = factor.solve_sparse(block)
-            else:
-                moved = self.solve(factor, block.T.toarray())
+            block = columns[:, start : start + AT_A_TIME].T.toarray()
+            # Where K^-1 exists its modal part is subtracted once, below.
+            moved = factor.solve(block) if self._held else self.solve(factor, block)
             rows.append((self.sources.T @ moved.T).T)
         found: np.ndarray = self.structure.sum_over_ranks(np.concatenate(rows))
         if self._held:
@@ -195,7 +192,7 @@ class ResidualFlexibility:
         used = np.any(amplitude != 0.0, axis=1)
         found = np.zeros((len(amplitude), self.structure.n_local))
         if np.any(used):
-            with Factor(self.structure.stiffness, symmetric=True) as factor:
+            with Factor(self.structure.stiffness, definite=True) as factor:
                 found[used] = self.solve(factor, (self.sources @ amplitude[used].T).T)
         return found
 
@@ -209,8 +206,8 @@ class ResidualFlexibility:
             mine = np.flatnonzero((own >= 0) & (own < structure.n_local))
             shape = structure.n_local, len(missing)
             units = sparse.csr_matrix((np.ones(len(mine)), (own[mine], mine)), shape)
-            stiffness = structure.stiffness
-            with nullcontext(factor) if factor else Factor(stiffness, symmetric=True) as known:
+            made = factor or Factor(structure.stiffness, definite=True)
+            with nullcontext(made) if factor else made as known:
                 found = self.seen(known, units)
             self._measured |= dict(zip(missing, found, strict=True))
         return np.array([self._measured[dof] for dof in wanted])

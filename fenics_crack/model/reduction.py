@@ -135,7 +135,7 @@ def reduce_structure(
     loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
     sources = np.hstack([structure.gap.toarray(), structure.force[loaded].T])
     begin("reduction")
-    with Factor(structure.stiffness, symmetric=True) as own:
+    with Factor(structure.stiffness, definite=True) as own:
         kept: np.ndarray = np.zeros((structure.n_local, 0))
         squares: np.ndarray = np.zeros(0)
         if method != "craig_bampton":
@@ -165,7 +165,7 @@ def _massless(structure: Structure, modes: int) -> MasslessStructure:
     loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
     sources = sparse.hstack([structure.gap, structure.force[loaded].T]).tocsr()
     begin("factor of the stiffness")
-    with Factor(structure.stiffness, symmetric=True) as factor:
+    with Factor(structure.stiffness, definite=True) as factor:
         found = modes_by(factor, structure, more)
         begin("static responses")
         squares, shapes = found.omega**2, found.shapes

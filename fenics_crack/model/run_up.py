@@ -21,7 +21,7 @@ from mpi4py import MPI
 
 from fenics_crack.errors import InputError, check_number
 from fenics_crack.model.damping import DampingRule
-from fenics_crack.model.matrices import distributed
+from fenics_crack.model.factor import distributed
 from fenics_crack.model.modes import independent_part, times
 from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.reduction import reduce_structure
