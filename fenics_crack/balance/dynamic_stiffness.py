@@ -20,8 +20,6 @@ With a given damping matrix, or that of Rayleigh damping, the real form of twice
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import scipy.sparse as sparse
 from petsc4py import PETSc

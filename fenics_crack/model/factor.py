@@ -29,13 +29,16 @@ __all__ = ["Factor", "distributed", "factored_sum", "weighted_sum"]
 PETSc.Options().setValue("mat_cholmod_print", 0)  # it would warn of each pivot of zero
 
 
-def distributed(rows: Any, comm: MPI.Comm, columns: int | None = None) -> Any:
-    """PETSc matrix of the rows on this rank (n_local, n); square unless it owns other columns."""
-    rows = sparse.csr_matrix(rows, copy=True)
-    rows.sum_duplicates()  # PETSc would keep the last of them
-    local, total = rows.shape
-    sizes = ((local, PETSc.DETERMINE), (local if columns is None else columns, total))
-    matrix = PETSc.Mat().createAIJ(sizes, csr=(rows.indptr, rows.indices, rows.data), comm=comm)
+def distributed(rows: Any, comm: MPI.Comm) -> Any:
+    """Square PETSc matrix of the rows on this rank (n_local, n), with a diagonal, even zero: MUMPS
+    finds no null pivot where there is no entry (collective)."""
+    entries = sparse.coo_matrix(rows)
+    local, total = entries.shape
+    place = np.arange(local)
+    at = np.append(entries.row, place), np.append(entries.col, (comm.exscan(local) or 0) + place)
+    whole = sparse.csr_matrix((np.append(entries.data, 0.0 * place), at), entries.shape)
+    sizes = ((local, PETSc.DETERMINE), (local, total))
+    matrix = PETSc.Mat().createAIJ(sizes, csr=(whole.indptr, whole.indices, whole.data), comm=comm)
     matrix.assemble()
     return matrix
 
@@ -177,10 +180,8 @@ def _bordered(matrix: Any, border: sparse.spmatrix) -> Any:
     scale = matrix.norm(PETSc.NormType.INFINITY) or 1.0
     starts, columns, values = matrix.getValuesCSR()
     own = sparse.csr_matrix((values, columns, starts), (matrix.local_size[0], matrix.size[1]))
-    rows = sparse.hstack([own, scale * border], "csr")
+    rows = sparse.hstack([own, scale * border])
     whole = sparse.vstack(comm.allgather(border), "csr")
     if comm.rank == comm.size - 1:
-        zeros = sparse.csr_matrix((np.zeros(count), (range(count), range(count))))
-        # PETSc wants an entry on the diagonal, even zero.
-        rows = sparse.vstack([rows, sparse.hstack([scale * whole.T, zeros])], "csr")
+        rows = sparse.vstack([rows, sparse.hstack([scale * whole.T, np.zeros((count, count))])])
     return distributed(rows, comm)

@@ -70,7 +70,7 @@ def petsc_matrix(name: str, given: Any, comm: MPI.Comm, n: int | None = None) ->
     if not made:
         _check_sizes(name, whole.data)
         start, stop = (rows * comm.rank) // comm.size, (rows * (comm.rank + 1)) // comm.size
-        return distributed(_with_diagonal(whole[start:stop], start), comm)
+        return distributed(whole[start:stop], comm)
     comm = given.comm.tompi4py()
     starts, places, values = given.convert("aij", PETSc.Mat()).getValuesCSR()
     error = None
@@ -80,15 +80,7 @@ def petsc_matrix(name: str, given: Any, comm: MPI.Comm, n: int | None = None) ->
         error = found
     raise_together(comm, error)
     own = sparse.csr_matrix((values, places, starts), (given.local_size[0], columns))
-    return distributed(_with_diagonal(own, given.owner_range[0]), comm)
-
-
-def _with_diagonal(rows: sparse.csr_matrix, first: int) -> sparse.csr_matrix:
-    """Rows of a matrix, the first of them with this number, with an entry on the diagonal, even
-    zero: MUMPS finds no null pivot where there is none."""
-    entries, place = sparse.coo_matrix(rows), np.arange(rows.shape[0])
-    at = np.append(entries.row, place), np.append(entries.col, first + place)
-    return sparse.csr_matrix((np.append(entries.data, 0.0 * place), at), rows.shape)
+    return distributed(own, comm)
 
 
 def _read_matrix(name: str, given: Any, rows: int | None) -> Any:

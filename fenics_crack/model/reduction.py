@@ -136,13 +136,11 @@ def reduce_structure(
     sources = np.hstack([structure.gap.toarray(), structure.force[loaded].T])
     begin("reduction")
     with Factor(structure.stiffness, definite=True) as own:
-        kept: np.ndarray = np.zeros((structure.n_local, 0))
-        squares: np.ndarray = np.zeros(0)
-        if method != "craig_bampton":
-            known = damped if damped is not None and len(damped.omega) >= modes else None
-            found = known or modes_by(own, structure, int(modes))
-            kept, squares = found.shapes[:, :modes], found.omega[:modes] ** 2
-        with _regular(own, structure) as factor:
+        asked = 0 if method == "craig_bampton" else int(modes)
+        known = damped if damped is not None and len(damped.omega) >= asked else None
+        found = known or modes_by(own, structure, max(asked, 1))
+        kept, squares = found.shapes[:, :asked], found.omega[:asked] ** 2
+        with _regular(own, structure, held=bool(found.omega[0] > 0.0)) as factor:
             response = factor.solve(sources.T).T
             extra = response if method == "free_interface" else response[:, :0]
             if method == "craig_bampton":
@@ -243,14 +241,14 @@ def _rule_of_all(structure: Structure) -> DampingRule | None:
 
 
 @contextmanager
-def _regular(factor: Factor, structure: Structure) -> Iterator[Factor]:
-    """The factor of K; of an unconstrained structure that of K + s M, s one of its lowest
+def _regular(factor: Factor, structure: Structure, *, held: bool) -> Iterator[Factor]:
+    """The factor of K; of a structure that nothing holds that of K + s M, s one of its lowest
     eigenvalues."""
-    if not factor.null_pivots:
+    if held:
         yield factor
         return
-    elastic = modes_by(factor, structure, min(structure.n_dofs, 10)).omega[-1] ** 2
-    with factored_sum(structure.stiffness, elastic or 1.0, structure.mass) as regular:
+    elastic = modes_by(factor, structure, min(structure.n_dofs, 10)).omega[-1] ** 2 or 1.0
+    with factored_sum(structure.stiffness, elastic, structure.mass, definite=True) as regular:
         yield regular
 
 

@@ -122,20 +122,8 @@ class RunUpStructure(MasslessInterface):
         self._hold(speed=speed, shapes=static * omega, left=left, _ritz=ritz)
 
     @property
-    def rate(self) -> np.ndarray:  # type: ignore[override]
-        """Phi^T C Phi, which is diagonal: (n_modes,) [1/s]; without the factor of a copy."""
-        rule = self.original.damping
-        if rule is None:
-            return np.zeros(self.n_modes)
-        return np.asarray(rule.of_kept(self.n_modes).rate(self.omega**2))
-
-    @property
     def _size_words(self) -> str:
         return f"{self.n_dofs} coordinates of {self.whole.n_dofs} dofs at {self.speed:g} rad/s"
-
-    def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
-        """Modes with mass at this speed, for open lips."""
-        return None if tied else (self.omega, self.shapes)
 
     def at_speed(self, speed: float) -> RunUpStructure:
         """The same structure at another speed [rad/s].
