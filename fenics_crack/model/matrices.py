@@ -15,6 +15,7 @@ from fenics_crack.errors import InputError, reading
 from fenics_crack.model.factor import Factor, distributed, factored_sum, weighted_sum
 from fenics_crack.model.matrix_market import read_matrix_market
 from fenics_crack.parallel import gather_rows, raise_together
+from fenics_crack.scene.fields import LARGEST
 from fenics_crack.table import counted
 
 __all__ = [
@@ -31,8 +32,6 @@ __all__ = [
 TOLERATED = 1e-10
 """Asymmetry relative to a matrix's size; negative eigenvalues, to the largest K_ii / M_ii; sums of
 a mass's rows that are zero, to the largest."""
-LARGEST = 1e60
-"""Of entries: numbers of scenes are up to 1e30, and those of their matrices products of two."""
 
 
 def numbers(given: Any) -> np.ndarray:
@@ -122,9 +121,9 @@ def _check_sizes(name: str, values: np.ndarray) -> None:
     if not np.all(np.isfinite(sizes)):
         bad = values[~np.isfinite(sizes)]
         raise InputError(name, float(bad.ravel()[0]), "finite in every entry")
-    largest = float(sizes.max(initial=0.0))
-    if largest and not 1.0 / LARGEST <= largest <= LARGEST:
-        allowed = f"0 or from {1.0 / LARGEST:g} to {LARGEST:g} in size"
+    largest, most = float(sizes.max(initial=0.0)), LARGEST**2  # a product of two of a scene
+    if largest and not 1.0 / most <= largest <= most:
+        allowed = f"0 or from {1.0 / most:g} to {most:g} in size"
         raise InputError(name, f"{largest:g}, the largest entry", allowed)
 
 

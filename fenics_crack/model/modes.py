@@ -23,11 +23,13 @@ from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
 from fenics_crack.model.factor import Factor, factored_sum
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.rounding import EPSILON
 from fenics_crack.parallel import gather_rows
 from fenics_crack.stages import begin
 from fenics_crack.table import Tabular, counted
 
 __all__ = [
+    "NEGLIGIBLE",
     "ROUNDING",
     "DampedModes",
     "Modes",
@@ -52,10 +54,10 @@ SINGULAR = 1e-10
 """Squares of frequencies, relative to the smallest K_ii / M_ii, that are null pivots missed."""
 ROUNDING = 1e-14
 """Relative to the largest: what counts as zero of squares of frequencies (to K_ii / M_ii), static
-responses, gaps, and couplings by damping."""
-
-DEPENDENT = 1e-10
-"""Diagonal entries of a pivoted QR of B^T B, relative to the largest, that are none."""
+responses and gaps."""
+NEGLIGIBLE = 1e-12
+"""What solutions with K leave of zero, relative to the largest: squares of frequencies of motions
+as a rigid body, eigenvalues of static compliances, weights of directions in a Gram matrix."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -162,7 +164,8 @@ def _independent_ties(structure: Structure) -> sparse.csc_matrix:
         return gap  # orthogonal: no two pairs share a node
     factor, order = scipy.linalg.qr(gram, mode="r", pivoting=True)
     sizes = np.abs(np.diag(factor))
-    return gap[:, np.sort(order[sizes > DEPENDENT * sizes.max(initial=0.0)])]
+    rounding = 10.0 * len(gram) * EPSILON * sizes.max(initial=0.0)
+    return gap[:, np.sort(order[sizes > rounding])]
 
 
 def _space(structure: Structure, ties: Any) -> int:
@@ -322,13 +325,11 @@ def mass_norms(structure: Structure, columns: np.ndarray) -> np.ndarray:
     return np.sqrt(np.maximum(structure.sum_over_ranks(squares), 1e-300))
 
 
-def independent_part(
-    structure: Structure, basis: np.ndarray, columns: np.ndarray, new: float, weight: float
-) -> np.ndarray:
+def independent_part(structure: Structure, basis: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Part of columns (n_local, m) that is new to an M-orthonormal basis, likewise (collective).
 
-    Left out are columns of which less than a part ``new`` is new, and of what is left the
-    directions whose weight in the Gram matrix is less than ``weight`` of the largest one.
+    Left out are columns of which no more is new than rounding of their squares, and of what is left
+    the directions whose weight in the Gram matrix is negligible.
     """
 
     def gram(rows: np.ndarray) -> np.ndarray:
@@ -338,10 +339,11 @@ def independent_part(
     for _ in range(2):  # once more against rounding
         columns = columns - basis @ gram(basis)
     left = mass_norms(structure, columns)
-    columns = columns[:, left > new * sizes] / left[left > new * sizes]
+    new = left > np.sqrt(EPSILON) * sizes
+    columns = columns[:, new] / left[new]
     for _ in range(2):
         weights, vectors = np.linalg.eigh(gram(columns))
-        kept = weights > weight * weights.max(initial=0.0)
+        kept = weights > NEGLIGIBLE * weights.max(initial=0.0)
         columns = columns @ (vectors[:, kept] / np.sqrt(weights[kept]))
     return columns
 
@@ -455,17 +457,16 @@ def damped_range(structure: Structure) -> tuple[int, float] | None:
     return None if last == structure.n_modes - 1 else (len(found), float(known.omega[last]))
 
 
-def damping_in(
-    structure: Structure, columns: np.ndarray, squares: np.ndarray, allowed: float
-) -> np.ndarray:
+def damping_in(structure: Structure, columns: np.ndarray, squares: np.ndarray) -> np.ndarray:
     """X^T C X of columns with X^T M X = I and X^T K X = diag(squares): its diagonal (m,) where what
-    couples them is at most ``allowed`` of the largest rate, else (m, m) [1/s] (collective)."""
+    couples them is rounding of a projection, else (m, m) [1/s] (collective)."""
     if isinstance(structure.damping, RayleighDamping):
         return structure.damping.rate(squares)
     coupled = projected_damping(structure, columns)
     rate = np.diag(coupled).copy()
     coupling = np.abs(coupled - np.diag(rate)).max(initial=0.0)
-    return rate if coupling <= allowed * np.abs(rate).max(initial=0.0) else coupled
+    rounding = np.sqrt(EPSILON) * np.abs(rate).max(initial=0.0)
+    return rate if coupling <= rounding else coupled
 
 
 def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:

@@ -26,10 +26,11 @@ from mpi4py import MPI
 from fenics_crack.errors import InputError
 from fenics_crack.model.damping import DampingRule
 from fenics_crack.model.factor import Factor, distributed
-from fenics_crack.model.modes import times
+from fenics_crack.model.modes import NEGLIGIBLE, times
 from fenics_crack.model.structure import Structure
 
 __all__ = [
+    "AT_A_TIME",
     "INSTEAD",
     "MasslessInterface",
     "MasslessStructure",
@@ -39,8 +40,6 @@ __all__ = [
     "massless",
 ]
 
-RIGID_TIE = 1e-12
-"""Eigenvalues of R_inf, relative to all of the pairs' static compliance, that are none."""
 AT_A_TIME = 16
 """Static solutions that are held at a time."""
 INSTEAD = "reduce with method = 'free_interface', or march by integrate_exponential"
@@ -318,7 +317,7 @@ class MasslessStructure(MasslessInterface):
         compliance, turned = np.linalg.eigh(self.residual)
         elastic = self.omega > 0.0
         sizes = (pairs[elastic] ** 2 / self.omega[elastic, None] ** 2).sum()
-        soft = compliance > RIGID_TIE * (sizes + compliance.sum())
+        soft = compliance > NEGLIGIBLE * (sizes + compliance.sum())
         held = pairs @ turned[:, ~soft]
         free = scipy.linalg.null_space(held.T) if held.size else np.eye(self.n_modes)
         forces = (turned[:, soft] / compliance[soft]) @ (pairs @ turned[:, soft]).T
@@ -385,5 +384,5 @@ def _pseudoinverse(compliance: np.ndarray) -> np.ndarray:
     size = np.sqrt(np.maximum(np.diag(compliance), 0.0))
     scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
     scaled = scale[:, None] * compliance * scale
-    found: np.ndarray = scale[:, None] * np.linalg.pinv(scaled, 1e-12, hermitian=True) * scale
+    found: np.ndarray = scale[:, None] * np.linalg.pinv(scaled, NEGLIGIBLE, hermitian=True) * scale
     return found

@@ -32,8 +32,6 @@ __all__ = ["RunUpStructure", "run_up_structure"]
 
 SPEEDS = 3
 """Speeds of a range whose bases are put together."""
-INDEPENDENT = 1e-6
-"""Part of a vector that is not in the basis yet, relative to it, from which it is kept."""
 
 
 @dataclass(frozen=True)
@@ -180,7 +178,7 @@ def run_up_structure(structure: Structure, start: float, stop: float, modes: int
     basis: np.ndarray = np.zeros((structure.n_local, 0))
     for speed in np.linspace(start, stop, SPEEDS):
         part = reduce_structure(rotation.at(float(speed)), modes=modes, method="free_interface")
-        new = independent_part(structure, basis, part.basis, INDEPENDENT, INDEPENDENT)
+        new = independent_part(structure, basis, part.basis)
         basis = np.hstack([basis, new])
     here = rotation.at(rotation.speed)
 
