@@ -5,8 +5,8 @@
 of :mod:`contact_system`, with exact integrals of the contact forces. Along p the contact stiffness
 grows like e^(growth p), g_lin linearly, a softness in series with the pairs falls, or the base
 frequency and the damping of modes change, R and g_lin following from them
-(``kernel/compliance.h``, ``contact.h``). From 100 unknowns on solutions with J are found by products
-with it (``kernel/krylov.h``).
+(``kernel/compliance.h``, ``contact.h``). From 100 unknowns on solutions with J are found by
+products with it (``kernel/krylov.h``).
 """
 
 from __future__ import annotations
