@@ -22,7 +22,7 @@ from fenics_crack.files.store import read
 from fenics_crack.model.modes import Modes
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.run import Run, find_modes, follow_curve, integrate, solve
+from fenics_crack.study.run import Run, curve, integrate, modes, solve
 from fenics_crack.table import RPM, quantity
 
 __all__ = ["campbell_diagram", "identification", "plot", "solved", "sweep", "tell", "verification"]
@@ -30,9 +30,9 @@ __all__ = ["campbell_diagram", "identification", "plot", "solved", "sweep", "tel
 MOST_SPEEDS = 10_000
 """Of a Campbell diagram."""
 RUNS: dict[str, tuple[str, Callable[..., Run]]] = {
-    "modes": ("modes", find_modes),
+    "modes": ("modes", modes),
     "solve": ("solution", solve),
-    "curve": ("curve", follow_curve),
+    "curve": ("curve", curve),
     "integrate": ("integration", integrate),
 }
 """What commands compute, and the name of their files."""
