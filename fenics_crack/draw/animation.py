@@ -23,6 +23,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
+from vtkmodules.vtkInteractionWidgets import vtkSliderRepresentation2D, vtkSliderWidget
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.draw.figure import COLOURS, label_axis
@@ -245,11 +246,24 @@ def _with_slider(plotter: Any, solution: PeriodicSolution, fields: PeriodFields)
         text = f"{caption}\ntime {at:.3f} load periods"
         plotter.add_text(text, font_size=11, color="black", name="caption", render=False)
 
-    place = {"pointa": (0.1, 0.09), "pointb": (0.8, 0.09), "slider_width": 0.03}
-    look = {"color": "black", "tube_width": 0.005, "title": "time / load period", **place}
-    ends = (0.0, float(solution.subharmonic))
-    widget = plotter.add_slider_widget(turn, ends, value=0.0, interaction_event="always", **look)
-    widget.GetRepresentation().ShowSliderLabelOff()
+    slider = vtkSliderRepresentation2D()  # pyvista's own shows a label, a number
+    slider.ShowSliderLabelOff()
+    slider.SetMaximumValue(float(solution.subharmonic))
+    slider.SetTitleText("time / load period")
+    slider.SetTubeWidth(0.005)
+    slider.SetSliderWidth(0.03)
+    parts = slider.GetTitleProperty(), slider.GetTubeProperty(), slider.GetSliderProperty()
+    for part, ink in zip(parts, ("lips", "rest", "contact"), strict=True):
+        part.SetColor(to_rgb(INK[ink]))
+    for end, x in ((slider.GetPoint1Coordinate(), 0.1), (slider.GetPoint2Coordinate(), 0.8)):
+        end.SetCoordinateSystemToNormalizedViewport()
+        end.SetValue(x, 0.09)
+    widget = vtkSliderWidget()
+    widget.SetInteractor(plotter.iren.interactor)
+    widget.SetRepresentation(slider)
+    widget.SetAnimationModeToJump()
+    widget.AddObserver("InteractionEvent", lambda *_: turn(slider.GetValue()))
+    widget.SetEnabled(True)
     turn(0.0)
     _look_at_all(plotter, fields, room=1.35)
     return widget
