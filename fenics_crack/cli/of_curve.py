@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -55,7 +54,6 @@ def account_of_curve(run: Run[ResponseCurve]) -> Account:
         notes=notes,
         warnings=[*_warnings(run)],
         tables={"Special points": in_short(special, scene, SHORT)},
-        draw=lambda folder: _draw(run, folder),
         done=bool(found.complete),
         run=run,
     )
@@ -125,21 +123,6 @@ def _undecided_stretches(found: ResponseCurve) -> list[tuple[int, int]]:
 def _undecided(found: ResponseCurve) -> bool:
     """Whether no point is known to be stable or unstable, though all were judged."""
     return found.multipliers is not None and bool(np.all(found.verdicts == "undecided"))
-
-
-def _draw(run: Run[ResponseCurve], folder: Path) -> list[Path]:
-    from fenics_crack.draw.plot_curve import draw_content, draw_curve, draw_multipliers
-
-    found, dof, in_hertz = run.result, run.watched_dof, run.scene.in_hertz
-    title = f"{run.watched_name}, H = {ranging(found.harmonics)}"
-    files = [folder / "curve.png", folder / "curve_content.png"]
-    draw_curve(found, dof, path=files[0], title=title, in_hertz=in_hertz)
-    draw_content(found, dof, path=files[1], title=title, in_hertz=in_hertz)
-    if found.multipliers is not None:
-        files.append(folder / "curve_multipliers.png")
-        title = "Largest Floquet multiplier along the curve"
-        draw_multipliers(found, path=files[2], title=title, in_hertz=in_hertz)
-    return files
 
 
 # --- its points -----------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ import html
 import platform
 import shlex
 import tempfile
+from argparse import Namespace
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -19,10 +20,13 @@ from string import Template
 import h5py
 
 from fenics_crack.cli.account import frequency_in_words
-from fenics_crack.cli.results import HEADINGS, account_of_file
+from fenics_crack.cli.console import Console
+from fenics_crack.cli.pictures import draw_result
+from fenics_crack.cli.results import HEADINGS, account_of, result_of
 from fenics_crack.cli.scenes import draw_scene, harmonics_in_words
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import Stored, read, versions
+from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.scene.tables import Crack, Geometry, Material
 from fenics_crack.scene.words import differences
@@ -31,7 +35,7 @@ from fenics_crack.table import Table, quantity
 from fenics_crack.version import VERSION
 from fenics_crack.whole import write_whole
 
-__all__ = ["folded", "page", "paragraph", "write_report"]
+__all__ = ["folded", "page", "paragraph", "report", "write_report"]
 
 CAPTIONS = {
     "mesh": "The mesh with its named parts.",
@@ -48,6 +52,16 @@ CAPTIONS = {
     "integration_waves": "The last periods of the motion in time.",
 }
 """Below the pictures, by the names of their files; others speak for themselves."""
+
+
+def report(given: Namespace, _: None, console: Console) -> bool:
+    """The page of some results, by rank 0."""
+    target = given.output or given.results[0].parent / "report.html"
+    words = ["fenics-crack", *given.words]
+    with console.stage("report"):
+        on_root(console.comm, lambda: write_report(given.results, target, words))
+    console.note(str(target))
+    return True
 
 
 def write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -> None:
@@ -80,11 +94,12 @@ def write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) ->
     facts: list[str] = []
     doubts: list[str] = []
     with tempfile.TemporaryDirectory() as folder:
-        accounts = [*map(account_of_file, files)]
+        read_results = [*map(result_of, files)]
+        accounts = [*map(account_of, read_results)]
         scene_part = _scene_part(scenes[0], accounts[0].run, Path(folder))
         own = differences([scene.replace({"reduction": None}) for scene in scenes])
-        results = zip(files, own, accounts, strict=True)
-        for number, (file, differs, found) in enumerate(results, 1):
+        results = zip(files, own, read_results, accounts, strict=True)
+        for number, (file, differs, result, found) in enumerate(results, 1):
             place, heading = Path(folder) / str(number), HEADINGS[file.kind]
             place.mkdir()
             if kinds.count(file.kind) > 1:
@@ -94,7 +109,7 @@ def write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) ->
             doubtful = [f"{text[0].upper()}{text[1:]}" for text in found.warnings]
             blocks += [points(told), points(doubtful, "doubtful")]
             blocks += [paragraph(*found.verdict)] if found.verdict else []
-            blocks += [_picture(path) for path in found.draw(place)]
+            blocks += [_picture(path) for path in draw_result(result, place)]
             blocks += [_table(rows, caption) for caption, rows in found.tables.items()]
             blocks.append(paragraph(f"From {file.path}, {_made(file.path)}.", "small"))
             titles[f"result-{number}"] = heading

@@ -18,7 +18,6 @@ import pyvista
 from vtkmodules.vtkIOXML import vtkXMLUnstructuredGridWriter
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.draw.nodal import moved_grid
 from fenics_crack.errors import InputError, check_count, check_number
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.modes import Modes
@@ -29,7 +28,9 @@ from fenics_crack.scene.tables import Material
 from fenics_crack.stages import begin
 from fenics_crack.whole import write_together, write_whole
 
-__all__ = ["PeriodFields", "nodal_stress", "von_mises", "write_modes", "write_period"]
+__all__ = [
+    "PeriodFields", "moved_grid", "nodal_stress", "von_mises", "write_modes", "write_period",
+]  # fmt: skip
 
 
 def write_modes(modes: Modes, path: str | Path) -> None:
@@ -87,7 +88,7 @@ class PeriodFields:
     def of(
         cls,
         solution: PeriodicSolution,
-        frames: int = 60,
+        frames: int = 36,
         magnification: float | None = None,
         material: Material | None = None,
     ) -> PeriodFields:
@@ -160,6 +161,13 @@ class PeriodFields:
         return grid
 
 
+def moved_grid(mesh: NodalMesh, displacement: np.ndarray | float = 0.0) -> pyvista.UnstructuredGrid:
+    """The cells, moved by nodal vectors (n_nodes, 2) [m]."""
+    points = np.pad(mesh.points + displacement, ((0, 0), (0, 1)))
+    cells = np.pad(mesh.cells, ((0, 0), (1, 0)), constant_values=mesh.cells.shape[1])
+    return pyvista.UnstructuredGrid(cells.ravel(), np.full(len(cells), mesh.vtk_type), points)
+
+
 def nodal_stress(mesh: NodalMesh, displacement: np.ndarray, material: Material) -> np.ndarray:
     """Plane stresses xx, yy, xy of nodal displacements (..., n_nodes, 2) [m]: (..., n_nodes, 3)
     [Pa]; of many at once, as they are components of one field."""
@@ -183,7 +191,7 @@ def write_period(
     solution: PeriodicSolution,
     path: str | Path,
     *,
-    frames: int = 60,
+    frames: int = 36,
     magnification: float | None = None,
     material: Material | None = None,
 ) -> float:
