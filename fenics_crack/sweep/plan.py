@@ -19,7 +19,7 @@ from fenics_crack.scene.scene import Scene
 
 __all__ = ["FORCES", "Chunk", "Plan"]
 
-CHUNK = 12
+CHUNK = 16
 """Most cases of a chunk."""
 SAME_GEOMETRY = (
     "excitation.omega", "excitation.frequency", "excitation.force_sin", "excitation.force_cos",
