@@ -24,22 +24,15 @@ void factor_dense(dense *at)
     if (at->factored) return;
     at->form(at);
     factor(at->size, at->matrix, at->pivots);
-    at->factored = at->kept = 1;
+    at->factored = 1;
 }
 
 void solve_dense(equations *own, double *x)
 {
-    factor_dense((dense *)own);
-    solve_nearly_dense(own, x);
-}
-
-void solve_nearly_dense(equations *own, double *x)
-{
-    const dense *at = (const dense *)own;
+    dense *at = (dense *)own;
+    factor_dense(at);
     solve_factored(at->size, at->matrix, at->pivots, x);
 }
-
-int has_dense_factors(const equations *own) { return ((const dense *)own)->kept; }
 
 double sign_of_dense(equations *own)
 {

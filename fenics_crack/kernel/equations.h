@@ -5,7 +5,7 @@
 /* What comes of an evaluation, or of a correction by Newton's method. */
 enum { FOUND, NOT_FOUND, SINGULAR_STRUCTURE, NO_MEMORY, FAILED };
 
-/* Unknowns from which on solutions with J share factors, or take products, for new factors are dear. */
+/* Unknowns from which on solutions with J take products, for factors are dear. */
 enum { MANY = 100 };
 
 /* The points of each kind begin with it; `at` is such a point. */
@@ -22,11 +22,7 @@ typedef struct equations {
     /* Inner product of unknowns; NULL: x^T y. */
     double (*inner)(const struct equations *at, const double *x, const double *y);
     void *context; /* what equations in Python are made of (numerics/equations.py) */
-    /* For points that share LU factors (broyden.h); NULL where they do not: whether J has been
-     * factored at some point, x = J^-1 x with the J of the last such one, and J x there. */
-    int (*has_factors)(const struct equations *at);
-    void (*solve_nearly)(struct equations *at, double *x);
-    void (*apply)(struct equations *at, const double *x, double *found);
+    void (*apply)(struct equations *at, const double *x, double *found); /* J x, for products */
 } equations;
 
 #endif
