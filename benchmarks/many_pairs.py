@@ -507,7 +507,7 @@ def seen_modes(structure: fc.Structure, count: int) -> tuple[np.ndarray, np.ndar
     """Squares of the lowest frequencies, and what pairs and load see of the modes: (count,) and
     (count, n_pairs + 1); the static compliance between these."""
     sources = sparse.hstack([structure.gap, structure.force[2:].T]).tocsr()
-    with Factor(structure.stiffness, symmetric=True) as factor:
+    with Factor(structure.stiffness, definite=True) as factor:
         columns = [
             sources.T @ factor.solve(sources[:, start : start + 16].T.toarray()).T
             for start in range(0, sources.shape[1], 16)

@@ -182,7 +182,7 @@ def chunks(arguments: Arguments) -> None:
 
 def cases(arguments: Arguments) -> None:
     """Cost of a case of a frequency sweep as the sweep solves it, and each by itself from its
-    neighbour, in turns of up to 12."""
+    neighbour, in turns of up to 16."""
     rows = []
     for name in ("paper_plate", "breathing_plate"):
         scene = scene_of("frequencies", arguments.quick)

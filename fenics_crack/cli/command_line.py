@@ -9,7 +9,7 @@ import resource
 import signal
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from enum import IntEnum
 from importlib import import_module
 from pathlib import Path
@@ -28,6 +28,9 @@ __all__ = ["main", "parser"]
 
 LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
 """Variables by which mpirun tells a process its rank, before MPI is started."""
+ALONE = {"OMPI_MCA_pml": "ob1", "OMPI_MCA_ess_singleton_isolated": "1"}
+"""Settings of Open MPI for one process: it looks for no network and starts no daemon, which would
+take as long as all else before the first command."""
 OUT_OF_MEMORY = ("PetscMalloc", "failed to map segment")
 """In what PETSc says, and the system of a library that it cannot load."""
 TABLES = {
@@ -177,7 +180,8 @@ def _run(given: argparse.Namespace) -> Exit:
     inputs = None if launched else read_inputs(given)
     if given.command != "new" and not (inputs and inputs.scene.structure):
         from fenics_crack import mesher  # noqa: F401  before MPI: see there
-    from mpi4py import MPI
+    with _settings({} if launched else ALONE):
+        from mpi4py import MPI
 
     from fenics_crack.cli.console import Console
     from fenics_crack.parallel import on_root
@@ -191,6 +195,18 @@ def _run(given: argparse.Namespace) -> Exit:
             inputs = on_root(comm, lambda: read_inputs(given))
         console = Console(comm, given.format, given.quiet, given.verbose)
         return Exit.DONE if _command(given, inputs, console) else Exit.NOT_CONVERGED
+
+
+@contextlib.contextmanager
+def _settings(wanted: dict[str, str]) -> Iterator[None]:
+    """Variables of the surroundings for a while, where the user has not set them."""
+    added = {name: value for name, value in wanted.items() if name not in os.environ}
+    os.environ |= added
+    try:
+        yield
+    finally:
+        for name in added:
+            del os.environ[name]
 
 
 def _command(given: argparse.Namespace, inputs: Inputs | None, console: Console) -> bool:
@@ -210,7 +226,7 @@ def _command(given: argparse.Namespace, inputs: Inputs | None, console: Console)
         told = []  # one line about an error
         raise
     finally:
-        console.notes(f"remark: {remark}" for remark in told)
+        console.note(*(f"remark: {remark}" for remark in told))
 
 
 # --- arguments ------------------------------------------------------------------------------------

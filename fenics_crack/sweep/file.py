@@ -122,7 +122,7 @@ def columns_of(scene: Scene) -> dict[str, tuple[str, str]]:
 def shape_of(scene: Scene) -> tuple[int, ...]:
     """Number of values on each axis of a scene's sweep."""
     assert scene.sweep is not None
-    return tuple(len(axis.values) for axis in scene.sweep.over)
+    return scene.sweep.shape
 
 
 class SweepFile:

@@ -6,7 +6,7 @@ The cases are the product of the axes in ``[sweep.over]``, numbered with the las
 geometry; frequency, force, contact law, clearance and truncation do not change it. A geometry is
 built once and is then a small structure in plain arrays that any rank can solve.
 
-*Chunks.* The cases of a geometry are cut into chunks of up to 12 along the frequency (if it is not
+*Chunks.* The cases of a geometry are cut into chunks of up to 16 along the frequency (if it is not
 swept, along the last axis that leaves the geometry alone). The first case of a chunk starts from
 the linear solution, each further one from its neighbour; along the frequency they share their
 equations (:mod:`fenics_crack.balance.neighbours`). Chunks depend on the scene alone, and so do the
