@@ -64,7 +64,7 @@ class MoreModes:
         """At equal parts of the period: of the orbit, where it is known, else of the wave behind
         its own step; None where that is not known."""
         judged, wave = self._judged, self._judged.wave
-        orbit, every = vars(judged).get("orbit"), slice(None, None, INSTANTS // NODES)
+        orbit, every = judged.orbit, slice(None, None, INSTANTS // NODES)
         time = wave.period / INSTANTS * np.arange(INSTANTS)
         if orbit is not None and judged.accepted:
             few, force = orbit.sampled.states[every], orbit.sampled.force
