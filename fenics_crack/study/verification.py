@@ -314,7 +314,7 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
         study = prepare(scene, comm, whole=True)
         own = solve_prepared(study)
         if scene.harmonic_balance.tolerance is not None and own.result.converged:
-            own = solve_prepared(_varied(own, _settled(own)))
+            own = solve_prepared(_varied(own, _settled(own)), own.result)
     if not own.result.converged:
         raise ConvergenceError(f"{OWN}: {own.result.status}")
     study = replace(study, scene=_settled(own))
@@ -485,11 +485,13 @@ def _more(shared: Study, scene: Scene, key: str, own: int, most: int, formal: fl
 def _finer_run(
     name: str, scene: Scene, shared: Study | None, comm: MPI.Comm, failures: list[str]
 ) -> Run[PeriodicSolution] | None:
-    """The run of a finer scene; None, and its failure, where it does not converge (collective)."""
+    """The run of a finer scene, from the solution that it shares a structure with; None, and its
+    failure, where it does not converge (collective)."""
+    initial = shared.result if isinstance(shared, Run) else None
     with within(name):
         try:
             varied = prepare(scene, comm, whole=True) if shared is None else _varied(shared, scene)
-            run = solve_prepared(varied)
+            run = solve_prepared(varied, initial)
             if run.result.converged:
                 return run
             failures.append(f"{name}: {run.result.status}")
