@@ -217,7 +217,7 @@ def judge(
     if not found.converged:
         row.remark = found.status
         return row
-    if estimate(found) > LARGE and verdict != "stable":
+    if estimate(found) > LARGE and verdict not in ("stable", "unstable"):
         row.judgement = TOO_LARGE
         row.remark = "" if found.judged.flow is None else found.judged.reason
         return row
@@ -245,8 +245,9 @@ def _judgement(
             return TOO_LARGE, "no exact orbit"
         return (OPEN if row.verdict != "stable" else WRONG), "no exact orbit"
     near = max(TIMES * row.estimate, ROUNDING)
-    if row.estimate > LARGE:  # called stable all the same
-        contradicted = row.exact > 1.0 + ROUNDING and row.true <= near
+    if row.estimate > LARGE:  # decided all the same
+        other = row.verdict != ("stable" if row.exact < 1.0 else "unstable")
+        contradicted = other and abs(row.exact - 1.0) > SURE and row.true <= near
         return (WRONG, "verdict in spite of its estimate") if contradicted else (TOO_LARGE, "")
     if row.true > near:
         another = row.pred <= near and row.true > TIMES * row.pred

@@ -50,7 +50,6 @@ import fenics_crack as fc
 from fenics_crack.balance.compliance import dynamic_compliance
 from fenics_crack.balance.contact_integrals import contact_integrals
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
-from fenics_crack.balance.problem import Problem
 from fenics_crack.draw.figure import COLOURS
 
 CONTINUED = "this, continued, exact"
@@ -320,7 +319,7 @@ def run_full(arguments: common.Arguments) -> None:
             found: dict[str, fc.PeriodicSolution] = found,
         ) -> Callable[[], None]:
             def run() -> None:
-                problem = Problem(structure, 2000.0, fc.UnilateralPenalty(1e9), harmonics)
+                problem = fc.Problem(structure, 2000.0, fc.UnilateralPenalty(1e9), harmonics)
                 found[key] = solve_form(problem, form=form)
 
             return run

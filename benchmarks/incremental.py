@@ -26,21 +26,21 @@ from __future__ import annotations
 import numpy as np
 from switching import switching_instants
 
+import fenics_crack as fc
 from fenics_crack.balance.compliance import load_coefficients
 from fenics_crack.balance.contact_integrals import default_samples
-from fenics_crack.errors import InputError, check_count, check_omega
-from fenics_crack.model.contact import ContactLaw, UnilateralPenalty, check_law
+from fenics_crack.errors import check_count, check_omega
+from fenics_crack.model.contact import check_law
 from fenics_crack.model.modal import all_modes, is_small
-from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import evaluate, to_complex
 
 __all__ = ["incremental_system"]
 
 
 def incremental_system(
-    structure: Structure,
+    structure: fc.Structure,
     omega: float,
-    contact: ContactLaw,
+    contact: fc.ContactLaw,
     displacement: np.ndarray,
     *,
     samples: int | None = None,
@@ -80,19 +80,21 @@ def incremental_system(
     check_omega(omega)
     check_count("subharmonic", subharmonic, 1)
     if not is_small(structure):
-        raise InputError("structure", f"{structure.n_dofs} dofs", "small or reduced, on one rank")
+        raise fc.InputError(
+            "structure", f"{structure.n_dofs} dofs", "small or reduced, on one rank"
+        )
     check_law(structure, contact)
     displacement = np.asarray(displacement, dtype=float)
     rows = len(displacement) if displacement.ndim == 2 else 0
     if rows % 2 == 0 or rows < 2 * subharmonic + 1 or displacement.shape[1] != structure.n_dofs:
         allowed = f"(2H+1, {structure.n_dofs}) with H >= {subharmonic}"
-        raise InputError("displacement", displacement.shape, allowed)
+        raise fc.InputError("displacement", displacement.shape, allowed)
     harmonics = rows // 2
     if samples is not None:
         check_count("samples", samples, rows)
     gap = structure.apply_bt(displacement)
     gap[0] -= structure.clearance
-    if samples is None and isinstance(contact, UnilateralPenalty):
+    if samples is None and isinstance(contact, fc.UnilateralPenalty):
         theta, weight = _between_switching(gap)
     else:
         count = samples or subharmonic * default_samples(harmonics)
@@ -143,7 +145,7 @@ def _between_switching(gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return theta.ravel(), (half * weight).ravel()
 
 
-def _dense_matrices(structure: Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _dense_matrices(structure: fc.Structure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """M, C and K, the damping by all modes: C = M Phi c Phi^T M."""
     everywhere = range(structure.n_dofs)
     mass, stiffness = (

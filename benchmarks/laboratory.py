@@ -27,15 +27,14 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 
+import fenics_crack as fc
 from fenics_crack.balance.compliance import Compliance, FactoredCompliance
 from fenics_crack.balance.contact_integrals import PairIntegrals, apply_to_pairs, respond_to_columns
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.harmonic_balance import check_initial
-from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.search import Search
-from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.balance.solver import Solver
-from fenics_crack.errors import InputError, check_number
+from fenics_crack.errors import check_number
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.numerics.linearisation import Linearisation, determinant_sign
 
@@ -43,14 +42,14 @@ __all__ = ["BlockSystem", "solve_form"]
 
 
 def solve_form(
-    problem: Problem,
+    problem: fc.Problem,
     *,
     form: str = "condensed",
     balance: str = "galerkin",
-    initial: PeriodicSolution | None = None,
+    initial: fc.PeriodicSolution | None = None,
     residual_tolerance: float = 1e-10,
     throw: bool = True,
-) -> PeriodicSolution:
+) -> fc.PeriodicSolution:
     """Solve a problem by another form of harmonic balance (collective).
 
     Parameters
@@ -72,18 +71,18 @@ def solve_form(
         Nothing converged.
     """
     if not isinstance(form, str) or form not in ("condensed", "full"):
-        raise InputError("form", form, "'condensed' or 'full'")
+        raise fc.InputError("form", form, "'condensed' or 'full'")
     if not isinstance(balance, str) or balance not in ("galerkin", "collocation"):
-        raise InputError("balance", balance, "'galerkin' or 'collocation'")
+        raise fc.InputError("balance", balance, "'galerkin' or 'collocation'")
     check_number("residual_tolerance", residual_tolerance, 0.0, above=True)
     if form == "full" and is_rigid(problem.contact):
-        raise InputError("form", form, "'condensed' with UnilateralConstraint")
+        raise fc.InputError("form", form, "'condensed' with UnilateralConstraint")
     if balance == "collocation":
         if is_rigid(problem.contact):
-            raise InputError("balance", balance, "'galerkin' with UnilateralConstraint")
+            raise fc.InputError("balance", balance, "'galerkin' with UnilateralConstraint")
         if problem.samples is not None:
             allowed = "left out with balance='collocation', whose 2H+1 instants follow from H"
-            raise InputError("samples", problem.samples, allowed)
+            raise fc.InputError("samples", problem.samples, allowed)
         problem = replace(problem, samples=2 * problem.harmonics + 1)
     if initial is not None:
         check_initial(problem, initial)
@@ -105,7 +104,7 @@ class _FullSolver(Solver):
             found.destroy()
 
     def find(
-        self, search: Search, compliance: Compliance, initial: PeriodicSolution | None
+        self, search: Search, compliance: Compliance, initial: fc.PeriodicSolution | None
     ) -> ContactPoint:
         """The equations where a search arrives."""
         assert isinstance(compliance, FactoredCompliance)

@@ -48,7 +48,6 @@ import fenics_crack as fc
 from fenics_crack.balance.family import Family
 from fenics_crack.model.factor import Factor
 from fenics_crack.model.flow import ExponentialFlow
-from fenics_crack.model.reduced import MasslessStructure
 from fenics_crack.numerics.fourier import evaluate
 
 REFERENCE = 120
@@ -86,7 +85,7 @@ def damped_plate() -> fc.Structure:
     return common.plate("breathing_plate", {"damping.ratio": 0.01, "damping.modes": "all"})
 
 
-def all_of_it(whole: fc.Structure, ratio: float) -> MasslessStructure:
+def all_of_it(whole: fc.Structure, ratio: float) -> fc.MasslessStructure:
     """A whole structure by all of its modes; those beyond 2 H omega, at most, in their statics."""
     matrices = [m[:, :] for m in (whole.stiffness, whole.mass)]
     squares, shapes = scipy.linalg.eigh(*matrices)
@@ -95,7 +94,7 @@ def all_of_it(whole: fc.Structure, ratio: float) -> MasslessStructure:
     compliance = (sources[~slow].T / squares[~slow]) @ sources[~slow]
     pattern = np.zeros((3, len(compliance)))
     pattern[2, -1] = 1.0  # the load is a sine
-    return MasslessStructure(
+    return fc.MasslessStructure(
         whole,
         squares[slow],
         fc.ModalDamping(ratio),
@@ -119,7 +118,7 @@ def apart(one: np.ndarray, other: np.ndarray) -> float:
 
 
 def references(
-    whole: MasslessStructure, near: fc.Structure, omegas: np.ndarray
+    whole: fc.MasslessStructure, near: fc.Structure, omegas: np.ndarray
 ) -> dict[tuple[str, float], tuple[np.ndarray, np.ndarray]]:
     """The waves of the whole model, and how far they have converged."""
     found, left = {}, []
@@ -508,7 +507,7 @@ def seen_modes(structure: fc.Structure, count: int) -> tuple[np.ndarray, np.ndar
     """Squares of the lowest frequencies, and what pairs and load see of the modes: (count,) and
     (count, n_pairs + 1); the static compliance between these."""
     sources = sparse.hstack([structure.gap, structure.force[2:].T]).tocsr()
-    with Factor(structure.stiffness, symmetric=True) as factor:
+    with Factor(structure.stiffness, definite=True) as factor:
         columns = [
             sources.T @ factor.solve(sources[:, start : start + 16].T.toarray()).T
             for start in range(0, sources.shape[1], 16)
@@ -527,13 +526,13 @@ def of_seen_modes(
     squares: np.ndarray,
     seen: np.ndarray,
     statics: np.ndarray,
-    reference: MasslessStructure | None = None,
-) -> MasslessStructure:
+    reference: fc.MasslessStructure | None = None,
+) -> fc.MasslessStructure:
     """A reduction of which no displacement but that at the load is asked for."""
     compliance = statics - (seen.T / squares) @ seen
     force = np.zeros((3, len(squares) + len(statics)))
     force[2] = np.concatenate([seen[:, -1], compliance[-1]])
-    return MasslessStructure(
+    return fc.MasslessStructure(
         structure, squares, fc.ModalDamping(0.01), seen[:, :-1], force, compliance,
         reference=reference,
     )  # fmt: skip

@@ -26,7 +26,6 @@ import common
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.study.run import solve
 from fenics_crack.study.verification import finer_mesh
 
 Numbers = dict[str, float]
@@ -79,7 +78,7 @@ def load(demo: str, changes: Mapping[str, Any] | None = None) -> fc.Scene:
 
 def solved(scene: fc.Scene) -> Numbers:
     """Indicators and natural frequencies of a scene's solution."""
-    run = solve(scene)
+    run = fc.solve(scene)
     omega = fc.solve_modes(run.structure.whole, 3).omega
     found = run.result.indicators(run.watched_dof).to_dict()
     found |= {f"omega_open_{mode}": value for mode, value in enumerate(omega, 1)}
@@ -96,7 +95,7 @@ def on_finer_mesh(scene: fc.Scene) -> Numbers:
 
 def exact(scene: fc.Scene) -> Numbers:
     """Indicators of the motion from event to event, once it repeats; none where it does not."""
-    run = solve(scene)
+    run = fc.solve(scene)
     motion = fc.integrate_events(
         run.structure, run.result.omega, run.contact, periods=400, settle=1e-8,
         record_periods=1, initial=run.result, steps_per_period=1024,

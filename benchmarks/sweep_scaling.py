@@ -28,10 +28,9 @@ from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack.scene.tables import Sweep
-from fenics_crack.study.prepare import law_of, prepare
+from fenics_crack.study.prepare import law_of
 from fenics_crack.sweep import case as sweep_case
 from fenics_crack.sweep.plan import Chunk, Plan
-from fenics_crack.sweep.result import run_sweep
 
 RANKS = (1, 2, 4)
 ENVIRONMENT = {
@@ -91,10 +90,10 @@ def worker(kind: str, size: str, path: str) -> None:
     """Run one sweep; rank 0 prints the time."""
     comm = MPI.COMM_WORLD
     scene = scene_of(kind, size == "quick")
-    prepare(scene.replace({"sweep": None}), MPI.COMM_SELF)  # forms are compiled
+    fc.prepare(scene.replace({"sweep": None}), MPI.COMM_SELF)  # forms are compiled
     comm.Barrier()
     started = time.perf_counter()
-    result = run_sweep(scene, path)
+    result = fc.run_sweep(scene, path)
     elapsed = time.perf_counter() - started
     assert result.complete
     if comm.rank == 0:
@@ -149,7 +148,7 @@ def chunks(arguments: Arguments) -> None:
         if name == "paper_plate":
             changes |= {"damping.modes": "all", "crack.length": 0.05}
         scene = fc.Scene.load(DEMOS / f"{name}.toml").replace(changes)
-        plate = prepare(scene).structure
+        plate = fc.prepare(scene).structure
         assert scene.contact is not None
         law, last, others = fc.contact_law(scene.contact, plate), None, 0
         times: dict[str, list[float]] = {"cold": [], "near": []}
@@ -183,7 +182,7 @@ def chunks(arguments: Arguments) -> None:
 
 def cases(arguments: Arguments) -> None:
     """Cost of a case of a frequency sweep as the sweep solves it, and each by itself from its
-    neighbour, in turns of up to 12."""
+    neighbour, in turns of up to 16."""
     rows = []
     for name in ("paper_plate", "breathing_plate"):
         scene = scene_of("frequencies", arguments.quick)

@@ -33,7 +33,6 @@ import common
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.flow import ContactFlow, exact_flow
 from fenics_crack.time.march import initial_state
 
@@ -91,7 +90,7 @@ def judged(plate: fc.Structure, stiffness: float, omega: float, most: int) -> tu
     start, kind, exact = flow.state(*initial_state(plate, solution)), "none", float("nan")
     try:
         orbit = fc.shoot(plate, solution)
-    except ConvergenceError:
+    except fc.ConvergenceError:
         pass
     else:
         times = np.arange(len(orbit.gap)) * solution.period / len(orbit.gap)

@@ -44,7 +44,6 @@ from laboratory import solve_form
 from scipy.integrate import solve_ivp
 
 import fenics_crack as fc
-from fenics_crack.balance.problem import Problem
 from fenics_crack.draw.figure import COLOURS
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.modes import damped_modes
@@ -309,7 +308,7 @@ def balance(
         memory = common.PeakMemory()
         for _ in range(3 if solved.n_dofs < 100 else 1):
             started = time.process_time()
-            problem = Problem(solved, scene.omega, scene.law, harmonics, samples)
+            problem = fc.Problem(solved, scene.omega, scene.law, harmonics, samples)
             solution = solve_form(problem, throw=False, **form)  # type: ignore[arg-type]
             runs.append(time.process_time() - started)
         peak = memory.mib()

@@ -26,7 +26,6 @@ from pathlib import Path
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.study.run import follow_curve
 
 SCENE = Path(__file__).with_name("rotating_blade.toml")
 RPM = 2.0 * np.pi / 60.0
@@ -46,7 +45,7 @@ def main(output: Path = Path("output/blade"), *, quick: bool = False) -> dict[st
 
     if quick:
         scene = scene.replace({"harmonic_balance.harmonics": 3, "curve.stability": False})
-    run = follow_curve(scene)
+    run = fc.curve(scene)
     curve, tip = run.result, run.watched_dof
     print(curve)
     draw_run_up(run, order, output)

@@ -89,7 +89,11 @@ from fenics_crack.study.prepare import Study as Study
 from fenics_crack.study.prepare import contact_law as contact_law
 from fenics_crack.study.prepare import prepare as prepare
 from fenics_crack.study.run import Run as Run
+from fenics_crack.study.run import curve as curve
+from fenics_crack.study.run import integrate as integrate
 from fenics_crack.study.run import load_run as load_run
+from fenics_crack.study.run import modes as modes
+from fenics_crack.study.run import solve as solve
 from fenics_crack.study.verification import Verification as Verification
 from fenics_crack.study.verification import verify as verify
 from fenics_crack.sweep.result import SweepResult as SweepResult

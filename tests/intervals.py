@@ -17,9 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.errors import ConvergenceError
+import fenics_crack as fc
 from fenics_crack.kernel import Struct, kernel, owned, shaped
-from fenics_crack.model.coupled import ROUNDING, ActiveSets
+from fenics_crack.model.coupled import ActiveSets
+from fenics_crack.numerics.rounding import ROUNDING
 
 __all__ = ["Intervals", "contact_intervals"]
 
@@ -99,7 +100,7 @@ def contact_intervals(gap: np.ndarray, contact: ActiveSets) -> Intervals:
                 theta[: found + 1], first, pair[:found], stiffness, vectors[:found], gains[:found]
             )
         if found == NO_FORCES:
-            raise ConvergenceError("contact: no forces were found at an instant of the period")
+            raise fc.ConvergenceError("contact: no forces were found at an instant of the period")
         places *= 2
 
 

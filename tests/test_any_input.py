@@ -28,7 +28,6 @@ from hypothesis import strategies as st
 import fenics_crack as fc
 from fenics_crack import ConvergenceError, InputError, Run, Scene
 from fenics_crack.fem.plate import write_msh
-from fenics_crack.study.run import find_modes, solve
 
 SEEDS = st.integers(0, 10**6)
 LONGEST = 20
@@ -269,7 +268,7 @@ def test_wild_scenes(seed: int) -> None:
         try:
             scene = Scene.from_mapping(tables)
             check_run(
-                find_modes(scene, rng.choice([1, 3, 1000])) if seed % 7 == 0 else solve(scene)
+                fc.modes(scene, rng.choice([1, 3, 1000])) if seed % 7 == 0 else fc.solve(scene)
             )
         except InputError as error:
             check_error(error)
@@ -295,7 +294,7 @@ def test_scenes_that_failed(changes: dict[str, Any]) -> None:
     """Found by wild scenes."""
     with time_limit(), np.errstate(all="ignore"):
         try:
-            check_run(solve(Scene.from_mapping(TINY).replace(changes)))
+            check_run(fc.solve(Scene.from_mapping(TINY).replace(changes)))
         except InputError as error:
             check_error(error)
 
@@ -305,7 +304,7 @@ def test_a_crack_tip_too_fine() -> None:
     graded = {"layout": "graded", "cells": "triangle", "size": 0.1, "lip_elements": 3}
     scene = Scene.from_mapping(TINY | {"mesh": graded | {"grading": 1e6}})
     with pytest.raises(InputError, match=r"mesh\.grading"):
-        solve(scene.replace({"crack.length": 1e-4}))
+        fc.solve(scene.replace({"crack.length": 1e-4}))
 
 
 # --- mesh files -----------------------------------------------------------------------------------
@@ -327,7 +326,7 @@ def solve_changed_meshes(folder: Path, first: int, last: int) -> None:
         print(seed, flush=True)
         with np.errstate(all="ignore"):
             try:
-                check_run(solve(scene))
+                check_run(fc.solve(scene))
             except InputError as error:
                 check_error(error)
             except ConvergenceError:
@@ -363,7 +362,7 @@ def test_a_surface_in_two_groups(tmp_path: Path) -> None:
         )
     )
     assert double.read_text().count(" 2 1 7 ") == 1
-    once, twice = (solve(scene_of_file(p)).result for p in (path, double))
+    once, twice = (fc.solve(scene_of_file(p)).result for p in (path, double))
     assert isinstance(once, fc.PeriodicSolution) and isinstance(twice, fc.PeriodicSolution)
     np.testing.assert_allclose(once.gap_coefficients, twice.gap_coefficients, rtol=1e-9)
 

@@ -5,9 +5,8 @@
 of :mod:`contact_system`, with exact integrals of the contact forces. Along p the contact stiffness
 grows like e^(growth p), g_lin linearly, a softness in series with the pairs falls, or the base
 frequency and the damping of modes change, R and g_lin following from them
-(``kernel/compliance.h``, ``contact.h``). From 100 unknowns on points of pairs that nothing couples
-share LU factors there (``kernel/broyden.h``), and are those of the loops to about 1e-6 of a step;
-those of coupled ones are found by products with J (``kernel/krylov.h``).
+(``kernel/compliance.h``, ``contact.h``). From 100 unknowns on solutions with J are found by
+products with it (``kernel/krylov.h``).
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ __all__ = ["SHARP", "CompiledEquations", "ModalPart"]
 
 
 SHARP = 1e-9
-"""Relative residual of a solution with J where J is not formed."""
+"""Relative residual of a solution with J that takes products."""
 
 
 @dataclass(frozen=True)

@@ -41,8 +41,10 @@ from mpi4py import MPI
 from fenics_crack.balance.compiled import SHARP, CompiledEquations, ModalPart
 from fenics_crack.balance.compliance import Compliance, ResizedCompliance
 from fenics_crack.balance.contact_integrals import ContactIntegrals, LowRank, respond
+from fenics_crack.balance.wave import Wave
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
+from fenics_crack.numerics.fourier import resized, stretched
 from fenics_crack.numerics.krylov import gmres
 from fenics_crack.numerics.linearisation import DenseLinearisation, solve_factored
 
@@ -141,6 +143,14 @@ class ContactSystem:
         assert self.basis is not None
         found: np.ndarray = self.basis.T @ self.moving @ self.basis
         return found
+
+    def unknown(self, wave: Wave, factor: int = 1) -> np.ndarray:
+        """s of a wave, of whose periods one of these has so many: (2H+1, n_pairs)."""
+        gap, force = (
+            resized(stretched(rows, factor), self.integrals.harmonics)
+            for rows in (wave.gap_coefficients, wave.force_coefficients)
+        )
+        return gap if self.residual is None else gap + force @ self.residual
 
     def linearise(self, unknown: np.ndarray, parameter: float | None = None) -> ContactPoint:
         """The equations at s, of the law itself or at a parameter."""

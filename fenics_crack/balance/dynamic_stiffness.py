@@ -20,15 +20,12 @@ With a given damping matrix, or that of Rayleigh damping, the real form of twice
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import scipy.sparse as sparse
 from petsc4py import PETSc
 
 from fenics_crack.errors import ConvergenceError, InputError, check_number
 from fenics_crack.model.factor import Factor, weighted_sum
-from fenics_crack.model.matrices import distributed
 from fenics_crack.model.modes import damped_modes
 from fenics_crack.model.structure import Structure
 
@@ -65,14 +62,13 @@ class DynamicStiffness:
         if omega > 0.0:
             self._matrix = weighted_sum(structure.stiffness, -(omega**2), structure.mass)
             self._damping, self._modes = structure.damping_matrix, damped_modes(structure)
-        self._border = 0
-        """Rows of the border that this rank holds: all on the last rank."""
-        form = self._matrix
+        form, border = self._matrix, None
         if self._damping is not None:
             coupling, negative = self._damping.copy(), self._damping.copy()
             coupling.scale(omega)
             negative.scale(-omega)
-            form = _assembled([[form, coupling], [negative, form]])
+            form = PETSc.Mat().createNest([[form, coupling], [negative, form]], comm=form.comm)
+            form = form.convert("aij", PETSc.Mat())
         elif self._modes is not None:
             squares = self._modes.omega**2
             stiffness = squares - omega**2
@@ -82,24 +78,14 @@ class DynamicStiffness:
             factored = np.divide(1.0, stiffness, out=np.zeros_like(stiffness), where=~near)
             self._correction = 1.0 / (stiffness + 1j * omega * self._modes.rate) - factored
             if near.any():
-                form = self._bordered(self._modes.mass_shapes[:, near])
-        self._factor = Factor(form, symmetric=self._damping is None)
+                border = sparse.csr_matrix(self._modes.mass_shapes[:, near])
+        self._factor = Factor(form, symmetric=self._damping is None, border=border)
         if self._factor.null_pivots:
             self.destroy()
             cause = "it can move as a rigid body" if omega == 0.0 else "an undamped resonance"
             raise ConvergenceError(
                 f"dynamic stiffness at {omega:g} rad/s: the structure is singular ({cause})"
             )
-
-    def _bordered(self, columns: np.ndarray) -> Any:
-        """D with a border of columns (n_local, m)."""
-        comm, count = self.structure.comm, columns.shape[1]
-        self._border = count if comm.rank == comm.size - 1 else 0
-        right = distributed(columns, comm, self._border)
-        place = np.arange(self._border)
-        zeros = sparse.csr_matrix((np.zeros(self._border), (place, place)), (self._border, count))
-        below, corner = right.transpose(PETSc.Mat()), distributed(zeros, comm, self._border)
-        return _assembled([[self._matrix, right], [below, corner]])
 
     def solve(self, force: np.ndarray) -> np.ndarray:
         """Return Z^-1 f for real or complex forces (m, n_local) (collective)."""
@@ -109,9 +95,7 @@ class DynamicStiffness:
             found = self._factor.solve(stacked)
             return found[:, :n_local] - 1j * found[:, n_local:]
         rows = np.concatenate([force.real, force.imag]) if np.iscomplexobj(force) else force
-        if self._border:
-            rows = np.pad(rows, ((0, 0), (0, self._border)))
-        found = self._factor.solve(rows)[:, :n_local]
+        found = self._factor.solve(rows)
         if np.iscomplexobj(force):
             found = found[: len(force)] + 1j * found[len(force) :]
         if self._modes is None:
@@ -134,8 +118,3 @@ class DynamicStiffness:
 
     def __exit__(self, *exception: object) -> None:
         self.destroy()
-
-
-def _assembled(blocks: list[list[Any]]) -> Any:
-    """One sparse matrix from blocks."""
-    return PETSc.Mat().createNest(blocks, comm=blocks[0][0].comm).convert("aij", PETSc.Mat())

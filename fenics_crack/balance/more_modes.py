@@ -22,13 +22,14 @@ from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import times
 from fenics_crack.model.reduced import ReducedStructure, massless
 from fenics_crack.motion.flow import ContactFlow, flow_of
-from fenics_crack.motion.orbit import PeriodicOrbit, Prediction
+from fenics_crack.motion.orbit import INSTANTS, PeriodicOrbit, Prediction
 from fenics_crack.numerics.fourier import waves
 
 __all__ = ["MoreModes", "more_modes"]
 
-DIFFERENCE = 1e-5
-"""Of the period, for the rate of the new modes."""
+NODES = PARTS // 2
+"""Of the period, whose starts' states are corrected together: of an exact orbit fewer do than of a
+wave, and their derivatives with twice the modes take long."""
 
 
 def more_modes(judged: Judgement) -> MoreModes | None:
@@ -62,23 +63,22 @@ class MoreModes:
     def _states(self) -> np.ndarray | None:
         """At equal parts of the period: of the orbit, where it is known, else of the wave behind
         its own step; None where that is not known."""
-        judged, wave, time = self._judged, self._judged.wave, self._time
-        orbit = vars(judged).get("orbit")
+        judged, wave = self._judged, self._judged.wave
+        orbit, every = judged.orbit, slice(None, None, INSTANTS // NODES)
+        time = wave.period / INSTANTS * np.arange(INSTANTS)
         if orbit is not None and judged.accepted:
-            few, force_at = orbit.samples(time).states, orbit.force_at
+            few, force = orbit.sampled.states[every], orbit.sampled.force
         elif judged.predicted is not None:
-            few, force_at = judged.predicted.states, wave.contact_force
+            few = judged.predicted.states[:: PARTS // NODES]
+            force = wave.contact_force(time)
         else:
             return None
         shape, speed = np.split(few, 2, axis=1)
         if massless(wave.structure) is None:
             return self._expanded(shape, speed)
-        small = DIFFERENCE * wave.period
-        before, now, after = (
-            self._static(at, force_at(at), few.shape[1] // 2)
-            for at in (time - small, time, time + small)
-        )
-        return np.hstack([shape, now, speed, (after - before) / (2.0 * small)])
+        static = self._static(time, force, shape.shape[1])
+        rate = (np.roll(static, -1, axis=0) - np.roll(static, 1, axis=0)) / (2.0 * time[1])
+        return np.hstack([shape, static[every], speed, rate[every]])
 
     def _expanded(self, shape: np.ndarray, speed: np.ndarray) -> np.ndarray:
         """States of the reference of modal ones of a structure with mass."""
@@ -112,7 +112,7 @@ class MoreModes:
 
     @property
     def _time(self) -> np.ndarray:
-        return self._judged.wave.period / PARTS * np.arange(PARTS)
+        return self._judged.wave.period / NODES * np.arange(NODES)
 
     @cached_property
     def predicted(self) -> Prediction | None:

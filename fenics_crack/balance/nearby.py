@@ -50,15 +50,22 @@ def predicted(
 
 
 def orbit_next_to(
-    flow: ContactFlow, omega: float, start: np.ndarray, subharmonic: int = 1
+    flow: ContactFlow,
+    omega: float,
+    start: np.ndarray,
+    subharmonic: int = 1,
+    *,
+    patient: bool = True,
 ) -> PeriodicOrbit | None:
-    """The orbit next to a state: by Newton's method, or else where the homotopy from the state
-    leads; None where these lead to none.
+    """The orbit next to a state: by Newton's method, or else, if ``patient``, where the homotopy
+    from the state leads; None where these lead to none.
 
     Where stiff pairs open and close many times, Newton's method finds an orbit only from very near.
     """
     orbit = find_orbit(flow, omega, start, subharmonic=subharmonic)
-    return orbit or _by_homotopy(FlowOrbits(flow, omega, start, subharmonic))
+    if orbit is not None or not patient:
+        return orbit
+    return _by_homotopy(FlowOrbits(flow, omega, start, subharmonic))
 
 
 def _by_homotopy(orbits: FlowOrbits) -> PeriodicOrbit | None:

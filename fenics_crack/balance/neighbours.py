@@ -29,7 +29,6 @@ from fenics_crack.balance.solver import Solver
 from fenics_crack.errors import MOST_HARMONICS, ConvergenceError
 from fenics_crack.model.modal import all_modes
 from fenics_crack.numerics.bordered import point_on_path, solve_at
-from fenics_crack.numerics.fourier import resized
 from fenics_crack.numerics.path import SHARP, Ended, Path, PathOptions, Target
 
 __all__ = ["Neighbours", "fewer_harmonics", "more_harmonics"]
@@ -120,7 +119,7 @@ class Neighbours:
     def _along_frequency(self, problem: Problem, last: PeriodicSolution) -> PeriodicSolution | None:
         """Solve from another frequency; None where that does not lead there."""
         family = self._family_of(problem, last)
-        start, omega = _unknown(family.problem, last), problem.omega
+        start, omega = family.system(last.omega).unknown(last), problem.omega
         near, end = family.parameter(last.omega), family.parameter(omega)
         sharp = max(SHARP, family.rounding(end))
         at = (family.compiled or family).linearise(start, near)
@@ -165,11 +164,3 @@ def _error(solution: PeriodicSolution) -> float:
 def _can_be_followed(problem: Problem) -> bool:
     """Whether the problem belongs to a family along the frequency."""
     return not problem.projected and not all_modes(problem.structure).ill_conditioned
-
-
-def _unknown(problem: Problem, solution: PeriodicSolution) -> np.ndarray:
-    """A solution as the unknowns of a problem."""
-    found = solution.gap_coefficients
-    if problem.residual is not None:
-        found = found + solution.force_coefficients @ problem.residual
-    return resized(found, problem.harmonics)

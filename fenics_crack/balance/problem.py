@@ -13,18 +13,31 @@ from fenics_crack.balance.contact_integrals import (
     ExactIntegrals,
     contact_integrals,
 )
-from fenics_crack.balance.contact_system import ContactSystem, default_weight
+from fenics_crack.balance.contact_system import ContactPoint, ContactSystem, default_weight
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
-from fenics_crack.errors import MAX_SAMPLES, InputError, check_count, check_number, check_omega
+from fenics_crack.balance.wave import Wave
+from fenics_crack.errors import (
+    MAX_SAMPLES,
+    ConvergenceError,
+    InputError,
+    check_count,
+    check_number,
+    check_omega,
+)
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.coupled import is_regular
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.bordered import solve_in_plane
 
-__all__ = ["Problem"]
+__all__ = ["NEARLY", "Problem"]
 
 BEYOND = 2.0
 """Modes above so many times the highest harmonic answer at once."""
+NEARLY = 1e-5
+"""|F| / |x| of a solution with which another one begins, or by which it is judged."""
+STEPS, LEAST_DAMPING = 20, 0.01
+"""Newton's steps to one next to another one, and how short these may become."""
 STIFF = 100.0
 """k R_inf from which a penalty on lips with mass is seen through R_inf."""
 
@@ -154,6 +167,37 @@ class Problem:
     def system(self, compliance: Compliance) -> ContactSystem:
         """The equations."""
         return ContactSystem(compliance, self.weighted(compliance).integrals())
+
+    def wave(self, at: ContactPoint) -> Wave:
+        """The motion that belongs to a point of the equations (collective)."""
+        displacement = at.system.compliance.displacement(at.force)
+        return Wave(
+            self.structure, self.omega, self.contact, displacement, at.gap, at.force,
+            self.subharmonic, self.static_cutoff,
+        )  # fmt: skip
+
+    def next_to(self, wave: Wave) -> Wave | None:
+        """The motion that Newton's method leads to from a wave, in the kernel; None where it leads
+        to none, or the kernel has no such equations."""
+        try:
+            system = self.system(self.compliance())
+            if not system.in_kernel:
+                return None
+            start = system.unknown(wave, self.subharmonic // wave.subharmonic)
+            found = None
+            for damping in (None, LEAST_DAMPING):
+                found = found or solve_in_plane(
+                    system,
+                    start,
+                    system.end,
+                    None,
+                    tolerance=NEARLY,
+                    iterations=STEPS,
+                    least_damping=damping,
+                )
+            return None if found is None else self.wave(system.linearise(found.unknown))
+        except (ConvergenceError, np.linalg.LinAlgError):
+            return None
 
     def integrals(self) -> ContactIntegrals:
         """How the contact force is integrated; that of a projection by its weight."""

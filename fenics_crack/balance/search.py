@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.contact_system import ContactSystem
-from fenics_crack.balance.problem import Problem
+from fenics_crack.balance.problem import NEARLY, Problem
 from fenics_crack.balance.rounding import SOFT, check_stiffness, stiffness_times_compliance
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.flow import ExponentialFlow
@@ -48,8 +48,6 @@ MANY = 100
 """Unknowns from which fewer harmonics are quicker than full steps from the linear solution."""
 STEPS, PATIENCE = 20, 8
 """Newton steps from a guess, and those of them that may together fail to halve the residual."""
-RUNG = 1e-5
-"""|F| / |x| of a solution with fewer harmonics."""
 PERIODS, MARCHED, MOVING = 40, (1, 3, 9), 40
 """Periods of a response that are marched at a time, how many times for one guess after the other,
 and modes that move in them."""
@@ -207,7 +205,7 @@ class Search:
                 system = with_harmonics(count)
                 start = system.linear if found is None else resized(found, count)
                 for guess in self._near(system, start, parameter):
-                    sharp = max(self.tolerance, RUNG)
+                    sharp = max(self.tolerance, NEARLY)
                     point = solve_at(system, guess, parameter, tolerance=sharp, iterations=STEPS)
                     self.iterations += STEPS if point is None else point.iterations
                     if point is not None:

@@ -213,17 +213,7 @@ def solution_of(
     nothing is estimated where it is not ``reported``, and nothing else where the truncation is
     above ``enough``.
     """
-    found = PeriodicSolution(
-        problem.structure,
-        problem.omega,
-        problem.contact,
-        at.system.compliance.displacement(at.force),
-        at.gap,
-        at.force,
-        problem.subharmonic,
-        status=status,
-        static_above=problem.static_cutoff,
-    )
+    found = PeriodicSolution(**vars(problem.wave(at)), status=status)
     if not reported:
         return found
     return replace(

@@ -8,15 +8,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 
-import numpy as np
-
 from fenics_crack.balance.compliance import Compliance, ResizedCompliance
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.search import Search
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.numerics.fourier import resized, stretched
 from fenics_crack.numerics.linearisation import Linearisation
 
 __all__ = ["Solver"]
@@ -75,11 +72,6 @@ class Solver:
         finally:
             found.destroy()
 
-    def start(self, initial: PeriodicSolution, name: str) -> np.ndarray:
-        """Coefficients of a solution, by their name, with the harmonics of this response."""
-        factor = self.problem.subharmonic // initial.subharmonic
-        return resized(stretched(getattr(initial, name), factor), self.problem.harmonics)
-
     def find(
         self, search: Search, compliance: Compliance, initial: PeriodicSolution | None
     ) -> Linearisation:
@@ -93,9 +85,7 @@ class Solver:
 
         system = with_harmonics(problem.harmonics)
         if initial is not None:
-            start = self.start(initial, "gap_coefficients")
-            if system.residual is not None:
-                start = start + self.start(initial, "force_coefficients") @ system.residual
+            start = system.unknown(initial, problem.subharmonic // initial.subharmonic)
         if system.residual is None:
             return search.penalty(system, start, problem, with_harmonics)
         return search.coupled(with_harmonics, problem, start)

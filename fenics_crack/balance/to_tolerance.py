@@ -16,6 +16,7 @@ harmonics as bring the estimated error down.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -25,7 +26,7 @@ import numpy as np
 from fenics_crack.balance.error_report import UNKNOWN, ErrorReport
 from fenics_crack.balance.judgement import AFFORDABLE, Judgement, relative
 from fenics_crack.balance.more_modes import more_modes
-from fenics_crack.balance.nearby import recurring, wave_states
+from fenics_crack.balance.nearby import recurring
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.balance.solver import Solver
@@ -45,12 +46,10 @@ FIRST_MODES, MAX_MODES = 10, 100
 FEWEST = 3
 """Harmonics that a solution to a tolerance has."""
 RUNGS = (5, 10, 20, 40)
-"""Harmonics of the load's frequency with which an orbit is sought."""
+"""Harmonics of the load's frequency with which a solution is sought whose orbit is known."""
 SAFETY, NEGLIGIBLE = 0.7, 0.05
 """Part of what modes leave of a tolerance that harmonics may take; and of the modes' error, below
 which harmonics need not fall."""
-MORE = 1.2
-"""Times as many harmonics are kept next where so many do not do."""
 MAX_HARMONICS, MAX_KEPT = 300, 500
 """Harmonics that are solved for, and that are kept of an orbit for each period of the load."""
 
@@ -157,25 +156,20 @@ def _sought(
 ) -> tuple[PeriodicSolution | None, PeriodicOrbit | None, str]:
     """A solution with few harmonics and the orbit next to it, where it is that solution's own;
     where none has its own, another one, or one that the motion passes. And how it was found."""
-    problem, near = solver.problem, None
-    other: tuple[PeriodicOrbit, str] | None = None
+    problem, start = solver.problem, np.zeros(flow.size)
     periods, omega = problem.subharmonic, problem.omega
     for count in RUNGS:
         few = replace(solver, problem=problem.with_harmonics(count * periods))
         begin(f"H = {few.problem.harmonics}, {problem.structure.n_dofs} coordinates")
-        found = few.attempt(near or initial, patient=False, reported=False)[1]
-        if found.converged:
-            near, orbit = found, found.judged.orbit
-            if orbit is not None and found.judged.accepted:
-                return near, orbit, _way(found)
-            if other is None and orbit is not None:
-                other = orbit, _way(found)
-    if other is not None:
-        return near, *other
-    start = np.zeros(flow.size)
-    if near is not None:
-        start = wave_states(flow, near.displacement_coefficients, near.base_omega)[0]
-    return near, recurring(flow, omega, start, periods), "exact orbit, by following the motion"
+        near = few.attempt(initial, patient=False, reported=False)[1]
+        if near.converged:
+            break
+    if near.converged and near.judged.orbit is not None:
+        return near, near.judged.orbit, _way(near)
+    if near.converged:
+        start = near.judged.states[0]
+    known = near if near.converged else None
+    return known, recurring(flow, omega, start, periods), "exact orbit, by following the motion"
 
 
 def _way(found: PeriodicSolution) -> str:
@@ -199,12 +193,10 @@ def _kept(solver: Solver, orbit: PeriodicOrbit, tolerance: float) -> PeriodicSol
     fewer, found = 0, wave_with(problem.harmonics)
     while not found.judged.distance <= goal and found.harmonics < most:
         fewer, found = found.harmonics, wave_with(min(2 * found.harmonics, most))
-    while found.harmonics > max(MORE * fewer, fewer + 1, problem.harmonics):
-        between = wave_with((fewer + found.harmonics) // 2)
-        if between.judged.distance <= goal:
-            found = between
-        else:
-            fewer = between.harmonics
+    between = range(fewer + 1, found.harmonics) if fewer else range(0)
+    kept = bisect_left(between, True, key=lambda count: wave_with(count).judged.distance <= goal)
+    if kept < len(between):
+        found = wave_with(between[kept])
     gap, judged = orbit.gap, found.judged
     closing = gap + problem.structure.clearance
     report = ErrorReport(

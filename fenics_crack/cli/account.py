@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -85,8 +84,6 @@ class Account:
         Whether a vibration lasts; and "good", "bad" or "doubtful".
     tables : dict of Table
         Of a report, by their captions.
-    draw : callable
-        Draws its pictures into a folder; returns the files.
     done : bool
         False where something has not converged.
     run : Run, optional
@@ -102,7 +99,6 @@ class Account:
     warnings: Sequence[str] = ()
     verdict: tuple[str, str] | None = None
     tables: Mapping[str, Table] = field(default_factory=dict)
-    draw: Callable[[Path], list[Path]] = lambda folder: []
     done: bool = True
     run: Run | None = None
 

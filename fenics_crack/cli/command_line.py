@@ -9,12 +9,13 @@ import resource
 import signal
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from enum import IntEnum
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from fenics_crack.errors import ConvergenceError, InputError, WriteError, check_count
+from fenics_crack.errors import ConvergenceError, InputError, WriteError
 from fenics_crack.one_thread import alone
 from fenics_crack.version import VERSION
 from fenics_crack.whole import FULL
@@ -27,35 +28,28 @@ __all__ = ["main", "parser"]
 
 LAUNCHERS = ("OMPI_COMM_WORLD_RANK", "PMIX_RANK", "PMI_RANK")
 """Variables by which mpirun tells a process its rank, before MPI is started."""
+ALONE = {"OMPI_MCA_pml": "ob1", "OMPI_MCA_ess_singleton_isolated": "1"}
+"""Settings of Open MPI for one process: it looks for no network and starts no daemon, which would
+take as long as all else before the first command."""
 OUT_OF_MEMORY = ("PetscMalloc", "failed to map segment")
 """In what PETSc says, and the system of a library that it cannot load."""
+TABLES = {
+    "curve": ("parameter", "start"),
+    "excitation": ("omega",),
+    "harmonic_balance": ("harmonics", "samples", "tolerance"),
+    "integration": ("steps_per_period",),
+    "reduction": ("modes",),
+    "tip_timing": ("clock", "noise", "probes", "revolutions", "tip_radius"),
+}
+DAMPING = ("mass", "modes", "omegas", "ratio", "ratios", "stiffness")
 KEYS = {
+    **{name: f"{table}.{name}" for table, names in TABLES.items() for name in names},
+    **{f"damping {name}": f"damping.{name}" for name in DAMPING},
+    **dict.fromkeys(("low", "high", "high - low"), "tip_timing.frequencies"),
     "contact stiffness": "contact.stiffness",
     "count": "--count",
-    "damping mass": "damping.mass",
-    "damping modes": "damping.modes",
-    "damping omegas": "damping.omegas",
-    "damping ratio": "damping.ratio",
-    "damping ratios": "damping.ratios",
-    "damping stiffness": "damping.stiffness",
-    "harmonics": "harmonic_balance.harmonics",
-    "modes": "reduction.modes",
-    "omega": "excitation.omega",
-    "parameter": "curve.parameter",
     "end": "curve.stop",
-    "high": "tip_timing.frequencies",
-    "high - low": "tip_timing.frequencies",
-    "low": "tip_timing.frequencies",
-    "clock": "tip_timing.clock",
-    "noise": "tip_timing.noise",
-    "probes": "tip_timing.probes",
-    "revolutions": "tip_timing.revolutions",
-    "tip_radius": "tip_timing.tip_radius",
-    "samples": "harmonic_balance.samples",
-    "start": "curve.start",
     "start, end": "curve.start, curve.stop",
-    "steps_per_period": "integration.steps_per_period",
-    "tolerance": "harmonic_balance.tolerance",
 }
 """Keys of a scene for the arguments of the library that errors name."""
 EPILOG = """\
@@ -186,7 +180,8 @@ def _run(given: argparse.Namespace) -> Exit:
     inputs = None if launched else read_inputs(given)
     if given.command != "new" and not (inputs and inputs.scene.structure):
         from fenics_crack import mesher  # noqa: F401  before MPI: see there
-    from mpi4py import MPI
+    with _settings({} if launched else ALONE):
+        from mpi4py import MPI
 
     from fenics_crack.cli.console import Console
     from fenics_crack.parallel import on_root
@@ -202,79 +197,36 @@ def _run(given: argparse.Namespace) -> Exit:
         return Exit.DONE if _command(given, inputs, console) else Exit.NOT_CONVERGED
 
 
+@contextlib.contextmanager
+def _settings(wanted: dict[str, str]) -> Iterator[None]:
+    """Variables of the surroundings for a while, where the user has not set them."""
+    added = {name: value for name, value in wanted.items() if name not in os.environ}
+    os.environ |= added
+    try:
+        yield
+    finally:
+        for name in added:
+            del os.environ[name]
+
+
 def _command(given: argparse.Namespace, inputs: Inputs | None, console: Console) -> bool:
     """Call a command; return whether all that it computed has converged."""
+    module, name = FUNCTIONS.get(given.command, "commands.solved").split(".")
+    command = getattr(import_module(f"fenics_crack.cli.{module}"), name)
+    if inputs is None or "output" not in given:
+        return bool(command(given, inputs, console))
     from fenics_crack.cli.console import make_writable
-
-    if given.command == "new":
-        from fenics_crack.cli.scenes import new
-
-        new(given.file, console)
-        return True
-    if inputs is None:
-        return _look_at(given, console)
-    if given.command == "check":
-        from fenics_crack.cli.scenes import check
-
-        check(inputs.scene, console)
-        return True
-    folder = given.output or Path("output") / given.scene.stem
-    make_writable(folder, console.comm)
     from fenics_crack.study.remarks import remarks_on_scene
 
+    make_writable(inputs.folder, console.comm)
     told = remarks_on_scene(inputs.scene)
     try:
-        return _compute(given, inputs, folder, console)
+        return bool(command(given, inputs, console))
     except InputError:
         told = []  # one line about an error
         raise
     finally:
-        console.notes(f"remark: {remark}" for remark in told)
-
-
-def _look_at(given: argparse.Namespace, console: Console) -> bool:
-    """Call a command that reads results."""
-    if given.command == "plot":
-        from fenics_crack.cli.commands import plot
-        from fenics_crack.cli.console import make_writable
-
-        first = given.results[0]
-        beside = first.parent if first.suffix != ".toml" else Path("output") / first.stem
-        folder = given.output or beside
-        make_writable(folder, console.comm)
-        plot(given.results, given.label, folder, console, show=given.show)
-        return True
-    from fenics_crack.cli.report import write_report
-    from fenics_crack.parallel import on_root
-
-    page = given.output or given.results[0].parent / "report.html"
-    words = ["fenics-crack", *given.words]
-    with console.stage("report"):
-        on_root(console.comm, lambda: write_report(given.results, page, words))
-    console.note(str(page))
-    return True
-
-
-def _compute(given: argparse.Namespace, inputs: Inputs, folder: Path, console: Console) -> bool:
-    """Call a command that solves a scene."""
-    from fenics_crack.cli import commands  # takes a while to import
-
-    scene, count = inputs.scene, vars(given).get("count")
-    if count is not None:
-        check_count("--count", count, 1)
-    if given.command == "campbell":
-        return commands.campbell_diagram(scene, given.speeds, count or 6, folder, console)
-    if given.command == "identify":
-        return commands.identification(inputs, folder, console)
-    if given.command == "timing":
-        from fenics_crack.cli.timing import timing
-
-        return timing(scene, inputs.arrivals, folder, console)
-    if given.command == "verify":
-        return commands.verification(scene, folder, console)
-    if given.command == "sweep":
-        return commands.sweep(scene, folder, console)
-    return commands.solved(given.command, scene, count, folder, console)
+        console.note(*(f"remark: {remark}" for remark in told))
 
 
 # --- arguments ------------------------------------------------------------------------------------
@@ -323,6 +275,18 @@ COMMANDS = {
     ),
 }
 """What each command does, and its own arguments."""
+FUNCTIONS = {
+    "new": "scenes.new",
+    "check": "scenes.check",
+    "campbell": "commands.campbell_diagram",
+    "verify": "commands.verification",
+    "sweep": "commands.sweep",
+    "timing": "timing.timing",
+    "identify": "commands.identification",
+    "plot": "commands.plot",
+    "report": "report.report",
+}
+"""What they call in this folder; the others are runs, ``commands.solved``."""
 ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "file": ("the file to write, for example plate.toml", {"type": path, "metavar": "scene"}),
     "scene": ("the scene, a TOML file", {"type": path}),

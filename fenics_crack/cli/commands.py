@@ -5,24 +5,28 @@ They say whether all that they have computed has converged.
 
 from __future__ import annotations
 
+from argparse import Namespace
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import Account
-from fenics_crack.cli.console import Console
+from fenics_crack.cli.console import Console, make_writable
 from fenics_crack.cli.inputs import Inputs
-from fenics_crack.cli.results import account_of, account_of_file
+from fenics_crack.cli.results import account_of, result_of
 from fenics_crack.cli.scenes import remark_on_sweep
-from fenics_crack.errors import InputError
+from fenics_crack.errors import FEW_MODES, InputError
 from fenics_crack.files.results import save
 from fenics_crack.files.store import read
 from fenics_crack.model.modes import Modes
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
-from fenics_crack.study.run import Run, find_modes, follow_curve, integrate, solve
+from fenics_crack.study.run import Run, curve, integrate, modes, solve
+from fenics_crack.sweep.result import SweepResult
 from fenics_crack.table import RPM, quantity
 
 __all__ = ["campbell_diagram", "identification", "plot", "solved", "sweep", "tell", "verification"]
@@ -30,22 +34,23 @@ __all__ = ["campbell_diagram", "identification", "plot", "solved", "sweep", "tel
 MOST_SPEEDS = 10_000
 """Of a Campbell diagram."""
 RUNS: dict[str, tuple[str, Callable[..., Run]]] = {
-    "modes": ("modes", find_modes),
+    "modes": ("modes", modes),
     "solve": ("solution", solve),
-    "curve": ("curve", follow_curve),
+    "curve": ("curve", curve),
     "integrate": ("integration", integrate),
 }
 """What commands compute, and the name of their files."""
 
 
-def solved(command: str, scene: Scene, count: int | None, folder: Path, console: Console) -> bool:
+def solved(given: Namespace, inputs: Inputs, console: Console) -> bool:
     """``modes``, ``solve``, ``curve``, ``integrate``: a run, a file of its result, its account."""
-    name, compute = RUNS[command]
-    own = {"count": count} if command == "modes" else {}
-    if command in ("curve", "integrate"):
+    name, compute = RUNS[given.command]
+    own = {"count": given.count} if given.command == "modes" else {}
+    if given.command in ("curve", "integrate"):
         own = {"progress": console.progress}
     with console.stage(name):
-        run = compute(scene, comm=console.comm, **own)
+        run = compute(inputs.scene, comm=console.comm, **own)
+    folder = inputs.folder
     path, watched = folder / f"{name}.h5", run.motion()
     if run.structure.comm.size > 1 and isinstance(run.result, PeriodicSolution | Modes):
         save(run.result, path, scene=run.scene, watched=watched)  # it is spread over the ranks
@@ -54,16 +59,18 @@ def solved(command: str, scene: Scene, count: int | None, folder: Path, console:
     return tell(account_of(run), folder, console)
 
 
-def tell(account: Account, folder: Path, console: Console, *, draw: bool = False) -> bool:
-    """Write the tables of an account, and its pictures if these belong to them; print what there is
-    to say. Returns whether all has converged."""
+def tell(
+    account: Account, folder: Path, console: Console, draw: Callable[..., Any] | None = None
+) -> bool:
+    """Write the tables of an account, and its picture by ``draw(path=...)``; print what there is to
+    say. Returns whether all has converged."""
     path = folder / account.name
 
     def write() -> None:
         account.summary.save(f"{path}.json")
         (account.rows or account.summary).save(f"{path}.csv")
         if draw:
-            account.draw(folder)
+            draw(path=Path(f"{path}.png"))
 
     on_root(console.comm, write)
     shown = account.shown if console.form == "text" else None
@@ -76,27 +83,28 @@ def tell(account: Account, folder: Path, console: Console, *, draw: bool = False
         places = [f"{name} {quantity(distance, 'm')}" for name, distance in away.items()]
         told = f"watched at the nearest node, away by: {', '.join(places)}"
         console.note(told if places else "")
-    console.notes(account.notes)
-    console.warnings(account.warnings)
+    console.note(*account.notes)
+    console.warn(*account.warnings)
     return account.done
 
 
-def sweep(scene: Scene, folder: Path, console: Console) -> bool:
+def sweep(_: Namespace, inputs: Inputs, console: Console) -> bool:
     """All cases of a sweep, or those that an earlier run has left."""
     from fenics_crack.cli.of_sweep import account_of_sweep
     from fenics_crack.sweep.result import run_sweep
 
+    scene, folder = inputs.scene, inputs.folder
     with console.timed("sweep"):
         found = run_sweep(scene, folder / "sweep.h5", console.comm, progress=console.progress)
     return tell(account_of_sweep(found, remark_on_sweep(scene, console.comm)), folder, console)
 
 
-def campbell_diagram(
-    scene: Scene, span: list[float] | None, count: int, folder: Path, console: Console
-) -> bool:
+def campbell_diagram(given: Namespace, inputs: Inputs, console: Console) -> bool:
     """Natural frequencies over the speed, and where engine orders meet the first breathing one."""
+    from fenics_crack.draw.plot_rotor import draw_campbell
     from fenics_crack.study.campbell import campbell
 
+    scene, span = inputs.scene, given.speeds
     scene.given("rotation")
     factor = RPM if scene.in_rpm else 1.0
     start, stop, steps = span or (0.0, 1.5 * scene.speed / factor, 13)
@@ -104,15 +112,9 @@ def campbell_diagram(
         allowed = f"0 <= START < STOP, and COUNT a whole number from 2 to {MOST_SPEEDS}"
         raise InputError("--speeds", span or (start, stop, steps), allowed)
     with console.stage("campbell"):
-        found = campbell(scene, factor * np.linspace(start, stop, int(steps)), count, console.comm)
+        speeds = factor * np.linspace(start, stop, int(steps))
+        found = campbell(scene, speeds, given.count or FEW_MODES, console.comm)
     in_hertz, own = scene.in_hertz or scene.in_rpm, scene.excitation.order
-
-    def draw(folder: Path) -> list[Path]:
-        from fenics_crack.draw.plot_rotor import draw_campbell
-
-        orders, path = sorted({*range(1, 9), own or 1}), folder / "campbell.png"
-        draw_campbell(found, orders, path=path, in_hertz=in_hertz, in_rpm=scene.in_rpm)
-        return [path]
 
     kinds = [f"{'frequency' if in_hertz else 'omega'}_{kind}" for kind in found.kinds]
     notes = [
@@ -121,22 +123,19 @@ def campbell_diagram(
         for mode, speed in found.crossings(order)
     ]
     shown = found.table("rpm" if scene.in_rpm else "speed", "mode", *kinds)
-    account = Account("campbell", found.table(), shown=shown, notes=notes, draw=draw)
-    return tell(account, folder, console, draw=True)
+    account = Account("campbell", found.table(), shown=shown, notes=notes)
+    orders = sorted({*range(1, 9), own or 1})
+    draw = partial(draw_campbell, found, orders, in_hertz=in_hertz, in_rpm=scene.in_rpm)
+    return tell(account, inputs.folder, console, draw)
 
 
-def verification(scene: Scene, folder: Path, console: Console) -> bool:
+def verification(_: Namespace, inputs: Inputs, console: Console) -> bool:
     """What mesh, modes, harmonics and samples contribute to the error of the steady vibration."""
+    from fenics_crack.draw.plot_study import draw_verification
     from fenics_crack.study.verification import verify
 
     with console.stage("verification"):
-        found = verify(scene, console.comm)
-
-    def draw(folder: Path) -> list[Path]:
-        from fenics_crack.draw.plot_study import draw_verification
-
-        draw_verification(found, path=folder / "verify.png")
-        return [folder / "verify.png"]
+        found = verify(inputs.scene, console.comm)
 
     account = Account(
         "verify",
@@ -144,17 +143,17 @@ def verification(scene: Scene, folder: Path, console: Console) -> bool:
         shown=found.totals(),
         notes=found.statement[: -len(found.warnings) or None],
         warnings=found.warnings,
-        draw=draw,
         done=not found.failures,
     )
-    return tell(account, folder, console, draw=True)
+    return tell(account, inputs.folder, console, partial(draw_verification, found))
 
 
-def identification(inputs: Inputs, folder: Path, console: Console) -> bool:
+def identification(given: Namespace, inputs: Inputs, console: Console) -> bool:
     """A crack from measurements: what it is, how sure, and where to measure next."""
     from fenics_crack.identification.identify import identify  # SciPy's optimize and interpolate
 
-    scene, parts = inputs.scene, [] if inputs.measurements is None else [inputs.measurements]
+    scene, folder = inputs.scene, inputs.folder
+    parts = [] if inputs.measurements is None else [inputs.measurements]
     if inputs.arrivals is not None:
         from fenics_crack.study.timing import arrivals_of, engine_order
 
@@ -183,44 +182,47 @@ def identification(inputs: Inputs, folder: Path, console: Console) -> bool:
     ratio = found.log_bayes_factor
     told = "" if np.isnan(ratio) else f": log Bayes factor {ratio:.3g}, crack over no crack"
     console.note(f"{found.verdict}{told}")
-    console.notes(f"remark: {remark}" for remark in found.remarks)
+    console.note(*(f"remark: {remark}" for remark in found.remarks))
     console.note(f"next to measure: {worth}")
     console.note(f"{folder / 'identify.h5'}, .json; posterior.png, fit.csv, where_to_measure.csv")
-    console.warnings(found.warnings)
+    console.warn(*found.warnings)
     return True
 
 
-def plot(
-    results: list[Path], labels: list[str], folder: Path, console: Console, *, show: bool
-) -> None:
+def plot(given: Namespace, _: None, console: Console) -> bool:
     """Pictures of a result, of several in one, or of a scene's mesh; by rank 0."""
+    results, labels = given.results, given.label
     first, several = results[0], len(results) > 1
     is_scene = first.suffix.lower() == ".toml"
+    folder = given.output or (Path("output") / first.stem if is_scene else first.parent)
+    make_writable(folder, console.comm)
 
     def draw() -> list[Path]:
+        from fenics_crack.cli.pictures import draw_result, draw_several
+
         stored = None if several or is_scene else read(first)
-        if show and (stored is None or stored.kind != PeriodicSolution.KIND):
+        if given.show and (stored is None or stored.kind != PeriodicSolution.KIND):
             raise InputError("--show", str(first), "used with one periodic solution")
         if several or labels:
-            from fenics_crack.cli.overlay import draw_several
-
             return draw_several(results, labels, folder)
         if stored is None:
             from fenics_crack.cli.scenes import draw_scene
 
             return draw_scene(Scene.load(first), folder)
-        account = account_of_file(stored)
-        files = _for_paraview(account.run, folder, console, show=show)
-        return account.draw(folder) + files
+        result = result_of(stored)
+        return draw_result(result, folder) + _for_paraview(result, folder, console, show=given.show)
 
     with console.stage("pictures"):
         files = on_root(console.comm, draw)
-    console.notes(map(str, files))
+    console.note(*map(str, files))
+    return True
 
 
-def _for_paraview(run: Run | None, folder: Path, console: Console, *, show: bool) -> list[Path]:
+def _for_paraview(
+    run: Run | SweepResult, folder: Path, console: Console, *, show: bool
+) -> list[Path]:
     """Files of modes and of a period; none without a mesh. With ``show`` a window, too."""
-    if run is None or not isinstance(run.result, Modes | PeriodicSolution):
+    if isinstance(run, SweepResult) or not isinstance(run.result, Modes | PeriodicSolution):
         return []
     from fenics_crack.draw.paraview import write_modes, write_period
 

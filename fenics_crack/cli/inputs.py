@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
-from fenics_crack.errors import InputError
+from fenics_crack.errors import InputError, check_count
 from fenics_crack.identification.measurements import Measurements
 from fenics_crack.scene.scene import Scene
 
@@ -25,6 +25,7 @@ class Inputs:
     """What was read; None where the command is given no such thing beside its scene."""
 
     scene: Scene
+    folder: Path  # for results
     measurements: Measurements | None = None
     arrivals: ArrivalTimes | Path | None = None  # or the result from which they are computed
 
@@ -43,9 +44,11 @@ def read_inputs(given: argparse.Namespace) -> Inputs | None:
     measured, seen = (getattr(given, name, None) for name in ("measurements", "arrivals"))
     if given.command == "identify" and measured is None and seen is None:
         raise InputError("measurements", None, "given: a CSV file, or --arrivals")
-    return Inputs(
-        scene, None if measured is None else Measurements.from_csv(measured), _arrivals(scene, seen)
-    )
+    if (count := vars(given).get("count")) is not None:
+        check_count("--count", count, 1)
+    folder = vars(given).get("output") or Path("output") / given.scene.stem
+    rows = None if measured is None else Measurements.from_csv(measured)
+    return Inputs(scene, folder, rows, _arrivals(scene, seen))
 
 
 def _arrivals(scene: Scene, source: Path | None) -> ArrivalTimes | Path | None:

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.error_report import UNKNOWN
 from fenics_crack.balance.indicators import contact_extremes, indicators_of
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import (
@@ -34,12 +31,12 @@ from fenics_crack.study.run import Run
 from fenics_crack.table import Table, quantity
 from fenics_crack.time.march import TimeHistory
 
-__all__ = ["account_of_history", "account_of_modes", "account_of_solution", "with_hertz"]
+__all__ = [
+    "account_of_history", "account_of_modes", "account_of_solution", "closings", "with_hertz",
+]  # fmt: skip
 
 LAST_HARMONICS = 3
 """Of the last period of a motion in time."""
-STYLES = (("orange", "--"), ("green", "-."), ("pink", ":"))
-"""Colour and line of the closing of one crack after the other."""
 
 Row = tuple[str, str, object, str]
 """Name, words, value, unit."""
@@ -51,17 +48,9 @@ def account_of_modes(run: Run[Modes]) -> Account:
     first = float(found.omega[0])
     hertz = first / (2.0 * np.pi)
 
-    def draw(folder: Path) -> list[Path]:
-        from fenics_crack.draw.plot_mesh import draw_modes
-
-        if found.structure.whole.nodes is None:
-            return []
-        draw_modes(found, path=folder / "modes.png")
-        return [folder / "modes.png"]
-
     fact = f"The first natural frequency with the crack open is {hertz:.5g} Hz ({first:.5g} rad/s)."
     tables = {"Natural frequencies with the crack open": table}
-    return Account("modes", table, facts=[fact], tables=tables, draw=draw, run=run)
+    return Account("modes", table, facts=[fact], tables=tables, run=run)
 
 
 # --- a steady vibration ---------------------------------------------------------------------------
@@ -97,7 +86,6 @@ def account_of_solution(run: Run[PeriodicSolution]) -> Account:
         notes=notes,
         warnings=warnings,
         tables={"In numbers": readable_rows(table)},
-        draw=lambda folder: _draw_solution(run, folder),
         done=found.converged and not missed,
         run=run,
     )
@@ -152,39 +140,6 @@ def _verdict(found: PeriodicSolution) -> tuple[str, str]:
     return f"{text} (largest multiplier {size:.6g}).", kind
 
 
-def _draw_solution(run: Run[PeriodicSolution], folder: Path) -> list[Path]:
-    from fenics_crack.draw.animation import animate_period
-    from fenics_crack.draw.plot import draw_contact_map
-    from fenics_crack.draw.plot_motion import draw_orbits, draw_spectrum
-
-    found = run.result
-    title = f"{frequency_in_words(run.scene, found.omega)}, H = {found.harmonics}"
-    if found.gap_coefficients.size:
-        error = found.report.total
-        title += ", error unknown" if error >= UNKNOWN else f", estimated error {100 * error:.2g} %"
-    if found.stability is not None:
-        title += f", {found.stability.verdict}"
-    if not found.converged:
-        title += ", NOT CONVERGED"
-    files = []
-
-    def file(name: str) -> Path:
-        files.append(folder / f"solution_{name}")
-        return files[-1]
-
-    dof, time = run.watched_dof, np.linspace(0.0, found.period, 801)
-    motion, gap = found.displacement(time, [dof])[:, 0], found.gap(time)
-    _draw_waves(run, time, motion, gap, found.period, path=file("waves.png"), title=title)
-    draw_spectrum(found, dof, path=file("spectrum.png"), title=title)
-    draw_orbits(found, dof, path=file("orbits.png"), title=title)
-    if found.structure.whole.nodes is not None:
-        if found.gap_coefficients.shape[1] > 1:
-            heading = "Where and when the crack is closed"
-            draw_contact_map(found, path=file("contact_map.png"), title=heading)
-        animate_period(found, file("breathing_crack.gif"), material=run.scene.material)
-    return files
-
-
 # --- a motion in time -----------------------------------------------------------------------------
 
 
@@ -204,13 +159,6 @@ def account_of_history(run: Run[TimeHistory]) -> Account:
         ]
     motion = found.displacement([watched.dof for watched in run.watched])
 
-    def draw(folder: Path) -> list[Path]:
-        omega, file = scene.excitation.omega, folder / "integration_waves.png"
-        title = f"The last periods of {found.periods}, {frequency_in_words(scene, omega)}"
-        time, period = found.time - found.time[0], 2.0 * np.pi / omega
-        _draw_waves(run, time, motion[:, 0], found.gap, period, path=file, title=title)
-        return [file]
-
     return Account(
         "integration",
         table,
@@ -219,7 +167,6 @@ def account_of_history(run: Run[TimeHistory]) -> Account:
         facts=facts,
         warnings=warnings,
         tables={"In numbers": readable_rows(table)},
-        draw=draw,
         done=not warnings,
         run=run,
     )
@@ -319,7 +266,7 @@ def _waves(
     columns = [f"{watched.words} [m]" for watched in run.watched]
     values = [time, *motion.T]
     if gap.size:
-        for words, wave in _closings(run, gap):
+        for words, wave in closings(run, gap):
             columns.append(f"{words} [m]")
             values.append(wave)
         columns.append("contact force, all pairs [N]")
@@ -327,21 +274,8 @@ def _waves(
     return Table(("time [s]", *columns), np.column_stack(values).tolist())
 
 
-def _closings(run: Run, gap: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+def closings(run: Run, gap: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
     """Where each crack is watched, and how far its lips close there."""
     structure = run.structure.whole
     for pair in structure.watched_pairs.values():
         yield f"closing {structure.where(pair)}", gap[:, pair]
-
-
-def _draw_waves(
-    run: Run, time: np.ndarray, motion: np.ndarray, gap: np.ndarray, period: float, **file: Any
-) -> None:
-    """Draw the displacement of the load's dof and the gap at the mouth over time."""
-    from fenics_crack.draw.plot import Wave, draw_waves
-
-    waves, touch = [Wave(run.watched_name, time, motion)], None
-    if gap.size:
-        touch, styles = "lips touch", itertools.cycle(STYLES)
-        waves += [Wave(words, time, wave, *next(styles)) for words, wave in _closings(run, gap)]
-    draw_waves(waves, quantity="displacement", period=period, zero=touch, **file)

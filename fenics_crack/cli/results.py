@@ -21,7 +21,7 @@ from fenics_crack.sweep.file import KIND as SWEEP
 from fenics_crack.sweep.result import SweepResult
 from fenics_crack.time.march import TimeHistory
 
-__all__ = ["HEADINGS", "account_of", "account_of_file"]
+__all__ = ["HEADINGS", "account_of", "kind_of", "result_of"]
 
 HEADINGS = {
     Modes.KIND: "Natural frequencies and modes",
@@ -31,21 +31,27 @@ HEADINGS = {
     TimeHistory.KIND: "Motion in time",
 }
 """By kind, in the order of a report."""
-SPEAKERS: dict[str, Callable[[Run[Any]], Account]] = {
+SPEAKERS: dict[str, Callable[[Any], Account]] = {
     Modes.KIND: account_of_modes,
     PeriodicSolution.KIND: account_of_solution,
     ResponseCurve.KIND: account_of_curve,
+    SWEEP: account_of_sweep,
     TimeHistory.KIND: account_of_history,
 }
 
 
-def account_of(run: Run[Any]) -> Account:
-    """What there is to say of the result of a run (collective)."""
-    return SPEAKERS[run.result.KIND](run)
+def kind_of(result: Run[Any] | SweepResult) -> str:
+    """The kind of a result, as its file has it."""
+    return SWEEP if isinstance(result, SweepResult) else str(result.result.KIND)
 
 
-def account_of_file(stored: Stored) -> Account:
-    """The same of a file that one rank has read.
+def account_of(result: Run[Any] | SweepResult) -> Account:
+    """What there is to say of a result (collective)."""
+    return SPEAKERS[kind_of(result)](result)
+
+
+def result_of(stored: Stored) -> Run[Any] | SweepResult:
+    """The result of a file that one rank has read.
 
     Raises
     ------
@@ -55,6 +61,4 @@ def account_of_file(stored: Stored) -> Account:
     if stored.kind not in HEADINGS:
         allowed = f"a result of one of these kinds: {', '.join(HEADINGS)}"
         raise InputError("result", str(stored.path), allowed)
-    if stored.kind == SWEEP:
-        return account_of_sweep(SweepResult.load(stored.path))
-    return account_of(run_of(stored, MPI.COMM_SELF))
+    return SweepResult.load(stored.path) if stored.kind == SWEEP else run_of(stored, MPI.COMM_SELF)

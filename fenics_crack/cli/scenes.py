@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
+from argparse import Namespace
 from importlib import resources
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from mpi4py import MPI
 
 from fenics_crack.balance.memory import check_memory
 from fenics_crack.cli.console import Console
+from fenics_crack.cli.inputs import Inputs
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.contact import is_rigid
 from fenics_crack.model.modes import damped_range
@@ -34,8 +36,9 @@ MAX_CHECKED = 10_000
 """Cases of a sweep that are checked before it is run."""
 
 
-def new(path: Path, console: Console) -> None:
+def new(given: Namespace, _: None, console: Console) -> bool:
     """Write a commented scene to start from."""
+    path: Path = given.file
 
     def write() -> None:
         text = resources.files("fenics_crack.cli").joinpath("new_scene.toml").read_text("utf-8")
@@ -45,10 +48,12 @@ def new(path: Path, console: Console) -> None:
 
     on_root(console.comm, write)
     console.note(f"{path}: a scene to start from; now: fenics-crack check {path}")
+    return True
 
 
-def check(scene: Scene, console: Console) -> None:
+def check(_: Namespace, inputs: Inputs, console: Console) -> bool:
     """Mesh and assemble a scene; print what it has, its first frequencies, and what is unusual."""
+    scene = inputs.scene
     with console.stage("mesh and matrices"):
         study = prepare(scene, console.comm, whole=True)
     whole, harmonics = study.structure, scene.harmonic_balance.harmonics
@@ -78,7 +83,8 @@ def check(scene: Scene, console: Console) -> None:
     remark = _remark_on_whole(scene, whole, highest)
     console.table(Table(("what", "value"), [*rows.items()]))
     console.note(remark)
-    console.notes(f"remark: {remark}" for remark in remarks_on(study.scene, figures))
+    console.note(*(f"remark: {remark}" for remark in remarks_on(study.scene, figures)))
+    return True
 
 
 def draw_scene(scene: Scene, folder: Path, structure: Structure | None = None) -> list[Path]:

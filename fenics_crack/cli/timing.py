@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from argparse import Namespace
+from functools import partial
 
 import numpy as np
 
-from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.arrivals.fit_order import TipTrack
 from fenics_crack.arrivals.harmonics import TipFit
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import Account, in_one_unit, of_error, of_stability
 from fenics_crack.cli.commands import tell
 from fenics_crack.cli.console import Console
+from fenics_crack.cli.inputs import Inputs
+from fenics_crack.draw.plot_rotor import draw_arrivals, draw_tip_fit, draw_tip_track
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.timing import arrivals_of, vibration_in
@@ -24,16 +26,13 @@ SHOWN_ORDERS = 6
 """Of those that are as good, and of those that cannot be measured."""
 
 
-def timing(
-    scene: Scene, source: ArrivalTimes | Path | None, folder: Path, console: Console
-) -> bool:
+def timing(given: Namespace, inputs: Inputs, console: Console) -> bool:
     """Compute arrival times unless they are measured, and fit a vibration to them."""
+    scene, folder = inputs.scene, inputs.folder
     with console.stage("arrival times"):
-        arrivals, run = arrivals_of(scene, source, console.comm)
+        arrivals, run = arrivals_of(scene, inputs.arrivals, console.comm)
 
     def write() -> None:
-        from fenics_crack.draw.plot_rotor import draw_arrivals  # matplotlib
-
         arrivals.to_csv(folder / "arrivals.csv")
         draw_arrivals(arrivals, path=folder / "arrivals.png", in_rpm=scene.in_rpm)
 
@@ -53,19 +52,15 @@ def timing(
         warnings += of_stability(run.scene, run, found.stability)
     if isinstance(fit, TipTrack):
         account = _account_of_track(fit, scene, warnings)
+        draw = partial(draw_tip_track, fit, in_hertz=scene.in_hertz)
     else:
-        account = _account_of_fit(fit, arrivals, scene, warnings)
-    return tell(account, folder, console, draw=True)
+        account = _account_of_fit(fit, scene, warnings)
+        draw = partial(draw_tip_fit, fit, arrivals)
+    return tell(account, folder, console, draw)
 
 
 def _account_of_track(track: TipTrack, scene: Scene, warnings: list[str]) -> Account:
     """A run-up: where along it each harmonic is largest."""
-
-    def draw(folder: Path) -> list[Path]:
-        from fenics_crack.draw.plot_rotor import draw_tip_track
-
-        draw_tip_track(track, path=folder / "timing.png", in_hertz=scene.in_hertz)
-        return [folder / "timing.png"]
 
     table = track.table()
     kept = [n for n, name in enumerate(table.columns) if not name.startswith("amplitude")]
@@ -80,20 +75,11 @@ def _account_of_track(track: TipTrack, scene: Scene, warnings: list[str]) -> Acc
     columns = ["multiple, where it is largest", *(table.columns[n] for n in kept)]
     largest = Table([*columns, "amplitude [m]", "amplitude_error [m]"], rows)
     shown = in_one_unit(largest, scene)
-    return Account("timing", table, shown=shown, warnings=warnings, draw=draw)
+    return Account("timing", table, shown=shown, warnings=warnings)
 
 
-def _account_of_fit(
-    fit: TipFit, arrivals: ArrivalTimes, scene: Scene, warnings: list[str]
-) -> Account:
+def _account_of_fit(fit: TipFit, scene: Scene, warnings: list[str]) -> Account:
     """A fit, the ratio that tells of a crack, and warnings of what the probes cannot tell."""
-
-    def draw(folder: Path) -> list[Path]:
-        from fenics_crack.draw.plot_rotor import draw_tip_fit
-
-        draw_tip_fit(fit, arrivals, path=folder / "timing.png")
-        return [folder / "timing.png"]
-
     notes, warnings, table = [], [*warnings], fit.table()
     if np.any(np.isclose(fit.multiples, 2.0)):
         ratio, error = fit.ratio()
@@ -113,4 +99,4 @@ def _account_of_fit(
             more = ["..."] if len(orders) > SHOWN_ORDERS else []
             warnings.append(f"{what}: {', '.join(told + more)}")
     shown = in_one_unit(table, scene)
-    return Account("timing", table, shown=shown, notes=notes, warnings=warnings, draw=draw)
+    return Account("timing", table, shown=shown, notes=notes, warnings=warnings)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, TypedDict, Unpack
 
+import numpy as np
 from tqdm import tqdm
 
 from fenics_crack.balance.problem import Problem
@@ -30,12 +31,10 @@ from fenics_crack.table import RPM
 
 __all__ = ["CurveOptions", "continue_frequency", "continue_parameter", "follow_branch"]
 
-SHORTER = (1.0, 0.5, 0.25)
-"""Longest steps with which a start is sought from the end, relative to those asked for."""
-BETWEEN = (0.5, 0.25, 0.75)
-"""Where between start and end it is sought from then."""
-MANY_POINTS, TIMES = 2000, 3
-"""Points of such an attempt at most, or so many times those of the curve that came back."""
+ATTEMPTS = 4
+"""Places, from the end on, from which another curve is sought that leads to the start,"""
+MORE_POINTS = 2000
+"""and how many more points it may have than the one that came back."""
 
 BAR = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}{postfix}"
 """Of a curve; how long it is going to take cannot be told from how far it has come."""
@@ -281,22 +280,21 @@ def _between(
     if options.get("initial") is not None or options.get("resume") is not None:
         return _run(growing, progress, throw)
     parameter, start, end = span
-    longest = options.get("longest_step", LONGEST)
 
     def again() -> Continuation | None:
-        ways = [(1.0, share) for share in SHORTER]  # long steps may miss the turns to the start
         first = growing.followed
-        points = max(MANY_POINTS, TIMES * len(first))
-        for place, share in [*ways, *((place, 1.0) for place in BETWEEN)]:
-            given: CurveOptions = {**options, "longest_step": share * longest}
-            begun = start + place * (end - start)
-            given["most_points"] = min(points, options.get("most_points", points))
+        points = len(first) + MORE_POINTS
+        given: CurveOptions = {
+            **options,
+            "most_points": min(points, options.get("most_points", points)),
+        }
+        for begun in np.linspace(end, start, ATTEMPTS, endpoint=False).tolist():
             met = _followed(first.structure, omega, contact, (parameter, begun, start), given)
             if met is None:
                 continue
             last = met.followed
-            given["initial"] = last.solution(len(last) - 1)
-            other = _followed(first.structure, omega, contact, span, given)
+            there: CurveOptions = {**given, "initial": last.solution(len(last) - 1)}
+            other = _followed(first.structure, omega, contact, span, there)
             if other is not None:
                 other.status += ", not by the first solution found at its start"
                 return other

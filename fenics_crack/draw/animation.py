@@ -26,9 +26,8 @@ from PIL import Image
 from vtkmodules.vtkInteractionWidgets import vtkSliderRepresentation2D, vtkSliderWidget
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.draw.figure import COLOURS
-from fenics_crack.draw.nodal import edge_lines, moved_grid, off_screen_plotter
-from fenics_crack.draw.paraview import PeriodFields
+from fenics_crack.draw.figure import COLOURS, label_axis
+from fenics_crack.draw.paraview import PeriodFields, moved_grid
 from fenics_crack.errors import InputError
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.tables import Material
@@ -44,12 +43,10 @@ TINT = "#f5d6c1"
 """Background of the wave while the lips touch: light orange."""
 PAGE = (640, 740)
 """Width and height [pixels]."""
-PLATE = (0.01, 0.275, 0.83, 0.60)
-"""Its place on the page: left, bottom, width, height."""
+PLATE = (6, 92, 532, 444)
+"""Its place on the page: left, top, width and height [pixels]."""
 FINER = 2
 """Pixels of the plate's drawing for one of the page, each way, which smooths it."""
-BESIDE = 20
-"""Pixels of the page beside the moving plate, for dots and arrows."""
 INK = {"lips": "#000000", "contact": COLOURS["orange"], "load": COLOURS["pink"], "rest": "#8a8a8a"}
 
 
@@ -57,7 +54,7 @@ def animate_period(
     solution: PeriodicSolution,
     path: str | Path,
     *,
-    frames: int = 60,
+    frames: int = 36,
     magnification: float | None = None,
     material: Material | None = None,
 ) -> float:
@@ -93,7 +90,7 @@ def animate_period(
     if Path(path).suffix.lower() != ".gif":
         raise InputError("path", str(path), "a .gif file")
     begin(Path(path).name)
-    fields = PeriodFields.of(solution, frames, magnification, material)
+    fields = PeriodFields(solution, frames, magnification, material)
     on_root(fields.mesh.structure.comm, lambda: _write(solution, fields, Path(path)))
     return fields.magnification
 
@@ -101,7 +98,7 @@ def animate_period(
 def show_period(
     solution: PeriodicSolution,
     *,
-    frames: int = 60,
+    frames: int = 36,
     magnification: float | None = None,
     material: Material | None = None,
 ) -> None:
@@ -123,7 +120,7 @@ def show_period(
     --------
     >>> fc.show_period(solution)  # doctest: +SKIP
     """
-    fields = PeriodFields.of(solution, frames, magnification, material)
+    fields = PeriodFields(solution, frames, magnification, material)
 
     def show() -> None:
         if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
@@ -134,6 +131,13 @@ def show_period(
         del slider
 
     on_root(fields.mesh.structure.comm, show)
+
+
+def off_screen_plotter(**options: Any) -> pyvista.Plotter:
+    """A plotter that draws into memory."""
+    if not os.environ.get("DISPLAY"):  # spares VTK the search for a screen, and its warning
+        os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
+    return pyvista.Plotter(off_screen=True, **options)
 
 
 # --- the plate ------------------------------------------------------------------------------------
@@ -157,69 +161,54 @@ class _Colours:
 
 
 class _Plate:
-    """The plate in a plotter, to be moved from frame to frame."""
+    """The plate in a plotter: what moves from frame to frame are the points of its parts."""
 
     def __init__(self, plotter: Any, fields: PeriodFields) -> None:
-        self.fields = fields
-        self.colours = _Colours(fields)
-        mesh = fields.mesh
-        self.height = 1e-3 * mesh.size  # of lines above the plate
-        self.surface = self._surface(0)
-        plotter.background_color = "white"
+        self.fields, mesh = fields, fields.mesh
+        self.colours, self.height = _Colours(fields), 1e-3 * mesh.size  # of lines above the plate
         add = partial(plotter.add_mesh, lighting=False)
-        add(edge_lines(mesh, mesh.boundary, height=self.height), color=INK["rest"], line_width=2)
-        add(self.surface, scalars="shown", show_scalar_bar=False, **self.colours.scale)
-        self.lines = []
-        for edges, width in ((mesh.boundary, 2), (mesh.lips, 5)):
+        above = np.pad(mesh.points, ((0, 0), (0, 1)), constant_values=self.height)
+
+        def line(edges: np.ndarray, ink: str, width: float) -> pyvista.PolyData:
+            cells = np.pad(edges, ((0, 0), (1, 0)), constant_values=edges.shape[1])
+            drawn = pyvista.PolyData(above.copy(), lines=cells.ravel())
             if len(edges):
-                line = edge_lines(mesh, edges, height=self.height)
-                self.lines.append((edges, line))
-                add(line, color=INK["lips"], line_width=width)
-        clamped = mesh.boundary[mesh.clamped[mesh.boundary].all(axis=1)]
-        if len(clamped):
-            add(edge_lines(mesh, clamped, height=self.height), color=INK["rest"], line_width=9)
-        dots = {"style": "points", "point_size": 16, "render_points_as_spheres": True}
-        self.marks = {}
-        for name, options in (("contact", dots), ("load", {})):
-            mark = pyvista.PolyData(np.zeros((1, 3)))
-            self.marks[name] = mark, add(mark, color=INK[name], **options)
+                add(drawn, color=INK[ink], line_width=width)
+            return drawn
+
+        line(mesh.boundary, "rest", 2)
+        self.surface = moved_grid(mesh)
+        self.surface["shown"] = fields.colour_values[0]
+        add(self.surface, scalars="shown", show_scalar_bar=False, **self.colours.scale)
+        self.lines = [line(mesh.boundary, "lips", 2), line(mesh.lips, "lips", 5)]
+        line(mesh.boundary[mesh.clamped[mesh.boundary].all(axis=1)], "rest", 9)
+        self.dots = pyvista.PolyData(np.zeros((len(fields.areas), 3)))
+        if len(fields.areas):
+            round_ = {"style": "points", "point_size": 16, "render_points_as_spheres": True}
+            add(self.dots, color=INK["contact"], **round_)
+        self.arrow = pyvista.Arrow(tip_length=0.45, tip_radius=0.16, shaft_radius=0.055)
+        self.unit_arrow = np.array(self.arrow.points)  # along x
         self.starts, self.arrows = _load_arrows(fields)
+        if np.any(fields.load):
+            add(self.arrow, color=INK["load"])
+        plotter.background_color = "white"
         plotter.view_xy()
         plotter.enable_parallel_projection()
 
     def move(self, frame: int) -> None:
         """Show another frame."""
-        mesh, displacement = self.fields.mesh, self.fields.shown(frame)
-        self.surface.copy_from(self._surface(frame))
-        for edges, line in self.lines:
-            line.copy_from(edge_lines(mesh, edges, displacement, self.height))
-        closed = np.flatnonzero(self.fields.force[frame] > 0.0)
-        dots = None
-        if len(closed):
-            nodes = self.fields.pair_nodes[:, closed]
-            middle = nodes.T @ (mesh.points + displacement) / nodes.sum(axis=0)[:, None]
-            above = np.pad(middle, ((0, 0), (0, 1)), constant_values=2.0 * self.height)
-            dots = pyvista.PolyData(above)
-        self._mark("contact", dots)
-        start, arrow = self.starts[frame], self.arrows[frame]
-        head = None
-        if np.any(arrow):
-            place = {"start": (*start, 2.0 * self.height), "direction": (*arrow, 0.0)}
-            form = {"tip_length": 0.45, "tip_radius": 0.16, "shaft_radius": 0.055, "scale": "auto"}
-            head = pyvista.Arrow(**place, **form)
-        self._mark("load", head)
-
-    def _mark(self, name: str, mesh: pyvista.PolyData | None) -> None:
-        """Show a mark in another form, or not at all."""
-        shown, actor = self.marks[name]
-        actor.SetVisibility(mesh is not None)
-        if mesh is not None:
-            shown.copy_from(mesh)
-
-    def _surface(self, frame: int) -> Any:
-        grid = moved_grid(self.fields.mesh, self.fields.shown(frame))
-        grid["shown"] = self.colours.factor * self.fields.colour_values[frame]
-        return grid.extract_surface(algorithm=None)
+        fields = self.fields
+        moved = fields.mesh.points + fields.shown(frame)
+        for part in (self.surface, *self.lines):
+            part.points[:, :2] = moved
+        self.surface["shown"] = self.colours.factor * fields.colour_values[frame]
+        pairs = (fields.pair_nodes / fields.pair_nodes.sum(axis=0)).T
+        self.dots.points = np.pad(pairs @ moved, ((0, 0), (0, 1)), constant_values=2 * self.height)
+        closed = np.flatnonzero(fields.force[frame] > 0.0)
+        self.dots.verts = np.column_stack([np.ones_like(closed), closed]).ravel()
+        (x, y), thick = self.arrows[frame], np.linalg.norm(self.arrows[frame])
+        placed = self.starts[frame] + self.unit_arrow[:, :2] @ [[x, y], [-y, x]]
+        self.arrow.points = np.hstack([placed, 2 * self.height + thick * self.unit_arrow[:, 2:]])
 
 
 def _load_arrows(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
@@ -257,27 +246,18 @@ def _with_slider(plotter: Any, solution: PeriodicSolution, fields: PeriodFields)
         text = f"{caption}\ntime {at:.3f} load periods"
         plotter.add_text(text, font_size=11, color="black", name="caption", render=False)
 
-    slider = vtkSliderRepresentation2D()
-    slider.SetMinimumValue(0.0)
+    slider = vtkSliderRepresentation2D()  # pyvista's own shows a label, a number
+    slider.ShowSliderLabelOff()
     slider.SetMaximumValue(float(solution.subharmonic))
-    slider.SetValue(0.0)
     slider.SetTitleText("time / load period")
-    slider.GetTitleProperty().ShadowOff()
-    for part, colour in (
-        (slider.GetTitleProperty(), "black"),
-        (slider.GetTubeProperty(), INK["rest"]),
-        (slider.GetCapProperty(), INK["rest"]),
-        (slider.GetSliderProperty(), COLOURS["blue"]),
-        (slider.GetSelectedProperty(), COLOURS["orange"]),
-    ):
-        part.SetColor(to_rgb(colour))
     slider.SetTubeWidth(0.005)
     slider.SetSliderWidth(0.03)
-    slider.SetSliderLength(0.02)
-    slider.ShowSliderLabelOff()
-    for place, x in ((slider.GetPoint1Coordinate(), 0.1), (slider.GetPoint2Coordinate(), 0.8)):
-        place.SetCoordinateSystemToNormalizedViewport()
-        place.SetValue(x, 0.09)
+    parts = slider.GetTitleProperty(), slider.GetTubeProperty(), slider.GetSliderProperty()
+    for part, ink in zip(parts, ("lips", "rest", "contact"), strict=True):
+        part.SetColor(to_rgb(INK[ink]))
+    for end, x in ((slider.GetPoint1Coordinate(), 0.1), (slider.GetPoint2Coordinate(), 0.8)):
+        end.SetCoordinateSystemToNormalizedViewport()
+        end.SetValue(x, 0.09)
     widget = vtkSliderWidget()
     widget.SetInteractor(plotter.iren.interactor)
     widget.SetRepresentation(slider)
@@ -303,7 +283,7 @@ def _caption(solution: PeriodicSolution, fields: PeriodFields) -> str:
 
 def _write(solution: PeriodicSolution, fields: PeriodFields, path: Path) -> None:
     """Draw all frames and write the GIF."""
-    plotter = off_screen_plotter(window_size=_window(fields))
+    plotter = off_screen_plotter(window_size=np.multiply(FINER, PLATE[2:]))
     plotter.render_window.SetMultiSamples(0)  # the page shrinks what it draws, which smooths it
     plate = _Plate(plotter, fields)
     _look_at_all(plotter, fields)
@@ -338,29 +318,13 @@ def _palette(colours: _Colours) -> Image.Image:
     return palette
 
 
-def _window(fields: PeriodFields) -> tuple[int, int]:
-    """Width and height of the plate's drawing [pixels]: no more than it needs of its place."""
-    low, high = _reach(fields)
-    room = np.multiply(PLATE[2:], PAGE)
-    needed = (high - low) * min((room - 2 * BESIDE) / (high - low)) + 2 * BESIDE
-    width, height = FINER * np.floor(needed).astype(int)
-    return int(width), int(height)
-
-
-def _reach(fields: PeriodFields) -> tuple[np.ndarray, np.ndarray]:
-    """The corners (2,) of what the plate and its load cover in the whole period [m]."""
-    moved = fields.mesh.points + fields.magnification * fields.displacement
-    every = [fields.mesh.points, *moved]
-    if np.any(fields.load):
-        every.append(np.add(*_load_arrows(fields)))
-    points = np.concatenate(every)
-    return points.min(axis=0), points.max(axis=0)
-
-
 def _look_at_all(plotter: Any, fields: PeriodFields, room: float = 1.03) -> None:
     """Set the camera so that the plate stays in the picture for the whole period."""
-    (low, high), size, camera = _reach(fields), fields.mesh.size, plotter.camera
-    width, height = plotter.window_size
+    moved = fields.mesh.points + fields.magnification * fields.displacement
+    heads = np.add(*_load_arrows(fields)) if np.any(fields.load) else np.empty((0, 2))
+    points = np.concatenate([fields.mesh.points, *moved, heads])
+    low, high = points.min(axis=0), points.max(axis=0)
+    size, camera, (width, height) = fields.mesh.size, plotter.camera, plotter.window_size
     middle = 0.5 * (low + high)
     camera.focal_point, camera.position = (*middle, 0.0), (*middle, 10.0 * size)
     camera.parallel_scale = 0.5 * room * max(high[1] - low[1], (high[0] - low[0]) * height / width)
@@ -403,11 +367,8 @@ class _Page:
         self.text.set_text(f"{self.caption}, phase {360.0 * at:.0f}°")
         for artist in (self.line, self.dot, self.text):
             self.figure.draw_artist(artist)
-        page = Image.fromarray(np.asarray(self.canvas.buffer_rgba())[..., :3].copy())
-        left, bottom, wide, high = np.array(PLATE) * np.tile(PAGE, 2)
-        small = Image.fromarray(plate).reduce(FINER)
-        middle = left + 0.5 * wide, PAGE[1] - bottom - 0.5 * high
-        page.paste(small, (round(middle[0] - small.width / 2), round(middle[1] - small.height / 2)))
+        page = Image.fromarray(np.asarray(self.canvas.buffer_rgba())).convert("RGB")
+        page.paste(Image.fromarray(plate).reduce(FINER), PLATE[:2])
         return page
 
     def _legend(self, fields: PeriodFields) -> None:
@@ -430,7 +391,7 @@ class _Page:
     def _wave(self, solution: PeriodicSolution, fields: PeriodFields) -> None:
         axes = self.figure.add_axes((0.15, 0.085, 0.82, 0.16))
         time = np.linspace(0.0, solution.period, 401)
-        loads = time * solution.omega / (2.0 * np.pi)
+        loads, closed = time * solution.omega / (2.0 * np.pi), np.zeros(len(time), bool)
         if len(fields.areas):
             gaps, watched = solution.gap(time), solution.structure.watched_pairs.values()
             pair = max(watched, key=lambda number: float(np.ptp(gaps[:, number])))
@@ -438,23 +399,22 @@ class _Page:
             quantity, wave = f"opening {place}", -gaps[:, pair]
             self.values = -solution.gap(fields.time)[:, pair]
             closed = (solution.contact_force(time) > 0.0).any(axis=1)
-            whole = axes.get_xaxis_transform()
-            axes.fill_between(loads, 0.0, 1.0, where=closed, transform=whole, color=TINT, lw=0)
         else:
             self.values = np.linalg.norm(fields.displacement, axis=2).max(axis=1)
-            quantity, wave = "largest\ndisplacement", np.append(self.values, self.values[0])
-            loads = np.append(self.loads, loads[-1])
-        factor, unit = readable(float(np.abs(wave).max()), "m")
-        self.values = factor * self.values
+            quantity = "largest\ndisplacement"
+            wave = np.interp(loads, self.loads, self.values, period=loads[-1])
         axes.axhline(0.0, color=COLOURS["grey"], lw=0.8)
-        axes.plot(loads, factor * wave, color=COLOURS["blue"], lw=2)
+        axes.plot(loads, wave, color=COLOURS["blue"], lw=2)
         moves = {"animated": True}
         self.line = axes.axvline(0.0, color=COLOURS["grey"], lw=1, **moves)
         dot = {"color": "black", "ms": 8, "clip_on": False, **moves}
         (self.dot,) = axes.plot([0.0], [0.0], "o", **dot)
-        axes.set_xlim(0.0, loads[-1])
         axes.margins(y=0.12)
+        axes.set(xlim=(0.0, loads[-1]), ylim=axes.get_ylim())
         axes.set_xlabel("time / load period", fontsize=12)
-        axes.set_ylabel(f"{quantity} [{unit}]", fontsize=12)
+        label_axis(axes.yaxis, quantity, "m")
+        axes.yaxis.label.set_size(12)
         axes.yaxis.set_label_coords(-0.09, 0.5)
         axes.tick_params(labelsize=11)
+        whole = axes.get_xaxis_transform()  # which would count as data of the axis before
+        axes.fill_between(loads, 0.0, 1.0, where=closed, transform=whole, color=TINT, lw=0)

@@ -7,11 +7,11 @@ in SI units, whatever prefix their axes show, so that more can be drawn onto the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from textwrap import fill
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 from matplotlib import colormaps
@@ -34,11 +34,10 @@ __all__ = [
     "ABOVE",
     "COLOURS",
     "FIRST",
+    "Picture",
+    "Where",
     "distinct_colours",
-    "figure_of",
-    "finish",
     "label_axis",
-    "make_axes",
     "upright",
 ]
 
@@ -55,43 +54,103 @@ NO_PREFIX = ("1", "-", "%", "Hz", "rad/s")
 """Units that are shown as they are."""
 FIRST = "first in the legend"
 """Marks (``gid``) lines that come first in a legend, before those that explain styles."""
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 ROWS = 2
 """Of a legend below a panel for which a figure has room."""
 
 
-def make_axes(
-    axes: Any,
-    path: str | Path | None,
-    count: int = 1,
-    *,
-    columns: int = 1,
-    size: tuple[float, float] = (7.0, 4.2),
-    **options: Any,
-) -> list[Axes]:
-    """The axes that were given, or ``count`` panels of a new figure, ``columns`` side by side.
+class Where(TypedDict, total=False):
+    """Where a picture is drawn; every ``draw_*`` takes these keywords."""
 
-    ``size`` [in] and ``options`` (of ``Figure.subplots``) are of a new figure. Raises InputError
-    if the number of axes is not that of the panels, or if there are both axes and a path.
+    axes: Any
+    path: str | Path | None
+    title: str | None
+
+
+class Picture:
+    """The panels of a picture, and its end.
+
+    They are the axes that are given, or ``count`` panels of a new figure, ``columns`` side by side.
+
+    Parameters
+    ----------
+    count, columns : int
+        How many panels, and how many of a new figure side by side.
+    size : (float, float) [in]
+        Of a new figure.
+    sharex : bool
+        The panels of a new figure have one horizontal axis.
+    comm : MPI.Comm
+        Its rank 0 saves the figure.
+    axes, path, title
+        As of :class:`Where`.
+
+    Raises
+    ------
+    InputError
+        The number of axes is not that of the panels, or there are both axes and a path.
     """
-    if axes is None:
-        figure = Figure(figsize=size, dpi=150, layout="constrained")
-        FigureCanvasAgg(figure)
-        made = figure.subplots(-(-count // columns), columns, squeeze=False, **options).ravel()
-        for unused in made[count:]:
-            unused.remove()
-        return list(made[:count])
-    if path is not None:
-        raise InputError("path", str(path), "left out with axes: save their figure")
-    given = list(np.atleast_1d(axes).ravel())
-    if len(given) != count:
-        raise InputError("axes", f"{len(given)} axes", f"{count}, one for each panel")
-    return given
+
+    def __init__(
+        self,
+        count: int = 1,
+        *,
+        columns: int = 1,
+        size: tuple[float, float] = (7.0, 4.2),
+        sharex: bool = False,
+        comm: MPI.Comm = MPI.COMM_SELF,
+        axes: Any = None,
+        path: str | Path | None = None,
+        title: str | None = None,
+    ) -> None:
+        self._path, self._title, self._comm = path, title, comm
+        if axes is None:
+            figure = Figure(figsize=size, dpi=150, layout="constrained")
+            FigureCanvasAgg(figure)
+            rows = -(-count // columns)
+            axes = figure.subplots(rows, columns, squeeze=False, sharex=sharex).ravel()
+            for unused in axes[count:]:
+                unused.remove()
+            axes = axes[:count]
+        elif path is not None:
+            raise InputError("path", str(path), "left out with axes: save their figure")
+        self.panels: list[Axes] = list(np.atleast_1d(axes).ravel())
+        if len(self.panels) != count:
+            raise InputError("axes", f"{len(self.panels)} axes", f"{count}, one for each panel")
+        self.figure: Figure = self.panels[0].figure
+
+    def __iter__(self) -> Iterator[Axes]:
+        return iter(self.panels)
+
+    def finished(self) -> Figure:
+        """The figure with grids and legends, saved as by :meth:`saved`."""
+        for panel in self:
+            panel.grid(alpha=0.3)
+            _draw_legend(panel)
+        return self.saved()
+
+    def saved(self) -> Figure:
+        """Set the title, save the figure on rank 0 if it has a path, return it (collective)."""
+        if self._title is not None and len(self.panels) > 1:
+            self.figure.suptitle(self._title, fontsize="large")
+        elif self._title is not None:
+            self.panels[0].set_title(self._title)
+        if self._path is not None:
+            file, picture = Path(self._path), BytesIO()
+            begin(file.name)
+
+            def save() -> None:
+                self.figure.savefig(picture, format=file.suffix.removeprefix(".") or None)
+                write_whole(file, picture.getvalue())
+
+            on_root(self._comm, save)
+        return self.figure
 
 
 def distinct_colours(count: int) -> list[str]:
     """Colours for some lines: those of :data:`COLOURS`, of more a sequence from dark to light."""
     if count <= len(COLOURS):
-        return list(COLOURS)[:count]
+        return list(COLOURS.values())[:count]
     return [to_hex(colour) for colour in colormaps["viridis"](np.linspace(0.0, 0.95, count))]
 
 
@@ -135,17 +194,16 @@ def _plain(value: float) -> str:
 
 
 def _power(value: float) -> str:
-    return f"$\\mathdefault{{10^{{{round(np.log10(value))}}}}}$"
+    return "10" + str(round(np.log10(value))).translate(RAISED)
 
 
-def finish(axes: Axes, path: str | Path | None, title: str | None) -> Figure:
-    """Give a panel its grid and legend, and finish its figure.
+def _draw_legend(axes: Axes) -> None:
+    """Give a panel its legend.
 
-    The legend never hides what is drawn: it stands below the panel where the figure has a
+    It never hides what is drawn: it stands below the panel where the figure has a
     constrained layout, which grows by the rows of a long one, else where nothing is, with room made
     above the data where there is no such place.
     """
-    axes.grid(alpha=0.3)
     handles, labels = axes.get_legend_handles_labels()
     both = sorted(zip(labels, handles, strict=True), key=lambda one: _gid(one[1]) != FIRST)
     named = dict(both)
@@ -164,7 +222,6 @@ def finish(axes: Axes, path: str | Path | None, title: str | None) -> Figure:
     elif named:
         axes.legend(list(named.values()), list(named), fontsize=8, loc="best", framealpha=0.9)
         _make_room(axes)
-    return figure_of([axes], path, title)
 
 
 def _gid(handle: Any) -> str | None:
@@ -186,29 +243,3 @@ def _make_room(axes: Axes) -> None:
     low, high = axes.transScale.transform([(1.0, end) for end in axes.get_ylim()])[:, 1]
     top = axes.transScale.inverted().transform((1.0, low + (high - low) / (1.0 - share)))[1]
     axes.set_ylim(top=float(top))
-
-
-def figure_of(
-    panels: Sequence[Axes],
-    path: str | Path | None,
-    title: str | None,
-    comm: MPI.Comm = MPI.COMM_SELF,
-) -> Figure:
-    """Set the title of a panel, or of several; save their figure on rank 0 and return it
-    (collective)."""
-    figure = panels[0].figure
-    if title is not None and len(panels) > 1:
-        figure.suptitle(title, fontsize="large")
-    elif title is not None:
-        panels[0].set_title(title)
-    if path is not None:
-        begin(Path(path).name)
-
-    def save() -> None:
-        if path is not None:
-            file, picture = Path(path), BytesIO()
-            figure.savefig(picture, format=file.suffix.removeprefix(".") or None)
-            write_whole(file, picture.getvalue())
-
-    on_root(comm, save)
-    return figure

@@ -5,8 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,7 +16,7 @@ from matplotlib.patches import Patch
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.draw.figure import COLOURS, figure_of, finish, label_axis, make_axes, upright
+from fenics_crack.draw.figure import COLOURS, Picture, Where, label_axis, upright
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw, is_rigid
 from fenics_crack.model.nodes import Pairs
@@ -53,11 +52,9 @@ def draw_waves(
     waves: Sequence[Wave],
     *,
     quantity: str,
-    axes: Any = None,
-    path: str | Path | None = None,
-    title: str | None = None,
     period: float | None = None,
     zero: str | None = None,
+    **where: Unpack[Where],
 ) -> Figure:
     """Draw displacements over time.
 
@@ -67,16 +64,13 @@ def draw_waves(
         The curves.
     quantity : str
         Label of the vertical axis without its unit.
-    axes : Axes, optional
-        Where to draw; default: a new figure.
-    path : str or Path, optional
-        Where to save the new figure.
-    title : str, optional
-        Title of the picture.
     period : float [s], optional
         Unit of the time axis; default: seconds.
     zero : str, optional
         Legend entry of a line at zero, for example "lips touch".
+    **where
+        ``axes``: where to draw, by default in a new figure; ``path``: where to save the new
+        figure; ``title`` of the picture.
 
     Returns
     -------
@@ -89,7 +83,7 @@ def draw_waves(
     >>> wave = fc.Wave("tip", time, solution.displacement(time, [tip])[:, 0])
     >>> figure = fc.draw_waves([wave], quantity="displacement", path="waves.png")
     """
-    [panel] = make_axes(axes, path)
+    [panel] = picture = Picture(**where)
     for wave in waves:
         time = wave.time / period if period else wave.time
         colour = COLOURS.get(wave.colour, wave.colour)
@@ -104,16 +98,11 @@ def draw_waves(
     else:
         label_axis(panel.xaxis, "time", "s")
     label_axis(panel.yaxis, quantity, "m")
-    return finish(panel, path, title)
+    return picture.finished()
 
 
 def draw_laws(
-    laws: Mapping[str, ContactLaw],
-    closing: np.ndarray,
-    *,
-    axes: Any = None,
-    path: str | Path | None = None,
-    title: str | None = None,
+    laws: Mapping[str, ContactLaw], closing: np.ndarray, **where: Unpack[Where]
 ) -> Figure:
     """Draw the contact forces [N] of laws, by their labels, over the closing of a pair [m].
 
@@ -123,8 +112,8 @@ def draw_laws(
         By the labels of their lines.
     closing : (n,) [m]
         Positive where the pair penetrates.
-    axes, path, title
-        As of :func:`draw_waves`.
+    **where
+        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
     -------
@@ -136,23 +125,18 @@ def draw_laws(
     >>> closing = np.linspace(-1e-6, 1e-6, 101)
     >>> figure = fc.draw_laws({"penalty": contact}, closing, path="laws.png")
     """
-    [panel] = make_axes(axes, path)
+    [panel] = picture = Picture(**where)
     styles = zip(laws.items(), COLOURS.values(), ("-", "--", ":", "-.", "-"), strict=False)
     for (label, law), colour, style in styles:
         force = law.force(closing[:, None])[:, 0]
         panel.plot(closing, force, style, color=colour, label=label, lw=1.8)
     label_axis(panel.xaxis, "closing g (penetration where g > 0)", "m")
     label_axis(panel.yaxis, "contact force", "N")
-    return finish(panel, path, title)
+    return picture.finished()
 
 
 def draw_contact_map(
-    solution: PeriodicSolution,
-    *,
-    axes: Any = None,
-    path: str | Path | None = None,
-    title: str | None = None,
-    instants: int = 400,
+    solution: PeriodicSolution, *, instants: int = 400, **where: Unpack[Where]
 ) -> Figure:
     """Draw where along the crack and when in the period the lips touch, and how hard.
 
@@ -164,10 +148,10 @@ def draw_contact_map(
     ----------
     solution : PeriodicSolution
         With the contact force of two or more pairs.
-    axes, path, title
-        As of :func:`draw_waves`.
     instants : int
         In the period.
+    **where
+        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
     -------
@@ -196,7 +180,7 @@ def draw_contact_map(
     scale, unit = readable(float(values.max()), unit)
     depth, ends = _along_cracks(structure.pairs)
     loads = time * solution.omega / (2.0 * np.pi)
-    [panel] = make_axes(axes, path)
+    [panel] = picture = Picture(**where)
     shown = np.ma.masked_less_equal(scale * values.T, 0.0)
     _colour(panel, loads, depth, shown, f"{label} [{unit}] (grey: open)", OPEN)
     panel.set_ylim(bottom=0.0)
@@ -208,7 +192,7 @@ def draw_contact_map(
     if ends:
         of_crack = f"along cracks 1 to {len(ends) + 1}, one above the other"
     label_axis(panel.yaxis, f"distance {of_crack}", "m")
-    return figure_of([panel], path, title)
+    return picture.saved()
 
 
 def _along_cracks(pairs: Pairs) -> tuple[np.ndarray, list[float]]:
@@ -227,12 +211,10 @@ def draw_response(
     curves: Mapping[str, np.ndarray],
     *,
     quantity: str,
-    axes: Any = None,
-    path: str | Path | None = None,
-    title: str | None = None,
     over: str = "load frequency [rad/s]",
     doubtful: Mapping[str, np.ndarray] | None = None,
     unit: str = "m",
+    **where: Unpack[Where],
 ) -> Figure:
     """Draw amplitudes [m] or other quantities over the load frequency [rad/s] or other values.
 
@@ -246,7 +228,7 @@ def draw_response(
         Load frequencies [rad/s], or what ``over`` says.
     curves : mapping of str to (n,) arrays
         By the labels of their lines.
-    quantity, axes, path, title
+    quantity
         As of :func:`draw_waves`.
     over : str
         Label of the horizontal axis, with its unit.
@@ -254,6 +236,8 @@ def draw_response(
         Where a curve has rings.
     unit : str
         Of the curves; lengths [m] are drawn in a readable multiple.
+    **where
+        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
     -------
@@ -265,7 +249,7 @@ def draw_response(
     >>> curves = {"tip": curve.amplitude(tip)}
     >>> figure = fc.draw_response(curve.omega, curves, quantity="displacement", path="response.png")
     """
-    [panel] = make_axes(axes, path)
+    [panel] = picture = Picture(**where)
     every = np.concatenate([np.ravel(found) for found in curves.values()])
     low, high = np.nanmin(every), np.nanmax(every)
     if 0.0 < low and (unit == "m" or 10.0 * low <= high):
@@ -280,7 +264,7 @@ def draw_response(
         panel.plot(x, y, "o", color=COLOURS["grey"], mfc="none", ms=8, label=DOUBTFUL)
     panel.set_xlabel(over)
     label_axis(panel.yaxis, quantity, unit)
-    return finish(panel, path, title)
+    return picture.finished()
 
 
 def draw_map(
@@ -291,10 +275,8 @@ def draw_map(
     x_label: str,
     y_label: str,
     value_label: str,
-    axes: Any = None,
-    path: str | Path | None = None,
-    title: str | None = None,
     doubtful: np.ndarray | None = None,
+    **where: Unpack[Where],
 ) -> Figure:
     """Draw values over two swept quantities, such as load frequency and crack length, as colours.
 
@@ -308,10 +290,10 @@ def draw_map(
         Grey and crossed where nan: not converged.
     x_label, y_label, value_label : str
         With units.
-    axes, path, title
-        As of :func:`draw_waves`.
     doubtful : (m, n) bool, optional
         What is hatched: not stable, or with a large estimated error.
+    **where
+        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
     -------
@@ -343,7 +325,7 @@ def draw_map(
     marked = np.zeros(shown.shape, bool) if doubtful is None else np.asarray(doubtful, bool)
     if marked.shape != shown.shape:
         raise InputError("doubtful", marked.shape, f"of the shape of values, {shown.shape}")
-    [panel] = make_axes(axes, path)
+    [panel] = picture = Picture(**where)
     _colour(panel, x, y, shown, value_label, MISSING, norm=scale(low, high))
     lost = np.ma.getmaskarray(shown)
     panel.plot(*(at.ravel()[lost.ravel()] for at in np.meshgrid(x, y)), "x", color="white", ms=5)
@@ -357,7 +339,7 @@ def draw_map(
     if keys:
         below = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "borderaxespad": 4.2}
         panel.legend(handles=keys, ncol=2, fontsize=8, handlelength=3.0, frameon=False, **below)
-    return figure_of([panel], path, title)
+    return picture.saved()
 
 
 def _cells(x: np.ndarray, y: np.ndarray) -> np.ndarray:

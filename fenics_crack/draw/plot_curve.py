@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,7 +12,7 @@ from matplotlib.figure import Figure
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.curves.curve import ResponseCurve, parameter_axis
 from fenics_crack.curves.refine import filled
-from fenics_crack.draw.figure import COLOURS, FIRST, finish, label_axis, make_axes
+from fenics_crack.draw.figure import COLOURS, FIRST, Picture, Where, label_axis
 from fenics_crack.errors import InputError
 from fenics_crack.table import frequency_axis, with_unit
 
@@ -40,14 +39,12 @@ def draw_curve(
     curve: ResponseCurve,
     dof: int,
     *,
-    axes: Any = None,
-    path: str | Path | None = None,
-    title: str | None = None,
     colour: str = "blue",
     label: str = "",
     behind: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
     points: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
     in_hertz: bool = False,
+    **where: Unpack[Where],
 ) -> Figure:
     """Draw half the peak-to-peak displacement of a dof along a response curve.
 
@@ -64,8 +61,6 @@ def draw_curve(
         What to draw.
     dof : int
         Whose displacement.
-    axes, path, title
-        As of :func:`draw_waves`.
     colour, label : str
         "blue", "orange", "green", "pink", "grey" or a colour of matplotlib, and the legend entry,
         for several curves on the same axes; with a label, bifurcations have the curve's colour.
@@ -74,6 +69,8 @@ def draw_curve(
     in_hertz : bool
         Load frequencies in Hz and speeds in rpm, those of ``behind`` and ``points`` too, which are
         given in rad/s.
+    **where
+        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
     -------
@@ -84,7 +81,7 @@ def draw_curve(
     --------
     >>> figure = fc.draw_curve(curve, tip, in_hertz=True, path="curve.png")
     """
-    [panel] = make_axes(axes, path)
+    [panel] = picture = Picture(**where)
     curve = filled(curve)
     if curve.parameter == "omega":
         panel.set_yscale("log")
@@ -102,7 +99,7 @@ def draw_curve(
     _label_parameter(panel, curve, in_hertz)
     panel.margins(y=0.1)
     label_axis(panel.yaxis, "half peak-to-peak displacement", "m")
-    return finish(panel, path, title)
+    return picture.finished()
 
 
 def _draw_parts(
@@ -194,7 +191,7 @@ def _mark_superharmonics(
         order, rest = divmod(int(np.argmax(sizes)) + 1, curve.subharmonic)
         if order > 1 and not rest:
             at = factor * curve.omega[peak], amplitude[peak]
-            axes.annotate(f"{order}$\\omega$", at, (0, 5), textcoords="offset points", **style)
+            axes.annotate(f"{order}ω", at, (0, 5), textcoords="offset points", **style)
 
 
 def _factor(curve: ResponseCurve, in_hertz: bool) -> float:
@@ -232,20 +229,20 @@ def draw_content(
     curve: ResponseCurve,
     dof: int,
     *,
-    axes: Any = None,
-    path: str | Path | None = None,
-    title: str | None = None,
     highest: int = 5,
     in_hertz: bool = False,
+    **where: Unpack[Where],
 ) -> Figure:
     """Draw the amplitudes of the lowest harmonics of a dof's displacement over the parameter.
 
     Parameters
     ----------
-    curve, dof, axes, path, title, in_hertz
+    curve, dof, in_hertz
         As of :func:`draw_curve`.
     highest : int
         Highest harmonic of the load that is drawn.
+    **where
+        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
     -------
@@ -256,7 +253,7 @@ def draw_content(
     --------
     >>> figure = fc.draw_content(curve, tip, highest=3, path="content.png")
     """
-    [panel] = make_axes(axes, path)
+    [panel] = picture = Picture(**where)
     panel.set_yscale("log")
     harmonics = _harmonic_amplitudes(curve, dof)[:, curve.subharmonic - 1 :: curve.subharmonic]
     shown = harmonics[:, :highest].T
@@ -266,7 +263,7 @@ def draw_content(
     panel.set_ylim(1e-5 * shown.max(), 2.0 * shown.max())
     _label_parameter(panel, curve, in_hertz)
     label_axis(panel.yaxis, "amplitude of the harmonic", "m")
-    return finish(panel, path, title)
+    return picture.finished()
 
 
 HIGHEST = 2.0
@@ -274,12 +271,7 @@ HIGHEST = 2.0
 
 
 def draw_multipliers(
-    curve: ResponseCurve,
-    *,
-    axes: Any = None,
-    path: str | Path | None = None,
-    title: str | None = None,
-    in_hertz: bool = False,
+    curve: ResponseCurve, *, in_hertz: bool = False, **where: Unpack[Where]
 ) -> Figure:
     """Draw the modulus of the largest Floquet multiplier along a curve.
 
@@ -291,8 +283,10 @@ def draw_multipliers(
     ----------
     curve : ResponseCurve
         Followed with ``stability=True``.
-    axes, path, title, in_hertz
+    in_hertz
         As of :func:`draw_curve`.
+    **where
+        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
     -------
@@ -310,7 +304,7 @@ def draw_multipliers(
     """
     if curve.multipliers is None:
         raise InputError("stability", False, "True when the curve is followed")
-    [panel] = make_axes(axes, path)
+    [panel] = picture = Picture(**where)
     x, found = _factor(curve, in_hertz) * curve.values, curve.multipliers
     sizes, open_ = np.abs(found), curve.verdicts == "undecided"
     pair = np.abs(found.imag) > 1e-9 * sizes
@@ -332,4 +326,4 @@ def draw_multipliers(
         panel.plot([], [], " ", label=f"{far} of {len(sizes)} lie above")
     _label_parameter(panel, curve, in_hertz)
     panel.set_ylabel("modulus of the largest multiplier [-]")
-    return finish(panel, path, title)
+    return picture.finished()

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
+from typing import Unpack
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from fenics_crack.draw.figure import COLOURS, figure_of, finish, label_axis, make_axes
+from fenics_crack.draw.figure import COLOURS, Picture, Where, label_axis
 from fenics_crack.errors import InputError
 from fenics_crack.fem.nodal_mesh import NodalMesh
 from fenics_crack.model.modes import Modes
@@ -32,13 +31,7 @@ LONGEST = 0.12
 """Of the arrows and of the displacements of modes, relative to the size of the structure."""
 
 
-def draw_mesh(
-    structure: Structure,
-    *,
-    axes: Any = None,
-    path: str | Path | None = None,
-    title: str | None = None,
-) -> Figure:
+def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
     """Draw the mesh of a structure at rest with its named parts (collective).
 
     They are what is clamped, the lips of the crack, the pairs of their nodes where contact is
@@ -48,8 +41,8 @@ def draw_mesh(
     ----------
     structure : Structure
         Whole or reduced, from a mesh.
-    axes, path, title
-        As of :func:`draw_waves`.
+    **where
+        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
     -------
@@ -69,7 +62,7 @@ def draw_mesh(
     load = mesh.field(mesh.structure.force)
     ratio = float(np.clip(np.divide(*np.maximum(np.ptp(mesh.points, axis=0), 1e-300)), 0.4, 2.5))
     size = (min(7.0, 3.6 + 2.0 * ratio), min(6.8, 1.6 + 3.6 / ratio))
-    [panel] = make_axes(axes, path, size=size)
+    [panel] = picture = Picture(size=size, **where)
     clamped = mesh.boundary[mesh.clamped[mesh.boundary].all(axis=1)]
     for edges, colour, width, label in (
         (mesh.edges, "#9a9a9a", 0.4, ""),
@@ -78,10 +71,8 @@ def draw_mesh(
         (mesh.lips, COLOURS["orange"], 2.2, "lips of the crack"),
     ):
         if len(edges):
-            lines = LineCollection(mesh.points[edges], colors=colour, linewidths=width)
-            panel.add_collection(lines)
-        if len(edges) and label:
-            panel.plot([], [], color=colour, lw=width, label=label)
+            look = {"colors": colour, "linewidths": width, "label": label}
+            panel.add_collection(LineCollection(mesh.points[edges], **look))
     pairs = mesh.structure.pair_points
     if pairs is not None and len(pairs):
         look = {"color": COLOURS["blue"], "ms": 3.0, "zorder": 3}
@@ -98,7 +89,7 @@ def draw_mesh(
     label_axis(panel.xaxis, "x", "m")
     label_axis(panel.yaxis, "y", "m")
     panel.set_axisbelow(True)
-    return finish(panel, path, title)
+    return picture.finished()
 
 
 PARTS = ("mean", "cosine part", "sine part")
@@ -119,13 +110,7 @@ def _arrows(axes: Axes, mesh: NodalMesh, load: np.ndarray, label: str, colour: s
 
 
 def draw_modes(
-    modes: Modes,
-    *,
-    numbers: Sequence[int] | None = None,
-    axes: Any = None,
-    path: str | Path | None = None,
-    title: str | None = None,
-    columns: int = 3,
+    modes: Modes, *, numbers: Sequence[int] | None = None, columns: int = 3, **where: Unpack[Where]
 ) -> Figure:
     """Draw mode shapes over the structure at rest, coloured by their displacement (collective).
 
@@ -135,12 +120,10 @@ def draw_modes(
         Of a structure with a mesh.
     numbers : sequence of int, optional
         Which modes, from 1; default: all.
-    axes : Axes or sequence of them, optional
-        One for each mode; default: a new figure.
-    path, title
-        As of :func:`draw_waves`.
     columns : int
         Panels side by side in a new figure.
+    **where
+        ``axes``, one for each mode, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
     -------
@@ -165,12 +148,13 @@ def draw_modes(
     across, up = np.ptp(mesh.points, axis=0) + 2.0 * LONGEST * mesh.size
     row = 0.4 + 2.4 * float(np.clip(up / across, 0.3, 1.0))
     size = (2.7 * columns, row * -(-len(numbers) // columns))
-    panels = make_axes(axes, path, len(numbers), columns=columns, size=size)
+    comm = mesh.structure.comm
+    picture = Picture(len(numbers), columns=columns, size=size, comm=comm, **where)
     shapes = mesh.field(modes.structure.expand(modes.shapes.T))
-    for panel, number in zip(panels, numbers, strict=True):
+    for panel, number in zip(picture, numbers, strict=True):
         _mode_shape(panel, mesh, shapes[number - 1])
         panel.set_title(f"mode {number}: {modes.omega[number - 1] / (2.0 * np.pi):.1f} Hz")
-    return figure_of(panels, path, title, mesh.structure.comm)
+    return picture.saved()
 
 
 def _mode_shape(axes: Axes, mesh: NodalMesh, shape: np.ndarray) -> None:

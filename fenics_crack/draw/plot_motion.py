@@ -3,22 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Any
+from typing import Unpack
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.draw.figure import (
-    ABOVE,
-    COLOURS,
-    distinct_colours,
-    figure_of,
-    label_axis,
-    make_axes,
-)
+from fenics_crack.draw.figure import ABOVE, COLOURS, Picture, Where, distinct_colours, label_axis
 from fenics_crack.errors import InputError
 from fenics_crack.numerics.fourier import evaluate
 
@@ -31,12 +23,7 @@ MANY_STEMS = 150
 
 
 def draw_spectrum(
-    solution: PeriodicSolution,
-    dof: int | None = None,
-    *,
-    axes: Any = None,
-    path: str | Path | None = None,
-    title: str | None = None,
+    solution: PeriodicSolution, dof: int | None = None, **where: Unpack[Where]
 ) -> Figure:
     """Draw the amplitudes of the harmonics, logarithmically, over their orders (collective).
 
@@ -51,12 +38,8 @@ def draw_spectrum(
         What to draw.
     dof : int, optional
         Whose displacement.
-    axes : Axes or sequence of them, optional
-        One or two; default: a new figure with a second panel if there is contact.
-    path : str or Path, optional
-        Where to save the new figure.
-    title : str, optional
-        Title of the picture.
+    **where
+        ``axes`` (one, or two with the force), ``path``, ``title``, as of :func:`draw_waves`.
 
     Returns
     -------
@@ -85,29 +68,26 @@ def draw_spectrum(
     if not lengths:
         raise InputError("dof", None, "given where there is no contact pair")
     force = _amplitudes(solution.force_coefficients.sum(axis=1))
-    series = [(lengths, "displacement", "m")]
+    series, axes = [(lengths, "displacement", "m")], where.get("axes")
     if np.any(force) if axes is None else np.size(axes) > 1:
         series.append(({"contact force, all pairs": force}, "contact force", "N"))
     size = (7.0, 2.4 + 2.2 * len(series))
-    panels = make_axes(axes, path, len(series), size=size, sharex=True)
-    for panel, (values, quantity, unit) in zip(panels, series, strict=True):
+    comm = solution.structure.comm
+    picture = Picture(len(series), size=size, sharex=True, comm=comm, **where)
+    for panel, (values, quantity, unit) in zip(picture, series, strict=True):
         shared = {name: (found, solution.subharmonic) for name, found in values.items()}
         _stems(panel, shared, quantity, unit)
-    panels[-1].set_xlabel(ORDERS)
+    picture.panels[-1].set_xlabel(ORDERS)
     if axes is None:
-        panels[0].figure.align_ylabels()
-    return figure_of(panels, path, title, solution.structure.comm)
+        picture.figure.align_ylabels()
+    return picture.saved()
 
 
 ORDERS = "order of the harmonic, in load frequencies (0: mean)"
 
 
 def draw_spectra(
-    solutions: Mapping[str, tuple[PeriodicSolution, int]],
-    *,
-    axes: Any = None,
-    path: str | Path | None = None,
-    title: str | None = None,
+    solutions: Mapping[str, tuple[PeriodicSolution, int]], **where: Unpack[Where]
 ) -> Figure:
     """Draw the amplitudes of the harmonics of several vibrations, side by side.
 
@@ -118,8 +98,8 @@ def draw_spectra(
     ----------
     solutions : mapping
         By their labels: a solution and whose displacement.
-    axes, path, title
-        As of :func:`draw_spectrum`.
+    **where
+        ``axes``, one or two, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
     -------
@@ -143,14 +123,15 @@ def draw_spectra(
             gaps[label] = _amplitudes(solution.gap_coefficients[:, pair]), solution.subharmonic
             places.add(solution.structure.where(pair))
     series = [(motions, "displacement")]
+    axes = where.get("axes")
     if len(gaps) == len(motions) and (axes is None or np.size(axes) > 1):
         series.append((gaps, f"gap {places.pop()}" if len(places) == 1 else "gap"))
     size = (7.0, 2.4 + 2.2 * len(series))
-    panels = make_axes(axes, path, len(series), size=size, sharex=True)
-    for panel, (values, quantity) in zip(panels, series, strict=True):
+    picture = Picture(len(series), size=size, sharex=True, **where)
+    for panel, (values, quantity) in zip(picture, series, strict=True):
         _stems(panel, values, quantity, "m")
-    panels[-1].set_xlabel(ORDERS)
-    return figure_of(panels, path, title)
+    picture.panels[-1].set_xlabel(ORDERS)
+    return picture.saved()
 
 
 def _amplitudes(column: np.ndarray) -> np.ndarray:
@@ -176,10 +157,9 @@ def _stems(
         shift = step * (number - 0.5 * (len(series) - 1)) / loads
         kept = np.flatnonzero(values >= bottom)
         order, shown = kept / loads + shift, values[kept]
-        ink = COLOURS.get(colour, colour)
         if most <= MANY_STEMS:
-            axes.vlines(order, bottom, shown, color=ink, lw=1.2)
-        axes.plot(order, shown, marker, color=ink, ms=size, label=label)
+            axes.vlines(order, bottom, shown, color=colour, lw=1.2)
+        axes.plot(order, shown, marker, color=colour, ms=size, label=label)
     axes.set_xlim(-0.5, highest + 0.5)
     axes.set_yscale("log")
     axes.set_ylim(bottom, top * (top / bottom) ** 0.08)
@@ -193,10 +173,8 @@ def draw_orbits(
     solution: PeriodicSolution,
     dof: int | None = None,
     *,
-    axes: Any = None,
-    path: str | Path | None = None,
-    title: str | None = None,
     instants: int = 2000,
+    **where: Unpack[Where],
 ) -> Figure:
     """Draw the motion in the phase plane, velocity over displacement (collective).
 
@@ -207,10 +185,12 @@ def draw_orbits(
 
     Parameters
     ----------
-    solution, dof, axes, path, title
+    solution, dof
         As of :func:`draw_spectrum`.
     instants : int
         Points of the orbit.
+    **where
+        ``axes``, one or two, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
     -------
@@ -239,10 +219,11 @@ def draw_orbits(
     if not orbits:
         raise InputError("dof", None, "given where there is no contact pair")
     count = len(orbits)
-    panels = make_axes(axes, path, count, columns=count, size=(1.0 + 4.2 * count, 4.4))
-    for panel, content in zip(panels, orbits, strict=True):
+    size, comm = (1.0 + 4.2 * count, 4.4), solution.structure.comm
+    picture = Picture(count, columns=count, size=size, comm=comm, **where)
+    for panel, content in zip(picture, orbits, strict=True):
         _orbit(panel, solution, *content)
-    return figure_of(panels, path, title, solution.structure.comm)
+    return picture.saved()
 
 
 def _orbit(

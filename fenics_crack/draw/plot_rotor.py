@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import cycle
-from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,14 +13,7 @@ from matplotlib.figure import Figure
 from fenics_crack.arrivals.arrival_times import ArrivalTimes
 from fenics_crack.arrivals.fit_order import TipTrack
 from fenics_crack.arrivals.harmonics import Candidates, TipFit
-from fenics_crack.draw.figure import (
-    COLOURS,
-    distinct_colours,
-    figure_of,
-    finish,
-    label_axis,
-    make_axes,
-)
+from fenics_crack.draw.figure import COLOURS, Picture, Where, distinct_colours, label_axis
 from fenics_crack.errors import check_count
 from fenics_crack.study.campbell import Campbell
 from fenics_crack.table import frequency_axis, speed_axis, with_unit
@@ -33,11 +25,9 @@ def draw_campbell(
     diagram: Campbell,
     orders: Sequence[int] = range(1, 9),
     *,
-    axes: Any = None,
-    path: str | Path | None = None,
-    title: str | None = None,
     in_hertz: bool = True,
     in_rpm: bool = True,
+    **where: Unpack[Where],
 ) -> Figure:
     """Draw natural frequencies over the speed: bilinear ones as lines, in bands from lips open to
     lips tied; engine orders as grey lines with their numbers, and circles where they meet. Modes
@@ -49,10 +39,10 @@ def draw_campbell(
         What is drawn.
     orders : sequence of int
         Engine orders.
-    axes, path, title
-        As of :func:`draw_waves`.
     in_hertz, in_rpm : bool
         Frequencies in Hz, else in rad/s; speeds in revolutions per minute, else in rad/s.
+    **where
+        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
     -------
@@ -71,7 +61,7 @@ def draw_campbell(
     """
     for order in orders:
         check_count("orders", order, 1)
-    [panel] = make_axes(axes, path)
+    [panel] = picture = Picture(**where)
     factor, _, unit = frequency_axis(in_hertz)
     pace, *name = speed_axis(in_rpm)
     speed, bilinear = pace * diagram.speed, factor * diagram.omega_bilinear
@@ -94,7 +84,7 @@ def draw_campbell(
     if diagram.cracked:
         panel.fill_between([], [], [], color=COLOURS["grey"], alpha=0.25, label="open to tied lips")
     panel.set(xlabel=with_unit(*name), ylabel=f"natural frequency [{unit}]")
-    return finish(panel, path, title)
+    return picture.finished()
 
 
 def _draw_order(
@@ -115,12 +105,7 @@ def _draw_order(
 
 
 def draw_arrivals(
-    arrivals: ArrivalTimes,
-    *,
-    axes: Any = None,
-    path: str | Path | None = None,
-    title: str | None = None,
-    in_rpm: bool = False,
+    arrivals: ArrivalTimes, *, in_rpm: bool = False, **where: Unpack[Where]
 ) -> Figure:
     """Draw the displacements that the arrivals tell, for each probe.
 
@@ -131,14 +116,10 @@ def draw_arrivals(
     ----------
     arrivals : ArrivalTimes
         What to draw.
-    axes : Axes, optional
-        Where to draw; default: a new figure.
-    path : str or Path, optional
-        Where to save the new figure.
-    title : str, optional
-        Title of the picture.
     in_rpm : bool
         Speeds of a run-up in revolutions per minute, else in rad/s.
+    **where
+        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
     -------
@@ -149,39 +130,30 @@ def draw_arrivals(
     --------
     >>> figure = fc.draw_arrivals(arrivals, path="arrivals.png")
     """
-    [panel] = make_axes(axes, path)
+    [panel] = picture = Picture(**where)
     pace, *over = speed_axis(in_rpm)
     steady, turns = arrivals.steady, arrivals.first + np.arange(len(arrivals))
     place = turns if steady else pace * arrivals.speed
     size = 3.0 if len(arrivals) > 100 else 4.5
-    colours = [COLOURS.get(name, name) for name in distinct_colours(len(arrivals.probes))]
+    colours = distinct_colours(len(arrivals.probes))
     columns = zip(arrivals.displacement.T, arrivals.probes, colours, cycle("osD^vPX"), strict=False)
     for column, probe, colour, marker in columns:
         label = f"probe at {np.degrees(probe):.4g}°"
         panel.plot(place, column, marker, color=colour, ms=size, mew=0, alpha=0.8, label=label)
     panel.set_xlabel("revolution" if steady else with_unit(*over))
     label_axis(panel.yaxis, "tip displacement", "m")
-    return finish(panel, path, title)
+    return picture.finished()
 
 
-def draw_tip_fit(
-    fit: TipFit,
-    arrivals: ArrivalTimes,
-    *,
-    axes: Any = None,
-    path: str | Path | None = None,
-    title: str | None = None,
-) -> Figure:
+def draw_tip_fit(fit: TipFit, arrivals: ArrivalTimes, **where: Unpack[Where]) -> Figure:
     """Draw a fitted vibration, with the arrivals over its period, and the orders that were tried.
 
     Parameters
     ----------
     fit, arrivals : TipFit, ArrivalTimes
         A fit, and what it was fitted to.
-    axes : two Axes, optional
-        Where to draw; default: a new figure.
-    path, title
-        As of :func:`draw_arrivals`.
+    **where
+        ``axes``, two of them, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
     -------
@@ -197,7 +169,7 @@ def draw_tip_fit(
     --------
     >>> figure = fc.draw_tip_fit(fc.fit_order(arrivals), arrivals, path="fit.png")
     """
-    upper, lower = make_axes(axes, path, 2, size=(7.0, 7.0))
+    upper, lower = picture = Picture(2, size=(7.0, 7.0), **where)
     loads = max(1, round(1.0 / fit.multiples[0]))  # load periods of a response
     turns = np.linspace(0.0, loads, 500)
     wave = fit.displacement(2.0 * np.pi * turns / fit.order)
@@ -212,9 +184,7 @@ def draw_tip_fit(
     upper.set_xlabel("time / load period")
     label_axis(upper.yaxis, "tip displacement", "m")
     _draw_candidates(lower, fit.candidates, fit.order)
-    for panel in (upper, lower):
-        finish(panel, None, None)
-    return figure_of([upper, lower], path, title)
+    return picture.finished()
 
 
 def _draw_candidates(axes: Axes, tried: Candidates, order: float) -> None:
@@ -241,24 +211,17 @@ def _draw_candidates(axes: Axes, tried: Candidates, order: float) -> None:
     label_axis(axes.yaxis, "what the fit leaves", "m")
 
 
-def draw_tip_track(
-    track: TipTrack,
-    *,
-    axes: Any = None,
-    path: str | Path | None = None,
-    title: str | None = None,
-    in_hertz: bool = False,
-) -> Figure:
+def draw_tip_track(track: TipTrack, *, in_hertz: bool = False, **where: Unpack[Where]) -> Figure:
     """Draw the amplitudes of a run-up over the load's frequency, with their standard errors.
 
     Parameters
     ----------
     track : TipTrack
         What to draw.
-    axes, path, title
-        As of :func:`draw_arrivals`.
     in_hertz : bool
         Frequencies in Hz, not rad/s.
+    **where
+        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
     -------
@@ -269,7 +232,7 @@ def draw_tip_track(
     --------
     >>> figure = fc.draw_tip_track(fc.track_order(arrivals, 6), path="track.png")
     """
-    [panel] = make_axes(axes, path)
+    [panel] = picture = Picture(**where)
     factor, name, unit = frequency_axis(in_hertz)
     place = factor * track.omega
     series = zip(track.multiples, track.amplitudes.T, track.amplitude_errors.T, strict=True)
@@ -281,4 +244,4 @@ def draw_tip_track(
     panel.set_xlabel(with_unit(name, unit))
     label_axis(panel.yaxis, "amplitude of the tip", "m")
     panel.set_ylim(bottom=0.0)
-    return finish(panel, path, title)
+    return picture.finished()

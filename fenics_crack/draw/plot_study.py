@@ -3,20 +3,12 @@
 from __future__ import annotations
 
 from itertools import cycle
-from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from fenics_crack.draw.figure import (
-    COLOURS,
-    distinct_colours,
-    figure_of,
-    finish,
-    label_axis,
-    make_axes,
-)
+from fenics_crack.draw.figure import COLOURS, Picture, Where, distinct_colours, label_axis
 from fenics_crack.errors import InputError
 from fenics_crack.identification.posterior import trapezoid
 from fenics_crack.identification.result import Identification
@@ -37,13 +29,7 @@ MARKS = "osD^v<>ph*"
 
 
 def draw_posterior(
-    found: Identification,
-    x: str = "crack.length",
-    y: str = "crack.height",
-    *,
-    axes: Any = None,
-    path: str | Path | None = None,
-    title: str | None = None,
+    found: Identification, x: str = "crack.length", y: str = "crack.height", **where: Unpack[Where]
 ) -> Figure:
     """Draw the regions that hold 50, 95 and 99.9 % of the probability of two unknowns.
 
@@ -56,8 +42,8 @@ def draw_posterior(
         Made by :func:`identify`.
     x, y : str
         The two unknowns.
-    axes, path, title
-        As of :func:`draw_waves`.
+    **where
+        ``axes``, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
     -------
@@ -78,7 +64,7 @@ def draw_posterior(
         if key not in found.unknown or x == y:
             allowed = f"two different ones of {', '.join(found.unknown)}"
             raise InputError(name, key, allowed)
-    [panel] = make_axes(axes, path, size=(6.0, 4.6))
+    [panel] = picture = Picture(size=(6.0, 4.6), **where)
     first, second = (found.unknown.index(key) for key in (x, y))
     posterior = found.posterior
     grids = {}
@@ -94,7 +80,7 @@ def draw_posterior(
         shown = np.log(np.maximum(density.T, EMPTY))
         if shown.max() <= levels[0]:
             continue
-        look: dict[str, Any] = {"colors": COLOURS.get(colour, colour)}
+        look: dict[str, Any] = {"colors": colour}
         panel.contour(
             right, up, shown, levels=levels, linewidths=[0.6, 1.2, 1.8], linestyles="solid", **look
         )
@@ -112,7 +98,7 @@ def draw_posterior(
     _set_limits(panel, np.array([*ends, (best[x], best[y])]), found, (first, second))
     label_axis(panel.xaxis, key_in_words(x), unit_of(x))
     label_axis(panel.yaxis, key_in_words(y), unit_of(y))
-    return finish(panel, path, title)
+    return picture.finished()
 
 
 def _levels(grids: list[tuple[np.ndarray, ...]]) -> list[float]:
@@ -143,13 +129,7 @@ def _set_limits(
         change(max(axis[0], low[column] - room), min(axis[-1], high[column] + room))
 
 
-def draw_verification(
-    found: Verification,
-    *,
-    axes: Any = None,
-    path: str | Path | None = None,
-    title: str | None = None,
-) -> Figure:
+def draw_verification(found: Verification, **where: Unpack[Where]) -> Figure:
     """Draw the distance of each quantity from its extrapolated value over the size of elements, or
     of what else was varied first, and the contribution of each cause to its uncertainty.
 
@@ -161,8 +141,8 @@ def draw_verification(
     ----------
     found : Verification
         Made by :func:`verify`.
-    axes, path, title
-        As of :func:`draw_waves`, with two panels.
+    **where
+        ``axes``, two of them, ``path`` and ``title``, as of :func:`draw_waves`.
 
     Returns
     -------
@@ -174,13 +154,11 @@ def draw_verification(
     >>> found = fc.verify(scene)  # doctest: +SKIP
     >>> figure = fc.draw_verification(found, path="verification.png")  # doctest: +SKIP
     """
-    left, right = make_axes(axes, path, 2, columns=2, size=(12.0, 5.6))
+    left, right = picture = Picture(2, columns=2, size=(12.0, 5.6), **where)
     if found.causes:
         _draw_orders(left, found, found.causes[0])
     _draw_contributions(right, found)
-    for panel in (left, right):
-        finish(panel, None, None)
-    return figure_of([left, right], path, title)
+    return picture.finished()
 
 
 def _draw_orders(panel: Any, found: Verification, cause: str) -> None:

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sparse
 from mpi4py import MPI
-from scipy.spatial import cKDTree
 
 from fenics_crack.errors import InputError
 from fenics_crack.fem import compat
@@ -148,14 +147,12 @@ def _pair_lips(
         local = local[local < dofs.n_nodes]
         rows = np.column_stack([local + dofs.first_node, coordinates[local], pressure[local]])
         sides.append(gather_rows(comm, rows))
-    lower, upper = _matched(*sides)
-    cracks, positions = along(plate.lips, lower[:, 1:3])
-    order = np.lexsort((positions, cracks))
-    places = _watched(plate.lips, cracks[order], positions[order])
+    lower, upper, cracks, positions = _matched(plate.lips, *sides)
+    places = _watched(plate.lips, cracks, positions)
     if scene.contact is not None and scene.contact.pairs == "mouth":
-        order = order[list(places.values())]
+        chosen = list(places.values())
+        lower, upper, cracks, positions = (x[chosen] for x in (lower, upper, cracks, positions))
         places = {name: number for number, name in enumerate(places)}
-    lower, upper = lower[order], upper[order]
     lengths = np.linalg.norm(lower[:, 3:5], axis=1)
     normals = lower[:, 3:5] / lengths[:, None]
 
@@ -172,20 +169,29 @@ def _pair_lips(
     gap = sparse.csr_matrix((values, (rows.astype(int), columns.astype(int))), shape)
     gap.eliminate_zeros()
     areas = scene.geometry.thickness * lengths
-    where = Pairs(lower[:, 1:3], areas, cracks[order], positions[order], places)
+    where = Pairs(lower[:, 1:3], areas, cracks, positions, places)
     return gap[dofs.free], where
 
 
-def _matched(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows (number, x, y, ...) of both lips' nodes without the tips, partner by partner."""
+def _matched(
+    lips: tuple[Lip, ...], lower: np.ndarray, upper: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Rows (number, x, y, ...) of both lips' nodes without the tips, partner by partner in order
+    along the cracks; the crack of each pair, and its distance from where that begins."""
     shared = np.intersect1d(lower[:, 0], upper[:, 0])
     size = np.ptp(lower[:, 1:3], axis=0).max()
-    lower, upper = (side[~np.isin(side[:, 0], shared)] for side in (lower, upper))
+    sides = []
+    for side in (lower, upper):
+        own = side[~np.isin(side[:, 0], shared)]
+        cracks, positions = along(lips, own[:, 1:3])
+        order = np.lexsort((positions, cracks))
+        sides.append((own[order], cracks[order], positions[order]))
+    (lower, cracks, positions), (upper, _, _) = sides
     alike = len(lower) == len(upper) > 0
     reason = "one has more nodes than the other"
     if alike:
-        distance, partner = cKDTree(upper[:, 1:3]).query(lower[:, 1:3])
-        alike = distance.max() <= 1e-6 * size and len(set(partner)) == len(partner)
+        distance = np.linalg.norm(lower[:, 1:3] - upper[:, 1:3], axis=1)
+        alike = distance.max() <= 1e-6 * size
         x, y = lower[int(np.argmax(distance)), 1:3]
         reason = f"the lower node at ({x:g}, {y:g}) has its partner {distance.max():.2g} m away"
     if not alike:
@@ -196,7 +202,7 @@ def _matched(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarr
             "curve"
         )
         raise InputError("lips", found, allowed)
-    return lower, upper[partner]
+    return lower, upper, cracks, positions
 
 
 def _watched(lips: tuple[Lip, ...], cracks: np.ndarray, positions: np.ndarray) -> dict[str, int]:

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sparse
-from scipy.spatial import cKDTree
 
 from fenics_crack.errors import InputError
 
@@ -112,23 +111,15 @@ def _chains(edges: list[tuple[int, int]], tips: set[int], positions: np.ndarray)
 
 def along(lips: Sequence[Lip], points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """On which crack points (n, 2) lie, and how far from its beginning [m]: two arrays (n,)."""
-    corners = np.concatenate([lip.points for lip in lips])
-    position = np.concatenate([lip.position for lip in lips])
-    crack = np.repeat(np.arange(len(lips)), [len(lip.points) for lip in lips])
-    nearest = cKDTree(corners).query(points)[1]
-    best, found = np.full(len(points), np.inf), np.zeros(len(points))
-    for step in (-1, 0):  # the edges before and after the nearest corner
-        first = np.clip(nearest + step, 0, len(corners) - 2)
-        is_edge = crack[first] == crack[first + 1]
-        span = corners[first + 1] - corners[first]
-        length = np.where(is_edge, np.linalg.norm(span, axis=1), 1.0)
-        share = np.sum((points - corners[first]) * span, axis=1) / length**2
-        share = np.clip(share, 0.0, 1.0)
-        distance = np.linalg.norm(points - corners[first] - share[:, None] * span, axis=1)
-        better = is_edge & (distance < best)
-        best = np.where(better, distance, best)
-        found = np.where(better, position[first] + share * length, found)
-    return crack[nearest], found
+    starts = np.concatenate([lip.points[:-1] for lip in lips])
+    spans = np.concatenate([np.diff(lip.points, axis=0) for lip in lips])
+    before = np.concatenate([lip.position[:-1] for lip in lips])
+    crack = np.repeat(np.arange(len(lips)), [len(lip.points) - 1 for lip in lips])
+    to, squares = points[:, None] - starts, np.sum(spans**2, axis=1)
+    share = np.clip(np.sum(to * spans, axis=2) / squares, 0.0, 1.0)
+    edge = np.linalg.norm(to - share[:, :, None] * spans, axis=2).argmin(axis=1)
+    along_edge = share[np.arange(len(points)), edge] * np.sqrt(squares[edge])
+    return crack[edge], before[edge] + along_edge
 
 
 # --- what gmsh's plugin leaves --------------------------------------------------------------------
@@ -174,6 +165,8 @@ def split_crack(
     InputError
         Nodes along the curve exist once; or cracks branch.
     """
+    from scipy.spatial import cKDTree  # takes a while, for meshes from files alone
+
     ends = positions[edges[:, :2]]
     spans = ends[:, 1] - ends[:, 0]
     middles = ends.mean(axis=1)

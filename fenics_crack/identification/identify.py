@@ -121,9 +121,10 @@ def infer(forward: Forward, measurements: Measurements) -> Identification:
     InputError
         A measurement is not one of the model.
     """
-    cracked, bare = forward.cracked_models, forward.uncracked_models
+    bare = forward.uncracked
     branches = {
-        name: explore(_likelihood(model, bare, measurements)) for name, model in cracked.items()
+        name: explore(_likelihood(model, bare, measurements))
+        for name, model in forward.cracked.items()
     }
     uncracked = np.nan
     if bare:
@@ -192,37 +193,21 @@ def remarks_on(scene: Scene, measurements: Measurements) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Forward:
-    """The sweeps of a forward model.
+    """A forward model, solved.
 
     Attributes
     ----------
     scene : Scene
         With its table ``[identify]``.
-    coarse : SweepResult
-        Over the unknowns and the load frequencies.
-    finer : SweepResult or None
-        Over some of the same values; None where the scene wants no correction.
-    uncracked, uncracked_finer : SweepResult or None
-        Over the unknowns that are not the crack's; None where the crack cannot be taken away.
+    cracked : dict of str to Model
+        A model for each combination of the unknowns that are words: "" or "right".
+    uncracked : dict of str to Model
+        The same without the crack; empty where that cannot be taken away.
     """
 
     scene: Scene
-    coarse: SweepResult
-    finer: SweepResult | None
-    uncracked: SweepResult | None
-    uncracked_finer: SweepResult | None
-
-    @property
-    def cracked_models(self) -> dict[str, Model]:
-        """A model for each combination of the unknowns that are words: "" or "right"."""
-        return _models(self.scene, self.coarse, self.finer)
-
-    @property
-    def uncracked_models(self) -> dict[str, Model]:
-        """The same without the crack."""
-        if self.uncracked is None:
-            return {}
-        return _models(self.scene, self.uncracked, self.uncracked_finer)
+    cracked: dict[str, Model]
+    uncracked: dict[str, Model]
 
 
 def solve_forward(
@@ -258,7 +243,7 @@ def solve_forward(
     loads = tuple(sorted({float(one) for one in (*frequencies, *table.frequencies)}))
     asked = ("sweep", "curve", "integration", "identify", "tip_timing")
     plain = scene.replace(dict.fromkeys(asked))
-    whole = _finer(plain, table.finer)
+    fine = _finer(plain, table.finer)
 
     def run(name: str, of: Scene, axes: Sequence[Axis]) -> SweepResult:
         over = (*axes, Axis(FREQUENCY, loads or (of.excitation.omega / (2.0 * math.pi),)))
@@ -267,16 +252,18 @@ def solve_forward(
         path = folder / f"{name}_{digest}.h5"
         return run_sweep(swept, path, comm, progress=progress, verdicts=False)
 
-    coarse = run("forward", plain, table.unknown)
-    finer = None if whole is None else run("forward_finer", whole, _thinned(table.unknown))
-    without = _uncracked(plain, table.unknown)
-    if without is None:
-        return Forward(scene, coarse, finer, None, None)
-    bare, others = without
-    uncracked = run("uncracked", bare, others)
-    fine_bare = None if whole is None else _uncracked(whole, _thinned(others))
-    uncracked_finer = None if fine_bare is None else run("uncracked_finer", *fine_bare)
-    return Forward(scene, coarse, finer, uncracked, uncracked_finer)
+    def models(name: str, gone: Sequence[str], axes: Sequence[Axis]) -> dict[str, Model]:
+        without = dict.fromkeys(gone)
+        sweeps = [run(name, plain.replace(without), axes)]
+        if fine is not None:
+            sweeps.append(run(f"{name}_finer", fine.replace(without), _thinned(axes)))
+        return _models(scene, sweeps)
+
+    cracked = models("forward", (), table.unknown)
+    if scene.structure is not None or scene.mesh.layout == "file" or len(scene.all_cracks) != 1:
+        return Forward(scene, cracked, {})
+    others = [axis for axis in table.unknown if not axis.key.startswith(("crack.", "contact."))]
+    return Forward(scene, cracked, models("uncracked", ("crack", "cracks", "contact"), others))
 
 
 def _finer(scene: Scene, factor: float) -> Scene | None:
@@ -305,24 +292,14 @@ def _thinned(axes: Sequence[Axis]) -> tuple[Axis, ...]:
     return tuple(found)
 
 
-def _uncracked(scene: Scene, axes: Sequence[Axis]) -> tuple[Scene, tuple[Axis, ...]] | None:
-    """A scene without its crack, and the unknowns that are left; None where there is no such."""
-    if scene.structure is not None or scene.mesh.layout == "file" or len(scene.all_cracks) != 1:
-        return None
-    others = tuple(axis for axis in axes if not axis.key.startswith(("crack.", "contact.")))
-    return scene.replace({"crack": None, "cracks": None, "contact": None}), others
-
-
-def _models(scene: Scene, coarse: SweepResult, finer: SweepResult | None) -> dict[str, Model]:
-    """Models by the words that tell them from each other."""
-    axes = coarse.axes[:-1]
+def _models(scene: Scene, sweeps: Sequence[SweepResult]) -> dict[str, Model]:
+    """Models of a sweep, and of a finer one if there is, by the words that tell them apart."""
+    axes = sweeps[0].axes[:-1]
     words = [range(len(a.values)) if isinstance(a.values[0], str) else (None,) for a in axes]
     found = {}
     for chosen in itertools.product(*words):
         picked = [(axis, at) for axis, at in zip(axes, chosen, strict=True) if at is not None]
-        name = ", ".join(str(axis.values[at]) for axis, at in picked)
-        parts = [None if one is None else Part.of(one, chosen) for one in (coarse, finer)]
-        assert parts[0] is not None
         fixed = {axis.key: axis.values[at] for axis, at in picked}
-        found[name] = Model(scene, parts[0], parts[1], fixed)
+        coarse, *finer = (Part.of(sweep, chosen) for sweep in sweeps)
+        found[", ".join(map(str, fixed.values()))] = Model(scene, coarse, *finer, fixed=fixed)
     return found

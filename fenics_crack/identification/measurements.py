@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -323,10 +324,8 @@ def _row(cells: Mapping[str, str]) -> Measurement:
 
 def _number(name: str, text: str) -> float:
     """The number in a cell."""
-    try:
+    value: Any = text
+    with contextlib.suppress(ValueError):
         value = float(text)
-        if math.isfinite(value):
-            return value
-    except ValueError:
-        pass
-    raise InputError(f"measurements.{name}", text, "a finite number")
+    check_number(f"measurements.{name}", value)
+    return float(value)

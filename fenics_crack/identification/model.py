@@ -48,7 +48,7 @@ class Model:
     """
 
     def __init__(
-        self, scene: Scene, coarse: Part, finer: Part | None, fixed: Mapping[str, Any]
+        self, scene: Scene, coarse: Part, finer: Part | None = None, *, fixed: Mapping[str, Any]
     ) -> None:
         assert scene.identify is not None
         self.table, self._damping = scene.identify, scene.damping

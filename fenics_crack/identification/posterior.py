@@ -5,6 +5,9 @@ have a covariance T(x):
 
     log L(x) = - (m - s)^T V^-1 (m - s) / 2 - log(det V) / 2,    V(x) = diag(e^2) + T(x)
 
+As det V is no less than that of diag(e^2), both terms are squares, and least squares find its
+maxima.
+
 The prior is uniform between the bounds. Regions hold a share of the posterior's mass, the densest
 parts first; the integral of L over the prior is a hypothesis' evidence (D. J. C. MacKay,
 Information Theory, Inference, and Learning Algorithms, 2003, chapter 28).
@@ -18,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import label, maximum_filter
-from scipy.optimize import least_squares, minimize
+from scipy.optimize import least_squares
 from scipy.special import logsumexp
 
 from fenics_crack.identification.model import Prediction, Quantities
@@ -59,19 +62,19 @@ class Likelihood:
     deviations: np.ndarray
     quantities: Quantities
 
-    def whitened(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """L^-1 (m - s) / e, whose square is chi^2, at values (m, d) of the unknowns, and the sum of
-        the logarithms of the diagonal of L, V = diag(e) L L^T diag(e): (m, q), (m,)."""
+    def residuals(self, x: np.ndarray) -> np.ndarray:
+        """At values (m, d) of the unknowns: (m, q + 1). L^-1 (m - s) / e, of which the squares are
+        chi^2, V = diag(e) L L^T diag(e); and the root of log(det L L^T)."""
         predicted = self.quantities(x)
         factor = np.linalg.cholesky(scaled_covariance(predicted, self.values, self.deviations))
         differences = np.nan_to_num((self.values - predicted.values) / self.deviations)
-        found = np.linalg.solve(factor, differences[..., None])[..., 0]
-        return found, np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+        logs = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
+        root = np.sqrt(2.0 * np.maximum(logs, 0.0))  # below 0 by rounding alone
+        return np.column_stack([np.linalg.solve(factor, differences[..., None])[..., 0], root])
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """log L at values (m, d) of the unknowns: (m,)."""
-        found, logs = self.whitened(x)
-        return np.asarray(-0.5 * np.sum(found**2, axis=1) - logs)
+        """log L at values (m, d) of the unknowns: (m,), up to a constant."""
+        return np.asarray(-0.5 * np.sum(self.residuals(x) ** 2, axis=1))
 
 
 def scaled_covariance(
@@ -191,16 +194,14 @@ def _optima(
     for at in best:
         start = np.array([axis[place] for axis, place in zip(axes, at, strict=True)])
 
-        def scaled(unit: np.ndarray) -> np.ndarray:
-            return likelihood.whitened((low + span * unit)[None])[0][0]
+        def residuals(unit: np.ndarray) -> np.ndarray:
+            return likelihood.residuals((low + span * unit)[None])[0]
 
         unit = np.clip((start - low) / span, 1e-6, 1.0 - 1e-6)
-        fit = least_squares(scaled, unit, bounds=(0.0, 1.0), x_scale=0.1)
+        fit = least_squares(residuals, unit, bounds=(0.0, 1.0), x_scale=0.1)
         information = fit.jac.T @ fit.jac + 12.0 * np.eye(len(span))
         covariance = np.linalg.inv(information) * np.outer(span, span)
-        for end in (fit.x, unit):  # the variances are no part of the squares
-            place = low + span * end
-            found.append(Optimum(place, float(likelihood(place[None])[0]), covariance))
+        found.append(Optimum(low + span * fit.x, -float(fit.cost), covariance))
     found.sort(key=lambda optimum: -optimum.height)
     kept: list[Optimum] = []
     for one in found:
@@ -209,20 +210,7 @@ def _optima(
         )
         if one.height > found[0].height - WORSE and not any(near):
             kept.append(one)
-    kept[0] = _polished(likelihood, kept[0], low, high)
     return kept
-
-
-def _polished(likelihood: Likelihood, best: Optimum, low: np.ndarray, high: np.ndarray) -> Optimum:
-    """The nearest maximum of log L itself, with its variances."""
-    width = np.sqrt(np.diag(best.covariance))
-
-    def depth(shift: np.ndarray) -> float:
-        return -float(likelihood(np.clip(best.x + width * shift, low, high)[None])[0])
-
-    found = minimize(depth, np.zeros(len(low)), method="Nelder-Mead", options={"maxfev": 200})
-    x = np.clip(best.x + width * found.x, low, high)
-    return Optimum(x, -float(found.fun), best.covariance)
 
 
 class Posterior:

@@ -93,7 +93,7 @@ class Identification(Tabular):
         """chi^2 at the estimate, and the probability of more, by chance, with as many measurements
         (of displacements three fewer, for what is not known of the load)."""
         likelihood, x = self._branch.likelihood, self.posterior.best[1][None]
-        total = float(np.sum(likelihood.whitened(x)[0] ** 2))
+        total = float(np.sum(likelihood.residuals(x)[0, :-1] ** 2))
         count = len(likelihood.values) - likelihood.quantities(x).free.shape[2]
         return total, float(chdtrc(max(count, 1), total))
 

@@ -122,21 +122,18 @@ def worth_of(
     left = np.diag(covariance)[count:] - np.sum(mixed * weights[:, len(x) :], axis=0)
     new = (slopes[count:] - mixed.T @ weights[:, : len(x)]) / np.sqrt(left)[:, None]
     before = np.linalg.inv(information)
-    found = []
-    for row, value, deviation, slope in zip(
-        np.array(rows, dtype=object)[fit], values[count:][fit], noise[fit], new[fit], strict=True
-    ):
-        gain = 0.5 * np.log1p(slope @ before @ slope)
-        after = np.sqrt(np.diag(np.linalg.inv(information + np.outer(slope, slope)))) * span
-        told = replace(row, value=float(value), deviation=float(deviation))
-        found.append((gain, told, after))
-    found.sort(key=lambda item: -item[0])
-    now = np.sqrt(np.diag(before)) * span
+    moved = new @ before
+    gained = np.sum(moved * new, axis=1)
+    after = np.sqrt(np.diag(before) - moved**2 / (1.0 + gained)[:, None]) * span
+    best = [int(at) for at in np.argsort(-gained, kind="stable") if fit[at]]
     return Worth(
-        tuple(told for _, told, _ in found),
-        np.array([gain for gain, _, _ in found]),
-        {key: np.array([after[k] for *_, after in found]) for k, key in enumerate(model.keys)},
-        dict(zip(model.keys, now.tolist(), strict=True)),
+        tuple(
+            replace(rows[at], value=float(values[count + at]), deviation=float(noise[at]))
+            for at in best
+        ),
+        0.5 * np.log1p(gained[best]),
+        {key: after[best, place] for place, key in enumerate(model.keys)},
+        dict(zip(model.keys, (np.sqrt(np.diag(before)) * span).tolist(), strict=True)),
     )
 
 

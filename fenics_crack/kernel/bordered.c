@@ -4,7 +4,8 @@
 #include <stdlib.h>
 
 enum { PATIENT = 32 };
-#define STEP 1e-4 /* residual of a step of Newton's method that is found with products */
+#define STEP 1e-4  /* residual of a step of Newton's method that is found with products, */
+#define SHARP 1e-9 /* and of a tangent */
 
 double inner_product(const equations *at, const double *x, const double *y)
 {
@@ -28,10 +29,9 @@ static void slope_at(equations *at, int n, double sharp, int former, double *slo
     for (int i = 0; i < n; i++) slope[i] = -slope[i];
 }
 
-double unit_tangent(equations *at, int n, double sharp, const double *x, double *tangent,
-                    double *weight)
+double unit_tangent(equations *at, int n, const double *x, double *tangent, double *weight)
 {
-    slope_at(at, n, sharp, 0, tangent);
+    slope_at(at, n, SHARP, 0, tangent);
     *weight = 1.0 / fmax(inner_product(at, x, x), 1e-300);
     const double slope = 1.0 / sqrt(*weight * inner_product(at, tangent, tangent) + 1.0);
     for (int i = 0; i < n; i++) tangent[i] *= slope;

@@ -33,8 +33,7 @@ double inner_product(const equations *at, const double *x, const double *y);
 void add_to(int n, double *x, double s, const double *y);
 void turn_round(int n, double *tangent, double *slope);
 /* The unit tangent towards growing p at a point that has been evaluated, and its weight; its slope
- * t_p. `sharp`: relative residual where it takes products. */
-double unit_tangent(equations *at, int n, double sharp, const double *x, double *tangent,
-                    double *weight);
+ * t_p. */
+double unit_tangent(equations *at, int n, const double *x, double *tangent, double *weight);
 
 #endif

@@ -220,15 +220,11 @@ static int make_forces(contact_point *at)
 {
     const contact_pairs *of = &at->of;
     equations *own = &at->common.own;
-    if (!of->coupled) {
-        own->has_factors = has_dense_factors, own->solve_nearly = solve_nearly_dense;
-        switching_waves(of->seen.harmonics, at->waves);
-        return 0;
-    }
     own->products = !of->formed || own->unknowns > MANY;
     if (own->products) at->inverse = new_krylov(own->unknowns);
-    at->forces = new_coupled_forces(of->seen.harmonics, of->seen.pairs);
-    return !at->forces || (own->products && !at->inverse);
+    if (of->coupled) at->forces = new_coupled_forces(of->seen.harmonics, of->seen.pairs);
+    else switching_waves(of->seen.harmonics, at->waves);
+    return (of->coupled && !at->forces) || (own->products && !at->inverse);
 }
 
 contact_point *new_contact_point(const contact_pairs *given)

@@ -12,9 +12,9 @@
  *
  *     D(p) = R_inf + diag(e^{-growth p} springs) + softness |1 - p|^3.
  *
- * Where D is diagonal, each pair has its own force max(s, 0) / D (switching.h), and points may share
- * LU factors; else the pairs are coupled (coupled_forces.h), and solutions take products with J where
- * these are quicker than factors (krylov.h).
+ * Where D is diagonal, each pair has its own force max(s, 0) / D (switching.h); else the pairs are
+ * coupled (coupled_forces.h). Solutions take products with J where these are quicker than factors
+ * (krylov.h).
  *
  * Where modes are fewer than coupled pairs, R~_k = U R'_k U^T with an orthonormal basis U, and J is
  * solved with through I + R' U^T T U, of the same determinant. Where J is not formed turns of a path

@@ -40,8 +40,6 @@ void solve_nearly_dense(equations *own, double *x)
     solve_factored(at->size, at->matrix, at->pivots, x);
 }
 
-int has_dense_factors(const equations *own) { return ((const dense *)own)->kept; }
-
 double sign_of_dense(equations *own)
 {
     dense *at = (dense *)own;

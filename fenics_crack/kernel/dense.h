@@ -8,8 +8,8 @@
  * determinant: then the kind solves with it in its own way. */
 typedef struct dense {
     equations own;
-    int size, factored, kept; /* kept: whether there are factors, be they of another point */
-    double *matrix;           /* (size, size) */
+    int size, factored, kept; /* whether there are factors at the point, and of a former one */
+    double *matrix; /* (size, size) */
     int *pivots;
     void (*form)(struct dense *at);
 } dense;
@@ -22,7 +22,6 @@ void factor_dense(dense *at);
 /* What vtables take. */
 void solve_dense(equations *own, double *x);
 void solve_nearly_dense(equations *own, double *x);
-int has_dense_factors(const equations *own);
 double sign_of_dense(equations *own);
 
 #endif

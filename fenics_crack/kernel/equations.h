@@ -5,7 +5,7 @@
 /* What comes of an evaluation, or of a correction by Newton's method. */
 enum { FOUND, NOT_FOUND, SINGULAR_STRUCTURE, NO_MEMORY, FAILED };
 
-/* Unknowns from which on solutions with J share factors, or take products, for new factors are dear. */
+/* Unknowns from which on solutions with J take products, for factors are dear. */
 enum { MANY = 100 };
 
 /* The points of each kind begin with it; `at` is such a point. */
@@ -22,11 +22,9 @@ typedef struct equations {
     /* Inner product of unknowns; NULL: x^T y. */
     double (*inner)(const struct equations *at, const double *x, const double *y);
     void *context; /* what equations in Python are made of (numerics/equations.py) */
-    /* x = J^-1 x with the J of the last point where it was factored; NULL where none is kept. For
-     * points that share LU factors (broyden.h), else NULL, too: whether there is one, and J x. */
+    void (*apply)(struct equations *at, const double *x, double *found); /* J x, for products */
+    /* x = J^-1 x with the J of the last point where it was factored; NULL where none is kept. */
     void (*solve_nearly)(struct equations *at, double *x);
-    int (*has_factors)(const struct equations *at);
-    void (*apply)(struct equations *at, const double *x, double *found);
 } equations;
 
 #endif

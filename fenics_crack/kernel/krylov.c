@@ -105,7 +105,10 @@ static void rotate(krylov *k, int j, double *column)
 static void keep(krylov *k, int size)
 {
     const size_t row = k->most + 1, count = size + 1;
-    if (k->stages == STAGES || k->kept + size + 1 > k->most) return;
+    if (k->stages == STAGES || k->kept + size + 1 > k->most) {
+        begin_anew(k);
+        return;
+    }
     double *inverse = malloc(count * count * sizeof(double)), *last = k->weights;
     if (!inverse) return;
     memset(inverse, 0, count * count * sizeof(double)); /* Q^T */
@@ -137,7 +140,7 @@ static void keep(krylov *k, int size)
 void solve_by_products(krylov *k, equations *at, double *x, double tolerance)
 {
     const size_t n = k->n, row = k->most + 1;
-    if (k->stages && (k->kept > KEPT * k->begins[1] || 2 * k->kept > k->most)) begin_anew(k);
+    if (k->stages && (k->kept > KEPT * k->begins[1])) begin_anew(k);
     double *vectors = k->vectors + k->kept * n;
     const double size = sqrt(dot(k->n, x, x));
     int count = 0;

@@ -1,23 +1,17 @@
-#include "broyden.h"
 #include "path.h"
 
+#include <float.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 enum {
-    UNSURE = 8,              /* points whose sign of det J is not asked for, in a row */
-    DOUBTED = FAILED + 1,    /* of points: they do not go with the next factors */
-    HALVES = 53              /* of an interval: as many as a double has digits */
+    DOUBTED = FAILED + 1, /* of points: they do not go with the next sign */
+    UNSURE = 8            /* points without a sign in a row: a branch that crosses twice is missed */
 };
-#define ITERATIONS 0.05 /* with shared factors that take as long as new ones, per unknown */
-#define TANGENT 1e-5    /* residual of a tangent found with shared factors, or with products, */
-#define SHARP 1e-9      /* and of a tangent that tells where a path turns */
-#define LEVEL 1e-3      /* slope of a tangent below which it must be exact: the path may turn */
-#define BRANCHING 1e-3  /* of the longest step: below it a change of sign straight on is a branch */
-#define CORNER 1e-7     /* shortest and longest step, of the longest of all, around a corner, */
+#define BRANCHING 1e-3 /* of the longest step: below it a change of sign straight on is a branch */
+#define CORNER 1e-7    /* shortest and longest step, of the longest of all, around a corner */
 #define AROUND 1e-2
-#define BACK 0.9        /* and cosine of an angle above which its opposite leads back */
 
 /* x, p += the quadratic and cubic terms of Hermite's polynomial through the last two points, in the
  * distance along the last tangent; none where these could not help. */
@@ -47,17 +41,13 @@ static void bend(const equations *at, const path *points, double step, double *x
     if (far < 0.1 * step * step) add_to(n, x, 1.0, room), *p += room[n];
 }
 
-/* Points that share the LU factors of one of them, which take n^3. The sign of det J is known there
- * only: where it is wrong at the next point that is factored, those between are followed again, each
- * with its own. */
+/* Where solutions take products with J, the sign of det J is dear, and asked for now and then. Where
+ * it is wrong, the points since the last one are followed again, each with its own. */
 typedef struct {
-    broyden by;
-    int sure;         /* the last point with factors of its own, */
-    double step;      /* and the step behind it */
-    int points, work; /* since then: points, and the iterations of all */
-    int own;          /* points before this one need their own */
-    double *here;     /* room for a point z */
-} sharing;
+    int sure;    /* the last point with its sign, */
+    double step; /* and the step behind it */
+    int own;     /* points before this one need their own */
+} trust;
 
 /* Of two directions y and z, the second with its weight, as turns are judged. */
 static double product(const equations *at, double weight, const double *y, double y_p,
@@ -84,7 +74,7 @@ static double tangent_onwards(equations *at, int n, double orientation, const do
                               const double *before, double old_slope, double *tangent,
                               double *weight)
 {
-    double slope = unit_tangent(at, n, TANGENT, x, tangent, weight);
+    double slope = unit_tangent(at, n, x, tangent, weight);
     const double sign = isnan(orientation) ? NAN : at->sign(at);
     const int onwards = isnan(sign) ? product(at, *weight, tangent, slope, before, old_slope) >= 0.0
                                     : sign == orientation;
@@ -92,74 +82,12 @@ static double tangent_onwards(equations *at, int n, double orientation, const do
     return slope;
 }
 
-static void set_row(int n, double *row, const double *x, double p)
-{
-    memcpy(row, x, n * sizeof(double));
-    row[n] = p;
-}
-
-/* Factors of its own for the last point: FOUND, or DOUBTED where the path leads the other way. */
-static int renew(equations *at, int n, path *points, sharing *with)
-{
-    const int last = points->known - 1;
-    const double *x = points->unknowns + (size_t)last * n;
-    double *tangent = points->tangents + (size_t)last * n;
-    const int outcome = at->evaluate(at, x, points->parameters[last]);
-    if (outcome != FOUND) return outcome;
-    const double slope = tangent_onwards(at, n, points->orientation, x, tangent,
-                                         points->slopes[last], with->here, points->weights + last);
-    const double along = points->weights[last] * inner_product(at, with->here, tangent);
-    if (!(along + slope * points->slopes[last] > 0.0)) return DOUBTED;
-    memcpy(tangent, with->here, n * sizeof(double)), points->slopes[last] = slope;
-    with->sure = last, with->step = points->step, with->points = with->work = 0;
-    return FOUND;
-}
-
 /* Forget the points behind the last one that is sure; 0 where there are none. */
-static int go_back(sharing *with, path *points)
+static int go_back(trust *in, path *points)
 {
-    if (!with || with->sure == points->known - 1) return 0;
-    with->own = points->known, points->known = with->sure + 1, points->step = with->step;
-    with->points = with->work = 0;
+    if (in->sure == points->known - 1) return 0;
+    in->own = points->known, points->known = in->sure + 1, points->step = in->step;
     return 1;
-}
-
-/* Correct a prediction with the factors that there are. */
-static int correct_shared(equations *at, int n, const correction *how, const path *points,
-                          sharing *with, double *x, double *p, int *taken)
-{
-    const int last = points->known - 1, sure = with->sure;
-    broyden *by = &with->by;
-    set_row(n, by->across, points->tangents + (size_t)last * n, points->slopes[last]);
-    set_row(n, by->along, points->tangents + (size_t)sure * n, points->slopes[sure]);
-    set_row(n, with->here, x, *p);
-    by->weight = points->weights[last];
-    const int outcome = correct_by_former(at, by, with->here, how->tolerance, how->iterations,
-                                          how->reach, taken, &with->work);
-    if (outcome == FOUND) memcpy(x, with->here, n * sizeof(double)), *p = with->here[n];
-    return outcome;
-}
-
-/* The tangent there, from the guess 2 (z - z_0) / step - t_0; 0 where it must be an exact one. */
-static int tangent_shared(equations *at, int n, const path *points, sharing *with, double *tangent,
-                          double *slope, double *weight)
-{
-    const int last = points->known - 1;
-    const double *before = points->unknowns + (size_t)last * n;
-    broyden *by = &with->by;
-    double *t = with->here;
-    *weight = 1.0 / fmax(inner_product(at, t, t), 1e-300);
-    for (int i = 0; i <= n; i++) {
-        const double moved = t[i] - (i < n ? before[i] : points->parameters[last]);
-        t[i] = 2.0 * moved / points->step - by->across[i];
-    }
-    at->by_parameter(at, by->rate), at->apply(at, t, by->residual);
-    add_to(n, by->residual, t[n], by->rate);
-    if (!solve_by_former(at, by, t, TANGENT, &with->work)) return 0;
-    const double size = sqrt(*weight * inner_product(at, t, t) + t[n] * t[n]);
-    for (int i = 0; i < n; i++) tangent[i] = t[i] / size;
-    *slope = t[n] / size;
-    return fabs(*slope) > LEVEL;
 }
 
 /* The prediction x, p of the next point. */
@@ -215,7 +143,7 @@ static int round_corner(equations *at, int n, const stepping *how, path *points,
             tangent_onwards(at, n, points->orientation, x, old, old_slope, way, &weight);
         const double straight =
             cosine_of(at, points->weights[last], way, slope_of_way, old, old_slope);
-        const int unsure = isnan(points->orientation) && straight < BACK;
+        const int unsure = isnan(points->orientation) && straight < how->least_cosine;
         for (int ways = 0; ways <= unsure; ways++, turn_round(n, way, &slope_of_way)) {
             int taken;
             memcpy(x, here, n * sizeof(double)), add_to(n, x, step, way);
@@ -236,45 +164,30 @@ static int round_corner(equations *at, int n, const stepping *how, path *points,
 
 /* One step: FOUND, NOT_FOUND where the step is too long, SINGULAR_STRUCTURE, or DOUBTED where
  * points before it must be followed again. */
-static int advance(equations *at, int n, const stepping *how, path *points, sharing *with,
-                   double *room)
+static int advance(equations *at, int n, const stepping *how, path *points, trust *in, double *room)
 {
     const int last = points->known - 1;
     const double step = points->step, weight = points->weights[last];
+    const double old_slope = points->slopes[last];
     const double *here = points->unknowns + (size_t)last * n;
-    double old_slope = points->slopes[last];
     const double *old = points->tangents + (size_t)last * n;
-    double *x = points->unknowns + (size_t)points->known * n, p;
-    double *tangent = points->tangents + (size_t)points->known * n, own, slope;
+    double *x = points->unknowns + (size_t)points->known * n, p, own;
+    double *tangent = points->tangents + (size_t)points->known * n;
     const correction newton = correction_of(how, step);
-    int taken, crossing = 0, outcome = NOT_FOUND, work = with ? with->work : 0;
-    int shared = with && !at->products && points->known > with->own && at->has_factors(at);
-    while (shared && outcome == NOT_FOUND) {
-        predict(at, points, x, &p, room);
-        outcome = correct_shared(at, n, &newton, points, with, x, &p, &taken);
-        if (outcome != NOT_FOUND) break;
-        shared = with->sure < last; /* the others are worn out */
-        if (shared && (outcome = renew(at, n, points, with)) != FOUND) return outcome;
-        old_slope = points->slopes[last], outcome = NOT_FOUND, work = 0;
-    }
-    if (!shared) {
-        predict(at, points, x, &p, room);
-        const plane in = {old, old_slope, weight};
-        outcome = correct_in_plane(at, &in, &newton, x, &p, &taken, room);
-    }
+    const plane across = {old, old_slope, weight};
+    int taken, crossing = 0;
+    predict(at, points, x, &p, room);
+    const int outcome = correct_in_plane(at, &across, &newton, x, &p, &taken, room);
     if (outcome != FOUND) return outcome;
-    if (shared) shared = tangent_shared(at, n, points, with, tangent, &slope, &own);
-    /* Where its sign alone asks for factors, these are asked for now and then. */
     const int ends = points->known + 1 == points->room || p < how->lowest || p > how->highest;
-    const int sure = !with || !at->products || ends || points->known <= with->own ||
-                     points->known - with->sure >= UNSURE;
-    if (!shared)
-        slope = tangent_onwards(at, n, sure ? points->orientation : NAN, x, old, old_slope, tangent,
-                                &own);
+    const int sure = !at->products || ends || points->known <= in->own ||
+                     points->known - in->sure >= UNSURE;
+    double slope =
+        tangent_onwards(at, n, sure ? points->orientation : NAN, x, old, old_slope, tangent, &own);
     /* The angle tells whether the step has left the path. */
     const double cosine = cosine_of(at, weight, tangent, slope, old, old_slope);
     if (!(cosine > how->least_cosine)) {
-        if (with && with->sure < last && cosine < 0.0) return DOUBTED;
+        if (in->sure < last && cosine < 0.0) return DOUBTED;
         if (!(cosine < -0.999 && step < BRANCHING * how->longest)) return NOT_FOUND;
         /* A short step straight on, but the sign has changed: another branch crosses. */
         crossing = 1, points->orientation = -points->orientation;
@@ -289,31 +202,16 @@ static int advance(equations *at, int n, const stepping *how, path *points, shar
     append(at, points, p, slope, own, taken, crossing, room);
     if (taken <= 3) points->step = fmin(how->longest, 1.7 * step);
     else if (taken > 5) points->step *= 0.7;
-    if (!with) return FOUND;
-    if (!shared) {
-        if (sure)
-            with->sure = points->known - 1, with->step = points->step, with->points = with->work = 0;
-        return FOUND;
-    }
-    /* Behind more work than a point has taken on the average, and at the end of a call, the last
-     * point gets factors of its own. */
-    work = with->work - work;
-    const double average = (ITERATIONS * n + with->work) / ++with->points;
-    return ends || work > average ? renew(at, n, points, with) : FOUND;
+    if (sure) in->sure = points->known - 1, in->step = points->step;
+    return FOUND;
 }
 
 int follow(equations *at, const stepping *how, path *points)
 {
-    const int n = at->unknowns, many = n >= MANY && (at->has_factors || at->products);
-    const size_t row = (size_t)n + 1, rows = many ? 11 + 2 * BROYDEN_PAIRS : 4;
-    double *room = malloc(rows * row * sizeof(double));
+    const int n = at->unknowns;
+    double *room = malloc(4 * ((size_t)n + 1) * sizeof(double));
     int outcome = room ? FOUND : NO_MEMORY, inside = 1;
-    sharing with = {.sure = points->known - 1, .step = points->step, .by = {.unknowns = n}};
-    broyden *by = &with.by;
-    double **const each[] = {&with.here,    &by->across, &by->along,  &by->rate,
-                             &by->residual, &by->step,   &by->answer, &by->steps};
-    for (int i = 0; room && many && i < 8; i++) *each[i] = room + (4 + i) * row;
-    if (room && many) by->gains = by->steps + BROYDEN_PAIRS * row;
+    trust in = {points->known - 1, points->step, 0};
     if (outcome == FOUND && points->orientation == 0.0) {
         const double *x = points->unknowns + (size_t)(points->known - 1) * n;
         outcome = at->evaluate(at, x, points->parameters[points->known - 1]);
@@ -321,11 +219,11 @@ int follow(equations *at, const stepping *how, path *points)
         points->orientation = points->slopes[points->known - 1] > 0.0 ? sign : -sign;
     }
     while (outcome == FOUND && points->known < points->room && inside) {
-        do outcome = advance(at, n, how, points, many ? &with : NULL, room);
+        do outcome = advance(at, n, how, points, &in, room);
         while (outcome == NOT_FOUND && (points->step *= 0.5) >= how->shortest);
-        if (outcome != FOUND && go_back(many ? &with : NULL, points)) outcome = FOUND;
+        if (outcome != FOUND && go_back(&in, points)) outcome = FOUND;
         if (outcome == NOT_FOUND && (outcome = round_corner(at, n, how, points, room)) == FOUND)
-            with.sure = points->known - 1, with.step = points->step, with.points = with.work = 0;
+            in.sure = points->known - 1, in.step = points->step;
         const double p = points->parameters[points->known - 1];
         inside = p >= how->lowest && p <= how->highest;
     }
@@ -346,7 +244,7 @@ static double root_within(const double *cubic)
     const double begin = polynomial(cubic, first), end = polynomial(cubic, last);
     if (begin == 0.0 || end == 0.0 || (begin > 0.0) == (end > 0.0))
         return fabs(begin) < fabs(end) ? first : last;
-    for (int i = 0; i < HALVES; i++) {
+    for (int i = 0; i < DBL_MANT_DIG; i++) {
         const double middle = 0.5 * (first + last);
         if ((polynomial(cubic, middle) > 0.0) == (begin > 0.0)) first = middle;
         else last = middle;
@@ -392,7 +290,7 @@ static int between(equations *at, int n, const stepping *how, int most, const do
             correct_in_plane(at, &in, &newton, x, ends->parameters + next,
                              ends->iterations + next, room);
         if (outcome != FOUND) return outcome;
-        ends->slopes[next] = unit_tangent(at, n, SHARP, x, ahead, ends->weights + next);
+        ends->slopes[next] = unit_tangent(at, n, x, ahead, ends->weights + next);
         if (weight * inner_product(at, ahead, tangent) + ends->slopes[next] * slope < 0.0)
             turn_round(n, ahead, ends->slopes + next);
         const int before = target ? (ends->parameters[next] - *target) * (p - *target) > 0.0

@@ -23,10 +23,9 @@ typedef struct {
     double step, orientation; /* sign of t_p det J along the path; 0: not asked for yet */
 } path;
 
-/* From 100 unknowns on points share LU factors (broyden.h): J is factored where this has become
- * slow, where the path may turn, and at the last point of a call. There the sign of its determinant
- * is compared with the path's; where it has changed the points since are followed again, each with
- * factors of its own.
+/* Where solutions take products with J the sign of its determinant is compared with the path's at
+ * every eighth point and the last one of a call; where it has changed the points since are followed
+ * again, each with its own.
  *
  * Follow the path until there is no more room or the parameter leaves its range. Returns FOUND,
  * or why it ended before: NOT_FOUND where steps would be too short. */

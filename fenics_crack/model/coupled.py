@@ -38,6 +38,7 @@ import numpy as np
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.kernel import doubles, kernel, owned, shaped, signs
 from fenics_crack.model.contact import ContactLaw
+from fenics_crack.numerics.rounding import ROUNDING
 
 __all__ = [
     "ActiveSets",
@@ -52,8 +53,6 @@ MAX_KEPT = 2**28
 """Bytes of inverses that are kept."""
 MAX_NEWTON = 200
 """Iterations for forces that are not piecewise linear in the gaps."""
-ROUNDING = 1e-13
-"""Openings relative to the largest gap of an instant that count as zero."""
 REGULAR = 1e-6
 """Smallest eigenvalue of R_inf, relative to the largest, with which a constraint is solved."""
 

@@ -12,14 +12,14 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from fenics_crack.errors import InputError, reading
-from fenics_crack.model.factor import Factor, factored_sum, weighted_sum
+from fenics_crack.model.factor import Factor, distributed, factored_sum, weighted_sum
 from fenics_crack.model.matrix_market import read_matrix_market
 from fenics_crack.parallel import gather_rows, raise_together
+from fenics_crack.scene.fields import LARGEST
 from fenics_crack.table import counted
 
 __all__ = [
     "checked",
-    "distributed",
     "lumped_mass",
     "numbers",
     "per_pair",
@@ -32,19 +32,6 @@ __all__ = [
 TOLERATED = 1e-10
 """Asymmetry relative to a matrix's size; negative eigenvalues, to the largest K_ii / M_ii; sums of
 a mass's rows that are zero, to the largest."""
-LARGEST = 1e60
-"""Of entries: numbers of scenes are up to 1e30, and those of their matrices products of two."""
-
-
-def distributed(rows: Any, comm: MPI.Comm, columns: int | None = None) -> Any:
-    """PETSc matrix of the rows on this rank (n_local, n); square unless it owns other columns."""
-    rows = sparse.csr_matrix(rows, copy=True)
-    rows.sum_duplicates()  # PETSc would keep the last of them
-    local, total = rows.shape
-    sizes = ((local, PETSc.DETERMINE), (local if columns is None else columns, total))
-    matrix = PETSc.Mat().createAIJ(sizes, csr=(rows.indptr, rows.indices, rows.data), comm=comm)
-    matrix.assemble()
-    return matrix
 
 
 def numbers(given: Any) -> np.ndarray:
@@ -82,7 +69,7 @@ def petsc_matrix(name: str, given: Any, comm: MPI.Comm, n: int | None = None) ->
     if not made:
         _check_sizes(name, whole.data)
         start, stop = (rows * comm.rank) // comm.size, (rows * (comm.rank + 1)) // comm.size
-        return distributed(_with_diagonal(whole[start:stop], start), comm)
+        return distributed(whole[start:stop], comm)
     comm = given.comm.tompi4py()
     starts, places, values = given.convert("aij", PETSc.Mat()).getValuesCSR()
     error = None
@@ -92,15 +79,7 @@ def petsc_matrix(name: str, given: Any, comm: MPI.Comm, n: int | None = None) ->
         error = found
     raise_together(comm, error)
     own = sparse.csr_matrix((values, places, starts), (given.local_size[0], columns))
-    return distributed(_with_diagonal(own, given.owner_range[0]), comm)
-
-
-def _with_diagonal(rows: sparse.csr_matrix, first: int) -> sparse.csr_matrix:
-    """Rows of a matrix, the first of them with this number, with an entry on the diagonal, even
-    zero: MUMPS finds no null pivot where there is none."""
-    entries, place = sparse.coo_matrix(rows), np.arange(rows.shape[0])
-    at = np.append(entries.row, place), np.append(entries.col, first + place)
-    return sparse.csr_matrix((np.append(entries.data, 0.0 * place), at), rows.shape)
+    return distributed(own, comm)
 
 
 def _read_matrix(name: str, given: Any, rows: int | None) -> Any:
@@ -142,9 +121,9 @@ def _check_sizes(name: str, values: np.ndarray) -> None:
     if not np.all(np.isfinite(sizes)):
         bad = values[~np.isfinite(sizes)]
         raise InputError(name, float(bad.ravel()[0]), "finite in every entry")
-    largest = float(sizes.max(initial=0.0))
-    if largest and not 1.0 / LARGEST <= largest <= LARGEST:
-        allowed = f"0 or from {1.0 / LARGEST:g} to {LARGEST:g} in size"
+    largest, most = float(sizes.max(initial=0.0)), LARGEST**2  # a product of two of a scene
+    if largest and not 1.0 / most <= largest <= most:
+        allowed = f"0 or from {1.0 / most:g} to {most:g} in size"
         raise InputError(name, f"{largest:g}, the largest entry", allowed)
 
 
@@ -212,7 +191,7 @@ def _check_symmetric(name: str, matrix: Any) -> None:
 
 
 def _check_positive_definite(name: str, matrix: Any) -> None:
-    with Factor(matrix, symmetric=True) as factor:
+    with Factor(matrix) as factor:
         negative, null = factor.negative_pivots, factor.null_pivots
     if negative or null:
         found = f"{negative} negative and {null} zero eigenvalues"

@@ -23,8 +23,6 @@ __all__ = ["addresses_left", "machine_memory", "reduction_memory", "whole_memory
 
 FACTOR = 60.0
 """Bytes of a factor over n log2 n."""
-ENTRY = 12
-"""Bytes of an entry of a sparse matrix."""
 
 
 def machine_memory() -> float:
@@ -48,7 +46,8 @@ def reduction_memory(structure: Structure, modes: int, method: str) -> float:
     kept = modes + max(modes // 2, 10) if method == "massless" else modes
     entries = structure.stiffness.getInfo(PETSc.Mat.InfoType.GLOBAL_SUM)["nz_used"]
     krylov = 8.0 * dofs * krylov_vectors(kept)
-    counting = _factor(structure) + 2 * ENTRY * entries
+    entry = np.dtype(PETSc.ScalarType).itemsize + np.dtype(PETSc.IntType).itemsize
+    counting = _factor(structure) + 2 * entry * entries
     # Blocks of static responses, or all of them in a basis and that of its reference.
     static = 8.0 * dofs * (4 * AT_A_TIME if method == "massless" else 10 * columns)
     most = max(krylov, counting, static)

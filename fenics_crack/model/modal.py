@@ -9,7 +9,7 @@ import numpy as np
 import scipy.linalg
 
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.model.modes import ROUNDING, damped_modes, damping_in
+from fenics_crack.model.modes import NEGLIGIBLE, ROUNDING, damped_modes, damping_in
 from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.structure import Structure
 
@@ -64,7 +64,7 @@ class AllModes:
     @property
     def ill_conditioned(self) -> bool:
         """Tell whether rounding relative to the highest modes may spoil the lowest ones."""
-        return not self.unconstrained and bool(self.squares[0] < 1e-12 * self.squares[-1])
+        return not self.unconstrained and bool(self.squares[0] < NEGLIGIBLE * self.squares[-1])
 
     def receptance(
         self, omega: np.ndarray, factor: float = 1.0, loaded: np.ndarray | None = None
@@ -195,7 +195,7 @@ def _all_modes(structure: Structure) -> AllModes:
         squares, shapes, damping = known.omega**2, known.shapes, known.rate
     else:
         squares, shapes = scipy.linalg.eigh(*map(_dense, (structure.stiffness, structure.mass)))
-        damping = damping_in(structure, shapes, squares, ROUNDING)
+        damping = damping_in(structure, shapes, squares)
     unconstrained = bool(squares[0] <= ROUNDING * squares[-1])
     pairs = (structure.gap.T @ shapes).T
     return AllModes(squares, shapes, damping, pairs, unconstrained)

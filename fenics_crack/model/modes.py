@@ -21,13 +21,15 @@ from slepc4py import SLEPc
 
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDamping
-from fenics_crack.model.factor import Factor, TiedFactor, factored, factored_sum
+from fenics_crack.model.factor import Factor, factored_sum
 from fenics_crack.model.structure import Structure
+from fenics_crack.numerics.rounding import EPSILON
 from fenics_crack.parallel import gather_rows
 from fenics_crack.stages import begin
 from fenics_crack.table import Tabular, counted
 
 __all__ = [
+    "NEGLIGIBLE",
     "ROUNDING",
     "DampedModes",
     "Modes",
@@ -52,10 +54,10 @@ SINGULAR = 1e-10
 """Squares of frequencies, relative to the smallest K_ii / M_ii, that are null pivots missed."""
 ROUNDING = 1e-14
 """Relative to the largest: what counts as zero of squares of frequencies (to K_ii / M_ii), static
-responses, gaps, and couplings by damping."""
-
-DEPENDENT = 1e-10
-"""Diagonal entries of a pivoted QR of B^T B, relative to the largest, that are none."""
+responses and gaps."""
+NEGLIGIBLE = 1e-12
+"""What solutions with K leave of zero, relative to the largest: squares of frequencies of motions
+as a rigid body, eigenvalues of static compliances, weights of directions in a Gram matrix."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -141,7 +143,7 @@ def solve_modes(structure: Structure, count: int, *, lips: str = "open") -> Mode
     if known is not None:
         omega, shapes = known
         return Modes(omega[:count], shapes[:, :count], structure)
-    with factored(structure.stiffness, ties) as factor:
+    with Factor(structure.stiffness, definite=True, border=ties) as factor:
         return modes_by(factor, structure, int(count), ties)
 
 
@@ -162,7 +164,8 @@ def _independent_ties(structure: Structure) -> sparse.csc_matrix:
         return gap  # orthogonal: no two pairs share a node
     factor, order = scipy.linalg.qr(gram, mode="r", pivoting=True)
     sizes = np.abs(np.diag(factor))
-    return gap[:, np.sort(order[sizes > DEPENDENT * sizes.max(initial=0.0)])]
+    rounding = 10.0 * len(gram) * EPSILON * sizes.max(initial=0.0)
+    return gap[:, np.sort(order[sizes > rounding])]
 
 
 def _space(structure: Structure, ties: Any) -> int:
@@ -170,9 +173,7 @@ def _space(structure: Structure, ties: Any) -> int:
     return structure.n_dofs - (0 if ties is None else int(ties.shape[1]))
 
 
-def modes_by(
-    factor: Factor | TiedFactor, structure: Structure, count: int, ties: Any = None
-) -> Modes:
+def modes_by(factor: Factor, structure: Structure, count: int, ties: Any = None) -> Modes:
     """The same of a structure with mass everywhere, by the factor of its stiffness; ``ties`` are
     the independent columns of B where lips are tied."""
     quotients = structure.stiffness.getDiagonal().array_r / structure.mass.getDiagonal().array_r
@@ -201,7 +202,7 @@ def modes_by(
 class _Inverse:
     """Context that PETSc calls to apply a factor."""
 
-    def __init__(self, factor: Factor | TiedFactor) -> None:
+    def __init__(self, factor: Factor) -> None:
         self._factor = factor
 
     def apply(self, _: Any, right: Any, solution: Any) -> None:
@@ -229,7 +230,7 @@ def _solve(solver: Any, count: int) -> None:
 
 
 def _nearest_zero(
-    factor: Factor | TiedFactor, structure: Structure, count: int, scale: float, ties: Any
+    factor: Factor, structure: Structure, count: int, scale: float, ties: Any
 ) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues omega^2, ascending, and shapes of the modes closest to zero, by the factor of K;
     where K is singular by that of K + s M."""
@@ -238,7 +239,8 @@ def _nearest_zero(
         if np.abs(squares).min() > SINGULAR * scale:
             return squares, shapes
     shift = -1e-6 * scale
-    with factored_sum(structure.stiffness, -shift, structure.mass, ties) as other:
+    shifted = factored_sum(structure.stiffness, -shift, structure.mass, definite=True, border=ties)
+    with shifted as other:
         return _krylov(other, structure, count, shift)
 
 
@@ -249,7 +251,7 @@ def krylov_vectors(count: int) -> int:
 
 
 def _krylov(
-    factor: Factor | TiedFactor, structure: Structure, count: int, shift: float
+    factor: Factor, structure: Structure, count: int, shift: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues, ascending, and mass-normalised shapes of the modes closest to a shift, by the
     factor of K - shift M."""
@@ -281,7 +283,7 @@ def _krylov(
 
 def _count_below(structure: Structure, square: float, ties: Any) -> int:
     """Number of modes with omega^2 < square: the negative pivots of K - square M (Sylvester)."""
-    with factored_sum(structure.stiffness, -square, structure.mass, ties) as factor:
+    with factored_sum(structure.stiffness, -square, structure.mass, border=ties) as factor:
         return int(factor.negative_pivots)
 
 
@@ -323,13 +325,11 @@ def mass_norms(structure: Structure, columns: np.ndarray) -> np.ndarray:
     return np.sqrt(np.maximum(structure.sum_over_ranks(squares), 1e-300))
 
 
-def independent_part(
-    structure: Structure, basis: np.ndarray, columns: np.ndarray, new: float, weight: float
-) -> np.ndarray:
+def independent_part(structure: Structure, basis: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Part of columns (n_local, m) that is new to an M-orthonormal basis, likewise (collective).
 
-    Left out are columns of which less than a part ``new`` is new, and of what is left the
-    directions whose weight in the Gram matrix is less than ``weight`` of the largest one.
+    Left out are columns of which no more is new than rounding of their squares, and of what is left
+    the directions whose weight in the Gram matrix is negligible.
     """
 
     def gram(rows: np.ndarray) -> np.ndarray:
@@ -339,10 +339,11 @@ def independent_part(
     for _ in range(2):  # once more against rounding
         columns = columns - basis @ gram(basis)
     left = mass_norms(structure, columns)
-    columns = columns[:, left > new * sizes] / left[left > new * sizes]
+    new = left > np.sqrt(EPSILON) * sizes
+    columns = columns[:, new] / left[new]
     for _ in range(2):
         weights, vectors = np.linalg.eigh(gram(columns))
-        kept = weights > weight * weights.max(initial=0.0)
+        kept = weights > NEGLIGIBLE * weights.max(initial=0.0)
         columns = columns @ (vectors[:, kept] / np.sqrt(weights[kept]))
     return columns
 
@@ -456,17 +457,16 @@ def damped_range(structure: Structure) -> tuple[int, float] | None:
     return None if last == structure.n_modes - 1 else (len(found), float(known.omega[last]))
 
 
-def damping_in(
-    structure: Structure, columns: np.ndarray, squares: np.ndarray, allowed: float
-) -> np.ndarray:
+def damping_in(structure: Structure, columns: np.ndarray, squares: np.ndarray) -> np.ndarray:
     """X^T C X of columns with X^T M X = I and X^T K X = diag(squares): its diagonal (m,) where what
-    couples them is at most ``allowed`` of the largest rate, else (m, m) [1/s] (collective)."""
+    couples them is rounding of a projection, else (m, m) [1/s] (collective)."""
     if isinstance(structure.damping, RayleighDamping):
         return structure.damping.rate(squares)
     coupled = projected_damping(structure, columns)
     rate = np.diag(coupled).copy()
     coupling = np.abs(coupled - np.diag(rate)).max(initial=0.0)
-    return rate if coupling <= allowed * np.abs(rate).max(initial=0.0) else coupled
+    rounding = np.sqrt(EPSILON) * np.abs(rate).max(initial=0.0)
+    return rate if coupling <= rounding else coupled
 
 
 def projected_damping(structure: Structure, columns: np.ndarray) -> np.ndarray:

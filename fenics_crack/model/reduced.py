@@ -24,13 +24,13 @@ import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError
-from fenics_crack.model.damping import DampingRule, check_rule
-from fenics_crack.model.factor import Factor
-from fenics_crack.model.matrices import distributed
-from fenics_crack.model.modes import times
+from fenics_crack.model.damping import DampingRule
+from fenics_crack.model.factor import Factor, distributed
+from fenics_crack.model.modes import NEGLIGIBLE, times
 from fenics_crack.model.structure import Structure
 
 __all__ = [
+    "AT_A_TIME",
     "INSTEAD",
     "MasslessInterface",
     "MasslessStructure",
@@ -40,8 +40,6 @@ __all__ = [
     "massless",
 ]
 
-RIGID_TIE = 1e-12
-"""Eigenvalues of R_inf, relative to all of the pairs' static compliance, that are none."""
 AT_A_TIME = 16
 """Static solutions that are held at a time."""
 INSTEAD = "reduce with method = 'free_interface', or march by integrate_exponential"
@@ -72,6 +70,7 @@ class ReducedStructure(Structure):
 
     _whole: Structure
     _VARIED_TOO = ("_whole", "reference")
+    _DAMPED_TOO = ("reference",)
 
     def __init__(
         self,
@@ -81,24 +80,35 @@ class ReducedStructure(Structure):
         damping: DampingRule | np.ndarray | None,
         reference: ReducedStructure | None = None,
     ) -> None:
-        small = Structure.from_matrices(
-            sparse.identity(len(squares)),
-            sparse.diags(squares),
-            whole.apply_bt(basis.T),
-            damping=damping,
-        )
+        pairs, force = whole.apply_bt(basis.T), whole.sum_over_ranks(whole.force @ basis)
+        self._make(whole, squares, damping, pairs, force, np.zeros((0, 0)))
+        self._hold(basis=basis, reference=reference)
+
+    def _make(
+        self,
+        whole: Structure,
+        squares: np.ndarray,
+        damping: DampingRule | np.ndarray | None,
+        pairs: np.ndarray,
+        force: np.ndarray,
+        compliance: np.ndarray,
+    ) -> None:
+        """Set up coordinates of mass 1, and others without mass whose stiffness is given."""
+        n_modes, extra = len(squares), len(compliance)
+        if isinstance(damping, np.ndarray):
+            damping = distributed(scipy.linalg.block_diag(damping, 0.0 * compliance), MPI.COMM_SELF)
+        stiffness = sparse.block_diag([sparse.diags(squares), compliance])
         super().__init__(
-            small.mass,
-            small.stiffness,
-            small.gap,
-            force=whole.sum_over_ranks(whole.force @ basis),
+            distributed(sparse.diags(np.repeat([1.0, 0.0], [n_modes, extra])), MPI.COMM_SELF),
+            distributed(stiffness, MPI.COMM_SELF),
+            pairs,
+            force=force,
             clearance=whole.clearance,
-            damping=small.damping,
+            damping=damping,
             nodes=whole.nodes,
             pairs=whole.pairs,
         )
-        omega = np.sqrt(np.maximum(squares, 0.0))
-        self._hold(basis=basis, omega=omega, reference=reference, _whole=whole)
+        self._hold(omega=np.sqrt(np.maximum(squares, 0.0)), _whole=whole)
 
     @property
     def _size_words(self) -> str:
@@ -116,15 +126,6 @@ class ReducedStructure(Structure):
     def values_at(self, displacement: np.ndarray, dofs: Sequence[int]) -> np.ndarray:
         """Displacement of dofs of the whole structure from coordinates (m, n_dofs) (collective)."""
         return displacement @ self._whole.values_at(self.basis.T, dofs)
-
-    def damped(self, damping: DampingRule | None) -> ReducedStructure:
-        """Return this structure with a modal or Rayleigh damping of its own coordinates, or none.
-
-        Rayleigh damping of the coordinates is that of the whole structure, projected.
-        """
-        check_rule(damping)
-        reference = None if self.reference is None else self.reference.damped(damping)
-        return ReducedStructure(self._whole, self.basis, self.omega**2, damping, reference)
 
     def _changed(self, **changes: Any) -> Structure:
         """A plain structure of the coordinates, which have no positions."""
@@ -173,11 +174,9 @@ class ResidualFlexibility:
         """Y^T G X of sparse forces Y (n_local, m): (m, n_sources) (collective)."""
         rows = [np.zeros((0, self.sources.shape[1]))]
         for start in range(0, columns.shape[1], AT_A_TIME):
-            block = columns[:, start : start + AT_A_TIME]
-            if self._held:  # and K^-1 exists: zeros are left out
-                moved = factor.solve_sparse(block)
-            else:
-                moved = self.solve(factor, block.T.toarray())
+            block = columns[:, start : start + AT_A_TIME].T.toarray()
+            # Where K^-1 exists its modal part is subtracted once, below.
+            moved = factor.solve(block) if self._held else self.solve(factor, block)
             rows.append((self.sources.T @ moved.T).T)
         found: np.ndarray = self.structure.sum_over_ranks(np.concatenate(rows))
         if self._held:
@@ -195,7 +194,7 @@ class ResidualFlexibility:
         used = np.any(amplitude != 0.0, axis=1)
         found = np.zeros((len(amplitude), self.structure.n_local))
         if np.any(used):
-            with Factor(self.structure.stiffness, symmetric=True) as factor:
+            with Factor(self.structure.stiffness, definite=True) as factor:
                 found[used] = self.solve(factor, (self.sources @ amplitude[used].T).T)
         return found
 
@@ -209,8 +208,8 @@ class ResidualFlexibility:
             mine = np.flatnonzero((own >= 0) & (own < structure.n_local))
             shape = structure.n_local, len(missing)
             units = sparse.csr_matrix((np.ones(len(mine)), (own[mine], mine)), shape)
-            stiffness = structure.stiffness
-            with nullcontext(factor) if factor else Factor(stiffness, symmetric=True) as known:
+            made = factor or Factor(structure.stiffness, definite=True)
+            with nullcontext(made) if factor else made as known:
                 found = self.seen(known, units)
             self._measured |= dict(zip(missing, found, strict=True))
         return np.array([self._measured[dof] for dof in wanted])
@@ -226,19 +225,35 @@ class MasslessInterface(ReducedStructure):
         Phi, mass-normalised.
     left : (n_dofs, n_dofs) [m/N]
         What the modes leave out: displacement by forces, without inertia.
-    rate : (n_modes,) or (n_modes, n_modes) [1/s]
-        Phi^T C Phi, its diagonal where it is diagonal; without the factor of a varied copy.
     """
 
     light_lips = True
     shapes: np.ndarray
     left: np.ndarray
-    rate: np.ndarray
 
     @property
     def n_modes(self) -> int:
         """Number of modes with mass."""
         return len(self.omega)
+
+    @property
+    def rate(self) -> np.ndarray:
+        """Phi^T C Phi, its diagonal where it is diagonal: (n_modes,) or (n_modes, n_modes) [1/s];
+        without the factor of a varied copy."""
+        given = self.original.damping
+        if isinstance(given, DampingRule):
+            return given.of_kept(self.n_modes).rate(self.omega**2)
+        if given is None:
+            return np.zeros(self.n_modes)
+        place = range(self.n_modes)
+        return np.asarray(given.getValues(place, place))
+
+    def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
+        """Modes with mass, for open lips."""
+        return None if tied else (self.omega, self.shapes)
+
+    def _of_kept(self, damping: DampingRule) -> DampingRule:
+        return damping.of_kept(self.n_modes)
 
 
 class MasslessStructure(MasslessInterface):
@@ -272,34 +287,11 @@ class MasslessStructure(MasslessInterface):
         reference: MasslessStructure | None = None,
     ) -> None:
         """Take Phi^T B (n_modes, n_pairs), the load on all coordinates (3, n_dofs), and S."""
-        count, extra, shared = len(squares), len(compliance), whole.n_pairs
-        omega = np.sqrt(np.maximum(squares, 0.0))
-        stiffness = sparse.block_diag([sparse.diags(squares), compliance]).tocsr()
-        mass = sparse.diags(np.repeat([1.0, 0.0], [count, extra])).tocsr()
-        rate: np.ndarray = np.zeros(count)
-        if isinstance(damping, np.ndarray):
-            rate = damping
-        elif damping is not None:
-            damping = damping.of_kept(count)
-            rate = damping.rate(squares)
-        Structure.__init__(
-            self,
-            distributed(mass, MPI.COMM_SELF),
-            distributed(stiffness, MPI.COMM_SELF),
-            sparse.csr_matrix(np.vstack([pairs, compliance[:, :shared]])),
-            force=force,
-            clearance=whole.clearance,
-            damping=_padded(damping, extra),
-            nodes=whole.nodes,
-            pairs=whole.pairs,
-        )
-        self._hold(
-            omega=omega,
-            rate=rate,
-            flexibility=_pseudoinverse(compliance),
-            reference=reference,
-            _whole=whole,
-        )
+        if isinstance(damping, DampingRule):
+            damping = damping.of_kept(len(squares))
+        seen = np.vstack([pairs, compliance[:, : whole.n_pairs]])
+        self._make(whole, squares, damping, seen, force, compliance)
+        self._hold(flexibility=_pseudoinverse(compliance), reference=reference)
         vars(self)["_static"] = static
 
     @property
@@ -312,7 +304,7 @@ class MasslessStructure(MasslessInterface):
         """S^-1 on the other coordinates."""
         return scipy.linalg.block_diag(np.zeros((self.n_modes,) * 2), self.flexibility)
 
-    def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray]:
+    def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
         """omega, and the unit vectors of the modes' coordinates; with tied lips those of
 
             (Lambda + b R_inf^-1 b^T) q = w^2 q,      b = Phi^T B,      lambda = R_inf^-1 b^T q:
@@ -320,12 +312,12 @@ class MasslessStructure(MasslessInterface):
         ties are springs of the compliance that the modes leave out, and hold b^T q where it has
         none."""
         if not tied:
-            return self.omega, self.shapes
+            return super().known_modes(tied=False)
         pairs = self.gap[: self.n_modes].toarray()
         compliance, turned = np.linalg.eigh(self.residual)
         elastic = self.omega > 0.0
         sizes = (pairs[elastic] ** 2 / self.omega[elastic, None] ** 2).sum()
-        soft = compliance > RIGID_TIE * (sizes + compliance.sum())
+        soft = compliance > NEGLIGIBLE * (sizes + compliance.sum())
         held = pairs @ turned[:, ~soft]
         free = scipy.linalg.null_space(held.T) if held.size else np.eye(self.n_modes)
         forces = (turned[:, soft] / compliance[soft]) @ (pairs @ turned[:, soft]).T
@@ -375,23 +367,6 @@ class MasslessStructure(MasslessInterface):
         seen = modal @ self._whole.values_at(self._static.shapes.T, dofs)
         return seen + static @ self._static.rows(wanted).T
 
-    def damped(self, damping: DampingRule | None) -> MasslessStructure:
-        """Return this structure with a modal or Rayleigh damping of its modes, or none."""
-        check_rule(damping)
-        reference = None
-        if isinstance(self.reference, MasslessStructure):
-            reference = self.reference.damped(damping)
-        return MasslessStructure(
-            self._whole,
-            self.omega**2,
-            damping,
-            self.gap[: self.n_modes].toarray(),
-            self.force,
-            self.compliance,
-            static=self._static,
-            reference=reference,
-        )
-
 
 def check_mass(structure: Structure, instead: str) -> None:
     """Raise InputError, which says what to do instead, if the lips have no mass."""
@@ -404,17 +379,10 @@ def massless(structure: Structure | None) -> MasslessStructure | None:
     return structure if isinstance(structure, MasslessStructure) else None
 
 
-def _padded(damping: DampingRule | np.ndarray | None, extra: int) -> Any:
-    """A matrix of the modes' damping with rows for coordinates without mass."""
-    if not isinstance(damping, np.ndarray):
-        return damping
-    return distributed(sparse.block_diag([damping, sparse.csr_matrix((extra,) * 2)]), MPI.COMM_SELF)
-
-
 def _pseudoinverse(compliance: np.ndarray) -> np.ndarray:
     """Invert S, whose units differ from load to pair: scaled to a unit diagonal first."""
     size = np.sqrt(np.maximum(np.diag(compliance), 0.0))
     scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
     scaled = scale[:, None] * compliance * scale
-    found: np.ndarray = scale[:, None] * np.linalg.pinv(scaled, 1e-12, hermitian=True) * scale
+    found: np.ndarray = scale[:, None] * np.linalg.pinv(scaled, NEGLIGIBLE, hermitian=True) * scale
     return found

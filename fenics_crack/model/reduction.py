@@ -38,6 +38,7 @@ from fenics_crack.model.damping import DampingRule, ModalDamping, RayleighDampin
 from fenics_crack.model.factor import Factor, factored_sum
 from fenics_crack.model.modal import SMALL
 from fenics_crack.model.modes import (
+    NEGLIGIBLE,
     ROUNDING,
     check_damped_modes,
     damped_modes,
@@ -49,6 +50,7 @@ from fenics_crack.model.modes import (
     times,
 )
 from fenics_crack.model.reduced import (
+    AT_A_TIME,
     MasslessStructure,
     ReducedStructure,
     ResidualFlexibility,
@@ -61,16 +63,8 @@ from fenics_crack.stages import begin
 __all__ = ["reduce_structure"]
 
 METHODS = ("massless", "free_interface", "craig_bampton", "truncation")
-RIGID = 1e-12
-"""Squares of frequencies, relative to the highest, that are those of motions as a rigid body."""
 MODES = 50
 """Kept of a large structure whose modes are all damped."""
-NEW, NEW_WEIGHT = 1e-8, 1e-12
-"""Part of a static response that is not in the basis yet, and its weight, from which it is kept."""
-COUPLED = 1e-9
-"""Damping between modes, relative to the largest of a mode, that is rounding of the projection."""
-WATCHED = 32
-"""Loaded dofs whose static responses are computed beforehand."""
 
 
 def reduce_structure(
@@ -135,14 +129,15 @@ def reduce_structure(
     loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
     sources = np.hstack([structure.gap.toarray(), structure.force[loaded].T])
     begin("reduction")
-    with Factor(structure.stiffness, symmetric=True) as own:
-        kept: np.ndarray = np.zeros((structure.n_local, 0))
-        squares: np.ndarray = np.zeros(0)
+    kept, squares = np.zeros((structure.n_local, 0)), np.zeros(0)
+    with Factor(structure.stiffness, definite=method != "craig_bampton") as own:
+        held = own.null_pivots == 0
         if method != "craig_bampton":
             known = damped if damped is not None and len(damped.omega) >= modes else None
             found = known or modes_by(own, structure, int(modes))
             kept, squares = found.shapes[:, :modes], found.omega[:modes] ** 2
-        with _regular(own, structure) as factor:
+            held = bool(squares[0] > 0.0)
+        with _regular(own, structure, held=held) as factor:
             response = factor.solve(sources.T).T
             extra = response if method == "free_interface" else response[:, :0]
             if method == "craig_bampton":
@@ -165,11 +160,11 @@ def _massless(structure: Structure, modes: int) -> MasslessStructure:
     loaded = structure.sum_over_ranks((structure.force**2).sum(axis=1)) > 0.0
     sources = sparse.hstack([structure.gap, structure.force[loaded].T]).tocsr()
     begin("factor of the stiffness")
-    with Factor(structure.stiffness, symmetric=True) as factor:
+    with Factor(structure.stiffness, definite=True) as factor:
         found = modes_by(factor, structure, more)
         begin("static responses")
         squares, shapes = found.omega**2, found.shapes
-        squares[squares <= RIGID * squares[-1]] = 0.0
+        squares[squares <= NEGLIGIBLE * squares[-1]] = 0.0
         if rigid := np.count_nonzero(squares[modes:] == 0.0):
             allowed = f"at least {modes + rigid}: all motions as a rigid body"
             raise InputError("modes", modes, allowed)
@@ -207,15 +202,16 @@ def _massless(structure: Structure, modes: int) -> MasslessStructure:
 
 
 def _loaded_dofs(structure: Structure) -> np.ndarray:
-    """Dofs under the load, at which its effect is watched, if they are few (collective)."""
+    """Dofs under the load, at which its effect is watched, if one block of static solutions holds
+    them (collective)."""
     own = np.flatnonzero(np.any(structure.force != 0.0, axis=0)) + structure.first_dof
     found = gather_rows(structure.comm, own)
-    return found if len(found) <= WATCHED else found[:0]
+    return found if len(found) <= AT_A_TIME else found[:0]
 
 
 def _without_rounding(compliance: np.ndarray, seen: np.ndarray, squares: np.ndarray) -> np.ndarray:
     """S without the forces that the kept modes carry alone, of which rounding leaves something."""
-    elastic = squares > RIGID * squares[-1]
+    elastic = squares > NEGLIGIBLE * squares[-1]
     carried = np.sum(seen[elastic] ** 2 / squares[elastic, None], axis=0)
     found = compliance.copy()
     lost = np.diag(compliance) <= ROUNDING * carried
@@ -243,14 +239,14 @@ def _rule_of_all(structure: Structure) -> DampingRule | None:
 
 
 @contextmanager
-def _regular(factor: Factor, structure: Structure) -> Iterator[Factor]:
-    """The factor of K; of an unconstrained structure that of K + s M, s one of its lowest
+def _regular(factor: Factor, structure: Structure, *, held: bool) -> Iterator[Factor]:
+    """The factor of K; of a structure that nothing holds that of K + s M, s one of its lowest
     eigenvalues."""
-    if not factor.null_pivots:
+    if held:
         yield factor
         return
-    elastic = modes_by(factor, structure, min(structure.n_dofs, 10)).omega[-1] ** 2
-    with factored_sum(structure.stiffness, elastic or 1.0, structure.mass) as regular:
+    elastic = modes_by(factor, structure, min(structure.n_dofs, 10)).omega[-1] ** 2 or 1.0
+    with factored_sum(structure.stiffness, elastic, structure.mass, definite=True) as regular:
         yield regular
 
 
@@ -262,7 +258,7 @@ def _reduced(
     reference: ReducedStructure | None,
 ) -> ReducedStructure:
     """Reduce to known modes and the rest of other vectors, made M-orthonormal and K-diagonal."""
-    extra = independent_part(structure, kept, extra, NEW, NEW_WEIGHT)
+    extra = independent_part(structure, kept, extra)
     elastic = structure.sum_over_ranks(extra.T @ times(structure.stiffness, extra))
     mass = structure.sum_over_ranks(extra.T @ times(structure.mass, extra))
     more, rotation = scipy.linalg.eigh(elastic, mass) if len(mass) else (np.zeros(0), mass)
@@ -284,7 +280,7 @@ def _damping(
         return None
     if (rule := _rule_of_all(structure)) is not None:
         return rule
-    rate, omega = damping_in(structure, basis, squares, COUPLED), np.sqrt(np.maximum(squares, 0.0))
+    rate, omega = damping_in(structure, basis, squares), np.sqrt(np.maximum(squares, 0.0))
     if rate.ndim == 2:
         return rate
     if np.any(rate[omega == 0.0] > 0.0):  # no ratio damps a motion as a rigid body

@@ -58,7 +58,7 @@ class Rotation:
         if speed == 0.0:
             return self.at_rest
         stiffness = weighted_sum(self.at_rest.stiffness, speed**2, self.stiffness)
-        with Factor(stiffness, symmetric=True) as factor:
+        with Factor(stiffness) as factor:
             if factor.negative_pivots or factor.null_pivots:
                 raise InputError("rotation.speed", speed, too_fast(speed))
         force = self.at_rest.force.copy()
@@ -95,7 +95,7 @@ def static_state(
         No set of closed pairs was found.
     """
     pairs = np.zeros(structure.n_pairs)
-    with Factor(structure.stiffness, symmetric=True) as factor:
+    with Factor(structure.stiffness, definite=True) as factor:
         moved = factor.solve(force[None])[0]
         gap = structure.apply_bt(moved[None])[0] - clearance
         if np.any(gap > ROUNDING * np.abs(gap).max(initial=0.0)):

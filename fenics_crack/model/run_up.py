@@ -21,7 +21,7 @@ from mpi4py import MPI
 
 from fenics_crack.errors import InputError, check_number
 from fenics_crack.model.damping import DampingRule
-from fenics_crack.model.matrices import distributed
+from fenics_crack.model.factor import distributed
 from fenics_crack.model.modes import independent_part, times
 from fenics_crack.model.reduced import MasslessInterface
 from fenics_crack.model.reduction import reduce_structure
@@ -32,8 +32,6 @@ __all__ = ["RunUpStructure", "run_up_structure"]
 
 SPEEDS = 3
 """Speeds of a range whose bases are put together."""
-INDEPENDENT = 1e-6
-"""Part of a vector that is not in the basis yet, relative to it, from which it is kept."""
 
 
 @dataclass(frozen=True)
@@ -122,20 +120,8 @@ class RunUpStructure(MasslessInterface):
         self._hold(speed=speed, shapes=static * omega, left=left, _ritz=ritz)
 
     @property
-    def rate(self) -> np.ndarray:  # type: ignore[override]
-        """Phi^T C Phi, which is diagonal: (n_modes,) [1/s]; without the factor of a copy."""
-        rule = self.original.damping
-        if rule is None:
-            return np.zeros(self.n_modes)
-        return np.asarray(rule.of_kept(self.n_modes).rate(self.omega**2))
-
-    @property
     def _size_words(self) -> str:
         return f"{self.n_dofs} coordinates of {self.whole.n_dofs} dofs at {self.speed:g} rad/s"
-
-    def known_modes(self, *, tied: bool) -> tuple[np.ndarray, np.ndarray] | None:
-        """Modes with mass at this speed, for open lips."""
-        return None if tied else (self.omega, self.shapes)
 
     def at_speed(self, speed: float) -> RunUpStructure:
         """The same structure at another speed [rad/s].
@@ -192,7 +178,7 @@ def run_up_structure(structure: Structure, start: float, stop: float, modes: int
     basis: np.ndarray = np.zeros((structure.n_local, 0))
     for speed in np.linspace(start, stop, SPEEDS):
         part = reduce_structure(rotation.at(float(speed)), modes=modes, method="free_interface")
-        new = independent_part(structure, basis, part.basis, INDEPENDENT, INDEPENDENT)
+        new = independent_part(structure, basis, part.basis)
         basis = np.hstack([basis, new])
     here = rotation.at(rotation.speed)
 

@@ -73,7 +73,8 @@ class Structure(Coordinates):
     """None: itself. A reference to itself would keep it alive."""
     _known: dict[Callable[[Structure], Any], Any]
     _VARIED_TOO: ClassVar[tuple[str, ...]] = ()
-    """Attributes that are structures, varied with this one."""
+    _DAMPED_TOO: ClassVar[tuple[str, ...]] = ("rotation",)
+    """Attributes that are varied, or damped, with this one."""
     light_lips: ClassVar[bool] = False
     """Whether lips have no mass: what the modes leave out answers forces on the pairs at once."""
 
@@ -186,13 +187,30 @@ class Structure(Coordinates):
             pairs=Pairs.none(),
         )
 
-    def damped(self, damping: DampingRule | None) -> Structure:
-        """Return this structure with another modal or Rayleigh damping, or none."""
+    def damped(self, damping: DampingRule | None) -> Self:
+        """Return this structure with another modal or Rayleigh damping, or none.
+
+        Of a reduced structure it is that of its own coordinates or modes.
+        """
         check_rule(damping)
-        found = self._changed(damping=damping)
-        if self.rotation is not None:
-            found._hold(rotation=self.rotation.damped(damping))
-        return found
+        kept = None if damping is None else self._of_kept(damping)
+        other = self._copied(damping=kept, damping_factor=1.0, _original=None, _known={})
+        for name in self._DAMPED_TOO:
+            if (part := getattr(self, name)) is not None:
+                vars(other)[name] = part.damped(damping)
+        return other
+
+    def _of_kept(self, damping: DampingRule) -> DampingRule:
+        """The damping of what has mass."""
+        return damping
+
+    def _copied(self, **changes: Any) -> Self:
+        """A copy that shares all but some attributes."""
+        other = copy(self)
+        for computed in ("damping", "damping_matrix"):
+            vars(other).pop(computed, None)
+        other._hold(**changes)
+        return other
 
     def varied(
         self,
@@ -228,10 +246,7 @@ class Structure(Coordinates):
             allowed = "1 for a structure that rotates: part of its mean load is centrifugal"
             raise InputError("load", load, allowed)
         check_number("damping", damping, 0.0)
-        other = copy(self)
-        for computed in ("damping", "damping_matrix"):
-            vars(other).pop(computed, None)
-        other._hold(
+        other = self._copied(
             force=weights @ self.force if weights.ndim else weights * self.force,
             clearance=self.clearance + per_pair("clearance", clearance, self.n_pairs),
             damping_factor=damping * self.damping_factor,

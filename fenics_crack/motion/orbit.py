@@ -7,8 +7,7 @@ flow's derivative M over it, an orbit is where
 
 and the eigenvalues of M are its Floquet multipliers. A step of Newton's method is shortened until
 the *natural* test accepts it: the simplified step from there, with the same M, is shorter. It does
-not depend on how the state is measured. While simplified steps shrink fast they are taken, as they
-cost no derivative.
+not depend on how the state is measured.
 
 A wave nearby, with states Z_i at N equal parts of the period, is judged by one such step of all of
 it, which needs no orbit. With F_i the state reached from Z_i less Z_{i+1}, M_i the derivatives,
@@ -46,8 +45,6 @@ CLOSED = 1e-11
 """Relative length of a step behind which an orbit is found."""
 ROUNDED = 1e3
 """Times that, below which steps are rounding."""
-CHEAP = 3.0
-"""Simplified steps that cost as much as one with a new derivative."""
 KNOWN = 1e-6
 """How well multipliers are known: what is nearer to 1 does not judge."""
 INSTANTS = 512
@@ -317,13 +314,9 @@ class _Search:
                 if share < SHORTEST:
                     return False
                 continue
-            self.state, self.motion = trial, moved
+            self.state, self.motion, factors = trial, moved, None
             if after <= goal:
                 return True
-            if share == 1.0 and _goes_on(before, after, goal):
-                step = simplified
-            else:
-                factors = None
             share = min(1.0, 0.5 * share**2 * before / bent)
         return False
 
@@ -332,16 +325,6 @@ class _Search:
         found = self._flow.advance(state, self._omega, self._period, budget=self._left)
         self._left = replace(self._left, pieces=self._left.pieces - found.pieces)
         return found
-
-
-def _goes_on(before: float, after: float, goal: float) -> bool:
-    """Whether simplified steps lead to the goal with less work than new derivatives would, from the
-    lengths of the last two: they shrink by one factor, Newton's steps by its squares."""
-    ratio, left, steps = after / before, after, 0
-    while left > goal:
-        left *= ratio * left / before
-        steps += 1
-    return bool(np.log(goal / after) / np.log(ratio) <= CHEAP * steps)
 
 
 def eigenvalues(matrix: np.ndarray) -> np.ndarray:

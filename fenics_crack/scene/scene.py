@@ -103,7 +103,8 @@ class Scene:
                 missing = value is None and (name in _OPTIONAL or self._not_needed(name))
                 fine = isinstance(value, table) or missing
             if not fine:
-                raise InputError(name, value, f"a {table.__name__}")
+                allowed = "given: a table" if value is None else f"a {table.__name__}"
+                raise InputError(name, value, allowed)
         if self.excitation.order is not None:
             allowed = "left out without a rotation.speed > 0"
             self.excitation.require(self.speed > 0.0, "order", allowed)
@@ -115,18 +116,15 @@ class Scene:
             allowed = "another one with a rotation.speed > 0: the mean load is partly centrifugal"
             self.curve.require(self.speed == 0.0, "parameter", allowed)
         if self.structure is not None:
-            self._check_matrices(self.structure)
+            _check_matrices(self, self.structure)
         elif self.mesh.layout == "file":
-            self._check_file()
+            _check_file(self)
         else:
-            self._check_plate()
-        if self.sweep is not None:
-            over = self._checked_axes("sweep.over", self.sweep.over)
-            object.__setattr__(self, "sweep", dataclasses.replace(self.sweep, over=over))
-        if self.identify is not None:
-            unknown = self._checked_axes("identify.unknown", self.identify.unknown)
-            found = dataclasses.replace(self.identify, unknown=unknown)
-            object.__setattr__(self, "identify", found)
+            _check_plate(self)
+        for name, key in (("sweep", "over"), ("identify", "unknown")):
+            if (chosen := getattr(self, name)) is not None:
+                axes = _checked_axes(self, f"{name}.{key}", getattr(chosen, key))
+                object.__setattr__(self, name, dataclasses.replace(chosen, **{key: axes}))
 
     @property
     def all_cracks(self) -> dict[str, Crack]:
@@ -140,90 +138,12 @@ class Scene:
             return False
         return name in PLATE_TABLES or (name == "damping" and self.structure.damping is not None)
 
-    def _check_matrices(self, structure: Structure) -> None:
-        for name in PLATE_TABLES:
-            if getattr(self, name):
-                raise InputError(name, "a table", "left out with [structure]")
-        if structure.damping is not None and self.damping is not None:
-            raise InputError("damping", "a table", "left out with structure.damping")
-        force = self.excitation.force_given or "point"
-        given = self.excitation.force_given or self.excitation.point is not None
-        self.excitation.require(not given, force, "left out with [structure], which has files")
-        if structure.gap is not None and self.contact is None:
-            raise InputError("contact", None, "given with structure.gap: a table")
-        if self.contact is not None:
-            allowed = "'all' with [structure]"
-            self.contact.require(self.contact.pairs == "all", "pairs", allowed)
-            self.contact.leave_out(("stiffness_per_area",), "[structure], which has no areas")
-
-    def _check_plate(self) -> None:
-        geometry = self.geometry
-        width, height = (geometry.given(key) for key in ("width", "height"))
-        geometry.require(
-            height / THINNEST <= width <= height * THINNEST,
-            "width",
-            f"within a factor {THINNEST:g} of geometry.height = {height:g}",
-        )
-        if not self.has_other_loads:
-            self.excitation.given("point", "given: [x, y] on the plate")
-        if self.excitation.point is not None:
-            x, y = self.excitation.point
-            where = f"on the plate: [0..{width:g}, 0..{height:g}]"
-            self.excitation.require(0.0 <= x <= width and 0.0 <= y <= height, "point", where)
-        elif force := self.excitation.force_given:
-            self.excitation.require(False, force, "left out without excitation.point")
-        for number, load in enumerate(self.loads, 1):
-            x, y = load.point or (0.0, 0.0)
-            with named(f"loads.{number}"):
-                where = f"on the plate: [0..{width:g}, 0..{height:g}]"
-                load.require(0.0 <= x <= width and 0.0 <= y <= height, "point", where)
-        if self.all_cracks:
-            check_cracks(self.all_cracks, geometry, self.mesh)
-            if self.contact is None:
-                raise InputError("contact", None, "given where there is a crack: a table")
-
-    def _check_file(self) -> None:
-        self.geometry.leave_out(("width", "height"), "mesh.layout = 'file'")
-        for name, crack in self.all_cracks.items():
-            with named(name):
-                crack.leave_out(OF_PLATES, "mesh.layout = 'file'")
-
-    def _checked_axes(self, name: str, given: tuple[Axis, ...]) -> tuple[Axis, ...]:
-        """Axes with values as their keys hold them; each case is checked when it is made."""
-        axes, seen = [], set()
-        for axis in given:
-            table, number, key = _parts(axis.key)
-            there = number is None or number <= len(getattr(self, table))
-            known_key = table in _SWEPT and key in _TABLES[table].keys()
-            if not (known_key and there) or axis.key in seen:
-                known = ", ".join(_SWEPT)
-                allowed = f"a table.key of the scene, given once, with a table of {known}"
-                if (question := meant(_meant(axis.key))) and axis.key not in seen:
-                    allowed += f"; {question}".rstrip()
-                raise InputError(name, axis.key, allowed)
-            seen.add(axis.key)
-            for twins in _TABLES[table].twins().items():
-                at = axis.key.removesuffix(f".{key}")
-                if seen.issuperset(both := [f"{at}.{name}" for name in twins]):
-                    allowed = f"without {both[0] if axis.key == both[1] else both[1]}: one of them"
-                    raise InputError(name, axis.key, allowed)
-            with named(axis.key.removesuffix(f".{key}")):
-                values = tuple(_TABLES[table].checked(key, value) for value in axis.values)
-            if len(set(values)) != len(values) or not values:
-                raise InputError(f'{name}."{axis.key}"', values, "values, each given once")
-            axes.append(Axis(axis.key, values))
-        return tuple(axes)
-
     @classmethod
     def from_mapping(cls, tables: Mapping[str, object], folder: Path = Path()) -> Scene:
         """Make a scene from nested mappings; a relative ``mesh.file`` is one of ``folder``."""
         for name, value in tables.items():
             if name not in _TABLES:
                 raise InputError(name, value, _instead_of(name))
-        if "structure" not in tables:
-            for item in fields(cls):
-                if item.name not in tables and item.metadata:
-                    raise InputError(item.name, None, "given: a table")
         made = {name: _made(name, value) for name, value in tables.items()}
         return cls(**made).with_files(lambda path: str(folder / path))
 
@@ -262,13 +182,24 @@ class Scene:
         """Of the rotor [rad/s]; 0 where there is none."""
         return 0.0 if self.rotation is None else self.rotation.speed
 
+    def _asks_in(self, name: str) -> bool:
+        """Whether a key in another unit than SI is given, followed or swept."""
+        table, key = name.split(".")
+        given = getattr(getattr(self, table), key, None) is not None
+        followed = self.curve is not None and self.curve.parameter == key
+        axes = () if self.sweep is None else self.sweep.over
+        return given or followed or any(axis.key == name for axis in axes)
+
     @property
     def in_rpm(self) -> bool:
         """Whether the rotor's speed is given, or swept, in revolutions per minute."""
-        axes = self.sweep.over if self.sweep is not None else ()
-        given = self.rotation is not None and self.rotation.rpm is not None
-        given = given or (self.curve is not None and self.curve.parameter == "rpm")
-        return given or any(axis.key == "rotation.rpm" for axis in axes)
+        return self._asks_in("rotation.rpm")
+
+    @property
+    def in_hertz(self) -> bool:
+        """Whether the load's frequency is given, followed or swept in Hz, and so to be shown."""
+        by_order = self.excitation.order is not None and self.in_rpm
+        return by_order or self._asks_in("excitation.frequency")
 
     @property
     def point_names(self) -> tuple[str, ...]:
@@ -298,17 +229,6 @@ class Scene:
         return tuple(order * speed for order in orders for speed in speeds)
 
     @property
-    def in_hertz(self) -> bool:
-        """Whether the load's frequency is given, followed or swept in Hz, and so to be shown."""
-        curve, axes = self.curve, self.sweep.over if self.sweep is not None else ()
-        return (
-            self.excitation.frequency is not None
-            or (self.excitation.order is not None and self.in_rpm)
-            or (curve is not None and curve.parameter == "frequency")
-            or any(axis.key == "excitation.frequency" for axis in axes)
-        )
-
-    @property
     def damped_modes(self) -> int | str:
         """``damping.modes``; "all" where the damping is a matrix."""
         return "all" if self.damping is None else self.damping.modes
@@ -334,13 +254,12 @@ class Scene:
             return self
         changes: dict[str, object] = {key: change(path) for key, path in self._paths().items()}
         if self.sweep is not None:
-            over = []
-            for axis in self.sweep.over:
-                if axis.key in _PATHS:
-                    moved = (change(v) if isinstance(v, str) else v for v in axis.values)
-                    axis = Axis(axis.key, tuple(moved))
-                over.append(axis)
-            changes["sweep.over"] = tuple(over)
+            changes["sweep.over"] = tuple(
+                Axis(axis.key, tuple(change(v) if isinstance(v, str) else v for v in axis.values))
+                if axis.key in _PATHS
+                else axis
+                for axis in self.sweep.over
+            )
         return self.replace(changes)
 
     def replace(self, values: Mapping[str, object]) -> Scene:
@@ -351,32 +270,18 @@ class Scene:
         in Hz takes the place of the one in rad/s, and the other way round.
         """
         tables: dict[str, Any] = {item.name: getattr(self, item.name) for item in fields(self)}
-        changes: dict[tuple[str, int | None], dict[str, object]] = {}
+        changes: dict[tuple[str, int], dict[str, object]] = {}
         for name, value in values.items():
-            table, number, key = _parts(name)
-            known = _TABLES[table].keys() if table in _TABLES else {}
-            word = _TABLES[table].WORD if table in _TABLES else None
-            if not key and word is not None and isinstance(value, str):
-                changes.setdefault((table, None), {})[word] = value
-            elif not key and number is None and value is None and table in (*_OPTIONAL, *_LISTS):
+            table, number, key = _changed_key(name, value)
+            if not key:
                 tables[table] = () if table in _LISTS else None
-            elif not key and table in _TABLES:
-                gone = ", ".join((*_OPTIONAL, *_LISTS))
-                allowed = f"changed key by key; only {gone} can be removed, by none"
-                raise InputError(name, value, allowed)
-            elif known and (number is None) == (table in _LISTS):
-                allowed = f"left out; known keys: {', '.join(f'{table}.1.{own}' for own in known)}"
-                raise InputError(name, value, allowed)
-            elif key not in known:
-                allowed = _TABLES[table].instead_of(key) if known else _instead_of(name)
-                raise InputError(name, value, allowed)
             else:
-                changes.setdefault((table, number), {})[key] = value
-        for (table, number), change in sorted(changes.items(), key=lambda item: item[0][1] or 0):
-            if number is None:
-                tables[table] = _changed(table, tables[table], change)
-            else:
+                changes.setdefault((table, number or 0), {})[key] = value
+        for (table, number), change in sorted(changes.items(), key=lambda item: item[0][1]):
+            if number:
                 tables[table] = _changed_list(table, tables[table], number, change)
+            else:
+                tables[table] = _changed(table, tables[table], change)
         return Scene(**tables)
 
     def as_toml(self) -> str:
@@ -397,6 +302,87 @@ def unit_of(name: str) -> str:
     table, _, key = _parts(name)
     known = _TABLES[table].keys() if table in _TABLES else {}
     return str(known[key].metadata["unit"]) if key in known else ""
+
+
+# --- what tables must not contradict --------------------------------------------------------------
+
+
+def _check_matrices(scene: Scene, structure: Structure) -> None:
+    for name in PLATE_TABLES:
+        if getattr(scene, name):
+            raise InputError(name, "a table", "left out with [structure]")
+    if structure.damping is not None and scene.damping is not None:
+        raise InputError("damping", "a table", "left out with structure.damping")
+    force = scene.excitation.force_given or "point"
+    given = scene.excitation.force_given or scene.excitation.point is not None
+    scene.excitation.require(not given, force, "left out with [structure], which has files")
+    if structure.gap is not None and scene.contact is None:
+        raise InputError("contact", None, "given with structure.gap: a table")
+    if scene.contact is not None:
+        allowed = "'all' with [structure]"
+        scene.contact.require(scene.contact.pairs == "all", "pairs", allowed)
+        scene.contact.leave_out(("stiffness_per_area",), "[structure], which has no areas")
+
+
+def _check_plate(scene: Scene) -> None:
+    geometry = scene.geometry
+    width, height = (geometry.given(key) for key in ("width", "height"))
+    geometry.require(
+        height / THINNEST <= width <= height * THINNEST,
+        "width",
+        f"within a factor {THINNEST:g} of geometry.height = {height:g}",
+    )
+    if not scene.has_other_loads:
+        scene.excitation.given("point", "given: [x, y] on the plate")
+    if scene.excitation.point is None and (force := scene.excitation.force_given):
+        scene.excitation.require(False, force, "left out without excitation.point")
+    loads = {f"loads.{number}": load for number, load in enumerate(scene.loads, 1)}
+    for name, load in ({"excitation": scene.excitation} | loads).items():
+        x, y = load.point or (0.0, 0.0)
+        with named(name):
+            where = f"on the plate: [0..{width:g}, 0..{height:g}]"
+            load.require(0.0 <= x <= width and 0.0 <= y <= height, "point", where)
+    if scene.all_cracks:
+        check_cracks(scene.all_cracks, geometry, scene.mesh)
+        if scene.contact is None:
+            raise InputError("contact", None, "given where there is a crack: a table")
+
+
+def _check_file(scene: Scene) -> None:
+    scene.geometry.leave_out(("width", "height"), "mesh.layout = 'file'")
+    for name, crack in scene.all_cracks.items():
+        with named(name):
+            crack.leave_out(OF_PLATES, "mesh.layout = 'file'")
+
+
+# --- axes of keys ---------------------------------------------------------------------------------
+
+
+def _checked_axes(scene: Scene, name: str, given: tuple[Axis, ...]) -> tuple[Axis, ...]:
+    """Axes with values as their keys hold them; each case is checked when it is made."""
+    axes, seen = [], set()
+    for axis in given:
+        table, number, key = _parts(axis.key)
+        there = number is None or number <= len(getattr(scene, table))
+        known_key = table in _SWEPT and key in _TABLES[table].keys()
+        if not (known_key and there) or axis.key in seen:
+            known = ", ".join(_SWEPT)
+            allowed = f"a table.key of the scene, given once, with a table of {known}"
+            if (question := meant(_meant(axis.key))) and axis.key not in seen:
+                allowed += f"; {question}".rstrip()
+            raise InputError(name, axis.key, allowed)
+        seen.add(axis.key)
+        for twins in _TABLES[table].twins().items():
+            at = axis.key.removesuffix(f".{key}")
+            if seen.issuperset(both := [f"{at}.{name}" for name in twins]):
+                allowed = f"without {both[0] if axis.key == both[1] else both[1]}: one of them"
+                raise InputError(name, axis.key, allowed)
+        with named(axis.key.removesuffix(f".{key}")):
+            values = tuple(_TABLES[table].checked(key, value) for value in axis.values)
+        if len(set(values)) != len(values) or not values:
+            raise InputError(f'{name}."{axis.key}"', values, "values, each given once")
+        axes.append(Axis(axis.key, values))
+    return tuple(axes)
 
 
 # --- lists of tables ------------------------------------------------------------------------------
@@ -423,6 +409,27 @@ def _made(name: str, value: object) -> Any:
         with named(f"{name}.{number}"):
             made.append(kind.from_mapping(table))
     return tuple(made)
+
+
+def _changed_key(name: str, value: object) -> tuple[str, int | None, str]:
+    """Table, place in a list and key of what is changed; without a key the table is removed."""
+    table, number, key = _parts(name)
+    kind = _TABLES.get(table)
+    if kind is None:
+        raise InputError(name, value, _instead_of(name))
+    if not key and kind.WORD is not None and isinstance(value, str):
+        return table, None, kind.WORD
+    if not key:
+        if value is not None or number is not None or table not in (*_OPTIONAL, *_LISTS):
+            gone = ", ".join((*_OPTIONAL, *_LISTS))
+            allowed = f"changed key by key; only {gone} can be removed, by none"
+            raise InputError(name, value, allowed)
+    elif (number is None) == (table in _LISTS):
+        known = ", ".join(f"{table}.1.{own}" for own in kind.keys())
+        raise InputError(name, value, f"left out; known keys: {known}")
+    elif key not in kind.keys():
+        raise InputError(name, value, kind.instead_of(key))
+    return table, number, key
 
 
 def _changed(name: str, table: Any, change: dict[str, object]) -> Any:

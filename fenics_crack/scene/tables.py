@@ -580,9 +580,14 @@ class Sweep(Table):
     """Ranks that share the mesh of one case."""
 
     @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of values on each axis."""
+        return tuple(len(axis.values) for axis in self.over)
+
+    @property
     def n_cases(self) -> int:
         """How many cases."""
-        return math.prod(len(axis.values) for axis in self.over)
+        return math.prod(self.shape)
 
 
 @dataclass(frozen=True)

@@ -106,7 +106,8 @@ def _by_orbit(judged: Judgement) -> Stability:
     if not reason and abs(largest - 1.0) <= KNOWN:
         reason = "its largest multiplier is 1 to rounding: a bifurcation, or no damping"
     if not reason and largest < 1.0 and not judged.of_orbit:
-        reason = _doubt(orbit, judged)
+        assert judged.decisive is not None
+        reason = _doubt(orbit, judged.decisive)
     if not reason:
         verdict = "stable" if largest < 1.0 else "unstable"
     return Stability(orbit.multipliers, verdict, KNOWN, True, judged.distance, reason)

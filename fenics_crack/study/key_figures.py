@@ -15,14 +15,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from fenics_crack.model.bilinear import BilinearFrequencies, tied_frequencies
 from fenics_crack.model.coupled import solve_complementarity
 from fenics_crack.model.damping import ModalDamping, RayleighDamping
-from fenics_crack.model.factor import Factor, weighted_sum
+from fenics_crack.model.factor import Factor, factored_sum
 from fenics_crack.model.modes import Modes, check_damped_modes, modes_by, times
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import gather_rows
@@ -117,10 +116,10 @@ def find_key_figures(study: Study) -> KeyFigures:
     """Compute the figures of a study whose structure is not reduced (collective)."""
     scene, whole, law = study.scene, study.structure, study.contact
     count = min(FEW, whole.n_dofs)
-    with Factor(whole.stiffness, symmetric=True) as factor:
+    with Factor(whole.stiffness, definite=True) as factor:
         modes = modes_by(factor, whole, count)
         static = _static(factor, modes, whole.force)
-        lips = whole.apply_bt(_static(factor, modes, whole.gap.T))
+        lips = whole.apply_bt(_static(factor, modes, whole.gap.T.toarray()))
     ratios = _ratios(whole, modes.omega)
     tied = tied_frequencies(whole, count) if whole.n_pairs else modes.omega
     gaps, psi = whole.apply_bt(static), whole.apply_bt(modes.shapes.T)
@@ -168,16 +167,14 @@ def find_key_figures(study: Study) -> KeyFigures:
     )
 
 
-def _static(factor: Factor, modes: Modes, forces: Any) -> np.ndarray:
-    """Static responses to forces (m, n_local), dense or sparse; of a structure that can move as a
+def _static(factor: Factor, modes: Modes, forces: np.ndarray) -> np.ndarray:
+    """Static responses to forces (m, n_local); of a structure that can move as a
     rigid body the deformation alone, as it accelerates."""
     free = modes.shapes[:, modes.omega == 0.0]
-    dense = isinstance(forces, np.ndarray)
     if not free.size:
-        return factor.solve(forces) if dense else factor.solve_sparse(forces.T)
-    whole, rows = modes.structure, forces if dense else forces.toarray()
-    inertia = times(whole.mass, free)
-    found = factor.solve(rows - whole.sum_over_ranks(rows @ free) @ inertia.T)
+        return factor.solve(forces)
+    whole, inertia = modes.structure, times(modes.structure.mass, free)
+    found = factor.solve(forces - whole.sum_over_ranks(forces @ free) @ inertia.T)
     return np.asarray(found - whole.sum_over_ranks(found @ inertia) @ free.T)
 
 
@@ -235,11 +232,8 @@ def _largest(whole: Structure, motion: np.ndarray) -> float:
 
 def _count_below(whole: Structure, omega: float) -> int:
     """How many natural frequencies are below one: the negative pivots of K - w^2 M (Sylvester)."""
-    shifted = weighted_sum(whole.stiffness, -(omega**2), whole.mass)
-    with Factor(shifted, symmetric=True) as factor:
-        count = factor.negative_pivots
-    shifted.destroy()
-    return count
+    with factored_sum(whole.stiffness, -(omega**2), whole.mass) as factor:
+        return factor.negative_pivots
 
 
 # --- the frequencies that a scene asks for --------------------------------------------------------

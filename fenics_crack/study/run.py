@@ -48,7 +48,7 @@ from fenics_crack.time.implicit import integrate_implicit
 from fenics_crack.time.march import TimeHistory
 
 __all__ = [
-    "REFUSALS", "Run", "find_modes", "follow_curve", "integrate", "load_run", "run_of", "solve",
+    "REFUSALS", "Run", "curve", "integrate", "load_run", "modes", "run_of", "solve",
     "solve_prepared",
 ]  # fmt: skip
 
@@ -103,26 +103,72 @@ class Run(Study, Generic[Found]):
 # --- the commands ---------------------------------------------------------------------------------
 
 
-def find_modes(
-    scene: Scene, count: int | None = None, comm: MPI.Comm = MPI.COMM_WORLD
-) -> Run[Modes]:
-    """Lowest modes with the crack open; None: 6, or all of fewer (collective)."""
+def modes(scene: Scene, count: int | None = None, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Modes]:
+    """Find the lowest modes of a scene with its crack open, as ``fenics-crack modes`` (collective).
+
+    Parameters
+    ----------
+    scene : Scene
+        What vibrates.
+    count : int, optional
+        How many modes. Default: 6, or all of fewer.
+    comm : MPI.Comm
+        Ranks that share the structure.
+
+    Returns
+    -------
+    Run
+        Scene, structure, law and ``result``: the modes.
+
+    Raises
+    ------
+    InputError
+        A value of the scene cannot be used.
+
+    Examples
+    --------
+    >>> fc.modes(scene, 3).result.omega
+    """
     study = prepare(scene, comm, whole=True)
     wanted = min(6, study.structure.n_modes) if count is None else count
     return Run(**vars(study), result=solve_modes(study.structure, wanted))
 
 
 def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution]:
-    """Steady vibration at the load's frequency; its stability if that is quick (collective).
+    """Solve a scene for its steady vibration, as ``fenics-crack solve`` does (collective).
 
-    With a tolerance, the modes of the reduction are chosen, too, if the scene does not give them.
-    The solution may not have converged.
+    Harmonic balance at the load's frequency (:func:`solve_harmonic_balance`), with its stability
+    (:func:`floquet`) if that is quick. With a tolerance the modes of the reduction are chosen, too,
+    if the scene does not give any.
+
+    Parameters
+    ----------
+    scene : Scene
+        What vibrates, under which load and contact, and how it is balanced.
+    comm : MPI.Comm
+        Ranks that share the structure.
+
+    Returns
+    -------
+    Run
+        Scene, structure, law and ``result``: the solution, which may not have converged.
+
+    Raises
+    ------
+    InputError
+        A value of the scene cannot be used.
+
+    Examples
+    --------
+    >>> run = fc.solve(scene)
+    >>> run.result.report.total, run.result.stability.verdict, run.motion()
     """
     return solve_prepared(prepare(scene, comm, whole=True))
 
 
-def solve_prepared(whole: Study) -> Run[PeriodicSolution]:
-    """The same of a scene that is prepared; reduced, if its modes are chosen (collective)."""
+def solve_prepared(whole: Study, initial: PeriodicSolution | None = None) -> Run[PeriodicSolution]:
+    """The same of a scene that is prepared; reduced, if its modes are chosen (collective).
+    Without a tolerance it is sought from a solution of the same structure, if there is one."""
     scene, law = whole.scene, whole.contact
     omega, table = scene.excitation.omega, scene.harmonic_balance
     if law is None:
@@ -131,9 +177,9 @@ def solve_prepared(whole: Study) -> Run[PeriodicSolution]:
         return Run(**vars(study), result=linear)
     if table.tolerance is None:
         study = reduced(whole)
-        samples = table.samples
+        how: dict[str, Any] = {"harmonics": table.harmonics, "samples": table.samples}
         solution = solve_harmonic_balance(
-            study.structure, omega, law, harmonics=table.harmonics, samples=samples, throw=False
+            study.structure, omega, law, **how, initial=initial, throw=False
         )
     else:
         study, solution = _solve_to_tolerance(whole, law, table.tolerance)
@@ -172,10 +218,39 @@ def _solve_to_tolerance(
     return next(study for study in studies if study.structure is found.structure), found
 
 
-def follow_curve(
+def curve(
     scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: bool = False
 ) -> Run[ResponseCurve]:
-    """Response curve of the table ``[curve]`` (collective); it may end early."""
+    """Follow the response curve of a scene's table ``[curve]``, as ``fenics-crack curve`` does.
+
+    Over the frequency (:func:`continue_frequency`), the speed of a rotor or another parameter
+    (:func:`continue_parameter`); collective.
+
+    Parameters
+    ----------
+    scene : Scene
+        What vibrates, and along what it is followed.
+    comm : MPI.Comm
+        Ranks that share the structure.
+    progress : bool
+        Show a bar.
+
+    Returns
+    -------
+    Run
+        Scene, structure, law and ``result``: the curve, which may have ended early.
+
+    Raises
+    ------
+    InputError
+        A value of the scene cannot be used, or there is no such table.
+
+    Examples
+    --------
+    >>> keys = {"start": 300.0, "stop": 310.0, "stability": False}
+    >>> run = fc.curve(scene.replace({f"curve.{key}": value for key, value in keys.items()}))
+    >>> run.result.complete
+    """
     from fenics_crack.curves.follow import continue_frequency, continue_parameter
 
     table, balance = scene.curve, scene.harmonic_balance
@@ -202,12 +277,12 @@ def follow_curve(
     }
     structure, omega = study.structure, scene.excitation.omega
     if parameter == "omega":
-        curve = continue_frequency(structure, start, stop, law, **options)
+        followed = continue_frequency(structure, start, stop, law, **options)
     else:
         if parameter == "speed":
             omega *= start / scene.speed  # the structure is that of the start
-        curve = continue_parameter(structure, omega, law, parameter, start, stop, **options)
-    return Run(**vars(study), result=curve)
+        followed = continue_parameter(structure, omega, law, parameter, start, stop, **options)
+    return Run(**vars(study), result=followed)
 
 
 def _prepare_curve(scene: Scene, comm: MPI.Comm) -> Study:
@@ -230,7 +305,35 @@ def _prepare_curve(scene: Scene, comm: MPI.Comm) -> Study:
 def integrate(
     scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD, *, progress: bool = False
 ) -> Run[TimeHistory]:
-    """Motion in time from rest by the table ``[integration]`` (collective)."""
+    """March a scene's motion in time from rest, as ``fenics-crack integrate`` does (collective).
+
+    By the scheme, the steps and the periods of the table ``[integration]``, or the defaults.
+
+    Parameters
+    ----------
+    scene : Scene
+        What vibrates.
+    comm : MPI.Comm
+        Ranks that share the structure.
+    progress : bool
+        Show a bar.
+
+    Returns
+    -------
+    Run
+        Scene, structure, law and ``result``: the motion over the last periods.
+
+    Raises
+    ------
+    InputError
+        A value of the scene cannot be used.
+    ConvergenceError
+        The motion grows without bound.
+
+    Examples
+    --------
+    >>> fc.integrate(scene.replace({"integration.periods": 5})).result.settled
+    """
     table = scene.integration or Integration()
     if comm.size > 1 and scene.reduction is not None and scene.reduction.method == "off":
         raise InputError("reduction.method", "off", "a reduction, or one rank, for this command")

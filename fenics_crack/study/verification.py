@@ -19,14 +19,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.contact_integrals import default_samples
-from fenics_crack.balance.indicators import Indicators
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import MAX_SAMPLES, ConvergenceError, InputError
 from fenics_crack.model.contact import is_unilateral
@@ -315,34 +314,45 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
         study = prepare(scene, comm, whole=True)
         own = solve_prepared(study)
         if scene.harmonic_balance.tolerance is not None and own.result.converged:
-            own = solve_prepared(_varied(own, _settled(own)))
+            own = solve_prepared(_varied(own, _settled(own)), own.result)
     if not own.result.converged:
         raise ConvergenceError(f"{OWN}: {own.result.status}")
     study = replace(study, scene=_settled(own))
-    log = _Log()
-    first = log.level(OWN, own)
-    # What is made finer, from the study that the finer scenes share but for a mesh.
-    causes = ((_meshes, None), (_modes, study), (_harmonics, own), (_samples, own))
+    first, units = _answer(own)
+    failures: list[str] = []
+    verdicts = _doubtful(OWN, own)
     parts, counts = {}, {}
     absent: dict[str, str] = {}
     unknown: dict[str, str] = {}
-    for cause, (ways, shared) in zip(CAUSES, causes, strict=True):
-        found = ways(study)
+    for cause, ways in zip(CAUSES, (_meshes, _modes, _harmonics, _samples), strict=True):
+        found = ways(study, own)
         if isinstance(found, str):
             (unknown if cause == "mesh" else absent)[cause] = found
             continue
-        levels = [first.counted(found.counts[0]), *log.levels(found, shared, comm)]
-        if len(levels) == 1:
+        levels = [(found.counts[0] or _elements(own.structure.whole), first)]
+        for (name, finer), count in zip(found.finer.items(), found.counts[1:], strict=True):
+            run = _finer_run(name, finer, found.shared, comm, failures)
+            if run is not None:
+                levels.append((count or _elements(run.structure.whole), _answer(run)[0]))
+                verdicts |= _doubtful(name, run)
+        many = tuple(count for count, _ in levels)
+        if len(many) == 1:
             unknown[cause] = "no finer run has converged"
-            continue
-        if len({level.size for level in levels}) < len(levels):
+        elif len(set(many)) < len(many):
             unknown[cause] = "finer ones have as many elements, as mesh.size is that of the plate"
-            continue
-        counts[cause] = tuple(level.count for level in levels)
-        parts[cause] = _convergence(levels, found)
-    failures, verdicts = tuple(log.failures), log.verdicts
+        else:
+            counts[cause] = many
+            parts[cause] = {
+                name: grid_convergence(
+                    [found.size(count) for count in many],
+                    [values.get(name, 0.0) for _, values in levels],  # 0: none there
+                    formal=found.formal,
+                    highest=found.highest,
+                )
+                for name in first
+            }
     return Verification(
-        study.scene, first.values, first.units, parts, counts, absent, unknown, failures, verdicts
+        study.scene, first, units, parts, counts, absent, unknown, tuple(failures), verdicts
     )
 
 
@@ -374,16 +384,24 @@ class _Ways:
     """Finer scenes by what each is called, and the orders of theory.
 
     ``counts`` are the numbers of what is varied, the scene's own first; None of a mesh, whose
-    elements are counted when it is made.
+    elements are counted when it is made. ``shared`` is the study of them all but for a mesh,
+    ``area`` that of the mesh [m^2].
     """
 
     finer: dict[str, Scene]
     counts: tuple[int | None, ...]
     formal: float
+    shared: Study | None = None
     highest: float = math.inf
+    area: float = 1.0
+
+    def size(self, count: int) -> float:
+        """The side of a square of the mean area of so many elements [m] (Celik and others, equation
+        1), or one over the number of something else."""
+        return 1.0 / count if self.shared is not None else math.sqrt(self.area / count)
 
 
-def _meshes(study: Study) -> _Ways | str:
+def _meshes(study: Study, own: Study) -> _Ways | str:
     scene = study.scene
     if scene.structure is not None:
         return "[structure] has matrices, and not the mesh that they are of"
@@ -397,7 +415,9 @@ def _meshes(study: Study) -> _Ways | str:
     if not scenes:
         return "mesh.file is one mesh; make finer ones and compare them by fc.grid_convergence"
     formal = TIP if study.structure.n_pairs else CLAMP
-    return _Ways(scenes, (None,) * (1 + len(scenes)), formal, 2.0 * scene.mesh.order)
+    area = (scene.geometry.width or 1.0) * (scene.geometry.height or 1.0)
+    none = (None,) * (1 + len(scenes))
+    return _Ways(scenes, none, formal, highest=2.0 * scene.mesh.order, area=area)
 
 
 def finer_mesh(scene: Scene, factor: float) -> Scene | None:
@@ -420,7 +440,7 @@ def finer_mesh(scene: Scene, factor: float) -> Scene | None:
     return scene.replace(changes)
 
 
-def _modes(study: Study) -> _Ways | str:
+def _modes(study: Study, own: Study) -> _Ways | str:
     scene, whole = study.scene, study.structure
     table = reduction_of(scene, whole)
     if table is None:
@@ -428,131 +448,92 @@ def _modes(study: Study) -> _Ways | str:
     kept, most = modes_of(scene, table), whole.n_dofs - whole.n_pairs
     if kept >= most:
         return "all are kept"
-    return _more(scene, "reduction.modes", kept, most, 1.0)
+    return _more(study, scene, "reduction.modes", kept, most, 1.0)
 
 
-def _harmonics(study: Study) -> _Ways | str:
+def _harmonics(study: Study, own: Study) -> _Ways | str:
     scene, table = study.scene, study.scene.harmonic_balance
     if study.contact is None:
         return "without contact there is one"
     if table.samples is not None:  # enough for all of them
         least = 4 * COUNTS[-1] * table.harmonics + 1
         scene = scene.replace({"harmonic_balance.samples": max(table.samples, least)})
-    return _more(scene, "harmonic_balance.harmonics", table.harmonics, MAX_SAMPLES, 1.0)
+    return _more(own, scene, "harmonic_balance.harmonics", table.harmonics, MAX_SAMPLES, 1.0)
 
 
-def _samples(study: Study) -> _Ways | str:
+def _samples(study: Study, own: Study) -> _Ways | str:
     law, table = study.contact, study.scene.harmonic_balance
     if law is None:
         return "without contact there are none"
     if table.samples is None and is_unilateral(law):
         return "contact is integrated exactly"
-    own = table.samples or default_samples(table.harmonics)
-    return _more(study.scene, "harmonic_balance.samples", own, MAX_SAMPLES, 2.0)
+    count = table.samples or default_samples(table.harmonics)
+    return _more(own, study.scene, "harmonic_balance.samples", count, MAX_SAMPLES, 2.0)
 
 
-def _more(scene: Scene, key: str, own: int, most: int, formal: float) -> _Ways:
+def _more(shared: Study, scene: Scene, key: str, own: int, most: int, formal: float) -> _Ways:
     """Twice and four times as many of something, at most so many."""
     counts = tuple(sorted({min(factor * own, most) for factor in COUNTS}))
     name = key.rpartition(".")[2]
     finer = {f"{count} {name}": scene.replace({key: count}) for count in counts[1:]}
-    return _Ways(finer, counts, formal)
+    return _Ways(finer, counts, formal, shared)
 
 
 # --- runs -----------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Level:
-    """The numbers of a run: quantities and their units, elements, and their mean size [m]."""
+def _finer_run(
+    name: str, scene: Scene, shared: Study | None, comm: MPI.Comm, failures: list[str]
+) -> Run[PeriodicSolution] | None:
+    """The run of a finer scene, from the solution that it shares a structure with; None, and its
+    failure, where it does not converge (collective)."""
+    initial = shared.result if isinstance(shared, Run) else None
+    with within(name):
+        try:
+            varied = prepare(scene, comm, whole=True) if shared is None else _varied(shared, scene)
+            run = solve_prepared(varied, initial)
+            if run.result.converged:
+                return run
+            failures.append(f"{name}: {run.result.status}")
+        except REFUSALS as error:
+            failures.append(f"{name}: {error}")
+    return None
 
-    values: dict[str, float]
-    units: dict[str, str]
-    count: int
-    size: float
 
-    def counted(self, count: int | None) -> _Level:
-        """Where something else than elements is varied: by its number."""
-        return self if count is None else replace(self, count=count, size=1.0 / count)
-
-
-@dataclass
-class _Log:
-    """Runs, and what is to be told of them."""
-
-    failures: list[str] = field(default_factory=list)
-    verdicts: dict[str, str] = field(default_factory=dict)
-    known: tuple[Structure, np.ndarray] | None = None
-    """The last structure, and its natural frequencies [rad/s]."""
-
-    def levels(self, ways: _Ways, shared: Study | None, comm: MPI.Comm) -> Iterator[_Level]:
-        """The finer runs that converge (collective)."""
-        for (name, scene), count in zip(ways.finer.items(), ways.counts[1:], strict=True):
-            with within(name):
-                try:
-                    if shared is None:
-                        study = prepare(scene, comm, whole=True)
-                    else:
-                        study = _varied(shared, scene)
-                    run = solve_prepared(study)
-                    if run.result.converged:
-                        yield self.level(name, run).counted(count)
-                    else:
-                        self.failures.append(f"{name}: {run.result.status}")
-                except REFUSALS as error:
-                    self.failures.append(f"{name}: {error}")
-
-    def level(self, name: str, run: Run[PeriodicSolution]) -> _Level:
-        """What a run found; its verdict is kept where it is doubtful (collective)."""
-        stability, whole = run.result.stability, run.structure.whole
-        if stability is not None and stability.verdict != "stable":
-            self.verdicts[name] = stability.verdict
-        values, units = _answer(run)
-        if self.known is None or self.known[0] is not whole:
-            self.known = whole, solve_modes(whole, min(FREQUENCIES, whole.n_modes)).omega
-        factor, _, unit = frequency_axis(run.scene.in_hertz)
-        kind = "frequency" if run.scene.in_hertz else "omega"
-        for mode, value in enumerate(self.known[1], 1):
-            values[f"{kind}_open_{mode}"] = factor * float(value)
-            units[f"{kind}_open_{mode}"] = unit
-        return _Level(values, units, *_elements(run.scene, whole))
+def _doubtful(name: str, run: Run[PeriodicSolution]) -> dict[str, str]:
+    """The verdict by the name of a run, where it is not known to be stable."""
+    stability = run.result.stability
+    known = stability is None or stability.verdict == "stable"
+    return {} if known or stability is None else {name: stability.verdict}
 
 
 def _answer(run: Run[PeriodicSolution]) -> tuple[dict[str, float], dict[str, str]]:
-    """What is asked for of the watched points and the lips, and the units (collective)."""
+    """What is asked for of the watched points and the lips, the lowest natural frequencies, and the
+    units (collective)."""
     output = run.scene.output
     chosen = (output.quantities if output is not None else None) or ANSWER
     values: dict[str, float] = {}
     units: dict[str, str] = {}
-    seen: Indicators | None = None
     for watched in run.watched:
         seen = run.result.indicators(watched.dof)
         for name in chosen:
-            if name in OF_POINTS:
-                values[watched.column(name)] = float(getattr(seen, name))
-                units[watched.column(name)] = QUANTITIES[name][1]
-    for name in chosen:
-        if name in OF_LIPS:
-            values[name], units[name] = float(getattr(seen, name)), QUANTITIES[name][1]
-    known = {n: v for n, v in values.items() if abs(v) > (TINY if units[n] == "1" else 0.0)}
-    return known, {n: "" if units[n] == "1" else units[n] for n in known}
+            if name in OF_POINTS or name in OF_LIPS:
+                column = watched.column(name) if name in OF_POINTS else name
+                value, unit = float(getattr(seen, name)), QUANTITIES[name][1]
+                if abs(value) > (TINY if unit == "1" else 0.0):
+                    values[column], units[column] = value, unit.replace("1", "")
+    factor, _, unit = frequency_axis(run.scene.in_hertz)
+    kind = "frequency" if run.scene.in_hertz else "omega"
+    for mode, omega in enumerate(run.structure.once(_lowest), 1):
+        values[f"{kind}_open_{mode}"], units[f"{kind}_open_{mode}"] = factor * float(omega), unit
+    return values, units
 
 
-def _elements(scene: Scene, whole: Structure) -> tuple[int, float]:
-    """How many there are, and the side of a square of their mean area [m] (Celik and others,
-    equation 1); of matrices one (collective)."""
-    count = 0 if whole.nodes is None else whole.comm.allreduce(len(whole.nodes.cells))
-    width, height = (
-        (1.0, 1.0) if scene.structure is not None else (scene.geometry.width, scene.geometry.height)
-    )
-    return max(count, 1), math.sqrt((width or 1.0) * (height or 1.0) / max(count, 1))
+def _lowest(structure: Structure) -> np.ndarray:
+    """Natural frequencies with lips open; of a reduced structure those that it keeps."""
+    return solve_modes(structure, min(FREQUENCIES, structure.n_modes)).omega
 
 
-def _convergence(levels: list[_Level], ways: _Ways) -> dict[str, GridConvergence]:
-    """Of each quantity of the first level; what another level does not have is none there."""
-    sizes = [level.size for level in levels]
-    found = {}
-    for name in levels[0].values:
-        values = [level.values.get(name, 0.0) for level in levels]
-        found[name] = grid_convergence(sizes, values, formal=ways.formal, highest=ways.highest)
-    return found
+def _elements(whole: Structure) -> int:
+    """How many there are; of matrices one (collective)."""
+    return max(1, 0 if whole.nodes is None else whole.comm.allreduce(len(whole.nodes.cells)))

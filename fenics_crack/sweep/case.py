@@ -47,18 +47,15 @@ class Geometry:
         Of the first crack; nan where it is unknown.
     natural : BilinearFrequencies
         With lips open and tied.
-    load : (n_dofs,) or None
-        What the coordinates are multiplied by for the motion at the load [m]; None: one load, whose
-        vector does it.
     watched : dict of str to (n_dofs,)
-        The same by "tip.ux" of the named points.
+        What the coordinates are multiplied by for the motion of the named points [m], by "tip.ux",
+        and at the load, by ""; of one load alone its own vector does that.
     """
 
     study: Study
     unit_loads: bool
     crack_length: float
     natural: BilinearFrequencies
-    load: np.ndarray | None
     watched: dict[str, np.ndarray]
 
     @property
@@ -99,13 +96,13 @@ def build(scene: Scene, comm: MPI.Comm, unit_loads: bool, last: Geometry | None 
         unit_loads,
         lengths[0] if lengths and lengths[0] is not None else np.nan,
         bilinear_frequencies(structure),
-        _watched(study.scene, structure),
-        {watched.name: row for watched, row in zip(named, rows, strict=True)},
+        _at_load(study.scene, structure)
+        | {watched.name: row for watched, row in zip(named, rows, strict=True)},
     )
 
 
-def _watched(scene: Scene, structure: Structure) -> np.ndarray | None:
-    """What is watched of a structure, of its own coordinates; of matrices the dof that carries
+def _at_load(scene: Scene, structure: Structure) -> dict[str, np.ndarray]:
+    """What is watched at the load, where the structure says it; of matrices the dof that carries
     most of the load (collective)."""
     whole = structure.whole
     if whole.watched is not None:
@@ -114,10 +111,9 @@ def _watched(scene: Scene, structure: Structure) -> np.ndarray | None:
         weights = np.zeros(whole.n_dofs)
         weights[whole.most_loaded()] = 1.0
     else:
-        return None
+        return {}
     dofs = np.flatnonzero(weights)
-    seen = structure.values_at(np.eye(structure.n_dofs), dofs.tolist())
-    return np.asarray(seen @ weights[dofs])
+    return {"": structure.values_at(np.eye(structure.n_dofs), dofs.tolist()) @ weights[dofs]}
 
 
 # --- a case ---------------------------------------------------------------------------------------
@@ -214,24 +210,18 @@ def _numbered(natural: BilinearFrequencies) -> Found:
 def _seen(solution: PeriodicSolution, case: Scene, geometry: Geometry) -> Found:
     """What is seen at the load and at the watched points."""
     motion = solution.coordinates(solution.instants())
-
-    def at(row: np.ndarray) -> Found:
+    found: Found = {}
+    for name, row in (_load_row(solution, case) | geometry.watched).items():
         coefficients = solution.displacement_coefficients @ row
         seen = indicators_of(solution.omega, coefficients, np.ptp(motion @ row) / 2.0, {})
         values = {quantity: getattr(seen, quantity) for quantity in AT_POINTS}
-        return values | dict(zip(PHASES, coefficients[1:].tolist(), strict=False))
-
-    found: Found = {}
-    row = geometry.load if geometry.load is not None else _load_row(solution, case)
-    if row is not None:
-        found |= {of_load(quantity): value for quantity, value in at(row).items()}
-    for name, row in geometry.watched.items():
-        found |= {f"{name}.{quantity}": value for quantity, value in at(row).items()}
+        values |= zip(PHASES, coefficients[1:].tolist(), strict=False)
+        found |= {f"{name}.{q}" if name else of_load(q): value for q, value in values.items()}
     return found
 
 
-def _load_row(solution: PeriodicSolution, case: Scene) -> np.ndarray | None:
-    """The displacement of the load's point in the load's direction from the coordinates; None
+def _load_row(solution: PeriodicSolution, case: Scene) -> dict[str, np.ndarray]:
+    """The displacement of the load's point in the load's direction from the coordinates; nothing
     without a load.
 
     The direction is that of the larger of the sine and the cosine part, of the mean if there is
@@ -241,7 +231,4 @@ def _load_row(solution: PeriodicSolution, case: Scene) -> np.ndarray | None:
     name = max(("force_sin", "force_cos"), key=sizes.__getitem__)
     if sizes[name] == 0.0:
         name = "force_mean"
-    if sizes[name] == 0.0:
-        return None
-    row: np.ndarray = solution.structure.force[FORCES.index(name)] / sizes[name]
-    return row
+    return {"": solution.structure.force[FORCES.index(name)] / sizes[name]} if sizes[name] else {}

@@ -21,11 +21,12 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import math
 import os
 import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import h5py
 import numpy as np
@@ -121,7 +122,7 @@ def columns_of(scene: Scene) -> dict[str, tuple[str, str]]:
 def shape_of(scene: Scene) -> tuple[int, ...]:
     """Number of values on each axis of a scene's sweep."""
     assert scene.sweep is not None
-    return tuple(len(axis.values) for axis in scene.sweep.over)
+    return scene.sweep.shape
 
 
 class SweepFile:
@@ -220,49 +221,6 @@ class SweepFile:
             return False
 
 
-class _Pieces:
-    """A file for HDF5 in memory: pieces, and zeros between them."""
-
-    def __init__(self) -> None:
-        self.pieces: list[tuple[int, bytes]] = []
-        self.size = self._at = 0
-
-    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """As of any file, and so the others."""
-        self._at = offset + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self.size}[whence]
-        return self._at
-
-    def tell(self) -> int:
-        """Where the next piece is read or written."""
-        return self._at
-
-    def read(self, count: int) -> bytes:
-        """The last piece written at a place is what is there."""
-        found = bytearray(count)
-        for place, piece in self.pieces:
-            first, last = max(place, self._at), min(place + len(piece), self._at + count)
-            if first < last:
-                found[first - self._at : last - self._at] = piece[first - place : last - place]
-        self._at += count
-        return bytes(found)
-
-    def write(self, content: Any) -> int:
-        """Another piece."""
-        piece = bytes(content)
-        self.pieces.append((self._at, piece))
-        self._at += len(piece)
-        self.size = max(self.size, self._at)
-        return len(piece)
-
-    def truncate(self, size: int) -> int:
-        """What HDF5 says at the end."""
-        self.size = size
-        return size
-
-    def flush(self) -> None:
-        """Nothing to be done."""
-
-
 def _padded(arrays: list[np.ndarray], pairs: int) -> np.ndarray:
     """Waves of some cases as one array, nan where one has fewer rows or pairs."""
     found = np.full((len(arrays), max(map(len, arrays)), pairs), np.nan)
@@ -287,7 +245,24 @@ def _made(path: Path, scene: Scene, harmonics: int, pairs: int) -> store.Stored 
     if pairs:
         wave = (*shape, 2 * harmonics + 1, pairs)
         sizes |= {name: (unit, "f8", wave) for name, unit in WAVES.items()}
-    image = _Pieces()
+    with contextlib.suppress(FileExistsError):
+        with (
+            whole_file(path, new=True) as partial,
+            open(partial, "wb", buffering=0) as whole,
+            open(os.memfd_create("sweep"), "w+b", buffering=0) as image,  # zeros take no memory
+        ):
+            least = (math.prod(size) * np.dtype(kind).itemsize for _, kind, size in sizes.values())
+            whole.truncate(sum(least))  # OSError where files are limited, which HDF5 would meet
+            stored = _image(image, path, scene, sizes)
+            _copy_written(image.fileno(), whole.fileno())
+        return stored
+    return None
+
+
+def _image(
+    image: BinaryIO, path: Path, scene: Scene, sizes: Mapping[str, tuple[str, str, tuple[int, ...]]]
+) -> store.Stored:
+    """Write a new file with datasets of some units, types and shapes; its header."""
     with h5py.File(image, "w", libver="earliest") as file:
         store.write_header(file, KIND, scene)
         for name, (unit, kind, size) in sizes.items():
@@ -304,14 +279,20 @@ def _made(path: Path, scene: Scene, harmonics: int, pairs: int) -> store.Stored 
                 file[name].attrs["about"] = words
         columns = store.columns_of(file)
         file.attrs["digest"] = store.digest(store.texts(file), store.places(columns))
-        stored = store.Stored(path, store.texts(file), {}, columns)
-    with contextlib.suppress(FileExistsError):
-        with whole_file(path, new=True) as partial, open(partial, "wb", buffering=0) as raw:
-            raw.truncate(image.size)
-            for place, piece in image.pieces:
-                put(raw.fileno(), piece, place)
-        return stored
-    return None
+        return store.Stored(path, store.texts(file), {}, columns)
+
+
+def _copy_written(image: int, whole: int) -> None:
+    """Copy what has been written of an open file to another, and its size; OSError."""
+    size, end = os.fstat(image).st_size, 0
+    os.truncate(whole, size)
+    while end < size:
+        try:
+            first = os.lseek(image, end, os.SEEK_DATA)
+        except OSError:  # zeros alone
+            return
+        end = os.lseek(image, first, os.SEEK_HOLE)
+        put(whole, os.pread(image, end - first, first), first)
 
 
 def _words(name: str) -> str:

@@ -16,11 +16,10 @@ from fenics_crack.fem.blocks import lip_pairs
 from fenics_crack.fem.matrix_files import count_pairs
 from fenics_crack.fem.plate import build_mesh
 from fenics_crack.scene.scene import Scene
-from fenics_crack.sweep.file import shape_of
 
 __all__ = ["FORCES", "Chunk", "Plan"]
 
-CHUNK = 12
+CHUNK = 16
 """Most cases of a chunk."""
 SAME_GEOMETRY = (
     "excitation.omega", "excitation.frequency", "excitation.force_sin", "excitation.force_cos",
@@ -54,7 +53,7 @@ class Plan:
         keys = list(swept)
         if scene.sweep.ranks > 1 and scene.reduction is None:  # on one rank too
             self._base = self._base.replace({"reduction.method": None})
-        self.shape = shape_of(scene)  # of the table of cases
+        self.shape = scene.sweep.shape  # of the table of cases
         # Where the force is swept, geometries are built with unit loads.
         forces = {f"excitation.{name}" for name in FORCES}
         self.unit_loads = not forces.isdisjoint(keys) and not _has_other_loads(scene, keys)

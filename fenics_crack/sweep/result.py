@@ -6,7 +6,7 @@ The cases are the product of the axes in ``[sweep.over]``, numbered with the las
 geometry; frequency, force, contact law, clearance and truncation do not change it. A geometry is
 built once and is then a small structure in plain arrays that any rank can solve.
 
-*Chunks.* The cases of a geometry are cut into chunks of up to 12 along the frequency (if it is not
+*Chunks.* The cases of a geometry are cut into chunks of up to 16 along the frequency (if it is not
 swept, along the last axis that leaves the geometry alone). The first case of a chunk starts from
 the linear solution, each further one from its neighbour; along the frequency they share their
 equations (:mod:`fenics_crack.balance.neighbours`). Chunks depend on the scene alone, and so do the
@@ -138,10 +138,7 @@ def run_sweep(
             worker.follow()
     leaders.Free()
     group.Free()
-    error = comm.bcast(managers[0].error_for_others if managers else None)
-    if error is not None:
-        raise (managers[0].error if managers else None) or error
-    return on_root(comm, lambda: SweepResult.of(managers[0].file.stored))
+    return on_root(comm, lambda: SweepResult.of(managers[0].stored))
 
 
 def _ranks_of_a_case(scene: Scene, comm: MPI.Comm) -> int:

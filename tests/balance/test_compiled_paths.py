@@ -336,8 +336,8 @@ def test_folds_of_a_stiff_curve() -> None:
 
 
 def test_path_of_many_unknowns() -> None:
-    """144 unknowns, so that points share LU factors: points and tangents are on the path, and each
-    is where equations in Python, whose J is factored at every iteration, have one."""
+    """144 unknowns, so that solutions take products with J: points and tangents are on the path,
+    and each is where equations in Python, whose J is factored at every iteration, have one."""
     structure, law = chain(pairs=3), fc.UnilateralPenalty(np.array([3.0, 8.0, 20.0]))
     family = FAMILIES["omega"](fc.Problem(structure, 1.4, law, 24), 1.4, 0.5)
     start = fc.solve_harmonic_balance(
@@ -359,7 +359,7 @@ def test_path_of_many_unknowns() -> None:
 
 def test_branch_crosses_a_path_of_many_unknowns() -> None:
     """Two like oscillators, weakly coupled: next to the folds where they move alike, branches on
-    which they do not cross the path. Shared factors do not show it; the next ones do, and the
+    which they do not cross the path. Tangents do not show it; the next sign of det J does, and the
     points between are followed again."""
     stiffness = np.array([[1.005, -0.005], [-0.005, 1.005]])
     twins = fc.Structure.from_matrices(

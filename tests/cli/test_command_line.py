@@ -247,6 +247,33 @@ def test_nothing_else_is_printed(tmp_path: Path) -> None:
     assert done.stdout.count("\n---") == 1 and "\r" not in done.stderr
 
 
+SPY = """
+import os, sys
+class Spy:
+    def find_spec(self, name, *_):
+        if name == "mpi4py.MPI":
+            print("pml =", os.environ.get("OMPI_MCA_pml"))
+sys.meta_path.insert(0, Spy())
+from fenics_crack.cli.command_line import main
+main(["new", "plate.toml", "--quiet"])
+print("then", os.environ.get("OMPI_MCA_pml"))
+"""
+
+
+@pytest.mark.parametrize(("given", "told"), [(None, ["ob1", "None"]), ("^cm", ["^cm", "^cm"])])
+def test_one_process_looks_for_no_network(
+    tmp_path: Path, given: str | None, told: list[str]
+) -> None:
+    """MPI starts in a fifth of the time; what the user has set stays, and nothing is left behind
+    for programs that are started from here."""
+    surroundings = {k: v for k, v in ENVIRONMENT.items() if not k.startswith("OMPI_MCA_")}
+    surroundings |= {} if given is None else {"OMPI_MCA_pml": given}
+    done = subprocess.run(
+        [sys.executable, "-c", SPY], cwd=tmp_path, env=surroundings, capture_output=True, text=True
+    )
+    assert done.stdout.split("\n")[:2] == [f"pml = {told[0]}", f"then {told[1]}"]
+
+
 def test_new_scene_resonates_as_it_breathes(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     """Half of each period open, half closed: within 1 % of 2 f_open f_tied / (f_open + f_tied)."""
     path = tmp_path / "plate.toml"

@@ -15,7 +15,6 @@ from fenics_crack.cli.account import of_error, of_stability
 from fenics_crack.cli.of_curve import _undecided_stretches, few_special_points
 from fenics_crack.cli.of_sweep import few_cases, warnings_of
 from fenics_crack.study.remarks import remarks_on_scene
-from fenics_crack.study.run import follow_curve, solve
 from fenics_crack.sweep import result
 from fenics_crack.sweep.file import COLUMNS, CONVERGED, FAILED
 from fenics_crack.table import Table
@@ -177,7 +176,7 @@ def test_solution_and_curve_agree(scene: fc.Scene, frequency: float) -> None:
     """At one point: the same harmonics, modes, response, error and verdict; also at resonance."""
     ends = {"curve.start": frequency, "curve.stop": 1.0003 * frequency}
     given = scene.replace(FIXED | ends | {"excitation.frequency": frequency})
-    one, many = solve(given), follow_curve(given)
+    one, many = fc.solve(given), fc.curve(given)
     first = many.result.solution(0)
     assert isinstance(many.result, ResponseCurve)
     assert one.result.harmonics == first.harmonics

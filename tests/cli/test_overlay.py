@@ -8,8 +8,8 @@ import pytest
 from helpers import DEMOS
 from surroundings import main
 
-from fenics_crack.cli import of_sweep, overlay
-from fenics_crack.draw import plot
+from fenics_crack.cli import pictures
+from fenics_crack.scene.fields import Axis
 
 SCENE = str(DEMOS / "paper_plate.toml")
 LOADS = (50.0, 100.0, 200.0)
@@ -35,13 +35,13 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_solutions(results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A wave for each load, with its amplitude, under the name of the load."""
     drawn: dict[str, Any] = {}
-    real = overlay.draw_waves
+    real = pictures.draw_waves
 
     def recorded(waves: Any, **how: Any) -> Any:
         drawn[how["path"].name] = waves
         return real(waves, **how)
 
-    monkeypatch.setattr(overlay, "draw_waves", recorded)
+    monkeypatch.setattr(pictures, "draw_waves", recorded)
     files = [str(results / f"{load:g}" / "solution.h5") for load in LOADS]
     assert main(["plot", *files, "--output", str(tmp_path), "--quiet"]) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == [
@@ -63,12 +63,12 @@ def test_solutions(results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 def test_curves_and_sweeps(results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Labels that are given; the curves of both on one panel."""
-    panels = []
+    panels: list[Any] = []
 
-    def kept(drawn: Any, *arguments: Any) -> None:
-        panels.extend(drawn)
+    def kept(drawn: Any) -> None:
+        panels.extend(panel for panel in drawn if panel not in panels)
 
-    monkeypatch.setattr(overlay, "figure_of", kept)
+    monkeypatch.setattr(pictures.Picture, "saved", kept)
     for name in ("curve", "sweep"):
         files = [str(results / ratio / f"{name}.h5") for ratio in ("0.05", "0.1")]
         given = ["--label", "5 %", "--label", "10 %"]
@@ -108,7 +108,7 @@ def test_lines_and_maps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     """Two axes: few values of the second make lines, many a map, some both; words on the axes."""
     drawn: list[tuple[str, dict[str, Any]]] = []
     for name in ("draw_map", "draw_response"):
-        monkeypatch.setattr(plot, name, lambda *a, name=name, **how: drawn.append((name, how)))
+        monkeypatch.setattr(pictures, name, lambda *a, name=name, **how: drawn.append((name, how)))
     for count, expected in (
         (3, ["draw_response"]),
         (5, ["draw_response", "draw_map"]),
@@ -116,17 +116,10 @@ def test_lines_and_maps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     ):
         drawn.clear()
         lengths = tuple(0.02 + 0.002 * n for n in range(count))
-        axes = (
-            fc_axis("excitation.frequency", (1.0, 2.0, 3.0, 4.0)),
-            fc_axis("crack.length", lengths),
-        )
-        page = of_sweep._Page([*axes], np.ones((4, count)), np.zeros((4, count), bool))
-        page.draw("largest opening", "m", tmp_path / "a.png", "")
+        axes = Axis("excitation.frequency", (1.0, 2.0, 3.0, 4.0)), Axis("crack.length", lengths)
+        values, doubtful = np.ones((4, count)), np.zeros((4, count), bool)
+        words = "largest opening", "m"
+        pictures.draw_swept(axes, values, doubtful, words, tmp_path.joinpath, "a")
         assert [name for name, _ in drawn] == expected
     assert drawn[0][1]["x_label"] == "load frequency [Hz]"
     assert drawn[0][1]["y_label"] == "crack length [mm]"
-
-
-def fc_axis(key: str, values: tuple[float, ...]) -> Any:
-    """An axis of a sweep."""
-    return of_sweep.Axis(key, values)

@@ -1,6 +1,8 @@
 """Pictures of one vibration: its animation, harmonics and orbit; maps; and several ranks."""
 
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,6 @@ from scipy.spatial import cKDTree
 import fenics_crack as fc
 from fenics_crack.draw import animation
 from fenics_crack.draw.figure import COLOURS
-from fenics_crack.draw.nodal import off_screen_plotter
 from fenics_crack.draw.paraview import PeriodFields
 from fenics_crack.table import readable
 
@@ -75,7 +76,7 @@ def test_animation(
     path = tmp_path / "new" / "crack.gif"
     material = small_scene.material if with_stress else None
     magnification = fc.animate_period(breathing, path, frames=10, material=material)
-    fields = PeriodFields.of(breathing, 10)
+    fields = PeriodFields(breathing, 10)
     assert magnification == pytest.approx(fields.magnification)
     with Image.open(path) as picture:
         assert picture.n_frames == 10 and picture.size == (640, 740)
@@ -111,8 +112,8 @@ def test_animation_of_twice_the_period_without_a_crack(
 
 def test_window(breathing: fc.PeriodicSolution, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its slider moves the plate; without a screen there is none."""
-    fields = PeriodFields.of(breathing, 10)
-    plotter = off_screen_plotter(window_size=(600, 600))
+    fields = PeriodFields(breathing, 10)
+    plotter = animation.off_screen_plotter(window_size=(600, 600))
     slider = animation._with_slider(plotter, breathing, fields)
     pictures = []
     for frame in (2, 7):
@@ -126,6 +127,21 @@ def test_window(breathing: fc.PeriodicSolution, monkeypatch: pytest.MonkeyPatch)
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(fc.InputError, match="screen"):
         fc.show_period(breathing)
+
+
+def test_window_after_dolfinx() -> None:
+    """Numbers that VTK formats itself crash it where DOLFINx was loaded first."""
+    program = """
+import dolfinx
+import fenics_crack as fc
+from fenics_crack.draw import animation
+scene = fc.Scene.load("demos/paper_plate.toml").replace({"mesh.columns": 4, "mesh.rows": 4})
+found = fc.solve_harmonic_balance(fc.build_structure(scene), 2000.0, fc.UnilateralPenalty(1e9))
+plotter = animation.off_screen_plotter(window_size=(300, 300))
+slider = animation._with_slider(plotter, found, animation.PeriodFields(found, 2))
+plotter.render()
+"""
+    subprocess.run([sys.executable, "-c", program], cwd=DEMOS.parent, check=True, timeout=300)
 
 
 def test_animation_refuses(breathing: fc.PeriodicSolution, tmp_path: Path) -> None:

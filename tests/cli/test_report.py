@@ -51,7 +51,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module", autouse=True)
 def short_animations() -> Iterator[None]:
-    """Of four frames instead of sixty."""
+    """Of four frames instead of 36."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(animation, "animate_period", partial(animation.animate_period, frames=4))
         yield

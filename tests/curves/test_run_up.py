@@ -17,7 +17,6 @@ from fenics_crack.balance.family import SpeedFamily
 from fenics_crack.cli.account import in_short
 from fenics_crack.cli.of_curve import curve_points, special_points
 from fenics_crack.curves.follow import _where
-from fenics_crack.study.run import follow_curve, solve
 from fenics_crack.table import RPM
 
 ORDER = 12
@@ -34,7 +33,7 @@ def blade(changes: dict[str, Any] | None = None) -> Scene:
 @pytest.fixture(scope="module")
 def run_up() -> Run[fc.ResponseCurve]:
     """Followed through the resonance."""
-    return follow_curve(blade(CURVE), MPI.COMM_SELF)
+    return fc.curve(blade(CURVE), MPI.COMM_SELF)
 
 
 def test_basis_of_all_speeds() -> None:
@@ -119,7 +118,7 @@ def test_verdicts_are_those_of_single_solutions(run_up: Run[fc.ResponseCurve]) -
     assert curve.undecided is not None
     for index in (0, peak, len(curve) - 1):
         speed = float(curve.values[index])
-        one = solve(blade().replace({"rotation.speed": speed}), MPI.COMM_SELF)
+        one = fc.solve(blade().replace({"rotation.speed": speed}), MPI.COMM_SELF)
         assert one.result.stability is not None
         expected = one.result.amplitude(one.watched_dof)
         assert curve.amplitude(run_up.watched_dof)[index] == pytest.approx(expected, rel=1e-4)
@@ -181,10 +180,10 @@ def test_bad_input() -> None:
         cracked(600.0, curve=CURVE)
     shaken = blade(CURVE).replace({"base.displacement_sin": [1e-5, 0.0]})
     with pytest.raises(InputError, match=r"base.displacement_sin"):  # its load grows with w^2
-        follow_curve(shaken, MPI.COMM_SELF)
+        fc.curve(shaken, MPI.COMM_SELF)
     for method in ("off", "free_interface", "craig_bampton"):  # none of which it would take
         with pytest.raises(InputError, match=rf"reduction.method = '{method}': must be 'massless'"):
-            follow_curve(blade(CURVE).replace({"reduction.method": method}), MPI.COMM_SELF)
+            fc.curve(blade(CURVE).replace({"reduction.method": method}), MPI.COMM_SELF)
     plate = fc.prepare(cracked(600.0), MPI.COMM_SELF)
     assert plate.contact is not None
     with pytest.raises(InputError, match="run_up_structure"):

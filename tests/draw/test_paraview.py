@@ -11,8 +11,7 @@ from helpers import log_slope, relative
 from matplotlib.image import imread
 
 import fenics_crack as fc
-from fenics_crack.draw.nodal import moved_grid
-from fenics_crack.draw.paraview import nodal_stress, von_mises
+from fenics_crack.draw.paraview import moved_grid, nodal_stress, von_mises
 from fenics_crack.fem.nodal_mesh import NodalMesh
 
 

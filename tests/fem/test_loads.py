@@ -14,7 +14,6 @@ from mpi4py import MPI
 import fenics_crack as fc
 from fenics_crack import InputError, Scene, run_sweep
 from fenics_crack.fem.plate import write_msh
-from fenics_crack.study.run import find_modes, follow_curve, solve
 
 WIDTH, HEIGHT, THICKNESS, DENSITY = 0.01, 0.4, 0.005, 7800.0
 STRIP: dict[str, Any] = {
@@ -42,7 +41,7 @@ def test_resonance_of_a_shaken_cantilever() -> None:
     assert omega == pytest.approx(
         1.8751**2 / HEIGHT**2 * math.sqrt(2.1e11 / DENSITY) * WIDTH / math.sqrt(12.0), rel=5e-3
     )
-    run = solve(scene.replace({"excitation.omega": omega, "reduction": "off"}), MPI.COMM_SELF)
+    run = fc.solve(scene.replace({"excitation.omega": omega, "reduction": "off"}), MPI.COMM_SELF)
     assert run.watched_name.startswith("x displacement at ") and ", 0.4)" in run.watched_name
     expected = 2.0 * 0.782992 * 3.0 / (2.0 * 0.01 * omega**2)
     assert run.result.amplitude(run.watched_dof) == pytest.approx(expected, rel=5e-3)
@@ -65,7 +64,7 @@ def test_far_above_all_resonances_the_plate_stands_still(way: str) -> None:
 def test_slowly_shaken_it_bends_under_its_weight() -> None:
     """Far below resonance a constant acceleration is a weight: w = rho A a L^4 / (8 E I)."""
     scene = strip(base={"acceleration_sin": [5.0, 0.0]}, excitation={"omega": 1e-3})
-    run = solve(scene.replace({"reduction": "off"}), MPI.COMM_SELF)
+    run = fc.solve(scene.replace({"reduction": "off"}), MPI.COMM_SELF)
     bent = DENSITY * 5.0 * HEIGHT**4 * 12.0 / (8.0 * 2.1e11 * WIDTH**2)
     assert run.result.amplitude(run.watched_dof) == pytest.approx(bent, rel=5e-3)
 
@@ -101,8 +100,8 @@ def test_displacement_is_an_acceleration() -> None:
             base={"acceleration_cos": [-(omega**2) * 1e-4, 0.0]},
             **CRACKED | {"excitation": extra | {"omega": omega}},
         )
-        one = solve(moved.replace({"excitation.omega": omega}), MPI.COMM_SELF).result
-        other = solve(shaken, MPI.COMM_SELF).result
+        one = fc.solve(moved.replace({"excitation.omega": omega}), MPI.COMM_SELF).result
+        other = fc.solve(shaken, MPI.COMM_SELF).result
         np.testing.assert_allclose(one.gap_coefficients, other.gap_coefficients, rtol=1e-9)
     assert swept.sweep is not None
 
@@ -114,7 +113,7 @@ def test_sweep_of_a_shaken_plate(tmp_path: Path) -> None:
     swept = moved.replace({"sweep.over": {"excitation.omega": omegas}})
     found = run_sweep(swept, tmp_path / "sweep.h5", MPI.COMM_SELF)
     for place, omega in enumerate(omegas):
-        run = solve(moved.replace({"excitation.omega": omega}), MPI.COMM_SELF)
+        run = fc.solve(moved.replace({"excitation.omega": omega}), MPI.COMM_SELF)
         assert found["response"][place] == pytest.approx(
             run.result.amplitude(run.watched_dof), rel=1e-6
         )
@@ -126,12 +125,12 @@ def test_a_curve_over_the_frequency_takes_accelerations() -> None:
         {"curve.start": 200.0, "curve.stop": 210.0, "curve.stability": False}
     )
     with pytest.raises(InputError, match=r"base\.displacement_cos = .*base\.acceleration_sin"):
-        follow_curve(moved, MPI.COMM_SELF)
+        fc.curve(moved, MPI.COMM_SELF)
     over = {"curve.parameter": "load", "curve.start": 1.0, "curve.stop": 1.5}
-    assert follow_curve(moved.replace(over), MPI.COMM_SELF).result.complete
+    assert fc.curve(moved.replace(over), MPI.COMM_SELF).result.complete
     shaken = moved.replace({"base.displacement_cos": None, "base.acceleration_cos": [4.0, 0.0]})
-    curve = follow_curve(shaken, MPI.COMM_SELF).result
-    alone = solve(shaken.replace({"excitation.omega": 210.0}), MPI.COMM_SELF).result
+    curve = fc.curve(shaken, MPI.COMM_SELF).result
+    alone = fc.solve(shaken.replace({"excitation.omega": 210.0}), MPI.COMM_SELF).result
     np.testing.assert_allclose(curve.gap(len(curve) - 1), alone.gap_coefficients, rtol=1e-6)
 
 
@@ -195,7 +194,7 @@ def test_a_bar_in_tension_and_a_beam_under_pressure() -> None:
         {"edge": "right", "pressure_sin": pressure},
     ]
     scene = strip(loads=loads, mesh=PLAIN, excitation={"omega": 1e-3})
-    run = solve(scene.replace({"reduction": "off"}), MPI.COMM_SELF)
+    run = fc.solve(scene.replace({"reduction": "off"}), MPI.COMM_SELF)
     dof = run.structure.find_dof((0.5 * WIDTH, HEIGHT), "y")
     stretched = stress * HEIGHT / young
     found = run.result.displacement_coefficients[1, dof]
@@ -217,7 +216,7 @@ def test_two_point_loads_are_one() -> None:
     mixed = whole.replace({"excitation.force_sin": [1.0, 0.0], "excitation.force_mean": [0.05, 0],
                            "loads.1.point": [0.0, HEIGHT], "loads.1.force_sin": [1.0, 0.0],
                            "loads.1.force_mean": [0.05, 0.0]})  # fmt: skip
-    runs = [solve(scene, MPI.COMM_SELF) for scene in (whole, halves, mixed)]
+    runs = [fc.solve(scene, MPI.COMM_SELF) for scene in (whole, halves, mixed)]
     for run in runs[1:]:
         assert run.watched_dof == runs[0].watched_dof
         np.testing.assert_allclose(
@@ -240,7 +239,7 @@ def test_sweeps_over_loads(tmp_path: Path) -> None:
             [([1.0, 0.0], (0.0, HEIGHT)), ([0.0, 0.0], (WIDTH, 0.3))]
         ):
             changes = {"loads.1.force_sin": value, "excitation.force_sin": force}
-            run = solve(scene.replace(changes), MPI.COMM_SELF)
+            run = fc.solve(scene.replace(changes), MPI.COMM_SELF)
             dof = run.structure.whole.find_dof(point, "x")
             expected = run.result.amplitude(dof)
             assert run.watched_dof == dof
@@ -303,7 +302,7 @@ def test_bad_loads_are_named(load: dict[str, Any], key: str) -> None:
 
 def loads_on(text: str, comm: MPI.Comm) -> tuple[list[float], str]:
     """Norms and sums of the parts of a scene's load, and what is watched."""
-    run = find_modes(Scene.from_text(text), 1, comm)
+    run = fc.modes(Scene.from_text(text), 1, comm)
     force = run.structure.force
     sums = [comm.allreduce((force**2).sum(axis=1)), comm.allreduce(force.sum(axis=1))]
     return np.concatenate(sums).tolist(), run.watched_name

@@ -21,7 +21,6 @@ from fenics_crack import InputError, Scene
 from fenics_crack.fem.assembly import assemble
 from fenics_crack.model.modes import times
 from fenics_crack.model.rotation import static_state
-from fenics_crack.study.run import solve
 from fenics_crack.table import RPM
 
 PUBLISHED = {
@@ -190,7 +189,7 @@ def test_crack_mouth_opening_is_that_of_fracture_mechanics() -> None:
 
 def test_rotation_holds_a_crack_open() -> None:
     """At rest the crack breathes; at speed it never closes, and the response is the linear one."""
-    still, spinning = (solve(cracked(w), MPI.COMM_SELF).result for w in (0.0, 600.0))
+    still, spinning = (fc.solve(cracked(w), MPI.COMM_SELF).result for w in (0.0, 600.0))
     assert 0.2 < still.indicators(0).closed_share < 0.8
     assert spinning.converged and spinning.indicators(0).closed_share == 0.0
     linear = fc.solve_linear(spinning.structure, spinning.omega, harmonics=spinning.harmonics)

@@ -13,7 +13,6 @@ from mpi4py import MPI
 import fenics_crack as fc
 from fenics_crack import Run
 from fenics_crack.numerics.fourier import evaluate
-from fenics_crack.study.run import follow_curve, integrate, solve
 
 COUNTS = {
     "branch", "complete", "converged", "harmonics", "iterations", "periods", "recorded_dofs",
@@ -43,7 +42,7 @@ def saved(run: Run, path: Path) -> None:
 
 def test_wave_of_a_point_by_h5py_alone(scene: fc.Scene, tmp_path: Path) -> None:
     """From the coefficients in the order that the file states."""
-    run, path = solve(scene, MPI.COMM_SELF), tmp_path / "solution.h5"
+    run, path = fc.solve(scene, MPI.COMM_SELF), tmp_path / "solution.h5"
     saved(run, path)
     with h5py.File(path) as file:
         assert list(file["watched"].asstr()) == [f"{a} displacement of corner" for a in "xy"]
@@ -65,9 +64,9 @@ def test_wave_of_a_point_by_h5py_alone(scene: fc.Scene, tmp_path: Path) -> None:
 def test_units_of_all_numbers(scene: fc.Scene, tmp_path: Path) -> None:
     """Every dataset is a word, a count, a ratio, or has a unit and says what it is."""
     runs: dict[str, Run] = {
-        "solution": solve(scene, MPI.COMM_SELF),
-        "curve": follow_curve(scene, MPI.COMM_SELF),
-        "integration": integrate(scene, MPI.COMM_SELF),
+        "solution": fc.solve(scene, MPI.COMM_SELF),
+        "curve": fc.curve(scene, MPI.COMM_SELF),
+        "integration": fc.integrate(scene, MPI.COMM_SELF),
     }
     for name, run in runs.items():
         path = tmp_path / f"{name}.h5"

@@ -22,7 +22,7 @@ from fenics_crack import (
     reduce_structure,
     solve_modes,
 )
-from fenics_crack.model.matrices import distributed
+from fenics_crack.model.factor import distributed
 from fenics_crack.model.modes import damped_modes, damped_range, largest_frequency, times
 from fenics_crack.parallel import gather_rows
 

@@ -16,7 +16,6 @@ from test_scene import GONE, GOOD, GRADED, changed
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene
-from fenics_crack.study.run import follow_curve
 from fenics_crack.sweep.plan import Plan
 from fenics_crack.table import frequency_axis
 
@@ -129,7 +128,7 @@ def test_a_curve_in_hertz() -> None:
     span = {"curve.start": 300.0, "curve.stop": 330.0, "curve.stability": False}
     turned = scene.replace(span | {"curve.parameter": "frequency"})
     assert turned.in_hertz
-    found = follow_curve(turned).result
+    found = fc.curve(turned).result
     assert found.parameter == "omega"
     assert found.values[[0, -1]] == pytest.approx([TURN * 300.0, TURN * 330.0], rel=1e-14)
     table = found.to_dict()

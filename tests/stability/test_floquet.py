@@ -211,9 +211,12 @@ def test_error_and_verdict_of_a_blade() -> None:
     searches: list[int] = []
     with pytest.MonkeyPatch.context() as patch:
         found = judgement.orbit_next_to
-        patch.setattr(
-            judgement, "orbit_next_to", lambda *args: searches.append(1) or found(*args)
-        )  # fmt: skip
+
+        def counted(*args: object, **options: object) -> object:
+            searches.append(1)
+            return found(*args, **options)  # type: ignore[arg-type]
+
+        patch.setattr(judgement, "orbit_next_to", counted)
         solution = fc.solve_harmonic_balance(blade, omega, law, harmonics=15)
         verdict = floquet(blade, replace(solution, status="known"))
     assert len(searches) == 1
@@ -221,14 +224,18 @@ def test_error_and_verdict_of_a_blade() -> None:
     assert verdict.verdict == "stable" and verdict.distance == solution.report.truncation
 
 
-def test_orbit_far_away_judges_nothing() -> None:
-    """Of a wave 30 % too large the error is known, and the verdict open, with its reason."""
+def test_orbit_far_away_is_confirmed_by_more_harmonics() -> None:
+    """Of a wave 30 % too large the error is known; twice the harmonics lead to the same orbit, by
+    which it is judged, or else the verdict is open, with its reason."""
     structure, law = oscillator(), fc.UnilateralPenalty(1.0)
     solution = fc.solve_harmonic_balance(structure, 0.8, law, harmonics=12)
     names = ("displacement_coefficients", "gap_coefficients", "force_coefficients")
     wrong = replace(solution, **{name: 1.3 * getattr(solution, name) for name in names})
     judged = wrong.judged
     assert judged is not solution.judged and judged.prediction > 0.1
-    found = floquet(structure, wrong)
-    assert found.verdict == "undecided" and "30.0% away" in found.reason
     assert judged.errors() == pytest.approx((0.3, 0.3), rel=1e-4)
+    assert floquet(structure, wrong).verdict == floquet(structure, solution).verdict == "stable"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(judgement, "MOST_HARMONICS", 12)
+        found = floquet(structure, replace(wrong, judged=None))
+    assert found.verdict == "undecided" and "30.0% away" in found.reason

@@ -15,7 +15,6 @@ from surroundings import main
 
 import fenics_crack as fc
 from fenics_crack import InputError, Scene, run_sweep
-from fenics_crack.study.run import find_modes, follow_curve, integrate, solve
 
 LOAD = {"contact.stiffness": 1e9, "damping.ratio": 0.02, "harmonic_balance.harmonics": 5}
 CURVE = {"curve.start": 2000.0, "curve.stop": 2050.0, "curve.stability": False}
@@ -61,21 +60,20 @@ def test_results_are_those_of_the_plate(plate: Scene, scene: Scene) -> None:
     """Modes, a solution, a curve, a motion in time."""
     comm = MPI.COMM_SELF
     pairs = [
-        (find_modes(plate, 4, comm).result.omega, find_modes(scene, 4, comm).result.omega),
+        (fc.modes(plate, 4, comm).result.omega, fc.modes(scene, 4, comm).result.omega),
         *[
-            tuple(solve(one, comm).result.gap_coefficients for one in (plate, scene)),
+            tuple(fc.solve(one, comm).result.gap_coefficients for one in (plate, scene)),
             tuple(
-                follow_curve(one.replace(CURVE), comm).result.gap_coefficients
-                for one in (plate, scene)
+                fc.curve(one.replace(CURVE), comm).result.gap_coefficients for one in (plate, scene)
             ),
         ],
     ]
     for expected, found in pairs:
         assert relative(found, expected) < 1e-9
     time = {"integration.periods": 3}
-    histories = [integrate(one.replace(time), comm).result for one in (plate, scene)]
+    histories = [fc.integrate(one.replace(time), comm).result for one in (plate, scene)]
     assert relative(histories[1].gap, histories[0].gap) < 1e-9
-    runs = [solve(one, comm) for one in (plate, scene)]
+    runs = [fc.solve(one, comm) for one in (plate, scene)]
     assert runs[0].watched_dof == runs[1].watched_dof
     assert runs[1].watched_name == f"displacement of dof {runs[1].watched_dof}"
 
@@ -83,9 +81,9 @@ def test_results_are_those_of_the_plate(plate: Scene, scene: Scene) -> None:
 def test_they_are_reduced_and_swept(plate: Scene, scene: Scene, tmp_path: Path) -> None:
     """To lips without mass; over the frequency, and over the preload."""
     changes: dict[str, Any] = {"reduction.modes": 10, "reduction.method": "massless"}
-    found = solve(scene.replace(changes), MPI.COMM_SELF)
+    found = fc.solve(scene.replace(changes), MPI.COMM_SELF)
     assert isinstance(found.structure, fc.MasslessStructure)
-    expected = solve(plate.replace(changes), MPI.COMM_SELF).result
+    expected = fc.solve(plate.replace(changes), MPI.COMM_SELF).result
     assert relative(found.result.gap_coefficients, expected.gap_coefficients) < 1e-8
     over = {"excitation.omega": [1900.0, 2000.0], "structure.clearance": [-1e-7, 0.0]}
     sweep = run_sweep(scene.replace(changes | {"sweep.over": over}), tmp_path / "sweep.h5")
@@ -98,7 +96,7 @@ def test_they_are_reduced_and_swept(plate: Scene, scene: Scene, tmp_path: Path) 
 
 def test_results_belong_to_their_files(scene: Scene, tmp_path: Path) -> None:
     """Modes and solutions are read back; a changed matrix is refused by its key."""
-    runs = {"solution": solve(scene, MPI.COMM_SELF), "modes": find_modes(scene, 3, MPI.COMM_SELF)}
+    runs = {"solution": fc.solve(scene, MPI.COMM_SELF), "modes": fc.modes(scene, 3, MPI.COMM_SELF)}
     for name, run in runs.items():
         fc.save(run.result, tmp_path / f"{name}.h5", run.scene)
         again = fc.load_run(tmp_path / f"{name}.h5", MPI.COMM_SELF)
@@ -142,11 +140,11 @@ def test_the_example_meets_its_stop() -> None:
     """The first natural frequency of a chain of n masses held at one end is
     2 sqrt(k / m) sin(pi / (2 (2 n + 1))); at resonance the stop takes most of the motion."""
     scene = Scene.load(DEMOS / "chain.toml")
-    omega = find_modes(scene, 1, MPI.COMM_SELF).result.omega[0]
+    omega = fc.modes(scene, 1, MPI.COMM_SELF).result.omega[0]
     assert omega == pytest.approx(2.0 * np.sqrt(2e4 / 0.1) * np.sin(np.pi / 50.0), rel=1e-12)
-    run = solve(scene, MPI.COMM_SELF)
+    run = fc.solve(scene, MPI.COMM_SELF)
     settled = {"integration.settle": 1e-6, "integration.steps_per_period": 2000}
-    history = integrate(scene.replace(settled), MPI.COMM_SELF).result
+    history = fc.integrate(scene.replace(settled), MPI.COMM_SELF).result
     marched = float(np.ptp(history.displacement([run.watched_dof])[-history.steps_per_period :]))
     assert run.result.amplitude(run.watched_dof) == pytest.approx(marched / 2.0, rel=5e-3)
 
@@ -192,5 +190,7 @@ def test_a_matrix_of_damping(scene: Scene, tmp_path: Path) -> None:
     matrix = Scene.from_text(text, folder=tmp_path)
     assert matrix.damping is None and Scene.from_text(matrix.as_toml()) == matrix
     rule = scene.replace({"damping.ratio": None, "damping.mass": 50.0})
-    found, expected = (solve(one, MPI.COMM_SELF).result.gap_coefficients for one in (matrix, rule))
+    found, expected = (
+        fc.solve(one, MPI.COMM_SELF).result.gap_coefficients for one in (matrix, rule)
+    )
     assert relative(found, expected) < 1e-9

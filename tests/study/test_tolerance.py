@@ -14,7 +14,6 @@ from scipy.optimize import nnls
 from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack.study.run import solve
 
 LAW = {"contact.stiffness": 1e9, "damping.ratio": 0.03}
 SMALL = {"mesh.columns": 6, "mesh.rows": 12, "mesh.order": 1}
@@ -41,7 +40,7 @@ def test_modes_are_chosen(
     """The error against far more modes and harmonics is below the tolerance; the file knows what
     was chosen."""
     scene = paper_scene.replace(LAW | mesh | reduction)
-    run = solve(scene.replace({"harmonic_balance.tolerance": tolerance}), MPI.COMM_SELF)
+    run = fc.solve(scene.replace({"harmonic_balance.tolerance": tolerance}), MPI.COMM_SELF)
     found, settled = run.result, run.scene.reduction
     assert found.converged and found.report.total < tolerance
     assert settled is not None and found.structure is run.structure
@@ -50,7 +49,7 @@ def test_modes_are_chosen(
     fine = {"reduction.modes": 80, "harmonic_balance.harmonics": 60, "damping.modes": "all"}
     if "reduction.method" in reduction:
         fine.pop("damping.modes")
-    exact = solve(scene.replace(fine), MPI.COMM_SELF).result
+    exact = fc.solve(scene.replace(fine), MPI.COMM_SELF).result
     time = np.linspace(0.0, found.period, 400)
     assert relative(found.gap(time), exact.gap(time)) < 2.0 * tolerance
     fc.save(found, tmp_path / "solution.h5", run.scene)
@@ -62,7 +61,7 @@ def test_modes_are_chosen(
 def test_modes_of_the_scene_stay(paper_scene: fc.Scene) -> None:
     """Where they are too few, the solution says so."""
     scene = paper_scene.replace(LAW | SMALL | {"reduction.modes": 2, "contact.pairs": "all"})
-    run = solve(scene.replace({"harmonic_balance.tolerance": 1e-3}), MPI.COMM_SELF)
+    run = fc.solve(scene.replace({"harmonic_balance.tolerance": 1e-3}), MPI.COMM_SELF)
     assert run.scene.reduction is not None and run.scene.reduction.modes == 2
     assert run.result.converged and run.result.report.total > 1e-3
     assert "asked 0.001; what limits it: modes (H = " in run.result.status
@@ -83,7 +82,7 @@ def test_tighter_is_never_worse(new: fc.Scene, modes: int | None) -> None:
     totals = []
     for tolerance in (1e-2, 1e-3, 1e-9) if modes else (1e-2, 3e-3):
         changes = {"harmonic_balance.tolerance": tolerance, "reduction.modes": modes}
-        found = solve(new.replace(changes), MPI.COMM_SELF).result
+        found = fc.solve(new.replace(changes), MPI.COMM_SELF).result
         totals.append(found.report.total)
         assert found.converged and found.stability is not None
         if totals[-1] > tolerance:
@@ -111,7 +110,7 @@ def test_claims_of_a_blade() -> None:
     answer: the error claimed is that against a flow which shares no code with the program's."""
     scene = fc.Scene.load(BLADE).replace({"crack.length": 0.014, "mesh.lip_elements": 8})
     changes = {"excitation.frequency": 121.12, "harmonic_balance.tolerance": 3e-3}
-    found = solve(scene.replace(changes), MPI.COMM_SELF).result
+    found = fc.solve(scene.replace(changes), MPI.COMM_SELF).result
     orbit = found.judged.orbit
     assert orbit is not None and found.report.total < 3e-3
     reference, time = ReferenceFlow(orbit.flow, found.omega), orbit.sampled.time
@@ -130,9 +129,9 @@ def test_claims_of_a_blade() -> None:
 def test_reduction_is_what_twice_the_modes_change(new: fc.Scene, modes: int) -> None:
     """Estimated without a tolerance, within a factor 3."""
     given = {"harmonic_balance.tolerance": None, "harmonic_balance.harmonics": 40}
-    few = solve(new.replace(given | {"reduction.modes": modes}), MPI.COMM_SELF).result
+    few = fc.solve(new.replace(given | {"reduction.modes": modes}), MPI.COMM_SELF).result
     changes = {"harmonic_balance.tolerance": 1e-5, "reduction.modes": 2 * modes}
-    many = solve(new.replace(changes), MPI.COMM_SELF).result
+    many = fc.solve(new.replace(changes), MPI.COMM_SELF).result
     orbit = few.judged.orbit
     assert orbit is not None
     error = relative(many.gap(orbit.sampled.time), orbit.gap)
@@ -163,6 +162,6 @@ def test_lips_that_the_load_presses_together(paper_scene: fc.Scene) -> None:
     once, by the vibration of the plate whose lips are tied."""
     pressed = {"contact.law": "unilateral", "contact.stiffness": None, "damping.ratio": 0.01}
     pressed |= {"excitation.force_mean": [-1e4, 0.0], "harmonic_balance.tolerance": 0.01}
-    run = solve(paper_scene.replace(SMALL | pressed), MPI.COMM_SELF)
+    run = fc.solve(paper_scene.replace(SMALL | pressed), MPI.COMM_SELF)
     assert run.result.converged and run.result.harmonics < 10
     assert run.result.report.total < 1e-14 < run.result.contact_force(np.zeros(1)).min()

@@ -29,7 +29,6 @@ from fenics_crack.errors import WriteError
 from fenics_crack.fem.assembly import assemble
 from fenics_crack.scene.tables import Sweep
 from fenics_crack.sweep import case as sweep_case
-from fenics_crack.sweep import file as sweep_file
 from fenics_crack.sweep import jobs as sweep_jobs
 from fenics_crack.sweep import result as sweep
 from fenics_crack.sweep.file import COLUMNS, SweepFile
@@ -403,20 +402,6 @@ def test_two_programs_that_begin_at_once(
         SweepFile(path, scene, 5, 1)
     quicker.close()
     assert [file.name for file in tmp_path.iterdir()] == ["sweep.h5"]
-
-
-def test_pieces_are_a_file() -> None:
-    """What HDF5 has written to them it can read; what lies between them takes no memory."""
-    image = sweep_file._Pieces()
-    with h5py.File(image, "w") as file:
-        numbers = file.create_dataset("numbers", 10**6, "f8")
-        numbers[-3:] = [1.0, 2.0, 3.0]
-        numbers[-2] = 4.0
-        file.attrs["words"] = "of the file"
-    assert image.size > 8e6 and sum(len(piece) for _, piece in image.pieces) < 1e5
-    with h5py.File(image, "r") as file:
-        assert file["numbers"][-4:].tolist() == [0.0, 1.0, 4.0, 3.0]
-        assert file.attrs["words"] == "of the file"
 
 
 EACH = len(COLUMNS) + 3

@@ -1,0 +1,341 @@
+"""The pictures of results: of one, and of several of a kind laid over each other.
+
+They load matplotlib, and VTK where a mesh is drawn: only ``plot`` and ``report`` come here.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.balance.error_report import UNKNOWN
+from fenics_crack.balance.solution import PeriodicSolution
+from fenics_crack.cli.account import frequency_in_words
+from fenics_crack.cli.of_motion import closings
+from fenics_crack.cli.of_sweep import FREQUENCIES
+from fenics_crack.cli.results import kind_of, result_of
+from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.draw.figure import Picture, distinct_colours
+from fenics_crack.draw.plot import Wave, draw_contact_map, draw_map, draw_response, draw_waves
+from fenics_crack.draw.plot_curve import draw_content, draw_curve, draw_multipliers
+from fenics_crack.draw.plot_mesh import draw_modes
+from fenics_crack.draw.plot_motion import draw_orbits, draw_spectra, draw_spectrum
+from fenics_crack.errors import InputError
+from fenics_crack.files.store import read
+from fenics_crack.model.modes import Modes
+from fenics_crack.scene.fields import Axis
+from fenics_crack.scene.words import WHOLE, differences, key_in_words, unit_of, value_in_words
+from fenics_crack.study.run import Run
+from fenics_crack.sweep.file import KIND as SWEEP
+from fenics_crack.sweep.result import SweepResult
+from fenics_crack.table import ranging, readable, with_unit
+from fenics_crack.time.march import TimeHistory
+
+__all__ = ["draw_result", "draw_several", "draw_swept"]
+
+MOST = 12
+"""Results in one picture; pictures of a quantity of a sweep."""
+FEW_LINES, LEAST_OF_A_MAP = 6, 4
+"""Lines in a picture of a sweep, at most; values of each axis from which there is a map."""
+STYLES = (("orange", "--"), ("green", "-."), ("pink", ":"))
+"""Colour and line of the closing of one crack after the other."""
+INSTANTS = 801
+"""Of a wave that is drawn."""
+
+File = Callable[[str], Path]
+"""Takes the name of a picture; remembers and returns its path."""
+
+
+def draw_result(result: Run | SweepResult, folder: Path) -> list[Path]:
+    """Draw the pictures of a result into a folder; return the files."""
+    files: list[Path] = []
+    DRAW[kind_of(result)](result, _file_in(folder, files))
+    return files
+
+
+def _file_in(folder: Path, files: list[Path]) -> File:
+    def file(name: str) -> Path:
+        files.append(folder / name)
+        return files[-1]
+
+    return file
+
+
+def _modes(run: Run[Modes], file: File) -> None:
+    if run.structure.whole.nodes is not None:
+        draw_modes(run.result, path=file("modes.png"))
+
+
+def _solution(run: Run[PeriodicSolution], file: File) -> None:
+    found, dof = run.result, run.watched_dof
+    title = f"{frequency_in_words(run.scene, found.omega)}, H = {found.harmonics}"
+    if found.gap_coefficients.size:
+        error = found.report.total
+        title += ", error unknown" if error >= UNKNOWN else f", estimated error {100 * error:.2g} %"
+    if found.stability is not None:
+        title += f", {found.stability.verdict}"
+    if not found.converged:
+        title += ", NOT CONVERGED"
+    time = np.linspace(0.0, found.period, INSTANTS)
+    motion, gap = found.displacement(time, [dof])[:, 0], found.gap(time)
+    _waves(run, time, motion, gap, found.omega, path=file("solution_waves.png"), title=title)
+    draw_spectrum(found, dof, path=file("solution_spectrum.png"), title=title)
+    draw_orbits(found, dof, path=file("solution_orbits.png"), title=title)
+    if found.structure.whole.nodes is not None:
+        from fenics_crack.draw.animation import animate_period  # VTK
+
+        if found.gap_coefficients.shape[1] > 1:
+            heading = "Where and when the crack is closed"
+            draw_contact_map(found, path=file("solution_contact_map.png"), title=heading)
+        animate_period(found, file("solution_breathing_crack.gif"), material=run.scene.material)
+
+
+def _history(run: Run[TimeHistory], file: File) -> None:
+    found, omega = run.result, run.scene.excitation.omega
+    title = f"The last periods of {found.periods}, {frequency_in_words(run.scene, omega)}"
+    motion, time = found.displacement([run.watched_dof])[:, 0], found.time - found.time[0]
+    _waves(run, time, motion, found.gap, omega, path=file("integration_waves.png"), title=title)
+
+
+def _waves(
+    run: Run, time: np.ndarray, motion: np.ndarray, gap: np.ndarray, omega: float, **where: Any
+) -> None:
+    """Draw the displacement of the load's dof and the gap at the mouths over time."""
+    waves, styles = [Wave(run.watched_name, time, motion)], itertools.cycle(STYLES)
+    if gap.size:
+        waves += [Wave(words, time, wave, *next(styles)) for words, wave in closings(run, gap)]
+    touch = "lips touch" if gap.size else None
+    period = 2.0 * np.pi / omega
+    draw_waves(waves, quantity="displacement", period=period, zero=touch, **where)
+
+
+def _curve(run: Run[ResponseCurve], file: File) -> None:
+    found, dof, in_hertz = run.result, run.watched_dof, run.scene.in_hertz
+    title = f"{run.watched_name}, H = {ranging(found.harmonics)}"
+    draw_curve(found, dof, path=file("curve.png"), title=title, in_hertz=in_hertz)
+    draw_content(found, dof, path=file("curve_content.png"), title=title, in_hertz=in_hertz)
+    if found.multipliers is not None:
+        title, path = "Largest Floquet multiplier along the curve", file("curve_multipliers.png")
+        draw_multipliers(found, path=path, title=title, in_hertz=in_hertz)
+
+
+# --- a sweep --------------------------------------------------------------------------------------
+
+
+def _sweep(found: SweepResult, file: File) -> None:
+    """Draw the quantities of a sweep over the swept numbers.
+
+    To the right goes the frequency, else the longest axis. The next in length gets a line for each
+    value if these are few, and makes a map if they are not too few. Each combination of the other
+    axes has its own pictures, up to a limit. Raises InputError as :func:`_shown_axes`.
+    """
+    shown = _shown_axes(found)
+    axes = [found.axes[place] for place in shown]
+    others = [place for place in range(len(found.axes)) if place not in shown]
+
+    def pages(values: np.ndarray) -> np.ndarray:
+        """Values by picture, then to the right, then up if there are two axes: (n, x, y)."""
+        sizes = [*(len(axis.values) for axis in axes), 1][:2]
+        return values.transpose(*others, *shown).reshape(-1, *sizes)
+
+    doubtful = pages(found.converged & (found.not_stable | found.inexact))
+    fixed = itertools.product(*(found.axes[place].values for place in others))
+    for number, at in enumerate(itertools.islice(fixed, MOST)):
+        keys = [found.axes[place].key for place in others]
+        words = [f"{key_in_words(k)} {value_in_words(k, v)}" for k, v in zip(keys, at, strict=True)]
+        for name, quantity in found.quantities.items():
+            values = pages(np.where(found.converged, found[name], np.nan))[number]
+            if np.any(np.isfinite(values)):
+                base = f"sweep_{name}{f'_{number + 1}' if others else ''}"
+                draw_swept(axes, values, doubtful[number], quantity, file, base, words)
+
+
+def _shown_axes(found: SweepResult) -> list[int]:
+    """Places of the one or two axes that are drawn: the frequency, then the longest.
+
+    Raises InputError if no axis has two or more numbers, or no case has converged.
+    """
+    axes = found.axes
+    numbers = [
+        place
+        for place, axis in enumerate(axes)
+        if len(axis.values) > 1 and all(isinstance(value, float | int) for value in axis.values)
+    ]
+    if not numbers:
+        raise InputError("sweep.over", [a.key for a in axes], "over numbers, to be drawn")
+    if not np.any(found.converged):
+        raise InputError("path", str(found.path), "a sweep with a case that converged")
+    numbers.sort(key=lambda place: (axes[place].key not in FREQUENCIES, -len(axes[place].values)))
+    return numbers[:2]
+
+
+def draw_swept(
+    axes: Sequence[Axis],
+    values: np.ndarray,
+    doubtful: np.ndarray,
+    quantity: tuple[str, str],
+    file: File,
+    base: str,
+    where: Sequence[str] = (),
+) -> None:
+    """Draw lines, a map, or both of values (x, y) over one axis or two, and where they are
+    doubtful; ``quantity`` is their name and unit, ``where`` says what else is fixed."""
+    places = [np.array(axis.values, dtype=float) for axis in axes]
+    order = [np.argsort(place) for place in places]
+    across = np.ix_(*[*order, np.zeros(1, dtype=int)][:2])
+    values, doubtful = values[across], doubtful[across]
+    scaled = [_axis_words(axis, at[by]) for axis, at, by in zip(axes, places, order, strict=True)]
+    name, unit = quantity
+    title = ", ".join([f"{name[0].upper()}{name[1:]}", *where])
+    lines = values.shape[1]
+    if lines <= FEW_LINES:
+        labels = [name]
+        if len(axes) > 1:
+            key, at = axes[1].key, places[1][order[1]]
+            labels = [f"{key_in_words(key)} {value_in_words(key, float(value))}" for value in at]
+        curves, rings = (dict(zip(labels, part.T, strict=True)) for part in (values, doubtful))
+        how: dict[str, Any] = {"over": scaled[0][1], "doubtful": rings, "unit": unit}
+        path = file(f"{base}.png")
+        draw_response(scaled[0][0], curves, quantity=name, path=path, title=title, **how)
+    if lines > FEW_LINES or (len(axes) > 1 and min(values.shape) >= LEAST_OF_A_MAP):
+        (x, x_label), (y, y_label) = scaled
+        factor, prefixed = 1.0, unit
+        if unit in ("m", "N"):
+            factor, prefixed = readable(float(np.nanmax(np.abs(values))), unit)
+        words = {"x_label": x_label, "y_label": y_label, "value_label": with_unit(name, prefixed)}
+        path = file(f"{base}_map.png")
+        draw_map(x, y, factor * values.T, doubtful=doubtful.T, path=path, title=title, **words)
+
+
+def _axis_words(axis: Axis, values: np.ndarray) -> tuple[np.ndarray, str]:
+    """The values of an axis as they are drawn, and its label."""
+    unit, factor = unit_of(axis.key), 1.0
+    if unit and unit not in WHOLE:
+        factor, unit = readable(float(np.abs(values).max()), unit)
+    return factor * values, with_unit(key_in_words(axis.key), unit)
+
+
+DRAW: dict[str, Callable[[Any, File], None]] = {
+    Modes.KIND: _modes,
+    PeriodicSolution.KIND: _solution,
+    ResponseCurve.KIND: _curve,
+    SWEEP: _sweep,
+    TimeHistory.KIND: _history,
+}
+
+
+# --- several of one kind --------------------------------------------------------------------------
+
+
+def draw_several(paths: Sequence[Path], labels: Sequence[str], folder: Path) -> list[Path]:
+    """Draw results of the same kind on the same axes; return the files.
+
+    ``labels`` name the results; without any they are called by what differs between their scenes,
+    and by their files where nothing does.
+
+    Raises
+    ------
+    InputError
+        The kinds differ or cannot be laid over each other, or the labels are not as many.
+    """
+    if labels and len(labels) != len(paths):
+        raise InputError("--label", list(labels), f"given {len(paths)} times, once for each result")
+    if len(paths) > MOST:
+        raise InputError("result", f"{len(paths)} files", f"at most {MOST} in one picture")
+    stored = [read(path) for path in paths]
+    kinds = [file.kind for file in stored]
+    if len(set(kinds)) > 1:
+        raise InputError("result", kinds, "results of one kind, to be drawn in one picture")
+    if kinds[0] not in OVERLAY:
+        allowed = "solutions, curves or sweeps, where several are given"
+        raise InputError("result", kinds[0], allowed)
+    found = [*map(result_of, stored)]
+    names = list(labels) or differences([one.scene for one in found])
+    if len(set(names)) < len(names):
+        places = [str(Path(path).with_suffix("")) for path in paths]
+        names = [", ".join(filter(None, both)) for both in zip(names, places, strict=True)]
+    if len(set(names)) < len(names):
+        raise InputError("result", [str(path) for path in paths], "different files")
+    files: list[Path] = []
+    OVERLAY[kinds[0]](dict(zip(names, found, strict=True)), _file_in(folder, files))
+    return files
+
+
+def _curves(runs: Mapping[str, Run[ResponseCurve]], file: File) -> None:
+    """The responses of curves in the same parameter."""
+    parameters = {run.result.parameter for run in runs.values()}
+    if len(parameters) > 1:
+        raise InputError("result", sorted(parameters), "curves in one parameter")
+    title = _common(run.watched_name for run in runs.values())
+    [panel] = picture = Picture(size=(7.0, 4.6), path=file("overlay_curve.png"), title=title)
+    for (label, run), colour in zip(runs.items(), distinct_colours(len(runs)), strict=True):
+        dof, in_hertz = run.watched_dof, run.scene.in_hertz
+        draw_curve(run.result, dof, axes=panel, label=label, colour=colour, in_hertz=in_hertz)
+    picture.saved()
+
+
+def _solutions(runs: Mapping[str, Run[PeriodicSolution]], file: File) -> None:
+    """The displacements, the gaps at the mouth and the spectra of solutions."""
+    motions, gaps, places = [], [], []
+    for (label, run), colour in zip(runs.items(), distinct_colours(len(runs)), strict=True):
+        found = run.result
+        time = np.linspace(0.0, found.period, INSTANTS)
+        loads = time * found.omega / (2.0 * np.pi)
+        motion = found.displacement(time, [run.watched_dof])[:, 0]
+        motions.append(Wave(label, loads, motion, colour))
+        if found.gap_coefficients.size:
+            pair = found.structure.first_watched
+            places.append(found.structure.where(pair))
+            gaps.append(Wave(label, loads, found.gap(time)[:, pair], colour))
+    name = _common(run.watched_name for run in runs.values())
+    how: dict[str, Any] = {"period": 1.0}
+    draw_waves(motions, quantity="displacement", path=file("overlay_waves.png"), title=name, **how)
+    if gaps:
+        title = f"Closing of the lips {_common(places) or ''}".rstrip()
+        path = file("overlay_gaps.png")
+        draw_waves(gaps, quantity="closing", zero="lips touch", path=path, title=title, **how)
+    both = {label: (run.result, run.watched_dof) for label, run in runs.items()}
+    draw_spectra(both, path=file("overlay_spectrum.png"), title=name)
+
+
+def _sweeps(sweeps: Mapping[str, SweepResult], file: File) -> None:
+    """The quantities of sweeps over the same single axis."""
+    for found in sweeps.values():
+        long = [axis.key for axis in found.axes if len(axis.values) > 1]
+        if len(long) != 1:
+            raise InputError("result", long, "sweeps over one quantity, to be drawn in one picture")
+    over = {label: found.axes[_shown_axes(found)[0]] for label, found in sweeps.items()}
+    if len(keys := {axis.key for axis in over.values()}) > 1:
+        raise InputError("result", sorted(keys), "sweeps over the same quantity")
+    [key] = keys
+    how: dict[str, Any] = {"over": with_unit(key_in_words(key), unit_of(key))}
+    first, *others = sweeps.values()
+    for name, (quantity, unit) in first.quantities.items():
+        if any(name not in other.columns for other in others):
+            continue
+        [panel] = picture = Picture(size=(7.0, 4.6), path=file(f"overlay_sweep_{name}.png"))
+        for label, found in sweeps.items():
+            place = np.array(over[label].values, dtype=float)
+            order = np.argsort(place)
+            values = {label: np.where(found.converged, found[name], np.nan).ravel()[order]}
+            rings = (found.converged & (found.not_stable | found.inexact)).ravel()[order]
+            how["doubtful"] = {label: rings}
+            draw_response(place[order], values, quantity=quantity, unit=unit, axes=panel, **how)
+        picture.saved()
+
+
+OVERLAY: dict[str, Callable[[Any, File], None]] = {
+    ResponseCurve.KIND: _curves,
+    PeriodicSolution.KIND: _solutions,
+    SWEEP: _sweeps,
+}
+
+
+def _common(names: Iterator[str] | Sequence[str]) -> str | None:
+    """The name that all have; None if they differ."""
+    found = set(names)
+    return found.pop() if len(found) == 1 else None
