@@ -115,6 +115,7 @@ class FlowOrbits(Equations):
         self.flow, self.omega, self.shape = flow, omega, state.shape
         self.subharmonic, self.budget = subharmonic, budget or Budget()
         weights = flow.weights(omega / subharmonic)
+        weights /= np.tile(weights[: flow.size // 2], 2)
         self.scale = weights / (float(np.linalg.norm(weights * state)) or 1.0)
         self.start = self.scale * state
         given = Struct(

@@ -144,10 +144,10 @@ class ContactFlow:
         return np.concatenate([displacement @ inverse, velocity @ inverse], axis=-1)
 
     def weights(self, base_omega: float) -> np.ndarray:
-        """What makes the norm of a state that of its modes' amplitudes, (2 n_modes,); modes slower
-        than a frequency [rad/s] count as if they had it."""
+        """What makes the norm of a state that of its energy, (2 n_modes,); modes slower than a
+        frequency [rad/s] count as if they had it."""
         rates = np.sqrt(np.maximum(self.modes.squares, base_omega**2))
-        return np.concatenate([np.ones_like(rates), 1.0 / rates])
+        return np.concatenate([rates, np.ones_like(rates)])
 
     def rate(self, state: np.ndarray, omega: float, time: float) -> np.ndarray:
         """z' at a time: (2 n_modes,)."""

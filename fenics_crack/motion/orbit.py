@@ -89,7 +89,7 @@ class PeriodicOrbit(Described):
     state : (2 n_modes,)
         q, q' at phase zero of the load.
     residual : float
-        ``|z(T) - z(0)| / |z(0)|`` in the norm of the amplitudes.
+        ``|z(T) - z(0)| / |z(0)|`` in the norm of the energy.
     flows : int
         Periods that were followed to find it.
     """
@@ -288,7 +288,7 @@ class _Search:
         self.state, self.flows = state, 0
 
     def size(self, change: np.ndarray) -> float:
-        """In the norm of the amplitudes."""
+        """In the norm of the energy."""
         return float(np.linalg.norm(self._weights * change))
 
     def leads_to_orbit(self) -> bool:
