@@ -263,12 +263,13 @@ class _GeneralisedAlpha(LoopedSteps):
         self.force = force = contact.force(start)
         shift = 0.5 - self._af
 
-        def response(gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        def response(gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            gap = gaps[0]
             mean, slope = _mean_force(contact, start, gap)
             mean += shift * (contact.force(gap) - force)
-            return mean, slope + shift * contact.tangent(gap)
+            return mean[None], (slope + shift * contact.tangent(gap))[None]
 
-        self._held = solve_forces(response, self._compliance, free, self._held)
+        self._held = solve_forces(response, self._compliance, free[None], self._held[None])[0]
         return self._held
 
     def _stopped(self, velocity: np.ndarray, impulse: np.ndarray) -> np.ndarray:
