@@ -9,7 +9,6 @@ on the space of motions with B^T phi = 0 (:mod:`fenics_crack.model.factor`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from numbers import Integral
 from typing import Any, ClassVar
@@ -33,7 +32,6 @@ __all__ = [
     "ROUNDING",
     "DampedModes",
     "Modes",
-    "by_columns",
     "check_damped_modes",
     "damped_modes",
     "damped_range",
@@ -303,16 +301,11 @@ def largest_frequency(structure: Structure) -> float:
 
 def times(matrix: Any, columns: np.ndarray) -> np.ndarray:
     """A X for a PETSc matrix and the columns of X (n_local, m) (collective)."""
-    return by_columns(matrix.mult, matrix, columns)
-
-
-def by_columns(apply: Callable[[Any, Any], None], matrix: Any, columns: np.ndarray) -> np.ndarray:
-    """Apply what PETSc does to one vector of a matrix's layout to columns (n_local, m)."""
     source, target = matrix.createVecs()
     found = np.empty_like(columns)
     for column in range(columns.shape[1]):
         source.array_w[:] = columns[:, column]
-        apply(source, target)
+        matrix.mult(source, target)
         found[:, column] = target.array_r
     source.destroy()
     target.destroy()
