@@ -183,6 +183,8 @@ def solve_forces(
     for _ in range(MAX_NEWTON):
         force, given = found[left], gap[left]
         excess = force - answer
+        if not np.any(excess):
+            return found
         try:
             change = -np.linalg.solve(unit + tangent[:, :, None] * matrix, excess[:, :, None])
         except np.linalg.LinAlgError:
@@ -191,13 +193,11 @@ def solve_forces(
         if not np.all(np.isfinite(trial)):
             break
         found[left] = trial
-        size, pushed, step = (
-            np.abs(part).max(axis=1, initial=0.0) for part in (given, given - reached, moved)
-        )
-        more = step > ROUNDING * (size + pushed)
-        left, force, moved, given = left[more], force[more], moved[more], given[more]
-        if not len(left):
+        size = (np.abs(given) + np.abs(given - reached)).max(axis=1)
+        more = np.abs(moved).max(axis=1) > ROUNDING * size
+        if not np.any(more):
             return found
+        left, force, moved, given = left[more], force[more], moved[more], given[more]
         slope = np.sum(moved * excess[more], axis=1)
         reached, answer, tangent = evaluate(found[left], given)
         ends = np.sum(moved * (found[left] - answer), axis=1)
