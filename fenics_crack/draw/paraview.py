@@ -105,8 +105,8 @@ class PeriodFields:
         if material is not None and not isinstance(material, Material):
             raise InputError("material", material, "that of a scene (scene.material), or None")
         structure = solution.structure.whole
-        assert structure.pair_areas is not None
         self.mesh, self.material = NodalMesh(structure), material
+        assert structure.pair_areas is not None
         self.time = np.arange(frames) * solution.period / frames
         self.displacement = self.mesh.field(solution.displacement_field(self.time))
         self.magnification = float(magnification or _tenth(self.displacement, self.mesh.size))
