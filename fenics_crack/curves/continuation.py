@@ -257,12 +257,9 @@ class Continuation:
                     self._towards = again.tangent
                     return again, max(0.1 * at.length, 1e-3 * self._longest)
         assert path.ended is not None
-        self.complete, self.status = path.event is not None, path.status
+        self.complete = path.event is not None
+        self.status = path.event.told if path.event else path.ended.told(self._most)
         self.returned = path.ended is Ended.LEFT or isinstance(path.event, Closed)
-        if path.ended is Ended.LEFT:
-            self.status = "the curve turned back past its start"
-        if path.ended is Ended.MANY:
-            self.status = f"{self._most} points were not enough"
         return None
 
     def _path(self, here: PathPoint, step: float) -> Path:

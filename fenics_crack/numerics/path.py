@@ -103,11 +103,15 @@ class PathOptions:
 class Ended(Enum):
     """How a path has ended."""
 
-    MET = "an event"
+    MET = "reached the end"
     LOST = "no solution at the very end"
-    LEFT = "left the range of the parameter"
-    MANY = "more points than allowed"
+    LEFT = "turned back past its start"
+    MANY = "{most} points were not enough"
     SHORT = "the steps became too short"
+
+    def told(self, most: int) -> str:
+        """In words, where there were so many points at most."""
+        return str(self.value).format(most=most)
 
 
 class Stretch(Sequence[PathPoint]):
@@ -285,7 +289,7 @@ class Target(Event):
     """Where the parameter has a value."""
 
     parameter: float
-    terminal, told = True, "reached the end"
+    terminal, told = True, Ended.MET.value
 
     def between(self, points: Stretch) -> np.ndarray:
         off = points.parameters - self.parameter
@@ -395,7 +399,7 @@ class Path:
         """How it has ended, in words."""
         if self.event is not None:
             return self.event.told
-        return "under way" if self.ended is None else self.ended.value
+        return "under way" if self.ended is None else self.ended.told(self._options.max_steps)
 
     def points(self) -> Iterator[PathPoint]:
         """One point after the other."""
