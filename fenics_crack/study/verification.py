@@ -330,10 +330,11 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
             (unknown if cause == "mesh" else absent)[cause] = found
             continue
         levels = [(found.counts[0] or _elements(own.structure.whole), first)]
-        for (name, finer), count in zip(found.finer.items(), found.counts[1:], strict=True):
+        finest_first = list(zip(found.finer.items(), found.counts[1:], strict=True))[::-1]
+        for (name, finer), count in finest_first:  # few modes are among many
             run = _finer_run(name, finer, found.shared, comm, failures)
             if run is not None:
-                levels.append((count or _elements(run.structure.whole), _answer(run)[0]))
+                levels.insert(1, (count or _elements(run.structure.whole), _answer(run)[0]))
                 verdicts |= _doubtful(name, run)
         many = tuple(count for count, _ in levels)
         if len(many) == 1:
