@@ -272,12 +272,7 @@ class OrbitBranch:
         return None
 
     def between(
-        self,
-        first: Node,
-        last: Node,
-        share: float,
-        tolerance: float = TOLERANCE,
-        former: bool = False,
+        self, first: Node, last: Node, share: float, tolerance: float = TOLERANCE
     ) -> Node | None:
         """The orbit next to the cubic through two nodes, in the plane across their chord."""
         chord = _direction(
@@ -285,7 +280,7 @@ class OrbitBranch:
         )
         if chord is None:
             return None
-        found = self._solved(*cubic(first, last, share), chord, tolerance, former)
+        found = self._solved(*cubic(first, last, share), chord, tolerance)
         if found is None:
             return None
         size = np.linalg.norm(first.unknown - last.unknown)
@@ -321,15 +316,13 @@ class OrbitBranch:
         parameter: float,
         plane: Tangent | None,
         tolerance: float = TOLERANCE,
-        former: bool = False,
     ) -> PathPoint | None:
-        """The orbit in a plane, or at a given parameter; ``former``: with the derivative that was
-        used last, to begin with."""
+        """The orbit in a plane, or at a given parameter."""
         try:
             return solve_in_plane(
                 self.system, unknown, parameter, plane, tolerance=tolerance, iterations=ITERATIONS,
                 reach=REACH * self._width, least_damping=None, patience=PATIENCE,
-                lasting=SHRINKING, former=former,
+                lasting=SHRINKING,
             )  # fmt: skip
         except ConvergenceError:  # pairs chatter without end
             return None
@@ -386,7 +379,7 @@ class OrbitBranch:
 
         def value(share: float) -> float:
             if share not in met:
-                found = self.between(first, last, share, SHARP, len(met) > 2)
+                found = self.between(first, last, share, SHARP)
                 if found is None:
                     raise ConvergenceError("no orbit")
                 met[share] = found

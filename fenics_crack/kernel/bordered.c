@@ -20,18 +20,18 @@ void add_to(int n, double *x, double s, const double *y)
     for (int i = 0; i < n; i++) x[i] += s * y[i];
 }
 
-/* -J^-1 dF/dp, J that of a former point or of this one. */
-static void slope_at(equations *at, int n, double sharp, int former, double *slope)
+/* -J^-1 dF/dp. */
+static void slope_at(equations *at, int n, double sharp, double *slope)
 {
     at->by_parameter(at, slope);
     at->sharp = sharp;
-    (former ? at->solve_nearly : at->solve)(at, slope);
+    at->solve(at, slope);
     for (int i = 0; i < n; i++) slope[i] = -slope[i];
 }
 
 double unit_tangent(equations *at, int n, const double *x, double *tangent, double *weight)
 {
-    slope_at(at, n, SHARP, 0, tangent);
+    slope_at(at, n, SHARP, tangent);
     *weight = 1.0 / fmax(inner_product(at, x, x), 1e-300);
     const double slope = 1.0 / sqrt(*weight * inner_product(at, tangent, tangent) + 1.0);
     for (int i = 0; i < n; i++) tangent[i] *= slope;
@@ -51,7 +51,6 @@ int correct_in_plane(equations *at, const plane *in, const correction *how, doub
     double *F = room, *change = room + n, *rate = change + n;
     const double guess = *p;
     double shift = 0.0, damping = 1.0, before = INFINITY;
-    int former = how->former && at->solve_nearly, sloped = 0;
     double sizes[PATIENT], smallest = INFINITY; /* of the steps before the last `patience` */
     *taken = 0;
     for (int i = 0; i < 4 * how->iterations; i++) {
@@ -74,15 +73,14 @@ int correct_in_plane(equations *at, const plane *in, const correction *how, doub
             if (*taken >= patience) smallest = fmin(smallest, sizes[(*taken - patience) % PATIENT]);
         }
         if (*taken == how->iterations || 0.5 * smallest < size) return NOT_FOUND;
-        if (*taken) former = at->solve_nearly && size <= how->lasting * before;
+        const int former = *taken && at->solve_nearly && size <= how->lasting * before;
         /* (dx, dp) = (a + dp b, dp), J a = -F, J b = -F_p, dp = -w <t_x, a> / (w <t_x, b> + t_p) */
         for (int j = 0; j < n; j++) change[j] = -F[j];
         at->sharp = STEP;
         (former ? at->solve_nearly : at->solve)(at, change);
         shift = 0.0;
         if (in) {
-            if (!(former && sloped)) slope_at(at, n, STEP, former, rate);
-            sloped = 1;
+            if (!former) slope_at(at, n, STEP, rate);
             const double along = in->weight * inner_product(at, in->across, rate) + in->slope;
             const double off = in->weight * inner_product(at, in->across, change);
             shift = -off / (along + 1e-300); /* not 0 */

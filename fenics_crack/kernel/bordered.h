@@ -5,13 +5,12 @@
 #include "equations.h"
 
 /* Of Newton's method: |F| / |x| of the solution, how far the parameter may go, and how much a step
- * may be shortened (below 0: not at all); by how much one has to shrink the residual that another
- * one with the same J may follow (0: none does); steps, and those that may together fail to halve
- * the residual (0: any number; else at most 30); whether the first one may have the J of a former
- * point. */
+ * may be shortened (below 0: not at all); to what part of it one has to shrink the residual that the
+ * next one may have the same J (0: none has); steps, and those that may together fail to halve the
+ * residual (0: any number; else at most 30). */
 typedef struct {
     double tolerance, reach, least_damping, lasting;
-    int iterations, patience, former;
+    int iterations, patience;
 } correction;
 
 /* What is orthogonal to a tangent (t_x, t_p). */

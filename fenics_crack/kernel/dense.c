@@ -24,7 +24,7 @@ void factor_dense(dense *at)
     if (at->factored) return;
     at->form(at);
     factor(at->size, at->matrix, at->pivots);
-    at->factored = at->kept = 1;
+    at->factored = 1;
 }
 
 void solve_dense(equations *own, double *x)
@@ -35,8 +35,7 @@ void solve_dense(equations *own, double *x)
 
 void solve_nearly_dense(equations *own, double *x)
 {
-    dense *at = (dense *)own;
-    if (!at->kept) factor_dense(at);
+    const dense *at = (const dense *)own;
     solve_factored(at->size, at->matrix, at->pivots, x);
 }
 

@@ -8,7 +8,7 @@
  * determinant: then the kind solves with it in its own way. */
 typedef struct dense {
     equations own;
-    int size, factored, kept; /* whether there are factors at the point, and of a former one */
+    int size, factored;
     double *matrix; /* (size, size) */
     int *pivots;
     void (*form)(struct dense *at);

@@ -126,7 +126,6 @@ def solve_in_plane(
     least_damping: float | None = MIN_DAMPING,
     patience: int | None = None,
     lasting: float = 0.0,
-    former: bool = False,
 ) -> PathPoint | None:
     """Newton's method in the plane across a tangent, or at a given parameter; None where it fails.
 
@@ -134,8 +133,7 @@ def solve_in_plane(
     from the guess the parameter may go; ``least_damping``: how much a step may be shortened where
     the residual would grow, None for full steps whatever it does; ``patience``: steps, at most 30,
     that may together fail to halve |F| / |x|; ``lasting``: to what part of it a step has to shrink
-    it that the next one may have the same Jacobian; ``former``: whether the first one may have that
-    of the solution before.
+    it that the next one may have the same Jacobian.
     """
     equations = equations_of(system, unknown.shape)
     flat = plane or Tangent(np.zeros_like(unknown), 1.0, 0.0)
@@ -147,7 +145,7 @@ def solve_in_plane(
     how = Struct(
         "correction", tolerance=tolerance, reach=reach, iterations=iterations,
         least_damping=-1.0 if least_damping is None else least_damping, patience=patience or 0,
-        lasting=lasting, former=former,
+        lasting=lasting,
     )  # fmt: skip
     outcome = equations.run(
         kernel.solve_in_plane, border, how.at, doubles(shaped(found, *equations.shape)),

@@ -97,7 +97,7 @@ class _State:
     """A system in Python where the kernel has evaluated it, and what it raised."""
 
     at: Linearisation
-    solved: Linearisation | None = None
+    solved: Linearisation
     """Where J was used last."""
     failure: BaseException | None = None
 
@@ -147,7 +147,7 @@ def _solve(state: _State, right: Any) -> None:
 
 @_called_back(None)
 def _solve_nearly(state: _State, right: Any) -> None:
-    _solve_by(state.solved or state.at, state.array(right))
+    _solve_by(state.solved, state.array(right))
 
 
 def _solve_by(at: Linearisation, both: np.ndarray) -> None:
