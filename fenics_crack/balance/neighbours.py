@@ -33,7 +33,7 @@ from fenics_crack.numerics.path import SHARP, Ended, Path, PathOptions, Target
 
 __all__ = ["Neighbours", "fewer_harmonics", "more_harmonics"]
 
-WAY = PathOptions(0.1, max_step=0.3, max_steps=200)
+WAY = PathOptions(0.1, max_step=0.3, max_steps=200, min_cosine=0.5)
 """From one frequency to the other; what takes more is sought without a neighbour."""
 ITERATIONS = 10
 """Of Newton's method from a prediction."""

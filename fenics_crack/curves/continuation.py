@@ -63,8 +63,6 @@ LONGEST = 0.05
 """Longest step, unless another one is asked for."""
 SHORTEST = 0.1
 """Of steps, relative to what rounding leaves of the residual: shorter ones resolve nothing."""
-STRAIGHT = 0.85
-"""Cosine of the angle between neighbouring tangents."""
 EVERY = 4
 """Points between two looks at the truncation."""
 
@@ -277,7 +275,6 @@ class Continuation:
             max_step=self._longest,
             min_step=max(1e-10, shortest),
             max_steps=self._most + 1 - len(self._points),
-            min_cosine=STRAIGHT,
             at_once=EVERY if self._tolerance is not None else PathOptions.at_once,
             span=(-self._back, np.inf),
         )

@@ -89,7 +89,6 @@ class MotionPath:
             max_step=self._max_step,
             min_step=1e-10,
             max_steps=self._left,
-            min_cosine=0.85,
             span=(self._lowest, np.inf),
         )
         start = point_on_path(family, here.unknown, here.parameter)
