@@ -30,14 +30,15 @@ from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.bordered import solve_in_plane
 
-__all__ = ["NEARLY", "Problem"]
+__all__ = ["LEAST_DAMPING", "NEARLY", "PATIENCE", "STEPS", "Problem"]
 
 BEYOND = 2.0
 """Modes above so many times the highest harmonic answer at once."""
 NEARLY = 1e-5
 """|F| / |x| of a solution with which another one begins, or by which it is judged."""
-STEPS, LEAST_DAMPING = 20, 0.01
-"""Newton's steps to one next to another one, and how short these may become."""
+STEPS, LEAST_DAMPING, PATIENCE = 20, 0.01, 8
+"""Newton's steps from a guess, how short these may become, and those of them that may together fail
+to halve the residual."""
 STIFF = 100.0
 """k R_inf from which a penalty on lips with mass is seen through R_inf."""
 
@@ -194,6 +195,7 @@ class Problem:
                     tolerance=NEARLY,
                     iterations=STEPS,
                     least_damping=damping,
+                    patience=PATIENCE if damping else None,
                 )
             return None if found is None else self.wave(system.linearise(found.unknown))
         except (ConvergenceError, np.linalg.LinAlgError):

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.contact_system import ContactSystem
-from fenics_crack.balance.problem import NEARLY, Problem
+from fenics_crack.balance.problem import LEAST_DAMPING, NEARLY, PATIENCE, STEPS, Problem
 from fenics_crack.balance.rounding import SOFT, check_stiffness, stiffness_times_compliance
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.flow import ExponentialFlow
@@ -46,8 +46,6 @@ COMPILED, INTERPRETED = 5000, 1000
 """Iterations of all starts together, with 300 unknowns in the kernel, and in Python: 5 to 8 s."""
 MANY = 100
 """Unknowns from which fewer harmonics are quicker than full steps from the linear solution."""
-STEPS, PATIENCE = 20, 8
-"""Newton steps from a guess, and those of them that may together fail to halve the residual."""
 PERIODS, MARCHED, MOVING = 40, (1, 3, 9), 40
 """Periods of a response that are marched at a time, how many times for one guess after the other,
 and modes that move in them."""
@@ -184,7 +182,8 @@ class Search:
         yield guess
         point = solve_in_plane(
             system, guess, parameter, None,
-            tolerance=self.tolerance, iterations=STEPS, least_damping=0.01, patience=PATIENCE,
+            tolerance=self.tolerance, iterations=STEPS, least_damping=LEAST_DAMPING,
+            patience=PATIENCE,
         )  # fmt: skip
         self.iterations += PATIENCE if point is None else point.iterations
         if point is not None:
