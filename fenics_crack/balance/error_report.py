@@ -42,13 +42,13 @@ from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.balance.judgement import STILL, UNKNOWN, Judgement
 from fenics_crack.balance.more_modes import more_modes
-from fenics_crack.balance.problem import LEAST_DAMPING, PATIENCE, STEPS, Problem
+from fenics_crack.balance.problem import Problem
 from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear, is_rigid
 from fenics_crack.model.coupled import is_regular
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.bordered import solve_in_plane
+from fenics_crack.numerics.bordered import solve_near
 from fenics_crack.numerics.fourier import resized
 from fenics_crack.table import Described
 
@@ -274,11 +274,8 @@ def _improvement(
         step = step + again
         return _Change(first.gap_of(step), first.force_of(step)[:rows], better)
     size = max(float(np.linalg.norm(start)), 1e-300)
-    found = solve_in_plane(
-        system, start, system.end, None,
-        tolerance=CALM * float(np.linalg.norm(known - first.residual)) / size,
-        iterations=STEPS, least_damping=LEAST_DAMPING, patience=PATIENCE,
-    )  # fmt: skip
+    sharp = CALM * float(np.linalg.norm(known - first.residual)) / size
+    found = solve_near(system, start, system.end, tolerance=sharp)
     point = first if found is None else system.linearise(found.unknown)
     gap, force = point.gap - first.gap, (point.force - first.force)[:rows]
     return _Change(gap, force, better, settled=found is not None)

@@ -36,12 +36,15 @@ SMALL = 0.05
 """Part of a tolerance below which an error allows fewer harmonics."""
 
 
-def more_harmonics(count: int, truncation: float, tolerance: float | None) -> int | None:
-    """As many harmonics as an error that falls like H^-3 asks for; None where these are enough."""
-    if tolerance is None or truncation <= tolerance or count >= MOST_HARMONICS:
+def more_harmonics(
+    count: int, truncation: float, tolerance: float | None, most: int = MOST_HARMONICS
+) -> int | None:
+    """As many harmonics as an error that falls like H^-3 asks for; None where these are enough, or
+    the most."""
+    if tolerance is None or truncation <= tolerance or count >= most:
         return None
     factor = min(2.0, 1.1 * (truncation / tolerance) ** (1.0 / 3.0))
-    return min(MOST_HARMONICS, math.ceil(factor * count))
+    return min(most, math.ceil(factor * count))
 
 
 def fewer_harmonics(count: int, truncation: float, tolerance: float, least: int) -> int:
