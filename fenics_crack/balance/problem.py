@@ -206,4 +206,4 @@ class Problem:
 
     def with_harmonics(self, harmonics: int) -> Problem:
         """The same with other harmonics."""
-        return replace(self, harmonics=harmonics)
+        return self if harmonics == self.harmonics else replace(self, harmonics=harmonics)
