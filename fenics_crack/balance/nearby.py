@@ -6,8 +6,8 @@ import numpy as np
 
 from fenics_crack.balance.orbits import FlowOrbits, Homotopy, recurrences
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.motion.flow import Budget, ContactFlow
-from fenics_crack.motion.orbit import FLOWS, PIECES, PeriodicOrbit, Prediction, find_orbit, predict
+from fenics_crack.motion.flow import ContactFlow
+from fenics_crack.motion.orbit import PeriodicOrbit, Prediction, find_orbit, predict
 from fenics_crack.numerics.bordered import point_on_path, solve_in_plane
 from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.numerics.path import Path, PathOptions, Target
@@ -21,8 +21,11 @@ PARTS = 32
 """Of the period, whose starts' states are corrected together."""
 SWITCHES, STEP = 100_000, 0.3
 """Openings and closings that a homotopy to an orbit may pass, a second or two; its longest step."""
+WANDERING, PASSED, SETTLING = 1000, 100, 60
+"""Periods that a motion is followed for, its nearest recurrences from which an orbit is sought, and
+the least periods, of large states."""
 FEW = 24
-"""Numbers of a state up to which so many are passed; beyond, fewer, as each takes longer."""
+"""Numbers of a state up to which all those are tried; beyond, fewer, as each takes longer."""
 
 
 def wave_states(flow: ContactFlow, displacement: np.ndarray, base_omega: float) -> np.ndarray:
@@ -92,23 +95,21 @@ def recurring(
     found.
 
     Where no orbit attracts it the motion wanders, and passes near orbits that it leaves again, at
-    times when it nearly repeats itself: from there Newton's method finds one. It is followed for as
-    long as one search for an orbit may take, and the searches together take as long again.
+    times when it nearly repeats itself: from there Newton's method finds one.
 
     Source: Auerbach et al., Physical Review Letters 58 (1987) 2387-2389.
     """
-    states, left, state = [start], PIECES, start
-    period, weights = 2.0 * np.pi * subharmonic / omega, flow.weights(omega / subharmonic)
-    begin("the exact motion over many periods, and orbits that it passes")
+    orbits = FlowOrbits(flow, omega, start, subharmonic)
+    share = min(1.0, (FEW / flow.size) ** 2)
+    passed, periods = [orbits.start], max(int(share * WANDERING), SETTLING)
+    begin(f"the exact motion over {periods} periods, and orbits that it passes")
     try:
-        while left > 0:
-            motion = flow.advance(state, omega, period, budget=Budget(pieces=left))
-            state, left = motion.state, left - motion.pieces
-            states.append(state)
-    except ConvergenceError:  # pairs that chatter, or as long as a search for an orbit may take
+        for _ in range(periods):
+            passed.append(orbits.moved(passed[-1], 1.0))
+    except ConvergenceError:  # pairs that chatter without end
         pass
-    for place in recurrences(weights * states, len(states) // FLOWS):
-        orbit = find_orbit(flow, omega, states[place], subharmonic=subharmonic)
+    for place in recurrences(passed, int(np.ceil(share * PASSED))):
+        orbit = find_orbit(flow, omega, orbits.state(passed[place]), subharmonic=subharmonic)
         if orbit is not None:
             return orbit
     return None

@@ -33,8 +33,8 @@ from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples
 from fenics_crack.table import Described, counted
 
 __all__ = [
-    "FLOWS", "INSTANTS", "PIECES", "OrbitCoefficients", "PeriodicOrbit", "Prediction",
-    "doubling_test", "eigenvalues", "find_orbit", "predict",
+    "INSTANTS", "PIECES", "OrbitCoefficients", "PeriodicOrbit", "Prediction", "doubling_test",
+    "eigenvalues", "find_orbit", "predict",
 ]  # fmt: skip
 
 FLOWS, SHORTEST = 20, 1e-3
