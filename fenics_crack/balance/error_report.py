@@ -60,6 +60,7 @@ __all__ = [
     "beyond_truncation",
     "estimate_errors",
     "mean_square",
+    "of_no_solution",
     "relative_size",
 ]
 
@@ -170,6 +171,15 @@ def estimate_errors(
         penetration=relative(_penetration(at)),
         displacement=min(at_load, UNKNOWN),
     )
+
+
+def of_no_solution(at: ContactPoint, problem: Problem) -> ErrorReport:
+    """The report of equations that are not solved: their residual, and that no error is known."""
+    residual, penetration = (
+        relative_size(change, at, problem.structure.clearance)
+        for change in (at.residual, _penetration(at))
+    )
+    return ErrorReport(residual, UNKNOWN, 0.0, 0.0, penetration, UNKNOWN)
 
 
 @dataclass(frozen=True)

@@ -56,9 +56,10 @@ class Solver:
             problem = self.problem.weighted(compliance)
             at = replace(self, problem=problem).find(search, compliance, initial)
             found = solution_of(
-                problem, at, status=search.status, enough=self.enough, reported=reported
-            )
-            return search, replace(found, converged=search.converged, iterations=search.iterations)
+                problem, at, status=search.status, converged=search.converged, enough=self.enough,
+                reported=reported,
+            )  # fmt: skip
+            return search, replace(found, iterations=search.iterations)
 
     @contextmanager
     def compliance(self) -> Iterator[Compliance]:
