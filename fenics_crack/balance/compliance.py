@@ -201,10 +201,10 @@ class ModalCompliance:
             found = -self._gap(self._unit_load)
             return found if self._unit_static is None else found - self._static_gap
         moved = self._moved(force)
-        damped = 1j * order * self._modes.damped(moved)
+        damped = 1j * self._modes.damped(moved)
         if name == "damping":
-            return -self._gap(self._base * damped)
-        return -self._gap(self._damping * damped - 2.0 * self._base * order**2 * moved)
+            return -self._gap(self._base * order * damped)
+        return -self._gap(order * (self._damping * damped - 2.0 * self._base * order * moved))
 
     def _gap(self, drive: np.ndarray) -> np.ndarray:
         """Gap coefficients (2H+1, n_pairs) under modal forces (H+1, n_modes)."""

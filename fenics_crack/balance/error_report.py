@@ -42,7 +42,7 @@ from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.balance.judgement import STILL, UNKNOWN, Judgement
 from fenics_crack.balance.more_modes import more_modes
-from fenics_crack.balance.problem import Problem
+from fenics_crack.balance.problem import NEARLY, Problem
 from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear, is_rigid
 from fenics_crack.model.coupled import is_regular
 from fenics_crack.model.modal import all_modes
@@ -68,8 +68,7 @@ LARGE_ERROR = 0.05
 """Estimated error beyond which a solution is not shown without a warning."""
 
 CALM = 0.05
-"""Of the second step of Newton's method relative to the first, below which there is no third; of
-the residual, relative to that of the solution, with which further ones end."""
+"""Of the second step of Newton's method relative to the first, below which there is no third."""
 STIFF = 1e3
 """Stiffness of a penalty that stands for a constraint where the reference has mass at its lips,
 relative to the inverse of R_inf."""
@@ -284,7 +283,7 @@ def _improvement(
         step = step + again
         return _Change(first.gap_of(step), first.force_of(step)[:rows], better)
     size = max(float(np.linalg.norm(start)), 1e-300)
-    sharp = CALM * float(np.linalg.norm(known - first.residual)) / size
+    sharp = NEARLY * float(np.linalg.norm(known - first.residual)) / size
     found = solve_near(system, start, system.end, tolerance=sharp)
     point = first if found is None else system.linearise(found.unknown)
     gap, force = point.gap - first.gap, (point.force - first.force)[:rows]
