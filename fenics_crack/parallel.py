@@ -36,7 +36,7 @@ def on_root(comm: MPI.Comm, function: Callable[[], Result]) -> Result:
     if comm.rank == 0:
         try:
             result = function()
-        except Exception as caught:
+        except BaseException as caught:  # an interrupt too, for which the others would wait
             error = caught
     met = comm.bcast(error)
     if met is not None:

@@ -72,7 +72,7 @@ def _by_homotopy(orbits: FlowOrbits) -> PeriodicOrbit | None:
     """The orbit to which the path from the start of some leads; None where that takes too long."""
     share = min(1.0, (FEW / orbits.flow.size) ** 2)
     homotopy = Homotopy(orbits, int(share * SWITCHES))
-    options = PathOptions(STEP, max_step=STEP, max_steps=SWITCHES, span=(0.0, 2.0))
+    options = PathOptions(STEP, max_step=STEP, max_steps=SWITCHES, span=(0.0, 2.0), min_cosine=0.5)
     try:
         # M - I may be singular where the motion closes: next to a resonance without damping.
         closed = solve_in_plane(orbits, orbits.start, 1.0, None, tolerance=CLOSED, iterations=1)

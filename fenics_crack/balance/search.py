@@ -52,7 +52,7 @@ and modes that move in them."""
 FAR = 5.0
 """Distance of the parameter from its end value at which a path is abandoned; a path that begins
 farther away may go as far as its start."""
-WIDE, NARROW = PathOptions(1.0, max_step=2.0), PathOptions(0.1, max_step=0.3)
+WIDE, NARROW = PathOptions(1.0, 2.0, min_cosine=0.5), PathOptions(0.1, 0.3, min_cosine=0.5)
 """For paths in ln k, and for paths whose parameter runs from 0 to 1."""
 
 Start = tuple[str, Iterator[np.ndarray]]

@@ -226,7 +226,7 @@ def _command(given: argparse.Namespace, inputs: Inputs | None, console: Console)
         told = []  # one line about an error
         raise
     finally:
-        console.notes(f"remark: {remark}" for remark in told)
+        console.note(*(f"remark: {remark}" for remark in told))
 
 
 # --- arguments ------------------------------------------------------------------------------------

@@ -83,8 +83,8 @@ def tell(
         places = [f"{name} {quantity(distance, 'm')}" for name, distance in away.items()]
         told = f"watched at the nearest node, away by: {', '.join(places)}"
         console.note(told if places else "")
-    console.notes(account.notes)
-    console.warnings(account.warnings)
+    console.note(*account.notes)
+    console.warn(*account.warnings)
     return account.done
 
 
@@ -182,10 +182,10 @@ def identification(given: Namespace, inputs: Inputs, console: Console) -> bool:
     ratio = found.log_bayes_factor
     told = "" if np.isnan(ratio) else f": log Bayes factor {ratio:.3g}, crack over no crack"
     console.note(f"{found.verdict}{told}")
-    console.notes(f"remark: {remark}" for remark in found.remarks)
+    console.note(*(f"remark: {remark}" for remark in found.remarks))
     console.note(f"next to measure: {worth}")
     console.note(f"{folder / 'identify.h5'}, .json; posterior.png, fit.csv, where_to_measure.csv")
-    console.warnings(found.warnings)
+    console.warn(*found.warnings)
     return True
 
 
@@ -214,7 +214,7 @@ def plot(given: Namespace, _: None, console: Console) -> bool:
 
     with console.stage("pictures"):
         files = on_root(console.comm, draw)
-    console.notes(map(str, files))
+    console.note(*map(str, files))
     return True
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,24 +38,16 @@ class Console:
         """Print a table."""
         print(table.formatted(self.form), end="", flush=True)
 
-    def note(self, text: str) -> None:
-        """Print a remark, unless it is empty or quiet is asked for."""
-        if text and not self.quiet:
-            print(text, file=sys.stderr, flush=True)
-
-    def warn(self, text: str) -> None:
-        """Print a warning, even if quiet."""
-        print(f"fenics-crack: warning: {text}", file=sys.stderr, flush=True)
-
-    def warnings(self, texts: Iterable[str]) -> None:
-        """Print warnings."""
+    def note(self, *texts: str) -> None:
+        """Print remarks, unless they are empty or quiet is asked for."""
         for text in texts:
-            self.warn(text)
+            if text and not self.quiet:
+                print(text, file=sys.stderr, flush=True)
 
-    def notes(self, texts: Iterable[str]) -> None:
-        """Print remarks."""
+    def warn(self, *texts: str) -> None:
+        """Print warnings, even if quiet."""
         for text in texts:
-            self.note(text)
+            print(f"fenics-crack: warning: {text}", file=sys.stderr, flush=True)
 
     @contextmanager
     def timed(self, name: str) -> Iterator[None]:

@@ -142,39 +142,34 @@ def special_points(run: Run[ResponseCurve]) -> Table:
     Of a curve over the load frequency both columns, rad/s and Hz; of a run-up also the speed, in
     rad/s and rpm.
     """
-    found, along = run.result, _along(run, run.result)
+    found = run.result
     factor, _, unit = parameter_axis(found.parameter, run.scene.in_hertz)
-    special = _along(run, found.at_bifurcations) if found.bifurcations else {}
-
-    def at(index: int, columns: dict[str, np.ndarray] = along) -> list[float]:
-        return [float(column[index]) for column in columns.values()]
-
+    along = _places(found) | _along(run, found)
+    special = found.at_bifurcations if found.bifurcations else found
+    there = _places(special) | _along(run, special)
     largest = int(np.argmax(found.amplitude(run.watched_dof)))
-    places = [("start", 0), ("end", -1), ("largest", largest)]
-    rows = [(name, found.values[index], at(index)) for name, index in places]
+    rows = [("start", 0, along), ("end", -1, along), ("largest", largest, along)]
     for number, point in enumerate(found.bifurcations, 1):
         name = point.kind.replace("_", " ")
         if found.undecided is not None:
             exact = f", exact {factor * point.exact:.6g} {unit}".removesuffix(" -")
             name += exact if point.confirmed else ", unconfirmed"
-        rows.append((name, point.value, at(number, special)))
+        rows.append((name, number, there))
     if found.multipliers is not None:
         for index in np.flatnonzero(found.verdicts[1:] != found.verdicts[:-1]):
             after = found.verdicts[index + 1]
             what = {"stable": "gained", "unstable": "lost", "undecided": "undecided"}[after]
-            rows.append((f"stability {what} after", found.values[index], at(index)))
-    if found.parameter not in ("omega", "speed"):
-        names = ("point", PARAMETERS[found.parameter], *along)
-        return Table(names, [(name, value, *more) for name, value, more in rows])
-    values = np.array([value for _, value, _ in rows])
-    axes = {found.parameter: values, "omega": values * (found.omega[0] / found.values[0])}
-    columns = with_frequency({name: axis.tolist() for name, axis in axes.items()})
-    both = [
-        (name, *at, *more)
-        for (name, _, more), at in zip(rows, zip(*columns.values(), strict=True), strict=True)
-    ]
-    headings = [with_unit(name, UNITS[name]) for name in columns]
-    return Table(("point", *headings, *along), both)
+            rows.append((f"stability {what} after", int(index), along))
+    values = [(name, *(float(column[at]) for column in of.values())) for name, at, of in rows]
+    return Table(("point", *along), values)
+
+
+def _places(curve: ResponseCurve) -> dict[str, np.ndarray]:
+    """Columns of a curve's parameter, of frequencies and speeds in both of their units."""
+    if curve.parameter not in ("omega", "speed"):
+        return {PARAMETERS[curve.parameter]: curve.values}
+    columns = with_frequency({curve.parameter: curve.values, "omega": curve.omega})
+    return {with_unit(name, UNITS[name]): np.asarray(column) for name, column in columns.items()}
 
 
 def few_special_points(run: Run[ResponseCurve], table: Table) -> tuple[Table, int]:

@@ -27,10 +27,9 @@ from fenics_crack.cli.scenes import draw_scene, harmonics_in_words
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import Stored, read, versions
 from fenics_crack.parallel import on_root
-from fenics_crack.scene.scene import Scene
-from fenics_crack.scene.tables import Crack, Geometry, Material
-from fenics_crack.scene.words import differences
+from fenics_crack.scene.words import differences, key_in_words, value_in_words
 from fenics_crack.study.run import Run
+from fenics_crack.sweep.result import SweepResult
 from fenics_crack.table import Table, quantity
 from fenics_crack.version import VERSION
 from fenics_crack.whole import write_whole
@@ -64,13 +63,20 @@ def report(given: Namespace, _: None, console: Console) -> bool:
     return True
 
 
+IN_SHORT = (
+    "geometry.width", "geometry.height", "geometry.thickness",
+    "material.young", "material.poisson", "material.density", "contact.law",
+)  # fmt: skip
+"""Keys of a scene that stand above its text, beside its cracks, load and harmonics."""
+
+
 def write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -> None:
     """Write the page of some results.
 
     Parameters
     ----------
     paths : sequence of Path
-        Files of results with their scenes; the page puts them in the order of :data:`KINDS`.
+        Files of results with their scenes; the page puts them in the order of :data:`HEADINGS`.
     target : Path
         The .html file.
     command : sequence of str
@@ -83,23 +89,18 @@ def write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) ->
     """
     if target.suffix.lower() not in (".html", ".htm"):
         raise InputError("--output", str(target), "a .html file")
-    order = list(HEADINGS)
-    files = [read(path) for path in dict.fromkeys(paths)]
-    for file in files:
-        if file.kind not in order:
-            raise InputError("result", str(file.path), f"one of these kinds: {', '.join(order)}")
-    files.sort(key=lambda file: order.index(file.kind))
-    kinds, scenes = [file.kind for file in files], [*map(_scene_of, files)]
+    stored = [read(path) for path in dict.fromkeys(paths)]
+    both = [(file, result_of(file)) for file in stored]
+    both.sort(key=lambda one: list(HEADINGS).index(one[0].kind))
+    kinds, scenes = [file.kind for file, _ in both], [result.scene for _, result in both]
     titles, parts = {"short": "In short", "scene": "Scene"}, []
     facts: list[str] = []
     doubts: list[str] = []
     with tempfile.TemporaryDirectory() as folder:
-        read_results = [*map(result_of, files)]
-        accounts = [*map(account_of, read_results)]
-        scene_part = _scene_part(scenes[0], accounts[0].run, Path(folder))
+        scene_part = _scene_part(both[0][1], Path(folder))
         own = differences([scene.replace({"reduction": None}) for scene in scenes])
-        results = zip(files, own, read_results, accounts, strict=True)
-        for number, (file, differs, result, found) in enumerate(results, 1):
+        for number, ((file, result), differs) in enumerate(zip(both, own, strict=True), 1):
+            found = account_of(result)
             place, heading = Path(folder) / str(number), HEADINGS[file.kind]
             place.mkdir()
             if kinds.count(file.kind) > 1:
@@ -121,62 +122,35 @@ def write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) ->
     if not doubts:
         short.append(paragraph("The program warned of nothing.", "good"))
     blocks = [section("short", "In short", short), scene_part, *parts]
-    blocks.append(_versions_part(files, command))
-    stem = files[0].path.resolve().parent.name
+    blocks.append(_versions_part([file for file, _ in both], command))
+    stem = both[0][0].path.resolve().parent.name
     under = f"{datetime.now(UTC).astimezone():%d %B %Y, %H:%M %Z}, fenics_crack {VERSION}"
     text = page(f"Breathing crack: {stem}", under, [contents(titles), *blocks])
     write_whole(target, text, "--output")
 
 
-def _scene_of(file: Stored) -> Scene:
-    scene = file.scene()
-    if scene is None:
-        raise InputError("result", str(file.path), "a result saved with its scene")
-    file.check_files(scene)
-    return scene
-
-
 # --- parts ----------------------------------------------------------------------------------------
 
 
-def _scene_part(scene: Scene, run: Run | None, folder: Path) -> str:
-    """The scene in short, its mesh if it has one (that of a run, where there is one), its text."""
+def _scene_part(result: Run | SweepResult, folder: Path) -> str:
+    """The scene of a result in short, its mesh if it has one, its text."""
+    scene, blocks = result.scene, []
+    if scene.geometry is not None:
+        own = None if isinstance(result, SweepResult) else result.structure.whole
+        blocks += [_picture(mesh) for mesh in draw_scene(scene, folder, own)]
     rows: list[tuple[str, object]] = []
-    blocks = []
-    if scene.geometry is not None and scene.material is not None:
-        [mesh] = draw_scene(scene, folder, None if run is None else run.structure.whole)
-        blocks.append(_picture(mesh))
-        rows = _plate_in_short(scene.geometry, scene.material, [*scene.all_cracks.values()])
-    if scene.contact is not None:
-        rows.append(("contact", scene.contact.law))
+    for key in IN_SHORT:
+        table, _, name = key.partition(".")
+        if (value := getattr(getattr(scene, table), name, None)) is not None:
+            rows.append((key_in_words(key), value_in_words(key, value)))
+    for name, crack in scene.all_cracks.items():
+        if crack.length is not None:
+            rows.append((key_in_words(f"{name}.length"), quantity(crack.length, "m")))
     rows.append(("load frequency", frequency_in_words(scene, scene.excitation.omega)))
     rows.append(("harmonics", harmonics_in_words(scene)))
     blocks.append(_table(Table(("quantity", "value"), rows), "The first result's scene"))
     text = folded("The whole scene (TOML)", scene.as_toml())
     return section("scene", "Scene", [beside(blocks), text])
-
-
-def _plate_in_short(
-    geometry: Geometry, material: Material, cracks: Sequence[Crack]
-) -> list[tuple[str, object]]:
-    """Sizes, material and cracks of a plate."""
-    sizes = [
-        quantity(size, "m")
-        for size in (geometry.width, geometry.height, geometry.thickness)
-        if size is not None
-    ]
-    rows: list[tuple[str, object]] = [
-        ("plate" if len(sizes) == 3 else "thickness", " × ".join(sizes)),
-        ("Young's modulus", quantity(material.young, "Pa")),
-        ("Poisson's ratio", material.poisson),
-        ("density", f"{material.density:g} kg/m³"),
-    ]
-    for number, crack in enumerate(cracks, 1):
-        name = f"crack {number}" if len(cracks) > 1 else "crack"
-        if crack.length is not None and geometry.width is not None:
-            share = f"{crack.length / geometry.width:.0%} of the width"
-            rows.append((name, f"{quantity(crack.length, 'm')}, {share}"))
-    return rows
 
 
 def _versions_part(files: Sequence[Stored], command: Sequence[str]) -> str:

@@ -83,7 +83,7 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> bool:
     remark = _remark_on_whole(scene, whole, highest)
     console.table(Table(("what", "value"), [*rows.items()]))
     console.note(remark)
-    console.notes(f"remark: {remark}" for remark in remarks_on(study.scene, figures))
+    console.note(*(f"remark: {remark}" for remark in remarks_on(study.scene, figures)))
     return True
 
 

@@ -71,14 +71,7 @@ from fenics_crack.table import Tabular, counted, with_frequency
 
 __all__ = ["Backbone", "BackboneOptions", "follow_backbone"]
 
-ENDS = {
-    Ended.MET: "reached the end",
-    Ended.LOST: "no motion at the very end",
-    Ended.LEFT: "the backbone turned back past its start",
-    Ended.MANY: "{most} points were not enough",
-    Ended.SHORT: Ended.SHORT.value,
-}
-"""What is said of a path that has ended."""
+INTERRUPTED = "interrupted"
 PAST = 1.25
 """Harmonics with which the truncation is judged, relative to the highest mode's."""
 MANY = 1200
@@ -333,15 +326,40 @@ def follow_backbone(
     integrals = contact_integrals(contact, harmonics, samples)
     family = EnergyMotion(rest, integrals, float(rest.frequencies[mode - 1]))
     first, note = first_motion(family, mode, energy_start, given["initial"])
-    growing = _Growing(family, math.log(energy_end), [first], note)
-    growing.follow(given, progress and structure.whole.comm.rank == 0)
-    backbone = growing.backbone(structure, mode, samples)
-    if throw and not (backbone.complete or growing.interrupted):
+    path = MotionPath(
+        family, first, math.log(energy_end), lowest=first.parameter - given["longest_step"],
+        max_step=given["longest_step"], max_steps=given["most_points"],
+        pass_over=not given["internal_resonances"],
+    )  # fmt: skip
+    found, ended = _collected(path, progress and structure.whole.comm.rank == 0)
+    complete = path.ended is Ended.MET and family.is_fundamental(path.last.unknown)
+    if path.ended is not None:
+        ended = path.ended.told(given["most_points"])
+        ended = ELSEWHERE if path.ended is Ended.MET and not complete else ended
+    energy = np.exp([point.parameter for point in found])
+    if throw and not complete and ended != INTERRUPTED:
         raise ConvergenceError(
-            f"backbone of mode {mode} from {energy_start:g} to {energy_end:g} J: {backbone.status} "
-            f"at {math.exp(growing.found[-1].parameter):g} J after {len(backbone.energy)} points"
+            f"backbone of mode {mode} from {energy_start:g} to {energy_end:g} J: {ended}{note} "
+            f"at {energy[-1]:g} J after {len(found)} points"
         )
-    return backbone
+    unknowns = np.array([point.unknown for point in found])
+    modal = unknowns[:, :-1].reshape(len(found), -1, len(rest.frequencies)) / rest.frequencies
+    modal *= np.sqrt(2.0 * energy)[:, None, None]
+    modal[:, 0] += rest.modal
+    return Backbone(
+        structure,
+        contact,
+        mode,
+        unknowns[:, -1] * family.reference,
+        rest.energy + energy,
+        rest.energy,
+        modal @ rest.modes.shapes.T,
+        np.array([point.iterations for point in found]),
+        complete,
+        ended + note,
+        np.array([point.crosses_branch for point in found]),
+        samples,
+    )
 
 
 def _complete(options: BackboneOptions) -> BackboneOptions:
@@ -359,68 +377,23 @@ def _complete(options: BackboneOptions) -> BackboneOptions:
     return given
 
 
-@dataclass
-class _Growing:
-    """A backbone as it grows: its points, and how it ended."""
-
-    family: EnergyMotion
-    end: float
-    found: list[PathPoint]
-    note: str
-    complete: bool = False
-    interrupted: bool = False
-    status: str = "the steps became too short"
-
-    def follow(self, options: BackboneOptions, shown: bool) -> None:
-        """Take points until one is the last, with a progress bar if it is to be shown."""
-        form = "{l_bar}{bar}"
-        bar = tqdm(total=100.0, desc="backbone", unit="%", disable=not shown, bar_format=form)
-        start, most = self.found[0].parameter, options["most_points"]
-        path = MotionPath(
-            self.family, self.found[0], self.end, lowest=start - options["longest_step"],
-            max_step=options["longest_step"], max_steps=most,
-            pass_over=not options["internal_resonances"],
-        )  # fmt: skip
-        try:
-            for point in path:
-                self.found.append(replace(point, at=None))
-                share = (point.parameter - start) / (self.end - start)
-                bar.update(max(0.0, 100.0 * share - bar.n))
-            assert path.ended is not None
-            self.status = ENDS[path.ended].format(most=most)
-            if path.ended is Ended.MET:
-                family = self.family
-                self.complete = family.fundamental(path.last.unknown) > family.least_fundamental
-                self.status = self.status if self.complete else ELSEWHERE
-        except KeyboardInterrupt:
-            self.interrupted, self.status = True, "interrupted"
-        except ConvergenceError as error:
-            self.status = str(error)
-        finally:
-            bar.close()
-
-    def backbone(self, structure: Structure, mode: int, samples: int | None) -> Backbone:
-        """The points so far as displacements."""
-        found, rest = self.found, self.family.rest
-        unknowns = np.array([point.unknown for point in found])
-        energy = np.exp([point.parameter for point in found])
-        modal = unknowns[:, :-1].reshape(len(found), -1, len(rest.frequencies)) / rest.frequencies
-        modal *= np.sqrt(2.0 * energy)[:, None, None]
-        modal[:, 0] += rest.modal
-        return Backbone(
-            structure,
-            rest.contact,
-            mode,
-            unknowns[:, -1] * self.family.reference,
-            rest.energy + energy,
-            rest.energy,
-            modal @ rest.modes.shapes.T,
-            np.array([point.iterations for point in found]),
-            self.complete,
-            self.status + self.note,
-            np.array([point.crosses_branch for point in found]),
-            samples,
-        )
+def _collected(path: MotionPath, shown: bool) -> tuple[list[PathPoint], str]:
+    """The points of a path, with a progress bar if it is to be shown, and what has ended it."""
+    found, start, ended = [path.last], path.last.parameter, ""
+    form = "{l_bar}{bar}"
+    bar = tqdm(total=100.0, desc="backbone", unit="%", disable=not shown, bar_format=form)
+    try:
+        for point in path:
+            found.append(replace(point, at=None))
+            share = (point.parameter - start) / (path.end - start)
+            bar.update(max(0.0, 100.0 * share - bar.n))
+    except KeyboardInterrupt:
+        ended = INTERRUPTED
+    except ConvergenceError as error:
+        ended = str(error)
+    finally:
+        bar.close()
+    return found, ended
 
 
 class _Added:

@@ -63,8 +63,6 @@ LONGEST = 0.05
 """Longest step, unless another one is asked for."""
 SHORTEST = 0.1
 """Of steps, relative to what rounding leaves of the residual: shorter ones resolve nothing."""
-STRAIGHT = 0.85
-"""Cosine of the angle between neighbouring tangents."""
 EVERY = 4
 """Points between two looks at the truncation."""
 
@@ -257,12 +255,9 @@ class Continuation:
                     self._towards = again.tangent
                     return again, max(0.1 * at.length, 1e-3 * self._longest)
         assert path.ended is not None
-        self.complete, self.status = path.event is not None, path.status
+        self.complete = path.event is not None
+        self.status = path.event.told if path.event else path.ended.told(self._most)
         self.returned = path.ended is Ended.LEFT or isinstance(path.event, Closed)
-        if path.ended is Ended.LEFT:
-            self.status = "the curve turned back past its start"
-        if path.ended is Ended.MANY:
-            self.status = f"{self._most} points were not enough"
         return None
 
     def _path(self, here: PathPoint, step: float) -> Path:
@@ -280,7 +275,6 @@ class Continuation:
             max_step=self._longest,
             min_step=max(1e-10, shortest),
             max_steps=self._most + 1 - len(self._points),
-            min_cosine=STRAIGHT,
             at_once=EVERY if self._tolerance is not None else PathOptions.at_once,
             span=(-self._back, np.inf),
         )

@@ -23,7 +23,6 @@ from fenics_crack.numerics.rounding import EPSILON, ROUNDING
 __all__ = [
     "EnergyMotion",
     "Equilibrium",
-    "FadedMotion",
     "FreeMotion",
     "MotionPoint",
     "StiffnessMotion",
@@ -37,8 +36,6 @@ RESONANT = 1e-3
 
 NEAR = 0.05
 """Entries relatively that close to resonance are not predicted."""
-SHIFT = 1e-5
-"""Of a share, for the derivative by it."""
 
 
 class Equilibrium:
@@ -140,10 +137,10 @@ class FreeMotion(ABC):
         close[1] = False
         return np.append(close.ravel(), False)
 
-    def fundamental(self, unknown: np.ndarray) -> float:
-        """Share of the first harmonic in the square of z, the mean left out."""
-        z = unknown[:-1].reshape(self.scale.shape)
-        return float(np.sum(z[1] ** 2) / max(np.sum(z[1:] ** 2), 1e-300))
+    def is_fundamental(self, unknown: np.ndarray) -> bool:
+        """Whether the first harmonic has its share in the square of z, the mean left out."""
+        squares = np.sum(unknown[:-1].reshape(self.scale.shape) ** 2, axis=1)
+        return bool(squares[1] >= self.least_fundamental * np.sum(squares[1:]))
 
     def rounding(self, parameter: float) -> float:
         """What rounding leaves of |F| / |x|."""
@@ -179,28 +176,6 @@ class StiffnessMotion(FreeMotion):
         return StiffnessMotion(self.rest, integrals, self.reference, self.energy)
 
 
-class FadedMotion(FreeMotion):
-    """Free motions with the whole contact stiffness, of the energy of others; the parameter is the
-    share with which harmonics above some see the pairs: where it is 0 they are at rest."""
-
-    least_fundamental = 0.25
-
-    def __init__(self, motion: StiffnessMotion, harmonics: int) -> None:
-        super().__init__(motion.rest, motion.integrals, motion.reference)
-        self.energy, self._above = motion.energy, np.arange(self.harmonics + 1) > harmonics
-
-    def linearise(self, unknown: np.ndarray, parameter: float) -> MotionPoint:
-        """The equations at x and a share."""
-        weights = np.where(self._above, parameter, 1.0)
-        return MotionPoint(self, unknown, self.energy, 1.0, weights)
-
-    def derivative(self, at: MotionPoint) -> np.ndarray:
-        """dF / d share, by central differences."""
-        parameter = float(at.weights[-1])
-        ends = (self.linearise(at.unknown, parameter + h).residual for h in (SHIFT, -SHIFT))
-        return np.asarray((next(ends) - next(ends)) / (2.0 * SHIFT))
-
-
 class EnergyMotion(FreeMotion):
     """Free motions; the parameter is ln E."""
 
@@ -230,8 +205,6 @@ class MotionPoint(Linearisation):
         E.
     share : float
         Multiplies the contact force.
-    weights : (H+1,), optional
-        Share with which each harmonic sees the pairs; default: 1.
 
     Attributes
     ----------
@@ -247,27 +220,20 @@ class MotionPoint(Linearisation):
     """
 
     def __init__(
-        self,
-        motion: FreeMotion,
-        unknown: np.ndarray,
-        energy: float,
-        share: float,
-        weights: np.ndarray | None = None,
+        self, motion: FreeMotion, unknown: np.ndarray, energy: float, share: float
     ) -> None:
         rest, rows, scale = motion.rest, motion.rows, math.sqrt(2.0 * energy)
         self._motion, self.unknown = motion, unknown
-        self.weights = np.ones(len(rows)) if weights is None else weights
         self._z = unknown[:-1].reshape(len(rows), -1)
         moved = scale * (self._z @ motion.gap_rows)
         gap = np.zeros((2 * len(rows) - 1, moved.shape[1]))
-        gap[rows] = self.weights[:, None] * moved
+        gap[rows] = moved
         gap[0] += rest.gap
         found = motion.integrals.linearise(gap)
         self.force = found.force[rows]
         self.force[0] -= rest.force
-        self.force *= (share / scale) * self.weights[:, None]
+        self.force *= share / scale
         self.tangent = share * found.tangent[:, rows[:, None], rows]
-        self.tangent *= np.outer(self.weights, self.weights)
         first, law = moved.sum(axis=0), rest.contact
         self.push = (share / scale) * (law.force(rest.gap + first) - rest.force)
         self.work = share * _work(law, rest.gap, first, rest.force) / energy

@@ -34,6 +34,8 @@ class MotionPath:
     Attributes
     ----------
     family : FreeMotion
+    end : float
+        The parameter.
     last : PathPoint
         The last one so far.
     ended : Ended or None
@@ -51,7 +53,7 @@ class MotionPath:
         max_steps: int,
         pass_over: bool = True,
     ) -> None:
-        self.family, self.last, self._end = family, start, end
+        self.family, self.last, self.end = family, start, end
         self._lowest, self._max_step, self._left = lowest, max_step, max_steps
         self._pass_over = pass_over
         self.ended: Ended | None = None
@@ -73,7 +75,7 @@ class MotionPath:
             self.last, self._left = ahead, self._left - 1
             step = ahead.parameter - before.parameter
             step = min(self._max_step, (1.7 if ahead.iterations <= 4 else 1.0) * step)
-            if ahead.parameter == self._end:
+            if ahead.parameter == self.end:
                 self.ended = Ended.MET
             elif not self._left:
                 self.ended = Ended.MANY
@@ -87,16 +89,15 @@ class MotionPath:
             max_step=self._max_step,
             min_step=1e-10,
             max_steps=self._left,
-            min_cosine=0.85,
             span=(self._lowest, np.inf),
         )
         start = point_on_path(family, here.unknown, here.parameter)
-        path = Path(family, start, options, [Target(self._end)])
+        path = Path(family, start, options, [Target(self.end)])
         for point in path.points():
             self.last, self._left = point, self._left - 1
             yield point
             outside = point.tangent.p > FAST and point.parameter > here.parameter
-            whole = family.fundamental(point.unknown) > family.least_fundamental
+            whole = family.is_fundamental(point.unknown)
             if self._pass_over and outside and whole and path.ended is None:
                 return
         self.ended = path.ended
@@ -106,7 +107,7 @@ class MotionPath:
 
         The sign of det J changes where an odd number of tongues has been passed.
         """
-        family, left = self.family, self._end - here.parameter
+        family, left = self.family, self.end - here.parameter
         at = here.at or family.linearise(here.unknown, here.parameter)
         slope = -at.solve(at.by_parameter)
         near = family.near(here.unknown)
@@ -122,10 +123,10 @@ class MotionPath:
         )
         for base, factor, cosine in trials:
             rise = min(factor * step, left)
-            parameter = self._end if rise == left else here.parameter + rise
+            parameter = self.end if rise == left else here.parameter + rise
             guess = base + rise * slope
             found = solve_motion(family, guess, parameter)
-            if found is None or family.fundamental(found.unknown) < family.least_fundamental:
+            if found is None or not family.is_fundamental(found.unknown):
                 continue
             if alike(found.unknown, guess, cosine):
                 assert found.at is not None

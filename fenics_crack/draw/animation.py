@@ -90,7 +90,7 @@ def animate_period(
     if Path(path).suffix.lower() != ".gif":
         raise InputError("path", str(path), "a .gif file")
     begin(Path(path).name)
-    fields = PeriodFields.of(solution, frames, magnification, material)
+    fields = PeriodFields(solution, frames, magnification, material)
     on_root(fields.mesh.structure.comm, lambda: _write(solution, fields, Path(path)))
     return fields.magnification
 
@@ -120,7 +120,7 @@ def show_period(
     --------
     >>> fc.show_period(solution)  # doctest: +SKIP
     """
-    fields = PeriodFields.of(solution, frames, magnification, material)
+    fields = PeriodFields(solution, frames, magnification, material)
 
     def show() -> None:
         if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):

@@ -150,7 +150,7 @@ class Picture:
 def distinct_colours(count: int) -> list[str]:
     """Colours for some lines: those of :data:`COLOURS`, of more a sequence from dark to light."""
     if count <= len(COLOURS):
-        return list(COLOURS)[:count]
+        return list(COLOURS.values())[:count]
     return [to_hex(colour) for colour in colormaps["viridis"](np.linspace(0.0, 0.95, count))]
 
 

@@ -8,7 +8,6 @@ own, so nothing is averaged across the crack.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
@@ -70,45 +69,52 @@ def write_modes(modes: Modes, path: str | Path) -> None:
     on_root(mesh.structure.comm, write)
 
 
-@dataclass(frozen=True)
 class PeriodFields:
-    """Nodal fields of a vibration at n instants of one period, on every rank."""
+    """Nodal fields of a vibration at n instants of one period, on every rank (collective to make).
 
-    mesh: NodalMesh
-    time: np.ndarray  # (n,) [s], equally spaced from 0; the period itself is left out
-    displacement: np.ndarray  # (n, n_nodes, 2) [m], true to scale
-    force: np.ndarray  # (n, n_pairs) [N], of the contact
-    areas: np.ndarray  # (n_pairs,) [m^2], of one lip
-    load: np.ndarray  # (n, n_nodes, 2) [N]
-    pair_nodes: np.ndarray  # (n_nodes, n_pairs), 1 where a node belongs to a pair, else 0
-    magnification: float  # of the displacement in pictures
-    material: Material | None  # for stresses
+    Parameters are those of :func:`write_period`.
 
-    @classmethod
-    def of(
-        cls,
+    Attributes
+    ----------
+    mesh : NodalMesh
+        The whole mesh.
+    time : (n,) [s]
+        Equally spaced from 0; the period itself is left out.
+    displacement, load : (n, n_nodes, 2) [m], [N]
+        True to scale.
+    force, areas : (n, n_pairs) [N], (n_pairs,) [m^2]
+        Of the contact, and of one lip.
+    pair_nodes : (n_nodes, n_pairs)
+        1 where a node belongs to a pair, else 0.
+    magnification : float
+        Of the displacement in pictures.
+    material : Material or None
+        For stresses.
+    """
+
+    def __init__(
+        self,
         solution: PeriodicSolution,
         frames: int = 36,
         magnification: float | None = None,
         material: Material | None = None,
-    ) -> PeriodFields:
-        """The fields of a solution, arguments as of :func:`write_period` (collective)."""
+    ) -> None:
         check_count("frames", frames, 1)
         if magnification is not None:
             check_number("magnification", magnification, 0.0, above=True)
         if material is not None and not isinstance(material, Material):
             raise InputError("material", material, "that of a scene (scene.material), or None")
         structure = solution.structure.whole
-        mesh = NodalMesh(structure)
-        time = np.arange(frames) * solution.period / frames
-        displacement = mesh.field(solution.displacement_field(time))
-        magnification = float(magnification or _tenth(displacement, mesh.size))
-        force, areas = solution.contact_force(time), structure.pair_areas
-        load = evaluate(mesh.field(structure.force).reshape(3, -1), solution.omega, time)
-        load = load.reshape(displacement.shape)
-        assert areas is not None
-        nodes = _nodes_of_pairs(structure)
-        return cls(mesh, time, displacement, force, areas, load, nodes, magnification, material)
+        self.mesh, self.material = NodalMesh(structure), material
+        assert structure.pair_areas is not None
+        self.time = np.arange(frames) * solution.period / frames
+        self.displacement = self.mesh.field(solution.displacement_field(self.time))
+        self.magnification = float(magnification or _tenth(self.displacement, self.mesh.size))
+        self.force, self.areas = solution.contact_force(self.time), structure.pair_areas
+        parts = self.mesh.field(structure.force).reshape(3, -1)
+        load = evaluate(parts, solution.omega, self.time)
+        self.load = load.reshape(self.displacement.shape)
+        self.pair_nodes = _nodes_of_pairs(structure)
 
     def shown(self, frame: int) -> np.ndarray:
         """The magnified displacement of a frame: (n_nodes, 2) [m]."""
@@ -239,7 +245,7 @@ def write_period(
     >>> magnification = fc.write_period(solution, "crack.pvd", frames=4)
     """
     begin(Path(path).name)
-    fields = PeriodFields.of(solution, frames, magnification, material)
+    fields = PeriodFields(solution, frames, magnification, material)
     target = Path(path)
 
     def write() -> None:

@@ -71,10 +71,8 @@ def draw_mesh(structure: Structure, **where: Unpack[Where]) -> Figure:
         (mesh.lips, COLOURS["orange"], 2.2, "lips of the crack"),
     ):
         if len(edges):
-            lines = LineCollection(mesh.points[edges], colors=colour, linewidths=width)
-            panel.add_collection(lines)
-        if len(edges) and label:
-            panel.plot([], [], color=colour, lw=width, label=label)
+            look = {"colors": colour, "linewidths": width, "label": label}
+            panel.add_collection(LineCollection(mesh.points[edges], **look))
     pairs = mesh.structure.pair_points
     if pairs is not None and len(pairs):
         look = {"color": COLOURS["blue"], "ms": 3.0, "zorder": 3}

@@ -157,10 +157,9 @@ def _stems(
         shift = step * (number - 0.5 * (len(series) - 1)) / loads
         kept = np.flatnonzero(values >= bottom)
         order, shown = kept / loads + shift, values[kept]
-        ink = COLOURS.get(colour, colour)
         if most <= MANY_STEMS:
-            axes.vlines(order, bottom, shown, color=ink, lw=1.2)
-        axes.plot(order, shown, marker, color=ink, ms=size, label=label)
+            axes.vlines(order, bottom, shown, color=colour, lw=1.2)
+        axes.plot(order, shown, marker, color=colour, ms=size, label=label)
     axes.set_xlim(-0.5, highest + 0.5)
     axes.set_yscale("log")
     axes.set_ylim(bottom, top * (top / bottom) ** 0.08)

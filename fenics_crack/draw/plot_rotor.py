@@ -135,7 +135,7 @@ def draw_arrivals(
     steady, turns = arrivals.steady, arrivals.first + np.arange(len(arrivals))
     place = turns if steady else pace * arrivals.speed
     size = 3.0 if len(arrivals) > 100 else 4.5
-    colours = [COLOURS.get(name, name) for name in distinct_colours(len(arrivals.probes))]
+    colours = distinct_colours(len(arrivals.probes))
     columns = zip(arrivals.displacement.T, arrivals.probes, colours, cycle("osD^vPX"), strict=False)
     for column, probe, colour, marker in columns:
         label = f"probe at {np.degrees(probe):.4g}°"

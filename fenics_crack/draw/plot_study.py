@@ -80,7 +80,7 @@ def draw_posterior(
         shown = np.log(np.maximum(density.T, EMPTY))
         if shown.max() <= levels[0]:
             continue
-        look: dict[str, Any] = {"colors": COLOURS.get(colour, colour)}
+        look: dict[str, Any] = {"colors": colour}
         panel.contour(
             right, up, shown, levels=levels, linewidths=[0.6, 1.2, 1.8], linestyles="solid", **look
         )

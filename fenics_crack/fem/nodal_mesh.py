@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from fenics_crack.errors import InputError
 from fenics_crack.fem.lips import cell_edges
@@ -72,6 +71,8 @@ class NodalMesh:
     @cached_property
     def lips(self) -> np.ndarray:
         """Edges of the boundary that coincide with another one: the lips, likewise."""
+        from scipy.spatial import cKDTree  # takes a while, for some pictures
+
         middle = self.points[self.boundary[:, [0, -1]]].mean(axis=1)
         pairs = cKDTree(middle).query_pairs(1e-6 * self.size, output_type="ndarray")
         return np.asarray(self.boundary[np.unique(pairs)])

@@ -10,6 +10,8 @@
 #include "lapack.h"
 #include "switching.h"
 
+#define STIFF 1e6 /* k R from which a small residual of a solution with J tells little of its error */
+
 struct contact_point {
     dense common;
     contact_pairs of;
@@ -215,15 +217,28 @@ static double sign(equations *own)
     return ((contact_point *)own)->of.formed ? sign_of_dense(own) : NAN;
 }
 
+/* Largest k R of pairs that nothing couples, at p = 0. */
+static double largest_product(contact_point *at)
+{
+    double stiffest = 0.0;
+    set_compliance(at, 0.0);
+    for (int i = 0; i < at->of.seen.pairs; i++) stiffest = fmax(stiffest, at->stiffness[i]);
+    return stiffest * largest_row(at->seen, 0.0);
+}
+
 /* What pairs need whose forces are their own, or those of coupled ones: 0, or 1 without memory. */
 static int make_forces(contact_point *at)
 {
     const contact_pairs *of = &at->of;
     equations *own = &at->common.own;
     own->products = !of->formed || own->unknowns > MANY;
+    if (of->coupled) {
+        at->forces = new_coupled_forces(of->seen.harmonics, of->seen.pairs);
+    } else {
+        switching_waves(of->seen.harmonics, at->waves);
+        own->products = own->products && largest_product(at) < STIFF;
+    }
     if (own->products) at->inverse = new_krylov(own->unknowns);
-    if (of->coupled) at->forces = new_coupled_forces(of->seen.harmonics, of->seen.pairs);
-    else switching_waves(of->seen.harmonics, at->waves);
     return (of->coupled && !at->forces) || (own->products && !at->inverse);
 }
 

@@ -253,11 +253,11 @@ static double root_within(const double *cubic)
 }
 
 /* The same with room (3, n). */
-static int between(equations *at, int n, const stepping *how, int most, const double *target,
-                   path *ends, double *room)
+static int between(equations *at, int n, const stepping *how, const double *target, path *ends,
+                   double *room)
 {
     int first = 0, last = 1, next = 2, halve = 0;
-    for (int count = 0; count < most; count++) {
+    for (int count = 0; count < DBL_MANT_DIG; count++) {
         const double *here = ends->unknowns + (size_t)first * n;
         const double *there = ends->unknowns + (size_t)last * n;
         const double *tangent = ends->tangents + (size_t)first * n;
@@ -304,11 +304,11 @@ static int between(equations *at, int n, const stepping *how, int most, const do
     return NOT_FOUND;
 }
 
-int find_between(equations *at, const stepping *how, int most, const double *target, path *ends)
+int find_between(equations *at, const stepping *how, const double *target, path *ends)
 {
     const int n = at->unknowns;
     double *room = malloc(3 * (size_t)n * sizeof(double));
-    const int outcome = room ? between(at, n, how, most, target, ends, room) : NO_MEMORY;
+    const int outcome = room ? between(at, n, how, target, ends, room) : NO_MEMORY;
     free(room);
     return outcome;
 }

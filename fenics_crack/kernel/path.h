@@ -32,8 +32,8 @@ typedef struct {
 int follow(equations *at, const stepping *how, path *points);
 
 /* The point between two, the first rows of `ends` (3 rows), where the parameter turns back, or
- * unless NULL where it is a target, to a distance how->shortest, by at most so many points; its row
- * is then ends->known. Returns FOUND, or why not. */
-int find_between(equations *at, const stepping *how, int most, const double *target, path *ends);
+ * unless NULL where it is a target, to a distance how->shortest; its row is then ends->known. Returns
+ * FOUND, or why not. */
+int find_between(equations *at, const stepping *how, const double *target, path *ends);
 
 #endif

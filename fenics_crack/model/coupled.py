@@ -147,42 +147,17 @@ def smooth_forces(
     law: ContactLaw, compliance: np.ndarray, gap: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """lambda = h(s - D lambda) of gaps s (n, n_pairs), and its derivative by s (n, n_pairs,
-    n_pairs), for a law whose force does not fall where the gap grows.
+    n_pairs), for a law whose force does not fall where the gap grows, from the penalty law's
+    solution.
 
-    Newton's method in g = s - D lambda at all instants together, from the penalty law's solution;
-    where the residual of an instant grows, its step is halved. Raises ConvergenceError where that
-    does not lead to a solution.
+    Raises ConvergenceError as :func:`solve_forces`.
     """
     springs = np.broadcast_to(1.0 / np.asarray(law.stiffness, dtype=float), gap.shape[1:])
-    closed = gap - ActiveSets(compliance + np.diag(springs)).solve(gap)[0] @ compliance
-    unit, allowed = np.eye(gap.shape[1]), ROUNDING * float(np.abs(gap).max(initial=0.0))
-    left, share = np.arange(len(gap)), np.ones(len(gap))
-    change = np.zeros_like(gap)
-    before = np.full(len(gap), np.inf)
-    for _ in range(MAX_NEWTON):
-        here = closed[left]
-        force = law.force(here)
-        residual = here + force @ compliance - gap[left]
-        size = np.abs(residual).max(axis=1)
-        worse = ~(size < before[left])
-        share[left[worse]] *= 0.5
-        closed[left[worse]] -= share[left[worse], None] * change[left[worse]]
-        good = left[~worse]
-        if len(good):
-            before[good] = size[~worse]
-            jacobian = unit + compliance * law.tangent(here[~worse])[:, None, :]
-            step = np.linalg.solve(jacobian, -residual[~worse][:, :, None])[:, :, 0]
-            change[good], share[good] = step, 1.0
-            closed[good] += step
-        done = (before[left] <= 4.0 * allowed) | (share[left] < 1e-6)
-        left = left[~done]
-        if not len(left):
-            break
-    if len(left) or np.any(before > 1e-6 * np.abs(gap).max(initial=0.0)):
-        raise ConvergenceError("contact: no forces of the law were found at an instant")
-    slope = law.tangent(closed)
-    jacobian = unit + compliance * slope[:, None, :]
-    return law.force(closed), slope[:, :, None] * np.linalg.inv(jacobian)
+    guess = ActiveSets(compliance + np.diag(springs)).solve(gap)[0]
+    force = solve_forces(lambda g: (law.force(g), law.tangent(g)), compliance, gap, guess)
+    slope = law.tangent(gap - force @ compliance)
+    jacobian = np.eye(gap.shape[1]) + compliance * slope[:, None, :]
+    return force, slope[:, :, None] * np.linalg.inv(jacobian)
 
 
 def solve_forces(
@@ -191,51 +166,64 @@ def solve_forces(
     gap: np.ndarray,
     guess: np.ndarray,
 ) -> np.ndarray:
-    """Find lambda = h(g - D lambda) by Newton's method, D symmetric and positive definite: (n,).
+    """Find lambda = h(s - D lambda) of gaps s (n, n_pairs), D symmetric, by Newton's method at all
+    instants together: (n, n_pairs).
 
     ``response`` gives h(g) and its derivative, pair by pair; h may not fall where g grows. The
     solution is then the minimum of a convex function, whose slope along a step shortens steps that
     go too far. Raises ConvergenceError where Newton's method fails.
     """
 
-    def evaluate(force: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        reached = gap - matrix @ force
+    def evaluate(force: np.ndarray, given: np.ndarray) -> tuple[np.ndarray, ...]:
+        reached = given - force @ matrix
         return (reached, *response(reached))
 
-    force, (reached, found, tangent) = guess, evaluate(guess)
+    found, left = np.array(guess), np.arange(len(gap))
+    unit, (reached, answer, tangent) = np.eye(gap.shape[1]), evaluate(found, gap)
     for _ in range(MAX_NEWTON):
-        excess = force - found
+        force, given = found[left], gap[left]
+        excess = force - answer
         if not np.any(excess):
-            return force
-        jacobian = np.eye(len(gap)) + tangent[:, None] * matrix
+            return found
         try:
-            change = np.linalg.solve(jacobian, -excess)
+            change = -np.linalg.solve(unit + tangent[:, :, None] * matrix, excess[:, :, None])
         except np.linalg.LinAlgError:
             break
-        if not np.all(np.isfinite(change)):
+        moved, trial = change[:, :, 0] @ matrix, force + change[:, :, 0]
+        if not np.all(np.isfinite(trial)):
             break
-        moved, trial = matrix @ change, force + change
-        if np.abs(moved).max() <= ROUNDING * (np.abs(gap).max() + np.abs(gap - reached).max()):
-            return trial
-        slope, (reached, found, tangent) = float(moved @ excess), evaluate(trial)
-        if slope < 0.0 and moved @ (trial - found) > -0.1 * slope:
-            trial = force + _lowest(evaluate, force, change, moved) * change
-            reached, found, tangent = evaluate(trial)
-        force = trial
+        found[left] = trial
+        size = (np.abs(given) + np.abs(given - reached)).max(axis=1)
+        more = np.abs(moved).max(axis=1) > ROUNDING * size
+        if not np.any(more):
+            return found
+        left, force, moved, given = left[more], force[more], moved[more], given[more]
+        slope = np.sum(moved * excess[more], axis=1)
+        reached, answer, tangent = evaluate(found[left], given)
+        ends = np.sum(moved * (found[left] - answer), axis=1)
+        too_far = np.flatnonzero((slope < 0.0) & (ends > -0.1 * slope))
+        for row in too_far:
+            at = slice(row, row + 1)
+            step = found[left[at]] - force[at]
+            found[left[at]] = force[at] + _lowest(evaluate, force[at], step, given[at]) * step
+        if len(too_far):
+            reached, answer, tangent = evaluate(found[left], given)
     raise ConvergenceError("contact: Newton's method for the forces of a step does not converge")
 
 
 def _lowest(
-    evaluate: Callable[[np.ndarray], tuple[np.ndarray, ...]],
+    evaluate: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, ...]],
     force: np.ndarray,
-    change: np.ndarray,
-    moved: np.ndarray,
+    step: np.ndarray,
+    gap: np.ndarray,
 ) -> float:
-    """Share of a step where the convex function is lowest along it; D times the step is given."""
+    """Share of a step (1, n_pairs) where the convex function is lowest along it."""
     import scipy.optimize
 
+    moved = evaluate(force, gap)[0] - evaluate(force + step, gap)[0]  # D times the step
+
     def slope(share: float) -> float:
-        trial = force + share * change
-        return float(moved @ (trial - evaluate(trial)[1]))
+        trial = force + share * step
+        return float(np.sum(moved * (trial - evaluate(trial, gap)[1])))
 
     return float(scipy.optimize.brentq(slope, 0.0, 1.0, xtol=1e-6))

@@ -1,4 +1,4 @@
-"""Direct solution of sparse linear systems: MUMPS and CHOLMOD through PETSc, on local rows.
+"""Direct solution of sparse linear systems by libraries that PETSc calls, on local rows.
 
 A stiffness whose lip pairs are tied, so that the relative normal motion of each is zero,
 
@@ -47,7 +47,7 @@ def weighted_sum(first: Any, weight: float, second: Any) -> Any:
     """Return the matrix first + weight * second, whatever their patterns (collective)."""
     total = first.copy()
     total.axpy(weight, second, PETSc.Mat.Structure.DIFFERENT_NONZERO_PATTERN)
-    clean = total.copy()  # PETSc's own LU misreads the rows of a pattern that axpy has changed
+    clean = total.copy()  # factorisations misread the rows of a pattern that axpy has changed
     total.destroy()
     return clean
 
@@ -62,8 +62,8 @@ class Factor:
     symmetric : bool
         Factor as L D L^T, which halves the work and counts the negative eigenvalues.
     definite : bool
-        No eigenvalue is negative: on one rank CHOLMOD then solves in half the time of MUMPS. Where
-        it meets a pivot of zero, MUMPS factors again.
+        x^T A x is nowhere negative: on one rank CHOLMOD, or UMFPACK if A is not symmetric, then
+        solves in half the time of MUMPS. Where it meets a pivot of zero, MUMPS factors again.
     border : (n_local, m), optional
         Independent columns of B: solutions x have B^T x = 0.
 
@@ -88,7 +88,7 @@ class Factor:
         self._kind, self._by_mumps = "cholesky" if symmetric else "lu", False
         if definite and border is None and matrix.comm.size == 1:
             try:
-                self._set_up("cholmod")
+                self._set_up("cholmod" if symmetric else "umfpack")
                 return
             except PETSc.Error:
                 self._free()

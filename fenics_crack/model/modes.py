@@ -9,7 +9,6 @@ on the space of motions with B^T phi = 0 (:mod:`fenics_crack.model.factor`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from numbers import Integral
 from typing import Any, ClassVar
@@ -33,7 +32,6 @@ __all__ = [
     "ROUNDING",
     "DampedModes",
     "Modes",
-    "by_columns",
     "check_damped_modes",
     "damped_modes",
     "damped_range",
@@ -176,6 +174,9 @@ def _space(structure: Structure, ties: Any) -> int:
 def modes_by(factor: Factor, structure: Structure, count: int, ties: Any = None) -> Modes:
     """The same of a structure with mass everywhere, by the factor of its stiffness; ``ties`` are
     the independent columns of B where lips are tied."""
+    kept = structure.once(_lowest) if ties is None else []
+    if kept and len(kept[0]) >= count:
+        return Modes(kept[0][:count], kept[1][:, :count], structure)
     quotients = structure.stiffness.getDiagonal().array_r / structure.mass.getDiagonal().array_r
     quotients = gather_rows(structure.comm, quotients)  # [rad^2/s^2]
     scale = float(np.min(quotients[quotients > 0.0], initial=np.inf))
@@ -196,7 +197,14 @@ def modes_by(factor: Factor, structure: Structure, count: int, ties: Any = None)
     squares[squares <= ROUNDING * max(np.max(quotients), scale)] = 0.0
     omega, shapes = np.sqrt(squares[:count]), shapes[:, :count]
     shapes *= _signs(structure, shapes)
+    kept[:] = omega, shapes
     return Modes(omega, shapes, structure)
+
+
+def _lowest(structure: Structure) -> list[np.ndarray]:
+    """Frequencies and shapes of the most modes that a structure has been asked for, lips open; it
+    is not held by them itself, which would keep it alive."""
+    return []
 
 
 class _Inverse:
@@ -303,16 +311,11 @@ def largest_frequency(structure: Structure) -> float:
 
 def times(matrix: Any, columns: np.ndarray) -> np.ndarray:
     """A X for a PETSc matrix and the columns of X (n_local, m) (collective)."""
-    return by_columns(matrix.mult, matrix, columns)
-
-
-def by_columns(apply: Callable[[Any, Any], None], matrix: Any, columns: np.ndarray) -> np.ndarray:
-    """Apply what PETSc does to one vector of a matrix's layout to columns (n_local, m)."""
     source, target = matrix.createVecs()
     found = np.empty_like(columns)
     for column in range(columns.shape[1]):
         source.array_w[:] = columns[:, column]
-        apply(source, target)
+        matrix.mult(source, target)
         found[:, column] = target.array_r
     source.destroy()
     target.destroy()

@@ -10,7 +10,6 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-import scipy.fft
 from numpy.typing import ArrayLike
 
 __all__ = [
@@ -72,6 +71,8 @@ def sampled(coefficients: np.ndarray, count: int) -> np.ndarray:
     if len(coefficients) * count <= AS_MATRIX:
         waves, _ = _waves(len(coefficients) // 2, count)
         return _product(waves, coefficients)
+    import scipy.fft  # takes a while, and long series alone need it
+
     spectrum = 0.5 * count * to_complex(coefficients)
     spectrum[0] *= 2.0
     return np.asarray(scipy.fft.irfft(spectrum, n=count, axis=0))
@@ -82,6 +83,8 @@ def balanced(values: np.ndarray, harmonics: int) -> np.ndarray:
     if (2 * harmonics + 1) * len(values) <= AS_MATRIX:
         _, means = _waves(harmonics, len(values))
         return _product(means, values)
+    import scipy.fft
+
     spectrum = scipy.fft.rfft(values, axis=0)[: harmonics + 1] * (2.0 / len(values))
     spectrum[0] *= 0.5
     return from_complex(spectrum)
@@ -91,8 +94,11 @@ def instants(harmonics: int) -> int:
     """As few equally spaced instants as products of waves of H and 2H harmonics need, or a few more
     with which an FFT is fast."""
     least = 4 * harmonics + 1
-    small = (2 * harmonics + 1) * least <= AS_MATRIX
-    return least if small else int(scipy.fft.next_fast_len(least, real=True))
+    if (2 * harmonics + 1) * least <= AS_MATRIX:
+        return least
+    import scipy.fft
+
+    return int(scipy.fft.next_fast_len(least, real=True))
 
 
 @lru_cache(maxsize=16)

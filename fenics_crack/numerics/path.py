@@ -46,7 +46,7 @@ from fenics_crack.numerics.bordered import (
 )
 from fenics_crack.numerics.equations import equations_of
 from fenics_crack.numerics.linearisation import System
-from fenics_crack.numerics.rounding import ROUNDING
+from fenics_crack.numerics.rounding import EPSILON, ROUNDING
 
 __all__ = [
     "SHARP",
@@ -67,16 +67,9 @@ ALIKE = 0.9
 """Cosine of an angle up to which two directions are taken for one, where a path closes."""
 SHARP = 1e-11
 """|F| / |x| of what is located between two points."""
-BETWEEN = 30
-"""Points tried for that."""
-NEAR = 1e-8
+NEAR = EPSILON**0.5
 """Distance to a point of a path at which it counts as found: where the parameter turns, it is then
 known to the square of that."""
-LANDING = 1e-4
-"""Distance from which the solution at a target is solved for at its own value."""
-AGAIN = 4
-"""How often a target is sought by steps of a quarter, where a long one may have met another part of
-the path."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +83,7 @@ class PathOptions:
     max_steps: int = 1000
     rtol: float = 1e-9
     """|F| / |x| of the points; where steps are short, they are solved for more sharply."""
-    min_cosine: float = 0.5
+    min_cosine: float = 0.85
     """Of the angle between neighbouring tangents."""
     rounding: float = ROUNDING
     """Below which |F| / |x| does not fall, if the system does not tell (``rounding``)."""
@@ -103,11 +96,15 @@ class PathOptions:
 class Ended(Enum):
     """How a path has ended."""
 
-    MET = "an event"
+    MET = "reached the end"
     LOST = "no solution at the very end"
-    LEFT = "left the range of the parameter"
-    MANY = "more points than allowed"
+    LEFT = "turned back past its start"
+    MANY = "{most} points were not enough"
     SHORT = "the steps became too short"
+
+    def told(self, most: int) -> str:
+        """In words, where there were so many points at most."""
+        return str(self.value).format(most=most)
 
 
 class Stretch(Sequence[PathPoint]):
@@ -277,7 +274,7 @@ class Fold(Crossing):
         return np.asarray(points.slopes[1:] * points.slopes[:-1] < 0.0)
 
     def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
-        return _between(system, ends, None, rtol, NEAR) or super().locate(system, ends, rtol)
+        return _between(system, ends, None, rtol) or super().locate(system, ends, rtol)
 
 
 @dataclass(frozen=True)
@@ -285,14 +282,14 @@ class Target(Event):
     """Where the parameter has a value."""
 
     parameter: float
-    terminal, told = True, "reached the end"
+    terminal, told = True, Ended.MET.value
 
     def between(self, points: Stretch) -> np.ndarray:
         off = points.parameters - self.parameter
         return np.asarray((off[:-1] != 0.0) & (off[1:] * off[:-1] <= 0.0))
 
     def locate(self, system: System, ends: Ends, rtol: float) -> PathPoint | None:
-        near = _between(system, ends, self.parameter, rtol, LANDING)
+        near = _between(system, ends, self.parameter, rtol)
         if near is None:
             return None
         found = solve_at(system, near.unknown, self.parameter, tolerance=rtol)
@@ -330,20 +327,18 @@ class Closed(Event):
         return origin if same else None
 
 
-def _between(
-    system: System, ends: Ends, target: float | None, rtol: float, near: float
-) -> PathPoint | None:
+def _between(system: System, ends: Ends, target: float | None, rtol: float) -> PathPoint | None:
     """The point between two others of a path where the parameter turns back, or where it is a
-    ``target``, to a distance; None where it is not found.
+    ``target``; None where it is not found.
 
     Where the next point is looked for follows from Hermite's cubic polynomial p(s) through the two
     points that enclose it, with s along the tangent of the first one.
     """
     equations, found = equations_of(system, ends[0].unknown.shape), Stretch(ends, 3)
-    how = Struct("stepping", shortest=near, newton=_newton(rtol))
+    how = Struct("stepping", shortest=NEAR, newton=_newton(rtol))
     wanted = NULL if target is None else doubles(np.array([target]))
     path = found.struct(2)
-    outcome = equations.run(kernel.find_between, how.at, BETWEEN, wanted, path.at)
+    outcome = equations.run(kernel.find_between, how.at, wanted, path.at)
     return found[path.at.known] if equations.check(outcome) else None
 
 
@@ -395,7 +390,7 @@ class Path:
         """How it has ended, in words."""
         if self.event is not None:
             return self.event.told
-        return "under way" if self.ended is None else self.ended.value
+        return "under way" if self.ended is None else self.ended.told(self._options.max_steps)
 
     def points(self) -> Iterator[PathPoint]:
         """One point after the other."""
@@ -409,7 +404,7 @@ class Path:
         return self.last if self.ended is Ended.MET else None
 
     def __iter__(self) -> Iterator[Stretch]:
-        left, again = self._options.max_steps, AGAIN
+        left = self._options.max_steps
         while self.ended is None:
             if not left:
                 self.ended = Ended.MANY
@@ -422,10 +417,9 @@ class Path:
                 left -= len(found)
                 if place is None:
                     self._remember(found)
-                elif not again:
+                elif stretch.lengths[place + 1] < 4.0 * self._options.min_step:
                     self.ended = Ended.LOST
-                else:  # back, and on by a shorter step
-                    again -= 1
+                else:  # back, and on by a shorter step: a long one may have met another part
                     self._begin(stretch[place], 0.25 * float(stretch.lengths[place + 1]))
                 if len(found):
                     self.last = found[-1]

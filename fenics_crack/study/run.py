@@ -166,8 +166,9 @@ def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution
     return solve_prepared(prepare(scene, comm, whole=True))
 
 
-def solve_prepared(whole: Study) -> Run[PeriodicSolution]:
-    """The same of a scene that is prepared; reduced, if its modes are chosen (collective)."""
+def solve_prepared(whole: Study, initial: PeriodicSolution | None = None) -> Run[PeriodicSolution]:
+    """The same of a scene that is prepared; reduced, if its modes are chosen (collective).
+    Without a tolerance it is sought from a solution of the same structure, if there is one."""
     scene, law = whole.scene, whole.contact
     omega, table = scene.excitation.omega, scene.harmonic_balance
     if law is None:
@@ -176,9 +177,9 @@ def solve_prepared(whole: Study) -> Run[PeriodicSolution]:
         return Run(**vars(study), result=linear)
     if table.tolerance is None:
         study = reduced(whole)
-        samples = table.samples
+        how: dict[str, Any] = {"harmonics": table.harmonics, "samples": table.samples}
         solution = solve_harmonic_balance(
-            study.structure, omega, law, harmonics=table.harmonics, samples=samples, throw=False
+            study.structure, omega, law, **how, initial=initial, throw=False
         )
     else:
         study, solution = _solve_to_tolerance(whole, law, table.tolerance)

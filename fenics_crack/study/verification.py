@@ -314,7 +314,7 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
         study = prepare(scene, comm, whole=True)
         own = solve_prepared(study)
         if scene.harmonic_balance.tolerance is not None and own.result.converged:
-            own = solve_prepared(_varied(own, _settled(own)))
+            own = solve_prepared(_varied(own, _settled(own)), own.result)
     if not own.result.converged:
         raise ConvergenceError(f"{OWN}: {own.result.status}")
     study = replace(study, scene=_settled(own))
@@ -330,10 +330,11 @@ def verify(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Verification:
             (unknown if cause == "mesh" else absent)[cause] = found
             continue
         levels = [(found.counts[0] or _elements(own.structure.whole), first)]
-        for (name, finer), count in zip(found.finer.items(), found.counts[1:], strict=True):
+        finest_first = list(zip(found.finer.items(), found.counts[1:], strict=True))[::-1]
+        for (name, finer), count in finest_first:  # few modes are among many
             run = _finer_run(name, finer, found.shared, comm, failures)
             if run is not None:
-                levels.append((count or _elements(run.structure.whole), _answer(run)[0]))
+                levels.insert(1, (count or _elements(run.structure.whole), _answer(run)[0]))
                 verdicts |= _doubtful(name, run)
         many = tuple(count for count, _ in levels)
         if len(many) == 1:
@@ -485,11 +486,13 @@ def _more(shared: Study, scene: Scene, key: str, own: int, most: int, formal: fl
 def _finer_run(
     name: str, scene: Scene, shared: Study | None, comm: MPI.Comm, failures: list[str]
 ) -> Run[PeriodicSolution] | None:
-    """The run of a finer scene; None, and its failure, where it does not converge (collective)."""
+    """The run of a finer scene, from the solution that it shares a structure with; None, and its
+    failure, where it does not converge (collective)."""
+    initial = shared.result if isinstance(shared, Run) else None
     with within(name):
         try:
             varied = prepare(scene, comm, whole=True) if shared is None else _varied(shared, scene)
-            run = solve_prepared(varied)
+            run = solve_prepared(varied, initial)
             if run.result.converged:
                 return run
             failures.append(f"{name}: {run.result.status}")

@@ -19,6 +19,7 @@ from mpi4py import MPI
 from tqdm import tqdm
 
 from fenics_crack.errors import InputError
+from fenics_crack.files.store import Stored
 from fenics_crack.parallel import StopRequest
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.run import REFUSALS
@@ -121,11 +122,9 @@ class Worker:
                 return solve_chunk(built, chunk, self._verdicts)
             except Exception:
                 return _unforeseen()
-        refused = built is None or isinstance(built, REFUSALS)
         large = isinstance(built, InputError) and built.key == "reduction.method"
-        if refused and not (large and self._hopeless):
+        if built is None or (isinstance(built, REFUSALS) and not (large and self._hopeless)):
             return all_failed(chunk, str(built))
-        assert built is not None
         return built
 
 
@@ -162,8 +161,8 @@ class Manager:
     """What is left of a sweep, and its file; on rank 0."""
 
     def __init__(self, plan: Plan, file: SweepFile, groups: int, *, progress: bool) -> None:
-        self.error: BaseException | None = None
-        self._plan, self.file, self._groups = plan, file, groups
+        self._error: BaseException | None = None
+        self._plan, self._file, self._groups = plan, file, groups
         left = {
             number: [chunk for chunk in chunks if np.any(file.state.flat[chunk] == PENDING)]
             for number, chunks in enumerate(plan.geometries)
@@ -181,11 +180,11 @@ class Manager:
         self._bar = tqdm(total=file.state.size, initial=done, **how)
 
     @property
-    def error_for_others(self) -> BaseException | None:
-        """The error that the other ranks raise."""
-        if self.error is None or isinstance(self.error, InputError | KeyboardInterrupt):
-            return self.error
-        return RuntimeError(f"the sweep ended on rank 0: {self.error}")
+    def stored(self) -> Stored:
+        """The file's header, when all is done; raises the error that has ended the sweep."""
+        if self._error is not None:
+            raise self._error
+        return self._file.stored
 
     def run(self, worker: Worker, leaders: MPI.Comm, stop: StopRequest) -> None:
         """See that all jobs are done, and close the file; an error is kept."""
@@ -194,7 +193,7 @@ class Manager:
         def go_on() -> bool:
             while self._given_out and leaders.iprobe():
                 self._hear(leaders)
-            return self.error is None and not stop.asked(MPI.COMM_SELF)
+            return self._error is None and not stop.asked(MPI.COMM_SELF)
 
         try:
             for group in others:
@@ -263,7 +262,7 @@ class Manager:
             self._fail(outcome)
             return
         try:
-            self.file.record(numbers, outcome)
+            self._file.record(numbers, outcome)
         except InputError as error:
             self._fail(error)
             return
@@ -275,14 +274,14 @@ class Manager:
 
     def _fail(self, error: BaseException) -> None:
         """End the sweep with an error; the first one counts."""
-        self.error = self.error or error
+        self._error = self._error or error
         self._left.clear()
 
     def _close(self) -> None:
         """Close the file; after an error remove it if it is new and empty."""
         self._bar.close()
-        useless = self.file.made and self._recorded == 0 and self.error is not None
+        useless = self._file.made and self._recorded == 0 and self._error is not None
         try:
-            self.file.close(remove=useless)
+            self._file.close(remove=useless)
         except InputError as error:
             self._fail(error)

@@ -138,10 +138,7 @@ def run_sweep(
             worker.follow()
     leaders.Free()
     group.Free()
-    error = comm.bcast(managers[0].error_for_others if managers else None)
-    if error is not None:
-        raise (managers[0].error if managers else None) or error
-    return on_root(comm, lambda: SweepResult.of(managers[0].file.stored))
+    return on_root(comm, lambda: SweepResult.of(managers[0].stored))
 
 
 def _ranks_of_a_case(scene: Scene, comm: MPI.Comm) -> int:

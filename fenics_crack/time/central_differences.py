@@ -52,12 +52,12 @@ from fenics_crack.model.contact import ContactLaw, check_law, is_piecewise_linea
 from fenics_crack.model.coupled import ActiveSets, solve_complementarity
 from fenics_crack.model.factor import weighted_sum
 from fenics_crack.model.modal import all_modes, is_small
-from fenics_crack.model.modes import by_columns, largest_frequency
+from fenics_crack.model.modes import largest_frequency
 from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure
 from fenics_crack.parallel import collect_garbage
 from fenics_crack.time.march import March, Scheme, TimeHistory, Window, march
-from fenics_crack.time.steps import LoopedSteps, inverse_of
+from fenics_crack.time.steps import LoopedSteps
 
 __all__ = ["integrate_central_difference", "stable_steps_per_period"]
 
@@ -306,7 +306,7 @@ class _CentralDifferences(LoopedSteps):
         elif self._damping is not None:
             matrix = weighted_sum(structure.mass, 0.5 * dt, self._damping)
             self._mixed = weighted_sum(structure.mass, -0.5 * dt, self._damping)
-        self._inverse = inverse_of(matrix, symmetric=self._mixed is None)
+        self._inverse = self._factored(matrix)
         self.owned = self._u, self._r, self._a, self._d, self._x, self._y, self._inverse
         if self.rigid:
             self._push, self._modal_push = self._response()
@@ -316,8 +316,8 @@ class _CentralDifferences(LoopedSteps):
     def _response(self) -> tuple[np.ndarray, np.ndarray]:
         """Parts that unit forces on the pairs take from the increment (n_local, n_pairs) and q."""
         dt2 = self.step_size**2
-        pairs = self.structure.gap.toarray()
-        push = dt2 * by_columns(self._inverse.apply, self.structure.mass, pairs)
+        pairs = self.structure.gap.T.toarray()
+        push = dt2 * self._inverse.solve(pairs).T
         if self._modes is None:
             return push, np.zeros((0, self.structure.n_pairs))
         pushed = dt2 * self.structure.apply_bt(self._modes.shapes.T)

@@ -63,12 +63,11 @@ import numpy as np
 from fenics_crack.errors import InputError, check_number
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.coupled import solve_complementarity, solve_forces
-from fenics_crack.model.factor import weighted_sum
-from fenics_crack.model.modes import by_columns
+from fenics_crack.model.factor import factored_sum, weighted_sum
 from fenics_crack.model.reduced import INSTEAD, check_mass
 from fenics_crack.model.structure import Structure
 from fenics_crack.time.march import EnergyBalance, March, TimeHistory, Window, march
-from fenics_crack.time.steps import LoopedSteps, inverse_of, solve_once
+from fenics_crack.time.steps import LoopedSteps
 
 __all__ = ["integrate_implicit"]
 
@@ -160,8 +159,7 @@ class _GeneralisedAlpha(LoopedSteps):
                 total = weighted_sum(matrix, weight, part)
                 matrix.destroy()
                 matrix = total
-        self._matrix = matrix
-        self._inverse = inverse_of(matrix, symmetric=self._damping is None)
+        self._inverse = self._factored(matrix)
         self.owned = self._x, self._y, self._inverse, matrix
         if self._modes is not None:
             undamped = self._inertia + spring * self._modes.omega**2
@@ -192,12 +190,11 @@ class _GeneralisedAlpha(LoopedSteps):
         """(1 - am) D^-1 B: change of velocity by unit impulses."""
         structure = self.structure
         if self._damping is None:
-            return self._inertia * by_columns(self._inverse.apply, self._matrix, pairs)
+            return self._inertia * self._inverse.solve(pairs.T).T
         weight = self._now * self._beta * self.step_size**2 / self._inertia
-        undamped = weighted_sum(structure.mass, weight, structure.stiffness)
-        kick = solve_once(undamped, pairs)
-        undamped.destroy()
-        return kick
+        undamped = factored_sum(structure.mass, weight, structure.stiffness, definite=True)
+        with undamped as factor:
+            return factor.solve(pairs.T).T
 
     def _start(self, displacement: np.ndarray, velocity: np.ndarray) -> None:
         """Set the state at time 0; the acceleration follows from the equation of motion."""
@@ -263,12 +260,13 @@ class _GeneralisedAlpha(LoopedSteps):
         self.force = force = contact.force(start)
         shift = 0.5 - self._af
 
-        def response(gap: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        def response(gaps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            gap = gaps[0]
             mean, slope = _mean_force(contact, start, gap)
             mean += shift * (contact.force(gap) - force)
-            return mean, slope + shift * contact.tangent(gap)
+            return mean[None], (slope + shift * contact.tangent(gap))[None]
 
-        self._held = solve_forces(response, self._compliance, free, self._held)
+        self._held = solve_forces(response, self._compliance, free[None], self._held[None])[0]
         return self._held
 
     def _stopped(self, velocity: np.ndarray, impulse: np.ndarray) -> np.ndarray:
@@ -318,7 +316,7 @@ class _GeneralisedAlpha(LoopedSteps):
 
     def _solve(self, columns: np.ndarray) -> np.ndarray:
         """A^-1 X of columns (n_local, m)."""
-        found = by_columns(self._inverse.apply, self._matrix, columns)
+        found = self._inverse.solve(columns.T).T
         if self._modes is not None:
             pushed = self.structure.sum_over_ranks(self._modes.shapes.T @ columns)
             found += self._modes.shapes @ (self._correction[:, None] * pushed)

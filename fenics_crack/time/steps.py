@@ -10,10 +10,12 @@ import numpy as np
 from petsc4py import PETSc
 
 from fenics_crack.model.coupled import solve_complementarity
-from fenics_crack.model.modes import by_columns, damped_modes, times
+from fenics_crack.model.damping import RayleighDamping
+from fenics_crack.model.factor import Factor
+from fenics_crack.model.modes import damped_modes, times
 from fenics_crack.time.march import March, Scheme, Window
 
-__all__ = ["LoopedSteps", "inverse_of", "solve_once"]
+__all__ = ["LoopedSteps"]
 
 
 class LoopedSteps(Scheme):
@@ -70,6 +72,11 @@ class LoopedSteps(Scheme):
         """A matrix times (n_local,)."""
         return self._applied(matrix.mult, rows)
 
+    def _factored(self, matrix: PETSc.Mat) -> Factor:
+        """Factor M with parts of K and C, of which a C that was given need not be symmetric."""
+        rayleigh = isinstance(self.structure.damping, RayleighDamping)
+        return Factor(matrix, symmetric=self._damping is None or rayleigh, definite=True)
+
     def _damped(self, velocity: np.ndarray) -> np.ndarray:
         """C v."""
         if self._damping is not None:
@@ -87,7 +94,9 @@ class LoopedSteps(Scheme):
         if not self.rigid:
             force = self.contact.force(self._measured(self.displacement))
             right[self._gap_rows] -= self._gap_block @ force
-        return solve_once(self.structure.mass, right[:, None])[:, 0]
+        with Factor(self.structure.mass, definite=True) as factor:
+            found: np.ndarray = factor.solve(right[None])[0]
+        return found
 
     def _linear_energy(self, velocity: np.ndarray) -> float:
         """(u^T K u + v^T M v) / 2: [J]."""
@@ -101,27 +110,6 @@ class LoopedSteps(Scheme):
         gap = self._measured(displacement)
         if not self.rigid or not np.any(gap > 0.0):
             return displacement
-        push = solve_once(self.structure.mass, self.structure.gap.toarray())
-        return displacement - push @ solve_complementarity(self.structure.apply_bt(push.T).T, gap)
-
-
-def solve_once(matrix: Any, columns: np.ndarray) -> np.ndarray:
-    """X with A X = columns (n_local, m), A symmetric (collective)."""
-    inverse = inverse_of(matrix, symmetric=True)
-    found = by_columns(inverse.apply, matrix, columns)
-    inverse.destroy()
-    return found
-
-
-def inverse_of(matrix: Any, *, symmetric: bool) -> Any:
-    """Factorisation with little overhead per solve: PETSc's own on one rank, MUMPS on several."""
-    solver = PETSc.PC().create(matrix.comm)
-    solver.setOperators(matrix)
-    if matrix.comm.size > 1:
-        solver.setType("cholesky" if symmetric else "lu")
-        solver.setFactorSolverType("mumps")
-    else:  # its triangular solves are the quickest for LU ordered by nested dissection
-        solver.setType("lu")
-        solver.setFactorOrdering("nd")
-    solver.setUp()
-    return solver
+        with Factor(self.structure.mass, definite=True) as factor:
+            push = factor.solve(self.structure.gap.T.toarray())
+        return displacement - solve_complementarity(self.structure.apply_bt(push), gap) @ push

@@ -76,7 +76,7 @@ def test_animation(
     path = tmp_path / "new" / "crack.gif"
     material = small_scene.material if with_stress else None
     magnification = fc.animate_period(breathing, path, frames=10, material=material)
-    fields = PeriodFields.of(breathing, 10)
+    fields = PeriodFields(breathing, 10)
     assert magnification == pytest.approx(fields.magnification)
     with Image.open(path) as picture:
         assert picture.n_frames == 10 and picture.size == (640, 740)
@@ -112,7 +112,7 @@ def test_animation_of_twice_the_period_without_a_crack(
 
 def test_window(breathing: fc.PeriodicSolution, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its slider moves the plate; without a screen there is none."""
-    fields = PeriodFields.of(breathing, 10)
+    fields = PeriodFields(breathing, 10)
     plotter = animation.off_screen_plotter(window_size=(600, 600))
     slider = animation._with_slider(plotter, breathing, fields)
     pictures = []
@@ -138,7 +138,7 @@ from fenics_crack.draw import animation
 scene = fc.Scene.load("demos/paper_plate.toml").replace({"mesh.columns": 4, "mesh.rows": 4})
 found = fc.solve_harmonic_balance(fc.build_structure(scene), 2000.0, fc.UnilateralPenalty(1e9))
 plotter = animation.off_screen_plotter(window_size=(300, 300))
-slider = animation._with_slider(plotter, found, animation.PeriodFields.of(found, 2))
+slider = animation._with_slider(plotter, found, animation.PeriodFields(found, 2))
 plotter.render()
 """
     subprocess.run([sys.executable, "-c", program], cwd=DEMOS.parent, check=True, timeout=300)

@@ -181,7 +181,8 @@ def test_path_ends_where_it_leaves_its_range_and_after_its_steps() -> None:
 
 
 def test_target_is_sought_by_shorter_steps(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where it is not found between two points: four times, then the path ends before it."""
+    """Where it is not found between two points: as long as they are not too short, then the path
+    ends before it."""
     plane, start = circle()
     locate, tried = Target.locate, list[float]()
 
@@ -200,7 +201,8 @@ def test_target_is_sought_by_shorter_steps(monkeypatch: pytest.MonkeyPatch) -> N
         if most == 2:
             assert found is not None and found.parameter == 0.7 and len(tried) == 3
         else:
-            assert path.ended is Ended.LOST and len(tried) == 5 and path.last.parameter < 0.7
+            assert path.ended is Ended.LOST and path.last.parameter < 0.7
+            assert tried[-1] < 4e-7 < 4.0 * tried[-2]
 
 
 def test_what_equations_raise_ends_a_path() -> None:

@@ -114,14 +114,14 @@ def test_curves_are_followed(
     asked: list[Any] = []
     monkeypatch.setattr(follow, "continue_frequency", lambda *given, **rest: asked.append(given))
     scene = scene.replace(law | {"curve.start": 1500.0, "curve.stop": 1600.0})
-    run = study_run.follow_curve(scene, MPI.COMM_SELF)
+    run = study_run.curve(scene, MPI.COMM_SELF)
     assert asked == [(run.structure, 1500.0, 1600.0, run.contact)]
     heavy = scene.replace({"reduction.method": "free_interface"})
     if law is RIGID:
         with pytest.raises(fc.InputError, match=r"reduction.method = 'massless', for a curve"):
-            study_run.follow_curve(heavy, MPI.COMM_SELF)
+            study_run.curve(heavy, MPI.COMM_SELF)
     else:
-        study_run.follow_curve(heavy, MPI.COMM_SELF)
+        study_run.curve(heavy, MPI.COMM_SELF)
         assert len(asked) == 2
 
 

@@ -17,7 +17,7 @@ from mpi4py import MPI
 from surroundings import main
 
 import fenics_crack as fc
-from fenics_crack import ConvergenceError, InputError, Run, Scene, Study
+from fenics_crack import ConvergenceError, InputError, PeriodicSolution, Run, Scene, Study
 from fenics_crack.stages import listening
 from fenics_crack.study import prepare
 from fenics_crack.study import verification as module
@@ -83,7 +83,7 @@ def test_runs_of_a_mesh_share_what_they_can(monkeypatch: pytest.MonkeyPatch) -> 
 
     monkeypatch.setattr(prepare, "reduce_structure", counted)
     found = fc.verify(plate({"harmonic_balance.harmonics": 3}))
-    assert kept == [6, 6, 6, 12, 24] and found.counts["harmonics"] == (3, 6, 12)
+    assert kept == [6, 6, 6, 24, 12] and found.counts["harmonics"] == (3, 6, 12)
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -157,8 +157,8 @@ def test_failed_runs_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """One that does not converge leaves two sizes and a factor of 3; two leave a cause unknown."""
     bad: set[int] = set()
 
-    def failing(study: Study) -> Run:
-        run = solve_prepared(study)
+    def failing(study: Study, *initial: PeriodicSolution) -> Run:
+        run = solve_prepared(study, *initial)
         if run.result.harmonics in bad:
             return replace(run, result=replace(run.result, converged=False, status="lost"))
         if run.structure.n_modes == 24:

@@ -453,7 +453,9 @@ def test_forces_by_newton(stiffness: float) -> None:
     rng = np.random.default_rng(7)
     law = fc.SmoothedPenalty(stiffness, 1e3)
     matrix, gap = random_stiffness(rng, 4) / 8.0, rng.normal(size=4)
-    force = solve_forces(lambda g: (law.force(g), law.tangent(g)), matrix, gap, np.zeros(4))
+    force = solve_forces(
+        lambda g: (law.force(g), law.tangent(g)), matrix, gap[None], np.zeros((1, 4))
+    )[0]
     reached = gap - matrix @ force
     assert np.allclose(law.force(reached), force, rtol=1e-6, atol=1e-8 * stiffness)
     if stiffness <= 1.0:
@@ -465,5 +467,8 @@ def test_forces_that_do_not_exist_are_an_error() -> None:
     """A force that falls with the gap, faster than the step's compliance allows."""
     with pytest.raises(fc.ConvergenceError, match="Newton"):
         solve_forces(
-            lambda g: (1.0 + g**2, 2.0 * g), np.ones((1, 1)), np.full(1, -5.0), np.zeros(1)
+            lambda g: (1.0 + g**2, 2.0 * g),
+            np.ones((1, 1)),
+            np.full((1, 1), -5.0),
+            np.zeros((1, 1)),
         )
