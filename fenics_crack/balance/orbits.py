@@ -83,8 +83,9 @@ def recurrences(passed: Sequence[np.ndarray] | np.ndarray, count: int) -> list[i
 
 
 class FlowOrbits(Equations):
-    """F(x, p) of the exact flow, in the kernel, x = w z / |w z_0| with the modes' frequencies w
-    before displacements: by the energy. dF/dx = M - I and dF/dp are exact (``kernel/shooting.h``).
+    """F(x, p) of the exact flow, in the kernel, x = w z / |w z_0| with 1 / w the modes' frequencies
+    where z are velocities: by the amplitude. dF/dx = M - I and dF/dp are exact
+    (``kernel/shooting.h``).
 
     Attributes
     ----------
@@ -114,6 +115,7 @@ class FlowOrbits(Equations):
         self.flow, self.omega, self.shape = flow, omega, state.shape
         self.subharmonic, self.budget = subharmonic, budget or Budget()
         weights = flow.weights(omega / subharmonic)
+        weights /= np.tile(weights[: flow.size // 2], 2)
         self.scale = weights / (float(np.linalg.norm(weights * state)) or 1.0)
         self.start = self.scale * state
         given = Struct(

@@ -29,7 +29,7 @@ from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.balance.problem import Problem
 from fenics_crack.curves.bifurcations import first_aside, odd_rows
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
-from fenics_crack.curves.orbit_branch import STRAIGHT, TOLERANCE
+from fenics_crack.curves.orbit_branch import ALIKE, STRAIGHT, TOLERANCE
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.flow import flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit
@@ -47,8 +47,6 @@ __all__ = ["DoubledStart", "next_to_doubled_orbits"]
 NEAREST, SAME = 6, 1e-3
 """Points of the curve from which the orbit of the doubling is sought, and how well its multiplier
 is known."""
-NEAR = 0.5
-"""Distance from the orbit, relative to its odd harmonics."""
 MOST, MOST_UNKNOWNS = 30, 700
 """Orbits along the branch, and unknowns of the equations that are tried next to them: more would
 take a second each time."""
@@ -176,4 +174,4 @@ def _next_to(family: FrequencyFamily, orbit: PeriodicOrbit) -> PathPoint | None:
     if found is None:
         return None
     off = float(np.linalg.norm(found.unknown - guess))
-    return found if off < NEAR * float(np.linalg.norm(guess[odd])) else None
+    return found if off < ALIKE * float(np.linalg.norm(guess[odd])) else None

@@ -16,12 +16,14 @@ from itertools import pairwise
 import numpy as np
 import scipy.optimize
 
+from fenics_crack.balance.judgement import relative
 from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.curves.by_waves import FOLLOWED, judged_by_waves, place_on
 from fenics_crack.curves.curve import Bifurcation, ResponseCurve
 from fenics_crack.curves.orbit_branch import (
     ALIKE,
     EVERY,
+    TOLERANCE,
     Crossing,
     Node,
     OrbitBranch,
@@ -32,7 +34,7 @@ from fenics_crack.curves.varied_orbits import VariedOrbits
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import is_unilateral
 from fenics_crack.motion.flow import Budget, exact_flow
-from fenics_crack.motion.orbit import PIECES
+from fenics_crack.motion.orbit import KNOWN, PIECES
 from fenics_crack.numerics.bordered import solve_at
 from fenics_crack.numerics.path import PathOptions
 from fenics_crack.stability.floquet import floquet
@@ -41,17 +43,12 @@ from fenics_crack.stages import begin
 
 __all__ = ["judge_curve", "verified"]
 
-SURE = 1e-6
-"""Distance of the leading multiplier from the unit circle that decides, at least."""
 NO_DOUBT = 0.01
-"""Distance of an orbit from its point at which nothing else is asked."""
-IDENTICAL = 1e-6
-"""Of p: bifurcations of one kind that lie within are the same one."""
+"""Distance of an orbit's gaps from those of its point at which nothing else is asked; its square,
+of their states: gaps are some per cent of what a plate moves."""
 BUDGET = Budget(pieces=PIECES // 10)
 """Of a motion: ten may take what a search for an orbit may. Where none of some points' keeps to it,
 no orbits are sought."""
-SINGLY = 40
-"""Points left undecided that are judged one by one, as a solution is (:func:`floquet`)."""
 NEARBY = 0.02
 """Of the parameter, relative: how far a bifurcation of the truncated equations may lie from that of
 the orbits which confirms it."""
@@ -111,7 +108,7 @@ class _Judge:
         """Judge nodes next to points, some points apart, and others between those that differ."""
         asked: list[Node] = []
         for one in self.branch.nodes:
-            if one.away >= 0.0 and (not asked or one.place - asked[-1].place >= 0.5 * EVERY):
+            if one.away >= 0.0 and (not asked or one.place - asked[-1].place >= EVERY):
                 asked.append(one)
         tried: set[int] = set()
         while asked:
@@ -127,22 +124,17 @@ class _Judge:
         self._anchors = np.array(sorted(self._own))
 
     def _ask(self, nodes: list[Node]) -> None:
-        """Judge some nodes: beyond doubt where the states, or else the gaps are near."""
-        doubtful = []
-        for one in nodes:
-            self._own[one.place] = True
-            if one.away > NO_DOUBT:
-                doubtful.append(one)
-        if not doubtful:
+        """Judge some nodes: beyond doubt where the gaps, or all the more the states, are near."""
+        self._own.update({one.place: True for one in nodes})
+        nodes = [one for one in nodes if one.away > NO_DOUBT**2]
+        if not nodes:
             return
-        curve, places = self._curve, np.array([round(one.place) for one in doubtful])
-        clearance = curve.structure.clearance
-        for one, place, wave in zip(doubtful, places, curve.gaps_in_time(places), strict=True):
-            gap = self.system.gap(one.unknown, one.parameter, len(wave))
-            size = float(np.linalg.norm(gap + clearance))
-            off = float(np.linalg.norm(gap - wave)) / (size or 1.0)
-            if off > NO_DOUBT:
-                self._own[one.place] = self._is_own(one, int(place), off)
+        places = np.array([round(one.place) for one in nodes])
+        waves = self._curve.gaps_in_time(places)
+        for node, place, wave in zip(nodes, map(int, places), waves, strict=True):
+            gap = self.system.gap(node.unknown, node.parameter, len(wave))
+            off = relative(gap - wave, gap + self._curve.structure.clearance)
+            self._own[node.place] = off <= NO_DOUBT or self._is_own(node, place, off)
 
     def _is_own(self, node: Node, place: int, off: float) -> bool:
         """Whether a solution is judged by a node's orbit."""
@@ -158,29 +150,41 @@ class _Judge:
 
     def points(self) -> np.ndarray:
         """Leading multiplier of each point; nan where no orbit is its own. Where orbits at its
-        value of the parameter lie on both sides of a fold it is that of the nearest one."""
+        value of the parameter lie on both sides of a fold it is that of the nearest one; where
+        none is found between nodes, or none that tells, it is that of the orbit next to it."""
         found = np.full(len(self._curve), np.nan + 0j)
         accepted = self._accepted()
-        parts: dict[int, _Part] = {}
-        for first, last in pairwise(self.branch.nodes):
-            rise = last.parameter - first.parameter
-            if rise == 0.0 or not self.branch.linked(first, last):
+        parts: dict[int, list[tuple[_Part, complex]]] = {}
+        for ends, linked in zip(pairwise(self.branch.nodes), self.branch.linked, strict=True):
+            begin, rise = ends[0].parameter, ends[1].parameter - ends[0].parameter
+            if rise == 0.0 or not linked:
                 continue
-            begin = max(0, int(np.ceil(first.place - EVERY)))
-            near = slice(begin, int(np.ceil(first.place + EVERY)))
-            shares = (self.parameters[near] - first.parameter) / rise
-            there = np.flatnonzero((np.abs(shares - 0.5) <= 0.5 + 1e-9) & accepted[near])
-            values = _between(first, last, shares[there]) if len(there) else ()
-            for place, share, value in zip(begin + there, shares[there], values, strict=True):
-                part = first, last, share
-                if place not in parts or self._nearer(place, part, parts[place]):
-                    parts[place], found[place] = part, value
+            near = max(0, int(ends[0].place) - 2 * EVERY)
+            shares = (self.parameters[near : int(ends[1].place) + 2 * EVERY + 1] - begin) / rise
+            there = np.flatnonzero(np.abs(shares - 0.5) <= 0.5 + 1e-9)
+            there = there[accepted[near + there]]
+            values = _between(*ends, shares[there]) if len(there) else ()
+            for place, share, value in zip(near + there, shares[there], values, strict=True):
+                parts.setdefault(int(place), []).append(((*ends, share), value))
+        for place, several in parts.items():
+            found[place] = several[0][1]
+            if len({value for _, value in several}) > 1:
+                motion = self.branch.motion(place)
+                found[place] = min(several, key=lambda one: _apart(motion, one[0]))[1]
+        for place in map(int, np.flatnonzero(accepted & np.isnan(found))):
+            found[place] = self._alone(place)
         return found
 
-    def _nearer(self, place: int, part: _Part, other: _Part) -> bool:
-        """Whether the orbit at a part of a segment is nearer to a point's motion than another."""
-        motion = self.branch.motion(place)
-        return bool(_apart(motion, part) < _apart(motion, other))
+    def _alone(self, place: int) -> complex:
+        """Leading multiplier of the orbit next to a point at its value of the parameter; nan where
+        there is none, or it is not its own, or does not tell."""
+        node = self.branch.anchor(place)
+        if node is None or node.parameter != self.parameters[place]:
+            return complex(np.nan)
+        if node.crossing is not None or abs(node.moduli[0] - 1.0) <= KNOWN:
+            return complex(np.nan)
+        self._ask([node])
+        return _upper(node.leading[0]) if self._own[place] else complex(np.nan)
 
     def _accepted(self) -> np.ndarray:
         """Whether the orbits on both sides of a point are the points' own: (n,) bool."""
@@ -202,10 +206,10 @@ def _between(first: Node, last: Node, shares: np.ndarray) -> np.ndarray:
     are no bifurcations; nan where these differ, or do not tell it from 1."""
     sides = [one for one in (first, last) if one.crossing is None]
     largest = [float(one.moduli[0]) for one in sides]
-    if len({size > 1.0 for size in largest}) != 1 or min(abs(s - 1.0) for s in largest) <= SURE:
+    if len({size > 1.0 for size in largest}) != 1 or min(abs(s - 1.0) for s in largest) <= KNOWN:
         return np.full(len(shares), np.nan + 0j)
     moduli = blended(first, last, shares)[0]
-    limit = 1.0 + 2.0 * SURE if largest[0] > 1.0 else 1.0 - 2.0 * SURE
+    limit = 1.0 + 2.0 * KNOWN if largest[0] > 1.0 else 1.0 - 2.0 * KNOWN
     moduli = np.maximum(moduli, limit) if limit > 1.0 else np.minimum(moduli, limit)
     ends = np.array([one.leading[0] for one in (sides[0], sides[-1])])
     upper = ends.real + 1j * np.abs(ends.imag)
@@ -230,15 +234,14 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
         The same points, with verdicts of the orbits next to them, and multipliers interpolated
         between these; "undecided" (and nan) where there is none at the point's value of the
         parameter on its own side of a fold, or none that is the point's own, as farther away than
-        1 % and three times the error predicted, or where it does not tell ``|mu|`` from 1; if these
-        are at most 40 points, where :func:`floquet` does not decide either. Its bifurcations are
-        those of the orbits, at their values ``exact``, each with the nearest one of the truncated
-        equations of the same kind within 2 %, which it confirms. Where there is none, ``value`` and
-        ``unknown`` are the solution of the truncated equations at the same value, or the nearest
-        point of the curve: not a bifurcation of these equations, so that :func:`follow_branch` may
-        find no branch there, and says so. Unconfirmed are those that are not located, and those of
-        the truncated equations where the verdict is open. Those that the orbits refute are left
-        out.
+        1 % and three times the error predicted, or where it does not tell ``|mu|`` from 1. Its
+        bifurcations are those of the orbits, at their values ``exact``, each with the nearest one
+        of the truncated equations of the same kind within 2 %, which it confirms. Where there is
+        none, ``value`` and ``unknown`` are the solution of the truncated equations at the same
+        value, or the nearest point of the curve: not a bifurcation of these equations, so that
+        :func:`follow_branch` may find no branch there, and says so. Unconfirmed are those that are
+        not located, and those of the truncated equations where the verdict is open. Those that the
+        orbits refute are left out.
 
     Raises
     ------
@@ -258,21 +261,24 @@ def judge_curve(curve: ResponseCurve) -> ResponseCurve:
         nothing = np.full(len(curve), np.nan + 0j)
         return replace(curve, multipliers=nothing, undecided=np.ones(len(curve), dtype=bool))
     crossings = _distinct(judge.branch.locate())
-    # Next to the end of a branch of twice the period the old orbit is as near as the new one.
-    doubled = curve.subharmonic % 2 == 0
-    multipliers = np.full(len(curve), np.nan + 0j) if doubled else judge.points()
+    if curve.subharmonic % 2:
+        multipliers = judge.points()
+    else:  # next to the end of the branch the old orbit is as near as the new one
+        multipliers = np.array([_by_itself(curve, place) for place in range(len(curve))])
     undecided = np.isnan(multipliers)
-    left = np.flatnonzero(undecided)
-    if doubled or len(left) <= SINGLY:
-        for place in map(int, left):
-            solution = curve.solution(place, search=False)
-            alone = floquet(solution.structure, solution)
-            if alone.verdict != "undecided":
-                value = complex(alone.multipliers[0])
-                multipliers[place] = complex(value.real, abs(value.imag))
-                undecided[place] = False
     special = _special(curve, judge, crossings, undecided)
     return replace(curve, bifurcations=special, multipliers=multipliers, undecided=undecided)
+
+
+def _by_itself(curve: ResponseCurve, place: int) -> complex:
+    """Leading multiplier of a point judged as a single solution is; nan where that is open."""
+    solution = curve.solution(place, search=False)
+    alone = floquet(solution.structure, solution)
+    return complex(np.nan) if alone.verdict == "undecided" else _upper(alone.multipliers[0])
+
+
+def _upper(value: complex) -> complex:
+    return complex(value.real, abs(value.imag))
 
 
 def verified(curve: ResponseCurve) -> ResponseCurve:
@@ -318,7 +324,7 @@ def _distinct(crossings: list[Crossing]) -> list[Crossing]:
     for one in crossings:
         known = [other for other in left if other.kind == one.kind]
         apart = [abs(one.parameter - other.parameter) for other in known if other.located]
-        if one.located and min(apart, default=1.0) <= IDENTICAL:
+        if one.located and min(apart, default=1.0) <= TOLERANCE:
             continue
         if known and not one.located and not known[-1].located and known[-1] is left[-1]:
             left.pop()

@@ -33,8 +33,6 @@ __all__ = ["refine_bifurcation"]
 
 ITERATIONS, SHORTEST = 30, 0.01
 """Steps from a solution to the branch, and how short one may become."""
-CLOSE = 1e-10
-"""Part of a segment to which a bifurcation is located."""
 
 
 class _Special(Protocol):
@@ -151,7 +149,7 @@ def _met(orbits: FlowOrbits, start: PathPoint, options: PathOptions) -> Iterator
             parameters = np.array([one.parameter for one in ends])
             unknowns = np.array([one.unknown for one in ends])
             branch = OrbitBranch(orbits, parameters, unknowns.__getitem__, every=1)
-            branch.locate(CLOSE)
+            branch.locate()
             yield [one for one in branch.nodes if one.crossing is not None]
     except ConvergenceError:  # pairs chatter without end
         return

@@ -2,18 +2,20 @@
 
 Next to every eighth point of the curve an orbit F(x, p) = 0 (:mod:`fenics_crack.balance.orbits`) is
 found by Newton's method, from the point's own motion and what had to be added to that of the node
-beside: at the point's parameter, or, next to folds, in the plane across the curve. The derivative
-at the guess serves as long as steps with it shrink fast. A node has the tangent of the branch and
-the leading multipliers mu of its orbit, and of all multipliers
+beside: at the point's parameter, or, next to folds, in the plane across the curve. A node has the
+tangent of the branch and the leading multipliers mu of its orbit, and of all multipliers
 
     r = number of real mu > 1,    d = number of real mu < -1,    c = pairs with |mu| > 1.
 
-A segment between two nodes is halved, by the orbit next to Hermite's cubic through both, where the
-chord disagrees with their tangents, and where the moduli at a node are not those between its
-neighbours', to half of their distance from 1, nor those of pairs whose sums and products are: where
-a pair becomes real, moduli have a corner, but its sum and its product are smooth. A segment on
-which nothing changes is halved, too, where moduli that went on as they came would pass 1 before its
-middle; and one on which several of r, d and c change, until each changes by itself.
+A segment between two nodes is halved, by the orbit next to Hermite's cubic through both,
+
+- where the chord disagrees with their tangents;
+- where the moduli at a node are not those between its neighbours', to their distance from 1, nor
+  those of pairs whose sums and products are (where a pair becomes real, moduli have a corner, but
+  its sum and its product are smooth): the longer of the two segments;
+- where moduli that went on as they came would pass 1 before its middle;
+- where several of r, d and c change, until each changes by itself.
+
 Then a fold (or a branch point) lies on a segment where r changes, a period doubling where d does, a
 Neimark-Sacker point where c does. It is found by Brent's method on
 
@@ -28,51 +30,46 @@ Source: Seydel, Practical Bifurcation and Stability Analysis, chapters 4, 5 and 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
 
 import numpy as np
 import scipy.optimize
+from scipy.linalg.lapack import dgeqrf, dorgqr
 
 from fenics_crack.balance.orbits import FlowOrbits, OrbitPoint
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.motion.orbit import eigenvalues
-from fenics_crack.numerics.bordered import PathPoint, Tangent, step_in_plane, tangent_of
+from fenics_crack.motion.orbit import KNOWN, eigenvalues
+from fenics_crack.numerics.bordered import PathPoint, Tangent, solve_in_plane, tangent_of
 
 __all__ = ["KINDS", "Crossing", "Node", "OrbitBranch", "blended", "cubic"]
 
 KINDS = "fold", "period_doubling", "neimark_sacker"
 EVERY = 8
 """Points of a curve from one node to the next."""
-NARROWEST = 1.0 / 32.0
-"""Segment that is not halved any more, in points of the curve."""
+NARROWEST, ALONE = 1.0 / 8.0, 1.0 / 32.0
+"""Segments that are not halved any more, in points of the curve, and those that are not smooth or
+where several numbers change."""
 TOLERANCE, SHARP = 1e-8, 1e-12
-"""|F| / |x| of nodes, and of bifurcations."""
+"""|F| / |x| of nodes, and to what part of a segment bifurcations are located; |F| / |x| there."""
 ITERATIONS, PATIENCE, SHRINKING = 12, 3, 0.1
-"""Newton steps to an orbit, how many may together fail to shrink the residual, and by how much a
-step has to shrink it that another one with the same derivative may follow."""
+"""Newton steps to an orbit, how many may together fail to halve the residual, and by how much one
+has to shrink it that another one with the same derivative may follow."""
 ALIKE = 0.5
-"""Farthest orbit from the motion of its point, in the norm of the energy, where fast modes that a
-wave leaves out weigh; whether it is the point's own is asked later."""
+"""Farthest orbit from the motion of its point; whether it is the point's own is asked later."""
 REACH = 5e-3
 """Farthest orbit from the parameter of its point, of the whole."""
-FLAT = 0.3
-"""Of the tangent, along the parameter, above which an orbit is found at a given one."""
-STRAIGHT = 0.8
+STRAIGHT = 0.9
 """Cosine of the angle between a chord and the tangents at its ends."""
 LEADING = 8
 """Multipliers that are kept."""
-FITTING, RESOLVED = 0.5, 0.02
-"""Of the distance of a modulus from 1, and of no less, what it may be off that between others."""
-FULL, COLUMNS, SQUARINGS, TURNS = 60, 24, 4, 9
-"""Up to so many multipliers, all are computed at once; else those of M in the span of some columns
-that M^16 has turned
-to the leading ones some times, where these leave less than EXACT."""
-EXACT = 1e-6
-ALONE = 1e-4
-"""Of a point, how near bifurcations may lie to each other."""
+RESOLVED = 0.02
+"""What a modulus may be off that between others, if it does not differ more from 1."""
+COLUMNS, SQUARINGS, TURNS = 24, 4, 9
+"""Of many multipliers those of M in the span of some columns that M^16 has turned to the leading
+ones some times are taken, where these are known well."""
 SMOOTH = 0.25
 """Of a test function's largest value, what may be left where it vanishes."""
 
@@ -168,58 +165,81 @@ class OrbitBranch:
         self.system, self._parameters, self._motions = system, parameters, motions
         self._known: dict[int, np.ndarray] = {}
         self._turn = _to_turns(parameters)
+        self._halved: set[tuple[float, float]] = set()
         self.nodes: list[Node] = []
         last = len(parameters) - 1
         places = np.unique(np.append(np.arange(0, last, every), last))
-        self._know(places)
-        self._follow([int(place) for place in places])
+        self.know(places)
+        for place in map(int, places):
+            found = self._next_to(place, self.nodes[-1:])
+            self.nodes += [] if found is None else [found]
+        self._refine()
 
     # --- nodes ------------------------------------------------------------------------------------
 
-    def _follow(self, places: list[int]) -> None:
-        """Nodes next to some points, and between these where they lie too far apart."""
-        held: list[Node] = []
-        bent = False
-        for place in places:
-            found = self._next_to(place, held[-1:])
-            if found is None:
-                continue
-            held.append(found)
-            if len(held) == 3:
-                before, bent = bent, not _fits(*held)
-                self._fill(held[0], held[1], before or bent)
-                del held[0]
-        if len(held) == 2:
-            self._fill(held[0], held[1], bent)
-        self.nodes += [one for one in held[-1:]]
+    def _refine(self) -> None:
+        """Halve segments until each that is in doubt has been."""
+        found: list[Node] | None = None
+        while found is None or found:
+            found, linked = [], self.linked
+            segments = list(pairwise(self.nodes))
+            places = [(first.place, last.place) for first, last in segments]
+            halved = [
+                number
+                for number in np.flatnonzero(self._in_doubt(linked))
+                if places[number] not in self._halved
+            ]
+            self._halved.update(places[number] for number in halved)
+            self.know(np.array([round(sum(places[number]) / 2) for number in halved], dtype=int))
+            for number in halved:
+                middle = self._middle(segments[number], bool(linked[number]))
+                found += [] if middle is None else [middle]
+            self.nodes = sorted([*self.nodes, *found], key=lambda one: one.place)
 
-    def _fill(self, first: Node, last: Node, bent: bool) -> None:
-        """A node, and those behind it up to another one: halves, as long as multipliers at a middle
-        are not those between its neighbours', or these do not lie on one smooth line."""
-        middle, width = None, last.place - first.place
-        if width > EVERY or (width > NARROWEST and (bent or not self.linked(first, last))):
-            middle = self._middle(first, last)
-        if middle is None:
-            self.nodes.append(first)
-            return
-        bent = not _fits(first, middle, last)
-        self._fill(first, middle, bent)
-        self._fill(middle, last, bent)
+    def _in_doubt(self, linked: np.ndarray) -> np.ndarray:
+        """Whether orbits or multipliers on each segment may be others than those between its ends:
+        (n - 1,) bool."""
+        nodes, doubt = self.nodes, np.zeros_like(linked)
+        if len(nodes) < 2:
+            return doubt
+        wide = np.diff([one.place for one in nodes])
+        if len(nodes) > 2:
+            lengths, moduli = _chords(nodes)[2], np.array([one.moduli for one in nodes])
+            bent = _bent(nodes, moduli, lengths) & (np.maximum(wide[:-1], wide[1:]) <= EVERY)
+            doubt[:-1] |= bent & (wide[:-1] >= wide[1:])
+            doubt[1:] |= bent & (wide[1:] >= wide[:-1])
+            doubt[1:] |= _pass_one(moduli, lengths)
+            doubt[:-1] |= _pass_one(moduli[::-1], lengths[::-1])[::-1]
+        several = ~linked | (_changes(nodes).sum(axis=1) > 1)
+        return (wide > EVERY) | (doubt & (wide > NARROWEST)) | (several & (wide > ALONE))
 
-    def _middle(self, first: Node, last: Node) -> Node | None:
+    @property
+    def linked(self) -> np.ndarray:
+        """Whether a smooth branch leads from each node to the next: (n - 1,) bool."""
+        if len(self.nodes) < 2:
+            return np.zeros(0, dtype=bool)
+        changes, rises, lengths = _chords(self.nodes)
+        weights = np.array([one.tangent.weight for one in self.nodes])[:-1]
+        ways = np.array([one.tangent.x for one in self.nodes])
+        slopes = np.array([one.tangent.p for one in self.nodes])
+        linked = lengths <= 1e-12
+        cosines = []
+        for way, slope in ((ways[:-1], slopes[:-1]), (ways[1:], slopes[1:])):
+            along = weights * np.sum(way * changes, axis=1) + slope * rises
+            cosines.append(along / np.sqrt(weights * np.sum(way**2, axis=1) + slope**2))
+        return np.asarray(linked | (np.minimum(*cosines) > STRAIGHT * lengths))
+
+    def _middle(self, ends: tuple[Node, Node], linked: bool) -> Node | None:
         """A node between two others; None where none is found."""
-        middle = 0.5 * (first.place + last.place)
-        whole = round(middle)
+        first, last = ends
+        whole = round(0.5 * (first.place + last.place))
         inside = first.place < whole < last.place
-        if not inside or self.linked(first, last):
-            found = self.between(first, last, 0.5)
-            if found is not None:
-                return self._node(middle, found, _chord(first, last))
-        return self._next_to(whole, [first, last]) if inside else None
+        found = self.between(first, last, 0.5) if linked or not inside else None
+        return self._next_to(whole, [first, last]) if found is None and inside else found
 
     def motion(self, place: int) -> np.ndarray:
         """x of the motion of a point."""
-        self._know(np.array([place]))
+        self.know(np.array([place]))
         return self._known[place]
 
     def anchor(self, place: int) -> Node | None:
@@ -237,13 +257,13 @@ class OrbitBranch:
         """The orbit next to a point, with those of some nodes known."""
         motion, parameter = self.motion(place), float(self._parameters[place])
         starts = [motion]
-        beside = [one for one in beside if one.away >= 0.0 and abs(one.place - place) <= EVERY]
-        if beside:
-            near = min(beside, key=lambda one: abs(one.place - place))
+        known = [one for one in beside if one.away >= 0.0 and abs(one.place - place) <= EVERY]
+        if known:
+            near = min(known, key=lambda one: (abs(one.place - place), one.away))
             starts.insert(0, motion + near.unknown - self.motion(round(near.place)))
         for start in starts:
             for plane in [self._chord] if self._turn[place] <= 2 else [None, self._chord]:
-                found = self._newton(start, parameter, plane and plane(place))
+                found = self._solved(start, parameter, plane and plane(place))
                 if found is None:
                     continue
                 away = float(np.linalg.norm(found.unknown - motion) / np.linalg.norm(motion))
@@ -252,38 +272,25 @@ class OrbitBranch:
         return None
 
     def between(
-        self,
-        first: Node,
-        last: Node,
-        share: float,
-        tolerance: float = TOLERANCE,
-        used: OrbitPoint | None = None,
-    ) -> PathPoint | None:
+        self, first: Node, last: Node, share: float, tolerance: float = TOLERANCE
+    ) -> Node | None:
         """The orbit next to the cubic through two nodes, in the plane across their chord."""
-        chord = _chord(first, last)
+        chord = _direction(
+            last.unknown - first.unknown, last.parameter - first.parameter, first.unknown
+        )
         if chord is None:
             return None
-        steep = min(abs(one.tangent.p) for one in (first, last)) < FLAT
-        plane = chord if steep else None
-        found = self._newton(*cubic(first, last, share), plane, tolerance, used)
+        found = self._solved(*cubic(first, last, share), chord, tolerance)
         if found is None:
             return None
         size = np.linalg.norm(first.unknown - last.unknown)
         ends = [np.linalg.norm(found.unknown - one.unknown) for one in (first, last)]
-        far = max(ends) > 1.5 * size + 1e-6 * np.linalg.norm(found.unknown)
-        return None if far else found
+        if max(ends) > 1.5 * size + 1e-6 * np.linalg.norm(found.unknown):
+            return None
+        return self._node(first.place + share * (last.place - first.place), found, chord)
 
-    def linked(self, first: Node, last: Node) -> bool:
-        """Whether a smooth branch leads from one node to another."""
-        return self._straight(first, last) > STRAIGHT
-
-    def _straight(self, first: Node, last: Node) -> float:
-        chord = _chord(first, last)
-        if chord is None:
-            return 1.0
-        return min(one.tangent.along(chord, self.system) for one in (first, last))
-
-    def _know(self, places: np.ndarray) -> None:
+    def know(self, places: np.ndarray) -> None:
+        """Find the motions of some points at once."""
         new = [int(place) for place in places if int(place) not in self._known]
         if new:
             self._known.update(zip(new, self._motions(np.array(new)), strict=True))
@@ -303,41 +310,22 @@ class OrbitBranch:
         rise = float(self._parameters[ends[1]] - self._parameters[ends[0]])
         return Tangent(np.zeros_like(self.motion(place)), float(np.sign(rise)), 1.0)
 
-    def _newton(
+    def _solved(
         self,
         unknown: np.ndarray,
         parameter: float,
         plane: Tangent | None,
         tolerance: float = TOLERANCE,
-        used: OrbitPoint | None = None,
     ) -> PathPoint | None:
-        """Newton's method in a plane, or at a given parameter, with the derivative at the guess, or
-        one given, for as long as steps with it shrink fast."""
-        guess, goal = parameter, tolerance * max(float(np.linalg.norm(unknown)), 1e-300)
-        slope, sizes = None, [np.inf]
+        """The orbit in a plane, or at a given parameter."""
         try:
-            at = self.system.linearise(unknown, parameter)
-            for _ in range(ITERATIONS):
-                size = float(np.linalg.norm(at.residual))
-                if size <= goal:
-                    flat = plane or Tangent(np.zeros_like(unknown), 1.0, 0.0)
-                    return PathPoint(unknown, parameter, len(sizes), flat, at=at)
-                if not size < max(sizes[-PATIENCE:]):
-                    return None
-                if used is None or size > SHRINKING * sizes[-1]:
-                    used, slope = at, None
-                change, shift = -used.solve(at.residual), 0.0
-                if plane is not None:
-                    slope = -used.solve(used.by_parameter) if slope is None else slope
-                    change, shift = step_in_plane(plane, change, slope, self.system.inner)
-                unknown, parameter = unknown + change, parameter + shift
-                if not abs(parameter - guess) <= REACH * self._width:
-                    return None
-                sizes.append(size)
-                at = self.system.linearise(unknown, parameter)
-        except (ConvergenceError, ValueError):  # pairs chatter
-            pass
-        return None
+            return solve_in_plane(
+                self.system, unknown, parameter, plane, tolerance=tolerance, iterations=ITERATIONS,
+                reach=REACH * self._width, least_damping=None, patience=PATIENCE,
+                lasting=SHRINKING,
+            )  # fmt: skip
+        except ConvergenceError:  # pairs chatter without end
+            return None
 
     @cached_property
     def _width(self) -> float:
@@ -346,7 +334,8 @@ class OrbitBranch:
     def _node(
         self, place: float, found: PathPoint, ahead: Tangent | None, away: float = np.nan
     ) -> Node:
-        at = orbit_of(found)
+        at = found.at
+        assert isinstance(at, OrbitPoint)
         values = _multipliers(at.monodromy)
         tangent = tangent_of(self.system, found.unknown, at)
         if ahead is not None and tangent.along(ahead, self.system) < 0.0:
@@ -359,62 +348,24 @@ class OrbitBranch:
 
     # --- bifurcations -----------------------------------------------------------------------------
 
-    def locate(self, near: float = 1e-3) -> list[Crossing]:
-        """The bifurcations, in the order of the branch, to 1e-10 of the parameter and to a part of
-        a segment; from now on they are nodes of it."""
-        self._look_between()
+    def locate(self) -> list[Crossing]:
+        """The bifurcations, in the order of the branch; from now on they are nodes of it."""
+        self._refine()
         found: list[Node] = []
-        for first, last in pairwise(self.nodes):
+        for (first, last), changes in zip(pairwise(self.nodes), _changes(self.nodes), strict=True):
             found.append(first)
             if last.place - first.place <= EVERY:
-                found += self._on(first, last, near)
+                kinds = [kind for kind, change in zip(KINDS, changes, strict=True) if change]
+                there = [self._located(kind, first, last) for kind in kinds]
+                found += sorted(there, key=lambda one: one.place)
         self.nodes = [*found, *self.nodes[-1:]]
         return [one.crossing for one in self.nodes if one.crossing is not None]
 
-    def _look_between(self) -> None:
-        """Halve segments between whose ends nothing seems to change, but behind which moduli went
-        so that they would pass 1 before the middle."""
-        number, nodes = 0, self.nodes
-        while number + 1 < len(nodes):
-            first, last = nodes[number : number + 2]
-            middle = None
-            threes = [nodes[max(0, number - 1) : number + 2], nodes[number : number + 3][::-1]]
-            wide = NARROWEST < last.place - first.place <= EVERY
-            if wide and any(len(three) == 3 and _pass_one(*three) for three in threes):
-                found = self.between(first, last, 0.5)
-                if found is not None:
-                    place = 0.5 * (first.place + last.place)
-                    middle = self._node(place, found, _chord(first, last))
-            if middle is None:
-                number += 1
-            else:
-                nodes.insert(number + 1, middle)
-                number = max(0, number - 1)
-
-    def _on(self, first: Node, last: Node, near: float) -> Iterator[Node]:
-        """Those of a segment; where they are several it is halved until each is alone."""
-        change = np.subtract(last.outside, first.outside)
-        if change[0] % 2 == 0 and change[1] % 2 == 0 and change @ (1, 1, 2) == 0:
-            return
-        if np.abs(change).sum() > 1 and last.place - first.place > ALONE:
-            found = self.between(first, last, 0.5)
-            if found is not None:
-                place = 0.5 * (first.place + last.place)
-                middle = self._node(place, found, _chord(first, last))
-                yield from self._on(first, middle, near)
-                yield middle
-                yield from self._on(middle, last, near)
-                return
-        for kind, step in zip(KINDS, change, strict=True):
-            if step % 2:
-                yield self._located(kind, first, last, near)
-
-    def _located(self, kind: str, first: Node, last: Node, close: float) -> Node:
+    def _located(self, kind: str, first: Node, last: Node) -> Node:
         """Where a test function vanishes on a segment; not located: where it was smallest, as an
         orbit is missed, or it has one sign, or jumps past zero."""
-        pairs, chord = max(first.outside[2], last.outside[2]), _chord(first, last)
-        met: list[tuple[float, float, Node]] = []
-        used: OrbitPoint | None = None
+        pairs = max(first.outside[2], last.outside[2])
+        met = {0.0: first, 1.0: last}
 
         def test(one: Node) -> float:
             if kind == KINDS[0]:
@@ -424,35 +375,25 @@ class OrbitBranch:
             sizes = np.abs(one.leading[one.leading.imag > 0.0])
             return float(sizes[pairs - 1]) - 1.0 if len(sizes) >= pairs else -1.0
 
+        largest = max(abs(test(first)), abs(test(last)))
+
         def value(share: float) -> float:
-            nonlocal used
-            if share in (0.0, 1.0):
-                one = last if share else first
-            else:
-                found = self.between(first, last, share, SHARP, used)
+            if share not in met:
+                found = self.between(first, last, share, SHARP)
                 if found is None:
                     raise ConvergenceError("no orbit")
-                used = orbit_of(found)
-                place = first.place + share * (last.place - first.place)
-                one = self._node(place, found, chord)
-                met.append((abs(test(one)), share, one))
-            return test(one)
+                met[share] = found
+            found_there = test(met[share])
+            return found_there if abs(found_there) > TOLERANCE * largest else 0.0
 
-        located, largest = False, max(abs(test(first)), abs(test(last)))
-        rise = abs(last.parameter - first.parameter) / max(abs(first.parameter), 1e-300)
         try:
-            scipy.optimize.brentq(value, 0.0, 1.0, xtol=min(close, 1e-10 / max(rise, 1e-10)))
-            located = min(met)[0] <= SMOOTH * largest
+            scipy.optimize.brentq(value, 0.0, 1.0, xtol=TOLERANCE)
+            searched = True
         except (ConvergenceError, ValueError):
-            pass
-        one = min(met)[2] if met else first
+            searched = False
+        one = min(list(met.values())[2:] or [first], key=lambda one: abs(test(one)))
+        located = searched and abs(test(one)) <= SMOOTH * largest
         return replace(one, crossing=Crossing(kind, one.parameter, one.place, located))
-
-
-def orbit_of(found: PathPoint) -> OrbitPoint:
-    """The equations at an orbit."""
-    assert isinstance(found.at, OrbitPoint)
-    return found.at
 
 
 def _direction(change: np.ndarray, rise: float, at: np.ndarray) -> Tangent | None:
@@ -461,9 +402,12 @@ def _direction(change: np.ndarray, rise: float, at: np.ndarray) -> Tangent | Non
     return Tangent(change / length, rise / length, weight) if length > 1e-12 else None
 
 
-def _chord(first: Node, last: Node) -> Tangent | None:
-    """Direction from one node to another; None where they are the same."""
-    return _direction(last.unknown - first.unknown, last.parameter - first.parameter, first.unknown)
+def _chords(nodes: list[Node]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """From each node to the next: changes of x, (n - 1, 2n), and of p, and lengths."""
+    changes = np.diff([one.unknown for one in nodes], axis=0)
+    rises = np.diff([one.parameter for one in nodes])
+    weights = np.array([one.tangent.weight for one in nodes])[:-1]
+    return changes, rises, np.sqrt(weights * np.sum(changes**2, axis=1) + rises**2)
 
 
 def cubic(first: Node, last: Node, share: float) -> tuple[np.ndarray, float]:
@@ -490,7 +434,7 @@ def _to_turns(parameters: np.ndarray) -> np.ndarray:
 
 def _multipliers(monodromy: np.ndarray) -> np.ndarray:
     """Floquet multipliers, largest modulus first; of many those that matter."""
-    values = _leading(monodromy) if len(monodromy) > FULL else None
+    values = _leading(monodromy) if len(monodromy) > 2 * COLUMNS else None
     if values is None:
         values = eigenvalues(monodromy)
     return values[np.argsort(-np.abs(values), kind="stable")]
@@ -508,7 +452,8 @@ def _leading(matrix: np.ndarray) -> np.ndarray | None:
     for _ in range(SQUARINGS):
         power = power @ power
     for turn in range(1, TURNS + 1):
-        columns = np.linalg.qr(power @ columns)[0]
+        factors, scales, _, _ = dgeqrf(power @ columns)  # NumPy's qr takes thrice as long
+        columns = dorgqr(factors, scales)[0]
         if turn % 3:
             continue
         image = matrix @ columns
@@ -516,7 +461,7 @@ def _leading(matrix: np.ndarray) -> np.ndarray | None:
         order = np.argsort(-np.abs(values), kind="stable")[: LEADING + 1]
         vectors = vectors[:, order]
         left = image @ vectors - (columns @ vectors) * values[order]
-        if np.linalg.norm(left, axis=0).max() <= EXACT and abs(values[order[-1]]) < 1.0:
+        if np.linalg.norm(left, axis=0).max() <= KNOWN and abs(values[order[-1]]) < 1.0:
             return values[order] + 0j
     return None
 
@@ -556,42 +501,37 @@ def _line(begin: np.ndarray, end: np.ndarray, share: float | np.ndarray) -> np.n
     return np.multiply.outer(begin[:count], rest) + np.multiply.outer(end[:count], share)
 
 
-def _fits(first: Node, middle: Node, last: Node) -> bool:
-    """Whether the moduli at a node are those between its neighbours', to a part of what they
-    differ from 1."""
-    lengths = [_length(first, middle), _length(middle, last)]
-    share = lengths[0] / max(sum(lengths), 1e-300)
-    count = min(len(one.moduli) for one in (first, middle, last))
-    moduli = np.array([one.moduli[:count] for one in (first, middle, last)])
-    allowed = FITTING * np.maximum(np.abs(1.0 - moduli).min(axis=0), RESOLVED)
-
-    def off(line: np.ndarray) -> np.ndarray:
-        common = min(len(line), count)
-        return np.abs(moduli[1, :common] - line[:common]) > allowed[:common]
-
-    return not (
-        np.any(off(_line(first.moduli, last.moduli, share)))
-        and np.any(off(blended(first, last, share)))
-    )
+def _bent(nodes: list[Node], moduli: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    """Whether the moduli at each inner node are not those between its neighbours', to what they
+    differ from 1: (n - 2,) bool."""
+    shares = lengths[:-1] / np.maximum(lengths[:-1] + lengths[1:], 1e-300)
+    away = np.abs(1.0 - moduli)
+    away = np.minimum(np.minimum(away[:-2], away[2:]), away[1:-1])
+    allowed = np.maximum(away, RESOLVED)
+    line = moduli[:-2] + shares[:, None] * (moduli[2:] - moduli[:-2])
+    bent = np.any(np.abs(moduli[1:-1] - line) > allowed, axis=1)
+    for place in np.flatnonzero(bent):
+        smooth = blended(nodes[place], nodes[place + 2], shares[place])[: moduli.shape[1]]
+        off = np.abs(moduli[place + 1, : len(smooth)] - smooth)
+        bent[place] = np.any(off > allowed[place, : len(smooth)])
+    return bent
 
 
-def _pass_one(before: Node, first: Node, last: Node) -> bool:
-    """Whether moduli that go on behind a node as they came would pass 1 half on the way to the
-    next, where they are on the same side of it."""
-    three = [one.moduli - 1.0 for one in (before, first, last)]
-    count = min(map(len, three))
-    came, here, next_one = (one[:count] for one in three)
-    if not np.any(here * next_one > 0.0):
-        return False
-    ahead = 0.5 * _length(first, last) / max(_length(before, first), 1e-300)
-    beyond = here + ahead * (here - came)
-    return bool(np.any((here * next_one > 0.0) & (here * beyond < 0.0)))
+def _pass_one(moduli: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    """Whether moduli that go on behind each inner node as they came would pass 1 half on the way to
+    the next, where they are on the same side of it: (n - 2,) bool."""
+    came, here, ahead = moduli[:-2] - 1.0, moduli[1:-1] - 1.0, moduli[2:] - 1.0
+    part = 0.5 * lengths[1:] / np.maximum(lengths[:-1], 1e-300)
+    beyond = here + part[:, None] * (here - came)
+    return np.asarray(np.any((here * ahead > 0.0) & (here * beyond < 0.0), axis=1))
 
 
-def _length(first: Node, last: Node) -> float:
-    change = last.unknown - first.unknown
-    square = first.tangent.weight * (change @ change)
-    return float(np.sqrt(square + (last.parameter - first.parameter) ** 2))
+def _changes(nodes: list[Node]) -> np.ndarray:
+    """Whether a bifurcation of each kind is between each node and the next: (n - 1, 3) bool."""
+    changes = np.diff(np.array([one.outside for one in nodes], dtype=int).reshape(-1, 3), axis=0)
+    odd = changes % 2 == 1
+    meet = ~odd[:, 0] & ~odd[:, 1] & (changes @ (1, 1, 2) == 0)
+    return np.asarray(odd & ~meet[:, None])
 
 
 def _outside(values: np.ndarray) -> tuple[int, int, int]:

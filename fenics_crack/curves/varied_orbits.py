@@ -10,12 +10,16 @@ from fenics_crack.motion.flow import Budget, ContactFlow, Motion, exact_flow
 
 __all__ = ["VariedOrbits"]
 
-DIFFERENCE = 1e-6
-"""Of p, for dF/dp."""
+DIFFERENCE = float(np.cbrt(np.finfo(float).eps))
+"""Of p, for dF/dp: its truncation is then as small as its rounding."""
 
 
 class VariedOrbits(FlowOrbits):
     """F(x, p) of the exact flows along a family, p its parameter; x in the modes of p = 0."""
+
+    @property
+    def compiled(self) -> None:  # type: ignore[override]
+        """The kernel's loops know one flow."""
 
     def __init__(
         self, family: Family, displacement: np.ndarray, velocity: np.ndarray, budget: Budget

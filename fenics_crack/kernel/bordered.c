@@ -73,13 +73,14 @@ int correct_in_plane(equations *at, const plane *in, const correction *how, doub
             if (*taken >= patience) smallest = fmin(smallest, sizes[(*taken - patience) % PATIENT]);
         }
         if (*taken == how->iterations || 0.5 * smallest < size) return NOT_FOUND;
+        const int former = *taken && at->solve_nearly && size <= how->lasting * before;
         /* (dx, dp) = (a + dp b, dp), J a = -F, J b = -F_p, dp = -w <t_x, a> / (w <t_x, b> + t_p) */
         for (int j = 0; j < n; j++) change[j] = -F[j];
         at->sharp = STEP;
-        at->solve(at, change);
+        (former ? at->solve_nearly : at->solve)(at, change);
         shift = 0.0;
         if (in) {
-            slope_at(at, n, STEP, rate);
+            if (!former) slope_at(at, n, STEP, rate);
             const double along = in->weight * inner_product(at, in->across, rate) + in->slope;
             const double off = in->weight * inner_product(at, in->across, change);
             shift = -off / (along + 1e-300); /* not 0 */

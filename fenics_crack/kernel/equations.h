@@ -23,6 +23,8 @@ typedef struct equations {
     double (*inner)(const struct equations *at, const double *x, const double *y);
     void *context; /* what equations in Python are made of (numerics/equations.py) */
     void (*apply)(struct equations *at, const double *x, double *found); /* J x, for products */
+    /* x = J^-1 x with the J of the last point where solve was asked for; NULL: it is not kept. */
+    void (*solve_nearly)(struct equations *at, double *x);
 } equations;
 
 #endif

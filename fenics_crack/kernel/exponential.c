@@ -1,5 +1,6 @@
 #include "exponential.h"
 
+#include <float.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -7,8 +8,8 @@
 #include "lapack.h"
 #include "series.h"
 
-/* How far what is fastest turns in the time of a series, and the size of its last term. */
-static const double SHORT = 1.5, LAST = 1e-14;
+/* How far what is fastest turns in the time of a series. */
+static const double SHORT = 1.5;
 
 /* All in units of the frequency. exp = I + F with
  *
@@ -114,7 +115,7 @@ WIDE static void short_series(exponentials *e, double time, double turn)
     memset(before, 0, bytes(2 * square));
     memset(b, 0, bytes(2 * square));
     for (int i = 0; i < m; i++) now[(long)i * (m + 1)] = b[(long)i * (m + 1)] = time;
-    for (int n = 0; size > LAST; n++, size *= turn / (n + 1)) {
+    for (int n = 0; size > DBL_EPSILON; n++, size *= turn / (n + 1)) {
         double *last = before;
         next_term(e, n, time, before, now, next);
         for (long i = 0; i < square; i++) {

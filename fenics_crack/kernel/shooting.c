@@ -12,7 +12,7 @@ struct shooting_point {
     flow_motion moved;
     int known; /* whether M is */
     double parameter;
-    double *scale, *residual, *state, *tangent;
+    double *scale, *residual, *state, *rate, *tangent;
 };
 
 static size_t bytes(long count) { return (size_t)count * sizeof(double); }
@@ -81,14 +81,12 @@ static void by_parameter(equations *own, double *found)
     const flow_motion *m = &at->moved;
     const flow_track track = track_of(at);
     const int failed = flow_by_omega(at->of.flow, &track, found);
-    double *rate = at->common.matrix; /* room */
-    at->common.factored = 0;
-    if (failed || flow_rate(at->of.flow, m->omega, m->end, m->state, rate)) {
+    if (failed || flow_rate(at->of.flow, m->omega, m->end, m->state, at->rate)) {
         for (int i = 0; i < n; i++) found[i] = NAN;
         return;
     }
     for (int i = 0; i < n; i++)
-        found[i] = at->of.omega * at->scale[i] * (found[i] - m->end / m->omega * rate[i]);
+        found[i] = at->of.omega * at->scale[i] * (found[i] - m->end / m->omega * at->rate[i]);
 }
 
 shooting_point *new_shooting_point(const shooting_equations *given)
@@ -99,9 +97,9 @@ shooting_point *new_shooting_point(const shooting_equations *given)
     at->of = *given;
     at->common.own = (equations){
         .unknowns = (int)n, .evaluate = evaluate, .residual = residual, .solve = solve_dense,
-        .by_parameter = by_parameter, .sign = sign_of_dense};
+        .solve_nearly = solve_nearly_dense, .by_parameter = by_parameter, .sign = sign_of_dense};
     const int failed = make_dense(&at->common, (int)n, form_jacobian);
-    at->scale = malloc(bytes(3 * n + n * n));
+    at->scale = malloc(bytes(4 * n + n * n));
     at->moved.most_pieces = given->pieces;
     at->moved.most = given->intervals;
     at->moved.sets = malloc((size_t)(intervals * given->pairs + 1));
@@ -114,7 +112,8 @@ shooting_point *new_shooting_point(const shooting_equations *given)
     at->of.scale = at->scale;
     at->residual = at->scale + n;
     at->state = at->residual + n;
-    at->tangent = at->state + n;
+    at->rate = at->state + n;
+    at->tangent = at->rate + n;
     return at;
 }
 

@@ -33,8 +33,8 @@ from fenics_crack.motion.flow import Budget, ContactFlow, Motion, Samples
 from fenics_crack.table import Described, counted
 
 __all__ = [
-    "INSTANTS", "PIECES", "OrbitCoefficients", "PeriodicOrbit", "Prediction", "doubling_test",
-    "eigenvalues", "find_orbit", "predict",
+    "INSTANTS", "KNOWN", "PIECES", "OrbitCoefficients", "PeriodicOrbit", "Prediction",
+    "doubling_test", "eigenvalues", "find_orbit", "predict",
 ]  # fmt: skip
 
 FLOWS, SHORTEST = 20, 1e-3
@@ -45,6 +45,8 @@ CLOSED = 1e-11
 """Relative length of a step behind which an orbit is found."""
 ROUNDED = 1e3
 """Times that, below which steps are rounding."""
+KNOWN = 1e-6
+"""How well multipliers are known: what is nearer to 1 does not judge."""
 INSTANTS = 512
 """At which the gaps of an orbit are kept."""
 NODES = 20

@@ -125,13 +125,15 @@ def solve_in_plane(
     reach: float = np.inf,
     least_damping: float | None = MIN_DAMPING,
     patience: int | None = None,
+    lasting: float = 0.0,
 ) -> PathPoint | None:
     """Newton's method in the plane across a tangent, or at a given parameter; None where it fails.
 
     ``tolerance`` is |F| / |x| of the solution, |x| that of the tangent's point; ``reach``: how far
     from the guess the parameter may go; ``least_damping``: how much a step may be shortened where
     the residual would grow, None for full steps whatever it does; ``patience``: steps, at most 30,
-    that may together fail to halve |F| / |x|.
+    that may together fail to halve |F| / |x|; ``lasting``: to what part of it a step has to shrink
+    it that the next one may have the same Jacobian.
     """
     equations = equations_of(system, unknown.shape)
     flat = plane or Tangent(np.zeros_like(unknown), 1.0, 0.0)
@@ -143,6 +145,7 @@ def solve_in_plane(
     how = Struct(
         "correction", tolerance=tolerance, reach=reach, iterations=iterations,
         least_damping=-1.0 if least_damping is None else least_damping, patience=patience or 0,
+        lasting=lasting,
     )  # fmt: skip
     outcome = equations.run(
         kernel.solve_in_plane, border, how.at, doubles(shaped(found, *equations.shape)),

@@ -77,8 +77,9 @@ class _Interpreted(Equations):
         self._struct = Struct(
             "equations", unknowns=size, context=self._handle, counts=counts,
             evaluate=kernel.python_evaluate, residual=kernel.python_residual,
-            solve=kernel.python_solve, by_parameter=kernel.python_by_parameter,
-            sign=kernel.python_sign, inner=kernel.python_inner,
+            solve=kernel.python_solve, solve_nearly=kernel.python_solve_nearly,
+            by_parameter=kernel.python_by_parameter, sign=kernel.python_sign,
+            inner=kernel.python_inner,
         )  # fmt: skip
         self.table = self._struct.at
 
@@ -96,6 +97,8 @@ class _State:
     """A system in Python where the kernel has evaluated it, and what it raised."""
 
     at: Linearisation
+    solved: Linearisation
+    """Where J was used last."""
     failure: BaseException | None = None
 
     def __init__(self, system: System, shape: tuple[int, ...]) -> None:
@@ -138,8 +141,17 @@ def _residual(state: _State, found: Any) -> None:
 
 @_called_back(None)
 def _solve(state: _State, right: Any) -> None:
-    both = state.array(right)
-    both[...] = state.at.solve(both.copy())
+    state.solved = state.at
+    _solve_by(state.at, state.array(right))
+
+
+@_called_back(None)
+def _solve_nearly(state: _State, right: Any) -> None:
+    _solve_by(state.solved, state.array(right))
+
+
+def _solve_by(at: Linearisation, both: np.ndarray) -> None:
+    both[...] = at.solve(both.copy())
 
 
 @_called_back(None)

@@ -25,7 +25,7 @@ from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.flow import exact_flow
-from fenics_crack.motion.orbit import PeriodicOrbit, eigenvalues
+from fenics_crack.motion.orbit import KNOWN, PeriodicOrbit, eigenvalues
 from fenics_crack.stability.hill import hill_root
 from fenics_crack.stability.linear_flow import monodromy
 from fenics_crack.stability.shooting import CLOSE, leaves
@@ -34,8 +34,6 @@ __all__ = ["Stability", "floquet"]
 
 PEAK = np.sqrt(2.0)
 """How many times its root mean square an error is large at an extremum of the gap, as a wave is."""
-SURE = 1e-7
-"""How well the modulus of an orbit's multiplier is known."""
 
 
 def floquet(
@@ -105,14 +103,14 @@ def _by_orbit(judged: Judgement) -> Stability:
     if orbit is None:
         return _along_the_wave(judged, judged.reason)
     verdict, reason, largest = "undecided", judged.reason, abs(orbit.multipliers[0])
-    if not reason and abs(largest - 1.0) <= SURE:
+    if not reason and abs(largest - 1.0) <= KNOWN:
         reason = "its largest multiplier is 1 to rounding: a bifurcation, or no damping"
     if not reason and largest < 1.0 and not judged.of_orbit:
         assert judged.decisive is not None
         reason = _doubt(orbit, judged.decisive)
     if not reason:
         verdict = "stable" if largest < 1.0 else "unstable"
-    return Stability(orbit.multipliers, verdict, SURE, True, judged.distance, reason)
+    return Stability(orbit.multipliers, verdict, KNOWN, True, judged.distance, reason)
 
 
 def _doubt(orbit: PeriodicOrbit, judged: Judgement) -> str:
@@ -176,7 +174,7 @@ def _by_hill(structure: Structure, solution: PeriodicSolution, contact: ContactL
     verdict, reason = "stable" if root < 1.0 else "unstable", ""
     if not np.isfinite(off):
         reason = "Hill's determinant has no root next to the wave's multiplier"
-    elif abs(root - 1.0) <= max(SURE, off):
+    elif abs(root - 1.0) <= max(KNOWN, off):
         reason = "its largest multiplier is 1 within its uncertainty"
     elif solution.report.truncation >= UNKNOWN:
         reason = "the solution's error is not known"

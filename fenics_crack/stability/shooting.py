@@ -20,8 +20,8 @@ __all__ = ["CLOSE", "PeriodicOrbit", "leaves", "orbits_near", "shoot"]
 
 CLOSE, FOLLOWED, AWAY = 1e-3, 30, 3.0
 """Distance of a solution from its stable orbit to which the motion that begins with the solution
-need not be followed; periods that it is followed else, and how many times farther away than the
-linearised motion it has then left its orbit."""
+need not be followed; periods that it is followed else; and how many times farther away than the
+linearised motion it has left its orbit, and nearer than at first come back to it."""
 
 
 def leaves(
@@ -30,13 +30,16 @@ def leaves(
     """Whether a motion, given by its x at phase zero, leaves a stable orbit given like that: it is
     much farther away within some periods than at first, and than a small disturbance would be."""
     monodromy = orbits.linearise(orbit, parameter).monodromy
-    linear = off = motion - orbit
+    linear = motion - orbit
+    begun = float(np.linalg.norm(linear))
     try:
         for _ in range(FOLLOWED):
             motion, linear = orbits.moved(motion, parameter), monodromy @ linear
-            near = max(np.linalg.norm(off), np.linalg.norm(linear))
-            if np.linalg.norm(motion - orbit) > AWAY * near:
+            away = float(np.linalg.norm(motion - orbit))
+            if away > AWAY * max(begun, float(np.linalg.norm(linear))):
                 return True
+            if away < begun / AWAY:
+                return False
     except ConvergenceError:  # pairs chatter without end
         return True
     return False

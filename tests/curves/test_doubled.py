@@ -94,6 +94,6 @@ def test_ends_are_judged_as_single_solutions() -> None:
     """One mass, k R = 122, which was called stable next to an end where an orbit beside it has a
     multiplier of 8: no verdict contradicts floquet, nor the exact flow."""
     rows = campaign.findings(51, campaign.draw(51, 13, family="ends"))
-    assert len(rows) == 6 and not any(row["judgement"] == campaign.WRONG for row in rows), rows
-    verdicts = [row["verdict"] for row in rows]  # which of two orbits is found hangs on rounding
-    assert verdicts.count("stable") == 4 and set(verdicts[:2]) <= {"undecided", "unstable"}
+    judgements = [row["judgement"] for row in rows]  # which orbits are found hangs on rounding
+    assert len(rows) == 6 and campaign.WRONG not in judgements, rows
+    assert judgements.count("right") >= 4
