@@ -184,11 +184,13 @@ class Continuation:
             else:
                 begun = initial.point
             self._towards = begun.tangent
-            self._begin(begun.unknown, self._family.value(begun.parameter), begun.iterations)
+            unknown, place, iterations = begun.unknown, begun.parameter, begun.iterations
         else:
-            found = _first_solution(problem, family_of, initial, tolerance)
+            place, found = 0.0, _first_solution(problem, family_of, initial, tolerance)
             self._family, unknown, iterations = found
-            self._begin(unknown, self._family.value(0.0), iterations)
+        if not len(self._points):
+            value = self._family.value(place)
+            self._points.append(CurvePoint(value, self._family.omega(value), unknown, iterations))
 
     @property
     def curve(self) -> ResponseCurve:
@@ -249,11 +251,19 @@ class Continuation:
             for part in [stretch] if self._at_once and not asked else stretch.singly():
                 point, at = self._record(part), part[-1]
                 if asked and len(self._points) % EVERY == 0:
-                    point = self._with_truncation(point, at)
+                    truncation = _truncation(self._family, point.value, at)
+                    self._points.truncation[-1] = truncation
+                    point = replace(point, truncation=truncation)
                 yield point
-                if (again := self._with_other_harmonics(at, point.truncation)) is not None:
-                    self._towards = again.tangent
-                    return again, max(0.1 * at.length, 1e-3 * self._longest)
+                error, count = point.truncation, self._family.problem.harmonics
+                if self._tolerance is None or math.isnan(error):
+                    continue
+                wanted = more_harmonics(count, error, self._tolerance)
+                wanted = wanted or fewer_harmonics(count, error, self._tolerance, self._least)
+                if (again := _with_harmonics(self._family, at, wanted, self._longest)) is not None:
+                    self._family, here = again
+                    self._towards = here.tangent
+                    return here, max(0.1 * at.length, 1e-3 * self._longest)
         assert path.ended is not None
         self.complete = path.event is not None
         self.status = path.event.told if path.event else path.ended.told(self._most)
@@ -294,56 +304,7 @@ class Continuation:
         met = tuple((kind, place) for kind, place, _ in special)
         return replace(self._points.last, bifurcations=met)
 
-    # --- other harmonics --------------------------------------------------------------------------
-
-    def _with_truncation(self, found: CurvePoint, point: PathPoint) -> CurvePoint:
-        """The last point with the estimated error of the harmonics left out."""
-        at = self._family.linearise(point.unknown, point.parameter)
-        solution = solution_of(
-            self._family.at(found.value), at, status="", search=False, enough=0.0
-        )
-        self._points.truncation[-1] = truncation = solution.report.truncation
-        return replace(found, truncation=truncation)
-
-    def _with_other_harmonics(self, point: PathPoint, truncation: float) -> PathPoint | None:
-        """The point with H raised or lowered by the truncation's estimate, by less where that has
-        no solution; None where H stays."""
-        if self._tolerance is None or math.isnan(truncation):
-            return None
-        family = self._family
-        count = family.problem.harmonics
-        wanted = more_harmonics(count, truncation, self._tolerance)
-        wanted = wanted or fewer_harmonics(count, truncation, self._tolerance, self._least)
-        while wanted != count:
-            self._family = family.with_harmonics(wanted)
-            if (again := self._again(point)) is not None:
-                return again
-            wanted = count + int((wanted - count) / 2)
-        self._family = family
-        return None
-
-    def _again(self, point: PathPoint) -> PathPoint | None:
-        """The point with other harmonics, in the plane across the path, no farther than a step.
-        Full steps first: the residual of the new harmonics may grow before it falls."""
-        family = self._family
-        count = family.problem.harmonics
-        tangent = replace(point.tangent, x=resized(point.tangent.x, count))
-        start = replace(point, unknown=resized(point.unknown, count), tangent=tangent)
-        sharp = max(PathOptions.rtol, family.rounding(point.parameter))
-        for damping in (None, MIN_DAMPING):
-            found = solve_in_plane(
-                family, start.unknown, start.parameter, tangent,
-                tolerance=sharp, reach=self._longest, least_damping=damping,
-            )  # fmt: skip
-            if found is not None and distance(family, start, found) <= self._longest:
-                return found
-        return None
-
     # --- going on ---------------------------------------------------------------------------------
-
-    def _begin(self, unknown: np.ndarray, value: float, iterations: int) -> None:
-        """Take up a point that does not come from the path."""
-        self._points.append(CurvePoint(value, self._family.omega(value), unknown, iterations))
 
     def _take_over(self, curve: ResponseCurve) -> None:
         """Begin with the points of another curve, on its way."""
@@ -377,6 +338,43 @@ def _first_solution(
         if more is None:
             return family, initial.slow_gap_coefficients, initial.iterations
         problem = problem.with_harmonics(more)
+
+
+def _truncation(family: Family, value: float, point: PathPoint) -> float:
+    """The estimated error of the harmonics left out at a point."""
+    at = family.linearise(point.unknown, point.parameter)
+    return solution_of(family.at(value), at, status="", search=False, enough=0.0).report.truncation
+
+
+def _with_harmonics(
+    family: Family, point: PathPoint, wanted: int, reach: float
+) -> tuple[Family, PathPoint] | None:
+    """A family with other harmonics and a point with them; by fewer than wanted where there is none
+    within reach."""
+    count = family.problem.harmonics
+    while wanted != count:
+        other = family.with_harmonics(wanted)
+        if (found := _again(other, point, reach)) is not None:
+            return other, found
+        wanted = count + int((wanted - count) / 2)
+    return None
+
+
+def _again(family: Family, point: PathPoint, reach: float) -> PathPoint | None:
+    """A point with other harmonics, in the plane across the path. Full steps first: the residual of
+    the new harmonics may grow before it falls."""
+    count = family.problem.harmonics
+    tangent = replace(point.tangent, x=resized(point.tangent.x, count))
+    start = replace(point, unknown=resized(point.unknown, count), tangent=tangent)
+    sharp = max(PathOptions.rtol, family.rounding(point.parameter))
+    for damping in (None, MIN_DAMPING):
+        found = solve_in_plane(
+            family, start.unknown, start.parameter, tangent,
+            tolerance=sharp, reach=reach, least_damping=damping,
+        )  # fmt: skip
+        if found is not None and distance(family, start, found) <= reach:
+            return found
+    return None
 
 
 class _Joined(Event):

@@ -14,7 +14,8 @@ import fenics_crack as fc
 from fenics_crack import continue_frequency
 from fenics_crack.balance.compliance import ModalCompliance, load_coefficients
 from fenics_crack.balance.contact_integrals import respond
-from fenics_crack.balance.family import FAMILIES
+from fenics_crack.balance.family import FAMILIES, Family
+from fenics_crack.curves import continuation
 from fenics_crack.numerics.bordered import PathPoint
 from fenics_crack.numerics.fourier import from_complex
 from fenics_crack.numerics.path import Target
@@ -190,7 +191,7 @@ def test_frequency_derivative() -> None:
 
         step = 1e-6
         slope = (moved(0.7 + step) - moved(0.7 - step)) / (2.0 * step)
-        exact = ModalCompliance(structure, 0.7, load).frequency_derivative(force)
+        exact = ModalCompliance(structure, 0.7, load).derivative("omega", force)
         assert np.allclose(slope, exact, rtol=1e-6, atol=1e-7 * np.abs(exact).max())
 
 
@@ -434,12 +435,12 @@ def test_harmonics_follow_the_truncation(tmp_path: Path) -> None:
 
 def test_fewer_harmonics_where_more_have_no_solution(monkeypatch: pytest.MonkeyPatch) -> None:
     """H grows by less, and the curve goes on: an estimate that is far too large does not end it."""
-    correct = fc.Continuation._again
+    correct = continuation._again
 
-    def again(self: fc.Continuation, point: PathPoint) -> PathPoint | None:
-        return correct(self, point) if self._family.problem.harmonics <= 7 else None
+    def again(family: Family, point: PathPoint, reach: float) -> PathPoint | None:
+        return correct(family, point, reach) if family.problem.harmonics <= 7 else None
 
-    monkeypatch.setattr(fc.Continuation, "_again", again)
+    monkeypatch.setattr(continuation, "_again", again)
     structure, law = oscillator(0.1, 1.0), fc.UnilateralPenalty(1.0)
     curve = continue_frequency(structure, 3.0, 0.2, law, harmonics=4, tolerance=1e-3)
     assert curve.complete and set(curve.harmonics) == {4, 5, 7}
