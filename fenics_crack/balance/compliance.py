@@ -189,23 +189,22 @@ class ModalCompliance:
             at_once = -residual if at_once is None else at_once - residual
         return ModalPart(modes.squares, modes.damping, modes.pairs, load, omega, damping, at_once)
 
-    # Derivatives of R lambda - g_lin for fixed forces (2H+1, n_pairs): (2H+1, n_pairs).
-
-    def frequency_derivative(self, force: np.ndarray) -> np.ndarray:
-        """By base_omega: with H = Z^-1, dH = -H dZ H, dZ_k = -2 k^2 w + i k c."""
-        order, moved = self._order[:, None], self._moved(force)
-        damped = self._damping * self._modes.damped(moved)
-        return -self._gap(order * (1j * damped - (2.0 * self._base * order) * moved))
-
-    def damping_derivative(self, force: np.ndarray) -> np.ndarray:
-        """By the factor of the damping: dZ_k = i k w c."""
-        rate = 1j * self._base * self._order[:, None]
-        return -self._gap(rate * self._modes.damped(self._moved(force)))
-
-    def load_derivative(self) -> np.ndarray:
-        """By the factor of the load."""
-        found = self._gap(self._unit_load)
-        return -found if self._unit_static is None else -found - self._static_gap
+    def derivative(self, name: str, force: np.ndarray) -> np.ndarray:
+        """Of R lambda - g_lin for fixed forces, (2H+1, n_pairs), by one of the parameters of
+        :meth:`at`: with H = Z^-1, dH = -H dZ H, dZ_k = (-2 k^2 w + i k d c) dw + i k w c dd."""
+        order = self._order[:, None]
+        if name == "clearance":
+            found = np.zeros_like(force)
+            found[0] = 1.0
+            return found
+        if name == "load":
+            found = -self._gap(self._unit_load)
+            return found if self._unit_static is None else found - self._static_gap
+        moved = self._moved(force)
+        damped = 1j * self._modes.damped(moved)
+        if name == "damping":
+            return -self._gap(self._base * order * damped)
+        return -self._gap(order * (self._damping * damped - 2.0 * self._base * order * moved))
 
     def _gap(self, drive: np.ndarray) -> np.ndarray:
         """Gap coefficients (2H+1, n_pairs) under modal forces (H+1, n_modes)."""

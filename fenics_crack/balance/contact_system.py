@@ -185,10 +185,6 @@ class ContactSystem:
             least = max(least, float(np.linalg.eigvalsh(self.residual + np.diag(springs))[0]))
         return 1.0 / max(least, 1e-300)
 
-    def steepness(self, law: ContactLaw) -> float:
-        """Largest slope of (R_k - R_inf) lambda(s) by s, for a law."""
-        return float(np.abs(self.moving).sum(axis=2).max()) * self.steepest_force(law)
-
     def softened(self) -> ContactSystem:
         """The same equations, whose parameter starts where pairs hardly touch each other: their
         softness is larger than the compliance of what moves."""
@@ -285,7 +281,3 @@ class ContactPoint(DenseLinearisation):
         """Change of the gap if the contact force were changed."""
         moved = self.solve(-respond(self.system.moving, change))
         return self._gap(self.gap_of(moved), change)
-
-    def gap_by_linear_gap(self, change: np.ndarray) -> np.ndarray:
-        """Change of the gap if that without contact, g_lin, were changed."""
-        return self.gap_of(self.solve(change))

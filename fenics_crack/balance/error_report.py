@@ -10,11 +10,11 @@ J of F(g) = g + R b(g) - g_lin at the solution, and a disturbance d of b,
   collocation this is the aliasing;
 - reduction: R lacks delta R, known from a larger basis: R d becomes delta R b - delta g_lin.
 
-Truncation, and reduction where pairs are seen through a static compliance (:mod:`contact_system`),
-are what Newton's method changes with more harmonics, or with the modes of the larger basis, in as
-many steps as it takes until these are short against that. Where it does not settle, the truncation
-is the distance of the exact orbit next to the solution; where there is none, or it cannot be
-followed, the error is not known, which an estimate of 1 or more says.
+Truncation is the distance of the exact orbit next to the solution (:mod:`judgement`); where the
+flow is not at hand it, and reduction where pairs are seen through a static compliance
+(:mod:`contact_system`), are what Newton's method changes with more harmonics, or with the modes of
+the larger basis. Where it does not settle the error is not known, which an estimate of 1 or more
+says.
 
 All are root mean squares over the period and the pairs, relative to that of B^T u.
 
@@ -42,13 +42,13 @@ from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
 from fenics_crack.balance.judgement import STILL, UNKNOWN, Judgement
 from fenics_crack.balance.more_modes import more_modes
-from fenics_crack.balance.problem import Problem
+from fenics_crack.balance.problem import NEARLY, Problem
 from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear, is_rigid
 from fenics_crack.model.coupled import is_regular
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.bordered import solve_in_plane
+from fenics_crack.numerics.bordered import solve_near
 from fenics_crack.numerics.fourier import resized
 from fenics_crack.table import Described
 
@@ -60,26 +60,18 @@ __all__ = [
     "beyond_truncation",
     "estimate_errors",
     "mean_square",
+    "of_no_solution",
     "relative_size",
 ]
 
 LARGE_ERROR = 0.05
 """Estimated error beyond which a solution is not shown without a warning."""
 
-NOTHING, CALM, SETTLED, MAX_STEPS = 1e-9, 0.05, 0.01, 10
-"""Of Newton's method for an estimate: a first step, relative to the solution, that needs no second;
-the second relative to the first, and any later one relative to the distance gone, with which it
-ends; and how many follow the first."""
-SURE = 1e-3
-"""Of the second step relative to the first, below which there is no third."""
-SLOW = 10_000
-"""Unknowns from which on no steps follow a second one that is longer than the first: one of them
-may take 5 s."""
+CALM = 0.05
+"""Of the second step of Newton's method relative to the first, below which there is no third."""
 STIFF = 1e3
 """Stiffness of a penalty that stands for a constraint where the reference has mass at its lips,
 relative to the inverse of R_inf."""
-SOLVED, ITERATIONS, SHORTEST = 1e-7, 25, 0.02
-"""Of the wider equations where those steps do not end: |F| / |x|, how many more, and how short."""
 MANY = 600
 """Unknowns with which the truncation is judged at most, unless twice the harmonics have more."""
 
@@ -180,6 +172,15 @@ def estimate_errors(
     )
 
 
+def of_no_solution(at: ContactPoint, problem: Problem) -> ErrorReport:
+    """The report of equations that are not solved: their residual, and that no error is known."""
+    residual, penetration = (
+        relative_size(change, at, problem.structure.clearance)
+        for change in (at.residual, _penetration(at))
+    )
+    return ErrorReport(residual, UNKNOWN, 0.0, 0.0, penetration, UNKNOWN)
+
+
 @dataclass(frozen=True)
 class _Change:
     """What better equations change.
@@ -248,37 +249,9 @@ def beyond_truncation(at: ContactPoint) -> _Change:
     many pairs are stiff, unless these are seen through a static compliance.
     """
     rows, harmonics = len(at.unknown), _more_harmonics(at)
-    start, wide = resized(at.unknown, harmonics), at.system.widened(harmonics)
+    wide = at.system.widened(harmonics)
     # The first H are solved; what samples leave there is another error.
-    found = _improvement(wide, start, rows, solved=rows)
-    return found if found.settled else _by_shortened_steps(at, wide) or found
-
-
-def _by_shortened_steps(at: ContactPoint, wide: ContactSystem) -> _Change | None:
-    """The change by steps that are shortened where the residual would grow; None where they do not
-    arrive, or are many."""
-    if wide.global_size > MANY or wide.integrals.coupled:
-        return None
-    found = solve_in_plane(
-        wide, resized(at.unknown, wide.integrals.harmonics),
-        wide.end, None,
-        tolerance=SOLVED, iterations=ITERATIONS, least_damping=SHORTEST,
-    )  # fmt: skip
-    if found is None:
-        return None
-    there = wide.linearise(found.unknown)
-    gap = there.gap - resized(at.gap, len(there.gap) // 2)
-    return _Change(gap, there.force[: len(at.gap)] - at.force)
-
-
-def _goes_on(first: ContactPoint, step: np.ndarray, again: np.ndarray, known: np.ndarray) -> bool:
-    """Whether a third step with the first Jacobian is shorter than the second, if that is not very
-    short: next to grazing two steps may lead to where there is no solution at all."""
-    if np.linalg.norm(again) < SURE * np.linalg.norm(step):
-        return True
-    there = first.system.linearise(first.unknown + step + again)
-    third = first.solve(known - there.residual)
-    return bool(np.linalg.norm(third) < 0.5 * np.linalg.norm(again))
+    return _improvement(wide, resized(at.unknown, harmonics), rows, solved=rows)
 
 
 def _more_harmonics(at: ContactPoint) -> int:
@@ -295,41 +268,26 @@ def _improvement(
     better: tuple[Structure, Compliance] | None = None,
     *,
     solved: int = 0,
-    most: int = MAX_STEPS,
 ) -> _Change:
-    """What better equations change: how far Newton's method goes until its steps are small against
-    that, at least two of them. The first ``solved`` rows of the residual stay as they are.
-
-    The second step takes the first Jacobian. Where it is not much shorter than the first one,
-    Newton's own steps follow. Where they do not arrive, the change is not known.
+    """What better equations change: two steps of Newton's method with the first Jacobian, where the
+    second is much shorter, the first ``solved`` rows of the residual staying as they are; else all
+    steps to the solution, shortened where the residual would grow. Where these do not arrive, the
+    change is not known.
     """
     first = system.linearise(start)
     known = first.residual.copy()
     known[solved:] = 0.0
-
-    def change_to(point: ContactPoint, settled: bool = True) -> _Change:
-        gap, force = point.gap - first.gap, (point.force - first.force)[:rows]
-        return _Change(gap, force, better, settled)
-
     step = first.solve(known - first.residual)
-    length = float(np.linalg.norm(step))
-    if not length > NOTHING * np.linalg.norm(start):
-        return _Change(first.gap_of(step), first.force_of(step)[:rows], better)
-    point = system.linearise(start + step)
-    again = first.solve(known - point.residual)
-    if np.linalg.norm(again) < CALM * length and _goes_on(first, step, again, known):
+    again = first.solve(known - system.linearise(start + step).residual)
+    if np.linalg.norm(again) < CALM * np.linalg.norm(step):
         step = step + again
         return _Change(first.gap_of(step), first.force_of(step)[:rows], better)
-    if start.size > SLOW and np.linalg.norm(again) > length:
-        return change_to(point, settled=False)
-    for _ in range(most):
-        step = point.solve(known - point.residual)
-        if not np.all(np.isfinite(step)):
-            break
-        point = system.linearise(point.unknown + step)
-        if np.linalg.norm(step) < SETTLED * np.linalg.norm(point.unknown - start):
-            return change_to(point)
-    return change_to(point, settled=False)
+    size = max(float(np.linalg.norm(start)), 1e-300)
+    sharp = NEARLY * float(np.linalg.norm(known - first.residual)) / size
+    found = solve_near(system, start, system.end, tolerance=sharp)
+    point = first if found is None else system.linearise(found.unknown)
+    gap, force = point.gap - first.gap, (point.force - first.force)[:rows]
+    return _Change(gap, force, better, settled=found is not None)
 
 
 def _missed_by_samples(at: ContactPoint) -> np.ndarray:

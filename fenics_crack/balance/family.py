@@ -109,9 +109,10 @@ class Family(ABC):
             self._first = self.problem.system(compliance)
         return self._first.with_compliance(compliance)
 
-    @abstractmethod
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
         """dF/dv."""
+        assert isinstance(at.system.compliance, ModalCompliance)
+        return at.system.compliance.derivative(self.name, at.force)
 
     def system(self, value: float) -> ContactSystem:
         """The equations where the parameter has a value; the last ones are kept."""
@@ -167,11 +168,6 @@ class Family(ABC):
         modal = self._compliance.modal_part(omega, damping, self.problem.residual)
         return None if modal is None else first.compile(self._compliance.still_gap, modal)
 
-    def _with_linear_rate(self, first: ContactSystem, by_value: np.ndarray) -> CompiledEquations:
-        """The same where g_lin alone depends on the parameter, and linearly."""
-        rate = (self.end - self.start) * by_value
-        return first.compile(first.linear, first.moving, linear_rate=rate)
-
 
 class FrequencyFamily(Family):
     """v: load frequency [rad/s]."""
@@ -196,8 +192,7 @@ class FrequencyFamily(Family):
         return value
 
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
-        assert isinstance(at.system.compliance, ModalCompliance)
-        return at.system.compliance.frequency_derivative(at.force) / self.problem.subharmonic
+        return super()._by_value(value, at) / self.problem.subharmonic
 
     def _compile(self, first: ContactSystem) -> CompiledEquations | None:
         base = self.start / self.problem.subharmonic
@@ -219,6 +214,12 @@ class _VariedFamily(Family):
     def compliance(self, value: float) -> ModalCompliance:
         return self._compliance.at(self.problem.base_omega, **{self.name: value})
 
+    def _compile(self, first: ContactSystem) -> CompiledEquations | None:
+        """Where g_lin alone depends on the parameter, and linearly."""
+        by_value = self._compliance.derivative(self.name, np.zeros(first.shape))
+        rate = -(self.end - self.start) * by_value
+        return first.compile(first.linear, first.moving, linear_rate=rate)
+
 
 class LoadFamily(_VariedFamily):
     """v: factor of the load; a negative one reverses it."""
@@ -232,12 +233,6 @@ class LoadFamily(_VariedFamily):
             allowed = "another one: the structure rotates, and its mean load is partly centrifugal"
             raise InputError("parameter", "load", allowed)
 
-    def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
-        return self._compliance.load_derivative()
-
-    def _compile(self, first: ContactSystem) -> CompiledEquations:
-        return self._with_linear_rate(first, -self._compliance.load_derivative())
-
 
 class DampingFamily(_VariedFamily):
     """v: factor of the damping."""
@@ -250,10 +245,6 @@ class DampingFamily(_VariedFamily):
         if structure.damping is None:
             raise InputError("parameter", "damping", "another one: the structure has no damping")
 
-    def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
-        assert isinstance(at.system.compliance, ModalCompliance)
-        return at.system.compliance.damping_derivative(at.force)
-
     def _compile(self, first: ContactSystem) -> CompiledEquations | None:
         damping = (self.start, self.end - self.start)
         return self._with_modes(first, (self.problem.base_omega, 0.0), damping)
@@ -263,16 +254,6 @@ class ClearanceFamily(_VariedFamily):
     """v: clearance [m] added to that of every pair."""
 
     name = "clearance"
-
-    def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
-        change = np.zeros_like(at.gap)
-        change[0] = 1.0
-        return change
-
-    def _compile(self, first: ContactSystem) -> CompiledEquations:
-        change = np.zeros_like(first.linear)
-        change[0] = -1.0
-        return self._with_linear_rate(first, change)
 
 
 class StiffnessFamily(Family):
@@ -345,17 +326,13 @@ class SpeedFamily(Family):
         return problem.system(compliance)
 
     def _by_value(self, value: float, at: ContactPoint) -> np.ndarray:
-        step = DIFFERENCE * value
+        step = float(np.cbrt(np.finfo(float).eps)) * value  # least error of a central difference
         ends = (self._make(v).linearise(at.unknown).residual for v in (value - step, value + step))
         below, above = ends
         return np.asarray((above - below) / (2.0 * step))
 
     def _compile(self, first: ContactSystem) -> CompiledEquations | None:
         return None
-
-
-DIFFERENCE = 1e-6
-"""Relative step of a difference by the speed."""
 
 
 def _spinning(structure: Structure) -> RunUpStructure:

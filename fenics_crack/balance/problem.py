@@ -28,7 +28,7 @@ from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.coupled import is_regular
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.bordered import solve_in_plane
+from fenics_crack.numerics.bordered import solve_near
 
 __all__ = ["NEARLY", "Problem"]
 
@@ -36,8 +36,6 @@ BEYOND = 2.0
 """Modes above so many times the highest harmonic answer at once."""
 NEARLY = 1e-5
 """|F| / |x| of a solution with which another one begins, or by which it is judged."""
-STEPS, LEAST_DAMPING = 20, 0.01
-"""Newton's steps to one next to another one, and how short these may become."""
 STIFF = 100.0
 """k R_inf from which a penalty on lips with mass is seen through R_inf."""
 
@@ -184,17 +182,7 @@ class Problem:
             if not system.in_kernel:
                 return None
             start = system.unknown(wave, self.subharmonic // wave.subharmonic)
-            found = None
-            for damping in (None, LEAST_DAMPING):
-                found = found or solve_in_plane(
-                    system,
-                    start,
-                    system.end,
-                    None,
-                    tolerance=NEARLY,
-                    iterations=STEPS,
-                    least_damping=damping,
-                )
+            found = solve_near(system, start, system.end, tolerance=NEARLY)
             return None if found is None else self.wave(system.linearise(found.unknown))
         except (ConvergenceError, np.linalg.LinAlgError):
             return None
@@ -218,4 +206,4 @@ class Problem:
 
     def with_harmonics(self, harmonics: int) -> Problem:
         """The same with other harmonics."""
-        return replace(self, harmonics=harmonics)
+        return self if harmonics == self.harmonics else replace(self, harmonics=harmonics)

@@ -32,7 +32,7 @@ from fenics_crack.balance.rounding import SOFT, check_stiffness, stiffness_times
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.model.modal import all_modes
-from fenics_crack.numerics.bordered import point_on_path, solve_at, solve_in_plane
+from fenics_crack.numerics.bordered import PATIENCE, STEPS, point_on_path, solve_at, solve_near
 from fenics_crack.numerics.fourier import balanced, resized
 from fenics_crack.numerics.linearisation import Linearisation
 from fenics_crack.numerics.newton import DistributedSystem, KernelNewton, Newton, newton_of
@@ -46,8 +46,6 @@ COMPILED, INTERPRETED = 5000, 1000
 """Iterations of all starts together, with 300 unknowns in the kernel, and in Python: 5 to 8 s."""
 MANY = 100
 """Unknowns from which fewer harmonics are quicker than full steps from the linear solution."""
-STEPS, PATIENCE = 20, 8
-"""Newton steps from a guess, and those of them that may together fail to halve the residual."""
 PERIODS, MARCHED, MOVING = 40, (1, 3, 9), 40
 """Periods of a response that are marched at a time, how many times for one guess after the other,
 and modes that move in them."""
@@ -182,10 +180,7 @@ class Search:
         """A guess, and where steps from there lead that are shortened where the residual would
         grow."""
         yield guess
-        point = solve_in_plane(
-            system, guess, parameter, None,
-            tolerance=self.tolerance, iterations=STEPS, least_damping=0.01, patience=PATIENCE,
-        )  # fmt: skip
+        point = solve_near(system, guess, parameter, tolerance=self.tolerance, full=False)
         self.iterations += PATIENCE if point is None else point.iterations
         if point is not None:
             yield point.unknown
@@ -206,7 +201,7 @@ class Search:
                 start = system.linear if found is None else resized(found, count)
                 for guess in self._near(system, start, parameter):
                     sharp = max(self.tolerance, NEARLY)
-                    point = solve_at(system, guess, parameter, tolerance=sharp, iterations=STEPS)
+                    point = solve_at(system, guess, parameter, tolerance=sharp)
                     self.iterations += STEPS if point is None else point.iterations
                     if point is not None:
                         found = point.unknown
@@ -251,7 +246,7 @@ class Search:
     ) -> Iterator[np.ndarray]:
         """Where the path from near a start has its end."""
         first, end = span
-        begun = solve_at(system, start, first, tolerance=self.tolerance, iterations=STEPS)
+        begun = solve_at(system, start, first, tolerance=self.tolerance)
         self.iterations += STEPS if begun is None else begun.iterations
         if begun is None:
             return

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fenics_crack.balance.contact_system import ContactPoint
-from fenics_crack.balance.error_report import ErrorReport, estimate_errors
+from fenics_crack.balance.error_report import ErrorReport, estimate_errors, of_no_solution
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
 from fenics_crack.balance.judgement import Judgement
 from fenics_crack.balance.problem import Problem
@@ -203,6 +203,7 @@ def solution_of(
     at: ContactPoint,
     *,
     status: str,
+    converged: bool = True,
     search: bool = True,
     enough: float = math.inf,
     reported: bool = True,
@@ -211,11 +212,13 @@ def solution_of(
 
     With ``search`` its error is the distance of its exact orbit; else what is predicted without;
     nothing is estimated where it is not ``reported``, and nothing else where the truncation is
-    above ``enough``.
+    above ``enough``, or of equations that are not solved.
     """
-    found = PeriodicSolution(**vars(problem.wave(at)), status=status)
+    found = PeriodicSolution(**vars(problem.wave(at)), status=status, converged=converged)
     if not reported:
         return found
+    if not converged:
+        return replace(found, report=of_no_solution(at, problem))
     return replace(
         found, report=estimate_errors(at, found.judged, problem, search=search, enough=enough)
     )

@@ -14,7 +14,6 @@ from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.search import Search
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.errors import ConvergenceError
-from fenics_crack.numerics.linearisation import Linearisation
 
 __all__ = ["Solver"]
 
@@ -56,12 +55,11 @@ class Solver:
         with self.compliance() as compliance:
             problem = self.problem.weighted(compliance)
             at = replace(self, problem=problem).find(search, compliance, initial)
-            if not isinstance(at, ContactPoint):  # the kernel's
-                at = problem.system(compliance).linearise(at.unknown)
             found = solution_of(
-                problem, at, status=search.status, enough=self.enough, reported=reported
-            )
-            return search, replace(found, converged=search.converged, iterations=search.iterations)
+                problem, at, status=search.status, converged=search.converged, enough=self.enough,
+                reported=reported,
+            )  # fmt: skip
+            return search, replace(found, iterations=search.iterations)
 
     @contextmanager
     def compliance(self) -> Iterator[Compliance]:
@@ -74,7 +72,7 @@ class Solver:
 
     def find(
         self, search: Search, compliance: Compliance, initial: PeriodicSolution | None
-    ) -> Linearisation:
+    ) -> ContactPoint:
         """The equations where a search arrives."""
         problem, start = self.problem, None
 
@@ -86,6 +84,10 @@ class Solver:
         system = with_harmonics(problem.harmonics)
         if initial is not None:
             start = system.unknown(initial, problem.subharmonic // initial.subharmonic)
-        if system.residual is None:
-            return search.penalty(system, start, problem, with_harmonics)
-        return search.coupled(with_harmonics, problem, start)
+        at = (
+            search.penalty(system, start, problem, with_harmonics)
+            if system.residual is None
+            else search.coupled(with_harmonics, problem, start)
+        )
+        # The kernel's points do not know the forces.
+        return at if isinstance(at, ContactPoint) else system.linearise(at.unknown)

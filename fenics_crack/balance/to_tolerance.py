@@ -27,6 +27,7 @@ from fenics_crack.balance.error_report import UNKNOWN, ErrorReport
 from fenics_crack.balance.judgement import AFFORDABLE, Judgement, relative
 from fenics_crack.balance.more_modes import more_modes
 from fenics_crack.balance.nearby import recurring
+from fenics_crack.balance.neighbours import more_harmonics
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.balance.solver import Solver
@@ -264,8 +265,5 @@ def _finer(problem: Problem, report: ErrorReport, tolerance: float) -> Problem |
     harmonics, goal = problem.harmonics, _goal(tolerance, report.reduction)
     left = report.truncation + report.sampling
     unknown = left >= UNKNOWN and harmonics >= RUNGS[-1] * problem.subharmonic
-    if left <= goal or unknown or harmonics >= MAX_HARMONICS:
-        return None
-    # The error falls like H^-3 or slower: aim a little past the goal, but not too far.
-    wanted = 1.1 * harmonics * min((left / goal) ** (1.0 / 3.0), 2.5)
-    return problem.with_harmonics(min(MAX_HARMONICS, max(harmonics + 2, int(np.ceil(wanted)))))
+    more = None if unknown else more_harmonics(harmonics, left, goal, MAX_HARMONICS)
+    return None if more is None else problem.with_harmonics(more)

@@ -55,6 +55,12 @@ class Wave:
             return None
         return all_modes(self.structure).static_part(self.static_above)
 
+    @cached_property
+    def _forces(self) -> CoupledIntegrals:
+        """lambda(s) where something answers at once."""
+        assert self.contact is not None
+        return CoupledIntegrals(self.contact, self.harmonics, residual=self.residual)
+
     @property
     def slow_gap_coefficients(self) -> np.ndarray:
         """Of s = g + R_inf lambda, the gap without what answers at once: (2H+1, n_pairs) [m]."""
@@ -77,8 +83,7 @@ class Wave:
         if self.contact is None:
             return np.zeros_like(gap)
         if self.residual is not None:
-            integrals = CoupledIntegrals(self.contact, self.harmonics, residual=self.residual)
-            return integrals.forces(gap)
+            return self._forces.forces(gap)
         force = evaluate(self.force_coefficients, self.base_omega, time)
         return force_in_time(self.contact, gap, force)
 

@@ -39,7 +39,9 @@ from fenics_crack.numerics.linearisation import Linearisation, System
 __all__ = [
     "MAX_ITERATIONS",
     "MIN_DAMPING",
+    "PATIENCE",
     "REACH",
+    "STEPS",
     "PathPoint",
     "Tangent",
     "correct",
@@ -47,6 +49,7 @@ __all__ = [
     "point_on_path",
     "solve_at",
     "solve_in_plane",
+    "solve_near",
     "step_along",
     "step_in_plane",
     "tangent_of",
@@ -56,6 +59,9 @@ MAX_ITERATIONS = 8
 """Of one correction."""
 MIN_DAMPING = 0.05
 """Of a Newton step."""
+STEPS, SHORTEST, PATIENCE = 20, 0.01, 8
+"""From a guess at a given parameter, how short these may become, and those of them that may
+together fail to halve the residual."""
 REACH = 3.0
 """How far from its prediction the parameter may go, in steps."""
 
@@ -208,12 +214,29 @@ def step_along(
 
 
 def solve_at(
-    system: System, unknown: np.ndarray, parameter: float, *, tolerance: float, iterations: int = 20
+    system: System,
+    unknown: np.ndarray,
+    parameter: float,
+    *,
+    tolerance: float,
+    iterations: int = STEPS,
 ) -> PathPoint | None:
     """Full Newton steps from a guess at a given parameter; None where they do not converge."""
     return solve_in_plane(
         system, unknown, parameter, None,
         tolerance=tolerance, iterations=iterations, least_damping=None,
+    )  # fmt: skip
+
+
+def solve_near(
+    system: System, unknown: np.ndarray, parameter: float, *, tolerance: float, full: bool = True
+) -> PathPoint | None:
+    """A solution at a parameter by full steps from a guess, or else by steps that are shortened
+    where the residual would grow; by these alone unless ``full``."""
+    found = solve_at(system, unknown, parameter, tolerance=tolerance) if full else None
+    return found or solve_in_plane(
+        system, unknown, parameter, None,
+        tolerance=tolerance, iterations=STEPS, least_damping=SHORTEST, patience=PATIENCE,
     )  # fmt: skip
 
 
