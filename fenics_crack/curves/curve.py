@@ -136,8 +136,95 @@ class Bifurcation(Described):
         return f"{name} at {self.value:.6g}, {found}"
 
 
+class _Waves(Tabular):
+    """What the dofs and the lips of solutions do over the period, from their unknowns alone."""
+
+    structure: Structure
+    omega: np.ndarray
+    unknowns: np.ndarray
+    subharmonic: int
+    static_above: float | None
+
+    def _linearised(self, places: np.ndarray | None = None) -> Iterator[tuple[int, ContactPoint]]:
+        """The equations at all points, or some, with their numbers; not in order."""
+        raise NotImplementedError
+
+    def indicators(self, dof: int) -> Indicators:
+        """What a dof and the lips show of a breathing crack at every point, of 256 instants."""
+        return self.measure([dof])[0]
+
+    def coefficients_at(self, dof: int) -> np.ndarray:
+        """Coefficients of the displacement of a dof at every point: (n, 2H+1) [m]."""
+        return self._seen_at([dof])[0][0]
+
+    def motions(self, places: np.ndarray | None = None) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Displacements [m] and velocities [m/s] of all dofs at phase zero, at all points or some:
+        (n_dofs,) each."""
+        found = {}
+        places = np.arange(len(self.omega)) if places is None else places
+        for index, at in self._linearised(places):
+            waves = at.system.compliance.displacement(at.force)
+            order = np.arange(1, len(waves) // 2 + 1) * self.omega[index] / self.subharmonic
+            found[index] = waves[0] + waves[1::2].sum(axis=0), order @ waves[2::2]
+        return (found[int(place)] for place in places)
+
+    def gaps_in_time(self, places: np.ndarray) -> np.ndarray:
+        """Gaps of all pairs over the period at some points: (n, 256, n_pairs) [m]."""
+        phased = self._linearised(places)
+        found = {index: at.in_time(evaluate(at.unknown, 1.0, PHASES))[0] for index, at in phased}
+        return np.array([found[int(place)] for place in places])
+
+    def amplitude(self, dof: int) -> np.ndarray:
+        """Half the peak-to-peak displacement of a dof at every point: (n,) [m], of 256 instants."""
+        return np.asarray(self.measure([dof])[0].amplitude)
+
+    def measure(self, dofs: Sequence[int]) -> list[Indicators]:
+        """:meth:`indicators` of some dofs; the equations are formed once for all that are new."""
+        seen = self._seen_at(dofs)
+        lips = {name: np.array([at[name] for at in self._lips]) for name in self._lips[0]}
+        return [
+            indicators_of(self.omega, coefficients, amplitude, lips, self.subharmonic)
+            for coefficients, amplitude in seen
+        ]
+
+    @cached_property
+    def _seen(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+        """Coefficients and half peak-to-peak values of dofs once they are known."""
+        return {}
+
+    @cached_property
+    def _lips(self) -> list[dict[str, float]]:
+        """What :func:`contact_extremes` finds at every point, once it is known."""
+        return [{} for _ in range(len(self.omega))]
+
+    def _seen_at(self, dofs: Sequence[int]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Coefficients (n, 2H+1) and half peak-to-peak values (n,) [m] of some dofs."""
+        new = [dof for dof in dict.fromkeys(dofs) if dof not in self._seen]
+        if new:
+            structure = self.structure
+            rows = structure.values_at(np.eye(structure.n_dofs), new).T  # u = T q
+            seen = np.zeros((len(new), *self.unknowns.shape[:2]))
+            sizes = np.zeros((len(new), len(self.omega)))
+            moved = None
+            if self.static_above is not None:
+                moved = rows @ all_modes(structure).moved_at_once(self.static_above)
+            for index, at in self._linearised():
+                assert isinstance(at.system.compliance, ModalCompliance)
+                waves = at.system.compliance.seen_through(rows, at.force)
+                seen[:, index, : len(waves)] = waves.T
+                motion = evaluate(waves, 1.0, PHASES)
+                gap, force = at.in_time(evaluate(at.unknown, 1.0, PHASES))
+                self._lips[index] = contact_extremes(gap, force)
+                if moved is not None:
+                    # What answers at once follows the forces as they are, with their kinks.
+                    motion -= (force - evaluate(at.force, 1.0, PHASES)) @ moved.T
+                sizes[:, index] = np.ptp(motion, axis=0) / 2.0
+            self._seen.update(zip(new, zip(seen, sizes, strict=True), strict=True))
+        return [self._seen[dof] for dof in dofs]
+
+
 @dataclass(frozen=True, repr=False)
-class ResponseCurve(Tabular):
+class ResponseCurve(_Waves):
     """Solutions along a curve, in the order in which it was followed.
 
     Attributes
@@ -294,8 +381,7 @@ class ResponseCurve(Tabular):
     def at_bifurcations(self) -> ResponseCurve:
         """The first point, the bifurcations and the last point, to be measured: a curve of their
         own, for which no error is estimated."""
-        ends = self.point(0), self.point(len(self) - 1)
-        met: list[CurvePoint | Bifurcation] = [ends[0], *self.bifurcations, ends[1]]
+        met: list[CurvePoint | Bifurcation] = [self.point(0), *self.bifurcations, self.point(-1)]
         points = Points()
         for one in met:
             points.append(CurvePoint(one.value, one.omega, one.unknown, 0))
@@ -328,79 +414,6 @@ class ResponseCurve(Tabular):
         """The solutions at all points."""
         return [self.solution(index) for index in range(len(self))]
 
-    def indicators(self, dof: int) -> Indicators:
-        """What a dof and the lips show of a breathing crack at every point, of 256 instants."""
-        return self.measure([dof])[0]
-
-    def coefficients_at(self, dof: int) -> np.ndarray:
-        """Coefficients of the displacement of a dof at every point: (n, 2H+1) [m]."""
-        return self._seen_at([dof])[0][0]
-
-    def motions(self, places: np.ndarray | None = None) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Displacements [m] and velocities [m/s] of all dofs at phase zero, at all points or some:
-        (n_dofs,) each."""
-        found = {}
-        places = np.arange(len(self)) if places is None else places
-        for index, at in self._linearised(places):
-            waves = at.system.compliance.displacement(at.force)
-            order = np.arange(1, len(waves) // 2 + 1) * self.omega[index] / self.subharmonic
-            found[index] = waves[0] + waves[1::2].sum(axis=0), order @ waves[2::2]
-        return (found[int(place)] for place in places)
-
-    def gaps_in_time(self, places: np.ndarray) -> np.ndarray:
-        """Gaps of all pairs over the period at some points: (n, 256, n_pairs) [m]."""
-        phased = self._linearised(places)
-        found = {index: at.in_time(evaluate(at.unknown, 1.0, PHASES))[0] for index, at in phased}
-        return np.array([found[int(place)] for place in places])
-
-    def amplitude(self, dof: int) -> np.ndarray:
-        """Half the peak-to-peak displacement of a dof at every point: (n,) [m], of 256 instants."""
-        return np.asarray(self.measure([dof])[0].amplitude)
-
-    def measure(self, dofs: Sequence[int]) -> list[Indicators]:
-        """:meth:`indicators` of some dofs; the equations are formed once for all that are new."""
-        seen = self._seen_at(dofs)
-        lips = {name: np.array([at[name] for at in self._lips]) for name in self._lips[0]}
-        return [
-            indicators_of(self.omega, coefficients, amplitude, lips, self.subharmonic)
-            for coefficients, amplitude in seen
-        ]
-
-    @cached_property
-    def _seen(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-        """Coefficients and half peak-to-peak values of dofs once they are known."""
-        return {}
-
-    @cached_property
-    def _lips(self) -> list[dict[str, float]]:
-        """What :func:`contact_extremes` finds at every point, once it is known."""
-        return [{} for _ in range(len(self))]
-
-    def _seen_at(self, dofs: Sequence[int]) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Coefficients (n, 2H+1) and half peak-to-peak values (n,) [m] of some dofs."""
-        new = [dof for dof in dict.fromkeys(dofs) if dof not in self._seen]
-        if new:
-            structure = self.structure
-            rows = structure.values_at(np.eye(structure.n_dofs), new).T  # u = T q
-            seen = np.zeros((len(new), *self.unknowns.shape[:2]))
-            sizes = np.zeros((len(new), len(self)))
-            moved = None
-            if self.static_above is not None:
-                moved = rows @ all_modes(structure).moved_at_once(self.static_above)
-            for index, at in self._linearised():
-                assert isinstance(at.system.compliance, ModalCompliance)
-                waves = at.system.compliance.seen_through(rows, at.force)
-                seen[:, index, : len(waves)] = waves.T
-                motion = evaluate(waves, 1.0, PHASES)
-                gap, force = at.in_time(evaluate(at.unknown, 1.0, PHASES))
-                self._lips[index] = contact_extremes(gap, force)
-                if moved is not None:
-                    # What answers at once follows the forces as they are, with their kinks.
-                    motion -= (force - evaluate(at.force, 1.0, PHASES)) @ moved.T
-                sizes[:, index] = np.ptp(motion, axis=0) / 2.0
-            self._seen.update(zip(new, zip(seen, sizes, strict=True), strict=True))
-        return [self._seen[dof] for dof in dofs]
-
     def _linearised(self, places: np.ndarray | None = None) -> Iterator[tuple[int, ContactPoint]]:
         """The equations at all points, or some, with their numbers; not in order."""
         wanted = np.arange(len(self)) if places is None else places
@@ -429,13 +442,10 @@ class ResponseCurve(Tabular):
         self, special: list[tuple[str, float, np.ndarray]]
     ) -> tuple[Bifurcation, ...]:
         """Bifurcations of this curve from their kinds, parameters and unknowns."""
-        problem, found = self.problem, []
-        for kind, value, unknown in special:
-            if len(unknown) // 2 != problem.harmonics:
-                problem = problem.with_harmonics(len(unknown) // 2)
-            there = FAMILIES[self.parameter].vary(problem, value)
-            found.append(Bifurcation(kind, value, unknown, there))
-        return tuple(found)
+        return tuple(
+            Bifurcation(kind, value, unknown, self._problem_at(value, unknown))
+            for kind, value, unknown in special
+        )
 
     def _problem_at(self, value: float, unknown: np.ndarray) -> Problem:
         """What is solved where the parameter has a value, with the harmonics of an unknown."""
@@ -446,13 +456,9 @@ class ResponseCurve(Tabular):
 
     def to_dict(self) -> dict[str, Any]:
         """Columns, a row for every point; multipliers where the curve has them."""
-        found = {
-            self.parameter: self.values.tolist(),
-            "omega": self.omega.tolist(),
-            "harmonics": self.harmonics.tolist(),
-            "iterations": self.iterations.tolist(),
-            "truncation": self.truncation.tolist(),
-        }
+        names = "omega", "harmonics", "iterations", "truncation"
+        found = {self.parameter: self.values.tolist()}
+        found |= {name: getattr(self, name).tolist() for name in names}
         if self.multipliers is not None:
             found["multiplier"] = np.abs(self.multipliers).tolist()
             found["verdict"] = self.verdicts.tolist()
