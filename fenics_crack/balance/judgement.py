@@ -27,8 +27,9 @@ from fenics_crack.motion.orbit import PeriodicOrbit, Prediction
 __all__ = ["AFFORDABLE", "BELIEVED", "FARTHEST", "STILL", "UNKNOWN", "Judgement", "relative"]
 
 BELIEVED, FARTHEST, FAR = 3.0, 0.1, 0.3
-"""Times the error predicted, beyond which an orbit is another one; the distance beyond which more
-harmonics have to confirm it; and the prediction from which on it is no wonder if none is found."""
+"""Times the error predicted, beyond which an orbit is another one; the distance and the prediction
+beyond which more harmonics have to confirm it; and the prediction from which on it is no wonder if
+none is found."""
 UNKNOWN = 1.0
 """An error that is not known."""
 AFFORDABLE = 240
@@ -112,7 +113,7 @@ class Judgement:
         """The judgement with the fewest harmonics, these or more, whose orbit is next to it beyond
         doubt; None where none is."""
         believed = self.believes(self._to_near)
-        if self.of_orbit or (believed and self._to_near <= FARTHEST):
+        if self.of_orbit or (believed and max(self._to_near, self.prediction) <= FARTHEST):
             return self
         if self.finer is None:
             return None
@@ -171,7 +172,7 @@ class Judgement:
     def admits(self, distance: float) -> bool:
         """Whether an orbit so far away is the wave's own: a near one, or that which more harmonics
         confirm."""
-        if distance <= FARTHEST:
+        if max(distance, self.prediction) <= FARTHEST:
             return self.believes(distance)
         return self.accepted and abs(distance / self.distance - 1.0) <= FARTHEST
 

@@ -28,7 +28,7 @@ from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.coupled import is_regular
 from fenics_crack.model.modal import all_modes, is_small
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.bordered import solve_near
+from fenics_crack.numerics.bordered import solve_at, solve_near
 
 __all__ = ["NEARLY", "Problem"]
 
@@ -182,7 +182,9 @@ class Problem:
             if not system.in_kernel:
                 return None
             start = system.unknown(wave, self.subharmonic // wave.subharmonic)
-            found = solve_near(system, start, system.end, tolerance=NEARLY)
+            # Where J is not formed, steps that lead nowhere take long.
+            steps = solve_at if system.matrix_free else solve_near
+            found = steps(system, start, system.end, tolerance=NEARLY)
             return None if found is None else self.wave(system.linearise(found.unknown))
         except (ConvergenceError, np.linalg.LinAlgError):
             return None
