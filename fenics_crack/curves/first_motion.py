@@ -2,8 +2,8 @@
 
 The path from a linear mode in the contact stiffness crosses internal resonances, the more of them
 the more harmonics there are, and with stiff contact one of them may end it. Then the path is gone
-with fewer harmonics, and the others are added at the whole stiffness, some at a time by Newton's
-method.
+with fewer harmonics, and the others are added at the whole stiffness: some at a time by Newton's
+method, or all that are left together, by a path in the share with which they see the pairs.
 """
 
 from __future__ import annotations
@@ -15,7 +15,13 @@ import numpy as np
 
 from fenics_crack.balance.rounding import SOFT
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.free_motion import EnergyMotion, Equilibrium, FreeMotion, StiffnessMotion
+from fenics_crack.curves.free_motion import (
+    EnergyMotion,
+    Equilibrium,
+    FadedMotion,
+    FreeMotion,
+    StiffnessMotion,
+)
 from fenics_crack.curves.motion_path import MotionPath, alike, solve_motion
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.numerics.bordered import PathPoint
@@ -25,8 +31,12 @@ from fenics_crack.numerics.path import Ended
 __all__ = ["ELSEWHERE", "first_motion"]
 
 ELSEWHERE = "the path ended in the motion of another mode"
-FEWER = 3
-"""Most harmonics with which the path in the contact stiffness is tried again."""
+FEWER = (1, 2, 3, 5, 10)
+"""Harmonics with which the path in the contact stiffness is tried again."""
+MORE = 1.25
+"""How many harmonics there are after a step, relative to those before; one more at least."""
+LONGEST, MOST = 0.2, 200
+"""Longest step in the share with which harmonics see the pairs, and how many."""
 SAME = 0.9
 """Cosine of the angle between a motion and the same with more harmonics."""
 
@@ -110,32 +120,50 @@ def _from_linear_mode(family: StiffnessMotion, mode: int) -> PathPoint:
 def _from_fewer_harmonics(family: StiffnessMotion, mode: int) -> tuple[PathPoint, str] | None:
     """The motion to which the path with fewer harmonics leads, and with how many; None where none
     of these does."""
-    for fewer in range(1, min(FEWER + 1, family.harmonics)):
+    begun: list[tuple[int, np.ndarray]] = []
+    for fewer in FEWER:
+        if fewer >= family.harmonics:
+            break
         try:
-            begun = _from_linear_mode(family.with_harmonics(fewer), mode)
+            begun.append((fewer, _from_linear_mode(family.with_harmonics(fewer), mode).unknown))
         except ConvergenceError:
             continue
-        found = _with_more_harmonics(family, begun.unknown, fewer)
-        if found is not None:
-            return found, f", from the linear mode with {fewer} of its harmonics"
+    for way in (_some_at_a_time, _all_together):
+        for fewer, unknown in begun:
+            found = way(family, unknown, fewer)
+            if found is not None:
+                return found, f", from the linear mode with {fewer} of its harmonics"
     return None
 
 
-def _with_more_harmonics(
+def _some_at_a_time(
     family: StiffnessMotion, unknown: np.ndarray, harmonics: int
 ) -> PathPoint | None:
-    """A motion with all of its harmonics, from one with fewer, one after the other by Newton's
-    method; numbers of harmonics with which there is none like it are left out."""
-    found = None
-    for count in range(harmonics + 1, family.harmonics + 1):
+    """A motion with all of its harmonics, from one with fewer, by Newton's method; numbers of
+    harmonics with which there is none like it are left out."""
+    count = harmonics
+    while count < family.harmonics:
+        count = min(max(count + 1, int(MORE * count)), family.harmonics)
         larger = family.with_harmonics(count)
         guess = _padded(unknown, larger)
         found = solve_motion(larger, guess, 0.0)
-        if found is None or not _is_it(larger, found, guess):
-            found = None
-            continue
-        unknown = found.unknown
-    return found
+        if found is not None and _is_it(larger, found, guess):
+            unknown = found.unknown
+            if count == family.harmonics:
+                return found
+    return None
+
+
+def _all_together(family: StiffnessMotion, unknown: np.ndarray, harmonics: int) -> PathPoint | None:
+    """The same along a path in the share with which those that are added see the pairs."""
+    faded = FadedMotion(family, harmonics)
+    last = solve_motion(faded, _padded(unknown, faded), 0.0)
+    if last is None:
+        return None
+    path = MotionPath(faded, last, 1.0, lowest=-0.5, max_step=LONGEST, max_steps=MOST)
+    landed = path.run()
+    seen = landed and solve_motion(family, landed.unknown, 0.0)
+    return seen if seen and _is_it(family, seen, seen.unknown) else None
 
 
 def _padded(unknown: np.ndarray, family: FreeMotion) -> np.ndarray:

@@ -23,6 +23,7 @@ from fenics_crack.numerics.rounding import EPSILON, ROUNDING
 __all__ = [
     "EnergyMotion",
     "Equilibrium",
+    "FadedMotion",
     "FreeMotion",
     "MotionPoint",
     "StiffnessMotion",
@@ -36,6 +37,8 @@ RESONANT = 1e-3
 
 NEAR = 0.05
 """Entries relatively that close to resonance are not predicted."""
+SHIFT = 1e-5
+"""Of a share, for the derivative by it."""
 
 
 class Equilibrium:
@@ -176,6 +179,28 @@ class StiffnessMotion(FreeMotion):
         return StiffnessMotion(self.rest, integrals, self.reference, self.energy)
 
 
+class FadedMotion(FreeMotion):
+    """Free motions with the whole contact stiffness, of the energy of others; the parameter is the
+    share with which harmonics above some see the pairs: where it is 0 they are at rest."""
+
+    least_fundamental = 0.25
+
+    def __init__(self, motion: StiffnessMotion, harmonics: int) -> None:
+        super().__init__(motion.rest, motion.integrals, motion.reference)
+        self.energy, self._above = motion.energy, np.arange(self.harmonics + 1) > harmonics
+
+    def linearise(self, unknown: np.ndarray, parameter: float) -> MotionPoint:
+        """The equations at x and a share."""
+        weights = np.where(self._above, parameter, 1.0)
+        return MotionPoint(self, unknown, self.energy, 1.0, weights)
+
+    def derivative(self, at: MotionPoint) -> np.ndarray:
+        """dF / d share, by central differences."""
+        parameter = float(at.weights[-1])
+        ends = (self.linearise(at.unknown, parameter + h).residual for h in (SHIFT, -SHIFT))
+        return np.asarray((next(ends) - next(ends)) / (2.0 * SHIFT))
+
+
 class EnergyMotion(FreeMotion):
     """Free motions; the parameter is ln E."""
 
@@ -205,6 +230,8 @@ class MotionPoint(Linearisation):
         E.
     share : float
         Multiplies the contact force.
+    weights : (H+1,), optional
+        Share with which each harmonic sees the pairs; default: 1.
 
     Attributes
     ----------
@@ -220,20 +247,27 @@ class MotionPoint(Linearisation):
     """
 
     def __init__(
-        self, motion: FreeMotion, unknown: np.ndarray, energy: float, share: float
+        self,
+        motion: FreeMotion,
+        unknown: np.ndarray,
+        energy: float,
+        share: float,
+        weights: np.ndarray | None = None,
     ) -> None:
         rest, rows, scale = motion.rest, motion.rows, math.sqrt(2.0 * energy)
         self._motion, self.unknown = motion, unknown
+        self.weights = np.ones(len(rows)) if weights is None else weights
         self._z = unknown[:-1].reshape(len(rows), -1)
         moved = scale * (self._z @ motion.gap_rows)
         gap = np.zeros((2 * len(rows) - 1, moved.shape[1]))
-        gap[rows] = moved
+        gap[rows] = self.weights[:, None] * moved
         gap[0] += rest.gap
         found = motion.integrals.linearise(gap)
         self.force = found.force[rows]
         self.force[0] -= rest.force
-        self.force *= share / scale
+        self.force *= (share / scale) * self.weights[:, None]
         self.tangent = share * found.tangent[:, rows[:, None], rows]
+        self.tangent *= np.outer(self.weights, self.weights)
         first, law = moved.sum(axis=0), rest.contact
         self.push = (share / scale) * (law.force(rest.gap + first) - rest.force)
         self.work = share * _work(law, rest.gap, first, rest.force) / energy
