@@ -117,8 +117,11 @@ class Judgement:
             return self
         if self.finer is None:
             return None
-        same = believed and _alike(self.near, self.finer.near)
-        return self if same else self.finer.decisive
+        if believed and _alike(self.near, self.finer.near):
+            return self
+        found = self.finer.decisive
+        contradicted = believed and found is not None and not _alike(self.near, found.near)
+        return None if contradicted else found
 
     @cached_property
     def orbit(self) -> PeriodicOrbit | None:
