@@ -43,10 +43,7 @@ def test_grazing_is_judged_by_the_exact_orbit(share: float, stiffness: float) ->
     assert (found.verdict == "stable") == (abs(orbit.multipliers[0]) < 1.0)
 
 
-PRELOADED = (
-    (1, 531.0, 0.637, 0.012, 6e-5, 0.045, 5),
-    (2, 497.0, 0.535, 0.015, 1.1e-4, -0.01, 20),
-)
+PRELOADED = ((1, 531.0, 0.637, 0.012, 6e-5, 0.045, 5), (2, 497.0, 0.535, 0.015, 1.1e-4, -0.01, 20))
 """Masses, contact stiffness, frequency, damping, by how much the load opens the contact, and by how
 much more another one does whose solution, with so many harmonics, leads to the other orbit."""
 
