@@ -40,7 +40,7 @@ from fenics_crack.balance.contact_integrals import (
 )
 from fenics_crack.balance.contact_system import ContactPoint, ContactSystem
 from fenics_crack.balance.coupled_integrals import CoupledIntegrals
-from fenics_crack.balance.judgement import STILL, UNKNOWN, Judgement
+from fenics_crack.balance.judgement import CLOSE, STILL, UNKNOWN, Judgement
 from fenics_crack.balance.more_modes import more_modes
 from fenics_crack.balance.problem import NEARLY, Problem
 from fenics_crack.model.contact import UnilateralPenalty, is_piecewise_linear, is_rigid
@@ -270,16 +270,17 @@ def _improvement(
     solved: int = 0,
 ) -> _Change:
     """What better equations change: two steps of Newton's method with the first Jacobian, where the
-    second is much shorter, the first ``solved`` rows of the residual staying as they are; else all
-    steps to the solution, shortened where the residual would grow. Where these do not arrive, the
-    change is not known.
+    second is much shorter, or rounding, the first ``solved`` rows of the residual staying as they
+    are; else all steps to the solution, shortened where the residual would grow. Where these do not
+    arrive, the change is not known.
     """
     first = system.linearise(start)
     known = first.residual.copy()
     known[solved:] = 0.0
     step = first.solve(known - first.residual)
     again = first.solve(known - system.linearise(start + step).residual)
-    if np.linalg.norm(again) < CALM * np.linalg.norm(step):
+    settled = CALM * np.linalg.norm(step)
+    if np.linalg.norm(again) < max(settled, CLOSE * np.linalg.norm(start)):
         step = step + again
         return _Change(first.gap_of(step), first.force_of(step)[:rows], better)
     size = max(float(np.linalg.norm(start)), 1e-300)

@@ -24,7 +24,9 @@ from fenics_crack.errors import MOST_HARMONICS
 from fenics_crack.motion.flow import ContactFlow, Samples, flow_of
 from fenics_crack.motion.orbit import PeriodicOrbit, Prediction
 
-__all__ = ["AFFORDABLE", "BELIEVED", "FARTHEST", "STILL", "UNKNOWN", "Judgement", "relative"]
+__all__ = [
+    "AFFORDABLE", "BELIEVED", "CLOSE", "FARTHEST", "STILL", "UNKNOWN", "Judgement", "relative",
+]  # fmt: skip
 
 BELIEVED, FARTHEST, FAR = 3.0, 0.1, 0.3
 """Times the error predicted, beyond which an orbit is another one; the distance and the prediction

@@ -24,6 +24,7 @@ Stability Analysis, chapter 4.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -404,7 +405,7 @@ class Path:
         return self.last if self.ended is Ended.MET else None
 
     def __iter__(self) -> Iterator[Stretch]:
-        left = self._options.max_steps
+        left, shorter = self._options.max_steps, math.inf
         while self.ended is None:
             if not left:
                 self.ended = Ended.MANY
@@ -417,10 +418,11 @@ class Path:
                 left -= len(found)
                 if place is None:
                     self._remember(found)
-                elif stretch.lengths[place + 1] < 4.0 * self._options.min_step:
-                    self.ended = Ended.LOST
                 else:  # back, and on by a shorter step: a long one may have met another part
-                    self._begin(stretch[place], 0.25 * float(stretch.lengths[place + 1]))
+                    shorter = 0.25 * min(shorter, float(stretch.lengths[place + 1]))
+                    self._begin(stretch[place], shorter)
+                    if shorter < self._options.min_step:
+                        self.ended = Ended.LOST
                 if len(found):
                     self.last = found[-1]
                     yield found
