@@ -90,7 +90,8 @@ def test_full_tmpfs(results: Path, tmp_path: Path) -> None:
     )  # fmt: skip
     if done.returncode == 99 or done.stderr.startswith("unshare: "):  # as in a chroot
         pytest.skip("cannot mount")
-    (line,) = done.stderr.splitlines()
+    line, *more = done.stderr.splitlines()
+    assert not more, done.stderr
     assert done.returncode == 1 and "sweep.h5" in line and "No space left" in line
 
 
