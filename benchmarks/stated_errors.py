@@ -186,7 +186,7 @@ def compared(
     """A row for each quantity that a cause changes and the reference has."""
     for quantity, part in found.parts[cause].items():
         value, stated = found.values[quantity], part.uncertainty(-1)
-        if quantity in reference and stated > 0.0:
+        if quantity in reference and stated > 1e-9 * abs(value):  # more than rounding
             true = abs(reference[quantity] - value)
             shares = (true / abs(value), stated / abs(value), true / stated)
             yield (name, quantity, value, *shares, part.order, part.behaviour)

@@ -26,8 +26,6 @@ from petsc4py import PETSc
 
 __all__ = ["Factor", "distributed", "factored_sum", "weighted_sum"]
 
-PETSc.Options().setValue("mat_cholmod_print", 0)  # it would warn of each pivot of zero
-
 
 def distributed(rows: Any, comm: MPI.Comm) -> Any:
     """Square PETSc matrix of the rows on this rank (n_local, n), with a diagonal, even zero: MUMPS
@@ -101,6 +99,8 @@ class Factor:
         self._pc.setOperators(self._matrix)
         self._pc.setType(self._kind)
         self._pc.setFactorSolverType(solver)
+        if solver == "cholmod":
+            PETSc.Options().setValue("mat_cholmod_print", 0)  # it would warn of each pivot of zero
         self._pc.setFactorSetUpSolverType()
         self._factor = self._pc.getFactorMatrix()
         if self._by_mumps:
