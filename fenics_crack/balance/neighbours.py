@@ -6,9 +6,10 @@ tangent at its neighbour,
 
     g(w + dw) = g(w) + dw dg/dw,        J dg/dw = -F_w,
 
-and corrected by Newton's method at its own frequency, in the kernel where that has the equations.
-Problems that differ otherwise start from the neighbour as it is. Where the neighbour does not help,
-a solution is sought without it (:mod:`search`).
+and corrected by Newton's method at its own frequency, in the kernel where that has the equations;
+where this fails, a path in the frequency leads from one to the other. Problems that differ
+otherwise start from the neighbour as it is. Where the neighbour does not help, a solution is sought
+without it (:mod:`search`).
 
 With a tolerance of the truncation, a solution has as many harmonics as its neighbour, and then as
 many more as its estimated error asks for.
@@ -27,11 +28,13 @@ from fenics_crack.balance.solution import PeriodicSolution, solution_of
 from fenics_crack.balance.solver import Solver
 from fenics_crack.errors import MOST_HARMONICS, ConvergenceError
 from fenics_crack.model.modal import all_modes
-from fenics_crack.numerics.bordered import solve_at
-from fenics_crack.numerics.path import SHARP
+from fenics_crack.numerics.bordered import MAX_ITERATIONS, point_on_path, solve_at
+from fenics_crack.numerics.path import SHARP, Ended, Path, PathOptions, Target
 
 __all__ = ["Neighbours", "fewer_harmonics", "more_harmonics"]
 
+WAY = PathOptions(0.1, max_step=0.3, max_steps=200)
+"""From one frequency to the other; what takes more is sought without a neighbour."""
 SMALL = 0.05
 """Part of a tolerance below which an error allows fewer harmonics."""
 
@@ -122,13 +125,21 @@ class Neighbours:
         sharp = max(SHARP, family.rounding(end))
         at = (family.compiled or family).linearise(start, near)
         guess = start - (end - near) * at.solve(at.by_parameter)
-        found = solve_at(family, guess, end, tolerance=sharp)
-        if found is None:
-            return None
-        status = f"from {last.omega:g} rad/s: converged ({found.iterations} iterations)"
-        at = family.system(omega).linearise(found.unknown)
+        found = solve_at(family, guess, end, tolerance=sharp, iterations=MAX_ITERATIONS)
+        if found is not None:
+            unknown, iterations = found.unknown, found.iterations
+            status = f"from {last.omega:g} rad/s: converged ({iterations} iterations)"
+        else:
+            way = FrequencyFamily(family.problem, last.omega, omega)
+            path = Path(way, point_on_path(way, start, 0.0), WAY, [Target(1.0)])
+            iterations = sum(point.iterations for point in path.points())
+            if path.ended is not Ended.MET:
+                return None
+            unknown = path.last.unknown
+            status = f"path from {last.omega:g} rad/s: converged ({iterations} iterations)"
+        at = family.system(omega).linearise(unknown)
         solution = solution_of(problem, at, status=status, enough=self._enough)
-        return replace(solution, iterations=found.iterations)
+        return replace(solution, iterations=iterations)
 
     def _family_of(self, problem: Problem, last: PeriodicSolution) -> FrequencyFamily:
         """The equations along the frequency, those of the case before where they are the same."""
