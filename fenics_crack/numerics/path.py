@@ -420,9 +420,10 @@ class Path:
                     self._remember(found)
                 else:  # back, and on by a shorter step: a long one may have met another part
                     shorter = 0.25 * min(shorter, float(stretch.lengths[place + 1]))
-                    self._begin(stretch[place], shorter)
                     if shorter < self._options.min_step:
                         self.ended = Ended.LOST
+                    else:
+                        self._begin(stretch[place], shorter)
                 if len(found):
                     self.last = found[-1]
                     yield found
