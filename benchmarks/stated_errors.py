@@ -26,7 +26,7 @@ import common
 import numpy as np
 
 import fenics_crack as fc
-from fenics_crack.study.verification import finer_mesh
+from fenics_crack.study.stated_errors import finer_mesh
 
 Numbers = dict[str, float]
 COLUMNS = ("scene", "quantity", "value", "true", "stated", "true / stated", "order", "behaviour")

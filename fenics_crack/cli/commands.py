@@ -129,7 +129,7 @@ def campbell_diagram(given: Namespace, inputs: Inputs, console: Console) -> Exit
 def verification(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     """What mesh, modes, harmonics and samples contribute to the error of the steady vibration."""
     from fenics_crack.draw.plot_study import draw_verification
-    from fenics_crack.study.verification import verify
+    from fenics_crack.study.refinement import verify
 
     with console.stage("verification"):
         found = verify(inputs.scene, console.comm)

@@ -16,7 +16,7 @@ from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.balance.solver import Solver
 from fenics_crack.balance.to_tolerance import FEWEST, FIRST_MODES, solve_to_tolerance
 from fenics_crack.curves.curve import ResponseCurve
-from fenics_crack.errors import ConvergenceError, InputError
+from fenics_crack.errors import InputError
 from fenics_crack.files.results import Result, type_of, unpack
 from fenics_crack.files.store import Stored, read
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid, is_unilateral
@@ -48,12 +48,10 @@ from fenics_crack.time.implicit import integrate_implicit
 from fenics_crack.time.march import TimeHistory
 
 __all__ = [
-    "REFUSALS", "Run", "curve", "integrate", "load_run", "modes", "run_of", "solve",
+    "Run", "curve", "integrate", "load_run", "modes", "run_of", "solve",
     "solve_prepared",
 ]  # fmt: skip
 
-REFUSALS = (InputError, ConvergenceError, np.linalg.LinAlgError)
-"""Errors that fail one run while others go on."""
 RECORDED_PERIODS = 4
 """Periods kept of a motion in time."""
 
@@ -166,11 +164,14 @@ def solve(scene: Scene, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[PeriodicSolution
     return solve_prepared(prepare(scene, comm, whole=True))
 
 
-def solve_prepared(whole: Study, initial: PeriodicSolution | None = None) -> Run[PeriodicSolution]:
+def solve_prepared(
+    whole: Study, initial: PeriodicSolution | None = None, omega: float | None = None
+) -> Run[PeriodicSolution]:
     """The same of a scene that is prepared; reduced, if its modes are chosen (collective).
-    Without a tolerance it is sought from a solution of the same structure, if there is one."""
+    Without a tolerance it is sought from a solution of the same structure, if there is one, and at
+    another frequency than the scene's, if that is given."""
     scene, law = whole.scene, whole.contact
-    omega, table = scene.excitation.omega, scene.harmonic_balance
+    omega, table = omega or scene.excitation.omega, scene.harmonic_balance
     if law is None:
         study = reduced(whole)
         linear = solve_linear(study.structure, omega, harmonics=table.harmonics)
