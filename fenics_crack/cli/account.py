@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR, UNKNOWN, ErrorReport
-from fenics_crack.errors import MOST_HARMONICS
+from fenics_crack.errors import MOST_HARMONICS, Exit
 from fenics_crack.model.modes import damped_range
 from fenics_crack.scene.quantities import QUANTITIES
 from fenics_crack.scene.scene import Scene
@@ -32,7 +32,6 @@ __all__ = [
     "in_one_unit",
     "in_short",
     "of_error",
-    "of_modes",
     "of_stability",
     "readable_rows",
 ]
@@ -94,8 +93,8 @@ class Account:
         Whether a vibration lasts; and "good", "bad" or "doubtful".
     tables : dict of Table
         Of a report, by their captions.
-    done : bool
-        False where something has not converged.
+    done, missed : bool
+        False where something has not converged; whether the error is above the tolerance.
     run : Run, optional
         Where it comes from.
     """
@@ -110,7 +109,13 @@ class Account:
     verdict: tuple[str, str] | None = None
     tables: Mapping[str, Table] = field(default_factory=dict)
     done: bool = True
+    missed: bool = False
     run: Run | None = None
+
+    @property
+    def exit(self) -> Exit:
+        """The exit code of its command."""
+        return (Exit.MISSED if self.missed else Exit.DONE) if self.done else Exit.NOT_CONVERGED
 
 
 # --- sentences ------------------------------------------------------------------------------------
@@ -142,19 +147,6 @@ def of_error(scene: Scene, report: ErrorReport, harmonics: int, where: str = "")
     yield (
         f"the estimated error is {report.total:.2g} of the gap{where}, most of it by {part}: it "
         f"needs {wanted}"
-    )
-
-
-def of_modes(scene: Scene, report: ErrorReport) -> str:
-    """What to do where a tolerance is not met by the modes that a scene names; else empty."""
-    tolerance, table = scene.harmonic_balance.tolerance, scene.reduction
-    if tolerance is None or table is None or table.modes is None:
-        return ""
-    if not report.reduction > tolerance:
-        return ""
-    return (
-        f"; raise reduction.modes = {table.modes}, or leave it out "
-        "(--set reduction.modes=none): solve chooses the modes then"
     )
 
 

@@ -1,7 +1,4 @@
-"""The commands that solve a scene, and ``plot``: each computes, writes its files and reports.
-
-They say whether all that they have computed has converged.
-"""
+"""The commands that solve a scene, and ``plot``: each computes, writes its files and reports."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ from fenics_crack.cli.console import Console, make_writable
 from fenics_crack.cli.inputs import Inputs
 from fenics_crack.cli.results import account_of, result_of
 from fenics_crack.cli.scenes import remark_on_sweep
-from fenics_crack.errors import FEW_MODES, InputError
+from fenics_crack.errors import FEW_MODES, Exit, InputError
 from fenics_crack.files.results import save
 from fenics_crack.files.store import read
 from fenics_crack.model.modes import Modes
@@ -42,7 +39,7 @@ RUNS: dict[str, tuple[str, Callable[..., Run]]] = {
 """What commands compute, and the name of their files."""
 
 
-def solved(given: Namespace, inputs: Inputs, console: Console) -> bool:
+def solved(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     """``modes``, ``solve``, ``curve``, ``integrate``: a run, a file of its result, its account."""
     name, compute = RUNS[given.command]
     own = {"count": given.count} if given.command == "modes" else {}
@@ -61,9 +58,9 @@ def solved(given: Namespace, inputs: Inputs, console: Console) -> bool:
 
 def tell(
     account: Account, folder: Path, console: Console, draw: Callable[..., Any] | None = None
-) -> bool:
+) -> Exit:
     """Write the tables of an account, and its picture by ``draw(path=...)``; print what there is to
-    say. Returns whether all has converged."""
+    say. Returns how that ended."""
     path = folder / account.name
 
     def write() -> None:
@@ -85,10 +82,10 @@ def tell(
         console.note(told if places else "")
     console.note(*account.notes)
     console.warn(*account.warnings)
-    return account.done
+    return account.exit
 
 
-def sweep(_: Namespace, inputs: Inputs, console: Console) -> bool:
+def sweep(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     """All cases of a sweep, or those that an earlier run has left."""
     from fenics_crack.cli.of_sweep import account_of_sweep
     from fenics_crack.sweep.result import run_sweep
@@ -99,7 +96,7 @@ def sweep(_: Namespace, inputs: Inputs, console: Console) -> bool:
     return tell(account_of_sweep(found, remark_on_sweep(scene, console.comm)), folder, console)
 
 
-def campbell_diagram(given: Namespace, inputs: Inputs, console: Console) -> bool:
+def campbell_diagram(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     """Natural frequencies over the speed, and where engine orders meet the first breathing one."""
     from fenics_crack.draw.plot_rotor import draw_campbell
     from fenics_crack.study.campbell import campbell
@@ -131,7 +128,7 @@ def campbell_diagram(given: Namespace, inputs: Inputs, console: Console) -> bool
     return tell(account, inputs.folder, console, draw)
 
 
-def verification(_: Namespace, inputs: Inputs, console: Console) -> bool:
+def verification(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     """What mesh, modes, harmonics and samples contribute to the error of the steady vibration."""
     from fenics_crack.draw.plot_study import draw_verification
     from fenics_crack.study.verification import verify
@@ -150,7 +147,7 @@ def verification(_: Namespace, inputs: Inputs, console: Console) -> bool:
     return tell(account, inputs.folder, console, partial(draw_verification, found))
 
 
-def identification(given: Namespace, inputs: Inputs, console: Console) -> bool:
+def identification(given: Namespace, inputs: Inputs, console: Console) -> None:
     """A crack from measurements: what it is, how sure, and where to measure next."""
     from fenics_crack.identification.identify import identify  # SciPy's optimize and interpolate
 
@@ -188,10 +185,9 @@ def identification(given: Namespace, inputs: Inputs, console: Console) -> bool:
     console.note(f"next to measure: {worth}")
     console.note(f"{folder / 'identify.h5'}, .json; posterior.png, fit.csv, where_to_measure.csv")
     console.warn(*found.warnings)
-    return True
 
 
-def plot(given: Namespace, _: None, console: Console) -> bool:
+def plot(given: Namespace, _: None, console: Console) -> None:
     """Pictures of a result, of several in one, or of a scene's mesh; by rank 0."""
     results, labels = given.results, given.label
     first, several = results[0], len(results) > 1
@@ -217,7 +213,6 @@ def plot(given: Namespace, _: None, console: Console) -> bool:
     with console.stage("pictures"):
         files = on_root(console.comm, draw)
     console.note(*map(str, files))
-    return True
 
 
 def _for_paraview(

@@ -16,7 +16,6 @@ from fenics_crack.cli.account import (
     how_it_is_left,
     in_short,
     of_error,
-    of_modes,
     of_stability,
     readable_rows,
 )
@@ -72,7 +71,7 @@ def account_of_solution(run: Run[PeriodicSolution]) -> Account:
     warnings = []
     if not found.converged or missed:
         failed = "" if found.converged else "not converged: "
-        warnings.append(f"{failed}{found.status}{of_modes(scene, found.report)}")
+        warnings.append(f"{failed}{found.status}")
     elif run.structure.n_pairs:
         warnings += of_error(scene, found.report, found.harmonics)
     if found.converged:
@@ -87,7 +86,8 @@ def account_of_solution(run: Run[PeriodicSolution]) -> Account:
         notes=notes,
         warnings=warnings,
         tables={"In numbers": readable_rows(table)},
-        done=found.converged and not missed,
+        done=found.converged,
+        missed=missed,
         run=run,
     )
 
