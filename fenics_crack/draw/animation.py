@@ -64,8 +64,8 @@ def animate_period(
     """Draw one period of a vibration as an animated picture (collective).
 
     Below the plate is the opening of the crack's mouth over time, of several cracks of the one that
-    moves most, tinted while that one's lips touch; without a crack the largest displacement. The caption and the comment of the file
-    state the magnification.
+    moves most, tinted while that one's lips touch; without a crack the largest displacement. The
+    caption and the comment of the file state the magnification.
 
     Parameters
     ----------
