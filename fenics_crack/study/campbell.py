@@ -71,7 +71,7 @@ class Campbell(Tabular):
 
     @property
     def omega_real(self) -> np.ndarray:
-        """Of the :attr:`kind` at each speed: (n, m) [rad/s]."""
+        """Of the kind that the crack has at each speed: (n, m) [rad/s]."""
         return np.choose(
             [KINDS.index(kind) for kind in self.kind.ravel()],
             [getattr(self, f"omega_{kind}").ravel() for kind in KINDS],
@@ -92,7 +92,7 @@ class Campbell(Tabular):
         order : int
             Engine order n.
         kind : "open", "tied", "bilinear" or "real"
-            Of the frequencies; the last are those of :attr:`kind` at each speed.
+            Of the frequencies; the last are those that the crack has at each speed.
 
         Raises
         ------
