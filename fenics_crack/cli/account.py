@@ -23,10 +23,12 @@ from fenics_crack.table import Table, frequency_axis, quantity
 
 __all__ = [
     "FINER",
+    "IN_A_TEST",
     "MORE",
     "OTHERS",
     "Account",
     "frequency_in_words",
+    "how_it_is_left",
     "in_one_unit",
     "in_short",
     "of_error",
@@ -58,6 +60,14 @@ OTHERS = {
 """Words and unit of what is printed of a solution or a motion beside the indicators."""
 ALWAYS = ("omega", "frequency", "verdict", "converged", "total_error")
 """Printed whatever the scene chooses."""
+IN_A_TEST = {
+    "fold": "the curve turns back: in a test the vibration jumps to another size here",
+    "period_doubling": "beyond it the vibration repeats after two periods of the load: in a test "
+    "half the load's frequency appears in the spectrum",
+    "neimark_sacker": "beyond it the vibration will not repeat each period: in a test its size "
+    "swells and falls slowly, and lines appear on both sides of the load's frequency",
+}
+"""What bifurcations are to somebody at a test rig, by their kinds."""
 ROUNDING = 1e-15
 """Lengths [m] and forces [N] up to this are written as 0."""
 
@@ -145,7 +155,8 @@ def of_stability(scene: Scene, run: Run, stability: Stability | None) -> Iterato
     if stability is None or stability.verdict == "stable":
         return
     because = f" ({stability.reason})" if stability.reason else ""
-    text = f"the orbit is {stability.verdict}{because}: a motion in time may leave it"
+    left = how_it_is_left(stability)
+    text = f"the orbit is {stability.verdict}{because}: a motion in time may leave it{left}"
     hints = []
     if stability.verdict == "undecided":
         if scene.harmonic_balance.tolerance is None:
@@ -154,6 +165,17 @@ def of_stability(scene: Scene, run: Run, stability: Stability | None) -> Iterato
         if table and not (table.of_all_modes or damped_range(run.structure) is None):
             hints.append("damping of all modes (damping.modes = 'all')")
     yield text + (f"; {' or '.join(hints)} may decide it" if hints else "")
+
+
+def how_it_is_left(stability: Stability) -> str:
+    """How a motion leaves an unstable orbit, by its largest multiplier; empty of others."""
+    largest = complex(stability.multipliers[0])
+    if stability.verdict != "unstable":
+        return ""
+    if largest.imag != 0.0:
+        return ", for one that does not repeat each period, whose size swells and falls slowly"
+    also = "of another size" if largest.real > 0.0 else "that repeats after two periods of the load"
+    return f", for one {also}"
 
 
 def frequency_in_words(scene: Scene, omega: float) -> str:

@@ -24,7 +24,7 @@ from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.run import Run, curve, integrate, modes, solve
 from fenics_crack.sweep.result import SweepResult
-from fenics_crack.table import RPM, quantity
+from fenics_crack.table import RPM, counted, quantity
 
 __all__ = ["campbell_diagram", "identification", "plot", "solved", "sweep", "tell", "verification"]
 
@@ -103,7 +103,7 @@ def campbell_diagram(given: Namespace, inputs: Inputs, console: Console) -> Exit
 
     scene, span = inputs.scene, given.speeds
     scene.given("rotation")
-    factor = RPM if scene.in_rpm else 1.0
+    factor, unit = (RPM, "rpm") if scene.in_rpm else (1.0, "rad/s")
     start, stop, steps = span or (0.0, 1.5 * scene.speed / factor, 13)
     if not (0.0 <= start < stop < np.inf and 2 <= steps <= MOST_SPEEDS and steps % 1 == 0):
         allowed = f"0 <= START < STOP, and COUNT a whole number from 2 to {MOST_SPEEDS}"
@@ -114,12 +114,14 @@ def campbell_diagram(given: Namespace, inputs: Inputs, console: Console) -> Exit
     in_hertz, own = scene.in_hertz or scene.in_rpm, scene.excitation.order
 
     kinds = [f"{'frequency' if in_hertz else 'omega'}_{kind}" for kind in found.kinds]
-    notes = [
-        f"engine order {order} meets mode {mode:.0f} at {speed:.5g} rad/s = {speed / RPM:.5g} rpm"
-        for order in ([own] if own else range(1, 9))
-        for mode, speed in found.crossings(order)
-    ]
-    shown = found.table("rpm" if scene.in_rpm else "speed", "mode", *kinds)
+    asked = [own] if own else [*range(1, 9)]
+    notes = [text for order in asked for text in found.meetings(order)]
+    if not notes:
+        of_orders = f"engine order {own} meets none" if own else "engine orders 1 to 8 meet none"
+        what = counted(found.omega_open.shape[1], "mode")
+        notes = [f"{of_orders} of {what} between {start:g} and {stop:g} {unit}"]
+    crack = ["crack"] if found.cracked else []
+    shown = found.table("rpm" if scene.in_rpm else "speed", "mode", *kinds, *crack)
     account = Account("campbell", found.table(), shown=shown, notes=notes)
     orders = sorted({*range(1, 9), own or 1})
     draw = partial(draw_campbell, found, orders, in_hertz=in_hertz, in_rpm=scene.in_rpm)

@@ -13,6 +13,7 @@ from fenics_crack.cli.account import (
     OTHERS,
     Account,
     frequency_in_words,
+    how_it_is_left,
     in_short,
     of_error,
     of_stability,
@@ -34,7 +35,7 @@ __all__ = [
     "account_of_history", "account_of_modes", "account_of_solution", "closings", "with_hertz",
 ]  # fmt: skip
 
-LAST_HARMONICS = 3
+LAST_HARMONICS = 10
 """Of the last period of a motion in time."""
 
 Row = tuple[str, str, object, str]
@@ -133,7 +134,11 @@ def _verdict(found: PeriodicSolution) -> tuple[str, str]:
     size, reason = float(np.abs(found.stability.multipliers).max()), found.stability.reason
     text, kind = {
         "stable": ("Stable: a small disturbance dies out", "good"),
-        "unstable": ("Unstable: a small disturbance grows, and a motion in time leaves it", "bad"),
+        "unstable": (
+            "Unstable: a small disturbance grows, and a motion in time leaves it"
+            f"{how_it_is_left(found.stability)}",
+            "bad",
+        ),
     }.get(
         found.stability.verdict, (f"Undecided: {reason or 'more harmonics may decide'}", "doubtful")
     )
@@ -146,7 +151,8 @@ def _verdict(found: PeriodicSolution) -> tuple[str, str]:
 def account_of_history(run: Run[TimeHistory]) -> Account:
     """A motion from rest, and whether it repeats (collective)."""
     found, scene = run.result, run.scene
-    table = _quantities(run, vars(found) | contact_extremes(found.gap, found.contact_force))
+    lips = contact_extremes(found.gap, found.contact_force, run.structure.pairs.cracks)
+    table = _quantities(run, vars(found) | lips)
     asked = scene.integration or Integration()
     change = f"a period changes it by {found.settled:.2g}"
     facts = [f"The motion in time has settled after {found.periods} periods: {change}."]
@@ -218,6 +224,8 @@ def _indicators(run: Run[Any], dof: int) -> dict[str, object]:
 
 def _of_point(watched: Watched, values: Mapping[str, object]) -> list[Row]:
     """What is known of a watched dof; the load's is said once."""
+    order = values["largest_order"]
+    largest = {"ratio_largest": (f"largest harmonic ratio, {order:.0f}/1", "1")}
     return [
         (
             watched.column(name),
@@ -225,7 +233,7 @@ def _of_point(watched: Watched, values: Mapping[str, object]) -> list[Row]:
             value,
             unit,
         )
-        for name, words, value, unit in _named(OF_POINTS, values)
+        for name, words, value, unit in _named(OF_POINTS | largest, values)
     ]
 
 
