@@ -27,6 +27,7 @@ import numpy as np
 
 import fenics_crack as fc
 from fenics_crack.study.stated_errors import finer_mesh
+from fenics_crack.study.verification import MESH
 
 Numbers = dict[str, float]
 COLUMNS = ("scene", "quantity", "value", "true", "stated", "true / stated", "order", "behaviour")
@@ -185,7 +186,8 @@ def compared(
 ) -> Iterator[common.Row]:
     """A row for each quantity that a cause changes and the reference has."""
     for quantity, part in found.parts[cause].items():
-        value, stated = found.values[quantity], part.uncertainty(-1)
+        value, parts = found.values[quantity], found.contributions(quantity)
+        stated = sum(parts[one] for one in (MESH if cause == "mesh" else (cause,)))
         if quantity in reference and stated > 1e-9 * abs(value):  # more than rounding
             true = abs(reference[quantity] - value)
             shares = (true / abs(value), stated / abs(value), true / stated)
