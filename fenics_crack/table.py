@@ -43,8 +43,9 @@ TURN = 2.0 * math.pi
 """Of Hz in rad/s."""
 RPM = TURN / 60.0
 """Of revolutions per minute in rad/s."""
-UNITS = {"omega": "rad/s", "frequency": "Hz", "energy": "J", "contact_force": "N"}
+UNITS = {"omega": "rad/s", "frequency": "Hz", "energy": "J"}
 UNITS |= {"speed": "rad/s", "rpm": "rpm"}
+UNITS |= dict.fromkeys(("contact_force", "crack_force"), "N")
 UNITS |= dict.fromkeys(("opening", "penetration", "clearance"), "m")
 """Units of the entries of ``to_dict``; all others have none."""
 

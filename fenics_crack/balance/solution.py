@@ -135,14 +135,19 @@ class PeriodicSolution(Wave, Described):
 
     def indicators(self, dof: int | None = None) -> Indicators:
         """What a dof, or the watched one, and the lips show of a breathing crack (collective)."""
-        time = self.instants()
         return indicators_of(
             self.omega,
             self.coefficients_at([dof])[:, 0],
             self.amplitude(dof),
-            contact_extremes(self.gap(time), self.contact_force(time)),
+            self._extremes(),
             self.subharmonic,
         )
+
+    def _extremes(self) -> dict[str, float]:
+        """What the lips do at most in the period."""
+        time = self.instants()
+        cracks = self.structure.pairs.cracks
+        return contact_extremes(self.gap(time), self.contact_force(time), cracks)
 
     def coefficients_at(self, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
         """Coefficients of the displacement of dofs: (2H+1, len(dofs)) [m] (collective)."""
@@ -172,8 +177,7 @@ class PeriodicSolution(Wave, Described):
             "subharmonic": self.subharmonic,
             "pairs": self.gap_coefficients.shape[1],
         }
-        time = self.instants()
-        found |= contact_extremes(self.gap(time), self.contact_force(time))
+        found |= self._extremes()
         found |= {f"{name}_error": value for name, value in self.report.to_dict().items()}
         found["penetration_share"] = found.pop("penetration_error")
         if self.stability is not None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.balance.indicators import Indicators
-from fenics_crack.cli.account import Account, in_short, of_error
+from fenics_crack.cli.account import IN_A_TEST, Account, in_short, of_error
 from fenics_crack.cli.of_motion import with_hertz
 from fenics_crack.cli.scenes import remark_on
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, parameter_axis
@@ -43,6 +43,8 @@ def account_of_curve(run: Run[ResponseCurve]) -> Account:
     if hidden:
         what = "more bifurcations and changes of stability"
         notes.insert(0, f"{hidden} {what}: curve.json")
+    kinds = dict.fromkeys(point.kind for point in found.bifurcations)
+    notes += [f"{kind.replace('_', ' ')}: {IN_A_TEST[kind]}" for kind in kinds if kind in IN_A_TEST]
     if scene.harmonic_balance.tolerance is not None and run.structure.n_pairs:
         notes.append(f"harmonics, by the truncation error: {ranging(found.harmonics)}")
     return Account(

@@ -7,15 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.indicators import contact_extremes
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import (
     OTHERS,
     Account,
     frequency_in_words,
+    how_it_is_left,
     in_short,
     of_error,
-    of_modes,
     of_stability,
     readable_rows,
 )
@@ -67,7 +66,7 @@ def account_of_solution(run: Run[PeriodicSolution]) -> Account:
     warnings = []
     if not found.converged or missed:
         failed = "" if found.converged else "not converged: "
-        warnings.append(f"{failed}{found.status}{of_modes(scene, found.report)}")
+        warnings.append(f"{failed}{found.status}")
     elif run.structure.n_pairs:
         warnings += of_error(scene, found.report, found.harmonics)
     if found.converged:
@@ -82,7 +81,8 @@ def account_of_solution(run: Run[PeriodicSolution]) -> Account:
         notes=notes,
         warnings=warnings,
         tables={"In numbers": readable_rows(table)},
-        done=found.converged and not missed,
+        done=found.converged,
+        missed=missed,
         run=run,
     )
 
@@ -129,7 +129,11 @@ def _verdict(found: PeriodicSolution) -> tuple[str, str]:
     size, reason = float(np.abs(found.stability.multipliers).max()), found.stability.reason
     text, kind = {
         "stable": ("Stable: a small disturbance dies out", "good"),
-        "unstable": ("Unstable: a small disturbance grows, and a motion in time leaves it", "bad"),
+        "unstable": (
+            "Unstable: a small disturbance grows, and a motion in time leaves it"
+            f"{how_it_is_left(found.stability)}",
+            "bad",
+        ),
     }.get(
         found.stability.verdict, (f"Undecided: {reason or 'more harmonics may decide'}", "doubtful")
     )
@@ -142,7 +146,7 @@ def _verdict(found: PeriodicSolution) -> tuple[str, str]:
 def account_of_history(run: Run[TimeHistory]) -> Account:
     """A motion from rest, and whether it repeats (collective)."""
     found, scene = run.result, run.scene
-    table = _quantities(run, vars(found) | contact_extremes(found.gap, found.contact_force))
+    table = _quantities(run, vars(found) | found.indicators().to_dict())
     asked = scene.integration or Integration()
     change = f"a period changes it by {found.settled:.2g}"
     facts = [f"The motion in time has settled after {found.periods} periods: {change}."]
@@ -203,6 +207,8 @@ def _quantities(run: Run[Any], values: Mapping[str, object]) -> Table:
 
 def _of_point(watched: Watched, values: Mapping[str, object]) -> list[Row]:
     """What is known of a watched dof; the load's is said once."""
+    order = values["largest_order"]
+    largest = {"ratio_largest": (f"largest harmonic ratio, {order:.0f}/1", "1")}
     return [
         (
             watched.column(name),
@@ -210,7 +216,7 @@ def _of_point(watched: Watched, values: Mapping[str, object]) -> list[Row]:
             value,
             unit,
         )
-        for name, words, value, unit in _named(OF_POINTS, values)
+        for name, words, value, unit in _named(OF_POINTS | largest, values)
     ]
 
 

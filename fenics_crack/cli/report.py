@@ -53,14 +53,13 @@ CAPTIONS = {
 """Below the pictures, by the names of their files; others speak for themselves."""
 
 
-def report(given: Namespace, _: None, console: Console) -> bool:
+def report(given: Namespace, _: None, console: Console) -> None:
     """The page of some results, by rank 0."""
     target = given.output or given.results[0].parent / "report.html"
     words = ["fenics-crack", *given.words]
     with console.stage("report"):
         on_root(console.comm, lambda: write_report(given.results, target, words))
     console.note(str(target))
-    return True
 
 
 IN_SHORT = (

@@ -239,7 +239,7 @@ class _Waves(Tabular):
                 seen[:, index, : len(waves)] = waves.T
                 motion = evaluate(waves, 1.0, PHASES)
                 gap, force = at.in_time(evaluate(at.unknown, 1.0, PHASES))
-                self._lips[index] = contact_extremes(gap, force)
+                self._lips[index] = contact_extremes(gap, force, structure.pairs.cracks)
                 if moved is not None:
                     # What answers at once follows the forces as they are, with their kinks.
                     motion -= (force - evaluate(at.force, 1.0, PHASES)) @ moved.T

@@ -52,6 +52,7 @@ from fenics_crack.sweep.case import build
 from fenics_crack.sweep.file import (
     CONVERGED,
     FAILED,
+    OPEN,
     PENDING,
     SweepFile,
     columns_of,
@@ -252,7 +253,16 @@ class SweepResult(Tabular):
     @property
     def failed(self) -> list[tuple[tuple[int, ...], str]]:
         """Index and reason of each case that could not be solved."""
-        places = np.argwhere(self["state"] == FAILED)
+        return self._status_where(self["state"] == FAILED)
+
+    @property
+    def undecided(self) -> list[tuple[tuple[int, ...], str]]:
+        """Index and reason of each case whose stability is undecided."""
+        told = self._status_where(self.converged & (self["verdict"] == "undecided"))
+        return [(at, status.partition(OPEN)[2] or "its reason is not kept") for at, status in told]
+
+    def _status_where(self, which: np.ndarray) -> list[tuple[tuple[int, ...], str]]:
+        places = np.argwhere(which)
         return [(tuple(map(int, at)), str(self["status"][tuple(at)])) for at in places]
 
     def gap(self, index: tuple[int, ...] | int) -> np.ndarray:

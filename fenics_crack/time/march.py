@@ -25,7 +25,7 @@ from fenics_crack.table import Tabular, counted
 
 __all__ = ["EnergyBalance", "March", "Scheme", "TimeHistory", "Window", "initial_state", "march"]
 
-HARMONICS = 3
+HARMONICS = 10
 """Of a motion in time that are among its indicators."""
 MEMORY_LIMIT = 2**31
 """Bytes of history on one rank beyond which recording is refused."""
@@ -243,7 +243,7 @@ class TimeHistory(Tabular):
             2.0 * np.pi * (len(self.time) - 1) / self.steps_per_period / np.ptp(self.time),
             balanced(motion[-self.steps_per_period :], HARMONICS),
             float(np.ptp(motion) / 2.0),
-            contact_extremes(self.gap, self.contact_force),
+            contact_extremes(self.gap, self.contact_force, self.structure.pairs.cracks),
         )
 
 
