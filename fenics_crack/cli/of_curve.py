@@ -14,7 +14,7 @@ from fenics_crack.cli.scenes import remark_on
 from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, parameter_axis
 from fenics_crack.model.bilinear import BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.run_up import RunUpStructure
-from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS
+from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS, QUANTITIES
 from fenics_crack.study.key_figures import highest_omega
 from fenics_crack.study.run import Run
 from fenics_crack.table import UNITS, Table, counted, quantity, ranging, with_frequency, with_unit
@@ -132,7 +132,8 @@ def _undecided(found: ResponseCurve) -> bool:
 
 def curve_points(run: Run[ResponseCurve]) -> Table:
     """Every point of a curve with its indicators."""
-    table, found = run.result.table(), _along(run, run.result)
+    names = [name for name in run.result.to_dict() if name not in QUANTITIES]
+    table, found = run.result.table(*names), _along(run, run.result)
     values = zip(*(column.tolist() for column in found.values()), strict=True)
     rows = [[*row, *more] for row, more in zip(table.rows, values, strict=True)]
     return Table((*table.columns, *found), rows)

@@ -37,7 +37,7 @@ INEXACT = f"faint: estimated error above {100 * LARGE_ERROR:g} %"
 
 def draw_curve(
     curve: ResponseCurve,
-    dof: int,
+    dof: int | None = None,
     *,
     colour: str = "blue",
     label: str = "",
@@ -59,8 +59,8 @@ def draw_curve(
     ----------
     curve : ResponseCurve
         What to draw.
-    dof : int
-        Whose displacement.
+    dof : int, optional
+        Whose displacement; default: the watched one.
     colour, label : str
         "blue", "orange", "green", "pink", "grey" or a colour of matplotlib, and the legend entry,
         for several curves on the same axes; with a label, bifurcations have the curve's colour.
@@ -126,7 +126,9 @@ def _draw_parts(
         axes.plot([], [], color=ink, lw=1.4, alpha=FAINT, label=INEXACT)
 
 
-def _mark_bifurcations(axes: Axes, curve: ResponseCurve, dof: int, factor: float, ink: str) -> None:
+def _mark_bifurcations(
+    axes: Axes, curve: ResponseCurve, dof: int | None, factor: float, ink: str
+) -> None:
     """Mark them; ``ink`` is the colour where several curves are drawn, else empty."""
     found = list(curve.bifurcations)
     if not found:
@@ -180,7 +182,7 @@ def _apart(axes: Axes, x: np.ndarray, y: np.ndarray, later: np.ndarray) -> np.nd
 
 
 def _mark_superharmonics(
-    axes: Axes, curve: ResponseCurve, dof: int, amplitude: np.ndarray, factor: float
+    axes: Axes, curve: ResponseCurve, dof: int | None, amplitude: np.ndarray, factor: float
 ) -> None:
     """Write at each peak the order of its largest harmonic, if that is above the load's."""
     from scipy.signal import find_peaks  # takes as long to load as matplotlib
@@ -219,7 +221,7 @@ def _label_parameter(axes: Axes, curve: ResponseCurve, in_hertz: bool) -> None:
         axes.set_xlabel(with_unit(name, unit))
 
 
-def _harmonic_amplitudes(curve: ResponseCurve, dof: int) -> np.ndarray:
+def _harmonic_amplitudes(curve: ResponseCurve, dof: int | None) -> np.ndarray:
     """Amplitudes of the harmonics 1 to H of the response at every point: (n, H) [m]."""
     rows = curve.coefficients_at(dof)
     return np.asarray(np.hypot(rows[:, 1::2], rows[:, 2::2]))
@@ -227,7 +229,7 @@ def _harmonic_amplitudes(curve: ResponseCurve, dof: int) -> np.ndarray:
 
 def draw_content(
     curve: ResponseCurve,
-    dof: int,
+    dof: int | None = None,
     *,
     highest: int = 5,
     in_hertz: bool = False,
