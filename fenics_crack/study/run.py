@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -40,6 +41,8 @@ from fenics_crack.study.prepare import (
     reduced,
     reduction_of,
 )
+from fenics_crack.study.stated_errors import errors_of
+from fenics_crack.study.verification import Verification
 from fenics_crack.time.central_differences import (
     integrate_central_difference,
     stable_steps_per_period,
@@ -69,9 +72,19 @@ class Run(Study, Generic[Found]):
         As :class:`Study` has them.
     result : Modes, PeriodicSolution, ResponseCurve, Backbone or TimeHistory
         What was found.
+    stated : Verification or None
+        Its :attr:`errors`, where they were computed with it.
     """
 
     result: Found
+    stated: Verification | None = None
+
+    @cached_property
+    def errors(self) -> Verification | None:
+        """What modes, harmonics and the mesh contribute to the error of each number, by one other
+        run for each; of a curve those of its largest response. Computed when first asked for, and
+        None of motions in time (collective)."""
+        return self.stated or errors_of(self, self.result)
 
     def __repr__(self) -> str:
         return f"Run({self.result!r}, {self.scene!r})"
@@ -449,4 +462,5 @@ def run_of(stored: Stored, comm: MPI.Comm = MPI.COMM_WORLD) -> Run[Result]:
         study = _prepare_curve(scene, comm)
     else:
         study = prepare(scene, comm, whole=kind is Modes)
-    return Run(**vars(study), result=unpack(stored, study.structure, study.contact))
+    result = unpack(stored, study.structure, study.contact)
+    return Run(**vars(study), result=result, stated=Verification.of(stored))

@@ -26,12 +26,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from fenics_crack.balance.harmonic_balance import solve_linear
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.balance.solver import Solver
-from fenics_crack.model.bilinear import bilinear_frequencies
+from fenics_crack.curves.curve import ResponseCurve
+from fenics_crack.model.bilinear import bilinear_frequencies, tied_frequencies
 from fenics_crack.model.modal import is_small
+from fenics_crack.model.modes import Modes, solve_modes
 from fenics_crack.model.reduced import ReducedStructure
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS, QUANTITIES
@@ -43,7 +47,16 @@ from fenics_crack.study.verification import Verification
 from fenics_crack.table import frequency_axis
 
 __all__ = [
-    "Numbers", "carried", "finer_mesh", "n_elements", "natural_name", "numbers_of", "resonance_of",
+    "KINDS",
+    "Numbers",
+    "carried",
+    "errors_of",
+    "errors_of_natural",
+    "finer_mesh",
+    "n_elements",
+    "natural_name",
+    "numbers_of",
+    "resonance_of",
     "stated_errors",
 ]  # fmt: skip
 
@@ -151,13 +164,59 @@ def stated_errors(study: Study, found: PeriodicSolution, *, of_peak: bool = Fals
             counts, values = varied
             stated.counts[cause], stated.parts[cause] = (
                 counts,
-                _expected(cause, counts, own, values),
+                _expected(cause, counts, own.values, values),
             )
             if cause == "mesh" and not of_peak:
                 stated.counts["shift"] = counts
                 stated.parts["shift"] = carried(study, near, own, stated.parts["mesh"])
         except REFUSALS as error:
             stated.unknown[cause] = str(error)
+    return stated
+
+
+def errors_of(study: Study, result: object) -> Verification | None:
+    """The same of any result (collective): of a curve over the frequency that of its largest
+    response; None of one that is not a vibration, or has not converged."""
+    if isinstance(result, Modes):
+        return errors_of_natural(study, {"open": result.omega})
+    if isinstance(result, ResponseCurve) and result.parameter == "omega":
+        largest = int(np.argmax(result.amplitude(study.watched[0].dof)))
+        return stated_errors(study, result.solution(largest), of_peak=True)
+    if isinstance(result, PeriodicSolution) and result.converged:
+        return stated_errors(study, result)
+    return None
+
+
+def errors_of_natural(study: Study, natural: Mapping[str, np.ndarray]) -> Verification:
+    """The errors by the mesh of natural frequencies [rad/s] of a whole structure, with lips "open"
+    and "tied" (collective)."""
+    scene, stated = study.scene, Verification(study.scene, {}, {}, {}, {}, {}, {}, (), {})
+    factor, _, unit = frequency_axis(scene.in_hertz)
+
+    def named(kinds: Mapping[str, np.ndarray]) -> dict[str, float]:
+        return {
+            natural_name(scene, kind, number): factor * float(omega)
+            for kind, values in kinds.items()
+            for number, omega in enumerate(values, 1)
+            if 0.0 < omega < np.inf
+        }
+
+    stated.values.update(named(natural))
+    stated.units.update(dict.fromkeys(stated.values, unit))
+    try:
+        coarse = _coarser(study)
+        if isinstance(coarse, str):
+            stated.unknown["mesh"] = coarse
+            return stated
+        twin, counts = coarse
+        count = max(map(len, natural.values()))
+        both = {"open": solve_modes(twin.structure, count).omega}
+        if "tied" in natural:
+            both["tied"] = tied_frequencies(twin.structure, count)
+        stated.counts["mesh"] = counts
+        stated.parts["mesh"] = _expected("mesh", counts, stated.values, named(both))
+    except REFUSALS as error:
+        stated.unknown["mesh"] = str(error)
     return stated
 
 
@@ -186,16 +245,12 @@ def _more_harmonics(study: Study, near: PeriodicSolution, own: Numbers) -> Varie
 
 
 def _coarser_mesh(study: Study, near: PeriodicSolution, own: Numbers) -> Varied:
-    scene = finer_mesh(study.scene, 1.0 / COARSER)
-    if scene is None:
-        return "there is one mesh"
-    with within("a coarser mesh"):
-        twin = prepare(scene, study.structure.comm)
-        shift = resonance_of(twin.structure, own.mode) / resonance_of(study.structure, own.mode)
-        found = _solved(twin, near.omega * shift, near.harmonics)
-    counts = n_elements(study.structure), n_elements(twin.structure)
-    if counts[0] <= counts[1]:
-        return "a coarser one has as many elements"
+    coarse = _coarser(study)
+    if isinstance(coarse, str):
+        return coarse
+    twin, counts = coarse
+    shift = resonance_of(twin.structure, own.mode) / resonance_of(study.structure, own.mode)
+    found = _solved(twin, near.omega * shift, near.harmonics)
     return counts, numbers_of(twin, found, own.mode).values
 
 
@@ -203,8 +258,25 @@ VARIED = {"modes": _more_modes, "harmonics": _more_harmonics, "mesh": _coarser_m
 """What is varied, and by whom."""
 
 
+def _coarser(study: Study) -> tuple[Study, tuple[int, int]] | str:
+    """The twin on a coarser mesh, reduced where the study is, and the elements of both; or why
+    there is none (collective)."""
+    scene, structure = study.scene, study.structure
+    if scene.structure is not None or scene.mesh.layout == "file":
+        return "there is one mesh"
+    if not scene.mesh.error:
+        return "mesh.error = false"
+    coarse = finer_mesh(scene, 1.0 / COARSER)
+    if coarse is None:
+        return "a grid of half as many columns and rows has no lines along the crack"
+    with within("a coarser mesh"):
+        twin = prepare(coarse, structure.comm, whole=structure.whole is structure)
+    counts = n_elements(structure), n_elements(twin.structure)
+    return (twin, counts) if counts[1] < counts[0] else "a coarser one has as many elements"
+
+
 def _expected(
-    cause: str, counts: tuple[int, int], own: Numbers, other: Mapping[str, float]
+    cause: str, counts: tuple[int, int], own: Mapping[str, float], other: Mapping[str, float]
 ) -> dict[str, GridConvergence]:
     """The part of a cause, without a factor of safety."""
     mesh = cause == "mesh"
@@ -214,7 +286,7 @@ def _expected(
         name: replace(
             grid_convergence(sizes, [value, other.get(name, 0.0)], formal=formal), factor=1.0
         )
-        for name, value in own.values.items()
+        for name, value in own.items()
     }
 
 

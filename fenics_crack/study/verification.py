@@ -6,12 +6,17 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any, ClassVar
 
+from mpi4py import MPI
+
 from fenics_crack.errors import InputError
+from fenics_crack.files.store import Stored, write
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.grid_convergence import LEAST_ORDER, GridConvergence
 from fenics_crack.table import Table, Tabular, with_unit
@@ -22,6 +27,7 @@ MESH = ("mesh", "shift")
 """The mesh's part: of the answer at a given distance from the resonance, and by the shift of the
 resonance."""
 CAUSES = (*MESH, "modes", "harmonics", "samples")
+WORDS = ("units", "absent", "unknown", "verdicts")
 LEVELS = 3
 """Runs of a cause, at most."""
 SHOWN, LEAST = 0.1, 1e-3
@@ -80,6 +86,51 @@ class Verification(Tabular):
 
     KIND: ClassVar[str] = "verification"
 
+    # --- files ------------------------------------------------------------------------------------
+
+    def text(self) -> str:
+        """All of it but the scene, as a dataset of a file."""
+        kept = {item.name: getattr(self, item.name) for item in fields(self)[1:]}
+        return json.dumps(kept, default=vars)
+
+    def save(self, path: str | Path, comm: MPI.Comm = MPI.COMM_SELF) -> None:
+        """Write a file that ``fenics-crack plot`` and ``report`` read (collective).
+
+        Raises
+        ------
+        InputError
+            The file cannot be written.
+        """
+        write({"verification": self.text()}, path, self.KIND, self.scene, comm)
+
+    @classmethod
+    def of(cls, stored: Stored) -> Verification | None:
+        """What a file holds, of its own kind or beside a solution; None where it holds none.
+
+        Raises
+        ------
+        InputError
+            It does not fit.
+        """
+        with stored.taken() as parts:
+            scene = stored.scene()
+            if "verification" not in parts or scene is None:
+                return None
+            found = json.loads(parts["verification"])
+            values = {name: float(value) for name, value in found["values"].items()}
+            counts = {one: tuple(map(int, many)) for one, many in found["counts"].items()}
+            grids = {
+                cause: {name: _grid(by_name[name], len(counts[cause])) for name in values}
+                for cause, by_name in found["parts"].items()
+            }
+            words = ({n: str(w) for n, w in found[key].items()} for key in WORDS)
+            units, absent, unknown, verdicts = words
+            failures = tuple(map(str, found["failures"]))
+            [units[name] for name in values]  # LookupError
+            return cls(scene, values, units, grids, counts, absent, unknown, failures, verdicts)
+
+    # --- numbers ----------------------------------------------------------------------------------
+
     @property
     def causes(self) -> tuple[str, ...]:
         """The causes that were varied."""
@@ -120,6 +171,25 @@ class Verification(Tabular):
         """An error over the size of a quantity; nan where that is 0."""
         value = self.values[quantity]
         return error / abs(value) if value else math.nan
+
+    def stated(self, quantity: str) -> tuple[float, str]:
+        """The error of a quantity, relative to it, as the sum of all contributions; and the largest
+        of them: "mesh", "modes", "harmonics", "samples". Not known: nan."""
+        if quantity not in self.values or not self.parts:
+            return math.nan, ""
+        parts = self.contributions(quantity)
+        both = {"mesh": sum(parts.pop(name, 0.0) for name in MESH)} | parts
+        return self.relative(quantity, sum(both.values())), max(both, key=lambda one: both[one])
+
+    @property
+    def resonance(self) -> str:
+        """Which quantity is the resonance that the answer lies next to; empty without lips."""
+        return next((name for name in self.values if "_bilinear_" in name), "")
+
+    @property
+    def without(self) -> str:
+        """ "without the mesh", or what else the errors do not have; empty where they have all."""
+        return f"without the {' and the '.join(self.unknown)}" if self.unknown else ""
 
     # --- tables -----------------------------------------------------------------------------------
 
@@ -244,3 +314,12 @@ class Verification(Tabular):
             f"{text} +- {share} % (sum of all: {bound} %), most of it by {cause}, {how}; "
             f"extrapolated {self.extrapolated(name):.5g}"
         )
+
+
+def _grid(found: dict[str, Any], count: int) -> GridConvergence:
+    """As read; ValueError and the like where it does not fit."""
+    sizes, values = (tuple(map(float, found[key])) for key in ("sizes", "values"))
+    if not len(sizes) == len(values) == count:
+        raise ValueError("its sizes do not fit")
+    numbers = {key: float(found[key]) for key in ("order", "exponent", "factor", "extrapolated")}
+    return GridConvergence(sizes, values, str(found["behaviour"]), **numbers)
