@@ -25,6 +25,7 @@ from fenics_crack.curves.exact_bifurcations import refine_bifurcation as refine_
 from fenics_crack.curves.follow import continue_frequency as continue_frequency
 from fenics_crack.curves.follow import continue_parameter as continue_parameter
 from fenics_crack.curves.follow import follow_branch as follow_branch
+from fenics_crack.curves.peak import Peak as Peak
 from fenics_crack.curves.points import CurvePoint as CurvePoint
 from fenics_crack.curves.refine import refine_curve as refine_curve
 from fenics_crack.draw.animation import animate_period as animate_period

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.indicators import contact_extremes, indicators_of
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import (
     OTHERS,
@@ -22,7 +21,6 @@ from fenics_crack.cli.account import (
 from fenics_crack.cli.scenes import remark_on
 from fenics_crack.model.bilinear import bilinear_frequencies
 from fenics_crack.model.modes import Modes
-from fenics_crack.numerics.fourier import balanced
 from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, SHORT
 from fenics_crack.scene.tables import Integration
 from fenics_crack.study.key_figures import highest_omega
@@ -34,9 +32,6 @@ from fenics_crack.time.march import TimeHistory
 __all__ = [
     "account_of_history", "account_of_modes", "account_of_solution", "closings", "with_hertz",
 ]  # fmt: skip
-
-LAST_HARMONICS = 10
-"""Of the last period of a motion in time."""
 
 Row = tuple[str, str, object, str]
 """Name, words, value, unit."""
@@ -151,8 +146,7 @@ def _verdict(found: PeriodicSolution) -> tuple[str, str]:
 def account_of_history(run: Run[TimeHistory]) -> Account:
     """A motion from rest, and whether it repeats (collective)."""
     found, scene = run.result, run.scene
-    lips = contact_extremes(found.gap, found.contact_force, run.structure.pairs.cracks)
-    table = _quantities(run, vars(found) | lips)
+    table = _quantities(run, vars(found) | found.indicators().to_dict())
     asked = scene.integration or Integration()
     change = f"a period changes it by {found.settled:.2g}"
     facts = [f"The motion in time has settled after {found.periods} periods: {change}."]
@@ -198,7 +192,7 @@ def _quantities(run: Run[Any], values: Mapping[str, object]) -> Table:
     rows: list[Row] = [("omega", "omega", omega, "rad/s")]
     rows.append(("frequency", "frequency", omega / (2.0 * np.pi), "Hz"))
     for watched in run.watched:
-        rows += _of_point(watched, _indicators(run, watched.dof))
+        rows += _of_point(watched, run.result.indicators(watched.dof).to_dict())
     if not run.structure.n_pairs:  # no errors were estimated
         values = {n: v for n, v in values.items() if not n.endswith(("_error", "_share"))}
     rows += _named(OF_LIPS, values)
@@ -209,17 +203,6 @@ def _quantities(run: Run[Any], values: Mapping[str, object]) -> Table:
             for name, words, unit, value in with_hertz(near)
         )
     return Table(("name", "quantity", "value", "unit"), [*rows, *_named(OTHERS, values)])
-
-
-def _indicators(run: Run[Any], dof: int) -> dict[str, object]:
-    """Those of a dof: of a solution, or of the last period of a motion in time."""
-    found = run.result
-    if isinstance(found, PeriodicSolution):
-        return found.indicators(dof).to_dict()
-    motion = found.displacement([dof])[:, 0]
-    waves = balanced(motion[-found.steps_per_period :], LAST_HARMONICS)
-    size = float(np.ptp(motion) / 2.0)
-    return indicators_of(run.scene.excitation.omega, waves, size, {}).to_dict()
 
 
 def _of_point(watched: Watched, values: Mapping[str, object]) -> list[Row]:

@@ -73,8 +73,8 @@ def draw_waves(
     zero : str, optional
         Legend entry of a line at zero, for example "lips touch".
     **where
-        ``axes``: where to draw, by default in a new figure; ``path``: where to save the new
-        figure; ``title`` of the picture.
+        ``axes``, or ``ax``: where to draw, by default in a new figure; ``path``: where to save the
+        new figure; ``title`` of the picture.
 
     Returns
     -------

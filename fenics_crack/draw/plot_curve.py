@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.curves.curve import ResponseCurve, kind_in_words, parameter_axis
+from fenics_crack.curves.peak import top_and_damping
 from fenics_crack.curves.refine import filled
 from fenics_crack.draw.figure import COLOURS, FIRST, Picture, Where, label_axis
 from fenics_crack.errors import InputError
@@ -32,7 +33,7 @@ INEXACT = f"faint: estimated error above {100 * LARGE_ERROR:g} %"
 
 def draw_curve(
     curve: ResponseCurve,
-    dof: int,
+    dof: int | None = None,
     *,
     colour: str = "blue",
     label: str = "",
@@ -55,8 +56,8 @@ def draw_curve(
     ----------
     curve : ResponseCurve
         What to draw.
-    dof : int
-        Whose displacement.
+    dof : int, optional
+        Whose displacement; default: the watched one.
     colour, label : str
         "blue", "orange", "green", "pink", "grey" or a colour of matplotlib, and the legend entry,
         for several curves on the same axes; with a label, bifurcations have the curve's colour.
@@ -130,13 +131,18 @@ def _mark_peak(
     at = int(np.argmax(y))
     if at in (0, len(y) - 1):
         return
-    unit = parameter_axis(curve.parameter, in_hertz)[2]
-    words = f"largest: {quantity(float(y[at]), 'm')} at {x[at]:.5g} {unit}".removesuffix(" -")
+    unit, by_frequency = parameter_axis(curve.parameter, in_hertz)[2], curve.parameter == "omega"
+    place, height, damping = top_and_damping(x, y, at)
+    words = f"largest: {quantity(height, 'm')} at {place:.5g} {unit}".removesuffix(" -")
+    if by_frequency and np.isfinite(damping):
+        words += f", half-power damping {100.0 * damping:.2g} %"
     look = {"color": ink or COLOURS["blue"], "mfc": "none", "ms": 7.0, "mew": 1.1}
-    axes.plot(x[at], y[at], "o", label="" if ink else words, **look)
+    axes.plot(place, height, "o", label="" if ink else words, **look)
 
 
-def _mark_bifurcations(axes: Axes, curve: ResponseCurve, dof: int, factor: float, ink: str) -> None:
+def _mark_bifurcations(
+    axes: Axes, curve: ResponseCurve, dof: int | None, factor: float, ink: str
+) -> None:
     """Mark them; ``ink`` is the colour where several curves are drawn, else empty."""
     found = list(curve.bifurcations)
     if not found:
@@ -190,7 +196,7 @@ def _apart(axes: Axes, x: np.ndarray, y: np.ndarray, later: np.ndarray) -> np.nd
 
 
 def _mark_superharmonics(
-    axes: Axes, curve: ResponseCurve, dof: int, amplitude: np.ndarray, factor: float
+    axes: Axes, curve: ResponseCurve, dof: int | None, amplitude: np.ndarray, factor: float
 ) -> None:
     """Write at each peak the order of its largest harmonic, if that is above the load's."""
     from scipy.signal import find_peaks  # takes as long to load as matplotlib
@@ -229,7 +235,7 @@ def _label_parameter(axes: Axes, curve: ResponseCurve, in_hertz: bool) -> None:
         axes.set_xlabel(with_unit(name, unit))
 
 
-def _harmonic_amplitudes(curve: ResponseCurve, dof: int) -> np.ndarray:
+def _harmonic_amplitudes(curve: ResponseCurve, dof: int | None) -> np.ndarray:
     """Amplitudes of the harmonics 1 to H of the response at every point: (n, H) [m]."""
     rows = curve.coefficients_at(dof)
     return np.asarray(np.hypot(rows[:, 1::2], rows[:, 2::2]))
@@ -237,7 +243,7 @@ def _harmonic_amplitudes(curve: ResponseCurve, dof: int) -> np.ndarray:
 
 def draw_content(
     curve: ResponseCurve,
-    dof: int,
+    dof: int | None = None,
     *,
     highest: int = 5,
     in_hertz: bool = False,

@@ -22,8 +22,11 @@ build a geometry together and share its chunks.
 
 from __future__ import annotations
 
+import atexit
 import itertools
 import operator
+import shutil
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -73,7 +76,7 @@ STATES = np.array(["pending", "converged", "failed"])
 
 def run_sweep(
     scene: Scene,
-    path: str | Path,
+    path: str | Path | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
     *,
     progress: bool = False,
@@ -88,9 +91,9 @@ def run_sweep(
     ----------
     scene : Scene
         With its table ``[sweep]``.
-    path : path
+    path : path, optional
         The file for the results. If it exists, it must be of the same scene and mesh files; its
-        cases are kept, failed ones too.
+        cases are kept, failed ones too. Default: a file that lasts as long as the program.
     comm : MPI.Comm
         The ranks; with ``sweep.ranks = s`` a multiple of s.
     progress : bool
@@ -113,14 +116,14 @@ def run_sweep(
     Examples
     --------
     >>> swept = scene.replace({"sweep.over": {"excitation.omega": [1900.0, 2000.0]}})
-    >>> table = fc.run_sweep(swept, "sweep.h5")
+    >>> table = fc.run_sweep(swept, "sweep.h5").to_dict()
     """
     ranks = _ranks_of_a_case(scene, comm)
     managers: list[Manager] = []
 
     def start() -> dict[str, bool]:
         plan = Plan(scene)
-        file = SweepFile(Path(path), scene, plan.harmonics, plan.pairs)
+        file = SweepFile(Path(path or _passing_file()), scene, plan.harmonics, plan.pairs)
         managers.append(Manager(plan, file, comm.size // ranks, progress=progress))
         return {"unit_loads": plan.unit_loads, "hopeless": not plan.reduction_swept}
 
@@ -140,6 +143,13 @@ def run_sweep(
     leaders.Free()
     group.Free()
     return on_root(comm, lambda: SweepResult.of(managers[0].stored))
+
+
+def _passing_file() -> str:
+    """A file in a folder that is gone when the program ends."""
+    folder = tempfile.mkdtemp(prefix="fenics_crack-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return f"{folder}/sweep.h5"
 
 
 def _ranks_of_a_case(scene: Scene, comm: MPI.Comm) -> int:
