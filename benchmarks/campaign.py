@@ -269,9 +269,9 @@ def _judgement(
 
 def missed(found: fc.PeriodicSolution) -> tuple[str, str]:
     """A tolerance that is not met, with an error that is as stated: whether it says so."""
-    if "what limits it: " not in found.status:
+    if "what helps: " not in found.status:
         return WRONG, "tolerance"
-    return LIMITED if "what limits it: modes" in found.status else UNCONVERGED, found.status
+    return LIMITED if "what helps: modes" in found.status else UNCONVERGED, found.status
 
 
 def _verdict(found: fc.PeriodicSolution) -> str:

@@ -30,7 +30,9 @@ __version__ = VERSION
 
 def __getattr__(name: str) -> Any:
     if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        from fenics_crack.hints import no_attribute
+
+        raise no_attribute(f"module {__name__!r}", name, __all__)
     with alone():
         value = getattr(import_module(_MODULES[name]), name)
     if isinstance(value, FunctionType):
@@ -41,4 +43,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})

@@ -8,6 +8,7 @@ from fenics_crack.arrivals.fit_order import track_order as track_order
 from fenics_crack.arrivals.harmonics import TipFit as TipFit
 from fenics_crack.arrivals.simulate import tip_timing as tip_timing
 from fenics_crack.balance.error_report import ErrorReport as ErrorReport
+from fenics_crack.balance.harmonic_balance import linear_response as linear_response
 from fenics_crack.balance.harmonic_balance import solve_harmonic_balance as solve_harmonic_balance
 from fenics_crack.balance.harmonic_balance import solve_linear as solve_linear
 from fenics_crack.balance.indicators import Indicators as Indicators
@@ -24,6 +25,7 @@ from fenics_crack.curves.exact_bifurcations import refine_bifurcation as refine_
 from fenics_crack.curves.follow import continue_frequency as continue_frequency
 from fenics_crack.curves.follow import continue_parameter as continue_parameter
 from fenics_crack.curves.follow import follow_branch as follow_branch
+from fenics_crack.curves.peak import Peak as Peak
 from fenics_crack.curves.points import CurvePoint as CurvePoint
 from fenics_crack.curves.refine import refine_curve as refine_curve
 from fenics_crack.draw.animation import animate_period as animate_period

@@ -6,6 +6,7 @@ import contextlib
 import math
 import pickle
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from enum import IntEnum
 from numbers import Integral, Real
 from typing import Any
 
@@ -14,6 +15,7 @@ __all__ = [
     "MAX_SAMPLES",
     "MOST_HARMONICS",
     "ConvergenceError",
+    "Exit",
     "InputError",
     "WriteError",
     "check_count",
@@ -33,6 +35,18 @@ MAX_SAMPLES = 2**20
 """Samples of a period at which the contact force may be evaluated."""
 MOST_HARMONICS = 100
 """Beyond these they are not raised along a curve or from case to case."""
+
+
+class Exit(IntEnum):
+    """Exit codes of the program; ``--help`` and docs/program.md explain them."""
+
+    DONE = 0
+    FAULT = 1
+    BAD_INPUT = 2
+    NOT_CONVERGED = 3
+    MISSED = 4
+    STOPPED = 130
+    READER_GONE = 141
 
 
 class InputError(ValueError):

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from fenics_crack.hints import Hinted
 from fenics_crack.whole import write_whole
 
 __all__ = [
@@ -42,8 +43,9 @@ TURN = 2.0 * math.pi
 """Of Hz in rad/s."""
 RPM = TURN / 60.0
 """Of revolutions per minute in rad/s."""
-UNITS = {"omega": "rad/s", "frequency": "Hz", "energy": "J", "contact_force": "N"}
+UNITS = {"omega": "rad/s", "frequency": "Hz", "energy": "J"}
 UNITS |= {"speed": "rad/s", "rpm": "rpm"}
+UNITS |= dict.fromkeys(("contact_force", "crack_force"), "N")
 UNITS |= dict.fromkeys(("opening", "penetration", "clearance"), "m")
 """Units of the entries of ``to_dict``; all others have none."""
 
@@ -123,7 +125,7 @@ class Table:
         return json.dumps(records, indent=1, ensure_ascii=False) + "\n"
 
 
-class Described:
+class Described(Hinted):
     """A result that describes itself: in one line, as a table in a notebook, as a dict."""
 
     def to_dict(self) -> dict[str, Any]:
@@ -165,6 +167,21 @@ class Tabular(Described):
             The file cannot be written.
         """
         self.table().save(path)
+
+    def to_dataframe(self) -> Any:
+        """The same as a ``pandas.DataFrame``.
+
+        Raises
+        ------
+        ImportError
+            pandas is not installed: the package does without it.
+        """
+        try:
+            import pandas
+        except ImportError as error:
+            other = "to_dict() has the same columns, and to_csv(path) writes them"
+            raise ImportError(f"to_dataframe needs pandas (pip install pandas); {other}") from error
+        return pandas.DataFrame(self.to_dict())
 
 
 # --- numbers for people ---------------------------------------------------------------------------

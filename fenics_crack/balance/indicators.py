@@ -47,12 +47,17 @@ class Indicators(Tabular):
     ratio_half_1 : [-]
         U_1/2 / U_1, at half the load's frequency; nan unless the solution has an even multiple of
         the load's period.
+    ratio_largest, largest_order : [-]
+        U_k / U_1 of the largest harmonic above the load's, and its order k; nan without one.
     mean_shift : [-]
         a0 / U_1, positive in the direction of the dof.
     opening, penetration : [m]
-        The largest of any pair at any time; nan without pairs, as are the next two.
+        The largest of any pair at any time; nan without pairs, as are the next three.
     contact_force : [N]
-        The largest of any pair at any time.
+        The largest of any pair at any time: the finer the mesh, the smaller.
+    crack_force : [N]
+        The largest of a crack at any time, the sum over its pairs, which a finer mesh does not
+        change; of matrices that of all pairs.
     closed_share : [-]
         Part of the period in which a pair carries a contact force, mean over the pairs.
     """
@@ -66,10 +71,13 @@ class Indicators(Tabular):
     ratio_2_1: Any
     ratio_3_1: Any
     ratio_half_1: Any
+    ratio_largest: Any
+    largest_order: Any
     mean_shift: Any
     opening: Any
     penetration: Any
     contact_force: Any
+    crack_force: Any
     closed_share: Any
 
     def to_dict(self) -> dict[str, Any]:
@@ -105,25 +113,37 @@ def indicators_of(
         return np.hypot(coefficients[..., row - 1], coefficients[..., row])
 
     first, second, third, mean = at(1), at(2), at(3), coefficients[..., 0]
+    unknown = np.full(coefficients.shape[:-1], np.nan)[()]
+    largest = order = unknown
+    if harmonics >= 2 * subharmonic:
+        above = np.stack([at(k) for k in range(2, harmonics // subharmonic + 1)], axis=-1)
+        largest, order = above.max(axis=-1), 2.0 + above.argmax(axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
         known = np.where(first > 0.0, first, np.nan)
-        ratios = [part / known for part in (second, third, at(0.5), mean)]
-    unknown = np.full(coefficients.shape[:-1], np.nan)[()]
-    lips = [contact.get(name, unknown) for name in CONTACT]
-    return Indicators(omega, amplitude, mean, first, second, third, *ratios, *lips)
+        ratios = [part / known for part in (second, third, at(0.5), largest)]
+        shift = mean / known
+    lips = {name: contact.get(name, unknown) for name in CONTACT}
+    seen = mean, first, second, third, *ratios, order, shift
+    return Indicators(omega, amplitude, *seen, **lips)
 
 
-CONTACT = ("opening", "penetration", "contact_force", "closed_share")
+CONTACT = ("opening", "penetration", "contact_force", "crack_force", "closed_share")
 
 
-def contact_extremes(gap: np.ndarray, force: np.ndarray) -> dict[str, float]:
-    """Opening [m], penetration [m] and force [N], the largest of any pair, and the share of the
-    time closed, mean over the pairs, of gaps and forces over time (n, n_pairs); empty without."""
+def contact_extremes(
+    gap: np.ndarray, force: np.ndarray, cracks: np.ndarray | None = None
+) -> dict[str, float]:
+    """Opening [m], penetration [m] and force [N], the largest of any pair; the largest force of a
+    crack, and the share of the time closed, mean over the pairs: of gaps and forces over time
+    (n, n_pairs), with the crack of each pair, by default one of all. Empty without pairs."""
     if not gap.shape[1]:
         return {}
+    cracks = np.zeros(gap.shape[1], dtype=int) if cracks is None else cracks
+    of_cracks = [force[:, cracks == crack].sum(axis=1) for crack in np.unique(cracks)]
     return {
         "opening": max(0.0, -float(gap.min())),
         "penetration": max(0.0, float(gap.max())),
         "contact_force": float(force.max()),
+        "crack_force": float(np.max(of_cracks)),
         "closed_share": float(np.mean(force > 0.0)),
     }

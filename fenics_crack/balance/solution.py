@@ -122,28 +122,34 @@ class PeriodicSolution(Wave, Described):
             wave = Wave(**{one.name: getattr(self, one.name) for one in fields(Wave)})
             object.__setattr__(self, "judged", Judgement(wave))
 
-    def displacement(self, time: np.ndarray, dofs: Sequence[int]) -> np.ndarray:
-        """Displacement of dofs at times [s]: (len(time), len(dofs)) [m] (collective)."""
+    def displacement(self, time: np.ndarray, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
+        """Displacement of dofs, or of the watched one, at times [s]: (len(time), len(dofs)) [m]
+        (collective)."""
         if self.residual is None:
             return evaluate(self.coefficients_at(dofs), self.base_omega, time)
         return self.structure.values_at(self.coordinates(time), dofs)
 
-    def amplitude(self, dof: int) -> float:
-        """Half the peak-to-peak displacement of a dof [m] (collective)."""
+    def amplitude(self, dof: int | None = None) -> float:
+        """Half the peak-to-peak displacement of a dof, or of the watched one [m] (collective)."""
         return float(np.ptp(self.displacement(self.instants(), [dof])) / 2.0)
 
-    def indicators(self, dof: int) -> Indicators:
-        """What a dof and the lips show of a breathing crack (collective)."""
-        time = self.instants()
+    def indicators(self, dof: int | None = None) -> Indicators:
+        """What a dof, or the watched one, and the lips show of a breathing crack (collective)."""
         return indicators_of(
             self.omega,
             self.coefficients_at([dof])[:, 0],
             self.amplitude(dof),
-            contact_extremes(self.gap(time), self.contact_force(time)),
+            self._extremes(),
             self.subharmonic,
         )
 
-    def coefficients_at(self, dofs: Sequence[int]) -> np.ndarray:
+    def _extremes(self) -> dict[str, float]:
+        """What the lips do at most in the period."""
+        time = self.instants()
+        cracks = self.structure.pairs.cracks
+        return contact_extremes(self.gap(time), self.contact_force(time), cracks)
+
+    def coefficients_at(self, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
         """Coefficients of the displacement of dofs: (2H+1, len(dofs)) [m] (collective)."""
         return self.structure.values_at(self.displacement_coefficients, dofs)
 
@@ -171,8 +177,7 @@ class PeriodicSolution(Wave, Described):
             "subharmonic": self.subharmonic,
             "pairs": self.gap_coefficients.shape[1],
         }
-        time = self.instants()
-        found |= contact_extremes(self.gap(time), self.contact_force(time))
+        found |= self._extremes()
         found |= {f"{name}_error": value for name, value in self.report.to_dict().items()}
         found["penetration_share"] = found.pop("penetration_error")
         if self.stability is not None:

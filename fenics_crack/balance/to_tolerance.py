@@ -103,22 +103,24 @@ def _told(solver: Solver, found: PeriodicSolution, tolerance: float) -> Periodic
     report, structure = found.report, found.structure
     if not found.converged:
         return found
-    lips, kept = massless(structure), ""
+    lips, kept, more = massless(structure), "", "modes"
     if isinstance(structure, ReducedStructure):
         size = f"{structure.n_dofs} coordinates"
-        kept = f", {size}" if lips is None else f", {lips.n_modes} modes ({size})"
+        kept = f", {size}"
+        if lips is not None:
+            kept = f", {lips.n_modes} modes ({size})"
+            more = f"modes {2 * lips.n_modes}, in about twice the time"
     if report.total <= tolerance:
         chosen = f"chosen for an error of {tolerance:g}: H = {found.harmonics}{kept}"
         return replace(found, status=f"{found.status}; {chosen}")
-    limits = {
-        "modes": report.reduction,
-        "harmonics": report.truncation + report.sampling,
-        "rounding": report.residual,
+    helps = {
+        more: report.reduction,
+        "more damping, with which fewer harmonics do": report.truncation + report.sampling,
+        "a larger tolerance, as this is rounding": report.residual,
     }
     size = "unknown" if report.total >= UNKNOWN else f"{100.0 * report.total:.2g} %"
-    limit = max(limits, key=limits.__getitem__)
-    missed = f"solved; error {size}, asked {tolerance:g}; what limits it: {limit}"
-    missed += f" (H = {found.harmonics}{kept})"
+    missed = f"solved; error {size}, {100.0 * tolerance:.2g} % was asked; what helps: "
+    missed += f"{max(helps, key=helps.__getitem__)} (H = {found.harmonics}{kept})"
     if solver.throw:
         raise ConvergenceError(
             f"harmonic balance at {found.omega:g} rad/s: {missed}; throw = False returns it"

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR, UNKNOWN, ErrorReport
-from fenics_crack.errors import MOST_HARMONICS
+from fenics_crack.errors import MOST_HARMONICS, Exit
 from fenics_crack.model.modes import damped_range
 from fenics_crack.scene.quantities import QUANTITIES
 from fenics_crack.scene.scene import Scene
@@ -23,14 +23,15 @@ from fenics_crack.table import Table, frequency_axis, quantity
 
 __all__ = [
     "FINER",
+    "IN_A_TEST",
     "MORE",
     "OTHERS",
     "Account",
     "frequency_in_words",
+    "how_it_is_left",
     "in_one_unit",
     "in_short",
     "of_error",
-    "of_modes",
     "of_stability",
     "readable_rows",
 ]
@@ -59,6 +60,14 @@ OTHERS = {
 """Words and unit of what is printed of a solution or a motion beside the indicators."""
 ALWAYS = ("omega", "frequency", "verdict", "converged", "total_error")
 """Printed whatever the scene chooses."""
+IN_A_TEST = {
+    "fold": "the curve turns back: in a test the vibration jumps to another size here",
+    "period_doubling": "beyond it the vibration repeats after two periods of the load: in a test "
+    "half the load's frequency appears in the spectrum",
+    "neimark_sacker": "beyond it the vibration will not repeat each period: in a test its size "
+    "swells and falls slowly, and lines appear on both sides of the load's frequency",
+}
+"""What bifurcations are to somebody at a test rig, by their kinds."""
 ROUNDING = 1e-15
 """Lengths [m] and forces [N] up to this are written as 0."""
 
@@ -84,8 +93,8 @@ class Account:
         Whether a vibration lasts; and "good", "bad" or "doubtful".
     tables : dict of Table
         Of a report, by their captions.
-    done : bool
-        False where something has not converged.
+    done, missed : bool
+        False where something has not converged; whether the error is above the tolerance.
     run : Run, optional
         Where it comes from.
     """
@@ -100,7 +109,13 @@ class Account:
     verdict: tuple[str, str] | None = None
     tables: Mapping[str, Table] = field(default_factory=dict)
     done: bool = True
+    missed: bool = False
     run: Run | None = None
+
+    @property
+    def exit(self) -> Exit:
+        """The exit code of its command."""
+        return (Exit.MISSED if self.missed else Exit.DONE) if self.done else Exit.NOT_CONVERGED
 
 
 # --- sentences ------------------------------------------------------------------------------------
@@ -135,25 +150,13 @@ def of_error(scene: Scene, report: ErrorReport, harmonics: int, where: str = "")
     )
 
 
-def of_modes(scene: Scene, report: ErrorReport) -> str:
-    """What to do where a tolerance is not met by the modes that a scene names; else empty."""
-    tolerance, table = scene.harmonic_balance.tolerance, scene.reduction
-    if tolerance is None or table is None or table.modes is None:
-        return ""
-    if not report.reduction > tolerance:
-        return ""
-    return (
-        f"; raise reduction.modes = {table.modes}, or leave it out "
-        "(--set reduction.modes=none): solve chooses the modes then"
-    )
-
-
 def of_stability(scene: Scene, run: Run, stability: Stability | None) -> Iterator[str]:
     """A warning of an orbit that is not known to be stable."""
     if stability is None or stability.verdict == "stable":
         return
     because = f" ({stability.reason})" if stability.reason else ""
-    text = f"the orbit is {stability.verdict}{because}: a motion in time may leave it"
+    left = how_it_is_left(stability)
+    text = f"the orbit is {stability.verdict}{because}: a motion in time may leave it{left}"
     hints = []
     if stability.verdict == "undecided":
         if scene.harmonic_balance.tolerance is None:
@@ -162,6 +165,17 @@ def of_stability(scene: Scene, run: Run, stability: Stability | None) -> Iterato
         if table and not (table.of_all_modes or damped_range(run.structure) is None):
             hints.append("damping of all modes (damping.modes = 'all')")
     yield text + (f"; {' or '.join(hints)} may decide it" if hints else "")
+
+
+def how_it_is_left(stability: Stability) -> str:
+    """How a motion leaves an unstable orbit, by its largest multiplier; empty of others."""
+    largest = complex(stability.multipliers[0])
+    if stability.verdict != "unstable":
+        return ""
+    if largest.imag != 0.0:
+        return ", for one that does not repeat each period, whose size swells and falls slowly"
+    also = "of another size" if largest.real > 0.0 else "that repeats after two periods of the load"
+    return f", for one {also}"
 
 
 def frequency_in_words(scene: Scene, omega: float) -> str:

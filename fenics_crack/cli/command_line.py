@@ -9,13 +9,12 @@ import resource
 import signal
 import sys
 import traceback
-from collections.abc import Iterator, Sequence
-from enum import IntEnum
+from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from fenics_crack.errors import ConvergenceError, InputError, WriteError
+from fenics_crack.errors import ConvergenceError, Exit, InputError, WriteError
 from fenics_crack.one_thread import alone
 from fenics_crack.version import VERSION
 from fenics_crack.whole import FULL
@@ -65,20 +64,9 @@ Any key can be changed for one run: --set harmonic_balance.harmonics=30 --set cr
 On several processors: mpirun -n 4 fenics-crack sweep plate.toml
 
 Exit code: 0 done; 2 bad input; 3 something did not converge, or Ctrl-C has ended it early (what was
-found, if anything, is in the files); 130 stopped by Ctrl-C; 1 a full disk, too little memory, or a
-fault of the program.
+found, if anything, is in the files); 4 solved, but the error is above the tolerance; 130 stopped by
+Ctrl-C; 1 a full disk, too little memory, or a fault of the program.
 """
-
-
-class Exit(IntEnum):
-    """Exit codes; ``--help`` and docs/program.md explain them."""
-
-    DONE = 0
-    FAULT = 1
-    BAD_INPUT = 2
-    NOT_CONVERGED = 3
-    STOPPED = 130
-    READER_GONE = 141
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -194,7 +182,7 @@ def _run(given: argparse.Namespace) -> Exit:
         if launched:
             inputs = on_root(comm, lambda: read_inputs(given))
         console = Console(comm, given.format, given.quiet, given.verbose)
-        return Exit.DONE if _command(given, inputs, console) else Exit.NOT_CONVERGED
+        return _command(given, inputs, console) or Exit.DONE
 
 
 @contextlib.contextmanager
@@ -209,19 +197,20 @@ def _settings(wanted: dict[str, str]) -> Iterator[None]:
             del os.environ[name]
 
 
-def _command(given: argparse.Namespace, inputs: Inputs | None, console: Console) -> bool:
-    """Call a command; return whether all that it computed has converged."""
+def _command(given: argparse.Namespace, inputs: Inputs | None, console: Console) -> Exit | None:
+    """Call a command; return how it ended where that may differ."""
     module, name = FUNCTIONS.get(given.command, "commands.solved").split(".")
+    command: Callable[..., Exit | None]
     command = getattr(import_module(f"fenics_crack.cli.{module}"), name)
     if inputs is None or "output" not in given:
-        return bool(command(given, inputs, console))
+        return command(given, inputs, console)
     from fenics_crack.cli.console import make_writable
     from fenics_crack.study.remarks import remarks_on_scene
 
     make_writable(inputs.folder, console.comm)
     told = remarks_on_scene(inputs.scene)
     try:
-        return bool(command(given, inputs, console))
+        return command(given, inputs, console)
     except InputError:
         told = []  # one line about an error
         raise

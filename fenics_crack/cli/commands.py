@@ -1,7 +1,4 @@
-"""The commands that solve a scene, and ``plot``: each computes, writes its files and reports.
-
-They say whether all that they have computed has converged.
-"""
+"""The commands that solve a scene, and ``plot``: each computes, writes its files and reports."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ from fenics_crack.cli.console import Console, make_writable
 from fenics_crack.cli.inputs import Inputs
 from fenics_crack.cli.results import account_of, result_of
 from fenics_crack.cli.scenes import remark_on_sweep
-from fenics_crack.errors import FEW_MODES, InputError
+from fenics_crack.errors import FEW_MODES, Exit, InputError
 from fenics_crack.files.results import save
 from fenics_crack.files.store import read
 from fenics_crack.model.modes import Modes
@@ -27,7 +24,7 @@ from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.run import Run, curve, integrate, modes, solve
 from fenics_crack.sweep.result import SweepResult
-from fenics_crack.table import RPM, quantity
+from fenics_crack.table import RPM, counted, quantity
 
 __all__ = ["campbell_diagram", "identification", "plot", "solved", "sweep", "tell", "verification"]
 
@@ -42,7 +39,7 @@ RUNS: dict[str, tuple[str, Callable[..., Run]]] = {
 """What commands compute, and the name of their files."""
 
 
-def solved(given: Namespace, inputs: Inputs, console: Console) -> bool:
+def solved(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     """``modes``, ``solve``, ``curve``, ``integrate``: a run, a file of its result, its account."""
     name, compute = RUNS[given.command]
     own = {"count": given.count} if given.command == "modes" else {}
@@ -61,9 +58,9 @@ def solved(given: Namespace, inputs: Inputs, console: Console) -> bool:
 
 def tell(
     account: Account, folder: Path, console: Console, draw: Callable[..., Any] | None = None
-) -> bool:
+) -> Exit:
     """Write the tables of an account, and its picture by ``draw(path=...)``; print what there is to
-    say. Returns whether all has converged."""
+    say. Returns how that ended."""
     path = folder / account.name
 
     def write() -> None:
@@ -85,10 +82,10 @@ def tell(
         console.note(told if places else "")
     console.note(*account.notes)
     console.warn(*account.warnings)
-    return account.done
+    return account.exit
 
 
-def sweep(_: Namespace, inputs: Inputs, console: Console) -> bool:
+def sweep(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     """All cases of a sweep, or those that an earlier run has left."""
     from fenics_crack.cli.of_sweep import account_of_sweep
     from fenics_crack.sweep.result import run_sweep
@@ -99,14 +96,14 @@ def sweep(_: Namespace, inputs: Inputs, console: Console) -> bool:
     return tell(account_of_sweep(found, remark_on_sweep(scene, console.comm)), folder, console)
 
 
-def campbell_diagram(given: Namespace, inputs: Inputs, console: Console) -> bool:
+def campbell_diagram(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     """Natural frequencies over the speed, and where engine orders meet the first breathing one."""
     from fenics_crack.draw.plot_rotor import draw_campbell
     from fenics_crack.study.campbell import campbell
 
     scene, span = inputs.scene, given.speeds
     scene.given("rotation")
-    factor = RPM if scene.in_rpm else 1.0
+    factor, unit = (RPM, "rpm") if scene.in_rpm else (1.0, "rad/s")
     start, stop, steps = span or (0.0, 1.5 * scene.speed / factor, 13)
     if not (0.0 <= start < stop < np.inf and 2 <= steps <= MOST_SPEEDS and steps % 1 == 0):
         allowed = f"0 <= START < STOP, and COUNT a whole number from 2 to {MOST_SPEEDS}"
@@ -117,19 +114,21 @@ def campbell_diagram(given: Namespace, inputs: Inputs, console: Console) -> bool
     in_hertz, own = scene.in_hertz or scene.in_rpm, scene.excitation.order
 
     kinds = [f"{'frequency' if in_hertz else 'omega'}_{kind}" for kind in found.kinds]
-    notes = [
-        f"engine order {order} meets mode {mode:.0f} at {speed:.5g} rad/s = {speed / RPM:.5g} rpm"
-        for order in ([own] if own else range(1, 9))
-        for mode, speed in found.crossings(order)
-    ]
-    shown = found.table("rpm" if scene.in_rpm else "speed", "mode", *kinds)
+    asked = [own] if own else [*range(1, 9)]
+    notes = [text for order in asked for text in found.meetings(order)]
+    if not notes:
+        of_orders = f"engine order {own} meets none" if own else "engine orders 1 to 8 meet none"
+        what = counted(found.omega_open.shape[1], "mode")
+        notes = [f"{of_orders} of {what} between {start:g} and {stop:g} {unit}"]
+    crack = ["crack"] if found.cracked else []
+    shown = found.table("rpm" if scene.in_rpm else "speed", "mode", *kinds, *crack)
     account = Account("campbell", found.table(), shown=shown, notes=notes)
     orders = sorted({*range(1, 9), own or 1})
     draw = partial(draw_campbell, found, orders, in_hertz=in_hertz, in_rpm=scene.in_rpm)
     return tell(account, inputs.folder, console, draw)
 
 
-def verification(_: Namespace, inputs: Inputs, console: Console) -> bool:
+def verification(_: Namespace, inputs: Inputs, console: Console) -> Exit:
     """What mesh, modes, harmonics and samples contribute to the error of the steady vibration."""
     from fenics_crack.draw.plot_study import draw_verification
     from fenics_crack.study.verification import verify
@@ -148,7 +147,7 @@ def verification(_: Namespace, inputs: Inputs, console: Console) -> bool:
     return tell(account, inputs.folder, console, partial(draw_verification, found))
 
 
-def identification(given: Namespace, inputs: Inputs, console: Console) -> bool:
+def identification(given: Namespace, inputs: Inputs, console: Console) -> None:
     """A crack from measurements: what it is, how sure, and where to measure next."""
     from fenics_crack.identification.identify import identify  # SciPy's optimize and interpolate
 
@@ -186,10 +185,9 @@ def identification(given: Namespace, inputs: Inputs, console: Console) -> bool:
     console.note(f"next to measure: {worth}")
     console.note(f"{folder / 'identify.h5'}, .json; posterior.png, fit.csv, where_to_measure.csv")
     console.warn(*found.warnings)
-    return True
 
 
-def plot(given: Namespace, _: None, console: Console) -> bool:
+def plot(given: Namespace, _: None, console: Console) -> None:
     """Pictures of a result, of several in one, or of a scene's mesh; by rank 0."""
     results, labels = given.results, given.label
     first, several = results[0], len(results) > 1
@@ -215,7 +213,6 @@ def plot(given: Namespace, _: None, console: Console) -> bool:
     with console.stage("pictures"):
         files = on_root(console.comm, draw)
     console.note(*map(str, files))
-    return True
 
 
 def _for_paraview(

@@ -7,22 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from fenics_crack.balance.indicators import contact_extremes, indicators_of
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import (
     OTHERS,
     Account,
     frequency_in_words,
+    how_it_is_left,
     in_short,
     of_error,
-    of_modes,
     of_stability,
     readable_rows,
 )
 from fenics_crack.cli.scenes import remark_on
 from fenics_crack.model.bilinear import bilinear_frequencies
 from fenics_crack.model.modes import Modes
-from fenics_crack.numerics.fourier import balanced
 from fenics_crack.scene.quantities import OF_FREQUENCIES, OF_LIPS, OF_POINTS, SHORT
 from fenics_crack.scene.tables import Integration
 from fenics_crack.study.key_figures import highest_omega
@@ -34,9 +32,6 @@ from fenics_crack.time.march import TimeHistory
 __all__ = [
     "account_of_history", "account_of_modes", "account_of_solution", "closings", "with_hertz",
 ]  # fmt: skip
-
-LAST_HARMONICS = 3
-"""Of the last period of a motion in time."""
 
 Row = tuple[str, str, object, str]
 """Name, words, value, unit."""
@@ -71,7 +66,7 @@ def account_of_solution(run: Run[PeriodicSolution]) -> Account:
     warnings = []
     if not found.converged or missed:
         failed = "" if found.converged else "not converged: "
-        warnings.append(f"{failed}{found.status}{of_modes(scene, found.report)}")
+        warnings.append(f"{failed}{found.status}")
     elif run.structure.n_pairs:
         warnings += of_error(scene, found.report, found.harmonics)
     if found.converged:
@@ -86,7 +81,8 @@ def account_of_solution(run: Run[PeriodicSolution]) -> Account:
         notes=notes,
         warnings=warnings,
         tables={"In numbers": readable_rows(table)},
-        done=found.converged and not missed,
+        done=found.converged,
+        missed=missed,
         run=run,
     )
 
@@ -133,7 +129,11 @@ def _verdict(found: PeriodicSolution) -> tuple[str, str]:
     size, reason = float(np.abs(found.stability.multipliers).max()), found.stability.reason
     text, kind = {
         "stable": ("Stable: a small disturbance dies out", "good"),
-        "unstable": ("Unstable: a small disturbance grows, and a motion in time leaves it", "bad"),
+        "unstable": (
+            "Unstable: a small disturbance grows, and a motion in time leaves it"
+            f"{how_it_is_left(found.stability)}",
+            "bad",
+        ),
     }.get(
         found.stability.verdict, (f"Undecided: {reason or 'more harmonics may decide'}", "doubtful")
     )
@@ -146,7 +146,7 @@ def _verdict(found: PeriodicSolution) -> tuple[str, str]:
 def account_of_history(run: Run[TimeHistory]) -> Account:
     """A motion from rest, and whether it repeats (collective)."""
     found, scene = run.result, run.scene
-    table = _quantities(run, vars(found) | contact_extremes(found.gap, found.contact_force))
+    table = _quantities(run, vars(found) | found.indicators().to_dict())
     asked = scene.integration or Integration()
     change = f"a period changes it by {found.settled:.2g}"
     facts = [f"The motion in time has settled after {found.periods} periods: {change}."]
@@ -192,7 +192,7 @@ def _quantities(run: Run[Any], values: Mapping[str, object]) -> Table:
     rows: list[Row] = [("omega", "omega", omega, "rad/s")]
     rows.append(("frequency", "frequency", omega / (2.0 * np.pi), "Hz"))
     for watched in run.watched:
-        rows += _of_point(watched, _indicators(run, watched.dof))
+        rows += _of_point(watched, run.result.indicators(watched.dof).to_dict())
     if not run.structure.n_pairs:  # no errors were estimated
         values = {n: v for n, v in values.items() if not n.endswith(("_error", "_share"))}
     rows += _named(OF_LIPS, values)
@@ -205,19 +205,10 @@ def _quantities(run: Run[Any], values: Mapping[str, object]) -> Table:
     return Table(("name", "quantity", "value", "unit"), [*rows, *_named(OTHERS, values)])
 
 
-def _indicators(run: Run[Any], dof: int) -> dict[str, object]:
-    """Those of a dof: of a solution, or of the last period of a motion in time."""
-    found = run.result
-    if isinstance(found, PeriodicSolution):
-        return found.indicators(dof).to_dict()
-    motion = found.displacement([dof])[:, 0]
-    waves = balanced(motion[-found.steps_per_period :], LAST_HARMONICS)
-    size = float(np.ptp(motion) / 2.0)
-    return indicators_of(run.scene.excitation.omega, waves, size, {}).to_dict()
-
-
 def _of_point(watched: Watched, values: Mapping[str, object]) -> list[Row]:
     """What is known of a watched dof; the load's is said once."""
+    order = values["largest_order"]
+    largest = {"ratio_largest": (f"largest harmonic ratio, {order:.0f}/1", "1")}
     return [
         (
             watched.column(name),
@@ -225,7 +216,7 @@ def _of_point(watched: Watched, values: Mapping[str, object]) -> list[Row]:
             value,
             unit,
         )
-        for name, words, value, unit in _named(OF_POINTS, values)
+        for name, words, value, unit in _named(OF_POINTS | largest, values)
     ]
 
 

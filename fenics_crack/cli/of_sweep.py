@@ -9,9 +9,10 @@ import numpy as np
 
 from fenics_crack.balance.error_report import LARGE_ERROR
 from fenics_crack.cli.account import FINER, MORE, Account
+from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.words import key_in_words
 from fenics_crack.sweep.result import SweepResult
-from fenics_crack.table import Table, counted
+from fenics_crack.table import Table, counted, frequency_axis
 
 __all__ = ["FREQUENCIES", "account_of_sweep", "few_cases", "warnings_of"]
 
@@ -19,9 +20,10 @@ WIDEST, SHOWN_CASES = 120, 12
 """Columns and rows of a table of cases that are printed; the file has all."""
 SHORT = ("response", "opening", "amplitude", "ratio_2_1")
 """Columns printed where the scene does not choose; the response is the amplitude at the load."""
-SHOWN_FAILURES = 4
-"""Kinds of failures that are told."""
+SHOWN_REASONS = 4
+"""Why cases failed or are undecided: so many kinds are told."""
 FREQUENCIES = ("excitation.omega", "excitation.frequency")
+SPEEDS = ("rotation.speed", "rotation.rpm")
 
 
 def account_of_sweep(found: SweepResult, note: str = "") -> Account:
@@ -33,6 +35,11 @@ def account_of_sweep(found: SweepResult, note: str = "") -> Account:
     told = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
     swept = ", ".join(f"{len(a.values)} values of {key_in_words(a.key)}" for a in found.axes)
     tables = {f"Cases{how}": shown}
+    stepped, high = stepped_over(found), int(np.sum(found["largest_order"] > 3))
+    told_high = (
+        f"in {counted(high, 'case')} a harmonic above the third is the largest of the higher "
+    )
+    told_high = f"{told_high}ones: ratio_largest, largest_order" if high else ""
     if found.failed:
         failed = [(str(index), reason) for index, reason in found.failed]
         tables["Failed cases"] = Table(("case", "reason"), failed)
@@ -42,9 +49,10 @@ def account_of_sweep(found: SweepResult, note: str = "") -> Account:
         shown=shown,
         facts=[
             f"Of the sweep ({swept}) {counts['converged']} of {found.converged.size} cases "
-            f"converged, {counts['failed']} failed."
+            f"converged, {counts['failed']} failed.",
+            *stepped,
         ],
-        notes=[note, f"cases: {told}{how}"],
+        notes=[note, f"cases: {told}{how}", told_high, *(f"remark: {text}" for text in stepped)],
         warnings=[*warnings_of(found)],
         tables=tables,
         done=not found.failed and found.complete,
@@ -56,7 +64,7 @@ def account_of_sweep(found: SweepResult, note: str = "") -> Account:
 
 def warnings_of(found: SweepResult) -> Iterator[str]:
     """Failed cases, large errors, and what is not stable; one line for each kind."""
-    yield from _failures(found)
+    yield from _by_reason(found, found.failed, "failed")
     if large := int(np.sum(found.inexact)):
         given = found.scene.harmonic_balance.tolerance is not None
         wanted = FINER if given else MORE
@@ -69,30 +77,61 @@ def warnings_of(found: SweepResult) -> Iterator[str]:
         numbers = [f"{n} {word}" for n, word in ((unstable, "unstable"), (undecided, "undecided"))]
         told = " and ".join(text for text in numbers if not text.startswith("0 "))
         yield f"of {counted(verdicts.size, 'case')} {told}"
+    yield from _by_reason(found, found.undecided, "undecided")
     if not found.complete:
         yield "the sweep was stopped; the same command goes on with it"
 
 
-def _failures(found: SweepResult) -> Iterator[str]:
-    """Failed cases, those of one reason together: reasons that differ in numbers alone are one."""
+def stepped_over(found: SweepResult) -> list[str]:
+    """A sentence if between two load frequencies there is a peak that is narrower than their
+    distance: between its half-power points the phase falls by a quarter of a turn, between others
+    next to it by more."""
+    over = [at for at, axis in enumerate(found.axes) if axis.key in (*FREQUENCIES, *SPEEDS)]
+    if not over:
+        return []
+    wave = found["sine_1"] + 1j * found["cosine_1"]
+    omega, wave = (np.moveaxis(values, over[0], -1) for values in (found["omega"], wave))
+    omega, wave = (np.take_along_axis(v, omega.argsort(axis=-1), -1) for v in (omega, wave))
+    turns = np.angle(wave[..., 1:] * np.conj(wave[..., :-1])) < -0.5 * np.pi
+    if not turns.any():
+        return []
+    *place, at = map(int, np.argwhere(turns)[0])
+    factor, _, unit = frequency_axis(found.scene.in_hertz)
+    low, high = factor * omega[(*place, at)], factor * omega[(*place, at + 1)]
+    others = [axis for number, axis in enumerate(found.axes) if number != over[0]]
+    where = "".join(f", {words}" for words in [_place(others, place)] if words)
+    more = int(turns.sum()) - 1
+    also = f", and at {counted(more, 'other place')}" if more else ""
+    return [
+        f"between {low:.6g} and {high:.6g} {unit}{where}{also}, the sweep steps over a peak that "
+        "is narrower than the step: the largest response lies there; smaller steps or the command "
+        "curve find it"
+    ]
+
+
+def _by_reason(
+    found: SweepResult, told: Sequence[tuple[tuple[int, ...], str]], what: str
+) -> Iterator[str]:
+    """Cases that failed or are undecided, those of one reason together: reasons that differ in
+    numbers alone are one."""
     kinds: dict[str, list[tuple[tuple[int, ...], str]]] = {}
-    for index, reason in found.failed:
+    for index, reason in told:
         kinds.setdefault(re.sub(r"[-+]?\d[\d.e+-]*", "#", reason), []).append((index, reason))
     ordered = sorted(kinds.values(), key=len, reverse=True)
-    for cases in ordered[:SHOWN_FAILURES]:
+    for cases in ordered[:SHOWN_REASONS]:
         index, reason = cases[0]
-        number = f"{counted(len(cases), 'case')} failed, the first at"
-        yield f"{number} {_place(found, index)}: {reason}"
-    if more := ordered[SHOWN_FAILURES:]:
+        number = f"{counted(len(cases), 'case')} {what}, the first at"
+        yield f"{number} {_place(found.axes, index)}: {reason}"
+    if more := ordered[SHOWN_REASONS:]:
         left = sum(map(len, more))
-        yield f"{counted(left, 'case')} failed for other reasons: column status of the table"
+        yield f"{counted(left, 'case')} {what} for other reasons: column status of the table"
 
 
-def _place(found: SweepResult, index: Sequence[int]) -> str:
-    """The swept values of a case."""
+def _place(axes: Sequence[Axis], index: Sequence[int]) -> str:
+    """The swept values of a case on some axes."""
     return ", ".join(
         f"{axis.key.rpartition('.')[2]} = {axis.values[at]}"
-        for axis, at in zip(found.axes, index, strict=True)
+        for axis, at in zip(axes, index, strict=True)
     )
 
 

@@ -36,7 +36,7 @@ MAX_CHECKED = 10_000
 """Cases of a sweep that are checked before it is run."""
 
 
-def new(given: Namespace, _: None, console: Console) -> bool:
+def new(given: Namespace, _: None, console: Console) -> None:
     """Write a commented scene to start from."""
     path: Path = given.file
 
@@ -48,10 +48,9 @@ def new(given: Namespace, _: None, console: Console) -> bool:
 
     on_root(console.comm, write)
     console.note(f"{path}: a scene to start from; now: fenics-crack check {path}")
-    return True
 
 
-def check(_: Namespace, inputs: Inputs, console: Console) -> bool:
+def check(_: Namespace, inputs: Inputs, console: Console) -> None:
     """Mesh and assemble a scene; print what it has, its first frequencies, and what is unusual."""
     scene = inputs.scene
     with console.stage("mesh and matrices"):
@@ -84,7 +83,6 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> bool:
     console.table(Table(("what", "value"), [*rows.items()]))
     console.note(remark)
     console.note(*(f"remark: {remark}" for remark in remarks_on(study.scene, figures)))
-    return True
 
 
 def draw_scene(scene: Scene, folder: Path, structure: Structure | None = None) -> list[Path]:

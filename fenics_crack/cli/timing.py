@@ -15,6 +15,7 @@ from fenics_crack.cli.commands import tell
 from fenics_crack.cli.console import Console
 from fenics_crack.cli.inputs import Inputs
 from fenics_crack.draw.plot_rotor import draw_arrivals, draw_tip_fit, draw_tip_track
+from fenics_crack.errors import Exit
 from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.timing import arrivals_of, vibration_in
@@ -26,7 +27,7 @@ SHOWN_ORDERS = 6
 """Of those that are as good, and of those that cannot be measured."""
 
 
-def timing(given: Namespace, inputs: Inputs, console: Console) -> bool:
+def timing(given: Namespace, inputs: Inputs, console: Console) -> Exit:
     """Compute arrival times unless they are measured, and fit a vibration to them."""
     scene, folder = inputs.scene, inputs.folder
     with console.stage("arrival times"):

@@ -203,8 +203,9 @@ class Backbone(Tabular):
         reaching = int(PAST * math.sqrt(max(float(squares.max()), 0.0)) / omega) + 1
         return max(4 * self.harmonics, self.harmonics + 8, min(reaching, MANY // len(squares)))
 
-    def amplitude(self, dof: int) -> np.ndarray:
-        """Half the peak-to-peak displacement of a dof at every point: (n,) [m], of 256 instants."""
+    def amplitude(self, dof: int | None = None) -> np.ndarray:
+        """Half the peak-to-peak displacement of a dof, or of the watched one, at every point: (n,)
+        [m], of 256 instants."""
         points, terms, dofs = self.cosines.shape
         values = self.structure.values_at(self.cosines.reshape(-1, dofs), [dof])
         phase = 2.0 * np.pi * np.arange(256) / 256

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -18,14 +18,17 @@ from fenics_crack.balance.family import FAMILIES, Family
 from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution, solution_of
+from fenics_crack.curves.peak import Peak, top_and_damping
 from fenics_crack.curves.points import CurvePoint, Points
 from fenics_crack.errors import InputError
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import all_modes
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import evaluate
+from fenics_crack.scene.quantities import QUANTITIES
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.table import (
+    UNITS,
     Described,
     Tabular,
     counted,
@@ -35,7 +38,7 @@ from fenics_crack.table import (
     with_frequency,
 )
 
-__all__ = ["PARAMETERS", "Bifurcation", "ResponseCurve", "parameter_axis"]
+__all__ = ["PARAMETERS", "Bifurcation", "ResponseCurve", "kind_in_words", "parameter_axis"]
 
 PARAMETERS = {
     "omega": "load frequency [rad/s]",
@@ -60,6 +63,11 @@ def parameter_axis(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
         return (frequency_axis if parameter == "omega" else speed_axis)(in_hertz)
     name, _, unit = PARAMETERS[parameter].removesuffix("]").rpartition(" [")
     return 1.0, name, unit
+
+
+def kind_in_words(kind: str) -> str:
+    """The kind of a bifurcation as it is printed."""
+    return "Neimark-Sacker" if kind == "neimark_sacker" else kind.replace("_", " ")
 
 
 def _expanded(problem: Problem, unknown: np.ndarray, *, search: bool) -> PeriodicSolution:
@@ -130,7 +138,7 @@ class Bifurcation(Described):
         )
 
     def _title(self) -> str:
-        name, found = self.kind.replace("_", " "), f"H = {self.problem.harmonics}"
+        name, found = kind_in_words(self.kind), f"H = {self.problem.harmonics}"
         if self.confirmed:
             found += f", exact {self.exact:.6g}"
         return f"{name} at {self.value:.6g}, {found}"
@@ -142,6 +150,7 @@ class _Waves(Tabular):
     structure: Structure
     omega: np.ndarray
     unknowns: np.ndarray
+    harmonics: np.ndarray
     subharmonic: int
     static_above: float | None
 
@@ -149,12 +158,32 @@ class _Waves(Tabular):
         """The equations at all points, or some, with their numbers; not in order."""
         raise NotImplementedError
 
-    def indicators(self, dof: int) -> Indicators:
-        """What a dof and the lips show of a breathing crack at every point, of 256 instants."""
+    def unknown(self, index: int) -> np.ndarray:
+        """What was followed at a point, with its own harmonics: (2H+1, n_pairs) [m]."""
+        return self.unknowns[index, : 2 * self.harmonics[index] + 1]
+
+    @cached_property
+    def gap_coefficients(self) -> np.ndarray:
+        """Closing of the pairs: (n, 2H+1, n_pairs) [m]; zeros above a point's own harmonics."""
+        if self.static_above is None:
+            return self.unknowns
+        found = np.zeros_like(self.unknowns)
+        for index, at in self._linearised():
+            found[index, : len(at.gap)] = at.gap
+        return found
+
+    def gap(self, index: int) -> np.ndarray:
+        """Gap coefficients of a point with its own harmonics: (2H+1, n_pairs) [m]."""
+        return self.gap_coefficients[index, : 2 * self.harmonics[index] + 1]
+
+    def indicators(self, dof: int | None = None) -> Indicators:
+        """What a dof, or the watched one, and the lips show of a breathing crack at every point, of
+        256 instants."""
         return self.measure([dof])[0]
 
-    def coefficients_at(self, dof: int) -> np.ndarray:
-        """Coefficients of the displacement of a dof at every point: (n, 2H+1) [m]."""
+    def coefficients_at(self, dof: int | None = None) -> np.ndarray:
+        """Coefficients of the displacement of a dof, or of the watched one, at every point:
+        (n, 2H+1) [m]."""
         return self._seen_at([dof])[0][0]
 
     def motions(self, places: np.ndarray | None = None) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -174,11 +203,12 @@ class _Waves(Tabular):
         found = {index: at.in_time(evaluate(at.unknown, 1.0, PHASES))[0] for index, at in phased}
         return np.array([found[int(place)] for place in places])
 
-    def amplitude(self, dof: int) -> np.ndarray:
-        """Half the peak-to-peak displacement of a dof at every point: (n,) [m], of 256 instants."""
+    def amplitude(self, dof: int | None = None) -> np.ndarray:
+        """Half the peak-to-peak displacement of a dof, or of the watched one, at every point: (n,)
+        [m], of 256 instants."""
         return np.asarray(self.measure([dof])[0].amplitude)
 
-    def measure(self, dofs: Sequence[int]) -> list[Indicators]:
+    def measure(self, dofs: Sequence[int | None]) -> list[Indicators]:
         """:meth:`indicators` of some dofs; the equations are formed once for all that are new."""
         seen = self._seen_at(dofs)
         lips = {name: np.array([at[name] for at in self._lips]) for name in self._lips[0]}
@@ -188,7 +218,7 @@ class _Waves(Tabular):
         ]
 
     @cached_property
-    def _seen(self) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    def _seen(self) -> dict[int | None, tuple[np.ndarray, np.ndarray]]:
         """Coefficients and half peak-to-peak values of dofs once they are known."""
         return {}
 
@@ -197,7 +227,7 @@ class _Waves(Tabular):
         """What :func:`contact_extremes` finds at every point, once it is known."""
         return [{} for _ in range(len(self.omega))]
 
-    def _seen_at(self, dofs: Sequence[int]) -> list[tuple[np.ndarray, np.ndarray]]:
+    def _seen_at(self, dofs: Sequence[int | None]) -> list[tuple[np.ndarray, np.ndarray]]:
         """Coefficients (n, 2H+1) and half peak-to-peak values (n,) [m] of some dofs."""
         new = [dof for dof in dict.fromkeys(dofs) if dof not in self._seen]
         if new:
@@ -214,7 +244,7 @@ class _Waves(Tabular):
                 seen[:, index, : len(waves)] = waves.T
                 motion = evaluate(waves, 1.0, PHASES)
                 gap, force = at.in_time(evaluate(at.unknown, 1.0, PHASES))
-                self._lips[index] = contact_extremes(gap, force)
+                self._lips[index] = contact_extremes(gap, force, structure.pairs.cracks)
                 if moved is not None:
                     # What answers at once follows the forces as they are, with their kinks.
                     motion -= (force - evaluate(at.force, 1.0, PHASES)) @ moved.T
@@ -345,10 +375,6 @@ class ResponseCurve(_Waves):
             self.static_above,
         )
 
-    def unknown(self, index: int) -> np.ndarray:
-        """What was followed at a point, with its own harmonics: (2H+1, n_pairs) [m]."""
-        return self.unknowns[index, : 2 * self.harmonics[index] + 1]
-
     def point(self, index: int) -> CurvePoint:
         """A point as :class:`Continuation` yields it, without the bifurcations before it."""
         return CurvePoint(
@@ -356,26 +382,30 @@ class ResponseCurve(_Waves):
             int(self.iterations[index]), float(self.truncation[index]),
         )  # fmt: skip
 
-    @cached_property
-    def gap_coefficients(self) -> np.ndarray:
-        """Closing of the pairs: (n, 2H+1, n_pairs) [m]; zeros above a point's own harmonics."""
-        if self.static_above is None:
-            return self.unknowns
-        found = np.zeros_like(self.unknowns)
-        for index, at in self._linearised():
-            found[index, : len(at.gap)] = at.gap
-        return found
-
-    def gap(self, index: int) -> np.ndarray:
-        """Gap coefficients of a point with its own harmonics: (2H+1, n_pairs) [m]."""
-        return self.gap_coefficients[index, : 2 * self.harmonics[index] + 1]
-
     def solution(self, index: int, *, search: bool = True) -> PeriodicSolution:
         """The solution at a point, with its displacement and error report; without ``search`` for
         its exact orbit the report is what one Newton step predicts."""
         unknown = self.unknown(index)
         problem = self._problem_at(float(self.values[index]), unknown)
         return _expanded(problem, unknown, search=search)
+
+    def peak(self, dof: int | None = None) -> Peak:
+        """The largest response of a dof, or of the watched one: where, how large, how sure, whether
+        stable, and the damping by its width."""
+        amplitude = self.amplitude(dof)
+        index = int(np.argmax(amplitude))
+        value, height, damping = top_and_damping(self.values, amplitude, index)
+        omega, solution = float(self.omega[index]), self.solution(index)
+        if self.parameter in ("omega", "speed"):
+            omega *= value / float(self.values[index])
+        else:
+            damping = math.nan
+        if self.multipliers is None:
+            verdict = floquet(solution.structure, solution).verdict
+        else:
+            verdict = str(self.verdicts[index])
+        error = solution.report.displacement
+        return Peak(index, value, omega, height, error, verdict, damping)
 
     @cached_property
     def at_bifurcations(self) -> ResponseCurve:
@@ -455,14 +485,18 @@ class ResponseCurve(_Waves):
     # --- shown ------------------------------------------------------------------------------------
 
     def to_dict(self) -> dict[str, Any]:
-        """Columns, a row for every point; multipliers where the curve has them."""
+        """Columns, a row for every point: multipliers where the curve has them, and the indicators
+        of the watched dof."""
         names = "omega", "harmonics", "iterations", "truncation"
         found = {self.parameter: self.values.tolist()}
         found |= {name: getattr(self, name).tolist() for name in names}
         if self.multipliers is not None:
             found["multiplier"] = np.abs(self.multipliers).tolist()
             found["verdict"] = self.verdicts.tolist()
-        return with_frequency(found)
+        return with_frequency(found | self.indicators().to_dict())
+
+    def _units(self) -> Mapping[str, str]:
+        return UNITS | {name: unit for name, (_, unit) in QUANTITIES.items()}
 
     def _title(self) -> str:
         parts = [

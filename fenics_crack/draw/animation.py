@@ -11,6 +11,7 @@ import os
 from functools import partial
 from io import BytesIO
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,8 @@ PAGE = (640, 740)
 """Width and height [pixels]."""
 PLATE = (6, 92, 532, 444)
 """Its place on the page: left, top, width and height [pixels]."""
+LETTERS = 17
+"""Of a line of the label beside the wave, for which the page has room."""
 FINER = 2
 """Pixels of the plate's drawing for one of the page, each way, which smooths it."""
 INK = {"lips": "#000000", "contact": COLOURS["orange"], "load": COLOURS["pink"], "rest": "#8a8a8a"}
@@ -61,8 +64,8 @@ def animate_period(
     """Draw one period of a vibration as an animated picture (collective).
 
     Below the plate is the opening of the crack's mouth over time, of several cracks of the one that
-    moves most; without a crack the largest displacement. The caption and the comment of the file
-    state the magnification.
+    moves most, tinted while that one's lips touch; without a crack the largest displacement. The
+    caption and the comment of the file state the magnification.
 
     Parameters
     ----------
@@ -389,19 +392,21 @@ class _Page:
         self.figure.legend(handles=keys, ncol=5, fontsize=11, **centre, **spaces)
 
     def _wave(self, solution: PeriodicSolution, fields: PeriodFields) -> None:
-        axes = self.figure.add_axes((0.15, 0.085, 0.82, 0.16))
+        axes = self.figure.add_axes((0.16, 0.085, 0.81, 0.16))
         time = np.linspace(0.0, solution.period, 401)
         loads, closed = time * solution.omega / (2.0 * np.pi), np.zeros(len(time), bool)
         if len(fields.areas):
             gaps, watched = solution.gap(time), solution.structure.watched_pairs.values()
             pair = max(watched, key=lambda number: float(np.ptp(gaps[:, number])))
-            place = solution.structure.where(pair).replace(" ", "\n", 1)
-            quantity, wave = f"opening {place}", -gaps[:, pair]
+            quantity, wave = f"opening {solution.structure.where(pair)}", -gaps[:, pair]
             self.values = -solution.gap(fields.time)[:, pair]
-            closed = (solution.contact_force(time) > 0.0).any(axis=1)
+            cracks = solution.structure.pairs.cracks
+            assert cracks is not None  # of a mesh
+            own = cracks == cracks[pair]
+            closed = (solution.contact_force(time)[:, own] > 0.0).any(axis=1)
         else:
             self.values = np.linalg.norm(fields.displacement, axis=2).max(axis=1)
-            quantity = "largest\ndisplacement"
+            quantity = "largest displacement"
             wave = np.interp(loads, self.loads, self.values, period=loads[-1])
         axes.axhline(0.0, color=COLOURS["grey"], lw=0.8)
         axes.plot(loads, wave, color=COLOURS["blue"], lw=2)
@@ -413,8 +418,8 @@ class _Page:
         axes.set(xlim=(0.0, loads[-1]), ylim=axes.get_ylim())
         axes.set_xlabel("time / load period", fontsize=12)
         label_axis(axes.yaxis, quantity, "m")
-        axes.yaxis.label.set_size(12)
-        axes.yaxis.set_label_coords(-0.09, 0.5)
+        axes.yaxis.label.set(size=11, text=fill(axes.yaxis.label.get_text(), LETTERS))
+        axes.yaxis.set_label_coords(-0.085, 0.5)
         axes.tick_params(labelsize=11)
         whole = axes.get_xaxis_transform()  # which would count as data of the axis before
         axes.fill_between(loads, 0.0, 1.0, where=closed, transform=whole, color=TINT, lw=0)

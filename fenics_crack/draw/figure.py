@@ -37,6 +37,7 @@ __all__ = [
     "Picture",
     "Where",
     "distinct_colours",
+    "given_axes",
     "label_axis",
     "upright",
 ]
@@ -60,9 +61,10 @@ ROWS = 2
 
 
 class Where(TypedDict, total=False):
-    """Where a picture is drawn; every ``draw_*`` takes these keywords."""
+    """Where a picture is drawn; every ``draw_*`` takes these keywords, ``ax`` for ``axes`` too."""
 
     axes: Any
+    ax: Any
     path: str | Path | None
     title: str | None
 
@@ -82,7 +84,7 @@ class Picture:
         The panels of a new figure have one horizontal axis.
     comm : MPI.Comm
         Its rank 0 saves the figure.
-    axes, path, title
+    axes, ax, path, title
         As of :class:`Where`.
 
     Raises
@@ -100,10 +102,12 @@ class Picture:
         sharex: bool = False,
         comm: MPI.Comm = MPI.COMM_SELF,
         axes: Any = None,
+        ax: Any = None,
         path: str | Path | None = None,
         title: str | None = None,
     ) -> None:
         self._path, self._title, self._comm = path, title, comm
+        axes = given_axes(axes, ax)
         if axes is None:
             figure = Figure(figsize=size, dpi=150, layout="constrained")
             FigureCanvasAgg(figure)
@@ -145,6 +149,13 @@ class Picture:
 
             on_root(self._comm, save)
         return self.figure
+
+
+def given_axes(axes: Any = None, ax: Any = None) -> Any:
+    """The axes that are given by either name, or None."""
+    if axes is not None and ax is not None:
+        raise InputError("ax", "axes", "left out with axes: one of the two")
+    return axes if ax is None else ax
 
 
 def distinct_colours(count: int) -> list[str]:

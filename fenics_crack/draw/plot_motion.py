@@ -10,7 +10,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.draw.figure import ABOVE, COLOURS, Picture, Where, distinct_colours, label_axis
+from fenics_crack.draw.figure import (
+    ABOVE,
+    COLOURS,
+    Picture,
+    Where,
+    distinct_colours,
+    given_axes,
+    label_axis,
+)
 from fenics_crack.errors import InputError
 from fenics_crack.numerics.fourier import evaluate
 
@@ -68,7 +76,7 @@ def draw_spectrum(
     if not lengths:
         raise InputError("dof", None, "given where there is no contact pair")
     force = _amplitudes(solution.force_coefficients.sum(axis=1))
-    series, axes = [(lengths, "displacement", "m")], where.get("axes")
+    series, axes = [(lengths, "displacement", "m")], given_axes(where.get("axes"), where.get("ax"))
     if np.any(force) if axes is None else np.size(axes) > 1:
         series.append(({"contact force, all pairs": force}, "contact force", "N"))
     size = (7.0, 2.4 + 2.2 * len(series))
@@ -123,7 +131,7 @@ def draw_spectra(
             gaps[label] = _amplitudes(solution.gap_coefficients[:, pair]), solution.subharmonic
             places.add(solution.structure.where(pair))
     series = [(motions, "displacement")]
-    axes = where.get("axes")
+    axes = given_axes(where.get("axes"), where.get("ax"))
     if len(gaps) == len(motions) and (axes is None or np.size(axes) > 1):
         series.append((gaps, f"gap {places.pop()}" if len(places) == 1 else "gap"))
     size = (7.0, 2.4 + 2.2 * len(series))

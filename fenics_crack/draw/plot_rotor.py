@@ -15,7 +15,7 @@ from fenics_crack.arrivals.fit_order import TipTrack
 from fenics_crack.arrivals.harmonics import Candidates, TipFit
 from fenics_crack.draw.figure import COLOURS, Picture, Where, distinct_colours, label_axis
 from fenics_crack.errors import check_count
-from fenics_crack.study.campbell import Campbell
+from fenics_crack.study.campbell import STATES, Campbell
 from fenics_crack.table import frequency_axis, speed_axis, with_unit
 
 __all__ = ["draw_arrivals", "draw_campbell", "draw_tip_fit", "draw_tip_track"]
@@ -29,9 +29,10 @@ def draw_campbell(
     in_rpm: bool = True,
     **where: Unpack[Where],
 ) -> Figure:
-    """Draw natural frequencies over the speed: bilinear ones as lines, in bands from lips open to
-    lips tied; engine orders as grey lines with their numbers, and circles where they meet. Modes
-    above the reach of all orders are left out, but for the first one.
+    """Draw natural frequencies over the speed: as lines those of the crack as it is held open, held
+    shut or breathes at each speed, in bands from lips open to lips tied; engine orders as grey
+    lines with their numbers, and circles where they meet. Modes above the reach of all orders are
+    left out, but for the first one.
 
     Parameters
     ----------
@@ -64,22 +65,25 @@ def draw_campbell(
     [panel] = picture = Picture(**where)
     factor, _, unit = frequency_axis(in_hertz)
     pace, *name = speed_axis(in_rpm)
-    speed, bilinear = pace * diagram.speed, factor * diagram.omega_bilinear
+    speed, real = pace * diagram.speed, factor * diagram.omega_real
     reach = max(orders, default=0) * factor / pace * speed[-1]
-    bilinear = bilinear[:, : max(1, int(np.sum(bilinear.min(axis=0) <= reach)))]
+    real = real[:, : max(1, int(np.sum(real.min(axis=0) <= reach)))]
     colours = list(COLOURS.values())[:-1]
-    for mode, line in enumerate(bilinear.T):
-        colour = colours[mode % len(colours)]
-        label = f"mode {mode + 1}" + (", breathing" if diagram.cracked else "")
+    for mode, line in enumerate(real.T):
+        colour, label = colours[mode % len(colours)], f"mode {mode + 1}"
+        if diagram.cracked:
+            label += (
+                f", {' or '.join(dict.fromkeys(STATES[kind] for kind in diagram.kind[:, mode]))}"
+            )
         panel.plot(speed, line, color=colour, label=label)
         if diagram.cracked:
             ends = (factor * ends[:, mode] for ends in (diagram.omega_open, diagram.omega_tied))
             panel.fill_between(speed, *ends, color=colour, alpha=0.25, lw=0.0)
-    top = 1.08 * float(bilinear.max())
+    top = 1.08 * float(real.max())
     panel.set(xlim=(speed[0], speed[-1]), ylim=(0.0, top))
     for order in orders:
         _draw_order(panel, order, order * factor / pace, (speed[0], speed[-1]), top)
-        at = diagram.crossings(order)[:, 1] * pace
+        at = diagram.crossings(order, "real")[:, 1] * pace
         panel.plot(at, order * factor / pace * at, "o", color=COLOURS["grey"], mfc="none", ms=6)
     if diagram.cracked:
         panel.fill_between([], [], [], color=COLOURS["grey"], alpha=0.25, label="open to tied lips")

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field
-from typing import Any, NoReturn
+from typing import Any, NoReturn, Self
 
 import numpy as np
 import scipy.sparse as sparse
 from mpi4py import MPI
 
 from fenics_crack.errors import InputError
+from fenics_crack.hints import Hinted
 from fenics_crack.model.matrices import numbers, read_only
 from fenics_crack.parallel import gather_rows
 
@@ -132,7 +134,7 @@ class Pairs:
                 object.__setattr__(self, name, read_only(given))
 
 
-class Coordinates:
+class Coordinates(Hinted):
     """Degrees of freedom and contact pairs of a structure: how many, where, and on which rank.
 
     Dofs are numbered through all ranks, of which each owns successive ones ("n_local"). None of the
@@ -150,6 +152,9 @@ class Coordinates:
         Positions of the dofs where there is a mesh.
     pairs : Pairs
         Positions, areas and cracks of the contact pairs where there is a mesh.
+    watched : (n_local,) or None
+        What a displacement is multiplied by for the motion that is watched [m]; None: the dof that
+        carries most of the load.
     """
 
     comm: MPI.Comm
@@ -158,12 +163,21 @@ class Coordinates:
     force: np.ndarray
     nodes: Nodes | None
     pairs: Pairs
+    watched: np.ndarray | None
     _gap_transposed: sparse.csr_matrix
 
     def _hold(self, **values: Any) -> None:
         """Set attributes of a structure that is being made; arrays become read-only."""
         for name, value in values.items():
             vars(self)[name] = read_only(value) if isinstance(value, np.ndarray) else value
+
+    def _copied(self, **changes: Any) -> Self:
+        """A copy that shares all but some attributes."""
+        other = copy(self)
+        for computed in ("damping", "damping_matrix"):
+            vars(other).pop(computed, None)
+        other._hold(**changes)
+        return other
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
         raise AttributeError(
@@ -214,6 +228,15 @@ class Coordinates:
         """The pair at the mouth of the first crack, or in the middle of one inside the plate."""
         return next(iter(self.watched_pairs.values()))
 
+    @property
+    def watched_dof(self) -> int:
+        """The dof of the whole structure that results are asked about where none is named: the
+        first that the scene watches, else the load's (collective)."""
+        watched = self.whole.watched
+        if watched is None:
+            return self.whole.most_loaded()
+        return int(np.argmax(gather_rows(self.comm, np.abs(watched))))
+
     def most_loaded(self) -> int:
         """The dof that carries most of the load, of all ranks' (collective)."""
         return int(np.argmax(gather_rows(self.comm, np.abs(self.force).max(axis=0))))
@@ -254,7 +277,7 @@ class Coordinates:
         self.comm.Allreduce(values, total)
         return total
 
-    def values_at(self, displacement: np.ndarray, dofs: Sequence[int]) -> np.ndarray:
+    def values_at(self, displacement: np.ndarray, dofs: Sequence[int | None]) -> np.ndarray:
         """Pick dofs from displacements (m, n_local): (m, len(dofs)) on every rank (collective).
 
         Raises as :meth:`check_dofs`.
@@ -265,14 +288,16 @@ class Coordinates:
         picked[:, mine] = displacement[:, wanted[mine] - self.first_dof]
         return self.sum_over_ranks(picked)
 
-    def check_dofs(self, dofs: Sequence[int]) -> np.ndarray:
-        """Dofs as an array of whole numbers.
+    def check_dofs(self, dofs: Sequence[int | None]) -> np.ndarray:
+        """Dofs as an array of whole numbers; None stands for the one that is watched (collective).
 
         Raises
         ------
         InputError
             A dof is not a whole number between 0 and n_dofs - 1.
         """
+        if isinstance(dofs, list | tuple) and None in dofs:
+            dofs = [self.watched_dof if dof is None else dof for dof in dofs]
         wanted = np.atleast_1d(numbers(dofs)).ravel()
         if not np.all((wanted >= 0) & (wanted < self.n_dofs) & (wanted == np.round(wanted))):
             raise InputError("dofs", dofs, f"whole numbers between 0 and {self.n_dofs - 1}")

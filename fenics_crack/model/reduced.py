@@ -123,7 +123,7 @@ class ReducedStructure(Structure):
         """u = T q of coordinates (m, n_dofs): (m, whole.n_local)."""
         return self._whole.expand(displacement @ self.basis.T)
 
-    def values_at(self, displacement: np.ndarray, dofs: Sequence[int]) -> np.ndarray:
+    def values_at(self, displacement: np.ndarray, dofs: Sequence[int | None]) -> np.ndarray:
         """Displacement of dofs of the whole structure from coordinates (m, n_dofs) (collective)."""
         return displacement @ self._whole.values_at(self.basis.T, dofs)
 
@@ -358,7 +358,7 @@ class MasslessStructure(MasslessInterface):
         modal, static = np.split(displacement, [self.n_modes], axis=1)
         return self._whole.expand(modal @ self._static.shapes.T + self._static.expand(static))
 
-    def values_at(self, displacement: np.ndarray, dofs: Sequence[int]) -> np.ndarray:
+    def values_at(self, displacement: np.ndarray, dofs: Sequence[int | None]) -> np.ndarray:
         """Displacement of dofs of the whole structure from coordinates (m, n_dofs) (collective)."""
         if self._static is None:
             return displacement[:, self.check_dofs(dofs)]

@@ -14,7 +14,6 @@ clearance, or a factor of the damping share its matrices, and its modes once the
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import copy
 from functools import cached_property
 from typing import Any, ClassVar, Self, TypeVar
 
@@ -48,15 +47,12 @@ class Structure(Coordinates):
 
     Attributes
     ----------
-    comm, gap, force, nodes, pairs
+    comm, gap, force, nodes, pairs, watched
         As of :class:`fenics_crack.model.nodes.Coordinates`.
     mass, stiffness : PETSc.Mat
         (n, n), symmetric; [kg], [N/m].
     clearance : (n_pairs,) [m]
         g0 of every pair; positive: an opening that closes first, negative: preload.
-    watched : (n_local,) or None
-        What a displacement is multiplied by for the motion that is watched [m]; None: the dof that
-        carries most of the load.
     damping_factor : float
         Factor of the damping relative to that of :attr:`original`; 1 unless varied.
     rotation : fenics_crack.model.rotation.Rotation or None
@@ -65,7 +61,6 @@ class Structure(Coordinates):
 
     stiffness: Any
     clearance: np.ndarray
-    watched: np.ndarray | None
     damping_factor: float
     rotation: Any = None
 
@@ -204,13 +199,12 @@ class Structure(Coordinates):
         """The damping of what has mass."""
         return damping
 
-    def _copied(self, **changes: Any) -> Self:
-        """A copy that shares all but some attributes."""
-        other = copy(self)
-        for computed in ("damping", "damping_matrix"):
-            vars(other).pop(computed, None)
-        other._hold(**changes)
-        return other
+    def watching(self, dof: int) -> Self:
+        """Return this structure with another dof for results to be asked about."""
+        watched = np.zeros(self.n_local)
+        if 0 <= dof - self.first_dof < self.n_local:
+            watched[dof - self.first_dof] = 1.0
+        return self._copied(watched=watched, _original=self.original)
 
     def varied(
         self,

@@ -6,10 +6,9 @@ once what is allowed. How a value is read follows from the field's type.
 
 from __future__ import annotations
 
-import difflib
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from numbers import Integral, Real
@@ -18,6 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fenics_crack.errors import InputError
+from fenics_crack.hints import meant, near
 from fenics_crack.table import TURN
 
 __all__ = [
@@ -32,9 +32,7 @@ __all__ = [
     "choice",
     "hertz",
     "holds",
-    "meant",
     "named",
-    "near",
     "not_negative",
     "number",
     "path",
@@ -288,19 +286,6 @@ def scaled(value: Any, factor: float) -> Any:
 def _as_toml(value: object) -> str:
     """A value as TOML, which is JSON but for DEL."""
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def near(word: object, known: Iterable[str], likeness: float = 0.7) -> list[str]:
-    """The known word that a misspelt one may stand for, or two that are as near; or none."""
-    by_lower, lower = {name.lower(): name for name in known}, str(word).lower()[:100]
-    found = difflib.get_close_matches(lower, by_lower, 2, likeness)
-    alike = [difflib.SequenceMatcher(None, name, lower).ratio() for name in found]
-    return [by_lower[name] for name, ratio in zip(found, alike, strict=True) if ratio == alike[0]]
-
-
-def meant(names: Sequence[str]) -> str:
-    """A question after what may be meant, with a space behind it; empty if there is nothing."""
-    return f"did you mean {' or '.join(names[:3])}? " if names else ""
 
 
 @contextmanager

@@ -17,6 +17,8 @@ OF_POINTS: dict[str, tuple[str, str]] = {
     "ratio_2_1": ("harmonic ratio 2/1", "1"),
     "ratio_3_1": ("harmonic ratio 3/1", "1"),
     "ratio_half_1": ("harmonic ratio 1/2 over 1", "1"),
+    "ratio_largest": ("largest harmonic above the load's, over harmonic 1", "1"),
+    "largest_order": ("order of the largest harmonic above the load's", "1"),
     "mean_shift": ("mean displacement over harmonic 1", "1"),
 }
 """Words and unit of what is known of each watched point and direction."""
@@ -24,6 +26,7 @@ OF_LIPS: dict[str, tuple[str, str]] = {
     "opening": ("largest opening", "m"),
     "penetration": ("largest penetration", "m"),
     "contact_force": ("largest contact force of a pair", "N"),
+    "crack_force": ("largest contact force of a crack, all pairs", "N"),
     "closed_share": ("share of the period closed, mean over pairs", "1"),
 }
 """Of all lips."""
@@ -39,7 +42,7 @@ OF_FREQUENCIES: dict[str, tuple[str, str]] = {
 QUANTITIES = OF_POINTS | OF_LIPS | OF_FREQUENCIES
 """All of them."""
 SHORT = (
-    "amplitude", "ratio_2_1", "ratio_3_1", "ratio_half_1", "mean_shift", "opening", "penetration",
-    "contact_force", "closed_share", "over_open", "over_bilinear",
+    "amplitude", "ratio_2_1", "ratio_3_1", "ratio_half_1", "ratio_largest", "mean_shift", "opening",
+    "penetration", "contact_force", "crack_force", "closed_share", "over_open", "over_bilinear",
 )  # fmt: skip
 """Printed where a scene does not choose."""

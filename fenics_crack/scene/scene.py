@@ -15,9 +15,10 @@ from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
 from fenics_crack.errors import InputError, reading
+from fenics_crack.hints import Hinted, meant, near
 from fenics_crack.outside import text_of
 from fenics_crack.scene.cracks import OF_PLATES, check_cracks
-from fenics_crack.scene.fields import Axis, Table, meant, named, near, radians
+from fenics_crack.scene.fields import Axis, Table, named, radians
 from fenics_crack.scene.tables import (
     Base,
     Contact,
@@ -39,7 +40,7 @@ from fenics_crack.scene.tables import (
     Sweep,
     TipTiming,
 )
-from fenics_crack.table import RPM
+from fenics_crack.table import RPM, frequency_axis
 
 __all__ = ["LOOKED_AT", "Scene", "unit_of"]
 
@@ -56,8 +57,8 @@ NEEDED = {"needed": True}
 """Of the fields for tables that every plate needs."""
 
 
-@dataclass(frozen=True)
-class Scene:
+@dataclass(frozen=True, repr=False)
+class Scene(Hinted):
     """A cracked plate, its load, and how its vibration is computed; or matrices from elsewhere.
 
     Each table of the file is an attribute, and each of its keys an attribute of that:
@@ -125,6 +126,20 @@ class Scene:
             if (chosen := getattr(self, name)) is not None:
                 axes = _checked_axes(self, f"{name}.{key}", getattr(chosen, key))
                 object.__setattr__(self, name, dataclasses.replace(chosen, **{key: axes}))
+
+    def __repr__(self) -> str:
+        if self.structure is not None:
+            parts = [f"matrices {self.structure.stiffness!r}"]
+        elif self.mesh.layout == "file":
+            parts = [f"mesh {self.mesh.file!r}"]
+        else:
+            parts = [f"plate of {self.geometry.width:g} x {self.geometry.height:g} m"]
+        for crack in self.all_cracks.values():
+            parts.append("crack" if crack.length is None else f"crack of {crack.length:g} m")
+        if self.contact is not None:
+            parts.append(self.contact.law)
+        factor, _, unit = frequency_axis(self.in_hertz)
+        return f"Scene({', '.join(parts)}, {factor * self.excitation.omega:g} {unit})"
 
     @property
     def all_cracks(self) -> dict[str, Crack]:

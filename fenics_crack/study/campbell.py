@@ -3,12 +3,16 @@
 A blade is excited at multiples of the rotor's speed, w = n W with the engine order n. Resonances
 are where such a line crosses a natural frequency. Of a crack that breathes they lie near the
 bilinear frequency 2 w_o w_t / (w_o + w_t), between those with lips open and tied
-(:mod:`fenics_crack.model.bilinear`); where rotation holds the crack open, at the open one.
+(:mod:`fenics_crack.model.bilinear`); where rotation or the mean load holds the crack open or shut,
+at the open or the tied one. It is held where the resonance of that state cannot change it: with the
+amplitude a = |phi . f| / (2 xi w^2) of the mode, open where all pairs are open at rest by more
+than a |B^T phi|, and shut where all are pressed by more than the force a |lambda| of the tied
+mode, (K - w^2 M) phi + B lambda = 0.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -20,14 +24,18 @@ from fenics_crack.fem.assembly import assemble
 from fenics_crack.fem.build import with_crack_length
 from fenics_crack.model.bilinear import BilinearFrequencies
 from fenics_crack.model.matrices import numbers
-from fenics_crack.model.modes import n_tied_modes, solve_modes
+from fenics_crack.model.modes import Modes, n_tied_modes, solve_modes, times
+from fenics_crack.model.rotation import static_state
 from fenics_crack.model.structure import Structure
 from fenics_crack.scene.scene import Scene
-from fenics_crack.table import UNITS, Tabular, counted, with_frequency
+from fenics_crack.study.key_figures import damping_ratios
+from fenics_crack.table import RPM, UNITS, Tabular, counted, with_frequency
 
-__all__ = ["Campbell", "campbell"]
+__all__ = ["STATES", "Campbell", "campbell"]
 
 KINDS = ("open", "tied", "bilinear")
+STATES = {"open": "held open", "tied": "held shut", "bilinear": "breathing"}
+"""What a crack does whose frequency is of a kind."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -43,12 +51,16 @@ class Campbell(Tabular):
         crack.
     cracked : bool
         Whether there are lips.
+    kind : (n, m) of "open", "tied" or "bilinear"
+        Which frequency is that of the crack at this speed, under the scene's load: it is held open,
+        held shut, or breathes.
     """
 
     speed: np.ndarray
     omega_open: np.ndarray
     omega_tied: np.ndarray
     cracked: bool
+    kind: np.ndarray
 
     KIND: ClassVar[str] = "Campbell diagram"
 
@@ -56,6 +68,14 @@ class Campbell(Tabular):
     def omega_bilinear(self) -> np.ndarray:
         """2 w_o w_t / (w_o + w_t): (n, m) [rad/s]."""
         return BilinearFrequencies(self.omega_open, self.omega_tied).omega_bilinear
+
+    @property
+    def omega_real(self) -> np.ndarray:
+        """Of the kind that the crack has at each speed: (n, m) [rad/s]."""
+        return np.choose(
+            [KINDS.index(kind) for kind in self.kind.ravel()],
+            [getattr(self, f"omega_{kind}").ravel() for kind in KINDS],
+        ).reshape(self.kind.shape)
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -71,8 +91,8 @@ class Campbell(Tabular):
         ----------
         order : int
             Engine order n.
-        kind : "open", "tied" or "bilinear"
-            Of the frequencies.
+        kind : "open", "tied", "bilinear" or "real"
+            Of the frequencies; the last are those that the crack has at each speed.
 
         Raises
         ------
@@ -80,8 +100,8 @@ class Campbell(Tabular):
             An argument cannot be used.
         """
         check_count("order", order, 1)
-        if kind not in KINDS:
-            raise InputError("kind", kind, "one of " + ", ".join(map(repr, KINDS)))
+        if kind not in (*KINDS, "real"):
+            raise InputError("kind", kind, "one of " + ", ".join(map(repr, (*KINDS, "real"))))
         squares, at = getattr(self, f"omega_{kind}") ** 2, self.speed**2
         over = squares - (order**2 * at)[:, None]
         found = []
@@ -91,11 +111,32 @@ class Campbell(Tabular):
                 found.append((mode, np.sqrt(at[place] + share * (at[place + 1] - at[place]))))
         return np.array(found).reshape(-1, 2)
 
+    def meetings(self, order: int) -> Iterator[str]:
+        """Each crossing of an engine order in words: with which mode, at which speed with the crack
+        as it is there, and at which speeds it would be otherwise."""
+        for mode, speed in self.crossings(order, "real"):
+            text = f"engine order {order} meets mode {mode:.0f} at {_in_words(speed)}"
+            if self.cracked:
+                at = int(np.argmin(np.abs(self.speed - speed)))
+                own = self.kind[at, int(mode) - 1]
+                others = [
+                    f"{STATES[kind]} at {_in_words(other)}"
+                    for kind in KINDS
+                    if kind != own
+                    for which, other in self.crossings(order, kind)
+                    if which == mode
+                ]
+                text += f" with the crack {STATES[own]}"
+                text += f"; it would be {', '.join(others)}" if others else ""
+            yield text
+
     def to_dict(self) -> dict[str, Any]:
         """Columns, a row for every speed and mode."""
         n, m = self.omega_open.shape
         speed = np.repeat(self.speed, m)
         found = {"speed": speed.tolist(), "mode": np.tile(np.arange(1, m + 1), n).tolist()}
+        if self.cracked:
+            found["crack"] = [STATES[kind] for kind in self.kind.ravel()]
         for kind in self.kinds:
             omega = getattr(self, f"omega_{kind}").ravel()
             found[f"omega_{kind}"] = omega.tolist()
@@ -137,7 +178,7 @@ def campbell(
     Returns
     -------
     Campbell
-        Frequencies with lips open and tied at each speed.
+        Frequencies with lips open and tied at each speed, and what the crack does.
 
     Raises
     ------
@@ -159,14 +200,38 @@ def campbell(
     top = assemble(scene, comm)
     assert top.rotation is not None
     found = [_frequencies(top.rotation.at(float(speed)), count) for speed in wanted]
-    is_open, tied = (np.array(rows) for rows in zip(*found, strict=True))
-    return Campbell(wanted, is_open, tied, top.n_pairs > 0)
+    is_open, tied, kind = (np.array(rows) for rows in zip(*found, strict=True))
+    return Campbell(wanted, is_open, tied, top.n_pairs > 0, kind)
 
 
-def _frequencies(structure: Structure, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """The lowest natural frequencies with lips open and with lips tied: (count,) each [rad/s]."""
+def _in_words(speed: float) -> str:
+    return f"{speed:.5g} rad/s = {speed / RPM:.5g} rpm"
+
+
+def _frequencies(structure: Structure, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The lowest natural frequencies with lips open and with lips tied: (count,) each [rad/s]; and
+    which the crack has."""
     count = min(count, structure.n_modes if not structure.n_pairs else n_tied_modes(structure))
-    is_open = solve_modes(structure, count).omega
+    is_open = solve_modes(structure, count)
     if not structure.n_pairs:
-        return is_open, is_open
-    return is_open, solve_modes(structure, count, lips="tied").omega
+        return is_open.omega, is_open.omega, np.full(count, "open")
+    tied = solve_modes(structure, count, lips="tied")
+    clearance = np.broadcast_to(structure.clearance, structure.n_pairs)
+    moved, pressed = static_state(structure, structure.force[0], clearance)
+    opening = clearance - structure.apply_bt(moved[None])[0]
+    motion = _at_resonance(is_open) * np.abs(structure.apply_bt(is_open.shapes.T)).T
+    stiff, heavy = (times(m, tied.shapes) for m in (structure.stiffness, structure.mass))
+    left = structure.apply_bt((heavy * tied.omega**2 - stiff).T)
+    gram = structure.sum_over_ranks((structure.gap.T @ structure.gap).toarray())
+    force = _at_resonance(tied) * np.abs(np.linalg.lstsq(gram, left.T, rcond=None)[0])
+    stays_open = np.all(opening[:, None] > motion, axis=0)
+    stays_shut = np.all(pressed[:, None] > force, axis=0)
+    return is_open.omega, tied.omega, np.select([stays_open, stays_shut], KINDS[:2], KINDS[2])
+
+
+def _at_resonance(modes: Modes) -> np.ndarray:
+    """Amplitudes of modes at their own resonances, inf without damping: (n,)."""
+    structure, load = modes.structure, modes.structure.force[1] - 1j * modes.structure.force[2]
+    size = np.abs(structure.sum_over_ranks(modes.shapes.T @ load))
+    below = 2.0 * damping_ratios(structure, modes.omega) * modes.omega**2
+    return np.divide(size, below, out=np.where(size > 0.0, np.inf, 0.0), where=below > 0.0)

@@ -28,7 +28,7 @@ from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.prepare import Study, reduction_of
 
-__all__ = ["KeyFigures", "find_key_figures", "highest_omega", "span_of"]
+__all__ = ["KeyFigures", "damping_ratios", "find_key_figures", "highest_omega", "span_of"]
 
 FEW = 4
 """Modes that are computed."""
@@ -120,7 +120,7 @@ def find_key_figures(study: Study) -> KeyFigures:
         modes = modes_by(factor, whole, count)
         static = _static(factor, modes, whole.force)
         lips = whole.apply_bt(_static(factor, modes, whole.gap.T.toarray()))
-    ratios = _ratios(whole, modes.omega)
+    ratios = damping_ratios(whole, modes.omega)
     tied = tied_frequencies(whole, count) if whole.n_pairs else modes.omega
     gaps, psi = whole.apply_bt(static), whole.apply_bt(modes.shapes.T)
     loads = whole.sum_over_ranks(modes.shapes.T @ whole.force.T)
@@ -203,8 +203,8 @@ def _size(whole: Structure) -> tuple[float, float]:
     return float(width), float(height)
 
 
-def _ratios(whole: Structure, omega: np.ndarray) -> np.ndarray:
-    """Ratios of critical damping of the lowest modes."""
+def damping_ratios(whole: Structure, omega: np.ndarray) -> np.ndarray:
+    """Ratios of critical damping of the lowest modes, by their frequencies (n,) [rad/s]."""
     rule = whole.damping
     if isinstance(rule, RayleighDamping):
         twice = 2.0 * omega

@@ -10,6 +10,7 @@ from mpi4py import MPI
 from fenics_crack.errors import InputError
 from fenics_crack.fem.assembly import assemble
 from fenics_crack.fem.build import with_crack_length
+from fenics_crack.hints import Hinted
 from fenics_crack.model.contact import (
     ContactLaw,
     SmoothedPenalty,
@@ -19,7 +20,6 @@ from fenics_crack.model.contact import (
 from fenics_crack.model.memory import machine_memory, reduction_memory, whole_memory
 from fenics_crack.model.reduction import MODES, reduce_structure
 from fenics_crack.model.structure import Structure
-from fenics_crack.parallel import gather_rows
 from fenics_crack.scene.scene import LOOKED_AT, Scene
 from fenics_crack.scene.tables import Contact, Reduction
 
@@ -67,8 +67,8 @@ class Watched:
         return f"{self.name}.{quantity}" if self.name else quantity
 
 
-@dataclass(frozen=True)
-class Study:
+@dataclass(frozen=True, repr=False)
+class Study(Hinted):
     """A scene prepared for solution.
 
     Attributes
@@ -87,6 +87,10 @@ class Study:
     structure: Structure
     contact: ContactLaw | None
     watched: tuple[Watched, ...]
+
+    def __repr__(self) -> str:
+        parts = (self.structure, self.contact, self.scene)
+        return f"{type(self).__name__}({', '.join(map(repr, parts))})"
 
 
 def prepare(
@@ -127,6 +131,8 @@ def prepare(
     known = None if like is None else _at_another_speed(scene, like)
     structure = assemble(scene, comm) if known is None else known
     watched = _watched_dofs(scene, structure)
+    if watched[0].name:
+        structure = structure.watching(watched[0].dof)
     study = Study(scene, structure, law_of(scene, structure), watched)
     return study if whole else reduced(study)
 
@@ -144,11 +150,7 @@ def _watched_dofs(scene: Scene, structure: Structure) -> tuple[Watched, ...]:
     """
     points = () if scene.output is None else scene.output.points
     if not points:
-        given = structure.watched
-        if given is None:
-            dof = structure.most_loaded()
-        else:
-            dof = int(np.argmax(gather_rows(structure.comm, np.abs(given))))
+        dof = structure.watched_dof
         return (Watched("", structure.dof_name(dof), dof),)
     found = []
     for point in points:

@@ -19,6 +19,7 @@ from fenics_crack.curves.curve import ResponseCurve
 from fenics_crack.errors import ConvergenceError, InputError
 from fenics_crack.files.results import Result, type_of, unpack
 from fenics_crack.files.store import Stored, read
+from fenics_crack.hints import no_attribute
 from fenics_crack.model.contact import ContactLaw, is_piecewise_linear, is_rigid, is_unilateral
 from fenics_crack.model.modal import is_small
 from fenics_crack.model.modes import Modes, solve_modes
@@ -60,9 +61,9 @@ RECORDED_PERIODS = 4
 Found = TypeVar("Found", bound=Result, covariant=True)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Run(Study, Generic[Found]):
-    """A study with its result.
+    """A study with its result, whose attributes are also its own: ``run.peak()``.
 
     Attributes
     ----------
@@ -73,6 +74,18 @@ class Run(Study, Generic[Found]):
     """
 
     result: Found
+
+    def __repr__(self) -> str:
+        return f"Run({self.result!r}, {self.scene!r})"
+
+    def __dir__(self) -> list[str]:
+        return sorted({*super().__dir__(), *dir(self.result)})
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_") or name == "result" or not hasattr(type(self.result), name):
+            known = () if name == "result" else dir(self)
+            raise no_attribute(f"{type(self).__name__!r} object", name, known)
+        return getattr(self.result, name)
 
     @property
     def watched_dof(self) -> int:

@@ -26,7 +26,7 @@ from fenics_crack.scene.scene import Scene
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.study.prepare import Study, law_of, prepare
 from fenics_crack.study.run import REFUSALS
-from fenics_crack.sweep.file import AT_POINTS, COLUMNS, PHASES, of_load
+from fenics_crack.sweep.file import AT_POINTS, COLUMNS, OPEN, PHASES, of_load
 from fenics_crack.sweep.plan import FORCES, Chunk
 from fenics_crack.table import with_frequency
 
@@ -104,7 +104,7 @@ def build(scene: Scene, comm: MPI.Comm, unit_loads: bool, last: Geometry | None 
 def _at_load(scene: Scene, structure: Structure) -> dict[str, np.ndarray]:
     """What is watched at the load, where the structure says it; of matrices the dof that carries
     most of the load (collective)."""
-    whole = structure.whole
+    whole = structure.whole.original  # which watches the load, whatever the scene does
     if whole.watched is not None:
         weights = gather_rows(whole.comm, whole.watched)
     elif scene.structure is not None:
@@ -149,6 +149,8 @@ def solve_chunk(geometry: Geometry, chunk: Chunk, verdicts: bool) -> list[Found]
             found |= measured | _seen(solution, case, geometry)
             if verdicts:
                 found |= cases.verdict(solution)
+                if reason := found.pop("reason", ""):
+                    found["status"] += f"; {OPEN}{reason}"
             found |= {"gap": solution.gap_coefficients, "force": solution.force_coefficients}
         except REFUSALS as error:
             cases = Cases(geometry)
@@ -185,16 +187,17 @@ class Cases:
         return self._neighbours.solve(problem)
 
     def verdict(self, solution: PeriodicSolution) -> Found:
-        """Verdict and modulus of the leading multiplier of the last solution; empty without a law,
-        and for a constraint of lips with mass."""
+        """Verdict on a solution, modulus of its leading multiplier, and the reason where it is
+        undecided; empty without a law, and for a constraint of lips with mass."""
         structure, law = solution.structure, solution.contact
         if law is None or (is_rigid(law) and not structure.light_lips):
             return {}
         try:
             found = floquet(structure, solution)
-        except REFUSALS:
-            return {"verdict": "undecided"}
-        return {"verdict": found.verdict, "multiplier": abs(found.multipliers[0])}
+        except REFUSALS as error:
+            return {"verdict": "undecided", "reason": str(error)}
+        largest = abs(found.multipliers[0])
+        return {"verdict": found.verdict, "multiplier": largest, "reason": found.reason}
 
 
 def _numbered(natural: BilinearFrequencies) -> Found:

@@ -45,6 +45,7 @@ __all__ = [
     "COLUMNS",
     "CONVERGED",
     "FAILED",
+    "OPEN",
     "ORDERS",
     "PENDING",
     "PHASES",
@@ -61,6 +62,8 @@ KIND = "sweep"
 PENDING, CONVERGED, FAILED = 0, 1, 2
 """The states of a case."""
 STATUS_BYTES = 200
+OPEN = "undecided: "
+"""In the status of a case, before the reason why its stability is."""
 
 
 def of_load(quantity: str) -> str:
@@ -100,6 +103,8 @@ COLUMNS: dict[str, tuple[str, str]] = {
     "status": ("", f"S{STATUS_BYTES}"),
 }
 """Unit and type of what is kept of each case beside its state and what is seen at points."""
+LATER = ("ratio_largest", "largest_order", "crack_force")
+"""Quantities that older files do not have, where they are nan."""
 WAVES = {"gap": "m", "force": "N"}
 """Coefficients kept of a case that converged, and their units."""
 WAVES_CHECKSUM, CHECKSUM = "waves_checksum", "checksum"
@@ -361,6 +366,8 @@ def opened(path: Path) -> store.Stored:
     total = 0
     for name, kind in _kinds(scene).items():
         column = stored.columns.get(name)
+        if column is None and name.rpartition(".")[2] in LATER:
+            continue
         if column is None:
             allowed = f"a sweep with a column {name!r}: this one is of an older version"
             raise InputError("path", str(path), f"{allowed}; solve it anew in another folder")
@@ -389,7 +396,8 @@ def _numbers(stored: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
     found = {}
     try:
         for name in _kinds(scene):  # the state first: what is written later counts as pending
-            found[name] = stored.columns[name].of(stored.path).ravel()
+            if name in stored.columns:
+                found[name] = stored.columns[name].of(stored.path).ravel()
     except (OSError, ValueError) as error:
         raise InputError("path", str(stored.path), f"a whole sweep ({error})") from None
     return found
@@ -430,7 +438,7 @@ def read_columns(stored: store.Stored, scene: Scene) -> dict[str, np.ndarray]:
         )
         raise InputError("path", str(stored.path), allowed)
     for name in ("state", *columns_of(scene)):
-        values = columns[name]
+        values = columns.get(name, np.full(math.prod(shape), np.nan))
         if name != "state":
             values[columns["state"] == PENDING] = BLANKS[values.dtype.kind]
         words = values.dtype.kind == "S"

@@ -22,8 +22,11 @@ build a geometry together and share its chunks.
 
 from __future__ import annotations
 
+import atexit
 import itertools
 import operator
+import shutil
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -49,6 +52,7 @@ from fenics_crack.sweep.case import build
 from fenics_crack.sweep.file import (
     CONVERGED,
     FAILED,
+    OPEN,
     PENDING,
     SweepFile,
     columns_of,
@@ -72,7 +76,7 @@ STATES = np.array(["pending", "converged", "failed"])
 
 def run_sweep(
     scene: Scene,
-    path: str | Path,
+    path: str | Path | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
     *,
     progress: bool = False,
@@ -87,9 +91,9 @@ def run_sweep(
     ----------
     scene : Scene
         With its table ``[sweep]``.
-    path : path
+    path : path, optional
         The file for the results. If it exists, it must be of the same scene and mesh files; its
-        cases are kept, failed ones too.
+        cases are kept, failed ones too. Default: a file that lasts as long as the program.
     comm : MPI.Comm
         The ranks; with ``sweep.ranks = s`` a multiple of s.
     progress : bool
@@ -112,14 +116,14 @@ def run_sweep(
     Examples
     --------
     >>> swept = scene.replace({"sweep.over": {"excitation.omega": [1900.0, 2000.0]}})
-    >>> table = fc.run_sweep(swept, "sweep.h5")
+    >>> table = fc.run_sweep(swept, "sweep.h5").to_dict()
     """
     ranks = _ranks_of_a_case(scene, comm)
     managers: list[Manager] = []
 
     def start() -> dict[str, bool]:
         plan = Plan(scene)
-        file = SweepFile(Path(path), scene, plan.harmonics, plan.pairs)
+        file = SweepFile(Path(path or _passing_file()), scene, plan.harmonics, plan.pairs)
         managers.append(Manager(plan, file, comm.size // ranks, progress=progress))
         return {"unit_loads": plan.unit_loads, "hopeless": not plan.reduction_swept}
 
@@ -139,6 +143,13 @@ def run_sweep(
     leaders.Free()
     group.Free()
     return on_root(comm, lambda: SweepResult.of(managers[0].stored))
+
+
+def _passing_file() -> str:
+    """A file in a folder that is gone when the program ends."""
+    folder = tempfile.mkdtemp(prefix="fenics_crack-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return f"{folder}/sweep.h5"
 
 
 def _ranks_of_a_case(scene: Scene, comm: MPI.Comm) -> int:
@@ -242,7 +253,16 @@ class SweepResult(Tabular):
     @property
     def failed(self) -> list[tuple[tuple[int, ...], str]]:
         """Index and reason of each case that could not be solved."""
-        places = np.argwhere(self["state"] == FAILED)
+        return self._status_where(self["state"] == FAILED)
+
+    @property
+    def undecided(self) -> list[tuple[tuple[int, ...], str]]:
+        """Index and reason of each case whose stability is undecided."""
+        told = self._status_where(self.converged & (self["verdict"] == "undecided"))
+        return [(at, status.partition(OPEN)[2] or "its reason is not kept") for at, status in told]
+
+    def _status_where(self, which: np.ndarray) -> list[tuple[tuple[int, ...], str]]:
+        places = np.argwhere(which)
         return [(tuple(map(int, at)), str(self["status"][tuple(at)])) for at in places]
 
     def gap(self, index: tuple[int, ...] | int) -> np.ndarray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time as clock
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -12,18 +12,21 @@ from typing import Any, ClassVar
 import numpy as np
 from tqdm import tqdm
 
+from fenics_crack.balance.indicators import Indicators, contact_extremes, indicators_of
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.errors import ConvergenceError, InputError, check_count, check_number, check_omega
 from fenics_crack.model.contact import ContactLaw, check_law, is_rigid
 from fenics_crack.model.matrices import numbers
 from fenics_crack.model.structure import Structure
-from fenics_crack.numerics.fourier import evaluate, waves
+from fenics_crack.numerics.fourier import balanced, evaluate, waves
 from fenics_crack.parallel import StopRequest, raise_together
 from fenics_crack.stages import begin
-from fenics_crack.table import counted
+from fenics_crack.table import Tabular, counted
 
 __all__ = ["EnergyBalance", "March", "Scheme", "TimeHistory", "Window", "initial_state", "march"]
 
+HARMONICS = 10
+"""Of a motion in time that are among its indicators."""
 MEMORY_LIMIT = 2**31
 """Bytes of history on one rank beyond which recording is refused."""
 
@@ -140,7 +143,7 @@ class March:
 
 
 @dataclass(frozen=True, repr=False)
-class TimeHistory:
+class TimeHistory(Tabular):
     """The last periods of a motion found by direct integration.
 
     Attributes
@@ -185,12 +188,24 @@ class TimeHistory:
 
     KIND: ClassVar[str] = "time history"
 
-    def __repr__(self) -> str:
+    def to_dict(self) -> dict[str, Any]:
+        """Columns, a row for every instant: displacement of the watched dof, and of the lips the
+        opening and the contact force of the pair where each is largest."""
+        found = {"time": self.time, "displacement": self.displacement()[:, 0]}
+        if self.gap.size:
+            found["opening"] = np.maximum(0.0, -self.gap.min(axis=1))
+            found["contact_force"] = self.contact_force.max(axis=1)
+        return {name: column.tolist() for name, column in found.items()}
+
+    def _units(self) -> Mapping[str, str]:
+        return {"time": "s", "displacement": "m", "opening": "m", "contact_force": "N"}
+
+    def _title(self) -> str:
         periods = counted(self.periods, "period")
         steps = counted(self.steps_per_period, "step")
         pairs = counted(self.structure.n_pairs, "pair")
         settled = f", settled to {self.settled:.0e}" if np.isfinite(self.settled) else ""
-        return f"TimeHistory({periods} of {steps}{settled}, {pairs})"
+        return f"{periods} of {steps}{settled}, {pairs}"
 
     def by_period(self, values: np.ndarray) -> np.ndarray:
         """Fold a record (n, ...) at the load's period: (periods kept, steps_per_period, ...).
@@ -199,8 +214,8 @@ class TimeHistory:
         """
         return values.reshape(-1, self.steps_per_period, *values.shape[1:])
 
-    def displacement(self, dofs: Sequence[int]) -> np.ndarray:
-        """Displacement of recorded dofs: (n, len(dofs)) [m] (collective).
+    def displacement(self, dofs: Sequence[int | None] = (None,)) -> np.ndarray:
+        """Displacement of recorded dofs, or of the watched one: (n, len(dofs)) [m] (collective).
 
         Raises
         ------
@@ -219,6 +234,17 @@ class TimeHistory:
         if len(missing):
             raise InputError("dofs", missing.tolist(), "among those recorded")
         return self.structure.sum_over_ranks(found)
+
+    def indicators(self, dof: int | None = None) -> Indicators:
+        """What a dof, or the watched one, and the lips show of a breathing crack: its harmonics and
+        mean in the last period, extremes of all that is recorded (collective)."""
+        motion = self.displacement([dof])[:, 0]
+        return indicators_of(
+            2.0 * np.pi * (len(self.time) - 1) / self.steps_per_period / np.ptp(self.time),
+            balanced(motion[-self.steps_per_period :], HARMONICS),
+            float(np.ptp(motion) / 2.0),
+            contact_extremes(self.gap, self.contact_force, self.structure.pairs.cracks),
+        )
 
 
 @dataclass(frozen=True)

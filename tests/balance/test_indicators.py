@@ -18,6 +18,7 @@ def test_known_coefficients() -> None:
     assert (found.omega, found.amplitude, found.mean) == (7.0, 11.0, -2.5)
     assert (found.harmonic_1, found.harmonic_2, found.harmonic_3) == (5.0, 10.0, 13.0)
     assert (found.ratio_2_1, found.ratio_3_1, found.mean_shift) == (2.0, 2.6, -0.5)
+    assert (found.ratio_largest, found.largest_order) == (2.6, 3.0)
     assert found.opening == 0.25
     assert np.isnan([found.ratio_half_1, found.contact_force, found.closed_share]).all()
 
@@ -29,6 +30,7 @@ def test_longer_periods(periods: int, half: float) -> None:
     rows[1], rows[2 * periods], rows[4 * periods - 1], rows[6 * periods] = 6.0, 3.0, 1.5, 0.75
     found = indicators_of(1.0, rows, 0.0, {}, periods)
     assert (found.harmonic_1, found.ratio_2_1, found.ratio_3_1) == (3.0, 0.5, 0.25)
+    assert (found.ratio_largest, found.largest_order) == (0.5, 2.0)
     np.testing.assert_equal(found.ratio_half_1, half)
 
 
@@ -37,6 +39,29 @@ def test_few_harmonics_and_no_motion() -> None:
     found = indicators_of(np.ones(2), np.array([[1.0, 2.0, 0.0], [1.0, 0.0, 0.0]]), np.ones(2), {})
     np.testing.assert_array_equal(found.mean_shift, [0.5, np.nan])
     assert np.isnan([found.ratio_2_1, found.ratio_3_1, found.harmonic_2]).all()
+    assert np.isnan([found.ratio_largest, found.largest_order]).all()
+
+
+def test_force_of_each_crack() -> None:
+    """Pairs of one crack count together at each instant, those of another one by themselves."""
+    force = np.array([[3.0, 0.0, 4.0], [2.0, 2.0, 0.0]])
+    for cracks, expected in ((None, 7.0), ([0, 0, 1], 4.0), ([0, 1, 1], 4.0), ([0, 1, 2], 4.0)):
+        given = None if cracks is None else np.array(cracks)
+        found = contact_extremes(-np.ones((2, 3)), force, given)
+        assert (found["contact_force"], found["crack_force"]) == (4.0, expected)
+
+
+def test_force_of_a_crack_does_not_depend_on_the_mesh() -> None:
+    """Twice the elements along the lips halve the force of the largest pair, not that of all."""
+    scene = fc.Scene.load("demos/blade.toml").replace({"excitation.frequency": 600.0})
+    found = []
+    for elements in (3, 6):
+        blade = fc.prepare(scene.replace({"mesh.lip_elements": elements}))
+        omega = blade.scene.excitation.omega
+        solution = fc.solve_harmonic_balance(blade.structure, omega, blade.contact, harmonics=10)
+        found.append(solution.indicators(0))
+    assert found[1].crack_force == pytest.approx(found[0].crack_force, rel=0.05)
+    assert found[1].contact_force < 0.75 * found[0].contact_force
 
 
 def bilinear_wave(ratio: float, count: int) -> np.ndarray:

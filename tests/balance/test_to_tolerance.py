@@ -105,5 +105,5 @@ def test_harmonics_out_of_reach(monkeypatch: pytest.MonkeyPatch) -> None:
         structure, OMEGA["one mass"], law, tolerance=1e-3, throw=False
     )
     assert found.converged and found.harmonics == 20 and found.report.total > 1e-3
-    words = f"solved; error {100.0 * found.report.total:.2g} %, asked 0.001; what limits it: harm"
+    words = f"solved; error {100.0 * found.report.total:.2g} %, 0.1 % was asked; what helps: more"
     assert found.status.startswith(words)

@@ -383,14 +383,16 @@ def test_points_of_a_curve(results: Path) -> None:
     rows = table(results / "curve.csv")
     own = run.result.table().columns
     assert len(rows) == len(run.result) and list(rows[0])[: len(own)] == own
-    assert list(rows[0])[len(own) :] == [
+    indicators = [
         "amplitude [m]", "mean [m]", "harmonic_1 [m]", "harmonic_2 [m]", "harmonic_3 [m]",
-        "ratio_2_1", "ratio_3_1", "ratio_half_1", "mean_shift",
-        "opening [m]", "penetration [m]", "contact_force [N]", "closed_share",
+        "ratio_2_1", "ratio_3_1", "ratio_half_1", "ratio_largest", "largest_order", "mean_shift",
+        "opening [m]", "penetration [m]", "contact_force [N]", "crack_force [N]",
+        "closed_share",
         "omega_open [rad/s]", "frequency_open [Hz]", "omega_tied [rad/s]", "frequency_tied [Hz]",
         "omega_bilinear [rad/s]", "frequency_bilinear [Hz]",
         "over_open", "over_tied", "over_bilinear",
     ]  # fmt: skip
+    assert list(rows[0])[-len(indicators) :] == indicators
     heights = [float(row["amplitude [m]"]) for row in rows]
     np.testing.assert_allclose(heights, run.result.amplitude(run.watched_dof), rtol=1e-9)
     shares = [float(row["closed_share"]) for row in rows]

@@ -13,7 +13,7 @@ import fenics_crack as fc
 from fenics_crack import ErrorReport, ResponseCurve, SweepResult
 from fenics_crack.cli.account import of_error, of_stability
 from fenics_crack.cli.of_curve import _undecided_stretches, few_special_points
-from fenics_crack.cli.of_sweep import few_cases, warnings_of
+from fenics_crack.cli.of_sweep import few_cases, stepped_over, warnings_of
 from fenics_crack.study.remarks import remarks_on_scene
 from fenics_crack.sweep import result
 from fenics_crack.sweep.file import COLUMNS, CONVERGED, FAILED
@@ -71,6 +71,12 @@ def test_undecided_orbit(scene: fc.Scene) -> None:
     run: Any = SimpleNamespace(structure=None)
     [text] = of_stability(scene, run, undecided)
     assert text == "the orbit is undecided: a motion in time may leave it"
+    for multiplier, way in ((1.5, "of another size"), (-1.5, "two periods of the load")):
+        unstable = fc.Stability(np.array([multiplier + 0j]), "unstable", 0.0)
+        [told] = of_stability(scene, run, unstable)
+        assert told.endswith(way)
+    [told] = of_stability(scene, run, fc.Stability(np.array([1.0 + 1j]), "unstable", 0.0))
+    assert "does not repeat each period" in told
     undecided = replace(undecided, reason="no exact orbit was found next to it")
     [text] = of_stability(scene, run, undecided)
     assert text.startswith("the orbit is undecided (no exact orbit was found next to it): a motion")
@@ -152,7 +158,28 @@ def test_verdicts_that_say_nothing_are_said_once(scene: fc.Scene, tmp_path: Path
     found = swept(scene, tmp_path / "sweep.h5")
     found.columns["verdict"][:] = "undecided"
     assert "verdict" not in few_cases(found)[0].columns
-    assert "the stability is undecided in all cases" in [*warnings_of(found)]
+    found.columns["status"][:] = "full Newton steps; undecided: no exact orbit was found"
+    told = [*warnings_of(found)]
+    assert "the stability is undecided in all cases" in told
+    assert [text for text in told if text.startswith("182 cases")] == [
+        "182 cases undecided, the first at frequency = 480.0, length = 0.01: no exact orbit was "
+        "found"
+    ]
+
+
+def test_a_peak_between_two_frequencies(scene: fc.Scene, tmp_path: Path) -> None:
+    """An oscillator at steps of 16 Hz: told where its peak is narrower, not of one that is wider,
+    nor of an antiresonance, where the phase comes back."""
+    found = swept(scene, tmp_path / "sweep.h5")
+    frequency = np.linspace(480.0, 960.0, 31)[:, None]
+    found.columns["omega"][:] = 2.0 * np.pi * frequency
+    for damping, power, told in ((0.001, -1, 1), (0.03, -1, 0), (0.001, 1, 0)):
+        wave = (1.0 - (frequency / 729.0) ** 2 + 2j * damping * frequency / 729.0) ** power
+        found.columns["sine_1"][:], found.columns["cosine_1"][:] = wave.real, wave.imag
+        texts = stepped_over(found)
+        assert len(texts) == told
+        for text in texts:
+            assert "between 720 and 736 Hz, length = 0.01, and at 5 other places, the" in text
 
 
 def test_response_proportional_to_the_load(scene: fc.Scene) -> None:

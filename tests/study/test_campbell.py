@@ -42,6 +42,30 @@ def test_orders_meet_the_modes_where_a_scene_resonates() -> None:
     assert not len(found.crossings(1))  # the first mode stays above W: S > 1
 
 
+@pytest.mark.parametrize(
+    ("speed", "mean", "force", "does"),
+    [
+        (0.0, 0.0, 20.0, "bilinear"), (0.0, 300.0, 0.01, "open"), (0.0, -300.0, 0.01, "tied"),
+        (600.0, 0.0, 0.01, "open"), (600.0, 0.0, 500.0, "bilinear"),
+    ],
+)  # fmt: skip
+def test_a_crack_that_is_held_is_not_bilinear(
+    speed: float, mean: float, force: float, does: str
+) -> None:
+    """Rotation and a mean load hold it open or shut under a small load, not under a large one; as
+    the solution at that resonance says."""
+    scene = cracked(max(speed, 1.0), mean).replace({"excitation.force_sin": [force, 0.0]})
+    speeds = [max(speed, 1.0), speed + 10.0]
+    found = fc.campbell(scene, speeds, 1)
+    assert found.kind[0, 0] == does
+    omega = float(found.omega_real[0, 0])
+    assert omega == getattr(found, f"omega_{does}")[0, 0]
+    blade = fc.prepare(scene.replace({"excitation.omega": omega}))
+    solution = fc.solve_harmonic_balance(blade.structure, omega, blade.contact, harmonics=8)
+    share = solution.indicators(0).closed_share
+    assert {"open": share == 0.0, "tied": share == 1.0}.get(does, 0.0 < share < 1.0)
+
+
 def test_bad_input() -> None:
     """Each error names what is wrong."""
     scene = strip(0, 1.0)
@@ -78,9 +102,14 @@ def test_command(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     assert main([*words, "--speeds", "4000", "8000", "3"]) == 0
     printed = capsys.readouterr()
     assert "rpm" in printed.out and "engine order 12 meets mode 1" in printed.err
+    assert "with the crack breathing; it would be held open at" in printed.err
     rows = list(csv.DictReader((tmp_path / "campbell.csv").open()))
     assert [float(row["rpm"]) for row in rows] == pytest.approx([4e3, 6e3, 8e3])
     assert json.loads((tmp_path / "campbell.json").read_text())[0]["mode"] == 1
     assert (tmp_path / "campbell.png").stat().st_size > 10_000
+    assert main([*words, "--speeds", "4000", "4100", "2"]) == 0
+    assert (
+        "engine order 12 meets none of 1 mode between 4000 and 4100 rpm" in capsys.readouterr().err
+    )
     for wrong in (["8000", "4000", "3"], ["0", "1", "1.5"]):
         assert main([*words, "--speeds", *wrong]) == 2

@@ -13,6 +13,7 @@ from mpi4py import MPI
 
 import fenics_crack as fc
 from fenics_crack import SweepResult, run_sweep
+from fenics_crack.sweep import file
 
 REDUCED = {
     "mesh.columns": 4, "reduction.method": "massless", "reduction.modes": 12,
@@ -91,7 +92,9 @@ def test_without_verdicts(scene: fc.Scene, tmp_path: Path) -> None:
     plain = run_sweep(scene, tmp_path / "plain.h5", MPI.COMM_SELF, verdicts=False)
     assert np.all(whole["verdict"] != "") and np.all(plain["verdict"] == "")
     assert np.all(np.isnan(plain["multiplier"])) and not plain.not_stable.any()
-    for name in set(whole.columns) - {"verdict", "multiplier", "seconds"}:
+    told = zip(whole["status"].flat, plain["status"].flat, strict=True)
+    assert all(one.startswith(other) for one, other in told)
+    for name in set(whole.columns) - {"verdict", "multiplier", "seconds", "status"}:
         np.testing.assert_array_equal(plain[name], whole[name], err_msg=name)
     again = run_sweep(scene, tmp_path / "whole.h5", MPI.COMM_SELF, verdicts=False)
     np.testing.assert_array_equal(again["multiplier"], whole["multiplier"])
@@ -132,11 +135,19 @@ def test_default_quantities(scene: fc.Scene, tmp_path: Path) -> None:
 
 
 def test_file_of_an_older_version(scene: fc.Scene, tmp_path: Path) -> None:
-    """A file without a column is neither read nor continued; it says which column and why."""
+    """A file without a column is neither read nor continued; it says which column and why. One from
+    before the force of a crack is read."""
     path = tmp_path / "sweep.h5"
-    run_sweep(scene, path, MPI.COMM_SELF)
-    with changed(path) as file:
-        del file["ratio_2_1"]
+    run_sweep(scene, path, MPI.COMM_SELF, verdicts=False)
+    with pytest.MonkeyPatch.context() as before:
+        columns = {name: how for name, how in file.COLUMNS.items() if name != "crack_force"}
+        before.setattr(file, "COLUMNS", columns)
+        run_sweep(scene, tmp_path / "before.h5", MPI.COMM_SELF, verdicts=False)
+    old, new = SweepResult.load(tmp_path / "before.h5"), SweepResult.load(path)
+    assert np.isnan(old["crack_force"]).all() and (new["crack_force"] > 0.0).all()
+    np.testing.assert_array_equal(old["contact_force"], new["contact_force"])
+    with changed(path) as opened:
+        del opened["ratio_2_1"]
     with pytest.raises(fc.InputError, match=r"a column 'ratio_2_1': this one is of an older"):
         SweepResult.load(path)
     with pytest.raises(fc.InputError, match=r"a new name: .* has no column 'ratio_2_1'"):

@@ -1,0 +1,113 @@
+"""The largest response of a curve, and the damping that its width stands for.
+
+Of a linear mode with the ratio xi of critical damping the response is above 1/sqrt(2) of its peak,
+half of its power, between f_1 and f_2 with
+
+    xi = (f_2 - f_1) / (2 f),
+
+f being the frequency of the peak, and 1/A^2 of its amplitude A is a parabola in f^2: the top and
+the width are those of a cubic spline through the 1/A^2 of the points. A crack that breathes without
+clearance keeps this, as its response is proportional to the load.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fenics_crack.table import UNITS, Described, quantity, with_frequency
+
+__all__ = ["Peak", "top_and_damping"]
+
+
+@dataclass(frozen=True, repr=False)
+class Peak(Described):
+    """The largest response of a curve at one dof.
+
+    Attributes
+    ----------
+    index : int
+        Number of the nearest point of the curve, for ``curve.solution(index)``.
+    value : float
+        Of the curve's parameter.
+    omega : float
+        Load frequency [rad/s].
+    amplitude : float
+        Half the peak-to-peak displacement [m].
+    error : float
+        Estimated error of the displacement there, without the mesh's (:class:`ErrorReport`).
+    verdict : str
+        Whether the vibration is stable.
+    damping : float
+        Ratio of critical damping by the half-power bandwidth; nan where the curve does not fall to
+        1/sqrt(2) of the peak on both sides, or is none over the frequency.
+    """
+
+    index: int
+    value: float
+    omega: float
+    amplitude: float
+    error: float
+    verdict: str
+    damping: float
+
+    @property
+    def frequency(self) -> float:
+        """Load frequency [Hz]."""
+        return self.omega / (2.0 * math.pi)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The attributes, and the frequency [Hz]."""
+        return with_frequency(dict(vars(self)))
+
+    def _units(self) -> Mapping[str, str]:
+        return UNITS | {"amplitude": "m"}
+
+    def _title(self) -> str:
+        width = "no half-power width" if math.isnan(self.damping) else f"damping {self.damping:.3g}"
+        return (
+            f"{quantity(self.amplitude, 'm')} at {self.frequency:.6g} Hz ({self.omega:.6g} rad/s), "
+            f"error {self.error:.2g}, {self.verdict}, {width}"
+        )
+
+
+def top_and_damping(
+    value: np.ndarray, amplitude: np.ndarray, peak: int
+) -> tuple[float, float, float]:
+    """Where the top of a curve is and how high, between its points in their order (n,), and the
+    damping by the half-power bandwidth; nan where one side of it is missing."""
+    from scipy.interpolate import CubicSpline  # takes longer to load than a curve to be drawn
+
+    point = float(value[peak]), float(amplitude[peak])
+    first, last = (_end_of_side(value, amplitude, peak, step) for step in (-1, 1))
+    inside = first < peak < last
+    if not inside or (value[peak + 1] - value[peak]) * (value[peak] - value[peak - 1]) <= 0.0:
+        return *point, math.nan
+    side = slice(first, last + 1)
+    at, height = value[side], np.maximum(amplitude[side] / point[1], np.finfo(float).eps)
+    forward = 1 if at[-1] > at[0] else -1
+    spline = CubicSpline(at[::forward], height[::forward] ** -2.0)
+    lowest = spline.derivative().roots(extrapolate=False)
+    beside = np.sort(value[[peak - 1, peak + 1]])
+    lowest = lowest[(lowest > beside[0]) & (lowest < beside[1])]
+    top = float(min(lowest, key=spline, default=point[0]))
+    ends = spline.solve(2.0 * spline(top), extrapolate=False)
+    width = ends[ends > top].min(initial=math.inf) - ends[ends < top].max(initial=-math.inf)
+    damping = float(width / (2.0 * top)) if math.isfinite(width) else math.nan
+    return top, point[1] * float(spline(top) ** -0.5), damping
+
+
+def _end_of_side(value: np.ndarray, amplitude: np.ndarray, peak: int, step: int) -> int:
+    """The first point beyond half the power on one side of a peak, or the last one before the curve
+    ends or turns back."""
+    place, way = peak, 0.0
+    while amplitude[place] >= amplitude[peak] / math.sqrt(2.0) and 0 <= place + step < len(value):
+        there = value[place + step] - value[place]
+        if there * way < 0.0 or there == 0.0:
+            break
+        place, way = place + step, there
+    return place

@@ -1,0 +1,123 @@
+"""The peak of a curve, what is watched where no dof is named, and tables for pandas."""
+
+from __future__ import annotations
+
+import sys
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import fenics_crack as fc
+from fenics_crack.curves.peak import top_and_damping
+
+STEEL = "benchmarks/plate.toml"
+POINT = {"output.points": {"corner": [0.0, 0.3]}}
+XI = 0.02
+
+
+@pytest.fixture(scope="module")
+def masses() -> fc.ResponseCurve:
+    """Two masses and a stop that is never reached: one linear mode at 100 rad/s is met."""
+    structure = fc.Structure.from_matrices(
+        np.diag([1.0, 1.0]), np.diag([1e4, 1e6]), np.array([0.0, 1.0]), clearance=1.0,
+        force_sin=[1.0, 0.0], damping=fc.ModalDamping(XI),
+    )  # fmt: skip
+    law = fc.UnilateralPenalty(1e6)
+    return fc.continue_frequency(structure, 80.0, 120.0, law, harmonics=1)
+
+
+def test_a_linear_mode(masses: fc.ResponseCurve) -> None:
+    """Frequency, amplitude and damping are the mode's, though points lie half a width apart."""
+    peak = masses.peak()
+    omega = 100.0 * np.sqrt(1.0 - 2.0 * XI**2)
+    assert np.abs(masses.omega - omega).min() > 0.1
+    assert peak.omega == pytest.approx(omega, rel=1e-4)
+    exact = 1.0 / np.hypot(1e4 - omega**2, 2.0 * XI * 100.0 * omega)
+    assert peak.amplitude == pytest.approx(exact, rel=1e-3)  # of 256 instants
+    assert peak.damping == pytest.approx(XI, rel=5e-3)
+    assert peak.verdict == "stable" and peak.error < 1e-6
+    assert peak.frequency == pytest.approx(peak.omega / (2.0 * np.pi))
+    assert "damping 0.02" in str(peak) and "stable" in str(peak)
+    assert masses.peak(0) == peak and masses.peak(1).amplitude < 1e-3 * peak.amplitude
+
+
+@pytest.mark.parametrize("step", [1, -1])
+def test_half_power_of_a_closed_form(step: int) -> None:
+    """Whichever way the curve was followed."""
+    omega = np.linspace(0.9, 1.1, 80)[::step]
+    height = 1.0 / np.hypot(1.0 - omega**2, 2.0 * 0.005 * omega)
+    top, amplitude, damping = top_and_damping(omega, height, int(height.argmax()))
+    assert top == pytest.approx(1.0, rel=1e-4) and amplitude == pytest.approx(100.0, rel=1e-4)
+    assert damping == pytest.approx(0.005, rel=1e-3)
+
+
+def test_half_a_peak_has_no_width() -> None:
+    """Nor has one at the end of a curve, or where the curve turns back beside it."""
+    omega = np.linspace(0.9, 1.0, 100)
+    found = top_and_damping(omega, omega**8, 99)
+    assert found[:2] == (1.0, 1.0) and np.isnan(found[2])
+    assert np.isnan(top_and_damping(omega, 1.0 - (omega - 0.95) ** 2, 50)[2])
+    folded = np.array([1.0, 1.2, 1.3, 1.25, 1.1])
+    found = top_and_damping(folded, np.array([0.1, 0.8, 1.0, 0.9, 0.1]), 2)
+    assert found[:2] == (1.3, 1.0) and np.isnan(found[2])
+
+
+def test_the_watched_dof_is_the_default() -> None:
+    """That of the scene's first point, else the load's, of every result; and of sweeps the load's
+    response stays the load's."""
+    scene = fc.Scene.load(STEEL).replace(
+        {"reduction.modes": 5, "curve.stop": 780.5, "integration.periods": 2}
+        | {"sweep.over": {"crack.length": [0.02]}, "curve.stability": False}
+    )
+    loads = -1
+    for changes in ({}, POINT):
+        at = scene.replace(changes)
+        solved, followed, marched = fc.solve(at), fc.curve(at), fc.integrate(at)
+        dof = solved.watched_dof
+        assert solved.amplitude() == solved.amplitude(dof)
+        assert np.all(solved.coefficients_at() == solved.coefficients_at([dof]))
+        assert np.all(followed.amplitude() == followed.amplitude(dof))
+        assert followed.to_dict()["ratio_2_1"] == followed.indicators(dof).ratio_2_1.tolist()
+        assert np.all(marched.displacement() == marched.displacement([dof]))
+        assert marched.indicators().amplitude == marched.indicators(dof).amplitude
+        assert marched.indicators().omega == pytest.approx(scene.excitation.omega)
+        assert "opening [m]" in marched.table().columns
+        if changes:
+            assert dof == solved.structure.find_dof((0.0, 0.3), "x") != loads
+        loads = dof
+    plain, watched = (fc.run_sweep(scene.replace(changes)) for changes in ({}, POINT))
+    assert plain["response"] == watched["response"] != watched["corner.ux.amplitude"]
+
+
+def test_pandas(masses: fc.ResponseCurve, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It gets the columns; where it is not installed one line says what to do."""
+    given: list[Any] = []
+    monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=given.append))
+    masses.to_dataframe()
+    assert given[0]["amplitude"] == masses.amplitude().tolist() and "ratio_2_1" in given[0]
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ImportError, match=r"pip install pandas.*to_csv"):
+        masses.to_dataframe()
+
+
+def test_own_axes(masses: fc.ResponseCurve) -> None:
+    """By matplotlib's name for one, too; not by both."""
+    from matplotlib.figure import Figure
+
+    panel = Figure().subplots()
+    assert fc.draw_curve(masses, ax=panel) is panel.figure and panel.lines
+    with pytest.raises(fc.InputError, match="ax = 'axes'"):
+        fc.draw_curve(masses, ax=panel, axes=panel)
+
+
+def test_short_words() -> None:
+    """A scene, a plate and a run in one line each."""
+    scene = fc.Scene.load(STEEL)
+    assert str(scene) == "Scene(plate of 0.1 x 0.3 m, crack of 0.03 m, unilateral, 800 Hz)"
+    chain = fc.Scene.load("demos/chain.toml")
+    mesh = fc.Scene.load("demos/inclined_crack.toml")
+    assert "matrices" in str(chain) and "mesh" in str(mesh)
+    plate = fc.prepare(scene)
+    assert str(plate).startswith("Study(MasslessStructure(20 modes") and len(str(plate)) < 250
