@@ -68,6 +68,8 @@ LOWEST, KINDS = (1, 2, 3), ("open", "tied", "bilinear")
 """Modes whose natural frequencies with lips open are looked at, and kinds of these."""
 TINY = 1e-9
 """A ratio that is none."""
+STEPS = 2
+"""In which a shift is made."""
 
 
 # --- the numbers of an answer ---------------------------------------------------------------------
@@ -293,24 +295,33 @@ def _expected(
 def carried(
     study: Study, near: PeriodicSolution, own: Numbers, mesh: Mapping[str, GridConvergence]
 ) -> dict[str, GridConvergence]:
-    """What the shift of the resonance, with its uncertainty, changes of each number of a solution
-    near it (collective)."""
+    """What the shift of the resonance changes of each number of a solution: the most at any within
+    its uncertainty, as peaks may lie there, and where it is extrapolated to (collective)."""
     part, at = mesh[own.resonance], own.values[own.resonance]
-    known = part.is_asymptotic
-    aim = part.extrapolated if known else at - part.uncertainty()
-    found = _solved(study, near.omega * at / aim, near.harmonics, near)
-    moved = numbers_of(study, found, own.mode).values
-    ends, last = (part.sizes[0], part.sizes[-1]), part.values[-1] == at
-    return {
-        name: replace(
-            part,
-            sizes=ends,
-            values=(moved.get(name, 0.0), value) if last else (value, moved.get(name, 0.0)),
-            factor=part.factor if known else 1.0,
-            extrapolated=moved.get(name, 0.0) if known else math.nan,
+    last = part.values[-1] == at
+    known, error = math.isfinite(part.extrapolated), part.uncertainty(-1 if last else 0) / at
+    softer = -1.0 if known and part.extrapolated > at else 1.0
+    shifts = [(1.0 + step * error) ** softer for step in np.linspace(0.0, 1.0, STEPS + 1)[1:]]
+    if known:
+        shifts.append(at / part.extrapolated)
+    moved, found = [], near
+    for shift in shifts:
+        found = _solved(study, near.omega * shift, near.harmonics, found)
+        moved.append(numbers_of(study, found, own.mode).values)
+    parts = {}
+    for name, value in own.values.items():
+        there = [values.get(name, 0.0) for values in moved]
+        farthest = there[int(np.argmax(np.abs(np.subtract(there, value))))]
+        parts[name] = GridConvergence(
+            (part.sizes[0], part.sizes[-1]),
+            (farthest, value) if last else (value, farthest),
+            behaviour="carried",
+            order=part.order,
+            exponent=part.exponent,
+            factor=1.0,
+            extrapolated=there[-1] if known else math.nan,
         )
-        for name, value in own.values.items()
-    }
+    return parts
 
 
 def _solved(

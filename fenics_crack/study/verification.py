@@ -157,15 +157,22 @@ class Verification(Tabular):
         return sorted(counts, reverse=True).index(counts[0])
 
     def total(self, quantity: str, *, independent: bool = True) -> float:
-        """Root of the sum of squares of the contributions to a quantity, or their sum."""
-        found = self.contributions(quantity).values()
+        """Root of the sum of squares of the contributions to a quantity, or their sum; those of the
+        mesh, which belong together, are added before."""
+        found = self._parts(quantity).values()
         return math.hypot(*found) if independent else sum(found)
 
+    def _parts(self, quantity: str) -> dict[str, float]:
+        """Contributions with one by the mesh."""
+        parts = self.contributions(quantity)
+        mesh = [parts.pop(cause) for cause in MESH if cause in parts]
+        return ({"mesh": sum(mesh)} if mesh else {}) | parts
+
     def extrapolated(self, quantity: str) -> float:
-        """The value with the corrections by all causes in the asymptotic range."""
+        """The value with the corrections by all causes from which one is extrapolated."""
         own = self.values[quantity]
-        parts = (found[quantity] for found in self.parts.values())
-        return own + sum(part.extrapolated - own for part in parts if part.is_asymptotic)
+        found = (parts[quantity].extrapolated for parts in self.parts.values())
+        return own + sum(value - own for value in found if math.isfinite(value))
 
     def relative(self, quantity: str, error: float) -> float:
         """An error over the size of a quantity; nan where that is 0."""
@@ -177,9 +184,8 @@ class Verification(Tabular):
         of them: "mesh", "modes", "harmonics", "samples". Not known: nan."""
         if quantity not in self.values or not self.parts:
             return math.nan, ""
-        parts = self.contributions(quantity)
-        both = {"mesh": sum(parts.pop(name, 0.0) for name in MESH)} | parts
-        return self.relative(quantity, sum(both.values())), max(both, key=lambda one: both[one])
+        parts = self._parts(quantity)
+        return self.relative(quantity, sum(parts.values())), max(parts, key=lambda one: parts[one])
 
     @property
     def resonance(self) -> str:
