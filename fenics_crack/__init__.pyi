@@ -8,6 +8,7 @@ from fenics_crack.arrivals.fit_order import track_order as track_order
 from fenics_crack.arrivals.harmonics import TipFit as TipFit
 from fenics_crack.arrivals.simulate import tip_timing as tip_timing
 from fenics_crack.balance.error_report import ErrorReport as ErrorReport
+from fenics_crack.balance.harmonic_balance import linear_response as linear_response
 from fenics_crack.balance.harmonic_balance import solve_harmonic_balance as solve_harmonic_balance
 from fenics_crack.balance.harmonic_balance import solve_linear as solve_linear
 from fenics_crack.balance.indicators import Indicators as Indicators

@@ -8,22 +8,25 @@ Other forms of the method are kept for comparison in ``benchmarks/laboratory.py`
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 
-from fenics_crack.balance.compliance import load_coefficients
+from fenics_crack.balance.compliance import ModalCompliance, load_coefficients
 from fenics_crack.balance.dynamic_stiffness import DynamicStiffness
 from fenics_crack.balance.memory import check_memory
 from fenics_crack.balance.problem import Problem
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.balance.solver import Solver
 from fenics_crack.balance.to_tolerance import FEWEST, solve_to_tolerance
-from fenics_crack.errors import InputError, check_count, check_number, check_omega
+from fenics_crack.errors import ConvergenceError, InputError, check_count, check_number, check_omega
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.modal import all_modes
+from fenics_crack.model.modes import LIPS
 from fenics_crack.model.structure import Structure
 from fenics_crack.numerics.fourier import from_complex, to_complex
 
-__all__ = ["check_initial", "solve_harmonic_balance", "solve_linear"]
+__all__ = ["check_initial", "linear_response", "solve_harmonic_balance", "solve_linear"]
 
 
 def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> PeriodicSolution:
@@ -63,6 +66,56 @@ def solve_linear(structure: Structure, omega: float, *, harmonics: int = 5) -> P
     gap = structure.apply_bt(displacement)
     gap[0] -= structure.clearance
     return PeriodicSolution(structure, omega, None, displacement, gap, np.zeros_like(gap))
+
+
+def linear_response(
+    structure: Structure, dof: int, omega: np.ndarray, *, lips: str = "open"
+) -> np.ndarray:
+    """Amplitudes of a dof at load frequencies with lips that stay open, or that stay tied.
+
+    Tied lips have no relative normal motion and slide without friction, as those of
+    :func:`fenics_crack.solve_modes`. Mean loads, preload and clearance play no part.
+
+    Parameters
+    ----------
+    structure : Structure
+        Small, or reduced.
+    dof : int
+        Whose displacement.
+    omega : (n,) [rad/s]
+        Load frequencies.
+    lips : "open" or "tied"
+        What the lips of all cracks do.
+
+    Returns
+    -------
+    (n,) array [m]
+        Amplitudes; inf at an undamped resonance.
+
+    Raises
+    ------
+    InputError
+        The structure is not small, or lips is none of these.
+
+    Examples
+    --------
+    >>> amplitude = fc.linear_response(structure, tip, np.linspace(1e3, 3e3, 50), lips="tied")
+    """
+    if lips not in LIPS:
+        raise InputError("lips", lips, "one of " + ", ".join(map(repr, LIPS)))
+    load = load_coefficients(structure, 1, 1)
+    row = structure.values_at(np.eye(structure.n_dofs), [dof]).T
+    found = np.full(len(omega), np.inf)
+    for place, one in enumerate(omega):
+        with contextlib.suppress(ConvergenceError):
+            at = ModalCompliance(structure, float(one), load)
+            force = np.zeros_like(at.linear_gap)
+            if lips == "tied" and structure.n_pairs:
+                gap = to_complex(at.linear_gap)
+                gap[1] = np.linalg.lstsq(at.matrices[1], gap[1], rcond=None)[0]
+                force[1:] = from_complex(gap)[1:]
+            found[place] = np.hypot(*at.seen_through(row, force)[1:, 0])
+    return found
 
 
 def _linear_amplitude(structure: Structure, omega: float, load: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from fenics_crack.balance.indicators import Indicators
 from fenics_crack.cli.account import IN_A_TEST, Account, in_short, of_error
 from fenics_crack.cli.of_motion import with_hertz
 from fenics_crack.cli.scenes import remark_on
-from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, parameter_axis
+from fenics_crack.curves.curve import PARAMETERS, ResponseCurve, kind_in_words, parameter_axis
 from fenics_crack.model.bilinear import BilinearFrequencies, bilinear_frequencies
 from fenics_crack.model.run_up import RunUpStructure
 from fenics_crack.scene.quantities import OF_LIPS, OF_POINTS, QUANTITIES
@@ -44,7 +44,13 @@ def account_of_curve(run: Run[ResponseCurve]) -> Account:
         what = "more bifurcations and changes of stability"
         notes.insert(0, f"{hidden} {what}: curve.json")
     kinds = dict.fromkeys(point.kind for point in found.bifurcations)
-    notes += [f"{kind.replace('_', ' ')}: {IN_A_TEST[kind]}" for kind in kinds if kind in IN_A_TEST]
+    notes += [f"{kind_in_words(kind)}: {IN_A_TEST[kind]}" for kind in kinds if kind in IN_A_TEST]
+    seen = found.indicators(run.watched_dof)
+    peak = int(np.argmax(seen.amplitude))
+    if seen.largest_order[peak] > 3:
+        largest = f"harmonic {seen.largest_order[peak]:.0f} is the largest of the higher ones"
+        share = f"{seen.ratio_largest[peak]:.2g} of harmonic 1"
+        notes.append(f"at the largest response {largest}, {share}")
     if scene.harmonic_balance.tolerance is not None and run.structure.n_pairs:
         notes.append(f"harmonics, by the truncation error: {ranging(found.harmonics)}")
     return Account(
@@ -153,7 +159,7 @@ def special_points(run: Run[ResponseCurve]) -> Table:
     largest = int(np.argmax(found.amplitude(run.watched_dof)))
     rows = [("start", 0, along), ("end", -1, along), ("largest", largest, along)]
     for number, point in enumerate(found.bifurcations, 1):
-        name = point.kind.replace("_", " ")
+        name = kind_in_words(point.kind)
         if found.undecided is not None:
             exact = f", exact {factor * point.exact:.6g} {unit}".removesuffix(" -")
             name += exact if point.confirmed else ", unconfirmed"

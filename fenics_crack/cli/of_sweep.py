@@ -35,7 +35,11 @@ def account_of_sweep(found: SweepResult, note: str = "") -> Account:
     told = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
     swept = ", ".join(f"{len(a.values)} values of {key_in_words(a.key)}" for a in found.axes)
     tables = {f"Cases{how}": shown}
-    stepped = stepped_over(found)
+    stepped, high = stepped_over(found), int(np.sum(found["largest_order"] > 3))
+    told_high = (
+        f"in {counted(high, 'case')} a harmonic above the third is the largest of the higher "
+    )
+    told_high = f"{told_high}ones: ratio_largest, largest_order" if high else ""
     if found.failed:
         failed = [(str(index), reason) for index, reason in found.failed]
         tables["Failed cases"] = Table(("case", "reason"), failed)
@@ -48,7 +52,7 @@ def account_of_sweep(found: SweepResult, note: str = "") -> Account:
             f"converged, {counts['failed']} failed.",
             *stepped,
         ],
-        notes=[note, f"cases: {told}{how}", *(f"remark: {text}" for text in stepped)],
+        notes=[note, f"cases: {told}{how}", told_high, *(f"remark: {text}" for text in stepped)],
         warnings=[*warnings_of(found)],
         tables=tables,
         done=not found.failed and found.complete,

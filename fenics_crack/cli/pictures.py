@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from mpi4py import MPI
 
 from fenics_crack.balance.error_report import UNKNOWN
+from fenics_crack.balance.harmonic_balance import linear_response
 from fenics_crack.balance.solution import PeriodicSolution
 from fenics_crack.cli.account import frequency_in_words
 from fenics_crack.cli.of_motion import closings
@@ -24,11 +26,13 @@ from fenics_crack.draw.plot import Wave, draw_contact_map, draw_map, draw_respon
 from fenics_crack.draw.plot_curve import draw_content, draw_curve, draw_multipliers
 from fenics_crack.draw.plot_mesh import draw_modes
 from fenics_crack.draw.plot_motion import draw_orbits, draw_spectra, draw_spectrum
-from fenics_crack.errors import InputError
+from fenics_crack.errors import FEW_MODES, InputError
 from fenics_crack.files.store import read
-from fenics_crack.model.modes import Modes
+from fenics_crack.model.modes import LIPS, Modes, n_tied_modes, solve_modes
+from fenics_crack.model.structure import Structure
 from fenics_crack.scene.fields import Axis
 from fenics_crack.scene.words import WHOLE, differences, key_in_words, unit_of, value_in_words
+from fenics_crack.study.prepare import prepare
 from fenics_crack.study.run import Run
 from fenics_crack.sweep.file import KIND as SWEEP
 from fenics_crack.sweep.result import SweepResult
@@ -116,11 +120,40 @@ def _waves(
 def _curve(run: Run[ResponseCurve], file: File) -> None:
     found, dof, in_hertz = run.result, run.watched_dof, run.scene.in_hertz
     title = f"{run.watched_name}, H = {ranging(found.harmonics)}"
-    draw_curve(found, dof, path=file("curve.png"), title=title, in_hertz=in_hertz)
+    without = _without_contact(run)
+    draw_curve(found, dof, path=file("curve.png"), title=title, in_hertz=in_hertz, behind=without)
     draw_content(found, dof, path=file("curve_content.png"), title=title, in_hertz=in_hertz)
     if found.multipliers is not None:
         title, path = "Largest Floquet multiplier along the curve", file("curve_multipliers.png")
         draw_multipliers(found, path=path, title=title, in_hertz=in_hertz)
+
+
+def _without_contact(run: Run[ResponseCurve]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """What the crack would do to a curve over the frequency if it stayed open or tied, and the
+    plate's response without it, if the program meshes it: frequencies [rad/s], amplitudes [m]."""
+    found, scene, structure = run.result, run.scene, run.structure
+    if found.parameter != "omega":
+        return {}
+    lines = {f"lips always {lips}": (structure, run.watched_dof, lips) for lips in LIPS}
+    if scene.geometry is not None and scene.geometry.width is not None:
+        no_crack = dict.fromkeys(("crack", "cracks", "contact", "sweep", "identify"))
+        whole = prepare(scene.replace(no_crack), MPI.COMM_SELF)
+        lines["no crack"] = whole.structure, whole.watched[0].dof, "open"
+    return {label: _linear_line(found.omega, *line) for label, line in lines.items()}
+
+
+def _linear_line(
+    span: np.ndarray, structure: Structure, dof: int, lips: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Frequencies, closer together next to natural ones, and amplitudes of a dof."""
+    most = n_tied_modes(structure) if lips == "tied" else structure.n_modes
+    modes = solve_modes(structure, min(FEW_MODES, most), lips=lips).omega
+    near = np.geomspace(1e-6, 0.1, 30)
+    close = np.outer(modes, np.concatenate([1.0 - near, 1.0 + near])).ravel()
+    low, high = span.min(), span.max()
+    inside = close[(close > low) & (close < high)]
+    omega = np.unique(np.concatenate([np.linspace(low, high, 200), inside]))
+    return omega, linear_response(structure, dof, omega, lips=lips)
 
 
 # --- a sweep --------------------------------------------------------------------------------------

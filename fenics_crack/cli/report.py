@@ -27,10 +27,16 @@ from fenics_crack.cli.scenes import draw_scene, harmonics_in_words
 from fenics_crack.errors import InputError
 from fenics_crack.files.store import Stored, read, versions
 from fenics_crack.parallel import on_root
-from fenics_crack.scene.words import differences, key_in_words, value_in_words
+from fenics_crack.scene.words import (
+    differences,
+    given_values,
+    key_in_words,
+    unit_of,
+    value_in_words,
+)
 from fenics_crack.study.run import Run
 from fenics_crack.sweep.result import SweepResult
-from fenics_crack.table import Table, quantity
+from fenics_crack.table import Table
 from fenics_crack.version import VERSION
 from fenics_crack.whole import write_whole
 
@@ -63,10 +69,10 @@ def report(given: Namespace, _: None, console: Console) -> None:
 
 
 IN_SHORT = (
-    "geometry.width", "geometry.height", "geometry.thickness",
-    "material.young", "material.poisson", "material.density", "contact.law",
+    "geometry", "structure", "material", "damping", "crack", "cracks", "contact", "rotation",
+    "excitation", "loads", "base",
 )  # fmt: skip
-"""Keys of a scene that stand above its text, beside its cracks, load and harmonics."""
+"""Tables of a scene whose keys stand above its text."""
 
 
 def write_report(paths: Sequence[Path], target: Path, command: Sequence[str]) -> None:
@@ -137,19 +143,25 @@ def _scene_part(result: Run | SweepResult, folder: Path) -> str:
     if scene.geometry is not None:
         own = None if isinstance(result, SweepResult) else result.structure.whole
         blocks += [_picture(mesh) for mesh in draw_scene(scene, folder, own)]
-    rows: list[tuple[str, object]] = []
-    for key in IN_SHORT:
-        table, _, name = key.partition(".")
-        if (value := getattr(getattr(scene, table), name, None)) is not None:
-            rows.append((key_in_words(key), value_in_words(key, value)))
-    for name, crack in scene.all_cracks.items():
-        if crack.length is not None:
-            rows.append((key_in_words(f"{name}.length"), quantity(crack.length, "m")))
-    rows.append(("load frequency", frequency_in_words(scene, scene.excitation.omega)))
+    rows: list[tuple[str, object]] = [
+        (key_in_words(key), _value(key, value))
+        for table in IN_SHORT
+        for key, value in given_values(scene).items()
+        if key.startswith(f"{table}.")
+    ]
+    if scene.excitation.order is not None:
+        rows.append(("load frequency", frequency_in_words(scene, scene.excitation.omega)))
     rows.append(("harmonics", harmonics_in_words(scene)))
     blocks.append(_table(Table(("quantity", "value"), rows), "The first result's scene"))
     text = folded("The whole scene (TOML)", scene.as_toml())
     return section("scene", "Scene", [beside(blocks), text])
+
+
+def _value(key: str, value: object) -> str:
+    """A value in words; of a vector both parts."""
+    if isinstance(value, list):
+        return f"{value} {unit_of(key)}".rstrip()
+    return value_in_words(key, value)
 
 
 def _versions_part(files: Sequence[Stored], command: Sequence[str]) -> str:

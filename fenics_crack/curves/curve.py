@@ -38,7 +38,7 @@ from fenics_crack.table import (
     with_frequency,
 )
 
-__all__ = ["PARAMETERS", "Bifurcation", "ResponseCurve", "parameter_axis"]
+__all__ = ["PARAMETERS", "Bifurcation", "ResponseCurve", "kind_in_words", "parameter_axis"]
 
 PARAMETERS = {
     "omega": "load frequency [rad/s]",
@@ -63,6 +63,11 @@ def parameter_axis(parameter: str, in_hertz: bool) -> tuple[float, str, str]:
         return (frequency_axis if parameter == "omega" else speed_axis)(in_hertz)
     name, _, unit = PARAMETERS[parameter].removesuffix("]").rpartition(" [")
     return 1.0, name, unit
+
+
+def kind_in_words(kind: str) -> str:
+    """The kind of a bifurcation as it is printed."""
+    return "Neimark-Sacker" if kind == "neimark_sacker" else kind.replace("_", " ")
 
 
 def _expanded(problem: Problem, unknown: np.ndarray, *, search: bool) -> PeriodicSolution:
@@ -133,7 +138,7 @@ class Bifurcation(Described):
         )
 
     def _title(self) -> str:
-        name, found = self.kind.replace("_", " "), f"H = {self.problem.harmonics}"
+        name, found = kind_in_words(self.kind), f"H = {self.problem.harmonics}"
         if self.confirmed:
             found += f", exact {self.exact:.6g}"
         return f"{name} at {self.value:.6g}, {found}"

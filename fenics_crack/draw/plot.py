@@ -25,6 +25,10 @@ from fenics_crack.table import readable
 __all__ = ["Wave", "draw_contact_map", "draw_laws", "draw_map", "draw_response", "draw_waves"]
 
 
+MARKED = 60
+"""Points of a line that have a dot each, at most: of more the dots would touch."""
+
+
 @dataclass(frozen=True)
 class Wave:
     """A displacement over time.
@@ -219,8 +223,8 @@ def draw_response(
     """Draw amplitudes [m] or other quantities over the load frequency [rad/s] or other values.
 
     The scale is logarithmic if the values are positive and span a decade or more, or are lengths. A
-    curve has a gap where it is nan, and rings where it is doubtful. Lines that are on the axes
-    already keep their colours to themselves.
+    curve has a dot at each of few values, a gap where it is nan, and rings where it is doubtful.
+    Lines that are on the axes already keep their colours to themselves.
 
     Parameters
     ----------
@@ -256,8 +260,9 @@ def draw_response(
         panel.set_yscale("log")
     styles = list(itertools.product((".-", ".--", ".:"), COLOURS.values()))
     styles = styles[sum(line.get_linestyle() != "None" for line in panel.lines) :]
+    size = 4.0 if len(values) <= MARKED else 0.0
     for (label, found), (style, colour) in zip(curves.items(), styles, strict=False):
-        panel.plot(values, found, style, color=colour, label=label, lw=1.4, ms=4)
+        panel.plot(values, found, style, color=colour, label=label, lw=1.4, ms=size)
     ringed = [(values[mask], curves[label][mask]) for label, mask in (doubtful or {}).items()]
     if any(len(x) for x, _ in ringed):
         x, y = np.concatenate(ringed, axis=1)

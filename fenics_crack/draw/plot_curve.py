@@ -10,22 +10,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fenics_crack.balance.error_report import LARGE_ERROR
-from fenics_crack.curves.curve import ResponseCurve, parameter_axis
+from fenics_crack.curves.curve import ResponseCurve, kind_in_words, parameter_axis
+from fenics_crack.curves.peak import top_and_damping
 from fenics_crack.curves.refine import filled
 from fenics_crack.draw.figure import COLOURS, FIRST, Picture, Where, label_axis
 from fenics_crack.errors import InputError
-from fenics_crack.table import frequency_axis, with_unit
+from fenics_crack.table import frequency_axis, quantity, with_unit
 
 __all__ = ["draw_content", "draw_curve", "draw_multipliers"]
 
 BEHIND = ("#9a9a9a", "#c8a2b8", "#a9c7bb")
 """Other curves, drawn behind the one in question."""
-MARKERS = {
-    "fold": ("v", "fold"),
-    "branch_point": ("s", "branch point"),
-    "period_doubling": ("D", "period doubling"),
-    "neimark_sacker": ("^", "Neimark-Sacker"),
-}
+MARKERS = {"fold": "v", "branch_point": "s", "period_doubling": "D", "neimark_sacker": "^"}
 CLOSEST, MOST = 0.02, 40
 """Distance of neighbouring marks at least, relative to the sides of the picture; how many marks it
 has at most."""
@@ -49,11 +45,12 @@ def draw_curve(
     """Draw half the peak-to-peak displacement of a dof along a response curve.
 
     Stable parts are solid, unstable ones dashed and undecided ones dotted, if the curve has
-    multipliers. Parts whose displacement has a large estimated error are faint. A curve in
-    frequency without multipliers is drawn with more solutions between those followed
-    (:func:`refine_curve`) where these lie far apart. Bifurcations are marked, of many in one place
-    only some, and the legend has their number; hollow marks are not confirmed by exact orbits. The
-    order of the largest harmonic stands at superharmonic peaks.
+    multipliers. Parts whose displacement has a large estimated error are faint. A ring marks the
+    largest response, whose place and size the legend has. A curve in frequency without multipliers
+    is drawn with more solutions between those followed (:func:`refine_curve`) where these lie far
+    apart. Bifurcations are marked, of many in one place only some, and the legend has their number;
+    hollow marks are not confirmed by exact orbits. The order of the largest harmonic stands at
+    superharmonic peaks.
 
     Parameters
     ----------
@@ -87,9 +84,10 @@ def draw_curve(
         panel.set_yscale("log")
     amplitude, factor = curve.amplitude(dof), _factor(curve, in_hertz)
     for (name, (values, others)), grey in zip((behind or {}).items(), BEHIND, strict=False):
-        panel.plot(factor * values, others, color=grey, lw=1.2, label=name)
+        panel.plot(factor * values, others, color=grey, lw=0.9, label=name)
     ink = COLOURS.get(colour, colour)
     _draw_parts(panel, curve, factor * curve.values, amplitude, ink, label)
+    _mark_peak(panel, curve, factor * curve.values, amplitude, in_hertz, ink if label else "")
     _mark_bifurcations(panel, curve, dof, factor, ink if label else "")
     for (name, (values, others)), marker in zip((points or {}).items(), "^v", strict=False):
         look = {"color": COLOURS["green"], "ms": 4.5, "mfc": "none", "label": name}
@@ -126,6 +124,22 @@ def _draw_parts(
         axes.plot([], [], color=ink, lw=1.4, alpha=FAINT, label=INEXACT)
 
 
+def _mark_peak(
+    axes: Axes, curve: ResponseCurve, x: np.ndarray, y: np.ndarray, in_hertz: bool, ink: str
+) -> None:
+    """Mark the largest response unless it is an end of the curve; ``ink`` as of bifurcations."""
+    at = int(np.argmax(y))
+    if at in (0, len(y) - 1):
+        return
+    unit, by_frequency = parameter_axis(curve.parameter, in_hertz)[2], curve.parameter == "omega"
+    place, height, damping = top_and_damping(x, y, at)
+    words = f"largest: {quantity(height, 'm')} at {place:.5g} {unit}".removesuffix(" -")
+    if by_frequency and np.isfinite(damping):
+        words += f", half-power damping {100.0 * damping:.2g} %"
+    look = {"color": ink or COLOURS["blue"], "mfc": "none", "ms": 7.0, "mew": 1.1}
+    axes.plot(place, height, "o", label="" if ink else words, **look)
+
+
 def _mark_bifurcations(
     axes: Axes, curve: ResponseCurve, dof: int | None, factor: float, ink: str
 ) -> None:
@@ -139,8 +153,8 @@ def _mark_bifurcations(
     solid = np.array([one.confirmed or not judged for one in found])
     shown = _apart(axes, x, y, ~solid)
     kinds = np.array([one.kind for one in found])
-    for kind, (marker, name) in MARKERS.items():
-        at = kinds == kind
+    for kind, marker in MARKERS.items():
+        at, name = kinds == kind, kind_in_words(kind)
         if not at.any():
             continue
         look: dict[str, Any] = {"ls": "none", "marker": marker, "ms": 3.8, "mew": 0.8, "zorder": 3}
@@ -279,7 +293,7 @@ def draw_multipliers(
 
     An orbit is stable where it is below 1. Colours show where the multiplier is: a real one leaves
     the unit circle at +1 (folds, branch points) or -1 (period doublings), a pair anywhere else
-    (Neimark-Sacker). Undecided points are crosses.
+    (Neimark-Sacker). Undecided points are crosses, at 1 where their multipliers are unknown.
 
     Parameters
     ----------
@@ -322,7 +336,10 @@ def draw_multipliers(
         if at.any():
             panel.plot(x[at], sizes[at], ".", ms=4.0, color=COLOURS[colour], label=label)
     if open_.any():
-        panel.plot(x[open_], sizes[open_], "x", ms=4.0, color=COLOURS["pink"], label="undecided")
+        known = np.isfinite(sizes[open_])
+        label = "undecided" if known.all() else "undecided; at 1 where unknown"
+        shown = np.where(known, sizes[open_], 1.0)
+        panel.plot(x[open_], shown, "x", ms=4.0, color=COLOURS["pink"], label=label)
     if far := int(np.sum(sizes > HIGHEST)):  # else all others would be a line
         panel.set_ylim(top=HIGHEST)
         panel.plot([], [], " ", label=f"{far} of {len(sizes)} lie above")

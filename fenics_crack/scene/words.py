@@ -9,7 +9,7 @@ from typing import Any
 from fenics_crack.scene.scene import LOOKED_AT, Scene, unit_of
 from fenics_crack.table import quantity
 
-__all__ = ["WHOLE", "differences", "key_in_words", "unit_of", "value_in_words"]
+__all__ = ["WHOLE", "differences", "given_values", "key_in_words", "unit_of", "value_in_words"]
 
 WORDS = {
     "excitation.omega": "load frequency",
@@ -17,6 +17,7 @@ WORDS = {
     "excitation.order": "engine order",
     "rotation.speed": "rotor speed",
     "rotation.rpm": "rotor speed",
+    "excitation.point": "point of the load",
     "excitation.force_sin": "load",
     "excitation.force_cos": "load, cosine part",
     "excitation.force_mean": "load, mean",
@@ -64,7 +65,7 @@ def differences(scenes: Sequence[Scene]) -> list[str]:
     Empty where all are equal. What a curve, a motion in time or a sweep ranges over is left aside
     unless nothing else differs.
     """
-    found = [_flat(tomllib.loads(scene.as_toml())) for scene in scenes]
+    found = [given_values(scene) for scene in scenes]
     keys = list(dict.fromkeys(key for one in found for key in one))
     values = [
         {key: one.get(key, _default(scene, key)) for key in keys}
@@ -75,6 +76,11 @@ def differences(scenes: Sequence[Scene]) -> list[str]:
     return [
         ", ".join(f"{key} = {value_in_words(key, one[key])}" for key in chosen) for one in values
     ]
+
+
+def given_values(scene: Scene) -> dict[str, Any]:
+    """What a scene gives, by whole keys, "cracks.1.length"; no defaults."""
+    return _flat(tomllib.loads(scene.as_toml()))
 
 
 def _flat(tables: Mapping[str, Any], above: str = "") -> dict[str, Any]:

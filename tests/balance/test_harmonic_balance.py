@@ -131,6 +131,25 @@ def test_solution_satisfies_the_equation_of_motion_in_the_mean(omega: float) -> 
     assert np.abs(projected).max() < 1e-5 * np.abs(load).max()
 
 
+@pytest.mark.parametrize("method", [None, "massless"])
+def test_response_with_lips_open_and_tied(
+    paper_structure: fc.Structure, method: str | None
+) -> None:
+    """That of linear solutions, and of lips tied by stiff springs; with and without mass there."""
+    plate = paper_structure.damped(fc.RayleighDamping(20.0))
+    small = plate if method is None else fc.reduce_structure(plate, modes=20, method=method)
+    dof, omega = plate.find_dof((0.1, 0.1), "x"), np.array([1000.0, 2500.0, 4000.0])
+    tied = plate.tied(1e15)
+    for lips, reference in (("open", plate), ("tied", tied)):
+        rows = [fc.solve_linear(reference, one).coefficients_at([dof])[1:3, 0] for one in omega]
+        found = fc.linear_response(small, dof, omega, lips=lips)
+        np.testing.assert_allclose(found, np.hypot(*np.transpose(rows)), rtol=5e-3)
+    with pytest.raises(fc.InputError, match="lips = 'closed'"):
+        fc.linear_response(small, dof, omega, lips="closed")
+    undamped = oscillator(damping=0.0)
+    assert fc.linear_response(undamped, 0, np.array([1.0]))[0] == np.inf
+
+
 def test_clearance_and_preload() -> None:
     """An unreachable stop leaves the linear solution; preload that never opens stiffens it."""
     law = fc.UnilateralPenalty(2.0)

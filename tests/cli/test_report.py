@@ -129,6 +129,12 @@ def test_the_numbers_stand_there(page: Page, folder: Path) -> None:
     assert f"{found['verdict'].capitalize()}: " in page.words
     assert "3 of 3 cases converged" in page.words
     assert "young = " in page.words  # the scene
+    for key, value in (
+        ("load", "[100.0, 0.0] N"), ("point of the load", "[0.1, 0.1] m"),
+        ("damping ratio", "0.05"),
+        ("crack edge", "left"), ("height of the crack", "50 mm"), ("crack length", "50 mm"),
+    ):  # fmt: skip
+        assert re.search(rf"{key}\W*{re.escape(value)}", page.words), key
     for name in ("PETSc", "SLEPc", "DOLFINx", "gmsh", "NumPy"):
         assert re.search(rf"{name} \d", page.words), name
     assert f"fenics_crack {VERSION}" in page.words
