@@ -313,7 +313,7 @@ class Table:
 
     WORD: ClassVar[str | None] = None
     """The key for which a word may stand instead of the table: ``reduction = "off"``."""
-    ADVICE: ClassVar[Mapping[str, str]] = {}
+    _ADVICE: ClassVar[Mapping[str, str]] = {}
     """What to say of keys that people look for and the table does not have, "name", and of values
     that a key does not take, "edge = top"."""
 
@@ -352,7 +352,7 @@ class Table:
         item = cls.keys()[key]
         words: list[Any] = []
         if isinstance(value, str):
-            if advice := cls.ADVICE.get(f"{key} = {value}"):
+            if advice := cls._ADVICE.get(f"{key} = {value}"):
                 return f"; {advice}"
             words = near(value, item.metadata.get("words", ()))
         for other in candidates(value, item.metadata["unit"]):
@@ -428,7 +428,7 @@ class Table:
     @classmethod
     def instead_of(cls, key: str) -> str:
         """What is allowed where the table has no such key: which may be meant, and which it has."""
-        advice = cls.ADVICE.get(key) or meant(cls.meant_by(key)).strip()
+        advice = cls._ADVICE.get(key) or meant(cls.meant_by(key)).strip()
         return f"left out; {advice} known keys: {', '.join(cls.keys())}".replace(";  ", "; ")
 
     def changed(self, values: Mapping[str, object]) -> Any:

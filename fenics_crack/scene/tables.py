@@ -75,7 +75,7 @@ class Geometry(Table):
 class Crack(Table):
     """Straight horizontal crack: a slit whose two lips share only its tip, or its two tips."""
 
-    ADVICE: ClassVar[Mapping[str, str]] = dict.fromkeys(
+    _ADVICE: ClassVar[Mapping[str, str]] = dict.fromkeys(
         ("edge = top", "edge = bottom"),
         "cracks run across the plate; one that does not comes in a mesh (mesh.layout = 'file')",
     )
@@ -108,7 +108,7 @@ class Crack(Table):
 class Material(Table):
     """Isotropic linear elastic."""
 
-    ADVICE: ClassVar[Mapping[str, str]] = {
+    _ADVICE: ClassVar[Mapping[str, str]] = {
         "name": "no material is known by its name: steel has young = 2.1e11, poisson = 0.3 and "
         "density = 7850.0;",
         "E": "did you mean material.young?",
