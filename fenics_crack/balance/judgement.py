@@ -114,8 +114,10 @@ class Judgement:
     def decisive(self) -> Judgement | None:
         """The judgement with the fewest harmonics, these or more, whose orbit is next to it beyond
         doubt; None where none is."""
+        if self.of_orbit:
+            return self
         believed = self.believes(self._to_near)
-        if self.of_orbit or (believed and max(self._to_near, self.prediction) <= FARTHEST):
+        if believed and max(self._to_near, self.prediction) <= FARTHEST:
             return self
         if self.finer is None:
             return None
@@ -174,11 +176,15 @@ class Judgement:
         """Whether an orbit so far away may be the wave's own."""
         return distance <= max(BELIEVED * self.prediction, CLOSE)
 
-    def admits(self, distance: float) -> bool:
-        """Whether an orbit so far away is the wave's own: a near one, or that which more harmonics
-        confirm."""
+    def admits(self, distance: float, orbit: PeriodicOrbit | None) -> bool:
+        """Whether an orbit so far away is the wave's own: a near one, or, at the wave's frequency,
+        where it is given, that which more harmonics confirm."""
         if max(distance, self.prediction) <= FARTHEST:
             return self.believes(distance)
+        if orbit is None:
+            return False
+        if self.prediction < UNKNOWN:
+            vars(self).setdefault("near", orbit)
         return self.accepted and abs(distance / self.distance - 1.0) <= FARTHEST
 
     @property

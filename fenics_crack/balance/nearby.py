@@ -7,7 +7,7 @@ import numpy as np
 from fenics_crack.balance.orbits import FlowOrbits, Homotopy, recurrences
 from fenics_crack.errors import ConvergenceError
 from fenics_crack.motion.flow import ContactFlow
-from fenics_crack.motion.orbit import PeriodicOrbit, Prediction, find_orbit, predict
+from fenics_crack.motion.orbit import CLOSED, PeriodicOrbit, Prediction, find_orbit, predict
 from fenics_crack.numerics.bordered import point_on_path, solve_in_plane
 from fenics_crack.numerics.fourier import evaluate
 from fenics_crack.numerics.path import Path, PathOptions, Target
@@ -15,8 +15,6 @@ from fenics_crack.stages import begin
 
 __all__ = ["PARTS", "orbit_next_to", "predicted", "recurring", "wave_states"]
 
-CLOSED = 1e-10
-"""How closely a motion repeats itself that is periodic as it is."""
 PARTS = 32
 """Of the period, whose starts' states are corrected together."""
 SWITCHES, STEP = 100_000, 0.3

@@ -30,6 +30,7 @@ from fenics_crack.balance.contact_system import ContactSystem
 from fenics_crack.balance.problem import NEARLY, Problem
 from fenics_crack.balance.rounding import SOFT, check_stiffness, stiffness_times_compliance
 from fenics_crack.errors import ConvergenceError
+from fenics_crack.kernel import kernel
 from fenics_crack.model.flow import ExponentialFlow
 from fenics_crack.model.modal import all_modes
 from fenics_crack.numerics.bordered import PATIENCE, STEPS, point_on_path, solve_at, solve_near
@@ -44,8 +45,6 @@ __all__ = ["Search"]
 
 COMPILED, INTERPRETED = 5000, 1000
 """Iterations of all starts together, with 300 unknowns in the kernel, and in Python: 5 to 8 s."""
-MANY = 100
-"""Unknowns from which fewer harmonics are quicker than full steps from the linear solution."""
 PERIODS, MARCHED, MOVING = 40, (1, 3, 9), 40
 """Periods of a response that are marched at a time, how many times for one guess after the other,
 and modes that move in them."""
@@ -111,7 +110,7 @@ class Search:
         if self._rounding > ROUNDING:
             self.tolerance = max(self.tolerance, self._rounding)
         starts = []
-        if start is None and system.global_size > MANY and with_harmonics and problem:
+        if start is None and system.global_size > kernel.MANY and with_harmonics and problem:
             starts.append(self._fewer(with_harmonics, problem, 0.0))
         else:
             starts.append(self._full(system, system.linear if start is None else start, 0.0))
@@ -266,7 +265,7 @@ class Search:
 def _iterations(system: DistributedSystem) -> float:
     """How many a search may take: they cost like the square of the unknowns where the kernel has
     them."""
-    dense = COMPILED * (300.0 / max(MANY, system.global_size)) ** 2
+    dense = COMPILED * (300.0 / max(kernel.MANY, system.global_size)) ** 2
     if getattr(system, "in_kernel", False):
         return dense
     return INTERPRETED if system.matrix_free else min(INTERPRETED, dense)

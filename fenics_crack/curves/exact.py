@@ -35,7 +35,7 @@ from fenics_crack.errors import ConvergenceError
 from fenics_crack.model.contact import is_unilateral
 from fenics_crack.motion.flow import Budget, exact_flow
 from fenics_crack.motion.orbit import KNOWN, PIECES
-from fenics_crack.numerics.bordered import solve_at
+from fenics_crack.numerics.bordered import PathPoint, solve_at
 from fenics_crack.numerics.path import PathOptions
 from fenics_crack.stability.floquet import floquet
 from fenics_crack.stability.shooting import leaves
@@ -138,8 +138,12 @@ class _Judge:
 
     def _is_own(self, node: Node, place: int, off: float) -> bool:
         """Whether a solution is judged by a node's orbit."""
-        solution = self._curve.solution(place, search=False)
-        return solution.judged.admits(off) and not (self._bounces and self._left(node, place))
+        solution, orbit = self._curve.solution(place, search=False), None
+        if self._curve.parameter == "omega" and node.parameter == self.parameters[place]:
+            found = PathPoint(node.unknown, node.parameter, 0, node.tangent)
+            orbit = self.system.orbit(found)
+        admitted = solution.judged.admits(off, orbit)
+        return admitted and not (self._bounces and self._left(node, place))
 
     def _left(self, node: Node, place: int) -> bool:
         """Whether the exact motion that begins with a point leaves the stable orbit next to it."""

@@ -20,19 +20,24 @@ import numpy as np
 
 from fenics_crack.balance.orbits import FlowOrbits
 from fenics_crack.balance.solution import PeriodicSolution
-from fenics_crack.curves.orbit_branch import ALIKE, KINDS, STRAIGHT, TOLERANCE, Node, OrbitBranch
+from fenics_crack.curves.orbit_branch import (
+    ALIKE,
+    ITERATIONS,
+    KINDS,
+    STRAIGHT,
+    TOLERANCE,
+    Node,
+    OrbitBranch,
+)
 from fenics_crack.errors import ConvergenceError, InputError, check_number
 from fenics_crack.model.contact import ContactLaw
 from fenics_crack.model.structure import Structure
 from fenics_crack.motion.orbit import PeriodicOrbit
-from fenics_crack.numerics.bordered import PathPoint, solve_in_plane, tangent_of
+from fenics_crack.numerics.bordered import SHORTEST, PathPoint, solve_in_plane, tangent_of
 from fenics_crack.numerics.path import Path, PathOptions
 from fenics_crack.stability.shooting import orbits_near
 
 __all__ = ["refine_bifurcation"]
-
-ITERATIONS, SHORTEST = 30, 0.01
-"""Steps from a solution to the branch, and how short one may become."""
 
 
 class _Special(Protocol):

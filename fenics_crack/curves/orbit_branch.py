@@ -37,6 +37,7 @@ from itertools import pairwise
 
 import numpy as np
 import scipy.optimize
+from scipy.interpolate import barycentric_interpolate
 from scipy.linalg.lapack import dgeqrf, dorgqr
 
 from fenics_crack.balance.orbits import FlowOrbits, OrbitPoint
@@ -54,14 +55,14 @@ NARROWEST, ALONE = 1.0 / 8.0, 1.0 / 32.0
 where several numbers change."""
 TOLERANCE, SHARP = 1e-8, 1e-12
 """|F| / |x| of nodes, and to what part of a segment bifurcations are located; |F| / |x| there."""
-ITERATIONS, PATIENCE, SHRINKING = 12, 3, 0.1
+ITERATIONS, PATIENCE, SHRINKING = 30, 3, 0.1
 """Newton steps to an orbit, how many may together fail to halve the residual, and by how much one
 has to shrink it that another one with the same derivative may follow."""
 ALIKE = 0.5
 """Farthest orbit from the motion of its point; whether it is the point's own is asked later."""
 REACH = 5e-3
 """Farthest orbit from the parameter of its point, of the whole."""
-STRAIGHT = 0.9
+STRAIGHT = 0.7
 """Cosine of the angle between a chord and the tangents at its ends."""
 LEADING = 8
 """Multipliers that are kept."""
@@ -271,23 +272,30 @@ class OrbitBranch:
                     return self._node(place, found, self._ahead(place), away)
         return None
 
-    def between(
-        self, first: Node, last: Node, share: float, tolerance: float = TOLERANCE
-    ) -> Node | None:
-        """The orbit next to the cubic through two nodes, in the plane across their chord."""
+    def between(self, first: Node, last: Node, share: float) -> Node | None:
+        """A node at a part of the segment between two others; None where none is found."""
+        found = self._across(first, last, share, {}, TOLERANCE)
+        return None if found is None else self._inside(first, last, share, found)
+
+    def _inside(self, first: Node, last: Node, share: float, found: PathPoint) -> Node:
+        return self._node(first.place + share * (last.place - first.place), found, found.tangent)
+
+    def _across(
+        self, first: Node, last: Node, share: float, met: dict[float, PathPoint], tolerance: float
+    ) -> PathPoint | None:
+        """The orbit next to the cubic through two nodes, bent through those that have been met on
+        the segment, in the plane across their chord, its tangent."""
         chord = _direction(
             last.unknown - first.unknown, last.parameter - first.parameter, first.unknown
         )
         if chord is None:
             return None
-        found = self._solved(*cubic(first, last, share), chord, tolerance)
+        found = self._solved(*_bent_through(first, last, met, share), chord, tolerance)
         if found is None:
             return None
         size = np.linalg.norm(first.unknown - last.unknown)
         ends = [np.linalg.norm(found.unknown - one.unknown) for one in (first, last)]
-        if max(ends) > 1.5 * size + 1e-6 * np.linalg.norm(found.unknown):
-            return None
-        return self._node(first.place + share * (last.place - first.place), found, chord)
+        return found if max(ends) <= 1.5 * size + 1e-6 * np.linalg.norm(found.unknown) else None
 
     def know(self, places: np.ndarray) -> None:
         """Find the motions of some points at once."""
@@ -334,17 +342,20 @@ class OrbitBranch:
     def _node(
         self, place: float, found: PathPoint, ahead: Tangent | None, away: float = np.nan
     ) -> Node:
-        at = found.at
-        assert isinstance(at, OrbitPoint)
-        values = _multipliers(at.monodromy)
-        tangent = tangent_of(self.system, found.unknown, at)
-        if ahead is not None and tangent.along(ahead, self.system) < 0.0:
-            tangent = tangent.reversed()
+        assert isinstance(found.at, OrbitPoint)
+        values = _multipliers(found.at.monodromy)
         leading = values[:LEADING]
         return Node(
-            place, found.unknown, found.parameter, tangent, leading, _outside(values),
-            _paired(leading), away,
+            place, found.unknown, found.parameter, self._tangent(found, ahead), leading,
+            _outside(values), _paired(leading), away,
         )  # fmt: skip
+
+    def _tangent(self, found: PathPoint, ahead: Tangent | None) -> Tangent:
+        """Of the branch, towards where a direction leads."""
+        assert found.at is not None
+        tangent = tangent_of(self.system, found.unknown, found.at)
+        back = ahead is not None and tangent.along(ahead, self.system) < 0.0
+        return tangent.reversed() if back else tangent
 
     # --- bifurcations -----------------------------------------------------------------------------
 
@@ -365,34 +376,42 @@ class OrbitBranch:
         """Where a test function vanishes on a segment; not located: where it was smallest, as an
         orbit is missed, or it has one sign, or jumps past zero."""
         pairs = max(first.outside[2], last.outside[2])
-        met = {0.0: first, 1.0: last}
+        met: dict[float, PathPoint] = {}
+        tests: dict[float, float] = {}
 
-        def test(one: Node) -> float:
+        def test(node: Node) -> float:
             if kind == KINDS[0]:
-                return one.tangent.p
+                return node.tangent.p
             if kind == KINDS[1]:
-                return float(np.prod(1.0 + one.pairs.sum(axis=1)))
-            sizes = np.abs(one.leading[one.leading.imag > 0.0])
+                return float(np.prod(1.0 + node.pairs.sum(axis=1)))
+            sizes = np.abs(node.leading[node.leading.imag > 0.0])
             return float(sizes[pairs - 1]) - 1.0 if len(sizes) >= pairs else -1.0
 
-        largest = max(abs(test(first)), abs(test(last)))
+        ends = test(first), test(last)
+        largest = max(map(abs, ends))
 
         def value(share: float) -> float:
+            if share in (0.0, 1.0):
+                return ends[int(share)]
             if share not in met:
-                found = self.between(first, last, share, SHARP)
+                found = self._across(first, last, share, met, SHARP)
                 if found is None:
                     raise ConvergenceError("no orbit")
                 met[share] = found
-            found_there = test(met[share])
-            return found_there if abs(found_there) > TOLERANCE * largest else 0.0
+                if kind == KINDS[0]:  # its multipliers are no matter
+                    tests[share] = self._tangent(found, found.tangent).p
+                else:
+                    tests[share] = test(self._inside(first, last, share, found))
+            return tests[share] if abs(tests[share]) > TOLERANCE * largest else 0.0
 
         try:
             scipy.optimize.brentq(value, 0.0, 1.0, xtol=TOLERANCE)
             searched = True
         except (ConvergenceError, ValueError):
             searched = False
-        one = min(list(met.values())[2:] or [first], key=lambda one: abs(test(one)))
-        located = searched and abs(test(one)) <= SMOOTH * largest
+        share = min(tests, key=lambda share: abs(tests[share]), default=0.0)
+        one = self._inside(first, last, share, met[share]) if tests else first
+        located = searched and bool(tests) and abs(tests[share]) <= SMOOTH * largest
         return replace(one, crossing=Crossing(kind, one.parameter, one.place, located))
 
 
@@ -422,6 +441,22 @@ def cubic(first: Node, last: Node, share: float) -> tuple[np.ndarray, float]:
         unknown = unknown + scale * tangent.x
         parameter += scale * tangent.p
     return unknown, parameter
+
+
+def _bent_through(
+    first: Node, last: Node, met: dict[float, PathPoint], share: float
+) -> tuple[np.ndarray, float]:
+    """The cubic through two nodes, bent through some points between them by s^2 (1 - s)^2 times a
+    polynomial."""
+    unknown, parameter = cubic(first, last, share)
+    if len(met) < 2:  # one says nothing of what lies between it and the ends
+        return unknown, parameter
+    shares, off = np.array(list(met)), []
+    for one, (x, p) in zip(met.values(), [cubic(first, last, s) for s in shares], strict=True):
+        off.append([*(one.unknown - x), one.parameter - p])
+    bump = np.square(shares * (1.0 - shares))[:, None]
+    change = barycentric_interpolate(shares, off / bump, share) * (share * (1.0 - share)) ** 2
+    return unknown + change[:-1], parameter + change[-1]
 
 
 def _to_turns(parameters: np.ndarray) -> np.ndarray:

@@ -7,8 +7,7 @@
 #include "equations.h"
 #include "intervals.h"
 #include "lapack.h"
-
-#define ROUNDING 1e-13 /* penetration that counts as none, of the gaps' coefficients together */
+#include "rounding.h"
 
 struct coupled_forces {
     breathing found;       /* the sets, with room for `most` events */

@@ -5,7 +5,8 @@
 /* What comes of an evaluation, or of a correction by Newton's method. */
 enum { FOUND, NOT_FOUND, SINGULAR_STRUCTURE, NO_MEMORY, FAILED };
 
-/* Unknowns from which on solutions with J take products, for factors are dear. */
+/* Unknowns from which on factors of J are dear: solutions with it take products, and full steps from
+ * the linear solution more time than beginning with fewer harmonics. */
 enum { MANY = 100 };
 
 /* The points of each kind begin with it; `at` is such a point. */

@@ -9,7 +9,7 @@
 #include "series.h"
 
 /* How far what is fastest turns in the time of a series. */
-static const double SHORT = 1.5;
+static const double SHORT = 3.0;
 
 /* All in units of the frequency. exp = I + F with
  *
@@ -22,7 +22,9 @@ struct exponentials {
     double unit, rate; /* rate: of the damping, at most */
     double *squares;   /* (m) */
     double *damping;   /* (m) or (m, m) C */
+    const closed_set *set;
     double *stiffness; /* (m, m) K */
+    double *through; /* (m / 2, m) what passes the pairs of a set with few */
     double *terms;     /* (3, m, m) of b's series */
     double *upper;     /* (2, m, m) D + b C and -b K */
     double *right;     /* (2, m, m) b and D */
@@ -39,7 +41,7 @@ exponentials *new_exponentials(int modes, int coupled, const double *squares,
     const long m = modes, square = m * m, damped = coupled ? square : m;
     exponentials *e = calloc(1, sizeof(exponentials));
     if (!e) return NULL;
-    e->squares = malloc(bytes(m + damped + 18 * square + 1));
+    e->squares = malloc(bytes(m + damped + 19 * square + 1));
     if (!e->squares) {
         free(e);
         return NULL;
@@ -49,7 +51,8 @@ exponentials *new_exponentials(int modes, int coupled, const double *squares,
     e->unit = unit;
     e->damping = e->squares + m;
     e->stiffness = e->damping + damped;
-    e->terms = e->stiffness + square;
+    e->through = e->stiffness + square;
+    e->terms = e->through + square;
     e->upper = e->terms + 3 * square;
     e->right = e->upper + 2 * square;
     e->other = e->right + 2 * square;
@@ -83,6 +86,43 @@ static void add_damped(const exponentials *e, const double *b, double *sum)
         for (int j = 0; j < m; j++) sum[i * m + j] += b[i * m + j] * e->damping[j];
 }
 
+/* Whether K is a diagonal and the products of few rows and columns. */
+static int has_few_pairs(const exponentials *e) { return 2 * e->set->size < e->modes; }
+
+/* found = K x. */
+static void stiffness_times(const exponentials *e, const double *x, double *found)
+{
+    const int m = e->modes, a = e->set->size;
+    if (!has_few_pairs(e)) {
+        multiply_matrices(m, m, m, e->stiffness, x, 0.0, found);
+        return;
+    }
+    multiply_matrices(a, m, m, e->set->pushed, x, 0.0, e->through);
+    multiply_matrices(m, a, m, e->set->pairs, e->through, 0.0, found);
+    const double unit = 1.0 / (e->unit * e->unit);
+    for (int i = 0; i < m; i++)
+        for (long j = (long)i * m; j < (long)(i + 1) * m; j++)
+            found[j] = unit * found[j] + e->squares[i] * x[j];
+}
+
+/* found = x K. */
+static void times_stiffness(const exponentials *e, const double *x, double *found)
+{
+    const int m = e->modes, a = e->set->size;
+    if (!has_few_pairs(e)) {
+        multiply_matrices(m, m, m, x, e->stiffness, 0.0, found);
+        return;
+    }
+    multiply_matrices(m, m, a, x, e->set->pairs, 0.0, e->through);
+    multiply_matrices(m, a, m, e->through, e->set->pushed, 0.0, found);
+    const double unit = 1.0 / (e->unit * e->unit);
+    for (int i = 0; i < m; i++)
+        for (int j = 0; j < m; j++) {
+            const long at = (long)i * m + j;
+            found[at] = unit * found[at] + e->squares[j] * x[at];
+        }
+}
+
 /* The term behind the n-th: next = -(K before t / (n + 1) + C now) t / (n + 2). */
 WIDE static void next_term(const exponentials *e, int n, double time, const double *before,
                            const double *now, double *next)
@@ -90,7 +130,7 @@ WIDE static void next_term(const exponentials *e, int n, double time, const doub
     const int m = e->modes;
     const long square = (long)m * m;
     const double gain = -time * time / ((n + 1) * (n + 2)), loss = -time / (n + 2);
-    if (n > 1) multiply_matrices(m, m, m, e->stiffness, before, 0.0, next);
+    if (n > 1) stiffness_times(e, before, next);
     else /* of b_0 = 0 and b_1 = time I */
         for (long i = 0; i < square; i++) next[i] = n * time * e->stiffness[i];
     if (e->coupled) {
@@ -135,7 +175,7 @@ WIDE static void complete(exponentials *e)
     const long square = (long)m * m;
     memcpy(e->upper, e->right + square, bytes(square));
     add_damped(e, e->right, e->upper);
-    multiply_matrices(m, m, m, e->right, e->stiffness, 0.0, e->upper + square);
+    times_stiffness(e, e->right, e->upper + square);
     for (long i = square; i < 2 * square; i++) e->upper[i] = -e->upper[i];
 }
 
@@ -144,6 +184,7 @@ static double stiffness_of(exponentials *e, const closed_set *a)
 {
     const int m = e->modes;
     double *k = e->stiffness, largest = 0.0;
+    e->set = a;
     multiply_matrices(m, a->size, m, a->pairs, a->pushed, 0.0, k);
     for (int i = 0; i < m; i++) {
         double sum = 0.0;

@@ -7,6 +7,7 @@
 #include "closed_sets.h"
 #include "exponential.h"
 #include "lapack.h"
+#include "rounding.h"
 #include "series.h"
 
 /* Rows of a load: its mean, cosine and sine. ANSWERS: of complementarity problems that are kept. */
@@ -14,9 +15,8 @@ enum { LOAD = 3, ANSWERS = 64 };
 
 /* Length of a piece and of a step of the search for events, times the largest frequency. */
 static const double REACH = 10.0, GRID = 0.5;
-/* What rounding leaves of an answer; when pairs that should have changed with the one before do so,
- * as a part of a piece. */
-static const double ROUNDING = 1e-14, BEHIND = 1e-12;
+/* When pairs that should have changed with the one before do so, as a part of a piece. */
+static const double BEHIND = 1e-12;
 
 struct flow {
     flow_parts of;

@@ -3,8 +3,7 @@
 #include <string.h>
 
 #include "lapack.h"
-
-static const double ROUNDING = 1e-14; /* gaps relative to the largest one that count as zero */
+#include "rounding.h"
 
 /* y -= sum_i weight_i row_i with rows (p, n). */
 static void take(int p, int n, const double *rows, const double *weight, double *restrict y)

@@ -4,9 +4,7 @@
 #include <string.h>
 
 #include "lapack.h"
-
-/* Error of gaps with which all is computed anew; a diagonal so small relative to that of D is 0. */
-static const double ACCURATE = 1e-12, SINGULAR = 1e-12;
+#include "rounding.h"
 
 void open_all(pivot_table *s)
 {
@@ -31,7 +29,7 @@ int turn_pair(pivot_table *s, int k, int count, double *answers, double *v, doub
     double *u = s->room, *own = s->table + (long)k * n;
     memcpy(u, own, n * sizeof(double));
     const double d = u[k];
-    if (!(s->closed[k] ? d < 0.0 : d > SINGULAR * s->d[(long)k * n + k])) return 1;
+    if (!(s->closed[k] ? d < 0.0 : d > ACCURATE * s->d[(long)k * n + k])) return 1;
     if (v) {
         for (int i = 0; i < n; i++) v[i] = s->closed[i] ? u[i] : 0.0;
         if (!s->closed[k]) v[k] = -1.0;

@@ -5,12 +5,10 @@
 #include <string.h>
 
 #include "lapack.h"
+#include "rounding.h"
 
 /* PIVOTS: after so many changes by one pair rounding is left behind by factors again. */
 enum { TOGETHER = 30, PIVOTS = 50 };
-
-/* Error of gaps with which an answer is computed anew. */
-static const double ACCURATE = 1e-11;
 
 typedef struct known {
     struct known *next;

@@ -13,11 +13,11 @@
 #include <stdlib.h>
 
 #include "lapack.h"
+#include "rounding.h"
+#include "waves.h"
 
-#define TWO_PI 6.283185307179586
 #define PARTS 4           /* into which a cell that is not settled is divided */
 #define DEEPEST 64        /* divisions: long before, a cell is shorter than all that counts */
-#define RESOLUTION 1e-14  /* of the largest |g|: excursions below may be missed */
 
 typedef struct {
     double left, width, low, high; /* [left, left + width], g at both ends */
@@ -97,7 +97,7 @@ static void begin(search *s, const double *gap, const double *waves)
     }
     for (int i = 0; i <= s->cells; i++)
         if (fabs(g[i]) > largest) largest = fabs(g[i]);
-    s->resolution = RESOLUTION * largest;
+    s->resolution = ROUNDING * largest;
     if (!isfinite(s->curvature + gap[0])) { /* a diverged iterate: no roots, but the search ends */
         s->next = s->cells;
         g[0] = 0.0;

@@ -25,7 +25,7 @@ def test_nodes_are_orbits_of_one_branch() -> None:
     assert (
         np.mean(judge.branch.linked) > 0.97
     )  # beside a fold of the curve nodes may come back a little
-    for one in nodes[::5]:
+    for one in [one for one in nodes if one.crossing is None][::5]:  # a fold's M - I is singular
         omega = one.parameter * system.omega
         orbit = find_orbit(system.flow, omega, system.state(one.unknown))
         assert orbit is not None and orbit.flows <= 4
