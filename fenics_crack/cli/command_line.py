@@ -15,8 +15,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
-from fenics_crack.cli.completion import SHELLS, script
-from fenics_crack.cli.template import KINDS, lines_of
 from fenics_crack.errors import ConvergenceError, Exit, InputError, WriteError
 from fenics_crack.hints import in_other_words, meant, near
 from fenics_crack.one_thread import alone
@@ -87,8 +85,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if error.__cause__ is not None and given.verbose:
             traceback.print_exception(error.__cause__)
         _say(str(type(error)(KEYS.get(error.key, error.key), error.value, error.allowed)))
-        if error.value is None and (lines := lines_of(error.key)):
-            print(f"for example:\n\n{lines}", file=sys.stderr)
+        if error.value is None:
+            _show_lines_of(error.key)
         return Exit.FAULT if isinstance(error, WriteError) else Exit.BAD_INPUT
     except ConvergenceError as error:
         _say(f"did not converge: {error}")
@@ -136,6 +134,14 @@ def _say(text: str, stream: TextIO | None = None) -> None:
     """Print the last line, if that is possible."""
     with contextlib.suppress(OSError):
         print(f"fenics-crack: {text}", file=stream or sys.stderr or sys.__stderr__, flush=True)
+
+
+def _show_lines_of(table: str) -> None:
+    """Print lines to be pasted where a scene lacks a table that a command asks for."""
+    from fenics_crack.cli.template import lines_of
+
+    if lines := lines_of(table):
+        print(f"for example:\n\n{lines}", file=sys.stderr)
 
 
 def _discard_output() -> None:
@@ -284,7 +290,9 @@ FUNCTIONS = {
 """What they call in this folder; the others are runs, ``commands.solved``."""
 ARGUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "file": ("the file to write, for example plate.toml", {"type": path, "metavar": "scene"}),
-    **{f"--{kind}": (text, {"action": "store_true"}) for kind, text in KINDS.items()},
+    "--blade": ("of a plate on a rotor: engine order, centrifugal load", {"action": "store_true"}),
+    "--timing": ("of one with probes that its tip passes", {"action": "store_true"}),
+    "--identify": ("of one whose crack is looked for, by a CSV file", {"action": "store_true"}),
     "scene": ("the scene, a TOML file", {"type": path}),
     "measurements": (
         "a CSV file with the columns quantity, value, deviation, mode, frequency [Hz], point, "
@@ -360,6 +368,7 @@ class Completion(argparse.Action):
 
     def __call__(self, parser: argparse.ArgumentParser, *given: Any) -> NoReturn:
         """Called by argparse: the namespace, the shell, and the option."""
+        from fenics_crack.cli.completion import script
         from fenics_crack.scene.scene import known_keys
 
         commands = {name: (text, options_of(name)) for name, (text, _) in COMMANDS.items()}
@@ -385,7 +394,9 @@ def parser() -> argparse.ArgumentParser:
     )
     whole.add_argument("--version", action="version", version=f"fenics-crack {VERSION}")
     shell = 'print what a shell needs to complete words: eval "$(fenics-crack --completion bash)"'
-    whole.add_argument("--completion", action=Completion, choices=SHELLS, help=shell)
+    whole.add_argument(
+        "--completion", action=Completion, choices=("bash", "zsh", "fish"), help=shell
+    )
     group = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, (text, own) in COMMANDS.items():
         command = group.add_parser(name, help=text, description=text[0].upper() + text[1:])

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-__all__ = ["SHELLS", "script"]
+__all__ = ["script"]
 
-SHELLS = ("bash", "zsh", "fish")
 BASH = """\
 _fenics_crack() {{
     local words=""

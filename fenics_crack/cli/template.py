@@ -11,11 +11,7 @@ from importlib import resources
 
 __all__ = ["KINDS", "lines_of", "measured", "scene"]
 
-KINDS = {
-    "blade": "on a rotor: engine order, centrifugal load, a run-up",
-    "timing": "on a rotor, with probes that its tip passes",
-    "identify": "whose crack is looked for, and measurements beside it",
-}
+KINDS = ("blade", "timing", "identify")
 """What ``new`` writes besides a plate."""
 ASKED_FOR = ("curve", "identify", "rotation", "sweep", "tip_timing")
 """Tables that a scene may do without, and commands may not."""

@@ -16,9 +16,8 @@ from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
 from fenics_crack.errors import InputError, reading
-from fenics_crack.hints import Hinted, meant, near
+from fenics_crack.hints import Hinted, converted, meant, near, written
 from fenics_crack.outside import text_of
-from fenics_crack.scene.conversions import converted, written
 from fenics_crack.scene.cracks import OF_PLATES, check_cracks
 from fenics_crack.scene.fields import Axis, Table, named, radians
 from fenics_crack.scene.tables import (
