@@ -48,6 +48,8 @@ def read_inputs(given: argparse.Namespace) -> Inputs | None:
         check_count("--count", count, 1)
     folder = vars(given).get("output") or Path("output") / given.scene.stem
     rows = None if measured is None else Measurements.from_csv(measured)
+    if rows is not None:
+        rows.check(scene)
     return Inputs(scene, folder, rows, _arrivals(scene, seen))
 
 

@@ -23,7 +23,7 @@ from fenics_crack.parallel import on_root
 from fenics_crack.scene.scene import Scene
 from fenics_crack.study.key_figures import KeyFigures, find_key_figures, highest_omega
 from fenics_crack.study.prepare import Study, check_memory_of, prepare, reduction_of
-from fenics_crack.study.remarks import is_proportional, remarks_on
+from fenics_crack.study.remarks import is_proportional, remarks_on, remarks_on_structure
 from fenics_crack.sweep.plan import Plan
 from fenics_crack.table import RPM, TURN, Table, counted
 from fenics_crack.whole import write_whole
@@ -80,9 +80,10 @@ def check(_: Namespace, inputs: Inputs, console: Console) -> None:
         rows["of them impossible"] = on_root(console.comm, lambda: _impossible(scene))
     highest = max(highest_omega(scene, command) for command in ("solve", "curve", "sweep"))
     remark = _remark_on_whole(scene, whole, highest)
+    remarks = remarks_on(study.scene, figures) + remarks_on_structure(scene, whole)
     console.table(Table(("what", "value"), [*rows.items()]))
     console.note(remark)
-    console.note(*(f"remark: {remark}" for remark in remarks_on(study.scene, figures)))
+    console.note(*(f"remark: {remark}" for remark in remarks))
 
 
 def draw_scene(scene: Scene, folder: Path, structure: Structure | None = None) -> list[Path]:

@@ -222,8 +222,11 @@ def _draw_legend(axes: Axes) -> None:
         alone = len(axes.figure.axes) == 1
         room = 0.9 * axes.figure.bbox.width if alone else axes.get_window_extent().width
         letters = 17.0 * room / axes.figure.dpi
-        columns = max(1, min(len(named), int(letters / (max(map(len, named)) + 8))))
+        lines = [label.splitlines() for label in named]
+        longest = max(len(line) for label in lines for line in label)
+        columns = max(1, min(len(named), int(letters / (longest + 8))))
         rows, before = -(-len(named) // columns), axes.get_legend()
+        rows += max(map(len, lines)) - 1
         more = max(rows, ROWS) - max(ROWS if before is None else int(before.get_gid()), ROWS)
         if alone:
             axes.figure.set_figheight(axes.figure.get_figheight() + 0.17 * more)
