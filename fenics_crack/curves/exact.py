@@ -4,8 +4,8 @@ The multipliers of the truncated equations' waves cross the unit circle where th
 need not, above all where contact is stiff and modes beyond the harmonics are lightly damped. So the
 branch of exact orbits along a curve is found (:mod:`orbit_branch`), and a point is judged by the
 segment of it at its own value of the parameter, on its own side of a fold, if the orbits there are
-near enough and the point's own (:mod:`fenics_crack.balance.judgement`): no farther than 1 %, or than
-three times the error predicted. Points of branches of twice the period are judged as
+near enough and the point's own (:mod:`fenics_crack.balance.judgement`): no farther than 1 %, or
+than three times the error predicted. Points of branches of twice the period are judged as
 :func:`floquet` does.
 """
 
