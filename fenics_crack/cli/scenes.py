@@ -6,13 +6,13 @@ import contextlib
 import itertools
 import os
 from argparse import Namespace
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
 from mpi4py import MPI
 
 from fenics_crack.balance.memory import check_memory
+from fenics_crack.cli import template
 from fenics_crack.cli.console import Console
 from fenics_crack.cli.inputs import Inputs
 from fenics_crack.errors import ConvergenceError, InputError
@@ -39,15 +39,23 @@ MAX_CHECKED = 10_000
 def new(given: Namespace, _: None, console: Console) -> None:
     """Write a commented scene to start from."""
     path: Path = given.file
+    kinds = [kind for kind in template.KINDS if vars(given)[kind]]
+    rows = path.with_name(f"{path.stem}_measured.csv")
+    files = {path: template.scene(path.name, rows.name, kinds)}
+    if "identify" in kinds:
+        files[rows] = template.measured()
 
     def write() -> None:
-        text = resources.files("fenics_crack.cli").joinpath("new_scene.toml").read_text("utf-8")
-        if os.path.exists(path):  # False for a name too long, which writing will say
-            raise InputError("scene", str(path), "a new file; there is one already")
-        write_whole(path, text.replace("SCENE", path.name), "scene")
+        for file in files:
+            if os.path.exists(file):  # False for a name too long, which writing will say
+                raise InputError("scene", str(file), "a new file; there is one already")
+        for file, text in files.items():
+            write_whole(file, text, "scene")
 
     on_root(console.comm, write)
     console.note(f"{path}: a scene to start from; now: fenics-crack check {path}")
+    if rows in files:
+        console.note(f"{rows}: what was measured; then: fenics-crack identify {path} {rows}")
 
 
 def check(_: Namespace, inputs: Inputs, console: Console) -> None:

@@ -17,8 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from fenics_crack.errors import InputError
-from fenics_crack.hints import meant, near
-from fenics_crack.scene.conversions import candidates, written
+from fenics_crack.hints import candidates, meant, near, written
 from fenics_crack.table import TURN
 
 __all__ = [

@@ -16,9 +16,8 @@ from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
 from fenics_crack.errors import InputError, reading
-from fenics_crack.hints import Hinted, meant, near
+from fenics_crack.hints import Hinted, converted, meant, near, written
 from fenics_crack.outside import text_of
-from fenics_crack.scene.conversions import converted, written
 from fenics_crack.scene.cracks import OF_PLATES, check_cracks
 from fenics_crack.scene.fields import Axis, Table, named, radians
 from fenics_crack.scene.tables import (
@@ -44,7 +43,7 @@ from fenics_crack.scene.tables import (
 )
 from fenics_crack.table import RPM, frequency_axis
 
-__all__ = ["LOOKED_AT", "Scene", "unit_of"]
+__all__ = ["LOOKED_AT", "Scene", "known_keys", "unit_of"]
 
 LOOKED_AT = ("curve", "integration", "sweep", "identify", "tip_timing", "output")
 """Tables that say what is looked at, and change nothing of it."""
@@ -332,6 +331,12 @@ def _hint_in(text: str, error: str) -> str:
         return ""
     right = f'"{value}"' if number is None else written(number)
     return f"; {meant([f'{key} = {right}'])}".rstrip()
+
+
+def known_keys() -> list[str]:
+    """Every key of a scene; of a list of tables those of the first."""
+    tables = [(f"{name}.1" if name in _LISTS else name, kind) for name, kind in _TABLES.items()]
+    return [f"{name}.{key}" for name, kind in tables for key in kind.keys()]
 
 
 def unit_of(name: str) -> str:

@@ -6,7 +6,7 @@ import pytest
 from helpers import DEMOS
 
 from fenics_crack import InputError, Scene
-from fenics_crack.scene.conversions import converted
+from fenics_crack.hints import converted
 
 
 @pytest.mark.parametrize(
