@@ -76,7 +76,7 @@ def draw_spectrum(
     if not lengths:
         raise InputError("dof", None, "given where there is no contact pair")
     force = _amplitudes(solution.force_coefficients.sum(axis=1))
-    forces: Series = {"contact force, all pairs": (force, loads)} if np.any(force) else {}
+    forces: Series = {"contact force, all pairs": (force, loads)}
     parts = [(lengths, "displacement", "m"), (forces, "contact force", "N")]
     return _spectra(parts, solution.structure.comm, where)
 
@@ -129,10 +129,13 @@ Series = dict[str, tuple[np.ndarray, int]]
 
 def _spectra(parts: Sequence[tuple[Series, str, str]], comm: MPI.Comm, where: Where) -> Figure:
     """Draw series, each part with its quantity and unit in a panel: as many as there are axes, or
-    those that are not empty."""
+    the first and those that are not zero."""
     axes = given_axes(where.get("axes"), where.get("ax"))
-    shown = [part for part in parts if part[0]][: None if axes is None else np.size(axes)]
-    size = (7.0, 2.4 + 2.4 * len(shown))
+    first, *others = (part for part in parts if part[0])
+    if axes is None:
+        others = [part for part in others if any(np.any(found) for found, _ in part[0].values())]
+    shown = [first, *others][: None if axes is None else np.size(axes)]
+    size = (7.0, 2.4 + 2.2 * len(shown))
     picture = Picture(len(shown), size=size, sharex=True, comm=comm, **where)
     for panel, part in zip(picture, shown, strict=True):
         _stems(panel, *part)
